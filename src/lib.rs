@@ -1,0 +1,1 @@
+//! CANopen LSS slave.
