@@ -1,1 +1,41 @@
-//! CANopen LSS slave.
+//! A CANopen LSS slave (CiA 305) and the small node around it, as a pure function of frames and time.
+//!
+//! The library does no I/O, reads no clock, allocates nothing, knows no chip and cannot panic. Frames and the
+//! present time go in, [`Action`]s come out; a board is whatever carries them out:
+//!
+//! ```
+//! use lss_slave::{Action, Device, Frame, Instant, Node};
+//!
+//! # let device = Device { address: lss_slave::lss::Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
+//! #     bit_rates: lss_slave::BitRates::possible(32_000_000) };
+//! # let settings = lss_slave::Settings { node_id: None, bit_rate: lss_slave::BitRate::Kbit125, heartbeat_ms: 0 };
+//! let mut node = Node::new(device, settings);
+//! let now = Instant::from_micros(0);
+//! let is_anyone_unconfigured = Frame::new(0x7E5, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
+//! let Some(Action::Transmit(answer)) = node.handle_frame(&is_anyone_unconfigured, now) else { panic!() };
+//! assert_eq!((answer.cob_id(), answer.data()), (0x7E4, &[0x50, 0, 0, 0, 0, 0, 0, 0][..]));
+//! ```
+//!
+//! [`Node`] says how to drive it; [`settings`] keeps what LSS configures in flash; [`bit_rate`] turns a bit rate
+//! and a clock into the bxCAN's bit timing.
+
+#![no_std]
+#![forbid(unsafe_code)]
+#![deny(missing_docs)]
+
+pub mod bit_rate;
+pub mod lss;
+pub mod nmt;
+pub mod settings;
+
+mod can;
+mod node;
+mod node_id;
+mod time;
+
+pub use bit_rate::{BitRate, BitRates};
+pub use can::Frame;
+pub use node::{Action, Device, Node};
+pub use node_id::NodeId;
+pub use settings::Settings;
+pub use time::Instant;

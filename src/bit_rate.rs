@@ -1,0 +1,190 @@
+//! The bit rates of CiA 301 and their table for LSS, and the solver from a bit rate and a clock to bxCAN bit timing.
+
+/// A bit rate of CiA 301; the value is its index in the table that configure bit timing selects with 0 (CiA 305).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum BitRate {
+    Kbit1000 = 0,
+    Kbit800 = 1,
+    Kbit500 = 2,
+    Kbit250 = 3,
+    Kbit125 = 4,
+    Kbit50 = 6,
+    Kbit20 = 7,
+    Kbit10 = 8,
+}
+
+impl BitRate {
+    /// All bit rates, the fastest first.
+    pub const ALL: [Self; 8] = [
+        Self::Kbit1000,
+        Self::Kbit800,
+        Self::Kbit500,
+        Self::Kbit250,
+        Self::Kbit125,
+        Self::Kbit50,
+        Self::Kbit20,
+        Self::Kbit10,
+    ];
+
+    /// The rate at `index` of table `table`: table 0, index 0..=4 and 6..=8. Index 5 is reserved; some old texts give it
+    /// to 100 kbit/s.
+    pub const fn from_table(table: u8, index: u8) -> Option<Self> {
+        match (table, index) {
+            (0, 0) => Some(Self::Kbit1000),
+            (0, 1) => Some(Self::Kbit800),
+            (0, 2) => Some(Self::Kbit500),
+            (0, 3) => Some(Self::Kbit250),
+            (0, 4) => Some(Self::Kbit125),
+            (0, 6) => Some(Self::Kbit50),
+            (0, 7) => Some(Self::Kbit20),
+            (0, 8) => Some(Self::Kbit10),
+            _ => None,
+        }
+    }
+
+    /// The index in table 0.
+    pub const fn index(self) -> u8 {
+        self as u8
+    }
+
+    /// The rate in kbit/s.
+    pub const fn kbit_per_s(self) -> u16 {
+        match self {
+            Self::Kbit1000 => 1000,
+            Self::Kbit800 => 800,
+            Self::Kbit500 => 500,
+            Self::Kbit250 => 250,
+            Self::Kbit125 => 125,
+            Self::Kbit50 => 50,
+            Self::Kbit20 => 20,
+            Self::Kbit10 => 10,
+        }
+    }
+}
+
+/// A set of bit rates: those that a device offers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BitRates(u16);
+
+impl BitRates {
+    /// The rates that a bxCAN whose APB1 clock is `clock_hz` can produce, see [`BitTiming::solve`].
+    pub const fn possible(clock_hz: u32) -> Self {
+        let mut rates = 0;
+        let mut i = 0;
+        while i < BitRate::ALL.len() {
+            if BitTiming::solve(BitRate::ALL[i], clock_hz).is_some() {
+                rates |= 1 << BitRate::ALL[i].index();
+            }
+            i += 1;
+        }
+        Self(rates)
+    }
+
+    /// Whether `rate` is one of them.
+    pub const fn contains(self, rate: BitRate) -> bool {
+        self.0 >> rate.index() & 1 == 1
+    }
+}
+
+/// The bit timing of a bxCAN (RM0090, 32.7.7): prescaler and segments, in time quanta.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BitTiming {
+    /// APB1 clock cycles a time quantum: 1..=1024.
+    pub prescaler: u16,
+    /// Time quanta from the synchronisation quantum to the sample point: 1..=16.
+    pub segment1: u8,
+    /// Time quanta after the sample point: 1..=8.
+    pub segment2: u8,
+    /// Time quanta by which a resynchronisation may move the sample point: 1..=4.
+    pub sync_jump_width: u8,
+}
+
+impl BitTiming {
+    /// By how much the rate may be wrong: 1/1000, which leaves most of what a CAN bit tolerates to the crystals.
+    pub const MAX_RATE_ERROR_PPM: u32 = 1_000;
+    /// The sample point that is aimed at, in 1/1000 of the bit (CiA 301).
+    pub const SAMPLE_POINT: u32 = 875;
+    /// Time quanta a bit: fewer leave no room for a sample point in range, more are of no use.
+    const QUANTA: core::ops::RangeInclusive<u32> = 8..=25;
+
+    /// The range of the sample point that CiA 301 allows at `rate`, in 1/1000 of the bit: 750..=900 at 1000 and
+    /// 800 kbit/s, 850..=900 below.
+    pub const fn sample_point_range(rate: BitRate) -> core::ops::RangeInclusive<u32> {
+        match rate {
+            BitRate::Kbit1000 | BitRate::Kbit800 => 750..=900,
+            _ => 850..=900,
+        }
+    }
+
+    /// The best bit timing for `rate` from an APB1 clock of `clock_hz`: least rate error, then the sample point nearest
+    /// to 87.5 %, then the most time quanta. The synchronisation jump width is as large as the second segment allows,
+    /// since that is what bears a bad crystal.
+    ///
+    /// `None` if the rate would be more than 0.1 % off or the sample point outside of
+    /// [`sample_point_range`](Self::sample_point_range).
+    pub const fn solve(rate: BitRate, clock_hz: u32) -> Option<Self> {
+        let bit_hz = rate.kbit_per_s() as u64 * 1000;
+        let sample_points = Self::sample_point_range(rate);
+        let mut best = None;
+        let mut best_badness = u64::MAX;
+        let mut quanta = *Self::QUANTA.end();
+        while quanta >= *Self::QUANTA.start() {
+            let quantum_hz = bit_hz * quanta as u64;
+            let prescaler = (clock_hz as u64 + quantum_hz / 2) / quantum_hz;
+            let error_hz = (clock_hz as u64).abs_diff(quantum_hz * prescaler);
+            let error_ppm = error_hz * 1_000_000 / quantum_hz;
+            let rate_fits = prescaler >= 1
+                && prescaler <= 1024
+                && error_ppm <= Self::MAX_RATE_ERROR_PPM as u64 * prescaler;
+            let mut segment2 = 1;
+            while rate_fits && segment2 <= 8 && segment2 + 2 <= quanta {
+                let segment1 = quanta - 1 - segment2;
+                let timing = Self {
+                    prescaler: prescaler as u16,
+                    segment1: segment1 as u8,
+                    segment2: segment2 as u8,
+                    sync_jump_width: if segment2 < 4 { segment2 as u8 } else { 4 },
+                };
+                let sample_point = timing.sample_point();
+                let badness = (error_ppm / prescaler) << 32
+                    | sample_point.abs_diff(Self::SAMPLE_POINT) as u64;
+                if segment1 <= 16
+                    && sample_point >= *sample_points.start()
+                    && sample_point <= *sample_points.end()
+                    && badness < best_badness
+                {
+                    best_badness = badness;
+                    best = Some(timing);
+                }
+                segment2 += 1;
+            }
+            quanta -= 1;
+        }
+        best
+    }
+
+    /// The value of the bit timing register CAN_BTR, without its silent and loop-back bits (RM0090, 32.9.2).
+    pub const fn btr(self) -> u32 {
+        (self.sync_jump_width as u32 - 1) << 24
+            | (self.segment2 as u32 - 1) << 20
+            | (self.segment1 as u32 - 1) << 16
+            | (self.prescaler as u32 - 1)
+    }
+
+    /// Time quanta a bit.
+    pub const fn quanta(self) -> u32 {
+        1 + self.segment1 as u32 + self.segment2 as u32
+    }
+
+    /// Where the bit is sampled, in 1/1000 of the bit.
+    pub const fn sample_point(self) -> u32 {
+        (1 + self.segment1 as u32) * 1000 / self.quanta()
+    }
+
+    /// The rate that results from an APB1 clock of `clock_hz`, in bit/s.
+    pub const fn bit_per_s(self, clock_hz: u32) -> u32 {
+        clock_hz / (self.prescaler as u32 * self.quanta())
+    }
+}

@@ -1,0 +1,14 @@
+//! LSS, the layer setting services of CiA 305: messages, address, and the slave's state machine.
+
+mod address;
+mod message;
+mod slave;
+
+pub use address::{Address, AddressPart};
+pub use message::{FastscanStep, IdentifyKey, Request, Response, StoreError};
+pub use slave::{Reaction, Slave, State};
+
+/// The COB-ID of requests, LSS master to slave.
+pub const REQUEST_COB_ID: u16 = 0x7E5;
+/// The COB-ID of answers, LSS slave to master.
+pub const RESPONSE_COB_ID: u16 = 0x7E4;

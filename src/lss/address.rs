@@ -1,0 +1,50 @@
+//! The LSS address: the four numbers of the identity object 1018h, by which a master finds a slave.
+
+/// A slave's LSS address, which is its identity object 1018h (CiA 301).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Address {
+    /// Given to the maker by CiA.
+    pub vendor_id: u32,
+    /// The maker's number for the product.
+    pub product_code: u32,
+    /// Major revision in the upper, minor in the lower 16 bits.
+    pub revision_number: u32,
+    /// Different in every device that shares the other three.
+    pub serial_number: u32,
+}
+
+/// One of the four numbers of an [`Address`], in the order in which LSS names them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum AddressPart {
+    VendorId = 0,
+    ProductCode = 1,
+    RevisionNumber = 2,
+    SerialNumber = 3,
+}
+
+impl AddressPart {
+    /// The part with the number 0..=3 that Fastscan calls LSSSub.
+    pub const fn new(number: u8) -> Option<Self> {
+        match number {
+            0 => Some(Self::VendorId),
+            1 => Some(Self::ProductCode),
+            2 => Some(Self::RevisionNumber),
+            3 => Some(Self::SerialNumber),
+            _ => None,
+        }
+    }
+}
+
+impl Address {
+    /// One of the four numbers.
+    pub const fn part(&self, part: AddressPart) -> u32 {
+        match part {
+            AddressPart::VendorId => self.vendor_id,
+            AddressPart::ProductCode => self.product_code,
+            AddressPart::RevisionNumber => self.revision_number,
+            AddressPart::SerialNumber => self.serial_number,
+        }
+    }
+}

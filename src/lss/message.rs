@@ -1,0 +1,199 @@
+//! LSS messages: the eight bytes of a frame to and from the values they may legally hold (CiA 305, protocols).
+
+use super::AddressPart;
+use crate::NodeId;
+
+/// What an LSS master asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request {
+    /// 04, mode 0: all slaves to LSS waiting state.
+    SwitchToWaiting,
+    /// 04, mode 1: all slaves to LSS configuration state.
+    SwitchToConfiguration,
+    /// 11: the pending node-ID; any byte, valid or not.
+    ConfigureNodeId(u8),
+    /// 13: the pending bit rate.
+    ConfigureBitTiming {
+        /// Table selector; 0 is the table of CiA 301.
+        table: u8,
+        /// Index into that table.
+        index: u8,
+    },
+    /// 15: the pending bit rate becomes active after the switch delay, 0..=65535 ms.
+    ActivateBitTiming(u16),
+    /// 17: the pending node-ID and bit rate become persistent.
+    StoreConfiguration,
+    /// 40..43: one step of switch state selective.
+    Select(AddressPart, u32),
+    /// 46..4B: one step of identify remote slave.
+    Identify(IdentifyKey, u32),
+    /// 4C: does any slave have no node-ID?
+    IdentifyNonConfigured,
+    /// 51: one step of Fastscan.
+    Fastscan(FastscanStep),
+    /// 5A..5D: one part of the LSS address.
+    Inquire(AddressPart),
+    /// 5E: the active node-ID.
+    InquireNodeId,
+}
+
+/// What one step of identify remote slave compares (CS 46..4B).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum IdentifyKey {
+    VendorId = 0,
+    ProductCode = 1,
+    RevisionNumberLow = 2,
+    RevisionNumberHigh = 3,
+    SerialNumberLow = 4,
+    SerialNumberHigh = 5,
+}
+
+/// One step of Fastscan, as it stands in the frame; no combination is excluded here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FastscanStep {
+    /// The number that the slaves compare with theirs.
+    pub id_number: u32,
+    /// Compare the bits from this one (0..=31) upwards; 80h: begin a new scan.
+    pub bit_check: u8,
+    /// LSSSub: the part that is compared, 0..=3.
+    pub sub: u8,
+    /// LSSNext: the part that a matching slave awaits next, 0..=3.
+    pub next: u8,
+}
+
+/// What a slave answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Response {
+    /// 44: this slave was selected.
+    Selected,
+    /// 4F: a slave matches identify remote slave or a Fastscan step.
+    Identified,
+    /// 50: a slave has no node-ID.
+    NonConfigured,
+    /// 11: error code 0 if accepted, else 1 (out of range).
+    ConfigureNodeId {
+        /// Whether the node-ID is now pending.
+        accepted: bool,
+    },
+    /// 13: error code 0 if accepted, else 1 (not supported).
+    ConfigureBitTiming {
+        /// Whether the bit rate is now pending.
+        accepted: bool,
+    },
+    /// 17: error code 0, or the [`StoreError`].
+    StoreConfiguration(Result<(), StoreError>),
+    /// 5A..5D: a part of the LSS address.
+    Inquire(AddressPart, u32),
+    /// 5E: the active node-ID.
+    InquireNodeId(Option<NodeId>),
+}
+
+/// Why nothing was stored: the error codes of store configuration (CiA 305).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum StoreError {
+    /// 1: this device cannot store.
+    NotSupported = 1,
+    /// 2: the medium failed or is full; what was stored before is still stored.
+    MediumAccess = 2,
+}
+
+const SWITCH_GLOBAL: u8 = 0x04;
+const CONFIGURE_NODE_ID: u8 = 0x11;
+const CONFIGURE_BIT_TIMING: u8 = 0x13;
+const ACTIVATE_BIT_TIMING: u8 = 0x15;
+const STORE_CONFIGURATION: u8 = 0x17;
+const SELECT: u8 = 0x40;
+const SELECTED: u8 = 0x44;
+const IDENTIFY: u8 = 0x46;
+const IDENTIFY_NON_CONFIGURED: u8 = 0x4C;
+const IDENTIFIED: u8 = 0x4F;
+const NON_CONFIGURED: u8 = 0x50;
+const FASTSCAN: u8 = 0x51;
+const INQUIRE: u8 = 0x5A;
+const INQUIRE_NODE_ID: u8 = 0x5E;
+
+impl Request {
+    /// The request in the data of a frame; `None` if the command specifier is unknown or a response's, or the mode of
+    /// a 04 is neither 0 nor 1. Reserved bytes are not looked at.
+    pub const fn from_bytes(bytes: &[u8; 8]) -> Option<Self> {
+        let [command, b1, b2, b3, b4, b5, b6, b7] = *bytes;
+        let number = u32::from_le_bytes([b1, b2, b3, b4]);
+        Some(match command {
+            SWITCH_GLOBAL if b1 == 0 => Self::SwitchToWaiting,
+            SWITCH_GLOBAL if b1 == 1 => Self::SwitchToConfiguration,
+            CONFIGURE_NODE_ID => Self::ConfigureNodeId(b1),
+            CONFIGURE_BIT_TIMING => Self::ConfigureBitTiming { table: b1, index: b2 },
+            ACTIVATE_BIT_TIMING => Self::ActivateBitTiming(u16::from_le_bytes([b1, b2])),
+            STORE_CONFIGURATION => Self::StoreConfiguration,
+            0x40 => Self::Select(AddressPart::VendorId, number),
+            0x41 => Self::Select(AddressPart::ProductCode, number),
+            0x42 => Self::Select(AddressPart::RevisionNumber, number),
+            0x43 => Self::Select(AddressPart::SerialNumber, number),
+            0x46 => Self::Identify(IdentifyKey::VendorId, number),
+            0x47 => Self::Identify(IdentifyKey::ProductCode, number),
+            0x48 => Self::Identify(IdentifyKey::RevisionNumberLow, number),
+            0x49 => Self::Identify(IdentifyKey::RevisionNumberHigh, number),
+            0x4A => Self::Identify(IdentifyKey::SerialNumberLow, number),
+            0x4B => Self::Identify(IdentifyKey::SerialNumberHigh, number),
+            IDENTIFY_NON_CONFIGURED => Self::IdentifyNonConfigured,
+            FASTSCAN => {
+                Self::Fastscan(FastscanStep { id_number: number, bit_check: b5, sub: b6, next: b7 })
+            }
+            0x5A => Self::Inquire(AddressPart::VendorId),
+            0x5B => Self::Inquire(AddressPart::ProductCode),
+            0x5C => Self::Inquire(AddressPart::RevisionNumber),
+            0x5D => Self::Inquire(AddressPart::SerialNumber),
+            INQUIRE_NODE_ID => Self::InquireNodeId,
+            _ => return None,
+        })
+    }
+
+    /// The data of the frame that makes this request; reserved bytes are 0.
+    pub const fn to_bytes(self) -> [u8; 8] {
+        match self {
+            Self::SwitchToWaiting => bytes(SWITCH_GLOBAL, 0),
+            Self::SwitchToConfiguration => bytes(SWITCH_GLOBAL, 1),
+            Self::ConfigureNodeId(id) => bytes(CONFIGURE_NODE_ID, id as u32),
+            Self::ConfigureBitTiming { table, index } => {
+                bytes(CONFIGURE_BIT_TIMING, u32::from_le_bytes([table, index, 0, 0]))
+            }
+            Self::ActivateBitTiming(delay_ms) => bytes(ACTIVATE_BIT_TIMING, delay_ms as u32),
+            Self::StoreConfiguration => bytes(STORE_CONFIGURATION, 0),
+            Self::Select(part, number) => bytes(SELECT + part as u8, number),
+            Self::Identify(key, number) => bytes(IDENTIFY + key as u8, number),
+            Self::IdentifyNonConfigured => bytes(IDENTIFY_NON_CONFIGURED, 0),
+            Self::Fastscan(FastscanStep { id_number, bit_check, sub, next }) => {
+                let [command, b1, b2, b3, b4, ..] = bytes(FASTSCAN, id_number);
+                [command, b1, b2, b3, b4, bit_check, sub, next]
+            }
+            Self::Inquire(part) => bytes(INQUIRE + part as u8, 0),
+            Self::InquireNodeId => bytes(INQUIRE_NODE_ID, 0),
+        }
+    }
+}
+
+impl Response {
+    /// The data of the frame that gives this answer; reserved bytes are 0, so that slaves that answer at once send
+    /// identical frames.
+    pub const fn to_bytes(self) -> [u8; 8] {
+        match self {
+            Self::Selected => bytes(SELECTED, 0),
+            Self::Identified => bytes(IDENTIFIED, 0),
+            Self::NonConfigured => bytes(NON_CONFIGURED, 0),
+            Self::ConfigureNodeId { accepted } => bytes(CONFIGURE_NODE_ID, !accepted as u32),
+            Self::ConfigureBitTiming { accepted } => bytes(CONFIGURE_BIT_TIMING, !accepted as u32),
+            Self::StoreConfiguration(Ok(())) => bytes(STORE_CONFIGURATION, 0),
+            Self::StoreConfiguration(Err(error)) => bytes(STORE_CONFIGURATION, error as u32),
+            Self::Inquire(part, number) => bytes(INQUIRE + part as u8, number),
+            Self::InquireNodeId(id) => bytes(INQUIRE_NODE_ID, NodeId::to_lss(id) as u32),
+        }
+    }
+}
+
+const fn bytes(command: u8, number: u32) -> [u8; 8] {
+    let [b1, b2, b3, b4] = number.to_le_bytes();
+    [command, b1, b2, b3, b4, 0, 0, 0]
+}

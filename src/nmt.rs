@@ -1,0 +1,67 @@
+//! NMT, CiA 301: the node's communication state, the commands that change it, boot-up and heartbeat.
+
+use crate::{Frame, NodeId};
+
+/// The COB-ID of NMT commands (CiA 301, NMT module control).
+pub const COMMAND_COB_ID: u16 = 0x000;
+/// The COB-ID of boot-up and heartbeat is this plus the node-ID (CiA 301, NMT error control).
+pub const ERROR_CONTROL_COB_ID: u16 = 0x700;
+
+/// An NMT state, with the value that a heartbeat carries (CiA 301).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum State {
+    /// No node-ID yet, or the boot-up has not been sent. Its value is what a boot-up carries.
+    Initialisation = 0x00,
+    /// Only LSS and NMT are served.
+    Stopped = 0x04,
+    /// All that the node offers is served.
+    Operational = 0x05,
+    /// All but process data is served.
+    PreOperational = 0x7F,
+}
+
+/// An NMT command (CiA 301, NMT module control).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// 1: enter [`State::Operational`].
+    Start,
+    /// 2: enter [`State::Stopped`].
+    Stop,
+    /// 128: enter [`State::PreOperational`].
+    EnterPreOperational,
+    /// 129: start again as after power-on.
+    ResetNode,
+    /// 130: start communication again, with the pending node-ID.
+    ResetCommunication,
+}
+
+impl Command {
+    /// The command in `frame`, if it is one and is meant for the node `own` (or, as node 0, for all).
+    pub fn from_frame(frame: &Frame, own: Option<NodeId>) -> Option<Self> {
+        let &[command, addressee] = frame.data() else {
+            return None;
+        };
+        if addressee != 0 && own.map(NodeId::get) != Some(addressee) {
+            return None;
+        }
+        match command {
+            1 => Some(Self::Start),
+            2 => Some(Self::Stop),
+            128 => Some(Self::EnterPreOperational),
+            129 => Some(Self::ResetNode),
+            130 => Some(Self::ResetCommunication),
+            _ => None,
+        }
+    }
+
+    /// Whether it is one of the two resets.
+    pub const fn is_reset(self) -> bool {
+        matches!(self, Self::ResetNode | Self::ResetCommunication)
+    }
+}
+
+/// The frame that tells the state of `node`: a heartbeat, or in [`State::Initialisation`] the boot-up.
+pub(crate) const fn error_control(node: NodeId, state: State) -> Frame {
+    Frame::with_one_byte(ERROR_CONTROL_COB_ID + node.get() as u16, state as u8)
+}

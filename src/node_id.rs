@@ -1,0 +1,47 @@
+//! The node-ID, 1..=127, and its form in LSS messages, where FFh stands for "not configured".
+
+use core::num::NonZeroU8;
+
+/// A valid CANopen node-ID: 1..=127. A node that has none is `None::<NodeId>` (CiA 305: FFh).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct NodeId(NonZeroU8);
+
+impl NodeId {
+    const NOT_CONFIGURED: u8 = 0xFF;
+
+    /// The node-ID `id`, or `None` unless it is 1..=127.
+    pub const fn new(id: u8) -> Option<Self> {
+        match NonZeroU8::new(id) {
+            Some(id) if id.get() <= 127 => Some(Self(id)),
+            _ => None,
+        }
+    }
+
+    /// The number: 1..=127.
+    pub const fn get(self) -> u8 {
+        self.0.get()
+    }
+
+    /// A node-ID as LSS writes it: 1..=127, FFh for none.
+    ///
+    /// # Errors
+    /// [`InvalidNodeId`] for 0 and 80h..=FEh.
+    pub const fn from_lss(byte: u8) -> Result<Option<Self>, InvalidNodeId> {
+        match Self::new(byte) {
+            None if byte != Self::NOT_CONFIGURED => Err(InvalidNodeId),
+            id => Ok(id),
+        }
+    }
+
+    /// The byte with which LSS writes `id`: 1..=127, FFh for none.
+    pub const fn to_lss(id: Option<Self>) -> u8 {
+        match id {
+            Some(id) => id.get(),
+            None => Self::NOT_CONFIGURED,
+        }
+    }
+}
+
+/// A byte that is neither a node-ID nor FFh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InvalidNodeId;

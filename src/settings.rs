@@ -1,0 +1,19 @@
+//! What the node keeps through a power cut, and the log in flash that keeps it.
+
+mod log;
+mod record;
+
+pub use log::{Found, Log};
+
+use crate::{BitRate, NodeId};
+
+/// The persistent settings of a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// The node-ID; `None`: not configured.
+    pub node_id: Option<NodeId>,
+    /// The bit rate.
+    pub bit_rate: BitRate,
+    /// The producer heartbeat time 1017h in milliseconds; 0: no heartbeat.
+    pub heartbeat_ms: u16,
+}

@@ -1,0 +1,37 @@
+//! The present time as the node is told it: a wrapping count of microseconds.
+
+/// A point in time: microseconds of a free-running 32-bit count that wraps every 71.6 minutes.
+///
+/// Two instants are compared as if they were less than half a turn (35.8 minutes) apart; the longest time the node
+/// ever waits is 131.07 s.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Instant(u32);
+
+impl Instant {
+    /// The instant at which the count stands at `micros`.
+    pub const fn from_micros(micros: u32) -> Self {
+        Self(micros)
+    }
+
+    /// The count: microseconds.
+    pub const fn as_micros(self) -> u32 {
+        self.0
+    }
+
+    /// The instant `micros` later.
+    #[must_use]
+    pub const fn plus_micros(self, micros: u32) -> Self {
+        Self(self.0.wrapping_add(micros))
+    }
+
+    /// Microseconds from `now` to this instant, 0 if it has passed.
+    pub const fn micros_after(self, now: Self) -> u32 {
+        let ahead = self.0.wrapping_sub(now.0);
+        if ahead <= u32::MAX / 2 { ahead } else { 0 }
+    }
+
+    /// Whether this instant has come at `now`.
+    pub const fn has_come(self, now: Self) -> bool {
+        self.micros_after(now) == 0
+    }
+}
