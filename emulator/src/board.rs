@@ -1,0 +1,270 @@
+//! A board: a microcontroller with firmware in its flash, a crystal, a supply switch and a debug probe.
+
+mod log;
+
+use std::{
+    fs, io,
+    path::Path,
+    sync::{Arc, Mutex, MutexGuard},
+};
+
+pub use log::LogLine;
+
+use crate::{
+    Time,
+    can::Clock,
+    chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause},
+    engine::{Engine, Halt, Lockup, rsemu::Rsemu},
+    image::Image,
+};
+use log::Log;
+
+/// How long NRST stays low after the supply has come up (F405 data sheet, tRSTTEMPO).
+const POWER_ON_HOLD: Time = Time::from_us(1_500);
+/// How long an internal reset pulls NRST (RM0090 7.1.1).
+const RESET_HOLD: Time = Time::from_us(20);
+/// How long a program runs at most until its log is fetched.
+const LOG_POLL: Time = Time::from_us(50);
+
+/// What differs between boards with one and the same part.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// The crystal at HSE.
+    pub crystal: Clock,
+    /// The chip's 96-bit unique id, as it lies in memory.
+    pub unique_id: [u8; 12],
+}
+
+impl Default for Settings {
+    /// An exact 8 MHz crystal and a unique id of zeros.
+    fn default() -> Self {
+        Self { crystal: Clock { hz: 8_000_000, ppm: 0 }, unique_id: [0; 12] }
+    }
+}
+
+/// Why [`Board::run_until`] returned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// The time was reached.
+    Deadline,
+    /// The program wrote a CAN register: the bus should catch up before the program goes on.
+    CanWritten,
+    /// The chip was reset; the program has not started again yet.
+    Reset(ResetCause),
+    /// A staged power cut switched the board off.
+    PowerCut,
+}
+
+/// A microcontroller and what is around it.
+pub struct Board {
+    chip: Arc<Mutex<Chip>>,
+    engine: Box<dyn Engine>,
+    log: Log,
+    powered: bool,
+    /// The time while there is no power.
+    dark: Time,
+    power_ups: u64,
+    resets: Vec<(Time, ResetCause)>,
+}
+
+impl Board {
+    /// A board with `image` in its flash, switched on at time zero.
+    ///
+    /// # Panics
+    /// A segment of the image lies outside of the part's flash.
+    pub fn new(part: Part, image: &Image, settings: Settings) -> Self {
+        let mut chip = Chip::new(part, settings.crystal, settings.unique_id);
+        for (address, bytes) in image.segments() {
+            let offset = address.wrapping_sub(FLASH_BASE);
+            let fits = u64::from(offset) + bytes.len() as u64 <= part.flash_size().into();
+            assert!(fits, "segment at {address:#010x} is not in the flash of {}", part.name());
+            chip.flash_mut().load(offset, bytes);
+        }
+        let chip = Arc::new(Mutex::new(chip));
+        let engine = Box::new(Rsemu::new(Arc::clone(&chip)));
+        let mut board = Self {
+            chip,
+            engine,
+            log: Log::new(image.clone()),
+            powered: false,
+            dark: Time::ZERO,
+            power_ups: 0,
+            resets: Vec::new(),
+        };
+        board.power_on();
+        board
+    }
+
+    /// The microcontroller's peripherals. The board cannot run while they are held.
+    pub fn chip(&self) -> MutexGuard<'_, Chip> {
+        self.chip.lock().expect("a panic while the chip was in use")
+    }
+
+    /// The time that the board has reached.
+    pub fn now(&self) -> Time {
+        if self.powered { self.engine.now() } else { self.dark }
+    }
+
+    /// Whether the supply is on.
+    pub fn is_powered(&self) -> bool {
+        self.powered
+    }
+
+    /// When the program next has something to do unless an interrupt comes; [`Time::MAX`] without power.
+    pub fn wake_time(&self) -> Time {
+        if !self.powered {
+            return Time::MAX;
+        }
+        let event = self.chip().next_event();
+        self.engine.wake_time().min(event)
+    }
+
+    /// Runs the program to `until` or past it by less than an instruction, or to an earlier stop.
+    /// [`now`](Self::now) is the time really reached.
+    pub fn run_until(&mut self, until: Time) -> Stop {
+        while self.now() < until {
+            if !self.powered {
+                self.dark = until;
+                break;
+            }
+            let event = self.chip().next_event();
+            let awake = self.engine.wake_time().max(self.now());
+            let poll = Time::from_ps(awake.as_ps().saturating_add(LOG_POLL.as_ps()));
+            let halt = self.engine.run(until.min(event).min(poll));
+            let now = self.engine.now();
+            self.log.poll(self.engine.as_mut());
+            if halt == Halt::ResetRequested {
+                self.reset(ResetCause::Software);
+                return Stop::Reset(ResetCause::Software);
+            }
+            if now >= event {
+                let request = {
+                    let mut chip = self.chip();
+                    chip.advance(now);
+                    chip.take_request()
+                };
+                match request {
+                    Some(Request::Reset(cause)) => {
+                        self.reset(cause);
+                        return Stop::Reset(cause);
+                    }
+                    Some(Request::PowerCut) => {
+                        self.power_off();
+                        return Stop::PowerCut;
+                    }
+                    None => {}
+                }
+            }
+            if halt == Halt::CanWritten {
+                return Stop::CanWritten;
+            }
+        }
+        Stop::Deadline
+    }
+
+    /// Resets the microcontroller now; RAM keeps its content.
+    pub fn reset(&mut self, cause: ResetCause) {
+        if !self.powered {
+            return;
+        }
+        self.start(cause, self.engine.now());
+    }
+
+    fn start(&mut self, cause: ResetCause, now: Time) {
+        self.log.restart();
+        self.chip().reset(cause, now);
+        let hold = if cause == ResetCause::PowerOn { POWER_ON_HOLD } else { RESET_HOLD };
+        self.engine.reset(now, hold);
+        self.resets.push((now, cause));
+    }
+
+    /// Takes the supply away now: an operation of the flash is torn.
+    pub fn power_off(&mut self) {
+        if !self.powered {
+            return;
+        }
+        self.dark = self.engine.now();
+        self.powered = false;
+        self.chip().reset(ResetCause::PowerOn, self.dark);
+    }
+
+    /// Gives the supply back now: RAM holds anything, flash what it had.
+    pub fn power_on(&mut self) {
+        if self.powered {
+            return;
+        }
+        self.powered = true;
+        self.power_ups += 1;
+        self.engine.scramble_ram(self.power_ups);
+        self.start(ResetCause::PowerOn, self.dark);
+    }
+
+    /// What the chip drives on a pin. Panics if the part has no such pin.
+    pub fn output(&self, pin: Pin) -> Output {
+        self.chip().gpio().output(pin)
+    }
+
+    /// The whole flash.
+    pub fn flash(&self) -> Vec<u8> {
+        self.chip().flash().bytes().to_vec()
+    }
+
+    /// Replaces the flash from byte `offset` on, program included.
+    pub fn set_flash(&mut self, offset: u32, bytes: &[u8]) {
+        self.chip().flash_mut().load(offset, bytes);
+        self.engine.sync_flash();
+    }
+
+    /// Writes the whole flash to a file.
+    pub fn save_flash(&self, path: impl AsRef<Path>) -> io::Result<()> {
+        fs::write(path, self.flash())
+    }
+
+    /// Takes the flash from a file that [`save_flash`](Self::save_flash) wrote.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is longer than the flash.
+    pub fn load_flash(&mut self, path: impl AsRef<Path>) -> io::Result<()> {
+        let bytes = fs::read(path)?;
+        if bytes.len() > self.chip().part().flash_size() as usize {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "longer than the flash"));
+        }
+        self.set_flash(0, &bytes);
+        Ok(())
+    }
+
+    /// Everything that a real chip would not have forgiven, or that the emulator does not know.
+    pub fn findings(&self) -> Vec<Finding> {
+        self.chip().findings().to_vec()
+    }
+
+    /// What the program logged, over all resets.
+    pub fn log(&self) -> &[LogLine] {
+        self.log.lines()
+    }
+
+    /// Every reset so far, the first power-on included.
+    pub fn resets(&self) -> &[(Time, ResetCause)] {
+        &self.resets
+    }
+
+    /// Core clock cycles so far, and how many of them were not slept.
+    pub fn cycles(&self) -> (u64, u64) {
+        (self.engine.cycles(), self.engine.busy_cycles())
+    }
+
+    /// The fault registers, if the core is locked up.
+    pub fn lockup(&self) -> Option<Lockup> {
+        self.engine.lockup()
+    }
+
+    /// Address of the next instruction.
+    pub fn pc(&self) -> u32 {
+        self.engine.pc()
+    }
+
+    /// Copies out of RAM or flash. False, and nothing copied, outside of them.
+    pub fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool {
+        self.engine.read_memory(address, bytes)
+    }
+}

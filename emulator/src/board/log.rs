@@ -1,0 +1,103 @@
+//! What the program logs: defmt frames fetched from the RTT buffer in RAM, as a debug probe does.
+
+use defmt_decoder::DecodeError;
+
+use crate::{Time, engine::Engine, image::Image};
+
+/// A decoded log message.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogLine {
+    /// When it was fetched: right after it was written, within the span of one poll.
+    pub time: Time,
+    /// `trace`, `debug`, `info`, `warn` or `error`; empty for `println`.
+    pub level: &'static str,
+    /// The message.
+    pub text: String,
+}
+
+/// The up channel 0 of a SEGGER RTT control block.
+#[derive(Debug)]
+pub struct Log {
+    image: Image,
+    control_block: Option<u32>,
+    frame: Vec<u8>,
+    lines: Vec<LogLine>,
+}
+
+/// Offset of the up channel behind the id and the two channel counts.
+const CHANNEL: u32 = 24;
+
+impl Log {
+    pub fn new(image: Image) -> Self {
+        let control_block = image.defmt_table().and_then(|_| image.symbol("_SEGGER_RTT"));
+        Self { image, control_block, frame: Vec::new(), lines: Vec::new() }
+    }
+
+    pub fn lines(&self) -> &[LogLine] {
+        &self.lines
+    }
+
+    /// Fetches what was written since the last poll and frees the buffer.
+    pub fn poll(&mut self, engine: &mut dyn Engine) {
+        let Some(block) = self.control_block else {
+            return;
+        };
+        let mut id = [0; 16];
+        // Before the program has initialised its data, RAM holds anything.
+        if !engine.read_memory(block, &mut id) || !id.starts_with(b"SEGGER RTT") {
+            return;
+        }
+        let word = |offset: u32| {
+            let mut bytes = [0; 4];
+            engine.read_memory(block + CHANNEL + offset, &mut bytes).then_some(u32::from_le_bytes(bytes))
+        };
+        let (Some(buffer), Some(size), Some(write), Some(read)) = (word(4), word(8), word(12), word(16))
+        else {
+            return;
+        };
+        if read == write || read >= size || write >= size {
+            return;
+        }
+        let mut bytes = vec![0; size as usize];
+        if !engine.read_memory(buffer, &mut bytes) {
+            return;
+        }
+        engine.write_memory(block + CHANNEL + 16, &write.to_le_bytes());
+        let now = engine.now();
+        let mut position = read;
+        while position != write {
+            self.push(bytes[position as usize], now);
+            position = (position + 1) % size;
+        }
+    }
+
+    /// Forgets a frame that the end of the program cut off.
+    pub fn restart(&mut self) {
+        self.frame.clear();
+    }
+
+    fn push(&mut self, byte: u8, now: Time) {
+        self.frame.push(byte);
+        let Some(table) = self.image.defmt_table() else {
+            return;
+        };
+        // With rzCOBS a zero byte ends a frame.
+        if table.encoding().can_recover() && byte != 0 {
+            return;
+        }
+        let mut decoder = table.new_stream_decoder();
+        decoder.received(&self.frame);
+        let (level, text) = match decoder.decode() {
+            Ok(frame) => {
+                (frame.level().map_or("", |level| level.as_str()), frame.display_message().to_string())
+            }
+            Err(DecodeError::UnexpectedEof) if byte != 0 => return,
+            Err(DecodeError::UnexpectedEof) => ("", String::new()),
+            Err(DecodeError::Malformed) => ("error", format!("malformed defmt frame {:02x?}", self.frame)),
+        };
+        if !text.is_empty() {
+            self.lines.push(LogLine { time: now, level, text });
+        }
+        self.frame.clear();
+    }
+}

@@ -1,0 +1,413 @@
+//! The STM32F4's CAN1 as its registers show it (RM0090 chapter 32), over a protocol controller.
+
+mod filters;
+mod mailbox;
+mod receive;
+mod registers;
+
+use super::{BitTiming, Clock, Controller, ErrorKind, Event, Frame, Mode as BusMode, Station, stream::Level};
+use crate::Time;
+use filters::Filters;
+use mailbox::{Failure, Mailboxes};
+use receive::Fifo;
+use registers::*;
+
+/// Levels of the four interrupt lines (RM0090 32.8).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Interrupts {
+    /// A transmission request is completed.
+    pub tx: bool,
+    /// FIFO 0 has a message, is full or was overrun.
+    pub rx0: bool,
+    /// The same of FIFO 1.
+    pub rx1: bool,
+    /// Error, wake-up or entry to sleep mode.
+    pub sce: bool,
+}
+
+/// Something that the program did to the peripheral, or saw of it, that a trace of the bus should tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Note {
+    /// TXRQ was set.
+    Requested {
+        /// Number of the mailbox, 0..=2.
+        mailbox: usize,
+        /// What is in it.
+        frame: Frame,
+    },
+    /// ABRQ emptied a mailbox whose frame was not under way.
+    Aborted {
+        /// Number of the mailbox, 0..=2.
+        mailbox: usize,
+        /// What was in it.
+        frame: Frame,
+    },
+    /// BTR was written with another value.
+    BitTiming(u32),
+    /// INAK was set.
+    InitializationEntered,
+    /// INAK was cleared.
+    InitializationLeft,
+}
+
+/// The mode that INAK and SLAK acknowledge (RM0090 32.4).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mode {
+    Sleep,
+    Initialization,
+    Normal,
+}
+
+/// The bxCAN peripheral CAN1 with its 28 filter banks.
+#[derive(Debug)]
+pub struct Bxcan {
+    controller: Controller,
+    mode: Mode,
+    mcr: u32,
+    /// ERRI, WKUI and SLAKI.
+    latched: u32,
+    ier: u32,
+    lec: u32,
+    /// EWGF, EPVF and BOFF as of the last look, to see them rise.
+    error_flags: u32,
+    btr: u32,
+    mailboxes: Mailboxes,
+    fifos: [Fifo; 2],
+    filters: Filters,
+    notes: Vec<(Time, Note)>,
+    irq: Interrupts,
+}
+
+impl Default for Bxcan {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Bxcan {
+    /// A peripheral after reset, in sleep mode, on a clock of 16 MHz.
+    pub fn new() -> Self {
+        let clock = Clock { hz: 16_000_000, ppm: 0 };
+        let mut bxcan = Self {
+            controller: Controller::new(clock, bit_timing(BTR_RESET_VALUE)),
+            mode: Mode::Sleep,
+            mcr: MCR_RESET_VALUE,
+            latched: 0,
+            ier: 0,
+            lec: 0,
+            error_flags: 0,
+            btr: BTR_RESET_VALUE,
+            mailboxes: Mailboxes::default(),
+            fifos: Default::default(),
+            filters: Filters::default(),
+            notes: Vec::new(),
+            irq: Interrupts::default(),
+        };
+        bxcan.controller.watch(true);
+        bxcan
+    }
+
+    /// Resets every register; the clock stays, and a frame under way is cut off.
+    pub fn reset(&mut self) {
+        self.controller.reset();
+        self.controller.configure(bit_timing(BTR_RESET_VALUE), BusMode::default());
+        self.controller.watch(true);
+        self.mode = Mode::Sleep;
+        self.mcr = MCR_RESET_VALUE;
+        self.latched = 0;
+        self.ier = 0;
+        self.lec = 0;
+        self.error_flags = 0;
+        self.btr = BTR_RESET_VALUE;
+        self.mailboxes = Mailboxes::default();
+        self.fifos = Default::default();
+        self.filters = Filters::default();
+        self.irq = Interrupts::default();
+    }
+
+    /// The APB1 clock, which the time quanta are counted in.
+    pub fn set_clock(&mut self, clock: Clock) {
+        self.controller.set_clock(clock);
+    }
+
+    /// Levels of the interrupt lines: as of the program's latest write or [`update_irq`](Self::update_irq).
+    pub fn irq(&self) -> Interrupts {
+        self.irq
+    }
+
+    /// Lets the interrupt lines follow what the bus has done.
+    ///
+    /// The bus runs ahead of a sleeping CPU. Its lines change only when it has slept until then.
+    pub fn update_irq(&mut self) {
+        self.irq = self.interrupts();
+    }
+
+    fn interrupts(&self) -> Interrupts {
+        let enabled = |bit, flag| self.ier & bit != 0 && flag;
+        Interrupts {
+            tx: enabled(IER_TMEIE, self.mailboxes.any_completed()),
+            rx0: self.fifos[0].irq(self.ier >> IER_FIFO_0),
+            rx1: self.fifos[1].irq(self.ier >> IER_FIFO_1),
+            sce: enabled(IER_ERRIE, self.latched & MSR_ERRI != 0)
+                || enabled(IER_WKUIE, self.latched & MSR_WKUI != 0)
+                || enabled(IER_SLKIE, self.latched & MSR_SLAKI != 0),
+        }
+    }
+
+    /// Nominal bit rate in bit/s that BTR and the clock make.
+    pub fn bit_rate(&self) -> u32 {
+        self.controller.bit_rate()
+    }
+
+    /// What the program did since the last call, in order of time.
+    pub fn take_notes(&mut self) -> Vec<(Time, Note)> {
+        std::mem::take(&mut self.notes)
+    }
+
+    /// The word at `offset` from the base address; `None` where the reference manual has no register.
+    pub fn read(&mut self, offset: u32, _now: Time) -> Option<u32> {
+        Some(match offset {
+            MCR => self.mcr,
+            MSR => self.msr(),
+            TSR => self.mailboxes.tsr(self.mcr & MCR_TXFP != 0),
+            RF0R => self.fifos[0].rfr(),
+            RF1R => self.fifos[1].rfr(),
+            IER => self.ier,
+            ESR => self.esr(),
+            BTR => self.btr,
+            TRANSMIT_MAILBOXES..RECEIVE_MAILBOXES => {
+                let (mailbox, word) = place(offset - TRANSMIT_MAILBOXES);
+                self.mailboxes.read(mailbox, word)
+            }
+            RECEIVE_MAILBOXES..0x1D0 => {
+                let (fifo, word) = place(offset - RECEIVE_MAILBOXES);
+                self.fifos[fifo].read(word)
+            }
+            _ => return self.filters.read(offset.checked_sub(FILTERS)?),
+        })
+    }
+
+    /// Stores a word at `offset` from the base address.
+    ///
+    /// Returns false where there is no register, a reserved bit is set or time-triggered mode is asked for, which is
+    /// not modelled.
+    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
+        let modelled = self.write_register(offset, value, now);
+        self.update_irq();
+        modelled
+    }
+
+    fn write_register(&mut self, offset: u32, value: u32, now: Time) -> bool {
+        match offset {
+            MCR => return self.write_mcr(value, now),
+            MSR => self.latched &= !value,
+            TSR => {
+                for (mailbox, frame) in self.mailboxes.write_tsr(value).into_iter().enumerate() {
+                    if let Some(frame) = frame {
+                        self.notes.push((now, Note::Aborted { mailbox, frame }));
+                    }
+                }
+                self.offer();
+            }
+            RF0R => self.fifos[0].write_rfr(value),
+            RF1R => self.fifos[1].write_rfr(value),
+            IER => {
+                self.ier = value & IER_WRITABLE;
+                return value & !IER_WRITABLE == 0;
+            }
+            ESR => self.lec = value & ESR_LEC,
+            BTR => return self.write_btr(value, now),
+            TRANSMIT_MAILBOXES..RECEIVE_MAILBOXES => {
+                let (mailbox, word) = place(offset - TRANSMIT_MAILBOXES);
+                if let Some(frame) = self.mailboxes.write(mailbox, word, value, now) {
+                    self.notes.push((now, Note::Requested { mailbox, frame }));
+                    self.offer();
+                }
+            }
+            FILTERS.. => return self.filters.write(offset - FILTERS, value),
+            _ => return false,
+        }
+        true
+    }
+
+    fn msr(&self) -> u32 {
+        u32::from(self.mode == Mode::Initialization)
+            | u32::from(self.mode == Mode::Sleep) << 1
+            | self.latched
+            | u32::from(self.controller.is_transmitting()) << 8
+            | u32::from(self.controller.is_receiving()) << 9
+            | u32::from(self.controller.sampled_level() == Level::Recessive) << 10
+            | u32::from(self.controller.wire_level() == Level::Recessive) << 11
+    }
+
+    fn esr(&self) -> u32 {
+        let counters = self.controller.counters();
+        // TEC shows the lower eight of nine bits.
+        self.flags() | self.lec | u32::from(counters.transmit & 0xFF) << 16 | u32::from(counters.receive) << 24
+    }
+
+    fn flags(&self) -> u32 {
+        let counters = self.controller.counters();
+        let flag = |bit, set: bool| if set { bit } else { 0 };
+        flag(ESR_EWGF, counters.warning()) | flag(ESR_EPVF, counters.passive()) | flag(ESR_BOFF, counters.bus_off())
+    }
+
+    fn write_mcr(&mut self, value: u32, now: Time) -> bool {
+        if value & MCR_RESET != 0 {
+            self.reset();
+            return true;
+        }
+        self.mcr = value & MCR_WRITABLE;
+        if self.mcr & MCR_ABOM != 0 && self.mode == Mode::Normal {
+            self.controller.recover();
+        }
+        self.follow_request(now);
+        self.offer();
+        value & !(MCR_WRITABLE & !MCR_TTCM) == 0
+    }
+
+    fn write_btr(&mut self, value: u32, now: Time) -> bool {
+        if self.mode == Mode::Initialization && self.controller.is_stopped() {
+            let before = std::mem::replace(&mut self.btr, value & BTR_WRITABLE);
+            let mode = BusMode { silent: value >> 31 == 1, loopback: value >> 30 & 1 == 1 };
+            self.controller.configure(bit_timing(self.btr), mode);
+            if self.btr != before {
+                self.notes.push((now, Note::BitTiming(self.btr)));
+            }
+        }
+        value & !BTR_WRITABLE == 0
+    }
+
+    /// Moves to the mode that MCR asks for, as far as the bus allows at this time.
+    fn follow_request(&mut self, now: Time) {
+        let requested = match self.mcr & (MCR_INRQ | MCR_SLEEP) {
+            0 => Mode::Normal,
+            MCR_SLEEP => Mode::Sleep,
+            _ => Mode::Initialization,
+        };
+        if requested == Mode::Normal {
+            self.controller.start(now);
+        } else {
+            self.controller.stop();
+            self.controller.watch(requested == Mode::Sleep);
+        }
+        let reached = match requested {
+            Mode::Normal => self.controller.is_joined(),
+            Mode::Initialization | Mode::Sleep => self.controller.is_stopped(),
+        };
+        if !reached || requested == self.mode {
+            return;
+        }
+        match (self.mode, requested) {
+            (_, Mode::Initialization) => self.notes.push((now, Note::InitializationEntered)),
+            (Mode::Initialization, _) => self.notes.push((now, Note::InitializationLeft)),
+            _ => {}
+        }
+        self.mode = requested;
+        self.latched &= !MSR_SLAKI;
+        if requested == Mode::Sleep && self.ier & IER_SLKIE != 0 {
+            self.latched |= MSR_SLAKI;
+        }
+    }
+
+    /// Gives the controller the mailbox whose turn is next.
+    fn offer(&mut self) {
+        match self.mailboxes.schedule(self.mcr & MCR_TXFP != 0) {
+            Some((frame, since)) => self.controller.offer(Some(frame), since),
+            None => self.controller.offer(None, Time::ZERO),
+        }
+    }
+
+    fn transmission_failed(&mut self, failure: Failure) {
+        self.mailboxes.failed(failure, self.mcr & MCR_NART != 0);
+        self.offer();
+    }
+
+    fn received(&mut self, frame: &Frame) {
+        if let Some((fifo, index)) = self.filters.accept(frame) {
+            self.fifos[fifo].push(frame, index, self.mcr & MCR_RFLM != 0);
+        }
+    }
+
+    /// Raises ERRI for flags of ESR that rose and, if an error was found, for its code.
+    fn latch_errors(&mut self, error: bool) {
+        let flags = self.flags();
+        let risen = flags & !std::mem::replace(&mut self.error_flags, flags);
+        let asks = |flag, enable| risen & flag != 0 && self.ier & enable != 0;
+        if asks(ESR_EWGF, IER_EWGIE)
+            || asks(ESR_EPVF, IER_EPVIE)
+            || asks(ESR_BOFF, IER_BOFIE)
+            || (error && self.ier & IER_LECIE != 0)
+        {
+            self.latched |= MSR_ERRI;
+        }
+    }
+}
+
+impl Station for Bxcan {
+    fn controller(&mut self) -> &mut Controller {
+        &mut self.controller
+    }
+
+    fn handle(&mut self, event: &Event, now: Time) -> bool {
+        match *event {
+            Event::Started => self.mailboxes.started(),
+            Event::Transmitted { .. } => {
+                self.lec = 0;
+                self.mailboxes.transmitted();
+                self.offer();
+            }
+            Event::ArbitrationLost => self.transmission_failed(Failure::Arbitration),
+            Event::Received(frame) => {
+                self.lec = 0;
+                self.received(&frame);
+            }
+            Event::Error { kind, transmitting } => {
+                self.lec = error_code(kind) << 4;
+                if transmitting {
+                    self.transmission_failed(Failure::Error);
+                }
+            }
+            Event::BusOff if self.mcr & MCR_ABOM != 0 => self.controller.recover(),
+            Event::Joined | Event::Stopped => self.follow_request(now),
+            Event::Activity => {
+                self.latched |= MSR_WKUI;
+                if self.mcr & MCR_AWUM != 0 {
+                    self.mcr &= !MCR_SLEEP;
+                    self.follow_request(now);
+                }
+            }
+            Event::BusOff | Event::Recovered | Event::CounterRaised => {}
+        }
+        self.latch_errors(matches!(event, Event::Error { .. }));
+        self.interrupts() != self.irq
+    }
+}
+
+/// Mailbox and word of it at a distance from the first mailbox's first register.
+fn place(distance: u32) -> (usize, usize) {
+    ((distance / 16) as usize, (distance % 16 / 4) as usize)
+}
+
+/// The fields of BTR (RM0090 32.9.2), each one less than what it stands for.
+fn bit_timing(btr: u32) -> BitTiming {
+    let field = |shift: u32, width: u32| (btr >> shift & ((1 << width) - 1)) + 1;
+    BitTiming {
+        prescaler: field(0, 10) as u16,
+        segment_1: field(16, 4) as u8,
+        segment_2: field(20, 3) as u8,
+        jump_width: field(24, 2) as u8,
+    }
+}
+
+/// ESR.LEC (RM0090 32.9.2).
+fn error_code(kind: ErrorKind) -> u32 {
+    match kind {
+        ErrorKind::Stuff => 1,
+        ErrorKind::Form => 2,
+        ErrorKind::Acknowledgement => 3,
+        ErrorKind::BitRecessive => 4,
+        ErrorKind::BitDominant => 5,
+        ErrorKind::Crc => 6,
+    }
+}

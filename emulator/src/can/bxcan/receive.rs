@@ -1,0 +1,81 @@
+//! A receive FIFO of three messages with RFR and its output mailbox (RM0090 32.7.3, 32.9.2).
+
+use std::collections::VecDeque;
+
+use super::{Frame, filters::identifier_word};
+
+const DEPTH: usize = 3;
+
+const FULL: u32 = 1 << 3;
+const FOVR: u32 = 1 << 4;
+const RFOM: u32 = 1 << 5;
+
+/// Bits of the FIFO in IER, shifted down to its FMPIE.
+const FMPIE: u32 = 1 << 0;
+const FFIE: u32 = 1 << 1;
+const FOVIE: u32 = 1 << 2;
+
+/// RIR, RDTR, RDLR and RDHR.
+type Message = [u32; 4];
+
+/// A receive FIFO.
+#[derive(Debug, Default)]
+pub struct Fifo {
+    messages: VecDeque<Message>,
+    /// What the output mailbox shows while the FIFO is empty.
+    released: Message,
+    /// FULL and FOVR.
+    flags: u32,
+}
+
+impl Fifo {
+    /// Stores a frame with the index of the filter that let it in. When full, a locked FIFO drops the new frame,
+    /// another its newest.
+    pub fn push(&mut self, frame: &Frame, filter_match: u8, locked: bool) {
+        let data = u64::from_le_bytes(frame.data);
+        let message = [
+            identifier_word(frame),
+            u32::from(frame.dlc) | u32::from(filter_match) << 8,
+            data as u32,
+            (data >> 32) as u32,
+        ];
+        if self.messages.len() == DEPTH {
+            self.flags |= FOVR;
+            if locked {
+                return;
+            }
+            self.messages.pop_back();
+        }
+        self.messages.push_back(message);
+        if self.messages.len() == DEPTH {
+            self.flags |= FULL;
+        }
+    }
+
+    /// RF0R or RF1R.
+    pub fn rfr(&self) -> u32 {
+        self.messages.len() as u32 | self.flags
+    }
+
+    /// Clears FULL and FOVR where 1 is written; RFOM releases the output mailbox.
+    pub fn write_rfr(&mut self, value: u32) {
+        self.flags &= !(value & (FULL | FOVR));
+        if value & RFOM != 0
+            && let Some(message) = self.messages.pop_front()
+        {
+            self.released = message;
+        }
+    }
+
+    /// A word of the output mailbox.
+    pub fn read(&self, word: usize) -> u32 {
+        self.messages.front().unwrap_or(&self.released)[word]
+    }
+
+    /// Level of the interrupt line with these enable bits.
+    pub fn irq(&self, enable: u32) -> bool {
+        (enable & FMPIE != 0 && !self.messages.is_empty())
+            || (enable & FFIE != 0 && self.flags & FULL != 0)
+            || (enable & FOVIE != 0 && self.flags & FOVR != 0)
+    }
+}

@@ -1,0 +1,374 @@
+//! A CAN protocol controller without mailboxes: its clock, its place in the bit, and what it tells its owner.
+
+mod protocol;
+
+use std::collections::VecDeque;
+
+use super::{
+    Frame,
+    fault::ErrorCounters,
+    stream::{BitStream, Decoder, Level},
+    timing::{BitTiming, Clock, Mode, Spans},
+};
+use crate::Time;
+use protocol::Phase;
+
+/// What a controller found wrong (ISO 11898-1, error detection).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum ErrorKind {
+    /// Six equal bits where a stuff bit was due.
+    Stuff,
+    /// A dominant bit in a field that must be recessive, seen by a receiver or in an error delimiter.
+    Form,
+    /// Nobody drove the acknowledge slot.
+    Acknowledgement,
+    /// Sent recessive, saw dominant.
+    BitRecessive,
+    /// Sent dominant, saw recessive.
+    BitDominant,
+    /// The CRC sequence does not fit the frame.
+    Crc,
+}
+
+/// What a controller tells its owner, at the sample point or bit boundary where it happens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// The offered frame is on its way.
+    Started,
+    /// The frame is out: the last bit of EOF was sampled recessive.
+    Transmitted {
+        /// The frame.
+        frame: Frame,
+        /// When its SOF began.
+        start: Time,
+        /// When its last EOF bit ends.
+        end: Time,
+    },
+    /// Another station sends a frame of higher priority; the controller receives it.
+    ArbitrationLost,
+    /// A frame is valid: the last but one bit of EOF was sampled recessive.
+    Received(Frame),
+    /// An error was found; an error flag follows.
+    Error {
+        /// What was wrong.
+        kind: ErrorKind,
+        /// Whether the controller was the transmitter.
+        transmitting: bool,
+    },
+    /// A counter rose because others hold the bus dominant after an error flag.
+    CounterRaised,
+    /// The transmit error counter passed 255: the controller left the bus.
+    BusOff,
+    /// 128 times 11 recessive bits have passed since: the counters are zero.
+    Recovered,
+    /// The first 11 recessive bits since the start have passed.
+    Joined,
+    /// A stop that had to wait for the end of a frame has taken place.
+    Stopped,
+    /// The wire became dominant while the controller was stopped and watching.
+    Activity,
+}
+
+/// A CAN 2.0B controller (ISO 11898-1) at one bit timing, between its owner and the [`Bus`](super::Bus).
+///
+/// The owner offers the frame to send next and keeps offering it until it is transmitted: the controller repeats
+/// a frame for as long as it stays offered.
+#[derive(Debug)]
+pub struct Controller {
+    clock: Clock,
+    bit_timing: BitTiming,
+    mode: Mode,
+    spans: Spans,
+    phase: Phase,
+    /// The latest instant that it took part in, and the level of the wire then.
+    now: Time,
+    wire: Level,
+    /// Start of the bit whose sample point comes next; it may lie ahead.
+    start: Time,
+    /// What it drives, and from `start` on.
+    driven: Level,
+    next: Level,
+    /// Level at the previous sample point, and whether an edge was used since.
+    sampled: Level,
+    synchronised: bool,
+    /// The frame to send next, and the earliest start of its SOF.
+    offered: Option<(Time, Frame)>,
+    transmission: Option<Transmission>,
+    decoder: Decoder,
+    /// Whether it sends, or sent last, the frame that this is about.
+    transmitter: bool,
+    frame_start: Time,
+    /// An acknowledgement error went uncounted; a dominant bit in the passive error flag makes it count.
+    unacknowledged: bool,
+    counters: ErrorCounters,
+    stopping: bool,
+    watching: bool,
+    events: VecDeque<Event>,
+}
+
+/// An own frame on the wire.
+#[derive(Debug)]
+struct Transmission {
+    frame: Frame,
+    stream: BitStream,
+    /// Index of the bit that is driven, stuff bits counted.
+    index: u8,
+}
+
+impl Controller {
+    /// A stopped controller with zero error counters.
+    pub fn new(clock: Clock, bit_timing: BitTiming) -> Self {
+        Self {
+            clock,
+            bit_timing,
+            mode: Mode::default(),
+            spans: Spans::new(clock, bit_timing),
+            phase: Phase::Stopped,
+            now: Time::ZERO,
+            wire: Level::Recessive,
+            start: Time::ZERO,
+            driven: Level::Recessive,
+            next: Level::Recessive,
+            sampled: Level::Recessive,
+            synchronised: false,
+            offered: None,
+            transmission: None,
+            decoder: Decoder::default(),
+            transmitter: false,
+            frame_start: Time::ZERO,
+            unacknowledged: false,
+            counters: ErrorCounters::default(),
+            stopping: false,
+            watching: false,
+            events: VecDeque::new(),
+        }
+    }
+
+    /// Changes the clock at once, as a chip does when its prescalers are programmed.
+    pub fn set_clock(&mut self, clock: Clock) {
+        self.clock = clock;
+        self.spans = Spans::new(clock, self.bit_timing);
+    }
+
+    /// Sets bit timing and mode.
+    ///
+    /// # Panics
+    /// The controller is not stopped.
+    pub fn configure(&mut self, bit_timing: BitTiming, mode: Mode) {
+        assert!(self.is_stopped(), "bit timing changes only while the controller is stopped");
+        self.bit_timing = bit_timing;
+        self.mode = mode;
+        self.spans = Spans::new(self.clock, bit_timing);
+    }
+
+    /// Begins to take part after 11 recessive bits, or after bus-off recovery if the controller is bus-off.
+    ///
+    /// Takes back a stop that still waits; does nothing if the controller runs.
+    pub fn start(&mut self, now: Time) {
+        self.stopping = false;
+        self.watching = false;
+        if self.is_stopped() {
+            self.now = now;
+            self.start = now;
+            self.sampled = Level::Recessive;
+            self.synchronised = false;
+            self.phase = Phase::joining(self.counters);
+        }
+    }
+
+    /// Begins bus-off recovery: 128 times 11 recessive bits. Does nothing in any other state.
+    pub fn recover(&mut self) {
+        if self.phase == Phase::BusOff {
+            self.start = self.start.max(self.now);
+            self.phase = Phase::joining(self.counters);
+        }
+    }
+
+    /// Stops at once where no frame or error frame is under way, else at its end with [`Event::Stopped`].
+    pub fn stop(&mut self) {
+        if self.is_quiet() {
+            self.halt();
+        } else {
+            self.stopping = true;
+        }
+    }
+
+    /// Stops at once, whatever is under way, and forgets counters, offer and unread events: a hardware reset.
+    pub fn reset(&mut self) {
+        let (now, wire) = (self.now, self.wire);
+        *self = Self { now, wire, ..Self::new(self.clock, self.bit_timing) };
+    }
+
+    /// Whether a stopped controller reports [`Event::Activity`]; a start ends it.
+    pub fn watch(&mut self, watching: bool) {
+        self.watching = watching;
+    }
+
+    /// Replaces the frame to send next; its SOF starts at `from` or later. A frame under way goes on.
+    pub fn offer(&mut self, frame: Option<Frame>, from: Time) {
+        self.offered = frame.map(|frame| (from, frame));
+        if self.phase == Phase::Idle && !self.synchronised {
+            self.schedule();
+        }
+    }
+
+    /// Nominal clock and crystal deviation.
+    pub fn clock(&self) -> Clock {
+        self.clock
+    }
+
+    /// Bit timing in force.
+    pub fn bit_timing(&self) -> BitTiming {
+        self.bit_timing
+    }
+
+    /// Nominal bit rate in bit/s.
+    pub fn bit_rate(&self) -> u32 {
+        self.bit_timing.bit_rate(self.clock.hz)
+    }
+
+    /// Mode in force.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// Error counters.
+    pub fn counters(&self) -> ErrorCounters {
+        self.counters
+    }
+
+    /// Whether the controller is stopped.
+    pub fn is_stopped(&self) -> bool {
+        self.phase == Phase::Stopped
+    }
+
+    /// Whether the controller has seen its 11 recessive bits since the start.
+    pub fn is_joined(&self) -> bool {
+        match self.phase {
+            Phase::Stopped | Phase::Integrating { .. } => false,
+            Phase::Recovering { sequences, .. } => sequences > 0,
+            _ => true,
+        }
+    }
+
+    /// Whether an own frame is under way.
+    pub fn is_transmitting(&self) -> bool {
+        self.transmission.is_some()
+    }
+
+    /// Whether a frame of another station is under way.
+    pub fn is_receiving(&self) -> bool {
+        self.phase.is_frame() && self.transmission.is_none()
+    }
+
+    /// Level of the wire, as of the latest instant that the bus told.
+    pub fn wire_level(&self) -> Level {
+        self.wire
+    }
+
+    /// Level at the latest sample point.
+    pub fn sampled_level(&self) -> Level {
+        self.sampled
+    }
+
+    /// The latest instant that the bus told.
+    pub fn now(&self) -> Time {
+        self.now
+    }
+
+    /// Takes the oldest event that the owner has not seen.
+    pub(super) fn take_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// What the wire gets from this controller.
+    pub(super) fn output(&self) -> Level {
+        if self.mode.silent { Level::Recessive } else { self.driven }
+    }
+
+    /// When it changes what it drives or samples next; `Time::MAX` while only an edge can move it.
+    pub(super) fn next_action(&self) -> Time {
+        if self.drives_next() {
+            return self.start;
+        }
+        match self.phase {
+            Phase::Stopped | Phase::BusOff => Time::MAX,
+            Phase::Idle if !self.synchronised => Time::MAX,
+            _ => self.start + self.spans.sample,
+        }
+    }
+
+    /// Whether its next action is to change what it drives.
+    pub(super) fn drives_next(&self) -> bool {
+        self.next != self.driven
+    }
+
+    /// Tells the time and the level of the wire between actions.
+    pub(super) fn settle(&mut self, now: Time, wire: Level) {
+        self.now = now.max(self.now);
+        self.wire = wire;
+    }
+
+    /// Acts at a bit boundary.
+    pub(super) fn drive(&mut self, now: Time) {
+        self.now = now;
+        self.driven = self.next;
+        if self.phase == Phase::Idle && self.driven == Level::Dominant {
+            self.frame_start = now;
+            self.decoder = Decoder::default();
+            self.phase = Phase::Frame;
+            self.begin_transmission(0);
+        }
+    }
+
+    /// Synchronises on a recessive to dominant edge of the wire, to the grid of its own quanta: hard between
+    /// frames, else by at most the jump width.
+    pub(super) fn falling_edge(&mut self, now: Time) {
+        if self.is_stopped() && self.watching {
+            self.events.push_back(Event::Activity);
+        }
+        if self.synchronised || self.sampled == Level::Dominant || self.mode.loopback {
+            return;
+        }
+        let quantum = self.spans.quantum as i64;
+        let late = (now.as_ps() as i64 - self.start.as_ps() as i64).div_euclid(quantum);
+        let quanta = if self.phase.synchronises_hard() {
+            self.next = Level::Recessive;
+            late
+        } else {
+            late.clamp(-self.spans.jump_width, self.spans.jump_width)
+        };
+        self.start = Time::from_ps((self.start.as_ps() as i64 + quanta * quantum) as u64);
+        self.synchronised = true;
+    }
+
+    fn halt(&mut self) {
+        self.phase = Phase::Stopped;
+        self.stopping = false;
+        self.driven = Level::Recessive;
+        self.next = Level::Recessive;
+    }
+
+    /// In idle: has the offered frame start at the first own bit boundary that is not past.
+    fn schedule(&mut self) {
+        self.next = Level::Recessive;
+        let Some((from, _)) = self.offered.filter(|_| self.may_transmit()) else { return };
+        let from = from.max(self.now);
+        let bit = self.spans.bit.as_ps();
+        let bits = from.saturating_sub(self.start).as_ps().div_ceil(bit);
+        self.start += self.spans.bit * bits;
+        self.next = Level::Dominant;
+    }
+
+    fn may_transmit(&self) -> bool {
+        !self.mode.silent || self.mode.loopback
+    }
+
+    /// Makes the offered frame the one under way, at bit `index` of it.
+    fn begin_transmission(&mut self, index: u8) {
+        let Some((_, frame)) = self.offered else { return };
+        self.transmission = Some(Transmission { stream: BitStream::new(&frame), frame, index });
+        self.transmitter = true;
+        self.events.push_back(Event::Started);
+    }
+}

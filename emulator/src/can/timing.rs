@@ -1,0 +1,99 @@
+//! Bit timing: a clock, how many of its periods make the parts of a bit, and the spans that follow.
+
+use crate::Time;
+
+/// The clock that drives a controller: its nominal frequency and how far its crystal is off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Clock {
+    /// Nominal frequency in Hz.
+    pub hz: u32,
+    /// Deviation in parts per million; positive is fast.
+    pub ppm: i32,
+}
+
+/// The parts of a bit (ISO 11898-1, bit timing), beside the synchronisation segment of one quantum.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BitTiming {
+    /// Clock periods in a time quantum, 1..=1024.
+    pub prescaler: u16,
+    /// Quanta from the synchronisation segment to the sample point (propagation and phase segment 1), 1..=16.
+    pub segment_1: u8,
+    /// Quanta from the sample point to the end of the bit, 1..=8.
+    pub segment_2: u8,
+    /// Resynchronisation jump width in quanta, 1..=4.
+    pub jump_width: u8,
+}
+
+/// How a controller is joined to the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mode {
+    /// Never drives the wire dominant; without `loopback` it starts no transmission either.
+    pub silent: bool,
+    /// Hears itself instead of the wire, receives its own frames and needs no acknowledgement.
+    pub loopback: bool,
+}
+
+impl BitTiming {
+    /// Quanta in a bit.
+    pub const fn quanta(self) -> u32 {
+        1 + self.segment_1 as u32 + self.segment_2 as u32
+    }
+
+    /// Nominal bit rate in bit/s on a clock of `hz`, rounded down.
+    pub const fn bit_rate(self, hz: u32) -> u32 {
+        hz / (self.prescaler as u32 * self.quanta())
+    }
+}
+
+/// The spans of a bit on a real clock, each rounded to the picosecond so that errors do not add up over quanta.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Spans {
+    /// A time quantum in picoseconds.
+    pub quantum: u64,
+    /// From the start of the bit to its sample point.
+    pub sample: Time,
+    /// The whole bit.
+    pub bit: Time,
+    /// Resynchronisation jump width in quanta.
+    pub jump_width: i64,
+}
+
+impl Spans {
+    pub fn new(clock: Clock, timing: BitTiming) -> Self {
+        let hertz_millionths = u128::from(clock.hz) * (1_000_000 + i128::from(clock.ppm)) as u128;
+        let span = |quanta: u32| {
+            let periods = u128::from(u32::from(timing.prescaler) * quanta);
+            ((periods * 1_000_000_000_000_000_000 + hertz_millionths / 2) / hertz_millionths) as u64
+        };
+        Self {
+            quantum: span(1),
+            sample: Time::from_ps(span(1 + u32::from(timing.segment_1))),
+            bit: Time::from_ps(span(timing.quanta())),
+            jump_width: i64::from(timing.jump_width),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TIMING: BitTiming = BitTiming { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
+
+    #[test]
+    fn thirty_two_megahertz_make_a_megabit_with_the_sample_point_at_seven_eighths() {
+        assert_eq!(TIMING.bit_rate(32_000_000), 1_000_000);
+        let spans = Spans::new(Clock { hz: 32_000_000, ppm: 0 }, TIMING);
+        assert_eq!(spans.bit, Time::from_us(1));
+        assert_eq!(spans.sample, Time::from_ns(875));
+        assert_eq!(spans.quantum, 62_500);
+    }
+
+    #[test]
+    fn a_fast_crystal_shortens_the_bit_by_its_deviation() {
+        let bit = |ppm| Spans::new(Clock { hz: 32_000_000, ppm }, TIMING).bit.as_ps();
+        assert_eq!(bit(1), 999_999);
+        assert_eq!(bit(-1), 1_000_001);
+        assert_eq!(bit(5_000), 995_025);
+    }
+}

@@ -1,0 +1,497 @@
+//! One STM32F4: its peripherals behind their addresses, independent of the engine that runs the CPU.
+
+mod finding;
+mod flash;
+mod gpio;
+mod iwdg;
+mod part;
+mod pwr;
+mod rcc;
+mod system;
+
+pub use finding::{Finding, Problem};
+pub use flash::{Flash, PowerCut, StuckBits, Timing};
+pub use gpio::{Gpio, Output, Pin};
+pub use iwdg::Iwdg;
+pub use part::Part;
+pub use rcc::{Clocks, ResetCause};
+
+use pwr::Pwr;
+use rcc::{Gate, Rcc};
+use system::{Dbgmcu, Exti, Factory, Syscfg};
+
+use crate::{
+    Time,
+    can::{Bxcan, Clock},
+};
+
+/// First address of the flash.
+pub const FLASH_BASE: u32 = 0x0800_0000;
+/// First address of the SRAM.
+pub const RAM_BASE: u32 = 0x2000_0000;
+/// First address of the core-coupled memory.
+pub const CCM_BASE: u32 = 0x1000_0000;
+
+/// Where the bus answers with an error: the CPU takes a BusFault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BusFault;
+
+/// Width of an access.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Width {
+    /// 8 bits.
+    Byte,
+    /// 16 bits.
+    Half,
+    /// 32 bits.
+    Word,
+}
+
+impl Width {
+    /// Number of bytes.
+    pub const fn bytes(self) -> u32 {
+        match self {
+            Self::Byte => 1,
+            Self::Half => 2,
+            Self::Word => 4,
+        }
+    }
+
+    const fn mask(self) -> u32 {
+        match self {
+            Self::Byte => 0xFF,
+            Self::Half => 0xFFFF,
+            Self::Word => 0xFFFF_FFFF,
+        }
+    }
+}
+
+/// A load or store by the CPU, naturally aligned.
+#[derive(Clone, Copy, Debug)]
+pub struct Access {
+    /// Address of the first byte.
+    pub address: u32,
+    /// How many bytes.
+    pub width: Width,
+    /// When it happens.
+    pub now: Time,
+    /// Address of the instruction.
+    pub pc: u32,
+}
+
+/// Something that the chip asks of its board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request {
+    /// Reset the CPU and the chip.
+    Reset(ResetCause),
+    /// The staged power cut has come.
+    PowerCut,
+}
+
+/// What an address belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Block {
+    Flash,
+    FlashRegisters,
+    Rcc,
+    Pwr,
+    Iwdg,
+    Can1,
+    Syscfg,
+    Exti,
+    Gpio(u8),
+    Dbgmcu,
+    Factory,
+    Unknown,
+}
+
+impl Block {
+    const fn of(address: u32) -> (Self, u32) {
+        let block = match address {
+            0x4000_3000..0x4000_3400 => Self::Iwdg,
+            0x4000_6400..0x4000_6800 => Self::Can1,
+            0x4000_7000..0x4000_7400 => Self::Pwr,
+            0x4001_3800..0x4001_3C00 => Self::Syscfg,
+            0x4001_3C00..0x4001_4000 => Self::Exti,
+            0x4002_0000..0x4002_2C00 => Self::Gpio((address >> 10 & 0xF) as u8),
+            0x4002_3800..0x4002_3C00 => Self::Rcc,
+            0x4002_3C00..0x4002_4000 => Self::FlashRegisters,
+            0xE004_2000..0xE004_2400 => Self::Dbgmcu,
+            0x1FFF_0000..0x2000_0000 => Self::Factory,
+            FLASH_BASE..CCM_BASE => return (Self::Flash, address - FLASH_BASE),
+            _ => Self::Unknown,
+        };
+        (block, address & 0x3FF)
+    }
+
+    const fn gate(self) -> Option<Gate> {
+        match self {
+            Self::Pwr => Some(Gate::Pwr),
+            Self::Can1 => Some(Gate::Can1),
+            Self::Syscfg => Some(Gate::Syscfg),
+            Self::Gpio(port) => Some(Gate::Gpio(port)),
+            _ => None,
+        }
+    }
+
+    /// Whether it hangs on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).
+    const fn on_apb(self) -> bool {
+        matches!(self, Self::Iwdg | Self::Can1 | Self::Pwr | Self::Syscfg | Self::Exti)
+    }
+}
+
+/// The peripherals of one microcontroller.
+#[derive(Debug)]
+pub struct Chip {
+    part: Part,
+    rcc: Rcc,
+    pwr: Pwr,
+    flash: Flash,
+    iwdg: Iwdg,
+    gpio: Gpio,
+    syscfg: Syscfg,
+    exti: Exti,
+    dbgmcu: Dbgmcu,
+    factory: Factory,
+    can1: Bxcan,
+    findings: Vec<Finding>,
+    request: Option<Request>,
+    can_written: bool,
+}
+
+/// The nominal frequency of LSI in Hz.
+const LSI_HZ: u32 = 32_000;
+
+/// Pins that can carry CAN1, receive and transmit, as alternate function 9 (F405 data sheet, table 9).
+const CAN1_RX: [Pin; 4] = [Pin('A', 11), Pin('B', 8), Pin('D', 0), Pin('I', 9)];
+const CAN1_TX: [Pin; 4] = [Pin('A', 12), Pin('B', 9), Pin('D', 1), Pin('H', 13)];
+
+impl Chip {
+    /// A chip with erased flash at power-on, with `crystal` at HSE.
+    pub fn new(part: Part, crystal: Clock, unique_id: [u8; 12]) -> Self {
+        let mut chip = Self {
+            part,
+            rcc: Rcc::new(part, crystal),
+            pwr: Pwr::new(part),
+            flash: Flash::new(part),
+            iwdg: Iwdg::new(LSI_HZ),
+            gpio: Gpio::new(part),
+            syscfg: Syscfg::default(),
+            exti: Exti::default(),
+            dbgmcu: Dbgmcu::new(part),
+            factory: Factory::new(part, unique_id),
+            can1: Bxcan::new(),
+            findings: Vec::new(),
+            request: None,
+            can_written: false,
+        };
+        chip.can1.set_clock(chip.clocks().pclk1);
+        chip
+    }
+
+    /// Which part it is.
+    pub fn part(&self) -> Part {
+        self.part
+    }
+
+    /// The clocks that RCC now makes.
+    pub fn clocks(&self) -> Clocks {
+        self.rcc.clocks()
+    }
+
+    /// The flash memory and its interface.
+    pub fn flash(&self) -> &Flash {
+        &self.flash
+    }
+
+    /// The flash memory, to load it or to stage failures.
+    pub fn flash_mut(&mut self) -> &mut Flash {
+        &mut self.flash
+    }
+
+    /// The GPIO ports.
+    pub fn gpio(&self) -> &Gpio {
+        &self.gpio
+    }
+
+    /// The GPIO ports, to connect inputs.
+    pub fn gpio_mut(&mut self) -> &mut Gpio {
+        &mut self.gpio
+    }
+
+    /// The independent watchdog.
+    pub fn iwdg(&self) -> &Iwdg {
+        &self.iwdg
+    }
+
+    /// The independent watchdog, to detune LSI.
+    pub fn iwdg_mut(&mut self) -> &mut Iwdg {
+        &mut self.iwdg
+    }
+
+    /// The CAN controller.
+    pub fn can1(&self) -> &Bxcan {
+        &self.can1
+    }
+
+    /// The CAN controller, for the bus that it is on.
+    pub fn can1_mut(&mut self) -> &mut Bxcan {
+        &mut self.can1
+    }
+
+    /// Everything suspicious so far.
+    pub fn findings(&self) -> &[Finding] {
+        &self.findings
+    }
+
+    /// Levels of the interrupt lines, bit n for interrupt n (RM0090 table 61).
+    pub fn irqs(&self) -> u128 {
+        let can = self.can1.irq();
+        self.exti.irqs()
+            | u128::from(self.flash.irq()) << 4
+            | u128::from(can.tx) << 19
+            | u128::from(can.rx0) << 20
+            | u128::from(can.rx1) << 21
+            | u128::from(can.sce) << 22
+    }
+
+    /// When the chip next does something by itself, CAN apart, which lives on the bus's time.
+    pub fn next_event(&self) -> Time {
+        [self.iwdg.deadline(), self.flash.operation_end(), self.flash.power_cut_at()]
+            .into_iter()
+            .flatten()
+            .min()
+            .unwrap_or(Time::MAX)
+    }
+
+    /// Carries out what is due at `now`.
+    pub fn advance(&mut self, now: Time) {
+        if self.flash.power_cut_at().is_some_and(|cut| now >= cut) {
+            self.request = Some(Request::PowerCut);
+        } else if self.iwdg.deadline().is_some_and(|deadline| now >= deadline) {
+            self.request = Some(Request::Reset(ResetCause::Watchdog));
+        } else {
+            self.flash.advance(now);
+        }
+    }
+
+    /// What the chip asked for since the last call.
+    pub fn take_request(&mut self) -> Option<Request> {
+        self.request.take()
+    }
+
+    /// Whether a CAN register was written since the last call: the bus should look before it goes on.
+    pub fn take_can_written(&mut self) -> bool {
+        std::mem::take(&mut self.can_written)
+    }
+
+    /// Until when the CPU stalls that fetches from `pc`.
+    pub fn stalled_until(&self, pc: u32, now: Time) -> Option<Time> {
+        match Block::of(pc) {
+            (Block::Flash, offset) => self.flash.busy_until(offset, now),
+            _ => None,
+        }
+    }
+
+    /// Resets every block; flash content stays, torn where an operation was under way.
+    pub fn reset(&mut self, cause: ResetCause, now: Time) {
+        self.flash.reset(now);
+        self.rcc.reset(cause);
+        self.pwr = Pwr::new(self.part);
+        self.iwdg.reset();
+        self.gpio.reset(now);
+        self.syscfg = Syscfg::default();
+        self.exti = Exti::default();
+        if cause == ResetCause::PowerOn {
+            self.dbgmcu = Dbgmcu::new(self.part);
+        }
+        self.can1.reset();
+        self.can1.set_clock(self.clocks().pclk1);
+        self.request = None;
+        self.can_written = false;
+    }
+
+    /// Loads from a peripheral.
+    pub fn read(&mut self, access: Access) -> Result<u32, BusFault> {
+        let Access { address, width, now, .. } = access;
+        let (block, offset) = Block::of(address);
+        if !self.clocked(block) {
+            self.report(access, None, Problem::ClockOff);
+            return Ok(0);
+        }
+        let word = match block {
+            Block::Factory => self.factory_word(address & !3),
+            _ => self.register(block, offset & !3, now),
+        };
+        match word {
+            Some(word) => Ok(word >> (8 * (address & 3)) & width.mask()),
+            None => {
+                self.report(access, None, Problem::Unmodelled);
+                Ok(0)
+            }
+        }
+    }
+
+    fn register(&mut self, block: Block, offset: u32, now: Time) -> Option<u32> {
+        match block {
+            Block::FlashRegisters => self.flash.read(offset, now),
+            Block::Rcc => self.rcc.read(offset, now),
+            Block::Pwr => self.pwr.read(offset),
+            Block::Iwdg => self.iwdg.read(offset, now),
+            Block::Can1 => self.can1.read(offset, now),
+            Block::Syscfg => self.syscfg.read(offset),
+            Block::Exti => self.exti.read(offset),
+            Block::Gpio(port) => self.gpio.read(usize::from(port), offset),
+            Block::Dbgmcu => self.dbgmcu.read(offset),
+            Block::Flash | Block::Factory | Block::Unknown => None,
+        }
+    }
+
+    fn factory_word(&self, address: u32) -> Option<u32> {
+        let bytes = [0, 1, 2, 3].map(|i| self.factory.byte(address + i));
+        bytes
+            .iter()
+            .any(Option::is_some)
+            .then(|| u32::from_le_bytes(bytes.map(|byte| byte.unwrap_or(0xFF))))
+    }
+
+    /// Stores to a peripheral or into the flash.
+    pub fn write(&mut self, access: Access, value: u32) -> Result<(), BusFault> {
+        let Access { address, width, now, .. } = access;
+        let (block, offset) = Block::of(address);
+        let value = value & width.mask();
+        if block == Block::Flash {
+            self.flash.program(offset, width, value, now);
+            return Ok(());
+        }
+        if !self.clocked(block) {
+            self.report(access, Some(value), Problem::ClockOff);
+            return Ok(());
+        }
+        let shift = 8 * (address & 3);
+        let word = match width {
+            Width::Word => value,
+            _ if block == Block::FlashRegisters => {
+                self.report(access, Some(value), Problem::Width);
+                return Ok(());
+            }
+            Width::Byte if block.on_apb() => value * 0x0101_0101,
+            Width::Half if block.on_apb() => value * 0x0001_0001,
+            _ => {
+                let old = self.register(block, offset & !3, now).unwrap_or(0);
+                old & !(width.mask() << shift) | value << shift
+            }
+        };
+        let problem = self.write_register(block, offset & !3, word, now)?;
+        if let Err(problem) = problem {
+            self.report(access, Some(value), problem);
+        }
+        Ok(())
+    }
+
+    fn write_register(
+        &mut self,
+        block: Block,
+        offset: u32,
+        value: u32,
+        now: Time,
+    ) -> Result<Result<(), Problem>, BusFault> {
+        let modelled = match block {
+            Block::FlashRegisters => {
+                let result = self.flash.write(offset, value, now)?;
+                return Ok(result.and_then(|()| self.check_latency()));
+            }
+            Block::Rcc => {
+                let result = self.rcc.write(offset, value, now);
+                self.after_rcc_write(now);
+                return Ok(result.and_then(|()| self.check_latency()));
+            }
+            Block::Iwdg => {
+                let accepted = self.iwdg.write(offset, value, now);
+                if self.iwdg.running() {
+                    self.rcc.force_lsi(now);
+                }
+                return Ok(if accepted {
+                    Ok(())
+                } else {
+                    Err(Problem::Misuse("IWDG register written while protected or being updated"))
+                });
+            }
+            Block::Can1 => {
+                self.can_written = true;
+                let modelled = self.can1.write(offset, value, now);
+                if modelled && offset == 0 && value & 1 == 0 && !self.can1_has_pins() {
+                    return Ok(Err(Problem::Misuse("CAN1 leaves initialisation with no pins in AF9")));
+                }
+                modelled
+            }
+            Block::Pwr => self.pwr.write(offset, value),
+            Block::Syscfg => self.syscfg.write(offset, value),
+            Block::Exti => self.exti.write(offset, value),
+            Block::Gpio(port) => self.gpio.write(usize::from(port), offset, value, now),
+            Block::Dbgmcu => self.dbgmcu.write(offset, value),
+            Block::Flash | Block::Factory | Block::Unknown => false,
+        };
+        Ok(if modelled { Ok(()) } else { Err(Problem::Unmodelled) })
+    }
+
+    fn after_rcc_write(&mut self, now: Time) {
+        if self.rcc.held_in_reset(Gate::Can1) {
+            self.can1.reset();
+            self.can_written = true;
+        }
+        self.can1.set_clock(self.clocks().pclk1);
+        for port in 0..self.gpio.len() {
+            if self.rcc.held_in_reset(Gate::Gpio(port as u8)) {
+                self.gpio.reset_port(port, now);
+            }
+        }
+        if self.rcc.held_in_reset(Gate::Pwr) {
+            self.pwr = Pwr::new(self.part);
+        }
+        if self.rcc.held_in_reset(Gate::Syscfg) {
+            self.syscfg = Syscfg::default();
+        }
+    }
+
+    /// RM0090 table 10: at 2.7..3.6 V a wait state more for every 30 MHz.
+    fn check_latency(&self) -> Result<(), Problem> {
+        let needed = self.clocks().hclk.hz.saturating_sub(1) / 30_000_000;
+        if self.flash.latency() < needed {
+            return Err(Problem::Misuse("too few flash wait states for this HCLK"));
+        }
+        Ok(())
+    }
+
+    fn can1_has_pins(&self) -> bool {
+        let connected = |pins: [Pin; 4]| {
+            pins.iter()
+                .filter(|pin| usize::from(pin.0 as u8 - b'A') < self.gpio.len())
+                .any(|&pin| self.gpio.alternate_function(pin) == Some(9))
+        };
+        connected(CAN1_RX) && connected(CAN1_TX)
+    }
+
+    fn clocked(&self, block: Block) -> bool {
+        block.gate().is_none_or(|gate| self.rcc.enabled(gate))
+    }
+
+    fn report(&mut self, access: Access, written: Option<u32>, problem: Problem) {
+        let Access { address, width, now, pc } = access;
+        let write = written.is_some();
+        let same = |f: &&mut Finding| {
+            (f.pc, f.address, f.write, f.problem) == (pc, address, write, problem)
+        };
+        if let Some(finding) = self.findings.iter_mut().find(same) {
+            finding.count += 1;
+            return;
+        }
+        let value = written.unwrap_or(0);
+        self.findings.push(Finding { time: now, pc, address, width, write, value, problem, count: 1 });
+    }
+
+    /// Adds a finding that an engine makes about the core.
+    pub fn report_core(&mut self, access: Access, problem: Problem) {
+        self.report(access, Some(0), problem);
+    }
+}

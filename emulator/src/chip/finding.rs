@@ -1,0 +1,68 @@
+//! What firmware did that the emulated chip does not model, or that a real chip would not forgive.
+
+use core::fmt;
+
+use super::Width;
+use crate::Time;
+
+/// One kind of trouble at one place in the program; repetitions are counted, not listed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// When it was seen first.
+    pub time: Time,
+    /// Address of the instruction.
+    pub pc: u32,
+    /// Address that was accessed.
+    pub address: u32,
+    /// Width of the access.
+    pub width: Width,
+    /// Whether it was a write.
+    pub write: bool,
+    /// The value written, or 0 for a read.
+    pub value: u32,
+    /// What is wrong.
+    pub problem: Problem,
+    /// How often it was seen.
+    pub count: u64,
+}
+
+/// What is wrong with an access.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Problem {
+    /// The emulator has no such register: it read as 0, or the write was lost.
+    Unmodelled,
+    /// The peripheral's clock is off in RCC: a real chip reads 0 and loses the write.
+    ClockOff,
+    /// The register does not take this access width.
+    Width,
+    /// Legal to execute, but outside what the reference manual allows: the text says why.
+    Misuse(&'static str),
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Unmodelled => "not modelled",
+            Self::ClockOff => "peripheral clock is off",
+            Self::Width => "access width not allowed",
+            Self::Misuse(why) => why,
+        })
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { time, pc, address, width, write, value, problem, count } = self;
+        let bits = 8 * width.bytes();
+        write!(f, "{time} ms, pc {pc:08x}: ")?;
+        if *write {
+            write!(f, "{bits}-bit write of {value:#x} to {address:08x}: {problem}")?;
+        } else {
+            write!(f, "{bits}-bit read of {address:08x}: {problem}")?;
+        }
+        if *count > 1 {
+            write!(f, " ({count} times)")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,419 @@
+//! The flash interface (RM0090 chapter 3): keys, programming, erasing, their times and their faults.
+
+mod array;
+
+use std::ops::Range;
+
+pub use array::StuckBits;
+use array::Array;
+
+use super::{BusFault, Part, Problem, Width};
+use crate::Time;
+
+const ACR: u32 = 0x00;
+const KEYR: u32 = 0x04;
+const OPTKEYR: u32 = 0x08;
+const SR: u32 = 0x0C;
+const CR: u32 = 0x10;
+const OPTCR: u32 = 0x14;
+const OPTCR1: u32 = 0x18;
+
+const ACR_ICEN: u32 = 1 << 9;
+const ACR_DCEN: u32 = 1 << 10;
+const ACR_ICRST: u32 = 1 << 11;
+const ACR_DCRST: u32 = 1 << 12;
+const SR_EOP: u32 = 1 << 0;
+const SR_WRPERR: u32 = 1 << 4;
+const SR_PGPERR: u32 = 1 << 6;
+const SR_PGSERR: u32 = 1 << 7;
+const SR_BSY: u32 = 1 << 16;
+const CR_PG: u32 = 1 << 0;
+const CR_SER: u32 = 1 << 1;
+const CR_MER: u32 = 1 << 2;
+const CR_MER1: u32 = 1 << 15;
+const CR_STRT: u32 = 1 << 16;
+const CR_EOPIE: u32 = 1 << 24;
+const CR_LOCK: u32 = 1 << 31;
+const OPTCR_LOCK: u32 = 1;
+
+/// How long the flash takes (STM32F405 data sheet, flash memory programming).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Timing {
+    /// The typical times: 16 us a word; 250, 300 or 400 ms a 16 KB sector at x32, x16 or x8.
+    #[default]
+    Typical,
+    /// The guaranteed times: 100 us a word; 500, 600 or 800 ms a 16 KB sector.
+    Worst,
+}
+
+/// A failure to be staged: the supply goes away in the middle of an operation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PowerCut {
+    /// Which operation (program or erase) since the board was made, counted from 0.
+    pub operation: u64,
+    /// Chooses the moment within the operation and what it leaves.
+    pub seed: u64,
+}
+
+#[derive(Debug)]
+struct Operation {
+    end: Time,
+    range: Range<usize>,
+    before: Vec<u8>,
+    erase: bool,
+}
+
+/// The flash memory and its control registers.
+#[derive(Debug)]
+pub struct Flash {
+    part: Part,
+    array: Array,
+    timing: Timing,
+    acr: u32,
+    sr: u32,
+    cr: u32,
+    optcr: u32,
+    optcr1: u32,
+    half_unlocked: bool,
+    option_half_unlocked: bool,
+    locked_until_reset: bool,
+    stale_data_cache: bool,
+    operation: Option<Operation>,
+    operations: u64,
+    power_cut: Option<PowerCut>,
+    power_cut_at: Option<Time>,
+    failing_erases: u32,
+    changed: Option<Range<usize>>,
+}
+
+impl Flash {
+    /// Erased flash after power-on.
+    pub fn new(part: Part) -> Self {
+        Self {
+            part,
+            array: Array::new(part),
+            timing: Timing::Typical,
+            acr: 0,
+            sr: 0,
+            cr: CR_LOCK,
+            optcr: 0x0FFF_AAED,
+            optcr1: 0x0FFF_0000,
+            half_unlocked: false,
+            option_half_unlocked: false,
+            locked_until_reset: false,
+            stale_data_cache: false,
+            operation: None,
+            operations: 0,
+            power_cut: None,
+            power_cut_at: None,
+            failing_erases: 0,
+            changed: None,
+        }
+    }
+
+    /// Everything that is stored.
+    pub fn bytes(&self) -> &[u8] {
+        self.array.bytes()
+    }
+
+    /// Stores bytes at `offset` from the start of the flash, as a programming tool does.
+    pub fn load(&mut self, offset: u32, bytes: &[u8]) {
+        self.array.load(offset, bytes);
+        self.note_change(offset as usize..offset as usize + bytes.len());
+    }
+
+    /// Chooses typical or guaranteed times.
+    pub fn set_timing(&mut self, timing: Timing) {
+        self.timing = timing;
+    }
+
+    /// Protects the sectors whose bit is 1 against programming and erasing (nWRP of the option bytes, inverted).
+    pub fn protect_sectors(&mut self, sectors: u32) {
+        self.optcr = self.optcr & !0x0FFF_0000 | (!sectors & 0xFFF) << 16;
+        self.optcr1 = (!(sectors >> 12) & 0xFFF) << 16;
+    }
+
+    /// Cuts the power at an operation to come.
+    pub fn cut_power(&mut self, cut: PowerCut) {
+        self.power_cut = Some(cut);
+    }
+
+    /// Makes bits that do not change any more.
+    pub fn add_stuck_bits(&mut self, bits: StuckBits) {
+        self.array.add_stuck(bits);
+        self.note_change(bits.offset as usize..bits.offset as usize + 1);
+    }
+
+    /// Lets the next `count` erases leave anything in the sector, without an error flag.
+    pub fn fail_erases(&mut self, count: u32) {
+        self.failing_erases = count;
+    }
+
+    /// How many program and erase operations were started since the board was made.
+    pub fn operations(&self) -> u64 {
+        self.operations
+    }
+
+    /// The range that changed since the last call, for whoever keeps a copy.
+    pub fn take_changed(&mut self) -> Option<Range<usize>> {
+        self.changed.take()
+    }
+
+    /// Number of wait states that are set.
+    pub fn latency(&self) -> u32 {
+        self.acr & 0xF
+    }
+
+    /// When the bank that holds `offset` can be read again, if it is busy at `now`.
+    pub fn busy_until(&self, offset: u32, now: Time) -> Option<Time> {
+        let operation = self.operation.as_ref().filter(|operation| now < operation.end)?;
+        let bank = |offset: u32| offset / self.part.flash_bank_size();
+        let busy = bank(operation.range.start as u32)..=bank(operation.range.end as u32 - 1);
+        busy.contains(&bank(offset)).then_some(operation.end)
+    }
+
+    /// When the staged power cut happens, once its operation has begun.
+    pub fn power_cut_at(&self) -> Option<Time> {
+        self.power_cut_at
+    }
+
+    /// When the present operation ends.
+    pub fn operation_end(&self) -> Option<Time> {
+        self.operation.as_ref().map(|operation| operation.end)
+    }
+
+    /// Level of interrupt 4, FLASH.
+    pub fn irq(&self) -> bool {
+        self.sr & SR_EOP != 0 && self.cr & CR_EOPIE != 0
+    }
+
+    /// Ends the present operation if its time has come.
+    pub fn advance(&mut self, now: Time) {
+        if self.operation.as_ref().is_some_and(|operation| now >= operation.end) {
+            self.operation = None;
+            self.cr &= !CR_STRT;
+            // RM0090 3.9.4: EOP is set only if its interrupt is enabled.
+            if self.cr & CR_EOPIE != 0 {
+                self.sr |= SR_EOP;
+            }
+        }
+    }
+
+    /// Reset values in every register; an operation that was under way leaves torn cells.
+    pub fn reset(&mut self, now: Time) {
+        self.advance(now);
+        if let Some(operation) = self.operation.take() {
+            let seed = self.power_cut.map_or(self.operations, |cut| cut.seed);
+            if operation.erase {
+                self.array.tear_erase(operation.range.start, &operation.before, seed);
+            } else {
+                self.array.tear_program(operation.range.start, &operation.before, seed);
+            }
+            self.note_change(operation.range);
+        }
+        if self.power_cut_at.take().is_some() {
+            self.power_cut = None;
+        }
+        self.acr = 0;
+        self.sr = 0;
+        self.cr = CR_LOCK;
+        self.optcr |= OPTCR_LOCK;
+        self.half_unlocked = false;
+        self.option_half_unlocked = false;
+        self.locked_until_reset = false;
+        self.stale_data_cache = false;
+    }
+
+    fn note_change(&mut self, range: Range<usize>) {
+        self.changed = Some(match self.changed.take() {
+            None => range,
+            Some(old) => old.start.min(range.start)..old.end.max(range.end),
+        });
+    }
+
+    /// A register's value, or `None` where there is none.
+    pub fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
+        self.advance(now);
+        let busy = if self.operation.is_some() { SR_BSY } else { 0 };
+        match offset {
+            ACR => Some(self.acr),
+            KEYR | OPTKEYR => Some(0),
+            SR => Some(self.sr | busy),
+            CR => Some(self.cr),
+            OPTCR => Some(self.optcr),
+            OPTCR1 if self.part == Part::Stm32f427 => Some(self.optcr1),
+            _ => None,
+        }
+    }
+
+    /// Writes a register. The outer error is the bus error of a wrong key.
+    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<Result<(), Problem>, BusFault> {
+        self.advance(now);
+        match offset {
+            ACR => return Ok(self.write_acr(value)),
+            KEYR => return self.write_key(value).map(Ok),
+            OPTKEYR => {
+                match (value, self.option_half_unlocked) {
+                    (0x0819_2A3B, false) => self.option_half_unlocked = true,
+                    (0x4C5D_6E7F, true) => self.optcr &= !OPTCR_LOCK,
+                    _ => return Err(BusFault),
+                }
+            }
+            SR => self.sr &= !value,
+            CR => return Ok(self.write_cr(value, now)),
+            OPTCR if value & OPTCR_LOCK != 0 => self.optcr |= OPTCR_LOCK,
+            _ => return Ok(Err(Problem::Unmodelled)),
+        }
+        Ok(Ok(()))
+    }
+
+    fn write_acr(&mut self, value: u32) -> Result<(), Problem> {
+        let resets = value & (ACR_ICRST | ACR_DCRST) & !self.acr;
+        if resets & ACR_ICRST != 0 && self.acr & ACR_ICEN != 0
+            || resets & ACR_DCRST != 0 && self.acr & ACR_DCEN != 0
+        {
+            return Err(Problem::Misuse("cache reset while the cache is on has no effect"));
+        }
+        if resets & ACR_DCRST != 0 {
+            self.stale_data_cache = false;
+        }
+        self.acr = value & 0x1F0F;
+        if self.acr & ACR_DCEN != 0 && self.stale_data_cache {
+            return Err(Problem::Misuse("data cache switched on after an erase without DCRST"));
+        }
+        Ok(())
+    }
+
+    fn write_key(&mut self, value: u32) -> Result<(), BusFault> {
+        match (value, self.half_unlocked, self.locked_until_reset) {
+            (0x4567_0123, false, false) => self.half_unlocked = true,
+            (0xCDEF_89AB, true, false) => {
+                self.half_unlocked = false;
+                self.cr &= !CR_LOCK;
+            }
+            _ => {
+                self.locked_until_reset = true;
+                self.cr |= CR_LOCK;
+                return Err(BusFault);
+            }
+        }
+        Ok(())
+    }
+
+    fn write_cr(&mut self, value: u32, now: Time) -> Result<(), Problem> {
+        if self.cr & CR_LOCK != 0 {
+            return Err(Problem::Misuse("FLASH_CR written while it is locked"));
+        }
+        if self.operation.is_some() {
+            return Err(Problem::Misuse("FLASH_CR written while BSY is set"));
+        }
+        self.cr = value & 0x8301_FFFF;
+        if value & CR_LOCK != 0 {
+            self.half_unlocked = false;
+            if self.stale_data_cache && self.acr & ACR_DCEN != 0 {
+                return Err(Problem::Misuse("flash locked after an erase without DCRST: the data cache is stale"));
+            }
+        }
+        if value & CR_STRT != 0 {
+            return self.start_erase(now);
+        }
+        Ok(())
+    }
+
+    fn start_erase(&mut self, now: Time) -> Result<(), Problem> {
+        let bank_size = self.part.flash_bank_size() as usize;
+        let whole = self.array.bytes().len();
+        let range = match self.cr & (CR_PG | CR_SER | CR_MER | CR_MER1) {
+            CR_SER => {
+                let number = self.cr >> 3 & 0x1F;
+                let sector = if number >= 16 { number - 4 } else { number };
+                self.array.sector(sector).filter(|_| number < 12 || number >= 16)
+            }
+            CR_MER => Some(0..bank_size),
+            CR_MER1 if whole > bank_size => Some(bank_size..whole),
+            bits if bits == CR_MER | CR_MER1 => Some(0..whole),
+            _ => None,
+        };
+        let Some(range) = range else {
+            self.cr &= !CR_STRT;
+            self.sr |= SR_PGSERR;
+            return Err(Problem::Misuse("STRT without a valid choice of SER, SNB or MER"));
+        };
+        let (first, last) =
+            (self.array.sector_of(range.start as u32), self.array.sector_of(range.end as u32 - 1));
+        if (first..=last).any(|sector| self.protected(sector)) {
+            self.cr &= !CR_STRT;
+            self.sr |= SR_WRPERR;
+            return Ok(());
+        }
+        let size = self.cr >> 8 & 3;
+        let ms = (first..=last).map(|sector| self.erase_ms(sector, size)).sum();
+        let before = self.array.bytes()[range.clone()].to_vec();
+        self.array.erase(range.clone());
+        if self.failing_erases > 0 {
+            self.failing_erases -= 1;
+            self.array.tear_erase(range.start, &before, self.operations);
+        }
+        self.stale_data_cache = self.acr & ACR_DCEN != 0 || self.stale_data_cache;
+        self.begin(Operation { end: now + Time::from_ms(ms), range, before, erase: true }, now);
+        Ok(())
+    }
+
+    fn erase_ms(&self, sector: u32, size: u32) -> u64 {
+        let typical = match (sector % 12, size) {
+            (0..4, 0) => 400,
+            (0..4, 1) => 300,
+            (0..4, _) => 250,
+            (4, 0) => 1200,
+            (4, 1) => 700,
+            (4, _) => 550,
+            (_, 0) => 2000,
+            (_, 1) => 1300,
+            (_, _) => 1000,
+        };
+        match self.timing {
+            Timing::Typical => typical,
+            Timing::Worst => 2 * typical,
+        }
+    }
+
+    fn protected(&self, sector: u32) -> bool {
+        let bits = if sector < 12 { self.optcr >> 16 } else { self.optcr1 >> 16 };
+        bits >> (sector % 12) & 1 == 0
+    }
+
+    /// A store of the CPU to flash address `offset`: programs it, or sets the flag that says why not.
+    pub fn program(&mut self, offset: u32, width: Width, value: u32, now: Time) {
+        self.advance(now);
+        let now = self.operation.as_ref().map_or(now, |operation| operation.end);
+        self.advance(now);
+        let size = 1 << (self.cr >> 8 & 3);
+        if self.cr & CR_PG == 0 || self.cr & (CR_LOCK | CR_SER | CR_MER) != 0 {
+            self.sr |= SR_PGSERR;
+        } else if width.bytes() != size {
+            self.sr |= SR_PGPERR;
+        } else if self.protected(self.array.sector_of(offset)) {
+            self.sr |= SR_WRPERR;
+        } else {
+            let range = offset as usize..offset as usize + size as usize;
+            let before = self.array.bytes()[range.clone()].to_vec();
+            self.array.program(offset, &value.to_le_bytes()[..size as usize]);
+            let us = match self.timing {
+                Timing::Typical => 16,
+                Timing::Worst => 100,
+            };
+            self.begin(Operation { end: now + Time::from_us(us), range, before, erase: false }, now);
+        }
+    }
+
+    fn begin(&mut self, operation: Operation, now: Time) {
+        if let Some(cut) = self.power_cut.filter(|cut| cut.operation == self.operations) {
+            let duration = operation.end - now;
+            let part = Time::from_ps(duration.as_ps() / 256 * (cut.seed % 255 + 1));
+            self.power_cut_at = Some(now + part);
+        }
+        self.operations += 1;
+        self.note_change(operation.range.clone());
+        self.operation = Some(operation);
+    }
+}

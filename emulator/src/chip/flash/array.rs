@@ -1,0 +1,136 @@
+//! The flash cells: sectors, programming that only clears bits, and what is left when power fails.
+
+use std::ops::Range;
+
+use crate::chip::Part;
+
+/// Bits of the flash that no longer change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StuckBits {
+    /// Byte offset from the start of the flash.
+    pub offset: u32,
+    /// Which bits of the byte are stuck.
+    pub mask: u8,
+    /// What they read as, in the bits of `mask`.
+    pub value: u8,
+}
+
+/// The cells of the whole main memory.
+#[derive(Debug)]
+pub struct Array {
+    part: Part,
+    bytes: Vec<u8>,
+    stuck: Vec<StuckBits>,
+}
+
+impl Array {
+    /// Erased flash.
+    pub fn new(part: Part) -> Self {
+        Self { part, bytes: vec![0xFF; part.flash_size() as usize], stuck: Vec::new() }
+    }
+
+    /// Everything that is stored.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// Replaces what is stored from `offset` on, as a programming tool does.
+    pub fn load(&mut self, offset: u32, bytes: &[u8]) {
+        let start = offset as usize;
+        self.bytes[start..start + bytes.len()].copy_from_slice(bytes);
+        self.apply_stuck(start..start + bytes.len());
+    }
+
+    /// Adds bits that do not change any more.
+    pub fn add_stuck(&mut self, bits: StuckBits) {
+        self.stuck.push(bits);
+        self.apply_stuck(bits.offset as usize..bits.offset as usize + 1);
+    }
+
+    fn apply_stuck(&mut self, range: Range<usize>) {
+        for bits in &self.stuck {
+            let offset = bits.offset as usize;
+            if range.contains(&offset) {
+                let byte = &mut self.bytes[offset];
+                *byte = *byte & !bits.mask | bits.value & bits.mask;
+            }
+        }
+    }
+
+    /// The byte range of sector number `sector` (RM0090 tables 5 and 6), if the part has it.
+    pub fn sector(&self, sector: u32) -> Option<Range<usize>> {
+        const KB: u32 = 1024;
+        let (bank, index) = (sector / 12, sector % 12);
+        let (start, length) = match index {
+            0..4 => (index * 16 * KB, 16 * KB),
+            4 => (64 * KB, 64 * KB),
+            _ => ((index - 4) * 128 * KB, 128 * KB),
+        };
+        let start = bank * self.part.flash_bank_size() + start;
+        let end = start + length;
+        (end <= self.part.flash_size()).then_some(start as usize..end as usize)
+    }
+
+    /// The number of the sector that holds byte `offset`.
+    pub fn sector_of(&self, offset: u32) -> u32 {
+        let bank = offset / self.part.flash_bank_size();
+        let sector = match offset % self.part.flash_bank_size() / 1024 {
+            kb @ 0..64 => kb / 16,
+            64..128 => 4,
+            kb => 4 + kb / 128,
+        };
+        bank * 12 + sector
+    }
+
+    /// Programs bytes: bits go from 1 to 0 and never back.
+    pub fn program(&mut self, offset: u32, bytes: &[u8]) {
+        let start = offset as usize;
+        for (cell, byte) in self.bytes[start..].iter_mut().zip(bytes) {
+            *cell &= byte;
+        }
+        self.apply_stuck(start..start + bytes.len());
+    }
+
+    /// Sets all bits of a range.
+    pub fn erase(&mut self, range: Range<usize>) {
+        self.bytes[range.clone()].fill(0xFF);
+        self.apply_stuck(range);
+    }
+
+    /// What a program operation leaves that was cut off: each bit that was to be cleared may or may not be.
+    pub fn tear_program(&mut self, start: usize, before: &[u8], seed: u64) {
+        let mut random = Random(seed);
+        for (cell, &old) in self.bytes[start..].iter_mut().zip(before) {
+            let cleared = old & !*cell;
+            *cell = old & !(cleared & random.next() as u8);
+        }
+        self.apply_stuck(start..start + before.len());
+    }
+
+    /// What an erase leaves that was cut off: per 32 bytes the old content, erased cells, or anything.
+    pub fn tear_erase(&mut self, start: usize, before: &[u8], seed: u64) {
+        let mut random = Random(seed);
+        for (cells, old) in self.bytes[start..start + before.len()].chunks_mut(32).zip(before.chunks(32)) {
+            match random.next() % 3 {
+                0 => cells.copy_from_slice(old),
+                1 => cells.fill(0xFF),
+                _ => cells.iter_mut().for_each(|cell| *cell = random.next() as u8),
+            }
+        }
+        self.apply_stuck(start..start + before.len());
+    }
+}
+
+/// SplitMix64: small, seeded, the same on every host.
+#[derive(Debug)]
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ z >> 31
+    }
+}

@@ -1,0 +1,100 @@
+//! IWDG (RM0090 chapter 21): the independent watchdog, clocked by LSI through sleep and flash stalls.
+
+use crate::Time;
+
+const KR: u32 = 0x00;
+const PR: u32 = 0x04;
+const RLR: u32 = 0x08;
+const SR: u32 = 0x0C;
+
+/// The independent watchdog.
+#[derive(Debug)]
+pub struct Iwdg {
+    lsi: u32,
+    unlocked: bool,
+    prescaler: u32,
+    reload: u32,
+    prescaler_busy: Time,
+    reload_busy: Time,
+    deadline: Option<Time>,
+}
+
+impl Iwdg {
+    /// After a reset: off, 4 x 4096 periods of an LSI of `lsi` Hz (32 kHz typical, 17..47 kHz).
+    pub fn new(lsi: u32) -> Self {
+        Self {
+            lsi,
+            unlocked: false,
+            prescaler: 0,
+            reload: 0xFFF,
+            prescaler_busy: Time::ZERO,
+            reload_busy: Time::ZERO,
+            deadline: None,
+        }
+    }
+
+    /// Puts all back to reset values, at the same LSI.
+    pub fn reset(&mut self) {
+        *self = Self::new(self.lsi);
+    }
+
+    /// Sets the frequency of LSI in Hz; takes effect at the next reload.
+    pub fn set_lsi(&mut self, hz: u32) {
+        self.lsi = hz;
+    }
+
+    /// When it will reset the chip, if it runs.
+    pub fn deadline(&self) -> Option<Time> {
+        self.deadline
+    }
+
+    fn lsi_periods(&self, count: u64) -> Time {
+        Time::from_ps(count * 1_000_000_000_000 / u64::from(self.lsi))
+    }
+
+    fn restart(&mut self, now: Time) {
+        let divider = 4u64 << self.prescaler.min(6);
+        self.deadline = Some(now + self.lsi_periods(divider * u64::from(self.reload + 1)));
+    }
+
+    /// A register's value, or `None` where there is none.
+    pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
+        match offset {
+            KR => Some(0),
+            PR => Some(self.prescaler),
+            RLR => Some(self.reload),
+            SR => Some(u32::from(now < self.prescaler_busy) | u32::from(now < self.reload_busy) << 1),
+            _ => None,
+        }
+    }
+
+    /// Writes a register; false where there is none or the write is not accepted now.
+    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
+        match offset {
+            KR => {
+                let key = value & 0xFFFF;
+                self.unlocked = key == 0x5555;
+                if key == 0xCCCC || key == 0xAAAA && self.deadline.is_some() {
+                    self.restart(now);
+                }
+                true
+            }
+            PR if self.unlocked && now >= self.prescaler_busy => {
+                self.prescaler = value & 7;
+                self.prescaler_busy = now + self.lsi_periods(5);
+                true
+            }
+            RLR if self.unlocked && now >= self.reload_busy => {
+                self.reload = value & 0xFFF;
+                self.reload_busy = now + self.lsi_periods(5);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Whether `KR = 0xCCCC` was written since the reset.
+    pub fn running(&self) -> bool {
+        self.deadline.is_some()
+    }
+}

@@ -1,0 +1,336 @@
+//! RCC (RM0090 chapter 7): oscillators, PLL, prescalers, peripheral clocks and resets, reset flags.
+
+use super::{Part, Problem};
+use crate::{Time, can::Clock};
+
+const CR: u32 = 0x00;
+const PLLCFGR: u32 = 0x04;
+const CFGR: u32 = 0x08;
+const APB1RSTR: u32 = 0x20;
+const AHB1ENR: u32 = 0x30;
+const APB1ENR: u32 = 0x40;
+const APB2ENR: u32 = 0x44;
+const CSR: u32 = 0x74;
+
+const HSION: u32 = 1 << 0;
+const HSEON: u32 = 1 << 16;
+const PLLON: u32 = 1 << 24;
+const PLLI2SON: u32 = 1 << 26;
+const PLLSAION: u32 = 1 << 28;
+const LSION: u32 = 1 << 0;
+const RMVF: u32 = 1 << 24;
+
+/// Typical start-up times from the F405 data sheet: crystal, PLL lock and LSI.
+const HSE_START: Time = Time::from_ms(2);
+const PLL_LOCK: Time = Time::from_us(100);
+const LSI_START: Time = Time::from_us(20);
+
+/// The internal oscillator, taken as exact.
+const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
+
+/// What made the chip start over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum ResetCause {
+    /// The supply came up.
+    PowerOn,
+    /// The NRST pin was pulled low.
+    Pin,
+    /// `AIRCR.SYSRESETREQ`.
+    Software,
+    /// The independent watchdog ran out.
+    Watchdog,
+}
+
+impl ResetCause {
+    /// The RCC_CSR flags that the reset sets: every internal source also pulls NRST.
+    const fn flags(self) -> u32 {
+        match self {
+            Self::PowerOn => 0x0E00_0000,
+            Self::Pin => 1 << 26,
+            Self::Software => 1 << 28 | 1 << 26,
+            Self::Watchdog => 1 << 29 | 1 << 26,
+        }
+    }
+}
+
+/// The clocks of the present RCC settings, each with the error of the oscillator that it comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Clocks {
+    /// System clock.
+    pub sysclk: Clock,
+    /// CPU, AHB and SysTick.
+    pub hclk: Clock,
+    /// APB1: CAN, IWDG's registers, PWR.
+    pub pclk1: Clock,
+    /// APB2: SYSCFG, EXTI.
+    pub pclk2: Clock,
+}
+
+/// A peripheral with an enable bit in RCC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gate {
+    /// GPIO port 0 = A.
+    Gpio(u8),
+    /// CAN1.
+    Can1,
+    /// PWR.
+    Pwr,
+    /// SYSCFG.
+    Syscfg,
+}
+
+impl Gate {
+    const fn enable(self) -> (u32, u32) {
+        match self {
+            Self::Gpio(port) => (AHB1ENR, port as u32),
+            Self::Can1 => (APB1ENR, 25),
+            Self::Pwr => (APB1ENR, 28),
+            Self::Syscfg => (APB2ENR, 14),
+        }
+    }
+}
+
+/// The reset and clock control block.
+#[derive(Debug)]
+pub struct Rcc {
+    part: Part,
+    crystal: Clock,
+    regs: [u32; 38],
+    hse_ready: Time,
+    pll_ready: [Time; 3],
+    lsi_ready: Time,
+}
+
+impl Rcc {
+    /// After power-on, with `crystal` as HSE.
+    pub fn new(part: Part, crystal: Clock) -> Self {
+        let mut rcc = Self {
+            part,
+            crystal,
+            regs: [0; 38],
+            hse_ready: Time::MAX,
+            pll_ready: [Time::MAX; 3],
+            lsi_ready: Time::MAX,
+        };
+        rcc.reset(ResetCause::PowerOn);
+        rcc
+    }
+
+    /// Puts every register at its reset value; reset flags add up until RMVF or a power-on.
+    pub fn reset(&mut self, cause: ResetCause) {
+        let flags = match cause {
+            ResetCause::PowerOn => 0,
+            _ => self.reg(CSR) & 0xFE00_0000,
+        };
+        let backup_domain = if cause == ResetCause::PowerOn { 0 } else { self.reg(0x70) };
+        self.regs = [0; 38];
+        let ccm = if self.part.ccm_size() > 0 { 1 << 20 } else { 0 };
+        for (offset, value) in [
+            (CR, 0x83),
+            (PLLCFGR, 0x2400_3010),
+            (AHB1ENR, ccm),
+            (0x50, 0x7E67_91FF),
+            (0x54, 0x0000_00F1),
+            (0x58, 0x0000_0001),
+            (0x60, 0x36FE_C9FF),
+            (0x64, 0x0007_5F33),
+            (0x70, backup_domain),
+            (CSR, flags | cause.flags()),
+            (0x84, 0x2000_3000),
+            (0x88, 0x2400_3000),
+        ] {
+            self.regs[offset as usize / 4] = value;
+        }
+        self.hse_ready = Time::MAX;
+        self.pll_ready = [Time::MAX; 3];
+        self.lsi_ready = Time::MAX;
+    }
+
+    fn reg(&self, offset: u32) -> u32 {
+        self.regs[offset as usize / 4]
+    }
+
+    /// Whether the peripheral's clock is on.
+    pub fn enabled(&self, gate: Gate) -> bool {
+        let (register, bit) = gate.enable();
+        self.reg(register) >> bit & 1 == 1
+    }
+
+    /// Whether RCC holds the peripheral in reset.
+    pub fn held_in_reset(&self, gate: Gate) -> bool {
+        let (register, bit) = gate.enable();
+        self.reg(register - 0x20) >> bit & 1 == 1
+    }
+
+    /// A register's value, or `None` where the part has none.
+    pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
+        if !self.exists(offset) {
+            return None;
+        }
+        let value = self.reg(offset);
+        Some(match offset {
+            CR => {
+                let mut cr = value & !(0x2 | 1 << 17 | 1 << 25 | 1 << 27 | 1 << 29);
+                cr |= (value & HSION) << 1;
+                for (on, ready) in [
+                    (HSEON, self.hse_ready),
+                    (PLLON, self.pll_ready[0]),
+                    (PLLI2SON, self.pll_ready[1]),
+                    (PLLSAION, self.pll_ready[2]),
+                ] {
+                    if value & on != 0 && now >= ready {
+                        cr |= on << 1;
+                    }
+                }
+                cr
+            }
+            CFGR => value & !0xC | (value & 3) << 2,
+            CSR if value & LSION != 0 && now >= self.lsi_ready => value | LSION << 1,
+            _ => value,
+        })
+    }
+
+    /// Writes a register; what a real chip would not accept is returned as a problem and, as there, ignored.
+    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        if !self.exists(offset) {
+            return Err(Problem::Unmodelled);
+        }
+        let old = self.reg(offset);
+        let mut value = value;
+        match offset {
+            CR => return self.write_cr(old, value, now),
+            PLLCFGR if self.reg(CR) & PLLON != 0 && value != old => {
+                return Err(Problem::Misuse("PLLCFGR written while the PLL is on"));
+            }
+            CFGR => {
+                let ready = match value & 3 {
+                    0 => true,
+                    1 => now >= self.hse_ready,
+                    2 => now >= self.pll_ready[0],
+                    _ => false,
+                };
+                if !ready {
+                    return Err(Problem::Misuse("SYSCLK switched to a source that is not ready"));
+                }
+                value &= !0xC;
+            }
+            CSR => {
+                if value & LSION != 0 && old & LSION == 0 {
+                    self.lsi_ready = now + LSI_START;
+                }
+                let flags = if value & RMVF != 0 { 0 } else { old & 0xFE00_0000 };
+                value = value & LSION | flags;
+            }
+            _ => {}
+        }
+        self.regs[offset as usize / 4] = value;
+        if offset == CFGR { self.check_limits() } else { Ok(()) }
+    }
+
+    fn write_cr(&mut self, old: u32, value: u32, now: Time) -> Result<(), Problem> {
+        let source = self.reg(CFGR) & 3;
+        let needs_hse = source == 1 || source == 2 && self.reg(PLLCFGR) >> 22 & 1 == 1;
+        if (source == 2 && value & PLLON == 0) || (needs_hse && value & HSEON == 0) {
+            return Err(Problem::Misuse("a clock that SYSCLK depends on was switched off"));
+        }
+        let starts = |bit: u32| value & bit != 0 && old & bit == 0;
+        if starts(HSEON) {
+            self.hse_ready = now + HSE_START;
+        }
+        for (index, bit) in [PLLON, PLLI2SON, PLLSAION].into_iter().enumerate() {
+            if starts(bit) {
+                self.pll_ready[index] = now + PLL_LOCK;
+            }
+        }
+        self.regs[CR as usize / 4] = value;
+        if value & HSEON == 0 {
+            self.hse_ready = Time::MAX;
+        }
+        for (index, bit) in [PLLON, PLLI2SON, PLLSAION].into_iter().enumerate() {
+            if value & bit == 0 {
+                self.pll_ready[index] = Time::MAX;
+            }
+        }
+        if starts(PLLON) { self.check_pll() } else { Ok(()) }
+    }
+
+    /// Starts LSI on behalf of the watchdog, which keeps it on.
+    pub fn force_lsi(&mut self, now: Time) {
+        if self.reg(CSR) & LSION == 0 {
+            self.regs[CSR as usize / 4] |= LSION;
+            self.lsi_ready = now + LSI_START;
+        }
+    }
+
+    fn exists(&self, offset: u32) -> bool {
+        match offset {
+            0x00..=0x18 | 0x20 | 0x24 | 0x30..=0x38 | 0x40 | 0x44 | 0x50..=0x58 | 0x60 | 0x64 => true,
+            0x70 | 0x74 | 0x80 | 0x84 => true,
+            0x88 | 0x8C => self.part.has_overdrive(),
+            0x90 | 0x94 => self.part == Part::Stm32f446,
+            _ => false,
+        }
+    }
+
+    /// What feeds the PLL.
+    fn pll_source(&self) -> Clock {
+        if self.reg(PLLCFGR) >> 22 & 1 == 1 { self.crystal } else { HSI }
+    }
+
+    /// Nominal frequencies of the PLL's input and its VCO.
+    fn pll(&self) -> (u64, u64) {
+        let pllcfgr = self.reg(PLLCFGR);
+        let source = u64::from(self.pll_source().hz);
+        let m = u64::from(pllcfgr & 0x3F).max(2);
+        let n = u64::from(pllcfgr >> 6 & 0x1FF);
+        (source / m, source * n / m)
+    }
+
+    fn check_pll(&self) -> Result<(), Problem> {
+        let (input, vco) = self.pll();
+        if !(950_000..=2_100_000).contains(&input) {
+            return Err(Problem::Misuse("PLL input outside 0.95..2.1 MHz"));
+        }
+        if !(100_000_000..=432_000_000).contains(&vco) {
+            return Err(Problem::Misuse("PLL VCO outside 100..432 MHz"));
+        }
+        Ok(())
+    }
+
+    fn check_limits(&self) -> Result<(), Problem> {
+        let clocks = self.clocks();
+        let (sysclk, pclk1, pclk2) = self.part.clock_limits();
+        if clocks.sysclk.hz > sysclk || clocks.pclk1.hz > pclk1 || clocks.pclk2.hz > pclk2 {
+            return Err(Problem::Misuse("SYSCLK, APB1 or APB2 above the part's limit"));
+        }
+        Ok(())
+    }
+
+    /// The clocks that the registers now select.
+    pub fn clocks(&self) -> Clocks {
+        let cfgr = self.reg(CFGR);
+        let sysclk = match cfgr & 3 {
+            0 => HSI,
+            1 => self.crystal,
+            _ => {
+                let divider = 2 * (u64::from(self.reg(PLLCFGR) >> 16 & 3) + 1);
+                Clock { hz: (self.pll().1 / divider) as u32, ..self.pll_source() }
+            }
+        };
+        let ahb = match cfgr >> 4 & 0xF {
+            0..8 => 0,
+            code @ 8..12 => code - 7,
+            code => code - 6,
+        };
+        let apb = |code: u32| if code & 4 == 0 { 0 } else { (code & 3) + 1 };
+        let divided = |shift: u32| Clock { hz: sysclk.hz >> shift, ..sysclk };
+        Clocks {
+            sysclk,
+            hclk: divided(ahb),
+            pclk1: divided(ahb + apb(cfgr >> 10 & 7)),
+            pclk2: divided(ahb + apb(cfgr >> 13 & 7)),
+        }
+    }
+}
+
+const _: () = assert!(APB1RSTR + 0x20 == APB1ENR);

@@ -1,0 +1,143 @@
+//! Small blocks around the core: SYSCFG, EXTI, DBGMCU, and the factory data (unique id, flash size).
+
+use super::Part;
+
+/// SYSCFG (RM0090 chapter 9): memory remap, interrupt line selection, compensation cell.
+#[derive(Debug, Default)]
+pub struct Syscfg {
+    regs: [u32; 9],
+}
+
+impl Syscfg {
+    /// A register's value, or `None` where there is none.
+    pub fn read(&self, offset: u32) -> Option<u32> {
+        let value = *self.regs.get(offset as usize / 4)?;
+        // The compensation cell is ready as soon as it is on.
+        Some(if offset == 0x20 { value | (value & 1) << 8 } else { value })
+    }
+
+    /// Writes a register; false where there is none, or for a memory remap, which the emulator has not.
+    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+        let Some(register) = self.regs.get_mut(offset as usize / 4) else {
+            return false;
+        };
+        *register = value;
+        offset != 0 || value == 0
+    }
+}
+
+/// EXTI (RM0090 chapter 12): masks and software events; no pin leads to it.
+#[derive(Debug, Default)]
+pub struct Exti {
+    regs: [u32; 6],
+}
+
+impl Exti {
+    const IMR: usize = 0;
+    const SWIER: usize = 4;
+    const PR: usize = 5;
+
+    /// A register's value, or `None` where there is none.
+    pub fn read(&self, offset: u32) -> Option<u32> {
+        self.regs.get(offset as usize / 4).copied()
+    }
+
+    /// Writes a register; false where there is none.
+    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+        let value = value & 0x007F_FFFF;
+        match offset as usize / 4 {
+            Self::SWIER => {
+                let raised = value & !self.regs[Self::SWIER] & self.regs[Self::IMR];
+                self.regs[Self::SWIER] |= value;
+                self.regs[Self::PR] |= raised;
+            }
+            Self::PR => {
+                self.regs[Self::PR] &= !value;
+                self.regs[Self::SWIER] &= !value;
+            }
+            index @ 0..4 => self.regs[index] = value,
+            _ => return false,
+        }
+        true
+    }
+
+    /// Levels of the interrupts that EXTI drives, bit n for interrupt n.
+    pub fn irqs(&self) -> u128 {
+        let pending = self.regs[Self::PR] & self.regs[Self::IMR];
+        const LINES: [(u32, u32); 14] = [
+            (1, 6),
+            (1 << 1, 7),
+            (1 << 2, 8),
+            (1 << 3, 9),
+            (1 << 4, 10),
+            (0x1F << 5, 23),
+            (0x3F << 10, 40),
+            (1 << 16, 1),
+            (1 << 17, 41),
+            (1 << 18, 42),
+            (1 << 19, 62),
+            (1 << 20, 76),
+            (1 << 21, 2),
+            (1 << 22, 3),
+        ];
+        LINES.iter().filter(|(mask, _)| pending & mask != 0).map(|(_, irq)| 1 << irq).sum()
+    }
+}
+
+/// DBGMCU (RM0090 38.16): identification, and the freeze bits, which do nothing without a debugger.
+#[derive(Debug)]
+pub struct Dbgmcu {
+    regs: [u32; 4],
+}
+
+impl Dbgmcu {
+    /// After power-on.
+    pub fn new(part: Part) -> Self {
+        Self { regs: [part.id_code(), 0, 0, 0] }
+    }
+
+    /// A register's value, or `None` where there is none.
+    pub fn read(&self, offset: u32) -> Option<u32> {
+        self.regs.get(offset as usize / 4).copied()
+    }
+
+    /// Writes a register; false where there is none.
+    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+        match offset as usize / 4 {
+            index @ 1..4 => self.regs[index] = value,
+            _ => return false,
+        }
+        true
+    }
+}
+
+/// What the factory wrote into system memory (RM0090 chapter 39): read only.
+#[derive(Debug)]
+pub struct Factory {
+    unique_id: [u8; 12],
+    flash_kb: u16,
+}
+
+impl Factory {
+    /// First address of the one-time programmable bytes, which are all blank.
+    const OTP: u32 = 0x1FFF_7800;
+    const UNIQUE_ID: u32 = 0x1FFF_7A10;
+    const FLASH_SIZE: u32 = 0x1FFF_7A22;
+
+    /// The data of one chip.
+    pub fn new(part: Part, unique_id: [u8; 12]) -> Self {
+        Self { unique_id, flash_kb: (part.flash_size() / 1024) as u16 }
+    }
+
+    /// One byte, or `None` where nothing is known to be stored.
+    pub fn byte(&self, address: u32) -> Option<u8> {
+        let id = address.wrapping_sub(Self::UNIQUE_ID) as usize;
+        match address {
+            Self::OTP..Self::UNIQUE_ID => Some(0xFF),
+            _ if id < 12 => Some(self.unique_id[id]),
+            Self::FLASH_SIZE => Some(self.flash_kb.to_le_bytes()[0]),
+            0x1FFF_7A23 => Some(self.flash_kb.to_le_bytes()[1]),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,347 @@
+//! The engine: rsemu's ARMv7E-M core with the chip's memories mapped directly and its peripherals by call.
+
+mod bus;
+
+use std::sync::{Arc, Mutex, MutexGuard, atomic::Ordering::Relaxed};
+
+use rsemu::{
+    core::{
+        device::{Device, ResetKind},
+        space::RamStore,
+    },
+    cpu::arm::v7m::{ArmV7m, Config, sys::Exception},
+};
+
+use super::{Engine, Halt, Lockup, clock::CycleClock};
+use crate::{
+    Time,
+    chip::{Access, CCM_BASE, Chip, FLASH_BASE, Problem, RAM_BASE, Width},
+};
+use bus::Link;
+
+/// SYST_CSR: counter on, and its interrupt on.
+const SYSTICK_INTERRUPTS: u32 = 0b11;
+/// How many instructions may pass before a reset request is noticed.
+const RESET_POLL: u32 = 64;
+
+/// A Cortex-M4F that executes one instruction at a time.
+pub struct Rsemu {
+    cpu: ArmV7m,
+    chip: Arc<Mutex<Chip>>,
+    link: Arc<Link>,
+    flash: Arc<RamStore>,
+    ram: Arc<RamStore>,
+    ccm: Arc<RamStore>,
+    clock: CycleClock,
+    cycles: u64,
+    asleep_cycles: u64,
+    /// The CPU does nothing before this cycle.
+    stalled_until: u64,
+    /// The flash is busy: every fetch has to be checked.
+    flash_busy: bool,
+    /// The last instruction was a jump to itself, of so many cycles.
+    spin: Option<u64>,
+    irqs: u128,
+    polls: u32,
+}
+
+impl Rsemu {
+    /// A CPU for `chip`, not reset yet, with the chip's flash content and empty RAM.
+    pub fn new(chip: Arc<Mutex<Chip>>) -> Self {
+        let guard = lock(&chip);
+        let part = guard.part();
+        let clock = CycleClock::new(guard.clocks().hclk, 0, Time::ZERO);
+        drop(guard);
+        let link = Arc::new(Link::new(clock));
+        let flash = Arc::new(RamStore::new(part.flash_size().into()));
+        let ram = Arc::new(RamStore::new(part.ram_size().into()));
+        let ccm = Arc::new(RamStore::new(part.ccm_size().into()));
+        let config =
+            Config::CORTEX_M4F.with_priority_bits(4).with_reset_vtor(FLASH_BASE);
+        let cpu = ArmV7m::new(config);
+        cpu.attach_space(Arc::new(bus::address_space(&chip, &link, &flash, &ram, &ccm)));
+        let mut engine = Self {
+            cpu,
+            chip,
+            link,
+            flash,
+            ram,
+            ccm,
+            clock,
+            cycles: 0,
+            asleep_cycles: 0,
+            stalled_until: 0,
+            flash_busy: false,
+            spin: None,
+            irqs: 0,
+            polls: 0,
+        };
+        engine.sync_flash();
+        engine
+    }
+
+    /// Lets cycles pass in which the core executes nothing.
+    fn skip(&mut self, cycles: u64) {
+        self.cpu.with_sys(|sys| {
+            sys.tick_cyccnt(cycles);
+            if sys.tick_systick(cycles) && sys.syst_csr & SYSTICK_INTERRUPTS == SYSTICK_INTERRUPTS {
+                sys.set_pending(Exception::SYSTICK, true);
+            }
+        });
+        self.cycles += cycles;
+    }
+
+    /// Cycles until SysTick interrupts, if it will.
+    fn cycles_to_systick(&self) -> Option<u64> {
+        self.cpu.with_sys(|sys| {
+            let runs = sys.syst_csr & SYSTICK_INTERRUPTS == SYSTICK_INTERRUPTS && sys.syst_rvr != 0;
+            runs.then_some(match sys.syst_cvr {
+                0 => u64::from(sys.syst_rvr) + 1,
+                count => u64::from(count),
+            })
+        })
+    }
+
+    fn exception_pending(&self) -> bool {
+        self.cpu.with_sys(|sys| sys.highest_pending().is_some())
+    }
+
+    /// Jumps over the rest of a sleep, or over jumps of an instruction to itself, up to cycle `target`.
+    fn idle(&mut self, used: u64, target: u64) {
+        let asleep = self.cpu.is_asleep();
+        if asleep {
+            self.asleep_cycles += used;
+            if self.exception_pending() {
+                return;
+            }
+            self.check_sleep();
+        } else if used <= 3 {
+            self.spin = Some(used);
+        } else {
+            return;
+        }
+        let step = if asleep { 1 } else { used };
+        let room = target.saturating_sub(self.cycles);
+        let cycles = self.cycles_to_systick().map_or(room, |ticks| room.min(ticks));
+        let cycles = cycles - cycles % step;
+        if cycles > 0 {
+            self.skip(cycles);
+            if asleep {
+                self.asleep_cycles += cycles;
+            }
+        }
+    }
+
+    fn check_sleep(&self) {
+        let (deep, external_clock) =
+            self.cpu.with_sys(|sys| (sys.scr & 1 << 2 != 0, sys.syst_csr & 0b101 == 0b001));
+        if deep {
+            self.report(0xE000_ED10, Problem::Misuse("SLEEPDEEP: stop and standby are not modelled"));
+        }
+        if external_clock {
+            self.report(0xE000_E010, Problem::Misuse("SysTick on HCLK/8 is not modelled"));
+        }
+    }
+
+    fn report(&self, address: u32, problem: Problem) {
+        let access =
+            Access { address, width: Width::Word, now: self.now(), pc: self.link.pc.load(Relaxed) };
+        lock(&self.chip).report_core(access, problem);
+    }
+
+    /// Drives the interrupt inputs as the chip has them now.
+    fn sync_irqs(&mut self, chip_irqs: u128) {
+        let mut changed = self.irqs ^ chip_irqs;
+        while changed != 0 {
+            let irq = changed.trailing_zeros();
+            changed &= changed - 1;
+            self.cpu.set_irq(irq as u16, chip_irqs >> irq & 1 == 1);
+        }
+        self.irqs = chip_irqs;
+    }
+
+    /// Follows the chip after the program wrote to it.
+    fn after_write(&mut self, until: Time) -> Option<Halt> {
+        let chip = Arc::clone(&self.chip);
+        let mut chip = lock(&chip);
+        self.sync_irqs(chip.irqs());
+        let hclk = chip.clocks().hclk;
+        if hclk != self.clock.clock() {
+            self.clock.change(hclk, self.cycles);
+            self.link.set_clock(self.clock);
+        }
+        if let Some(range) = chip.flash_mut().take_changed() {
+            copy(&self.flash, range.start, &chip.flash().bytes()[range]);
+        }
+        self.flash_busy = chip.flash().operation_end().is_some();
+        if chip.take_can_written() {
+            Some(Halt::CanWritten)
+        } else if chip.next_event() < until {
+            Some(Halt::ChipWritten)
+        } else {
+            None
+        }
+    }
+
+    /// Notes a stall if the next fetch has to wait for the flash.
+    fn check_stall(&mut self, pc: u32) {
+        let now = self.now();
+        let chip = lock(&self.chip);
+        if let Some(end) = chip.stalled_until(pc, now) {
+            self.stalled_until = self.clock.cycle_at(end);
+        }
+        self.flash_busy = chip.flash().operation_end().is_some_and(|end| end > now);
+    }
+
+    fn reset_requested(&mut self) -> bool {
+        self.cpu.reset_requested()
+    }
+
+    fn store(&self, address: u32, length: usize) -> Option<(&RamStore, u64)> {
+        [(&self.ram, RAM_BASE), (&self.ccm, CCM_BASE), (&self.flash, FLASH_BASE)]
+            .into_iter()
+            .find_map(|(store, base)| {
+                let offset = u64::from(address.checked_sub(base)?);
+                (offset + length as u64 <= store.len()).then_some((store.as_ref(), offset))
+            })
+    }
+}
+
+impl Engine for Rsemu {
+    fn reset(&mut self, now: Time, hold: Time) {
+        // Warm would leave NVIC and SysTick on.
+        self.cpu.reset(ResetKind::Cold);
+        self.irqs = 0;
+        let hclk = lock(&self.chip).clocks().hclk;
+        // The new clock starts at the last whole cycle of the old one: time never goes back.
+        let reached = self.now().as_ps().max(now.as_ps());
+        self.clock = CycleClock::new(hclk, self.cycles, Time::from_ps(reached));
+        self.link.set_clock(self.clock);
+        self.stalled_until = self.clock.cycle_at(Time::from_ps(reached) + hold);
+        self.flash_busy = false;
+        self.spin = None;
+        self.sync_flash();
+    }
+
+    fn run(&mut self, until: Time) -> Halt {
+        let irqs = lock(&self.chip).irqs();
+        self.sync_irqs(irqs);
+        let mut target = self.clock.cycle_at(until);
+        let mut pc = self.cpu.pc();
+        while self.cycles < target {
+            if self.flash_busy {
+                self.check_stall(pc);
+            }
+            if self.stalled_until > self.cycles {
+                self.skip(self.stalled_until.min(target) - self.cycles);
+                continue;
+            }
+            self.link.cycles.store(self.cycles, Relaxed);
+            self.link.pc.store(pc, Relaxed);
+            let used = self.cpu.step();
+            self.cycles += used;
+            let next = self.cpu.pc();
+            if self.link.written.load(Relaxed) {
+                self.link.written.store(false, Relaxed);
+                if let Some(halt) = self.after_write(until) {
+                    return halt;
+                }
+                target = self.clock.cycle_at(until);
+            }
+            self.spin = None;
+            if next == pc {
+                self.idle(used, target);
+            }
+            pc = next;
+            self.polls += 1;
+            if self.polls >= RESET_POLL {
+                self.polls = 0;
+                if self.reset_requested() {
+                    return Halt::ResetRequested;
+                }
+            }
+        }
+        Halt::Deadline
+    }
+
+    fn now(&self) -> Time {
+        self.clock.time_at(self.cycles)
+    }
+
+    fn wake_time(&self) -> Time {
+        if self.stalled_until > self.cycles {
+            return self.clock.time_at(self.stalled_until);
+        }
+        let irqs = lock(&self.chip).irqs();
+        let interrupted = self.cpu.with_sys(|sys| {
+            sys.highest_pending().is_some()
+                || (0..128).any(|irq| irqs >> irq & 1 == 1 && sys.is_enabled(Exception(16 + irq)))
+        });
+        let idle = self.spin.is_some() || self.cpu.is_asleep();
+        if interrupted || !idle {
+            return self.now();
+        }
+        self.cycles_to_systick()
+            .map_or(Time::MAX, |cycles| self.clock.time_at(self.cycles + cycles))
+    }
+
+    fn cycles(&self) -> u64 {
+        self.cycles
+    }
+
+    fn busy_cycles(&self) -> u64 {
+        self.cycles - self.asleep_cycles
+    }
+
+    fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool {
+        self.store(address, bytes.len())
+            .is_some_and(|(store, offset)| store.read_at(offset, bytes).is_ok())
+    }
+
+    fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
+        address >= CCM_BASE
+            && self
+                .store(address, bytes.len())
+                .is_some_and(|(store, offset)| store.write_at(offset, bytes).is_ok())
+    }
+
+    fn sync_flash(&mut self) {
+        let mut chip = lock(&self.chip);
+        if let Some(range) = chip.flash_mut().take_changed() {
+            copy(&self.flash, range.start, &chip.flash().bytes()[range]);
+        }
+    }
+
+    fn scramble_ram(&mut self, seed: u64) {
+        let mut state = seed | 1;
+        for store in [&self.ram, &self.ccm] {
+            let bytes: Vec<u8> = (0..store.len())
+                .map(|_| {
+                    state ^= state << 13;
+                    state ^= state >> 7;
+                    state ^= state << 17;
+                    state as u8
+                })
+                .collect();
+            copy(store, 0, &bytes);
+        }
+    }
+
+    fn lockup(&self) -> Option<Lockup> {
+        self.cpu.is_locked_up().then(|| {
+            self.cpu.with_sys(|sys| Lockup { cfsr: sys.cfsr, hfsr: sys.hfsr, bfar: sys.bfar })
+        })
+    }
+
+    fn pc(&self) -> u32 {
+        self.cpu.pc()
+    }
+}
+
+fn lock(chip: &Mutex<Chip>) -> MutexGuard<'_, Chip> {
+    chip.lock().expect("a panic while the chip was in use")
+}
+
+fn copy(store: &RamStore, offset: usize, bytes: &[u8]) {
+    store.write_at(offset as u64, bytes).expect("the store has the size of the memory");
+}

@@ -1,0 +1,123 @@
+//! The bus matrix: which addresses are memory, and how loads and stores elsewhere reach the chip.
+
+use std::sync::{
+    Arc, Mutex,
+    atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering::Relaxed},
+};
+
+use rsemu::core::{
+    error::BusError,
+    space::{AddressSpace, Mapping, MemAttrs, MemOps, MemResult, Perms, RamStore, Region},
+};
+
+use crate::{
+    chip::{Access, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Width},
+    engine::clock::CycleClock,
+};
+
+/// What the CPU loop and the calls that its instructions cause tell each other.
+#[derive(Debug)]
+pub struct Link {
+    /// Cycle at which the present instruction started.
+    pub cycles: AtomicU64,
+    /// Its address.
+    pub pc: AtomicU32,
+    /// It stored to the chip.
+    pub written: AtomicBool,
+    clock: Mutex<CycleClock>,
+}
+
+impl Link {
+    pub fn new(clock: CycleClock) -> Self {
+        Self {
+            cycles: AtomicU64::new(0),
+            pc: AtomicU32::new(0),
+            written: AtomicBool::new(false),
+            clock: Mutex::new(clock),
+        }
+    }
+
+    /// Takes over a new clock.
+    pub fn set_clock(&self, clock: CycleClock) {
+        *self.clock.lock().expect("nothing panics while it holds the clock") = clock;
+    }
+}
+
+/// A range of addresses that the chip answers.
+#[derive(Debug)]
+struct Aperture {
+    base: u32,
+    chip: Arc<Mutex<Chip>>,
+    link: Arc<Link>,
+}
+
+impl Aperture {
+    fn access(&self, offset: u64, length: usize) -> Result<Access, BusError> {
+        let width = match length {
+            1 => Width::Byte,
+            2 => Width::Half,
+            4 => Width::Word,
+            _ => return Err(BusError::BadAccess),
+        };
+        let cycles = self.link.cycles.load(Relaxed);
+        let now = self.link.clock.lock().map_err(|_| BusError::BadAccess)?.time_at(cycles);
+        let address = self.base + offset as u32;
+        Ok(Access { address, width, now, pc: self.link.pc.load(Relaxed) })
+    }
+}
+
+impl MemOps for Aperture {
+    fn read(&self, offset: u64, dst: &mut [u8], _: MemAttrs) -> MemResult {
+        let access = self.access(offset, dst.len())?;
+        let mut chip = self.chip.lock().map_err(|_| BusError::BadAccess)?;
+        let value = chip.read(access).map_err(|BusFault| BusError::Unassigned)?;
+        dst.copy_from_slice(&value.to_le_bytes()[..dst.len()]);
+        Ok(())
+    }
+
+    fn write(&self, offset: u64, src: &[u8], _: MemAttrs) -> MemResult {
+        let access = self.access(offset, src.len())?;
+        let mut bytes = [0; 4];
+        bytes[..src.len()].copy_from_slice(src);
+        self.link.written.store(true, Relaxed);
+        let mut chip = self.chip.lock().map_err(|_| BusError::BadAccess)?;
+        chip.write(access, u32::from_le_bytes(bytes)).map_err(|BusFault| BusError::Unassigned)
+    }
+}
+
+/// The address map (RM0090 2.3): what is not in it is a BusFault.
+pub fn address_space(
+    chip: &Arc<Mutex<Chip>>,
+    link: &Arc<Link>,
+    flash: &Arc<RamStore>,
+    ram: &Arc<RamStore>,
+    ccm: &Arc<RamStore>,
+) -> AddressSpace {
+    let space = AddressSpace::new("cortex-m4", 32);
+    let memory = |name: &str, store: &Arc<RamStore>, base: u32, perms| {
+        Mapping::new(Region::ram(name, Arc::clone(store)), base.into()).with_perms(perms)
+    };
+    let calls = |name: &str, base: u32, length: u64, perms| {
+        let aperture = Aperture { base, chip: Arc::clone(chip), link: Arc::clone(link) };
+        Mapping::new(Region::io(name, length, Arc::new(aperture)), base.into()).with_perms(perms)
+    };
+    let mut mappings = vec![
+        memory("flash at reset", flash, 0, Perms::RX),
+        memory("flash", flash, FLASH_BASE, Perms::RX),
+        calls("flash programming", FLASH_BASE, flash.len(), Perms::WRITE),
+        calls("system memory", 0x1FFF_0000, 0x1_0000, Perms::RW),
+        memory("sram", ram, RAM_BASE, Perms::RWX),
+        calls("apb and ahb1", 0x4000_0000, 0x8_0000, Perms::RW),
+        calls("ahb2", 0x5000_0000, 0x6_1000, Perms::RW),
+        calls("dbgmcu", 0xE004_2000, 0x400, Perms::RW),
+    ];
+    if !ccm.is_empty() {
+        mappings.push(memory("ccm", ccm, CCM_BASE, Perms::RW));
+    }
+    let mut topology = space.topology();
+    for mapping in mappings {
+        topology.map_with(mapping).expect("every range lies in the 32-bit space");
+    }
+    drop(topology);
+    space
+}

@@ -1,0 +1,105 @@
+//! A firmware image: what an ELF file puts into flash, its symbols, and its defmt table.
+
+mod build;
+
+use std::{
+    collections::HashMap,
+    fmt, fs, io,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use defmt_decoder::Table;
+use object::{
+    Object, ObjectSymbol,
+    elf::{FileHeader32, PT_LOAD},
+    endian::Endianness,
+    read::elf::{ElfFile32, FileHeader, ProgramHeader},
+};
+
+/// A linked program. Clones share the content.
+#[derive(Clone, Debug)]
+pub struct Image(Arc<Content>);
+
+#[derive(Debug)]
+struct Content {
+    segments: Vec<(u32, Vec<u8>)>,
+    symbols: HashMap<String, u32>,
+    table: Option<Table>,
+}
+
+/// Why there is no image.
+#[derive(Debug)]
+pub enum ImageError {
+    /// The file cannot be read.
+    Io(PathBuf, io::Error),
+    /// The file is no 32-bit ELF file, or its defmt section has another format version.
+    Malformed(String),
+    /// `cargo` could not be run or said no; the text is what it said and what to do.
+    Build(String),
+}
+
+impl fmt::Display for ImageError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io(path, error) => write!(f, "cannot read {}: {error}", path.display()),
+            Self::Malformed(why) => write!(f, "not a firmware image: {why}"),
+            Self::Build(why) => write!(f, "the firmware does not build: {why}"),
+        }
+    }
+}
+
+impl std::error::Error for ImageError {}
+
+impl Image {
+    /// Reads an ELF file.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, ImageError> {
+        let path = path.as_ref();
+        let bytes = fs::read(path).map_err(|error| ImageError::Io(path.to_owned(), error))?;
+        Self::from_elf(&bytes)
+    }
+
+    /// Takes the content of an ELF file.
+    pub fn from_elf(bytes: &[u8]) -> Result<Self, ImageError> {
+        let malformed = |error: &dyn fmt::Display| ImageError::Malformed(error.to_string());
+        let header =
+            FileHeader32::<Endianness>::parse(bytes).map_err(|error| malformed(&error))?;
+        let endian = header.endian().map_err(|error| malformed(&error))?;
+        let mut segments = Vec::new();
+        for program in header.program_headers(endian, bytes).map_err(|error| malformed(&error))? {
+            let data = program
+                .data(endian, bytes)
+                .map_err(|()| malformed(&"a segment lies outside of the file"))?;
+            if program.p_type(endian) == PT_LOAD && !data.is_empty() {
+                segments.push((program.p_paddr(endian), data.to_vec()));
+            }
+        }
+        let file = ElfFile32::<Endianness>::parse(bytes).map_err(|error| malformed(&error))?;
+        let symbols = file
+            .symbols()
+            .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address() as u32)))
+            .collect();
+        let table = Table::parse(bytes).map_err(|error| malformed(&error))?;
+        Ok(Self(Arc::new(Content { segments, symbols, table })))
+    }
+
+    /// An image of bytes at addresses, without symbols.
+    pub fn from_segments(segments: Vec<(u32, Vec<u8>)>) -> Self {
+        Self(Arc::new(Content { segments, symbols: HashMap::new(), table: None }))
+    }
+
+    /// What is loaded where.
+    pub fn segments(&self) -> impl Iterator<Item = (u32, &[u8])> {
+        self.0.segments.iter().map(|(address, bytes)| (*address, bytes.as_slice()))
+    }
+
+    /// Address of a symbol.
+    pub fn symbol(&self, name: &str) -> Option<u32> {
+        self.0.symbols.get(name).copied()
+    }
+
+    /// The defmt strings, if the program logs.
+    pub(crate) fn defmt_table(&self) -> Option<&Table> {
+        self.0.table.as_ref()
+    }
+}

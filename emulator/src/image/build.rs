@@ -1,0 +1,103 @@
+//! Builds the workspace's firmware for a part, and says what to do where that fails.
+
+use std::{
+    env,
+    path::Path,
+    process::{Command, Output, Stdio},
+    sync::mpsc,
+    thread,
+    time::Duration,
+};
+
+use super::{Image, ImageError};
+use crate::chip::Part;
+
+const TARGET: &str = "thumbv7em-none-eabihf";
+/// A build that takes longer says that it is going on.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+impl Image {
+    /// Builds the release firmware for `part` with the `cargo` that runs us, and loads it.
+    ///
+    /// # Errors
+    /// What `cargo` said. A missing compilation target is installed with `rustup` first.
+    pub fn build(part: Part) -> Result<Self, ImageError> {
+        let mut output = cargo_build(part)?;
+        if !output.status.success() && stderr(&output).contains("target may not be installed") {
+            add_target()?;
+            output = cargo_build(part)?;
+        }
+        if !output.status.success() {
+            return Err(ImageError::Build(format!("\n{}", stderr(&output).trim_end())));
+        }
+        let messages = String::from_utf8_lossy(&output.stdout);
+        let path = executable(&messages).ok_or_else(|| {
+            ImageError::Build("cargo reported no executable for `lss-slave`".to_owned())
+        })?;
+        Self::load(path)
+    }
+}
+
+fn cargo_build(part: Part) -> Result<Output, ImageError> {
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
+    let mut command = Command::new(cargo);
+    command
+        .current_dir(workspace)
+        .args(["build", "--release", "--target", TARGET, "--features", part.name()])
+        .args(["--bin", "lss-slave", "--message-format", "json-render-diagnostics"])
+        // What the host's build was given is not meant for the firmware.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .env_remove("CARGO_BUILD_TARGET");
+    let (done, waiting) = mpsc::channel::<()>();
+    let notice = thread::spawn(move || {
+        if waiting.recv_timeout(PATIENCE) == Err(mpsc::RecvTimeoutError::Timeout) {
+            eprintln!("building the firmware for {} ...", part.name());
+        }
+    });
+    let output = run(&mut command);
+    drop(done);
+    notice.join().expect("the notice does not panic");
+    output
+}
+
+fn add_target() -> Result<(), ImageError> {
+    eprintln!("installing the compilation target {TARGET} ...");
+    let output = run(Command::new("rustup").args(["target", "add", TARGET]));
+    if output.is_ok_and(|output| output.status.success()) {
+        return Ok(());
+    }
+    Err(ImageError::Build(format!(
+        "the compilation target {TARGET} is missing. Install it with `rustup target add {TARGET}`"
+    )))
+}
+
+fn run(command: &mut Command) -> Result<Output, ImageError> {
+    command.stdin(Stdio::null()).output().map_err(|error| {
+        ImageError::Build(format!("cannot run `{}`: {error}", command.get_program().display()))
+    })
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// The path in the last `"executable":"..."` of cargo's messages.
+fn executable(messages: &str) -> Option<String> {
+    let (_, rest) = messages.rsplit_once("\"executable\":\"")?;
+    let (path, _) = rest.split_once('"')?;
+    Some(path.replace("\\\\", "\\"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_executable_is_found_in_cargos_messages() {
+        let messages = "{\"executable\":null}\n{\"executable\":\"C:\\\\t\\\\lss-slave\",\"fresh\":true}";
+        assert_eq!(executable(messages).as_deref(), Some("C:\\t\\lss-slave"));
+        assert_eq!(executable("{\"executable\":null}"), None);
+    }
+}

@@ -1,0 +1,86 @@
+//! The board after a reset: watchdog, clocks, pins, and who it is.
+
+use lss_slave::{BitRates, Device, lss::Address};
+use stm32f4xx_hal::{
+    gpio::alt::can1,
+    pac::{CAN1, DBGMCU, Peripherals, RCC},
+    rcc::{Config, Rcc, RccExt},
+    time::Hertz,
+    watchdog::IndependentWatchdog,
+};
+
+use crate::{device, flash::SettingsFlash};
+
+/// The watchdog's patience in ms. The longest silence of a healthy board is the erase of a 16 KB sector: 800 ms.
+const WATCHDOG_MS: u32 = 2_000;
+
+/// What the tasks need of the board.
+pub struct Board {
+    pub rcc: Rcc,
+    pub can: CAN1,
+    pub can_pins: (can1::Tx, can1::Rx),
+    pub settings_flash: SettingsFlash,
+    pub watchdog: IndependentWatchdog,
+}
+
+impl Board {
+    /// Sets the board up. The watchdog runs first, so that a crystal that does not start ends in a reset.
+    pub fn new(chip: Peripherals) -> Self {
+        log_reset_cause(&chip.RCC);
+        let mut watchdog = IndependentWatchdog::new(chip.IWDG);
+        watchdog.start(fugit::MillisDurationU32::from_ticks(WATCHDOG_MS));
+        let_debugger_watch(&watchdog, &chip.DBGMCU);
+
+        let mut clocks = Config::hse(Hertz::from_raw(device::CRYSTAL_HZ))
+            .sysclk(Hertz::from_raw(device::SYSCLK_HZ))
+            .pclk1(Hertz::from_raw(device::APB1_HZ));
+        if device::CRYSTAL_IS_EXTERNAL_CLOCK {
+            clocks = clocks.bypass_hse_oscillator();
+        }
+        let mut rcc = chip.RCC.freeze(clocks);
+        let can_pins = device::can_pins(chip.GPIOB, &mut rcc);
+        let settings_flash = SettingsFlash::new(chip.FLASH);
+        Self { rcc, can: chip.CAN1, can_pins, settings_flash, watchdog }
+    }
+}
+
+/// What the device is on the bus.
+pub fn device() -> Device {
+    Device {
+        address: Address {
+            vendor_id: device::VENDOR_ID,
+            product_code: device::PRODUCT_CODE,
+            revision_number: device::REVISION_NUMBER,
+            serial_number: serial_number(),
+        },
+        bit_rates: BitRates::possible(device::APB1_HZ),
+    }
+}
+
+/// A serial number from the chip's 96-bit unique id (RM0090, 39.1), mixed so that chips of one wafer differ: FNV-1a.
+fn serial_number() -> u32 {
+    const UNIQUE_ID: *const [u8; 12] = 0x1FFF_7A10 as *const _;
+    // SAFETY: read-only memory of every STM32F4.
+    let unique_id = unsafe { UNIQUE_ID.read() };
+    unique_id
+        .iter()
+        .fold(0x811C_9DC5, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
+}
+
+fn log_reset_cause(rcc: &RCC) {
+    let cause = rcc.csr().read();
+    if cause.wdgrstf().bit_is_set() {
+        defmt::warn!("reset by the watchdog: a task hung, or the crystal did not start");
+    } else if cause.sftrstf().bit_is_set() {
+        defmt::info!("reset by software");
+    } else {
+        defmt::info!("reset by power or by the reset pin");
+    }
+    rcc.csr().modify(|_, w| w.rmvf().set_bit());
+}
+
+/// RTT is read while the core sleeps, and a halted core must not be reset.
+fn let_debugger_watch(watchdog: &IndependentWatchdog, debug: &DBGMCU) {
+    watchdog.stop_on_debug(debug, true);
+    debug.cr().modify(|_, w| w.dbg_sleep().set_bit());
+}

@@ -1,0 +1,212 @@
+//! The CAN controller: bit timing, filters, reception, and the queue of frames that wait for a mailbox.
+
+use bxcan::{
+    Fifo, StandardId,
+    filter::{BankConfig, ListEntry16},
+};
+use heapless::Vec;
+use lss_slave::{BitRate, Frame, bit_rate::BitTiming};
+use stm32f4xx_hal::{
+    can::Can,
+    gpio::alt::can1,
+    pac::{self, CAN1, RCC},
+    rcc::Reset,
+};
+
+use crate::device::APB1_HZ;
+
+/// Reads of CAN_MSR after which the controller counts as not answering. Out of a reset it enters initialisation mode
+/// within a few clock cycles.
+const INIT_READS: u32 = 1_000;
+
+/// Reads of CAN_RF0R until a released FIFO shows its next frame: two APB1 cycles.
+const RELEASE_READS: u32 = 16;
+
+/// Frames that may wait for a mailbox. An LSS or SDO answer goes before the next request in the arbitration, so that
+/// only a bus that is full of other frames fills it.
+const QUEUE_LEN: usize = 16;
+
+/// CAN1 as the node uses it.
+pub struct Controller {
+    can: bxcan::Can<Can<CAN1>>,
+    bit_rate: BitRate,
+    receives: [u16; 2],
+    may_transmit: bool,
+    /// Sorted by COB-ID, the oldest of equals first.
+    queue: Vec<Frame, QUEUE_LEN>,
+}
+
+/// What CAN_ESR says of the controller's place on the bus (RM0090, 32.7.6).
+#[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
+pub enum ErrorState {
+    Active,
+    Passive,
+    BusOff,
+}
+
+impl Controller {
+    /// CAN1 on its pins, at `bit_rate` and receiving the COB-IDs `receives`.
+    ///
+    /// The first entry of initialisation mode, out of a reset, is the only wait in here without a limit of its own: the
+    /// watchdog bounds it.
+    pub fn new(
+        can: CAN1,
+        pins: (can1::Tx, can1::Rx),
+        rcc: &mut RCC,
+        bit_rate: BitRate,
+        receives: [u16; 2],
+    ) -> Self {
+        let can = bxcan::Can::builder(Can::new(can, pins, rcc)).leave_disabled();
+        let mut controller =
+            Self { can, bit_rate, receives, may_transmit: true, queue: Vec::new() };
+        controller.start();
+        controller
+    }
+
+    /// Runs at `bit_rate` from now on; whatever waited in a mailbox is lost.
+    pub fn set_bit_rate(&mut self, bit_rate: BitRate) {
+        self.bit_rate = bit_rate;
+        self.start();
+    }
+
+    /// Receives the COB-IDs `receives` from now on.
+    pub fn set_receives(&mut self, receives: [u16; 2]) {
+        self.receives = receives;
+        self.set_filters();
+    }
+
+    /// Resets the controller and sets it up anew: of all ways to another bit rate the one that waits for nothing. It takes
+    /// part in the bus by itself after 11 recessive bits, whenever they come (RM0090, 32.4.2).
+    fn start(&mut self) {
+        // SAFETY: the reset bit of CAN1 in RCC belongs to its owner.
+        unsafe { CAN1::reset_unchecked() };
+        let can = registers();
+        can.mcr().write(|w| w.sleep().clear_bit().inrq().set_bit());
+        if !(0..INIT_READS).any(|_| can.msr().read().inak().bit_is_set()) {
+            defmt::error!("CAN: the controller does not enter initialisation mode, will try again");
+            return;
+        }
+        // SAFETY: a value for the whole register.
+        can.btr().write(|w| unsafe { w.bits(BTR[usize::from(self.bit_rate.index())]) });
+        self.set_filters();
+        can.ier().write(|w| {
+            w.fmpie0().set_bit().tmeie().set_bit();
+            w.errie().set_bit().epvie().set_bit().bofie().set_bit()
+        });
+        can.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
+    }
+
+    /// Tries again what [`start`](Self::start) could not do.
+    pub fn supervise(&mut self) {
+        if registers().mcr().read().inrq().bit_is_set() {
+            self.start();
+        }
+    }
+
+    fn set_filters(&mut self) {
+        let entries = core::array::from_fn(|i| {
+            let cob_id = self.receives[i % self.receives.len()];
+            ListEntry16::data_frames_with_id(StandardId::new(cob_id).unwrap_or(StandardId::ZERO))
+        });
+        self.can.modify_filters().clear().enable_bank(0, Fifo::Fifo0, BankConfig::List16(entries));
+    }
+
+    /// The next frame from the receive FIFO.
+    pub fn receive(&mut self) -> Option<Frame> {
+        loop {
+            // A length code of 9..=15 is legal on the wire, but `bxcan::Frame` panics on it.
+            let fifo = registers().rfr(0);
+            if fifo.read().fmp().bits() > 0 && registers().rx(0).rdtr().read().dlc().bits() > 8 {
+                fifo.write(|w| w.rfom().set_bit());
+                let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
+                continue;
+            }
+            match self.can.rx0().receive() {
+                Ok(frame) => {
+                    if let Some(frame) = Frame::received(&frame) {
+                        return Some(frame);
+                    }
+                }
+                Err(nb::Error::Other(_)) => defmt::warn!("CAN: overrun, a received frame is lost"),
+                Err(nb::Error::WouldBlock) => return None,
+            }
+        }
+    }
+
+    /// Sends `frame` as soon as the bus allows it, unless transmitting is stopped.
+    pub fn transmit(&mut self, frame: Frame) {
+        if !self.may_transmit {
+            return;
+        }
+        let later = self.queue.iter().position(|waiting| waiting.cob_id() > frame.cob_id());
+        if self.queue.insert(later.unwrap_or(self.queue.len()), frame).is_err() {
+            defmt::warn!("CAN: too many frames wait, {=u16:#x} is lost", frame.cob_id());
+        }
+        self.fill_mailboxes();
+    }
+
+    /// A mailbox has become empty.
+    pub fn handle_transmitted(&mut self) {
+        self.can.clear_tx_interrupt();
+        self.fill_mailboxes();
+    }
+
+    /// `bxcan` keeps frames of one COB-ID in order and lets urgent ones overtake. It is asked only while a mailbox is free:
+    /// else it would wait for the bus.
+    fn fill_mailboxes(&mut self) {
+        const ANY_EMPTY: u32 = 0b111 << 26;
+        while registers().tsr().read().bits() & ANY_EMPTY != 0
+            && let Some(frame) = self.queue.first()
+            && let Some(data) = bxcan::Data::new(frame.data())
+            && let Some(id) = StandardId::new(frame.cob_id())
+            && self.can.transmit(&bxcan::Frame::new_data(id, data)).is_ok()
+        {
+            self.queue.remove(0);
+        }
+    }
+
+    /// Sends nothing until [`resume_transmitting`](Self::resume_transmitting), except for a frame that is on the bus now.
+    pub fn stop_transmitting(&mut self) {
+        const ABORT_ALL: u32 = 1 << 7 | 1 << 15 | 1 << 23;
+        self.may_transmit = false;
+        self.queue.clear();
+        // SAFETY: zeros have no effect in this register.
+        registers().tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
+    }
+
+    /// Ends [`stop_transmitting`](Self::stop_transmitting).
+    pub fn resume_transmitting(&mut self) {
+        self.may_transmit = true;
+    }
+
+    /// Acknowledges a status interrupt and tells the error state.
+    pub fn handle_status(&mut self) -> ErrorState {
+        registers().msr().write(|w| w.erri().set_bit());
+        let status = registers().esr().read();
+        match (status.boff().bit_is_set(), status.epvf().bit_is_set()) {
+            (true, _) => ErrorState::BusOff,
+            (_, true) => ErrorState::Passive,
+            _ => ErrorState::Active,
+        }
+    }
+}
+
+/// CAN_BTR for each index of the bit timing table; 0 where this clock has none, which the node never asks for.
+const BTR: [u32; 10] = {
+    let mut values = [0; 10];
+    let mut i = 0;
+    while i < BitRate::ALL.len() {
+        let rate = BitRate::ALL[i];
+        if let Some(timing) = BitTiming::solve(rate, APB1_HZ) {
+            values[rate.index() as usize] = timing.btr();
+        }
+        i += 1;
+    }
+    values
+};
+
+/// What `bxcan` gives no access to.
+fn registers() -> &'static pac::can1::RegisterBlock {
+    // SAFETY: all accesses to CAN1 come from its one owner, the `Controller`.
+    unsafe { &*CAN1::ptr() }
+}

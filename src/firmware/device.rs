@@ -1,0 +1,50 @@
+//! What makes the firmware your product: identity, defaults, clock and pins. This is the file to edit.
+
+use lss_slave::{BitRate, BitRates, Settings};
+use stm32f4xx_hal::{
+    gpio::{GpioExt, alt::can1},
+    pac::{GPIOB, RCC},
+};
+
+/// Your company's number, from CiA.
+pub const VENDOR_ID: u32 = 0x0000_0000;
+/// Your number for this product.
+pub const PRODUCT_CODE: u32 = 0x4C53_5334;
+/// Major revision in the upper 16 bits (what changes the behaviour on the bus), minor in the lower.
+pub const REVISION_NUMBER: u32 = 0x0001_0000;
+// The serial number comes from the chip's unique id, see `board::serial_number`.
+
+/// How a new device starts, until an LSS master stores something else.
+pub const DEFAULTS: Settings = Settings {
+    // None: not configured, the device waits for an LSS master. Else `NodeId::new(5)`, for example.
+    node_id: None,
+    bit_rate: BitRate::Kbit125,
+    // Milliseconds between heartbeats; 0: none.
+    heartbeat_ms: 1000,
+};
+
+/// The crystal (HSE) in Hz: a whole number of MHz from 4 to 26.
+pub const CRYSTAL_HZ: u32 = 8_000_000;
+/// Whether the clock comes from outside (a Nucleo's ST-LINK, an oscillator) and not from a crystal.
+pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
+
+/// The pins to the CAN transceiver. CAN1 can also use PA12 and PA11, or PD1 and PD0: change the port in all three places.
+pub fn can_pins(port: GPIOB, rcc: &mut RCC) -> (can1::Tx, can1::Rx) {
+    let pins = port.split(rcc);
+    (pins.pb9.into(), pins.pb8.into())
+}
+
+/// The core clock. 128 MHz with an APB1 clock of a quarter is the choice, legal for every chip here, from which all
+/// eight bit rates come out exact.
+pub const SYSCLK_HZ: u32 = 128_000_000;
+/// The clock of the CAN controller.
+pub const APB1_HZ: u32 = SYSCLK_HZ / 4;
+
+const _: () = {
+    assert!(CRYSTAL_HZ.is_multiple_of(1_000_000), "CRYSTAL_HZ must be a whole number of MHz");
+    assert!(4_000_000 <= CRYSTAL_HZ && CRYSTAL_HZ <= 26_000_000, "CRYSTAL_HZ must be 4 to 26 MHz");
+    assert!(
+        BitRates::possible(APB1_HZ).contains(DEFAULTS.bit_rate),
+        "DEFAULTS.bit_rate cannot be produced from APB1_HZ"
+    );
+};

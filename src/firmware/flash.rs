@@ -1,0 +1,145 @@
+//! The chip's flash, sectors 1 and 2, for the settings log (RM0090, chapter 3).
+
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash, check_erase, check_read,
+    check_write,
+};
+use stm32f4xx_hal::pac;
+
+/// Sectors 1 and 2, which `memory.x` keeps free of code.
+const START: u32 = 0x0800_4000;
+const FIRST_SECTOR: u8 = 1;
+const SECTORS: u32 = 2;
+const SECTOR_LEN: u32 = 16 * 1024;
+
+/// Reads of the status register after which an operation counts as hung. The core fetches from the same flash and
+/// stalls until an operation ends, so that in truth the first reads decide.
+const BUSY_READS: u32 = 100_000;
+
+/// FLASH_SR: busy, and the errors of programming and erasing.
+const BUSY: u32 = 1 << 16;
+const ERRORS: u32 = 0b1111_0010;
+
+/// The part of the flash that holds the settings log.
+pub struct SettingsFlash {
+    registers: pac::FLASH,
+}
+
+/// Why an operation failed.
+#[derive(Debug)]
+pub enum FlashError {
+    /// The address or length is not possible.
+    Range(NorFlashErrorKind),
+    /// It ended, or did not end, with these bits of FLASH_SR (RM0090, 3.9.5).
+    Status(u32),
+}
+
+impl NorFlashError for FlashError {
+    fn kind(&self) -> NorFlashErrorKind {
+        match self {
+            Self::Range(kind) => *kind,
+            Self::Status(_) => NorFlashErrorKind::Other,
+        }
+    }
+}
+
+impl SettingsFlash {
+    /// Takes the flash controller.
+    pub fn new(registers: pac::FLASH) -> Self {
+        Self { registers }
+    }
+
+    /// Runs `operation` with the control register unlocked and no error of an earlier one left.
+    fn operate(
+        &mut self,
+        operation: impl FnOnce(&Self) -> Result<(), FlashError>,
+    ) -> Result<(), FlashError> {
+        let flash = &self.registers;
+        // SAFETY: the two keys, in this order, unlock FLASH_CR (RM0090, 3.6.1); error bits are cleared by writing 1.
+        unsafe {
+            if flash.cr().read().lock().bit_is_set() {
+                flash.keyr().write(|w| w.key().bits(0x4567_0123));
+                flash.keyr().write(|w| w.key().bits(0xCDEF_89AB));
+            }
+            flash.sr().write(|w| w.bits(ERRORS));
+        }
+        let outcome = operation(self);
+        flash.cr().write(|w| w.lock().set_bit());
+        // What the data cache holds may be from before.
+        flash.acr().modify(|_, w| w.dcen().clear_bit());
+        flash.acr().modify(|_, w| w.dcrst().set_bit());
+        flash.acr().modify(|_, w| w.dcrst().clear_bit());
+        flash.acr().modify(|_, w| w.dcen().set_bit());
+        outcome
+    }
+
+    fn wait(&self) -> Result<(), FlashError> {
+        let mut status = BUSY;
+        for _ in 0..BUSY_READS {
+            status = self.registers.sr().read().bits();
+            if status & BUSY == 0 {
+                break;
+            }
+        }
+        match status & (BUSY | ERRORS) {
+            0 => Ok(()),
+            status => Err(FlashError::Status(status)),
+        }
+    }
+}
+
+impl ErrorType for SettingsFlash {
+    type Error = FlashError;
+}
+
+impl ReadNorFlash for SettingsFlash {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+        check_read(self, offset, bytes.len()).map_err(FlashError::Range)?;
+        for (address, byte) in (START + offset..).zip(bytes) {
+            // SAFETY: within the sectors; volatile, since the content changes behind the compiler's back.
+            *byte = unsafe { (address as *const u8).read_volatile() };
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        (SECTORS * SECTOR_LEN) as usize
+    }
+}
+
+impl NorFlash for SettingsFlash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR_LEN as usize;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+        check_erase(self, from, to).map_err(FlashError::Range)?;
+        self.operate(|flash| {
+            for sector in from / SECTOR_LEN..to / SECTOR_LEN {
+                let number = FIRST_SECTOR + sector as u8;
+                // SAFETY: the number of a sector that is ours; 32-bit parallelism needs 2.7 V (RM0090, table 9).
+                flash.registers.cr().write(|w| unsafe {
+                    w.psize().bits(2).ser().set_bit().snb().bits(number).strt().set_bit()
+                });
+                flash.wait()?;
+            }
+            Ok(())
+        })
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+        check_write(self, offset, bytes.len()).map_err(FlashError::Range)?;
+        self.operate(|flash| {
+            // SAFETY: as for erasing.
+            flash.registers.cr().write(|w| unsafe { w.psize().bits(2).pg().set_bit() });
+            let (words, _) = bytes.as_chunks();
+            for (address, word) in (START + offset..).step_by(4).zip(words) {
+                // SAFETY: an aligned word within the sectors; the controller programs what is stored there.
+                unsafe { (address as *mut u32).write_volatile(u32::from_le_bytes(*word)) };
+                flash.wait()?;
+            }
+            Ok(())
+        })
+    }
+}

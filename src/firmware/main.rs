@@ -1,0 +1,204 @@
+//! The firmware: an RTIC application that puts the LSS slave on an STM32F4.
+
+#![no_std]
+#![no_main]
+
+mod board;
+mod can;
+mod clock;
+mod device;
+mod flash;
+mod roll_call;
+mod slave;
+
+use cortex_m_rt::{ExceptionFrame, exception};
+use defmt_rtt as _;
+use panic_probe as _;
+
+#[cfg(not(any(
+    all(
+        feature = "stm32f405",
+        not(any(feature = "stm32f407", feature = "stm32f427", feature = "stm32f446"))
+    ),
+    all(
+        feature = "stm32f407",
+        not(any(feature = "stm32f405", feature = "stm32f427", feature = "stm32f446"))
+    ),
+    all(
+        feature = "stm32f427",
+        not(any(feature = "stm32f405", feature = "stm32f407", feature = "stm32f446"))
+    ),
+    all(
+        feature = "stm32f446",
+        not(any(feature = "stm32f405", feature = "stm32f407", feature = "stm32f427"))
+    ),
+)))]
+compile_error!("choose one chip: --features stm32f405, stm32f407, stm32f427 or stm32f446");
+
+#[rtic::app(device = stm32f4xx_hal::pac, dispatchers = [USART1, USART2, USART3])]
+mod app {
+    use lss_slave::{
+        Node, Settings,
+        lss::StoreError,
+        settings::{Found, Log},
+    };
+    use rtic_monotonics::systick::prelude::*;
+    use rtic_sync::{
+        make_signal,
+        signal::{SignalReader, SignalWriter},
+    };
+    use stm32f4xx_hal::{pac::Interrupt, watchdog::IndependentWatchdog};
+
+    use crate::{
+        board::{self, Board},
+        can::Controller,
+        clock::{self, Mono},
+        device,
+        flash::SettingsFlash,
+        roll_call::{self, Task},
+        slave::Slave,
+    };
+
+    #[shared]
+    struct Shared {
+        slave: Slave,
+    }
+
+    #[local]
+    struct Local {
+        log: Log<SettingsFlash>,
+        watchdog: IndependentWatchdog,
+        roll_call: SignalWriter<'static, ()>,
+    }
+
+    #[init]
+    fn init(cx: init::Context) -> (Shared, Local) {
+        let mut board = Board::new(cx.device);
+        clock::start(cx.core.SYST);
+
+        let (log, found) = Log::open(board.settings_flash);
+        let settings = log.settings().unwrap_or(device::DEFAULTS);
+        report(found, &settings);
+
+        let node = Node::new(board::device(), settings);
+        let can = Controller::new(
+            board.can,
+            board.can_pins,
+            &mut board.rcc,
+            node.bit_rate(),
+            node.receives(),
+        );
+        let (deadline_changed, changed) = make_signal!(());
+        let roll_call = deadline_changed.clone();
+        let slave = Slave::new(node, can, begin_store, deadline_changed);
+
+        let _ = deadlines::spawn(changed);
+        let _ = watch::spawn();
+        (Shared { slave }, Local { log, watchdog: board.watchdog, roll_call })
+    }
+
+    /// Sleeps. The debugger reads the log all the same.
+    #[idle]
+    fn idle(_: idle::Context) -> ! {
+        loop {
+            roll_call::answer(Task::Idle);
+            cortex_m::asm::wfi();
+        }
+    }
+
+    /// A frame has been received: the answer leaves from here. Late by more than three frames (150 us at 1 Mbit/s), frames
+    /// are lost.
+    #[task(binds = CAN1_RX0, shared = [slave], priority = 3)]
+    fn received(mut cx: received::Context) {
+        roll_call::answer(Task::Received);
+        cx.shared.slave.lock(Slave::handle_received);
+    }
+
+    /// A mailbox is empty: the next frame goes there. Late, another node's frame goes first.
+    #[task(binds = CAN1_TX, shared = [slave], priority = 3)]
+    fn transmitted(mut cx: transmitted::Context) {
+        roll_call::answer(Task::Transmitted);
+        cx.shared.slave.lock(Slave::handle_transmitted);
+    }
+
+    /// The controller has become error passive or bus-off; from the latter it recovers by itself.
+    #[task(binds = CAN1_SCE, shared = [slave], priority = 3)]
+    fn status(mut cx: status::Context) {
+        roll_call::answer(Task::Status);
+        cx.shared.slave.lock(Slave::handle_status);
+    }
+
+    /// Does what is due at a time: ends of switch delays, heartbeats. Late, the bit rate switches late: within 1 ms.
+    #[task(shared = [slave], priority = 3)]
+    async fn deadlines(mut cx: deadlines::Context, mut changed: SignalReader<'static, ()>) {
+        loop {
+            roll_call::answer(Task::Deadlines);
+            let deadline = cx.shared.slave.lock(Slave::handle_deadline);
+            clock::wait(changed.wait(), deadline).await;
+        }
+    }
+
+    /// Writes to the flash, below everything on the bus. The answer to store configuration waits for it: 20 ms at most.
+    #[task(local = [log], priority = 1)]
+    async fn store(cx: store::Context, settings: Settings) {
+        let outcome = cx.local.log.store(settings);
+        match outcome {
+            Ok(()) => defmt::info!("settings stored"),
+            Err(_) => defmt::error!("the flash refuses the settings; the old ones are kept"),
+        }
+        let _ = stored::spawn(outcome);
+    }
+
+    /// Brings the outcome of a store back to where frames are handled.
+    #[task(shared = [slave], priority = 3)]
+    async fn stored(mut cx: stored::Context, outcome: Result<(), StoreError>) {
+        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
+    }
+
+    /// Calls the roll four times a second and feeds the watchdog if everyone has answered; it bites after 2 s.
+    #[task(local = [watchdog, roll_call], shared = [slave], priority = 2)]
+    async fn watch(mut cx: watch::Context) {
+        loop {
+            if roll_call::is_everyone_present() {
+                cx.local.watchdog.feed();
+            }
+            for interrupt in [Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE] {
+                rtic::pend(interrupt);
+            }
+            cx.local.roll_call.write(());
+            cx.shared.slave.lock(Slave::supervise);
+            Mono::delay(250.millis()).await;
+        }
+    }
+
+    fn begin_store(settings: Settings) {
+        // Only one store runs at a time, so that the task is free.
+        let _ = store::spawn(settings);
+    }
+
+    fn report(found: Found, settings: &Settings) {
+        match found {
+            Found::Complete => {}
+            Found::Interrupted => {
+                defmt::warn!("the last store was interrupted; using the one before")
+            }
+            Found::Blank => defmt::info!("no settings stored yet; using the defaults"),
+            Found::Damaged => {
+                defmt::error!("the settings in flash are damaged; using the defaults")
+            }
+            Found::MediumFailed => defmt::error!("the flash fails; nothing can be stored"),
+        }
+        defmt::info!(
+            "node-ID {=u8:#x}, {=u16} kbit/s",
+            lss_slave::NodeId::to_lss(settings.node_id),
+            settings.bit_rate.kbit_per_s()
+        );
+    }
+}
+
+/// Also where a panic ends, after its message.
+#[exception]
+unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
+    defmt::error!("hard fault at {=u32:#x}, resetting", frame.pc());
+    cortex_m::peripheral::SCB::sys_reset();
+}

@@ -1,0 +1,240 @@
+//! A NOR flash in memory: its power can fail in every program and erase step, its operations can fail, its bits can stick.
+
+use std::{cell::RefCell, rc::Rc};
+
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
+};
+
+use super::random::Random;
+
+/// Two sectors of 16 KB that are written a word at a time: what the board has.
+pub type BoardFlash = Flash<4, 0x4000>;
+
+/// A flash of two sectors of `ERASE` bytes, written in units of `WRITE` bytes; clones are handles to the same chip.
+#[derive(Clone)]
+pub struct Flash<const WRITE: usize, const ERASE: usize>(Rc<RefCell<Chip>>);
+
+/// A kind of operation that can fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Operation {
+    Read,
+    /// The programming of one unit; one that fails programs any of its bits.
+    Write,
+    /// The erasure of one sector; one that fails leaves anything.
+    Erase,
+}
+
+#[derive(Clone)]
+struct Chip {
+    bytes: Vec<u8>,
+    /// Bits that read as 0 (as 1) whatever was programmed, by address.
+    stuck: Vec<(usize, u8, bool)>,
+    random: Random,
+    powered: bool,
+    /// Program and erase steps that come to their end before the power fails.
+    steps_until_cut: Option<usize>,
+    /// The operation that fails, after so many that do not, and whether only once.
+    fault: Option<(Operation, usize, bool)>,
+    writes: usize,
+    erases: usize,
+}
+
+impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
+    /// A new, blank chip. `seed` decides what interrupted operations leave.
+    pub fn blank(seed: u64) -> Self {
+        Self::with_content(vec![0xFF; 2 * ERASE], seed)
+    }
+
+    pub fn with_content(bytes: Vec<u8>, seed: u64) -> Self {
+        assert_eq!(bytes.len(), 2 * ERASE);
+        Self(Rc::new(RefCell::new(Chip {
+            bytes,
+            stuck: Vec::new(),
+            random: Random::from_seed(seed),
+            powered: true,
+            steps_until_cut: None,
+            fault: None,
+            writes: 0,
+            erases: 0,
+        })))
+    }
+
+    /// Another chip with the same content.
+    pub fn duplicate(&self, seed: u64) -> Self {
+        Self::with_content(self.content(), seed)
+    }
+
+    pub fn content(&self) -> Vec<u8> {
+        self.0.borrow().bytes.clone()
+    }
+
+    /// Changes what a cell holds behind the log's back.
+    pub fn corrupt(&self, at: usize, byte: u8) {
+        self.0.borrow_mut().bytes[at] = byte;
+    }
+
+    /// The bits `mask` of the byte at `at` read as `value` from now on, whatever is programmed.
+    pub fn stick(&self, at: usize, mask: u8, value: bool) {
+        self.0.borrow_mut().stuck.push((at, mask, value));
+    }
+
+    /// The power fails in the program or erase step after the next `steps`.
+    pub fn cut_power_after(&self, steps: usize) {
+        self.0.borrow_mut().steps_until_cut = Some(steps);
+    }
+
+    pub fn is_powered(&self) -> bool {
+        self.0.borrow().powered
+    }
+
+    /// Power is back, and does not fail again.
+    pub fn power_on(&self) {
+        let mut chip = self.0.borrow_mut();
+        chip.powered = true;
+        chip.steps_until_cut = None;
+    }
+
+    /// Every operation of this kind fails from now on.
+    pub fn fail(&self, operation: Operation) {
+        self.0.borrow_mut().fault = Some((operation, 0, false));
+    }
+
+    /// One operation of this kind fails, after `others` that succeed.
+    pub fn fail_once(&self, operation: Operation, others: usize) {
+        self.0.borrow_mut().fault = Some((operation, others, true));
+    }
+
+    /// Whether the failure that was asked for is still to come or lasts.
+    pub fn is_faulty(&self) -> bool {
+        self.0.borrow().fault.is_some()
+    }
+
+    pub fn repair(&self) {
+        let mut chip = self.0.borrow_mut();
+        chip.fault = None;
+        chip.stuck.clear();
+    }
+
+    /// How many units have been programmed.
+    pub fn writes(&self) -> usize {
+        self.0.borrow().writes
+    }
+
+    /// How many sectors have been erased.
+    pub fn erases(&self) -> usize {
+        self.0.borrow().erases
+    }
+}
+
+impl Chip {
+    fn byte(&self, at: usize) -> u8 {
+        self.stuck.iter().filter(|stuck| stuck.0 == at).fold(self.bytes[at], |byte, stuck| {
+            if stuck.2 { byte | stuck.1 } else { byte & !stuck.1 }
+        })
+    }
+
+    /// Whether the next operation comes to its end.
+    fn succeeds(&mut self, operation: Operation) -> bool {
+        if operation != Operation::Read {
+            match &mut self.steps_until_cut {
+                Some(0) => self.powered = false,
+                Some(steps) => *steps -= 1,
+                None => {}
+            }
+        }
+        if let Some((kind, others, once)) = &mut self.fault
+            && *kind == operation
+        {
+            if *others > 0 {
+                *others -= 1;
+            } else {
+                if *once {
+                    self.fault = None;
+                }
+                return false;
+            }
+        }
+        self.powered
+    }
+
+    fn program(&mut self, at: usize, unit: &[u8]) -> Result<(), NorFlashErrorKind> {
+        let is_blank = (at..at + unit.len()).all(|at| self.byte(at) == 0xFF);
+        assert!(is_blank, "address {at:#x} is programmed twice");
+        self.writes += 1;
+        let succeeds = self.succeeds(Operation::Write);
+        for (at, byte) in (at..).zip(unit) {
+            let left = if succeeds { 0 } else { self.random.byte() };
+            self.bytes[at] &= byte | left;
+        }
+        if succeeds { Ok(()) } else { Err(NorFlashErrorKind::Other) }
+    }
+
+    fn erase_sector(&mut self, at: usize, len: usize) -> Result<(), NorFlashErrorKind> {
+        self.erases += 1;
+        let succeeds = self.succeeds(Operation::Erase);
+        for part in self.bytes[at..at + len].chunks_mut(16) {
+            match self.random.within(0..5) {
+                _ if succeeds => part.fill(0xFF),
+                0 => part.fill(0xFF),
+                1 => part.fill_with(|| self.random.byte()),
+                2 => part.iter_mut().for_each(|byte| *byte |= self.random.byte()),
+                _ => {}
+            }
+        }
+        if succeeds { Ok(()) } else { Err(NorFlashErrorKind::Other) }
+    }
+}
+
+impl<const WRITE: usize, const ERASE: usize> ErrorType for Flash<WRITE, ERASE> {
+    type Error = NorFlashErrorKind;
+}
+
+impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for Flash<WRITE, ERASE> {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        check_read(self, offset, bytes.len()).expect("the log reads inside of the flash");
+        let mut chip = self.0.borrow_mut();
+        if !chip.powered || !chip.succeeds(Operation::Read) {
+            return Err(NorFlashErrorKind::Other);
+        }
+        for (at, byte) in (offset as usize..).zip(bytes) {
+            *byte = chip.byte(at);
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        2 * ERASE
+    }
+}
+
+impl<const WRITE: usize, const ERASE: usize> NorFlash for Flash<WRITE, ERASE> {
+    const WRITE_SIZE: usize = WRITE;
+    const ERASE_SIZE: usize = ERASE;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        check_erase(self, from, to).expect("the log erases whole sectors of the flash");
+        let mut chip = self.0.borrow_mut();
+        for at in (from as usize..to as usize).step_by(ERASE) {
+            if !chip.powered {
+                return Err(NorFlashErrorKind::Other);
+            }
+            chip.erase_sector(at, ERASE)?;
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        check_write(self, offset, bytes.len()).expect("the log writes whole units of the flash");
+        let mut chip = self.0.borrow_mut();
+        for (at, unit) in (offset as usize..).step_by(WRITE).zip(bytes.chunks(WRITE)) {
+            if !chip.powered {
+                return Err(NorFlashErrorKind::Other);
+            }
+            chip.program(at, unit)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,7 @@
+//! What the tests of the library share: a board around the node, a flash whose power can fail, frames as text, random numbers.
+#![allow(dead_code, reason = "each test file uses some of it")]
+
+pub mod board;
+pub mod flash;
+pub mod frames;
+pub mod random;
