@@ -39,7 +39,6 @@ compile_error!("choose one chip: --features stm32f405, stm32f407, stm32f427 or s
 mod app {
     use lss_slave::{
         Node, Settings,
-        lss::StoreError,
         settings::{Found, Log},
     };
     use rtic_monotonics::systick::prelude::*;
@@ -90,9 +89,12 @@ mod app {
         );
         let (deadline_changed, changed) = make_signal!(());
         let roll_call = deadline_changed.clone();
-        let slave = Slave::new(node, can, begin_store, deadline_changed);
+        let (store, requests) = make_signal!(Settings);
+        let slave = Slave::new(node, can, store, deadline_changed);
 
+        // Each task is spawned once, and so its place is free.
         let _ = deadlines::spawn(changed);
+        let _ = store::spawn(requests);
         let _ = watch::spawn();
         (Shared { slave }, Local { log, watchdog: board.watchdog, roll_call })
     }
@@ -138,21 +140,17 @@ mod app {
         }
     }
 
-    /// Writes to the flash, below everything on the bus. The answer to store configuration waits for it: 20 ms at most.
-    #[task(local = [log], priority = 1)]
-    async fn store(cx: store::Context, settings: Settings) {
-        let outcome = cx.local.log.store(settings);
-        match outcome {
-            Ok(()) => defmt::info!("settings stored"),
-            Err(_) => defmt::error!("the flash refuses the settings; the old ones are kept"),
+    /// Writes to the flash, below everything on the bus. Late, so is the answer to store configuration: 20 ms are allowed.
+    #[task(local = [log], shared = [slave], priority = 1)]
+    async fn store(mut cx: store::Context, mut requests: SignalReader<'static, Settings>) {
+        loop {
+            let outcome = cx.local.log.store(requests.wait().await);
+            match outcome {
+                Ok(()) => defmt::info!("settings stored"),
+                Err(_) => defmt::error!("the flash refuses the settings; the old ones are kept"),
+            }
+            cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
         }
-        let _ = stored::spawn(outcome);
-    }
-
-    /// Brings the outcome of a store back to where frames are handled.
-    #[task(shared = [slave], priority = 3)]
-    async fn stored(mut cx: stored::Context, outcome: Result<(), StoreError>) {
-        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
     }
 
     /// Calls the roll four times a second and feeds the watchdog if everyone has answered; it bites after 2 s.
@@ -169,11 +167,6 @@ mod app {
             cx.shared.slave.lock(Slave::supervise);
             Mono::delay(250.millis()).await;
         }
-    }
-
-    fn begin_store(settings: Settings) {
-        // Only one store runs at a time, so that the task is free.
-        let _ = store::spawn(settings);
     }
 
     fn report(found: Found, settings: &Settings) {

@@ -10,8 +10,8 @@ use crate::{can::Controller, clock};
 pub struct Slave {
     node: Node,
     can: Controller,
-    /// Begins a store, whose outcome comes back by [`Slave::handle_stored`].
-    store: fn(Settings),
+    /// Begins a store; its outcome comes back by [`Slave::handle_stored`].
+    store: SignalWriter<'static, Settings>,
     deadline: Option<Instant>,
     /// Tells the task that waits for the deadline that there is another.
     deadline_changed: SignalWriter<'static, ()>,
@@ -22,7 +22,7 @@ impl Slave {
     pub fn new(
         node: Node,
         can: Controller,
-        store: fn(Settings),
+        store: SignalWriter<'static, Settings>,
         deadline_changed: SignalWriter<'static, ()>,
     ) -> Self {
         Self { node, can, store, deadline: None, deadline_changed }
@@ -97,7 +97,7 @@ impl Slave {
                 self.can.set_bit_rate(rate);
             }
             Action::ResumeTransmitting => self.can.resume_transmitting(),
-            Action::Store(settings) => (self.store)(settings),
+            Action::Store(settings) => self.store.write(settings),
             Action::ResetDevice => {
                 defmt::info!("NMT reset node");
                 SCB::sys_reset();
