@@ -1,9 +1,15 @@
-//! The node: joins LSS, NMT and heartbeat; frames, time and outcomes of stores in, actions out.
+//! The node: joins LSS, NMT, SDO and emergency; frames, time and outcomes of stores in, actions out.
+
+mod objects;
+
+use core::mem;
 
 use crate::{
     BitRate, BitRates, Frame, Instant, NodeId, Settings,
+    emergency::{Emergency, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
+    sdo,
 };
 
 /// What the device is, as opposed to how it is set.
@@ -13,6 +19,14 @@ pub struct Device {
     pub address: lss::Address,
     /// The bit rates that the CAN controller can produce.
     pub bit_rates: BitRates,
+    /// The producer heartbeat time 1017h, in milliseconds, that 1011h restores.
+    pub heartbeat_ms: u16,
+    /// Manufacturer device name 1008h.
+    pub name: &'static str,
+    /// Manufacturer hardware version 1009h.
+    pub hardware_version: &'static str,
+    /// Manufacturer software version 100Ah.
+    pub software_version: &'static str,
 }
 
 /// What the board has to do now.
@@ -47,17 +61,25 @@ pub enum Action {
 /// A call that comes late or without need does no harm.
 #[derive(Clone, Debug)]
 pub struct Node {
+    device: Device,
     lss: Slave,
+    sdo: sdo::Server,
+    emergency: Emergency,
     /// [`nmt::State::Initialisation`] with a node-ID means that the boot-up is still to be sent.
     nmt: nmt::State,
     heartbeat_ms: u16,
     heartbeat_due: Instant,
+    /// The heartbeat time has been written, but not seen by a call that knows the time.
+    heartbeat_is_new: bool,
     switch: Option<Switch>,
     /// An NMT command that came during a switch and is to be carried out now.
     command: Option<Command>,
+    persistent: Settings,
     store: Store,
-    /// Requests to store that have not been answered.
-    stores: u8,
+    /// Store configuration requests of LSS that have not been answered.
+    lss_stores: u8,
+    /// A store by SDO that has not begun: index and sub-index for its answer, and the heartbeat time.
+    sdo_store: Option<(u16, u8, u16)>,
 }
 
 /// An activation of bit timing on its way (CiA 305, activate bit timing parameters).
@@ -78,8 +100,18 @@ enum Phase {
 #[derive(Clone, Copy, Debug)]
 enum Store {
     Idle,
-    Running,
-    Done(Result<(), StoreError>),
+    Running(Settings, Requester),
+    Done(Result<(), StoreError>, Requester),
+}
+
+/// Who waits for the outcome of a store.
+#[derive(Clone, Copy, Debug)]
+enum Requester {
+    Lss,
+    /// A client that wrote to this index and sub-index.
+    Sdo(u16, u8),
+    /// A client that was forgotten by a reset.
+    Nobody,
 }
 
 impl Node {
@@ -92,13 +124,19 @@ impl Node {
                 persistent.node_id,
                 persistent.bit_rate,
             ),
+            device,
+            sdo: sdo::Server::new(),
+            emergency: Emergency::new(),
             nmt: nmt::State::Initialisation,
             heartbeat_ms: persistent.heartbeat_ms,
             heartbeat_due: Instant::from_micros(0),
+            heartbeat_is_new: false,
             switch: None,
             command: None,
+            persistent,
             store: Store::Idle,
-            stores: 0,
+            lss_stores: 0,
+            sdo_store: None,
         }
     }
 
@@ -122,9 +160,11 @@ impl Node {
         self.lss.active_bit_rate()
     }
 
-    /// The COB-IDs of the frames that the node wants to see; it ignores all others.
-    pub const fn receives(&self) -> [u16; 2] {
-        [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID]
+    /// The COB-IDs of the frames that the node wants to see; it ignores all others. They change with the node-ID.
+    pub fn receives(&self) -> [u16; 3] {
+        // Without a node-ID there is nothing but LSS and NMT to see.
+        let sdo = self.sdo_request_cob_id().unwrap_or(lss::REQUEST_COB_ID);
+        [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo]
     }
 
     /// Takes a received frame.
@@ -132,13 +172,25 @@ impl Node {
         match frame.cob_id() {
             lss::REQUEST_COB_ID => self.handle_lss(frame.eight_bytes()?, now),
             nmt::COMMAND_COB_ID => self.handle_nmt(Command::from_frame(frame, self.node_id())?),
+            id if Some(id) == self.sdo_request_cob_id() => self.handle_sdo(frame.eight_bytes()?),
             _ => None,
         }
     }
 
     /// Takes the outcome of the last [`Action::Store`].
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
-        self.store = Store::Done(outcome);
+        if let Store::Running(settings, requester) = self.store {
+            if outcome.is_ok() {
+                self.persistent = settings;
+                self.emergency.settings_are_stored();
+            }
+            self.store = Store::Done(outcome, requester);
+        }
+    }
+
+    /// Takes note of a trouble that the board has seen, and tells it by an emergency message.
+    pub fn handle_fault(&mut self, fault: Fault) {
+        self.emergency.report(fault);
     }
 
     /// Does the next thing that is due at `now`; returns `None` when nothing is.
@@ -149,20 +201,7 @@ impl Node {
         if let Some(command) = self.command.take() {
             return self.handle_nmt(command).or_else(|| self.handle_deadline(now));
         }
-        if let Store::Done(outcome) = self.store {
-            self.store = Store::Idle;
-            self.stores = self.stores.saturating_sub(1);
-            return answer(Response::StoreConfiguration(outcome));
-        }
-        if matches!(self.store, Store::Idle) && self.stores > 0 {
-            self.store = Store::Running;
-            return Some(Action::Store(Settings {
-                node_id: self.lss.pending_node_id(),
-                bit_rate: self.lss.pending_bit_rate(),
-                heartbeat_ms: self.heartbeat_ms,
-            }));
-        }
-        self.boot_up_or_heartbeat(now)
+        self.store_or_answer().or_else(|| self.tell(now))
     }
 
     /// When [`handle_deadline`](Self::handle_deadline) must be called again, if no other call comes before.
@@ -186,7 +225,7 @@ impl Node {
                 Some(Action::StopTransmitting)
             }
             Reaction::StoreConfiguration => {
-                self.stores = self.stores.saturating_add(1);
+                self.lss_stores = self.lss_stores.saturating_add(1);
                 None
             }
             Reaction::ResetCommunication => self.reset_communication(),
@@ -213,8 +252,35 @@ impl Node {
         None
     }
 
+    fn handle_sdo(&mut self, request: &[u8; 8]) -> Option<Action> {
+        let is_served = matches!(self.nmt, nmt::State::PreOperational | nmt::State::Operational);
+        if !is_served || self.switch.is_some() {
+            return None;
+        }
+        let mut server = mem::replace(&mut self.sdo, sdo::Server::new());
+        let answer = server.handle(request, self);
+        self.sdo = server;
+        self.answer_sdo(answer?)
+    }
+
+    fn answer_sdo(&self, answer: [u8; 8]) -> Option<Action> {
+        let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
+        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer)))
+    }
+
+    fn sdo_request_cob_id(&self) -> Option<u16> {
+        self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
+    }
+
     fn reset_communication(&mut self) -> Option<Action> {
         self.lss.reset_communication();
+        self.sdo.reset();
+        self.sdo_store = None;
+        if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
+            && let Requester::Sdo(..) = requester
+        {
+            *requester = Requester::Nobody;
+        }
         self.nmt = nmt::State::Initialisation;
         Some(Action::SetNodeId(self.node_id()))
     }
@@ -242,21 +308,68 @@ impl Node {
         }
     }
 
-    fn boot_up_or_heartbeat(&mut self, now: Instant) -> Option<Action> {
+    /// One store at a time: begins the next, or answers the one that has come to its end.
+    fn store_or_answer(&mut self) -> Option<Action> {
+        match self.store {
+            Store::Running(..) => None,
+            Store::Done(outcome, requester) => {
+                self.store = Store::Idle;
+                match requester {
+                    Requester::Lss => {
+                        self.lss_stores = self.lss_stores.saturating_sub(1);
+                        answer(Response::StoreConfiguration(outcome))
+                    }
+                    Requester::Sdo(index, sub_index) => self.answer_sdo(match outcome {
+                        Ok(()) => sdo::confirm(index, sub_index),
+                        Err(_) => sdo::abort(index, sub_index, sdo::Abort::Hardware),
+                    }),
+                    Requester::Nobody => self.store_or_answer(),
+                }
+            }
+            Store::Idle => {
+                let (settings, requester) = if self.lss_stores > 0 {
+                    let settings = Settings {
+                        node_id: self.lss.pending_node_id(),
+                        bit_rate: self.lss.pending_bit_rate(),
+                        ..self.persistent
+                    };
+                    (settings, Requester::Lss)
+                } else {
+                    let (index, sub_index, heartbeat_ms) = self.sdo_store.take()?;
+                    let settings = Settings { heartbeat_ms, ..self.persistent };
+                    (settings, Requester::Sdo(index, sub_index))
+                };
+                self.store = Store::Running(settings, requester);
+                Some(Action::Store(settings))
+            }
+        }
+    }
+
+    /// Boot-up, emergency, heartbeat.
+    fn tell(&mut self, now: Instant) -> Option<Action> {
         let node = self.node_id()?;
         let period = u32::from(self.heartbeat_ms) * 1000;
-        let frame = nmt::error_control(node, self.nmt);
+        let error_control = nmt::error_control(node, self.nmt);
         if self.nmt == nmt::State::Initialisation {
             self.nmt = nmt::State::PreOperational;
             self.heartbeat_due = now.plus_micros(period);
-        } else if self.produces_heartbeat() && self.heartbeat_due.has_come(now) {
-            let next = self.heartbeat_due.plus_micros(period);
-            // After a long delay: one heartbeat, not all that were missed.
-            self.heartbeat_due = if next.has_come(now) { now.plus_micros(period) } else { next };
-        } else {
+            return Some(Action::Transmit(error_control));
+        }
+        if self.nmt != nmt::State::Stopped
+            && let Some(emergency) = self.emergency.next(node)
+        {
+            return Some(Action::Transmit(emergency));
+        }
+        if mem::take(&mut self.heartbeat_is_new) {
+            self.heartbeat_due = now.plus_micros(period);
+        }
+        if !self.produces_heartbeat() || !self.heartbeat_due.has_come(now) {
             return None;
         }
-        Some(Action::Transmit(frame))
+        let next = self.heartbeat_due.plus_micros(period);
+        // After a long delay: one heartbeat, not all that were missed.
+        self.heartbeat_due = if next.has_come(now) { now.plus_micros(period) } else { next };
+        Some(Action::Transmit(error_control))
     }
 
     fn produces_heartbeat(&self) -> bool {

@@ -2,7 +2,7 @@
 
 use lss_slave::{BitRates, Device, lss::Address};
 use stm32f4xx_hal::{
-    gpio::alt::can1,
+    gpio::{ErasedPin, Output, alt::can1},
     pac::{CAN1, DBGMCU, Peripherals, RCC},
     rcc::{Config, Rcc, RccExt},
     time::Hertz,
@@ -19,6 +19,7 @@ pub struct Board {
     pub rcc: Rcc,
     pub can: CAN1,
     pub can_pins: (can1::Tx, can1::Rx),
+    pub indicators: (ErasedPin<Output>, ErasedPin<Output>),
     pub settings_flash: SettingsFlash,
     pub watchdog: IndependentWatchdog,
 }
@@ -39,8 +40,9 @@ impl Board {
         }
         let mut rcc = chip.RCC.freeze(clocks);
         let can_pins = device::can_pins(chip.GPIOB, &mut rcc);
+        let indicators = device::indicator_pins(chip.GPIOD, &mut rcc);
         let settings_flash = SettingsFlash::new(chip.FLASH);
-        Self { rcc, can: chip.CAN1, can_pins, settings_flash, watchdog }
+        Self { rcc, can: chip.CAN1, can_pins, indicators, settings_flash, watchdog }
     }
 }
 
@@ -54,6 +56,10 @@ pub fn device() -> Device {
             serial_number: serial_number(),
         },
         bit_rates: BitRates::possible(device::APB1_HZ),
+        heartbeat_ms: device::DEFAULTS.heartbeat_ms,
+        name: device::NAME,
+        hardware_version: device::HARDWARE_VERSION,
+        software_version: device::SOFTWARE_VERSION,
     }
 }
 

@@ -5,7 +5,7 @@ use bxcan::{
     filter::{BankConfig, ListEntry16},
 };
 use heapless::Vec;
-use lss_slave::{BitRate, Frame, bit_rate::BitTiming};
+use lss_slave::{BitRate, Frame, bit_rate::BitTiming, indicator::BusState};
 use stm32f4xx_hal::{
     can::Can,
     gpio::alt::can1,
@@ -30,18 +30,17 @@ const QUEUE_LEN: usize = 16;
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
     bit_rate: BitRate,
-    receives: [u16; 2],
+    receives: [u16; 3],
     may_transmit: bool,
     /// Sorted by COB-ID, the oldest of equals first.
     queue: Vec<Frame, QUEUE_LEN>,
 }
 
-/// What CAN_ESR says of the controller's place on the bus (RM0090, 32.7.6).
-#[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
-pub enum ErrorState {
-    Active,
-    Passive,
-    BusOff,
+/// What can be received or cannot.
+pub enum Received {
+    Frame(Frame),
+    /// A frame was lost because three others waited.
+    Overrun,
 }
 
 impl Controller {
@@ -54,7 +53,7 @@ impl Controller {
         pins: (can1::Tx, can1::Rx),
         rcc: &mut RCC,
         bit_rate: BitRate,
-        receives: [u16; 2],
+        receives: [u16; 3],
     ) -> Self {
         let can = bxcan::Can::builder(Can::new(can, pins, rcc)).leave_disabled();
         let mut controller =
@@ -70,7 +69,7 @@ impl Controller {
     }
 
     /// Receives the COB-IDs `receives` from now on.
-    pub fn set_receives(&mut self, receives: [u16; 2]) {
+    pub fn set_receives(&mut self, receives: [u16; 3]) {
         self.receives = receives;
         self.set_filters();
     }
@@ -111,8 +110,8 @@ impl Controller {
         self.can.modify_filters().clear().enable_bank(0, Fifo::Fifo0, BankConfig::List16(entries));
     }
 
-    /// The next frame from the receive FIFO.
-    pub fn receive(&mut self) -> Option<Frame> {
+    /// The next frame from the receive FIFO, or that frames were lost.
+    pub fn receive(&mut self) -> Option<Received> {
         loop {
             // A length code of 9..=15 is legal on the wire, but `bxcan::Frame` panics on it.
             let fifo = registers().rfr(0);
@@ -124,10 +123,10 @@ impl Controller {
             match self.can.rx0().receive() {
                 Ok(frame) => {
                     if let Some(frame) = Frame::received(&frame) {
-                        return Some(frame);
+                        return Some(Received::Frame(frame));
                     }
                 }
-                Err(nb::Error::Other(_)) => defmt::warn!("CAN: overrun, a received frame is lost"),
+                Err(nb::Error::Other(_)) => return Some(Received::Overrun),
                 Err(nb::Error::WouldBlock) => return None,
             }
         }
@@ -179,14 +178,18 @@ impl Controller {
         self.may_transmit = true;
     }
 
-    /// Acknowledges a status interrupt and tells the error state.
-    pub fn handle_status(&mut self) -> ErrorState {
+    /// Acknowledges a status interrupt.
+    pub fn handle_status(&mut self) {
         registers().msr().write(|w| w.erri().set_bit());
+    }
+
+    /// The controller's place on the bus (RM0090, 32.7.6).
+    pub fn bus_state(&self) -> BusState {
         let status = registers().esr().read();
-        match (status.boff().bit_is_set(), status.epvf().bit_is_set()) {
-            (true, _) => ErrorState::BusOff,
-            (_, true) => ErrorState::Passive,
-            _ => ErrorState::Active,
+        match (status.boff().bit_is_set(), status.ewgf().bit_is_set()) {
+            (true, _) => BusState::BusOff,
+            (_, true) => BusState::Warning,
+            _ => BusState::Good,
         }
     }
 }

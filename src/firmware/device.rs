@@ -2,8 +2,8 @@
 
 use lss_slave::{BitRate, BitRates, Settings};
 use stm32f4xx_hal::{
-    gpio::{GpioExt, alt::can1},
-    pac::{GPIOB, RCC},
+    gpio::{ErasedPin, GpioExt, Output, alt::can1},
+    pac::{GPIOB, GPIOD, RCC},
 };
 
 /// Your company's number, from CiA.
@@ -12,6 +12,12 @@ pub const VENDOR_ID: u32 = 0x0000_0000;
 pub const PRODUCT_CODE: u32 = 0x4C53_5334;
 /// Major revision in the upper 16 bits (what changes the behaviour on the bus), minor in the lower.
 pub const REVISION_NUMBER: u32 = 0x0001_0000;
+/// Manufacturer device name, object 1008h.
+pub const NAME: &str = "LSS slave";
+/// Manufacturer hardware version, object 1009h.
+pub const HARDWARE_VERSION: &str = "1.0";
+/// Manufacturer software version, object 100Ah.
+pub const SOFTWARE_VERSION: &str = env!("CARGO_PKG_VERSION");
 // The serial number comes from the chip's unique id, see `board::serial_number`.
 
 /// How a new device starts, until an LSS master stores something else.
@@ -32,6 +38,13 @@ pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
 pub fn can_pins(port: GPIOB, rcc: &mut RCC) -> (can1::Tx, can1::Rx) {
     let pins = port.split(rcc);
     (pins.pb9.into(), pins.pb8.into())
+}
+
+/// The RUN (green) and ERR (red) indicators, driven high to light. These are two LEDs of an STM32F407 Discovery; where
+/// there are none, the pins move unseen.
+pub fn indicator_pins(port: GPIOD, rcc: &mut RCC) -> (ErasedPin<Output>, ErasedPin<Output>) {
+    let pins = port.split(rcc);
+    (pins.pd12.into_push_pull_output().erase(), pins.pd14.into_push_pull_output().erase())
 }
 
 /// The core clock. 128 MHz with an APB1 clock of a quarter is the choice, legal for every chip here, from which all

@@ -39,6 +39,8 @@ compile_error!("choose one chip: --features stm32f405, stm32f407, stm32f427 or s
 mod app {
     use lss_slave::{
         Node, Settings,
+        emergency::Fault,
+        indicator,
         settings::{Found, Log},
     };
     use rtic_monotonics::systick::prelude::*;
@@ -46,7 +48,11 @@ mod app {
         make_signal,
         signal::{SignalReader, SignalWriter},
     };
-    use stm32f4xx_hal::{pac::Interrupt, watchdog::IndependentWatchdog};
+    use stm32f4xx_hal::{
+        gpio::{ErasedPin, Output},
+        pac::Interrupt,
+        watchdog::IndependentWatchdog,
+    };
 
     use crate::{
         board::{self, Board},
@@ -66,6 +72,7 @@ mod app {
     #[local]
     struct Local {
         log: Log<SettingsFlash>,
+        indicators: (ErasedPin<Output>, ErasedPin<Output>),
         watchdog: IndependentWatchdog,
         roll_call: SignalWriter<'static, ()>,
     }
@@ -90,13 +97,18 @@ mod app {
         let (deadline_changed, changed) = make_signal!(());
         let roll_call = deadline_changed.clone();
         let (store, requests) = make_signal!(Settings);
-        let slave = Slave::new(node, can, store, deadline_changed);
+        let mut slave = Slave::new(node, can, store, deadline_changed);
+        if found == Found::Damaged {
+            slave.handle_fault(Fault::SettingsLost);
+        }
 
         // Each task is spawned once, and so its place is free.
         let _ = deadlines::spawn(changed);
         let _ = store::spawn(requests);
         let _ = watch::spawn();
-        (Shared { slave }, Local { log, watchdog: board.watchdog, roll_call })
+        let _ = indicate::spawn();
+        let Board { indicators, watchdog, .. } = board;
+        (Shared { slave }, Local { log, indicators, watchdog, roll_call })
     }
 
     /// Sleeps. The debugger reads the log all the same.
@@ -150,6 +162,18 @@ mod app {
                 Err(_) => defmt::error!("the flash refuses the settings; the old ones are kept"),
             }
             cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
+        }
+    }
+
+    /// Shows the state of the node. Late, it flickers unevenly.
+    #[task(local = [indicators], shared = [slave], priority = 1)]
+    async fn indicate(mut cx: indicate::Context) {
+        let (run, error) = cx.local.indicators;
+        loop {
+            let lit = cx.shared.slave.lock(Slave::indicate);
+            run.set_state(lit.run.into());
+            error.set_state(lit.error.into());
+            Mono::delay(u64::from(indicator::STEP_MS).millis()).await;
         }
     }
 

@@ -1,15 +1,25 @@
 //! The node on its board: hands over what arrives, carries out what the node answers.
 
 use cortex_m::peripheral::SCB;
-use lss_slave::{Action, Instant, Node, NodeId, Settings, lss::StoreError};
+use lss_slave::{
+    Action, Instant, Node, NodeId, Settings,
+    emergency::Fault,
+    indicator::{BusState, Indicators, Lit},
+    lss::{State, StoreError},
+};
 use rtic_sync::signal::SignalWriter;
 
-use crate::{can::Controller, clock};
+use crate::{
+    can::{Controller, Received},
+    clock,
+};
 
 /// The node and its controller.
 pub struct Slave {
     node: Node,
     can: Controller,
+    was_bus_off: bool,
+    indicators: Indicators,
     /// Begins a store; its outcome comes back by [`Slave::handle_stored`].
     store: SignalWriter<'static, Settings>,
     deadline: Option<Instant>,
@@ -25,14 +35,30 @@ impl Slave {
         store: SignalWriter<'static, Settings>,
         deadline_changed: SignalWriter<'static, ()>,
     ) -> Self {
-        Self { node, can, store, deadline: None, deadline_changed }
+        Self {
+            node,
+            can,
+            was_bus_off: false,
+            indicators: Indicators::default(),
+            store,
+            deadline: None,
+            deadline_changed,
+        }
     }
 
     /// Frames have been received.
     pub fn handle_received(&mut self) {
-        while let Some(frame) = self.can.receive() {
-            if let Some(action) = self.node.handle_frame(&frame, clock::now()) {
-                self.act(action);
+        while let Some(received) = self.can.receive() {
+            match received {
+                Received::Frame(frame) => {
+                    if let Some(action) = self.node.handle_frame(&frame, clock::now()) {
+                        self.act(action);
+                    }
+                }
+                Received::Overrun => {
+                    defmt::warn!("CAN: overrun, a received frame is lost");
+                    self.node.handle_fault(Fault::Overrun);
+                }
             }
             self.settle();
         }
@@ -45,7 +71,17 @@ impl Slave {
 
     /// The controller's error state has changed.
     pub fn handle_status(&mut self) {
-        defmt::warn!("CAN: error {}", self.can.handle_status());
+        self.can.handle_status();
+        if self.can.bus_state() == BusState::BusOff && !self.was_bus_off {
+            defmt::error!("CAN: bus-off");
+            self.was_bus_off = true;
+        }
+    }
+
+    /// The board has seen a trouble.
+    pub fn handle_fault(&mut self, fault: Fault) {
+        self.node.handle_fault(fault);
+        self.settle();
     }
 
     /// A store has come to its end.
@@ -61,9 +97,21 @@ impl Slave {
         self.deadline
     }
 
-    /// Looks after the controller, a few times a second.
+    /// Looks after the controller, a few times a second: nothing else tells that it has recovered from bus-off.
     pub fn supervise(&mut self) {
         self.can.supervise();
+        if self.was_bus_off && self.can.bus_state() != BusState::BusOff {
+            defmt::info!("CAN: recovered from bus-off");
+            self.was_bus_off = false;
+            self.handle_fault(Fault::BusOffRecovered);
+        }
+    }
+
+    /// What the indicators are to show for the next 50 ms.
+    pub fn indicate(&mut self) -> Lit {
+        let is_lss_active =
+            self.node.lss().state() == State::Configuration || self.node.node_id().is_none();
+        self.indicators.step(self.node.nmt_state(), is_lss_active, self.can.bus_state())
     }
 
     fn settle(&mut self) {

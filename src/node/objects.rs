@@ -1,0 +1,66 @@
+//! What the node answers for each object of the dictionary, and what writing to it does.
+
+use super::Node;
+use crate::{
+    emergency,
+    object_dictionary::{Entry, Object},
+    sdo::{Abort, Objects, Value, Written},
+};
+
+const SAVE: u32 = u32::from_le_bytes(*b"save");
+const LOAD: u32 = u32::from_le_bytes(*b"load");
+/// 1010h and 1011h, read: the device stores, or restores, on command.
+const ON_COMMAND: u32 = 1;
+/// 1000h: no device profile.
+const DEVICE_TYPE: u32 = 0;
+
+impl Objects for Node {
+    fn read(&self, object: Object) -> Value {
+        let address = self.lss.address();
+        let node_id = self.node_id().map_or(0, |id| u32::from(id.get()));
+        Value::Number(match object {
+            Object::DeviceName => return Value::Text(self.device.name),
+            Object::HardwareVersion => return Value::Text(self.device.hardware_version),
+            Object::SoftwareVersion => return Value::Text(self.device.software_version),
+            Object::DeviceType => DEVICE_TYPE,
+            Object::ErrorRegister => self.emergency.error_register().into(),
+            Object::StoreParameters | Object::RestoreDefaultParameters => ON_COMMAND,
+            Object::CobIdEmergency => u32::from(emergency::COB_ID) + node_id,
+            Object::ProducerHeartbeatTime => self.heartbeat_ms.into(),
+            Object::VendorId => address.vendor_id,
+            Object::ProductCode => address.product_code,
+            Object::RevisionNumber => address.revision_number,
+            Object::SerialNumber => address.serial_number,
+            Object::HighestSubIndex(highest) => highest.into(),
+        })
+    }
+
+    fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort> {
+        match (entry.object, value) {
+            (Object::ProducerHeartbeatTime, ms) => {
+                self.heartbeat_ms = ms as u16;
+                self.heartbeat_is_new = true;
+                Ok(Written::Now)
+            }
+            (Object::StoreParameters, SAVE) => self.request_store(entry, self.heartbeat_ms),
+            (Object::RestoreDefaultParameters, LOAD) => {
+                self.request_store(entry, self.device.heartbeat_ms)
+            }
+            (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
+                Err(Abort::NotStored)
+            }
+            _ => Err(Abort::ReadOnly),
+        }
+    }
+}
+
+impl Node {
+    /// What is stored by SDO is the heartbeat time; node-ID and bit rate belong to LSS and stay as they are.
+    fn request_store(&mut self, entry: &Entry, heartbeat_ms: u16) -> Result<Written, Abort> {
+        if self.sdo_store.is_some() {
+            return Err(Abort::Busy);
+        }
+        self.sdo_store = Some((entry.index, entry.sub_index, heartbeat_ms));
+        Ok(Written::Later)
+    }
+}

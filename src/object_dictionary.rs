@@ -1,0 +1,121 @@
+//! The object dictionary: the one table of what a tool can read and write by SDO (CiA 301, 7.5).
+
+/// An object, or a part of one, that the node holds.
+///
+/// To add one: name it here, give it a row in [`TABLE`], and let `node::objects` read (and write) it; then add it to the
+/// EDS, which a test compares with the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names are those of CiA 301")]
+pub enum Object {
+    DeviceType,
+    ErrorRegister,
+    DeviceName,
+    HardwareVersion,
+    SoftwareVersion,
+    StoreParameters,
+    RestoreDefaultParameters,
+    CobIdEmergency,
+    ProducerHeartbeatTime,
+    VendorId,
+    ProductCode,
+    RevisionNumber,
+    SerialNumber,
+    /// Sub-index 0 of an object with this many further ones.
+    HighestSubIndex(u8),
+}
+
+/// A CiA 301 data type; the value is its index in the dictionary, as an EDS names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+#[expect(missing_docs, reason = "the names are those of CiA 301")]
+pub enum DataType {
+    Unsigned8 = 0x05,
+    Unsigned16 = 0x06,
+    Unsigned32 = 0x07,
+    VisibleString = 0x09,
+}
+
+impl DataType {
+    /// Bytes of a number of this type; 0 for a string.
+    pub const fn size(self) -> u8 {
+        match self {
+            Self::Unsigned8 => 1,
+            Self::Unsigned16 => 2,
+            Self::Unsigned32 => 4,
+            Self::VisibleString => 0,
+        }
+    }
+}
+
+/// What a client may do with an object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names are those of CiA 306")]
+pub enum Access {
+    Const,
+    ReadOnly,
+    ReadWrite,
+}
+
+/// A row of the table.
+#[derive(Clone, Copy, Debug)]
+#[expect(missing_docs, reason = "the names say it")]
+pub struct Entry {
+    pub index: u16,
+    pub sub_index: u8,
+    pub data_type: DataType,
+    pub access: Access,
+    pub object: Object,
+}
+
+/// All objects, by index and sub-index.
+pub const TABLE: &[Entry] = &{
+    use Access::*;
+    use DataType::*;
+    use Object::*;
+    [
+        row(0x1000, 0, Unsigned32, Const, DeviceType),
+        row(0x1001, 0, Unsigned8, ReadOnly, ErrorRegister),
+        row(0x1008, 0, VisibleString, Const, DeviceName),
+        row(0x1009, 0, VisibleString, Const, HardwareVersion),
+        row(0x100A, 0, VisibleString, Const, SoftwareVersion),
+        row(0x1010, 0, Unsigned8, Const, HighestSubIndex(1)),
+        row(0x1010, 1, Unsigned32, ReadWrite, StoreParameters),
+        row(0x1011, 0, Unsigned8, Const, HighestSubIndex(1)),
+        row(0x1011, 1, Unsigned32, ReadWrite, RestoreDefaultParameters),
+        row(0x1014, 0, Unsigned32, ReadOnly, CobIdEmergency),
+        row(0x1017, 0, Unsigned16, ReadWrite, ProducerHeartbeatTime),
+        row(0x1018, 0, Unsigned8, Const, HighestSubIndex(4)),
+        row(0x1018, 1, Unsigned32, Const, VendorId),
+        row(0x1018, 2, Unsigned32, Const, ProductCode),
+        row(0x1018, 3, Unsigned32, Const, RevisionNumber),
+        row(0x1018, 4, Unsigned32, Const, SerialNumber),
+    ]
+};
+
+const fn row(
+    index: u16,
+    sub_index: u8,
+    data_type: DataType,
+    access: Access,
+    object: Object,
+) -> Entry {
+    Entry { index, sub_index, data_type, access, object }
+}
+
+/// The row of an object, or why there is none.
+pub(crate) fn find(index: u16, sub_index: u8) -> Result<&'static Entry, Missing> {
+    let mut missing = Missing::Object;
+    for entry in TABLE.iter().filter(|entry| entry.index == index) {
+        if entry.sub_index == sub_index {
+            return Ok(entry);
+        }
+        missing = Missing::SubIndex;
+    }
+    Err(missing)
+}
+
+/// What of an address in the dictionary is not there.
+pub(crate) enum Missing {
+    Object,
+    SubIndex,
+}

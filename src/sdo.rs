@@ -1,0 +1,210 @@
+//! The SDO server (CiA 301, 7.2.4): expedited transfers both ways, segmented upload for the names.
+
+use crate::object_dictionary::{self, Access, DataType, Entry, Missing, Object};
+
+/// Requests to a node have this COB-ID plus its node-ID.
+pub const REQUEST_COB_ID: u16 = 0x600;
+/// Answers of a node have this COB-ID plus its node-ID.
+pub const RESPONSE_COB_ID: u16 = 0x580;
+
+/// Why a transfer is aborted, with the code that goes to the client (CiA 301, table 22).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Abort {
+    /// A segment with the toggle bit of the one before.
+    Toggle = 0x0503_0000,
+    /// A command that is unknown or not offered, such as block transfer.
+    Command = 0x0504_0001,
+    /// A write to what can only be read.
+    ReadOnly = 0x0601_0002,
+    /// No such object.
+    NoObject = 0x0602_0000,
+    /// The settings could not be written.
+    Hardware = 0x0606_0000,
+    /// More data than the object holds.
+    TooLong = 0x0607_0012,
+    /// Less data than the object holds.
+    TooShort = 0x0607_0013,
+    /// The object exists, the sub-index does not.
+    NoSubIndex = 0x0609_0011,
+    /// Neither "save" nor "load" where it must be.
+    NotStored = 0x0800_0020,
+    /// A store is on its way already.
+    Busy = 0x0800_0021,
+}
+
+/// The value of an object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Value {
+    Number(u32),
+    Text(&'static str),
+}
+
+/// When a write has its effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Written {
+    Now,
+    /// The answer follows: [`confirm`] or [`abort`].
+    Later,
+}
+
+/// What the server reads and writes.
+pub(crate) trait Objects {
+    fn read(&self, object: Object) -> Value;
+    fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort>;
+}
+
+/// An SDO server: it remembers at most one segmented upload, which the next initiate ends.
+#[derive(Clone, Debug)]
+pub(crate) struct Server {
+    upload: Option<Upload>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Upload {
+    index: u16,
+    sub_index: u8,
+    rest: &'static [u8],
+    toggle: u8,
+}
+
+impl Server {
+    pub const fn new() -> Self {
+        Self { upload: None }
+    }
+
+    /// Ends whatever transfer is on its way, without a word to the client.
+    pub const fn reset(&mut self) {
+        self.upload = None;
+    }
+
+    /// Carries out a request and returns the answer, if there is one now.
+    pub fn handle(&mut self, request: &[u8; 8], objects: &mut impl Objects) -> Option<[u8; 8]> {
+        let &[command, i0, i1, sub_index, d0, d1, d2, d3] = request;
+        let index = u16::from_le_bytes([i0, i1]);
+        let data = [d0, d1, d2, d3];
+        let upload = self.upload.take();
+        let answer = match command >> 5 {
+            DOWNLOAD => download(command, index, sub_index, data, objects)
+                .map(|written| (written == Written::Now).then(|| confirm(index, sub_index))),
+            UPLOAD => self.begin_upload(index, sub_index, objects).map(Some),
+            UPLOAD_SEGMENT => match upload {
+                None => Err(Abort::Command),
+                Some(upload) => match self.continue_upload(upload, command & TOGGLE) {
+                    Ok(answer) => Ok(Some(answer)),
+                    Err(code) => return Some(abort(upload.index, upload.sub_index, code)),
+                },
+            },
+            ABORT => Ok(None),
+            _ => Err(Abort::Command),
+        };
+        answer.unwrap_or_else(|code| Some(abort(index, sub_index, code)))
+    }
+
+    fn begin_upload(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        objects: &impl Objects,
+    ) -> Result<[u8; 8], Abort> {
+        let entry = object_dictionary::find(index, sub_index)?;
+        match objects.read(entry.object) {
+            Value::Number(number) => {
+                let unused = 4 - entry.data_type.size();
+                Ok(message(0x43 | unused << 2, index, sub_index, number))
+            }
+            Value::Text(text) => {
+                let rest = text.as_bytes();
+                self.upload = Some(Upload { index, sub_index, rest, toggle: 0 });
+                Ok(message(0x41, index, sub_index, rest.len() as u32))
+            }
+        }
+    }
+
+    fn continue_upload(&mut self, upload: Upload, toggle: u8) -> Result<[u8; 8], Abort> {
+        if toggle != upload.toggle {
+            return Err(Abort::Toggle);
+        }
+        let (segment, rest) = upload.rest.split_at_checked(7).unwrap_or((upload.rest, &[]));
+        let mut answer = [0; 8];
+        for (to, from) in answer.iter_mut().skip(1).zip(segment) {
+            *to = *from;
+        }
+        let unused = 7 - segment.len() as u8;
+        answer[0] = toggle | unused << 1 | u8::from(rest.is_empty());
+        if !rest.is_empty() {
+            self.upload = Some(Upload { rest, toggle: toggle ^ TOGGLE, ..upload });
+        }
+        Ok(answer)
+    }
+}
+
+/// Client command specifiers: the upper three bits of a request's first byte.
+const DOWNLOAD: u8 = 1;
+const UPLOAD: u8 = 2;
+const UPLOAD_SEGMENT: u8 = 3;
+const ABORT: u8 = 4;
+const TOGGLE: u8 = 0x10;
+
+fn download(
+    command: u8,
+    index: u16,
+    sub_index: u8,
+    data: [u8; 4],
+    objects: &mut impl Objects,
+) -> Result<Written, Abort> {
+    const EXPEDITED: u8 = 0x02;
+    const SIZE_INDICATED: u8 = 0x01;
+    let entry = object_dictionary::find(index, sub_index)?;
+    if entry.access != Access::ReadWrite {
+        return Err(Abort::ReadOnly);
+    }
+    let number = u32::from_le_bytes(data);
+    let len = u32::from(entry.data_type.size());
+    let (expedited, indicated) = (command & EXPEDITED != 0, command & SIZE_INDICATED != 0);
+    let sent = match (expedited, indicated) {
+        (true, true) => 4 - u32::from(command >> 2 & 3),
+        (false, true) => number,
+        (_, false) => len,
+    };
+    if sent > len {
+        return Err(Abort::TooLong);
+    }
+    if sent < len {
+        return Err(Abort::TooShort);
+    }
+    if !expedited {
+        return Err(Abort::Command);
+    }
+    let value = match entry.data_type {
+        DataType::Unsigned8 => number & 0xFF,
+        DataType::Unsigned16 => number & 0xFFFF,
+        _ => number,
+    };
+    objects.write(entry, value)
+}
+
+/// The answer to a download that has been carried out.
+pub(crate) const fn confirm(index: u16, sub_index: u8) -> [u8; 8] {
+    message(0x60, index, sub_index, 0)
+}
+
+/// The message that ends a transfer.
+pub(crate) const fn abort(index: u16, sub_index: u8, code: Abort) -> [u8; 8] {
+    message(0x80, index, sub_index, code as u32)
+}
+
+const fn message(command: u8, index: u16, sub_index: u8, number: u32) -> [u8; 8] {
+    let [i0, i1] = index.to_le_bytes();
+    let [d0, d1, d2, d3] = number.to_le_bytes();
+    [command, i0, i1, sub_index, d0, d1, d2, d3]
+}
+
+impl From<Missing> for Abort {
+    fn from(missing: Missing) -> Self {
+        match missing {
+            Missing::Object => Self::NoObject,
+            Missing::SubIndex => Self::NoSubIndex,
+        }
+    }
+}
