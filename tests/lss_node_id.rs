@@ -104,7 +104,8 @@ fn power_on_brings_the_stored_node_id() {
 }
 
 #[test]
-fn reset_node_makes_the_persistent_node_id_pending_and_active_and_forgets_one_that_was_not_stored() {
+fn reset_node_makes_the_persistent_node_id_pending_and_active_and_forgets_one_that_was_not_stored()
+{
     let mut board = Board::with_node_id(0x40);
     board.lss("04 01");
     board.lss("11 05");

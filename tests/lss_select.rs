@@ -178,7 +178,11 @@ fn each_accepted_04_and_each_reset_ends_a_select_that_has_begun() {
     ] {
         let mut board = Board::with_node_id(0x40);
         send_all(&mut board, &SELECT[..3]);
-        if event.starts_with("04") { board.lss(event) } else { board.nmt(event) };
+        if event.starts_with("04") {
+            board.lss(event)
+        } else {
+            board.nmt(event)
+        };
         let answers = board.lss(SERIAL);
         assert_eq!(answers, if is_reset { &[][..] } else { &["44"][..] }, "{event}");
     }
@@ -197,7 +201,11 @@ fn each_accepted_04_and_each_reset_ends_an_identify_that_has_begun() {
     ] {
         let mut board = Board::with_node_id(0x40);
         send_all(&mut board, &IDENTIFY[..5]);
-        if event.starts_with("04") { board.lss(event) } else { board.nmt(event) };
+        if event.starts_with("04") {
+            board.lss(event)
+        } else {
+            board.nmt(event)
+        };
         let answers = board.lss(IDENTIFY[5]);
         assert_eq!(answers, if is_reset { &[][..] } else { &["4F"][..] }, "{event}");
     }

@@ -4,6 +4,7 @@ mod finding;
 mod flash;
 mod gpio;
 mod iwdg;
+mod map;
 mod part;
 mod pwr;
 mod rcc;
@@ -13,9 +14,11 @@ pub use finding::{Finding, Problem};
 pub use flash::{Flash, PowerCut, StuckBits, Timing};
 pub use gpio::{Gpio, Output, Pin};
 pub use iwdg::Iwdg;
+pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
 pub use part::Part;
 pub use rcc::{Clocks, ResetCause};
 
+use map::Block;
 use pwr::Pwr;
 use rcc::{Gate, Rcc};
 use system::{Dbgmcu, Exti, Factory, Syscfg};
@@ -25,60 +28,6 @@ use crate::{
     can::{Bxcan, Clock},
 };
 
-/// First address of the flash.
-pub const FLASH_BASE: u32 = 0x0800_0000;
-/// First address of the SRAM.
-pub const RAM_BASE: u32 = 0x2000_0000;
-/// First address of the core-coupled memory.
-pub const CCM_BASE: u32 = 0x1000_0000;
-
-/// Where the bus answers with an error: the CPU takes a BusFault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BusFault;
-
-/// Width of an access.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Width {
-    /// 8 bits.
-    Byte,
-    /// 16 bits.
-    Half,
-    /// 32 bits.
-    Word,
-}
-
-impl Width {
-    /// Number of bytes.
-    pub const fn bytes(self) -> u32 {
-        match self {
-            Self::Byte => 1,
-            Self::Half => 2,
-            Self::Word => 4,
-        }
-    }
-
-    const fn mask(self) -> u32 {
-        match self {
-            Self::Byte => 0xFF,
-            Self::Half => 0xFFFF,
-            Self::Word => 0xFFFF_FFFF,
-        }
-    }
-}
-
-/// A load or store by the CPU, naturally aligned.
-#[derive(Clone, Copy, Debug)]
-pub struct Access {
-    /// Address of the first byte.
-    pub address: u32,
-    /// How many bytes.
-    pub width: Width,
-    /// When it happens.
-    pub now: Time,
-    /// Address of the instruction.
-    pub pc: u32,
-}
-
 /// Something that the chip asks of its board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
@@ -86,58 +35,6 @@ pub enum Request {
     Reset(ResetCause),
     /// The staged power cut has come.
     PowerCut,
-}
-
-/// What an address belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Block {
-    Flash,
-    FlashRegisters,
-    Rcc,
-    Pwr,
-    Iwdg,
-    Can1,
-    Syscfg,
-    Exti,
-    Gpio(u8),
-    Dbgmcu,
-    Factory,
-    Unknown,
-}
-
-impl Block {
-    const fn of(address: u32) -> (Self, u32) {
-        let block = match address {
-            0x4000_3000..0x4000_3400 => Self::Iwdg,
-            0x4000_6400..0x4000_6800 => Self::Can1,
-            0x4000_7000..0x4000_7400 => Self::Pwr,
-            0x4001_3800..0x4001_3C00 => Self::Syscfg,
-            0x4001_3C00..0x4001_4000 => Self::Exti,
-            0x4002_0000..0x4002_2C00 => Self::Gpio((address >> 10 & 0xF) as u8),
-            0x4002_3800..0x4002_3C00 => Self::Rcc,
-            0x4002_3C00..0x4002_4000 => Self::FlashRegisters,
-            0xE004_2000..0xE004_2400 => Self::Dbgmcu,
-            0x1FFF_0000..0x2000_0000 => Self::Factory,
-            FLASH_BASE..CCM_BASE => return (Self::Flash, address - FLASH_BASE),
-            _ => Self::Unknown,
-        };
-        (block, address & 0x3FF)
-    }
-
-    const fn gate(self) -> Option<Gate> {
-        match self {
-            Self::Pwr => Some(Gate::Pwr),
-            Self::Can1 => Some(Gate::Can1),
-            Self::Syscfg => Some(Gate::Syscfg),
-            Self::Gpio(port) => Some(Gate::Gpio(port)),
-            _ => None,
-        }
-    }
-
-    /// Whether it hangs on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).
-    const fn on_apb(self) -> bool {
-        matches!(self, Self::Iwdg | Self::Can1 | Self::Pwr | Self::Syscfg | Self::Exti)
-    }
 }
 
 /// The peripherals of one microcontroller.
@@ -217,11 +114,6 @@ impl Chip {
     /// The GPIO ports, to connect inputs.
     pub fn gpio_mut(&mut self) -> &mut Gpio {
         &mut self.gpio
-    }
-
-    /// The independent watchdog.
-    pub fn iwdg(&self) -> &Iwdg {
-        &self.iwdg
     }
 
     /// The independent watchdog, to detune LSI.
@@ -364,6 +256,10 @@ impl Chip {
             self.flash.program(offset, width, value, now);
             return Ok(());
         }
+        if block != Block::FlashRegisters && self.flash.take_stale_data_cache() {
+            let why = "the data cache holds what was erased: no DCRST since";
+            self.report(access, Some(value), Problem::Misuse(why));
+        }
         if !self.clocked(block) {
             self.report(access, Some(value), Problem::ClockOff);
             return Ok(());
@@ -402,8 +298,12 @@ impl Chip {
                 return Ok(result.and_then(|()| self.check_latency()));
             }
             Block::Rcc => {
+                let before = self.clocks().pclk1;
                 let result = self.rcc.write(offset, value, now);
-                self.after_rcc_write(now);
+                self.carry_out_resets(now);
+                if self.clocks().pclk1 != before {
+                    self.can1.set_clock(self.clocks().pclk1);
+                }
                 return Ok(result.and_then(|()| self.check_latency()));
             }
             Block::Iwdg => {
@@ -421,7 +321,9 @@ impl Chip {
                 self.can_written = true;
                 let modelled = self.can1.write(offset, value, now);
                 if modelled && offset == 0 && value & 1 == 0 && !self.can1_has_pins() {
-                    return Ok(Err(Problem::Misuse("CAN1 leaves initialisation with no pins in AF9")));
+                    return Ok(Err(Problem::Misuse(
+                        "CAN1 leaves initialisation with no pins in AF9",
+                    )));
                 }
                 modelled
             }
@@ -435,12 +337,11 @@ impl Chip {
         Ok(if modelled { Ok(()) } else { Err(Problem::Unmodelled) })
     }
 
-    fn after_rcc_write(&mut self, now: Time) {
+    fn carry_out_resets(&mut self, now: Time) {
         if self.rcc.held_in_reset(Gate::Can1) {
             self.can1.reset();
             self.can_written = true;
         }
-        self.can1.set_clock(self.clocks().pclk1);
         for port in 0..self.gpio.len() {
             if self.rcc.held_in_reset(Gate::Gpio(port as u8)) {
                 self.gpio.reset_port(port, now);
@@ -476,7 +377,8 @@ impl Chip {
         block.gate().is_none_or(|gate| self.rcc.enabled(gate))
     }
 
-    fn report(&mut self, access: Access, written: Option<u32>, problem: Problem) {
+    /// Adds a finding, of the chip or of the engine that runs its core; `written` is the value of a store.
+    pub fn report(&mut self, access: Access, written: Option<u32>, problem: Problem) {
         let Access { address, width, now, pc } = access;
         let write = written.is_some();
         let same = |f: &&mut Finding| {
@@ -487,11 +389,15 @@ impl Chip {
             return;
         }
         let value = written.unwrap_or(0);
-        self.findings.push(Finding { time: now, pc, address, width, write, value, problem, count: 1 });
-    }
-
-    /// Adds a finding that an engine makes about the core.
-    pub fn report_core(&mut self, access: Access, problem: Problem) {
-        self.report(access, Some(0), problem);
+        self.findings.push(Finding {
+            time: now,
+            pc,
+            address,
+            width,
+            write,
+            value,
+            problem,
+            count: 1,
+        });
     }
 }

@@ -62,8 +62,7 @@ impl Image {
     /// Takes the content of an ELF file.
     pub fn from_elf(bytes: &[u8]) -> Result<Self, ImageError> {
         let malformed = |error: &dyn fmt::Display| ImageError::Malformed(error.to_string());
-        let header =
-            FileHeader32::<Endianness>::parse(bytes).map_err(|error| malformed(&error))?;
+        let header = FileHeader32::<Endianness>::parse(bytes).map_err(|error| malformed(&error))?;
         let endian = header.endian().map_err(|error| malformed(&error))?;
         let mut segments = Vec::new();
         for program in header.program_headers(endian, bytes).map_err(|error| malformed(&error))? {

@@ -1,6 +1,11 @@
 //! STM32F4 boards and a CAN bus on the computer: deterministic, in virtual time, to the picosecond.
 
+pub mod board;
 pub mod can;
+pub mod chip;
+pub mod engine;
+pub mod image;
+pub mod network;
 pub mod time;
 
 pub use time::Time;

@@ -23,13 +23,19 @@ pub struct AdapterId(usize);
 
 /// Boards and adapters on a CAN bus, in virtual time; the same calls give the same run.
 ///
-/// While every CPU sleeps the bus goes first, up to the next wake-up or interrupt. Else the CPUs run ahead of the bus,
-/// by at most a microsecond, in the order of the boards: what a program writes to its CAN controller takes effect
-/// at its own time, what happens on the bus reaches an awake CPU up to a microsecond late.
+/// While every CPU sleeps the bus goes first, up to the next wake-up or interrupt. One CPU that is awake on a quiet
+/// bus goes first, until it writes to its CAN controller. Else the CPUs run ahead of the bus, by at most a
+/// microsecond, in the order of the boards: what a program writes to its CAN controller takes effect at its own time,
+/// what happens on the bus reaches a CPU that is awake up to a microsecond late.
 #[derive(Default)]
 pub struct Network {
+    now: Time,
     bus: Bus,
+    /// A station may act earlier than the bus knows.
+    touched: bool,
     boards: Vec<Board>,
+    /// When each board has something to do; one that sleeps longer is left behind in time.
+    wake: Vec<Time>,
     adapters: Vec<Adapter>,
     trace: Trace,
 }
@@ -40,9 +46,9 @@ impl Network {
         Self::default()
     }
 
-    /// How far the bus has come.
+    /// How far everybody has come.
     pub fn now(&self) -> Time {
-        self.bus.now()
+        self.now
     }
 
     /// Joins a board to the bus and returns its number. In a network that has run already it is switched on now.
@@ -53,12 +59,13 @@ impl Network {
             board.power_on();
         }
         self.boards.push(board);
+        self.wake.push(self.now);
         self.boards.len() - 1
     }
 
     /// Joins an adapter to the bus.
     pub fn add_adapter(&mut self, mut adapter: Adapter) -> AdapterId {
-        adapter.plug_in(self.now(), self.bus.level());
+        adapter.plug_in(self.now, self.bus.level());
         self.adapters.push(adapter);
         AdapterId(self.adapters.len() - 1)
     }
@@ -80,12 +87,14 @@ impl Network {
 
     /// An adapter, to change its bit rate or to close it.
     pub fn adapter_mut(&mut self, adapter: AdapterId) -> &mut Adapter {
-        &mut self.adapters[adapter.0]
+        let adapter = &mut self.adapters[adapter.0];
+        adapter.controller().settle(self.now, self.bus.level());
+        adapter
     }
 
     /// Queues a frame in an adapter.
     pub fn send(&mut self, adapter: AdapterId, frame: Frame) {
-        self.adapters[adapter.0].send(frame);
+        self.adapter_mut(adapter).send(frame);
     }
 
     /// The oldest frame that an adapter received and nobody took, and when it became valid.
@@ -111,28 +120,33 @@ impl Network {
 
     /// Lets everybody live until `until`.
     pub fn run_until(&mut self, until: Time) {
-        while self.now() < until {
+        self.begin();
+        while self.now < until {
             self.step(until);
         }
+        self.catch_up();
     }
 
     /// Lets everybody live for a span.
     pub fn run_for(&mut self, span: Time) {
-        self.run_until(self.now() + span);
+        self.run_until(self.now + span);
     }
 
     /// Lets everybody live until an adapter has a frame to receive, at most for the span `timeout`, and takes it.
-    pub fn run_until_received(&mut self, adapter: AdapterId, timeout: Time) -> Option<(Time, Frame)> {
-        let until = self.now() + timeout;
-        loop {
-            if let Some(received) = self.receive(adapter) {
-                return Some(received);
-            }
-            if self.now() >= until {
-                return None;
-            }
+    pub fn run_until_received(
+        &mut self,
+        adapter: AdapterId,
+        timeout: Time,
+    ) -> Option<(Time, Frame)> {
+        let until = self.now + timeout;
+        self.begin();
+        let mut received = self.receive(adapter);
+        while received.is_none() && self.now < until {
             self.step(until);
+            received = self.receive(adapter);
         }
+        self.catch_up();
+        received
     }
 
     /// What happened, in order of time.
@@ -145,51 +159,95 @@ impl Network {
         self.trace.record(recording);
     }
 
+    /// Looks at boards and adapters anew, as anything may have been done to them.
+    fn begin(&mut self) {
+        self.touched = true;
+        for (board, wake) in self.boards.iter().zip(&mut self.wake) {
+            *wake = board.wake_time();
+        }
+    }
+
+    /// Lets the boards that sleep do so until now.
+    fn catch_up(&mut self) {
+        for board in 0..self.boards.len() {
+            self.run_board(board, self.now, self.now);
+        }
+    }
+
     /// Lets everybody live up to `until` or an earlier instant where it is time to look again.
     fn step(&mut self, until: Time) {
-        let now = self.now();
-        let wake = self.boards.iter().map(Board::wake_time).min().unwrap_or(Time::MAX);
-        if wake > now + LOOKAHEAD {
-            let reached = self.run_bus(until.min(wake));
-            self.run_boards(reached);
-        } else {
-            let end = until.min(now + LOOKAHEAD);
-            self.run_boards(end);
-            self.run_bus(end);
+        let quiet_until = if self.touched { self.now } else { self.bus.next_action() };
+        let soon = until.min(self.now + LOOKAHEAD);
+        let (mut first, mut second) = (Time::MAX, Time::MAX);
+        for &wake in &self.wake {
+            second = second.min(wake.max(first));
+            first = first.min(wake);
         }
-        for (number, board) in self.boards.iter().enumerate() {
-            let mut chip = board.chip();
-            chip.can1_mut().update_irq();
-            self.trace.take_notes(number, &mut chip);
-        }
-    }
-
-    fn run_boards(&mut self, until: Time) {
-        for (number, board) in self.boards.iter_mut().enumerate() {
-            while board.now() < until {
-                match board.run_until(until) {
-                    Stop::Deadline | Stop::CanWritten => {}
-                    Stop::Reset(cause) => self.trace.push(board.now(), Source::Board(number), What::Reset(cause)),
-                    Stop::PowerCut => self.trace.push(board.now(), Source::Board(number), What::PowerOff),
-                }
+        let mut end =
+            if first > soon { first } else { soon.max(second.min(quiet_until)) }.min(until);
+        for board in 0..self.boards.len() {
+            if self.wake[board] < end {
+                end = self.run_board(board, end, soon);
             }
         }
+        self.now =
+            if self.touched || self.bus.next_action() <= end { self.run_bus(end) } else { end };
     }
 
-    fn run_bus(&mut self, until: Time) -> Time {
-        let mut sources = Vec::with_capacity(self.boards.len() + self.adapters.len());
-        let mut chips: Vec<MutexGuard<'_, Chip>> = Vec::with_capacity(self.boards.len());
-        for (number, board) in self.boards.iter().enumerate().filter(|(_, board)| board.is_powered()) {
-            sources.push(Source::Board(number));
-            chips.push(board.chip());
+    /// Lets a board live until `end`, or to its first write to the CAN controller from `soon` on; returns which.
+    fn run_board(&mut self, number: usize, mut end: Time, soon: Time) -> Time {
+        let board = &mut self.boards[number];
+        while board.now() < end {
+            let what = match board.run_until(end) {
+                Stop::Deadline => break,
+                Stop::CanWritten => {
+                    self.touched = true;
+                    end = end.min(board.now().max(soon));
+                    continue;
+                }
+                Stop::Reset(cause) => What::Reset(cause),
+                Stop::PowerCut => What::PowerOff,
+            };
+            self.touched = true;
+            self.trace.push(board.now(), Source::Board(number), what);
         }
-        let chips = chips.iter_mut().map(|chip| chip.can1_mut() as &mut dyn Station);
-        sources.extend((0..self.adapters.len()).map(|number| Source::Adapter(AdapterId(number))));
-        let mut stations: Vec<&mut dyn Station> =
-            chips.chain(self.adapters.iter_mut().map(|adapter| adapter as &mut dyn Station)).collect();
+        self.wake[number] = board.wake_time();
+        end
+    }
+
+    /// Lets the bus live until `until` or to an instant that concerns a CPU or an adapter's user; returns which.
+    fn run_bus(&mut self, until: Time) -> Time {
+        let powered = |(_, board): &(usize, &Board)| board.is_powered();
+        let boards: Vec<usize> =
+            self.boards.iter().enumerate().filter(powered).map(|(number, _)| number).collect();
+        let mut chips: Vec<MutexGuard<'_, Chip>> =
+            boards.iter().map(|&number| self.boards[number].chip()).collect();
+        let source = |station: usize| match boards.get(station) {
+            Some(&number) => Source::Board(number),
+            None => Source::Adapter(AdapterId(station - boards.len())),
+        };
+        let chip_stations = chips.iter_mut().map(|chip| chip.can1_mut() as &mut dyn Station);
+        let adapter_stations = self.adapters.iter_mut().map(|adapter| adapter as &mut dyn Station);
+        let mut stations: Vec<&mut dyn Station> = chip_stations.chain(adapter_stations).collect();
         let trace = &mut self.trace;
-        self.bus.advance(until, &mut stations, |station, controller, event| {
-            trace.observe(sources[station], controller, event);
-        })
+        let reached = self.bus.advance(until, &mut stations, |station, controller, event| {
+            trace.observe(source(station), controller, event);
+        });
+        self.touched = false;
+
+        let mut interrupted = Vec::new();
+        for (&number, chip) in boards.iter().zip(&mut chips) {
+            self.trace.take_notes(number, chip);
+            if chip.can1().irq_changes() {
+                interrupted.push(number);
+            }
+        }
+        drop(chips);
+        for number in interrupted {
+            self.run_board(number, reached, reached);
+            self.boards[number].chip().can1_mut().update_irq();
+            self.wake[number] = self.boards[number].wake_time();
+        }
+        reached
     }
 }

@@ -120,7 +120,16 @@ impl NorFlash for SettingsFlash {
                 let number = FIRST_SECTOR + sector as u8;
                 // SAFETY: the number of a sector that is ours; 32-bit parallelism needs 2.7 V (RM0090, table 9).
                 flash.registers.cr().write(|w| unsafe {
-                    w.psize().bits(2).ser().set_bit().snb().bits(number).strt().set_bit()
+                    w.lock()
+                        .clear_bit()
+                        .psize()
+                        .bits(2)
+                        .ser()
+                        .set_bit()
+                        .snb()
+                        .bits(number)
+                        .strt()
+                        .set_bit()
                 });
                 flash.wait()?;
             }
@@ -132,7 +141,10 @@ impl NorFlash for SettingsFlash {
         check_write(self, offset, bytes.len()).map_err(FlashError::Range)?;
         self.operate(|flash| {
             // SAFETY: as for erasing.
-            flash.registers.cr().write(|w| unsafe { w.psize().bits(2).pg().set_bit() });
+            flash
+                .registers
+                .cr()
+                .write(|w| unsafe { w.lock().clear_bit().psize().bits(2).pg().set_bit() });
             let (words, _) = bytes.as_chunks();
             for (address, word) in (START + offset..).step_by(4).zip(words) {
                 // SAFETY: an aligned word within the sectors; the controller programs what is stored there.

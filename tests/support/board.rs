@@ -45,6 +45,18 @@ pub struct Board {
     timeline_from: u64,
 }
 
+/// A device with all eight bit rates.
+pub const fn device(address: Address) -> Device {
+    Device {
+        address,
+        bit_rates: BitRates::possible(32_000_000),
+        heartbeat_ms: 0,
+        name: "Test board",
+        hardware_version: "A",
+        software_version: "1.2.3",
+    }
+}
+
 /// The defaults of a board as it leaves the factory: 1 Mbit/s, no heartbeat.
 pub fn defaults(node_id: u8) -> Settings {
     let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
@@ -81,8 +93,7 @@ impl Board {
         flash: BoardFlash,
         clock_at_start: u32,
     ) -> Self {
-        let device = Device { address, bit_rates: BitRates::possible(32_000_000) };
-        Self::with_device(device, defaults, flash, clock_at_start)
+        Self::with_device(device(address), defaults, flash, clock_at_start)
     }
 
     pub fn with_device(

@@ -172,17 +172,19 @@ impl Chip {
 
     fn erase_sector(&mut self, at: usize, len: usize) -> Result<(), NorFlashErrorKind> {
         self.erases += 1;
-        let succeeds = self.succeeds(Operation::Erase);
+        if self.succeeds(Operation::Erase) {
+            self.bytes[at..at + len].fill(0xFF);
+            return Ok(());
+        }
         for part in self.bytes[at..at + len].chunks_mut(16) {
             match self.random.within(0..5) {
-                _ if succeeds => part.fill(0xFF),
                 0 => part.fill(0xFF),
                 1 => part.fill_with(|| self.random.byte()),
                 2 => part.iter_mut().for_each(|byte| *byte |= self.random.byte()),
                 _ => {}
             }
         }
-        if succeeds { Ok(()) } else { Err(NorFlashErrorKind::Other) }
+        Err(NorFlashErrorKind::Other)
     }
 }
 
@@ -199,8 +201,10 @@ impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for Flash<WRITE, ERASE
         if !chip.powered || !chip.succeeds(Operation::Read) {
             return Err(NorFlashErrorKind::Other);
         }
-        for (at, byte) in (offset as usize..).zip(bytes) {
-            *byte = chip.byte(at);
+        let at = offset as usize;
+        bytes.copy_from_slice(&chip.bytes[at..at + bytes.len()]);
+        if !chip.stuck.is_empty() {
+            bytes.iter_mut().zip(at..).for_each(|(byte, at)| *byte = chip.byte(at));
         }
         Ok(())
     }

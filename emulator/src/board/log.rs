@@ -49,9 +49,12 @@ impl Log {
         }
         let word = |offset: u32| {
             let mut bytes = [0; 4];
-            engine.read_memory(block + CHANNEL + offset, &mut bytes).then_some(u32::from_le_bytes(bytes))
+            engine
+                .read_memory(block + CHANNEL + offset, &mut bytes)
+                .then_some(u32::from_le_bytes(bytes))
         };
-        let (Some(buffer), Some(size), Some(write), Some(read)) = (word(4), word(8), word(12), word(16))
+        let (Some(buffer), Some(size), Some(write), Some(read)) =
+            (word(4), word(8), word(12), word(16))
         else {
             return;
         };
@@ -88,12 +91,15 @@ impl Log {
         let mut decoder = table.new_stream_decoder();
         decoder.received(&self.frame);
         let (level, text) = match decoder.decode() {
-            Ok(frame) => {
-                (frame.level().map_or("", |level| level.as_str()), frame.display_message().to_string())
-            }
+            Ok(frame) => (
+                frame.level().map_or("", |level| level.as_str()),
+                frame.display_message().to_string(),
+            ),
             Err(DecodeError::UnexpectedEof) if byte != 0 => return,
             Err(DecodeError::UnexpectedEof) => ("", String::new()),
-            Err(DecodeError::Malformed) => ("error", format!("malformed defmt frame {:02x?}", self.frame)),
+            Err(DecodeError::Malformed) => {
+                ("error", format!("malformed defmt frame {:02x?}", self.frame))
+            }
         };
         if !text.is_empty() {
             self.lines.push(LogLine { time: now, level, text });

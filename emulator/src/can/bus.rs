@@ -43,9 +43,9 @@ impl Bus {
         self.level
     }
 
-    /// When one of `stations` acts next if nobody interferes; `Time::MAX` on an idle bus.
-    pub fn next_action(stations: &mut [&mut dyn Station]) -> Time {
-        stations.iter_mut().map(|station| station.controller().next_action()).min().unwrap_or(Time::MAX)
+    /// When a station acts next, as of the latest [`advance`](Self::advance); `Time::MAX` on an idle bus.
+    pub fn next_action(&self) -> Time {
+        self.next.iter().copied().min().unwrap_or(Time::MAX)
     }
 
     /// Lets bus life go on up to and including `until`, or up to the first instant after which a station wants a stop.
@@ -64,7 +64,9 @@ impl Bus {
 
         let mut stop = false;
         while !stop {
-            let Some(now) = self.next.iter().copied().min().map(|time| time.max(self.now)) else { break };
+            let Some(now) = self.next.iter().copied().min().map(|time| time.max(self.now)) else {
+                break;
+            };
             if now > until {
                 break;
             }
@@ -87,7 +89,9 @@ impl Bus {
             if driven {
                 let before = std::mem::replace(&mut self.level, wire_level(stations));
                 if before == Level::Recessive && self.level == Level::Dominant {
-                    for (index, (station, next)) in stations.iter_mut().zip(&mut self.next).enumerate() {
+                    for (index, (station, next)) in
+                        stations.iter_mut().zip(&mut self.next).enumerate()
+                    {
                         station.controller().falling_edge(now);
                         *next = deliver(index, *station);
                     }
@@ -112,6 +116,7 @@ impl Bus {
 }
 
 fn wire_level(stations: &mut [&mut dyn Station]) -> Level {
-    let dominant = stations.iter_mut().any(|station| station.controller().output() == Level::Dominant);
+    let dominant =
+        stations.iter_mut().any(|station| station.controller().output() == Level::Dominant);
     if dominant { Level::Dominant } else { Level::Recessive }
 }

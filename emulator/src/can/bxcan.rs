@@ -5,7 +5,9 @@ mod mailbox;
 mod receive;
 mod registers;
 
-use super::{BitTiming, Clock, Controller, ErrorKind, Event, Frame, Mode as BusMode, Station, stream::Level};
+use super::{
+    BitTiming, Clock, Controller, ErrorKind, Event, Frame, Mode as BusMode, Station, stream::Level,
+};
 use crate::Time;
 use filters::Filters;
 use mailbox::{Failure, Mailboxes};
@@ -142,6 +144,11 @@ impl Bxcan {
         self.irq = self.interrupts();
     }
 
+    /// Whether [`update_irq`](Self::update_irq) would change a line.
+    pub fn irq_changes(&self) -> bool {
+        self.interrupts() != self.irq
+    }
+
     fn interrupts(&self) -> Interrupts {
         let enabled = |bit, flag| self.ier & bit != 0 && flag;
         Interrupts {
@@ -243,13 +250,18 @@ impl Bxcan {
     fn esr(&self) -> u32 {
         let counters = self.controller.counters();
         // TEC shows the lower eight of nine bits.
-        self.flags() | self.lec | u32::from(counters.transmit & 0xFF) << 16 | u32::from(counters.receive) << 24
+        self.flags()
+            | self.lec
+            | u32::from(counters.transmit & 0xFF) << 16
+            | u32::from(counters.receive) << 24
     }
 
     fn flags(&self) -> u32 {
         let counters = self.controller.counters();
         let flag = |bit, set: bool| if set { bit } else { 0 };
-        flag(ESR_EWGF, counters.warning()) | flag(ESR_EPVF, counters.passive()) | flag(ESR_BOFF, counters.bus_off())
+        flag(ESR_EWGF, counters.warning())
+            | flag(ESR_EPVF, counters.passive())
+            | flag(ESR_BOFF, counters.bus_off())
     }
 
     fn write_mcr(&mut self, value: u32, now: Time) -> bool {
@@ -380,7 +392,7 @@ impl Station for Bxcan {
             Event::BusOff | Event::Recovered | Event::CounterRaised => {}
         }
         self.latch_errors(matches!(event, Event::Error { .. }));
-        self.interrupts() != self.irq
+        self.irq_changes()
     }
 }
 

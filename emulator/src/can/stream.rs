@@ -259,7 +259,10 @@ mod tests {
     fn a_frame_without_repeats_has_its_nominal_length() {
         // 34 bits + 10 of tail, none stuffed in the alternating identifier; the zeros of r0 and DLC are.
         let bits = BitStream::new(&Frame::data(Id::Standard(0x555), &[0x55; 8]));
-        assert_eq!(u32::from(bits.length) + TAIL, Frame::data(Id::Standard(0x555), &[0x55; 8]).wire_bits());
+        assert_eq!(
+            u32::from(bits.length) + TAIL,
+            Frame::data(Id::Standard(0x555), &[0x55; 8]).wire_bits()
+        );
         let plain = 44 + 64;
         assert!((plain..=plain + 4).contains(&(u32::from(bits.length) + TAIL)));
     }
@@ -269,7 +272,8 @@ mod tests {
         // 000#: SOF and eleven zeros, RTR, IDE, r0, DLC make 19 dominant bits, the CRC of zeros is zero: 34.
         let frame = Frame::data(Id::Standard(0), &[]);
         let stream = BitStream::new(&frame);
-        let wire: String = (0..stream.length).map(|i| if stream.level(i).bit() { '1' } else { '0' }).collect();
+        let wire: String =
+            (0..stream.length).map(|i| if stream.level(i).bit() { '1' } else { '0' }).collect();
         assert_eq!(wire, "000001".repeat(6) + "0000");
         assert_eq!(frame.wire_bits(), 34 + 6 + 10);
     }
@@ -284,7 +288,10 @@ mod tests {
             let frame = any_frame(&mut state);
             let g = if matches!(frame.id, Id::Standard(_)) { 34 } else { 54 };
             let bits = g + 8 * frame.payload().len() as u32;
-            assert!((bits + 10..=bits + 10 + (bits - 1) / 4).contains(&frame.wire_bits()), "{frame}");
+            assert!(
+                (bits + 10..=bits + 10 + (bits - 1) / 4).contains(&frame.wire_bits()),
+                "{frame}"
+            );
         }
     }
 
@@ -300,7 +307,11 @@ mod tests {
             for index in 0..stream.length - 1 {
                 assert_eq!(decoder.push(stream.level(index)), Progress::Within, "{frame}");
             }
-            assert_eq!(decoder.push(stream.level(stream.length - 1)), Progress::CrcSequenceEnd, "{frame}");
+            assert_eq!(
+                decoder.push(stream.level(stream.length - 1)),
+                Progress::CrcSequenceEnd,
+                "{frame}"
+            );
             assert!(decoder.crc_matches());
             assert_eq!(decoder.frame(), frame);
         }

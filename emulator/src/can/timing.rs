@@ -78,7 +78,8 @@ impl Spans {
 mod tests {
     use super::*;
 
-    const TIMING: BitTiming = BitTiming { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
+    const TIMING: BitTiming =
+        BitTiming { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
     #[test]
     fn thirty_two_megahertz_make_a_megabit_with_the_sample_point_at_seven_eighths() {

@@ -1,11 +1,13 @@
 //! The flash interface (RM0090 chapter 3): keys, programming, erasing, their times and their faults.
 
 mod array;
+mod timing;
 
 use std::ops::Range;
 
-pub use array::StuckBits;
 use array::Array;
+pub use array::StuckBits;
+pub use timing::Timing;
 
 use super::{BusFault, Part, Problem, Width};
 use crate::Time;
@@ -35,16 +37,6 @@ const CR_STRT: u32 = 1 << 16;
 const CR_EOPIE: u32 = 1 << 24;
 const CR_LOCK: u32 = 1 << 31;
 const OPTCR_LOCK: u32 = 1;
-
-/// How long the flash takes (STM32F405 data sheet, flash memory programming).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Timing {
-    /// The typical times: 16 us a word; 250, 300 or 400 ms a 16 KB sector at x32, x16 or x8.
-    #[default]
-    Typical,
-    /// The guaranteed times: 100 us a word; 500, 600 or 800 ms a 16 KB sector.
-    Worst,
-}
 
 /// A failure to be staged: the supply goes away in the middle of an operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -172,6 +164,14 @@ impl Flash {
         busy.contains(&bank(offset)).then_some(operation.end)
     }
 
+    /// Whether a driver has finished, locked the flash, and left in the data cache what it erased (RM0090 3.5.2).
+    /// True only once after each erase.
+    pub fn take_stale_data_cache(&mut self) -> bool {
+        let stale = self.stale_data_cache && self.cr & CR_LOCK != 0 && self.acr & ACR_DCEN != 0;
+        self.stale_data_cache &= !stale;
+        stale
+    }
+
     /// When the staged power cut happens, once its operation has begun.
     pub fn power_cut_at(&self) -> Option<Time> {
         self.power_cut_at
@@ -247,18 +247,21 @@ impl Flash {
     }
 
     /// Writes a register. The outer error is the bus error of a wrong key.
-    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<Result<(), Problem>, BusFault> {
+    pub fn write(
+        &mut self,
+        offset: u32,
+        value: u32,
+        now: Time,
+    ) -> Result<Result<(), Problem>, BusFault> {
         self.advance(now);
         match offset {
             ACR => return Ok(self.write_acr(value)),
             KEYR => return self.write_key(value).map(Ok),
-            OPTKEYR => {
-                match (value, self.option_half_unlocked) {
-                    (0x0819_2A3B, false) => self.option_half_unlocked = true,
-                    (0x4C5D_6E7F, true) => self.optcr &= !OPTCR_LOCK,
-                    _ => return Err(BusFault),
-                }
-            }
+            OPTKEYR => match (value, self.option_half_unlocked) {
+                (0x0819_2A3B, false) => self.option_half_unlocked = true,
+                (0x4C5D_6E7F, true) => self.optcr &= !OPTCR_LOCK,
+                _ => return Err(BusFault),
+            },
             SR => self.sr &= !value,
             CR => return Ok(self.write_cr(value, now)),
             OPTCR if value & OPTCR_LOCK != 0 => self.optcr |= OPTCR_LOCK,
@@ -278,9 +281,6 @@ impl Flash {
             self.stale_data_cache = false;
         }
         self.acr = value & 0x1F0F;
-        if self.acr & ACR_DCEN != 0 && self.stale_data_cache {
-            return Err(Problem::Misuse("data cache switched on after an erase without DCRST"));
-        }
         Ok(())
     }
 
@@ -302,18 +302,25 @@ impl Flash {
 
     fn write_cr(&mut self, value: u32, now: Time) -> Result<(), Problem> {
         if self.cr & CR_LOCK != 0 {
-            return Err(Problem::Misuse("FLASH_CR written while it is locked"));
+            return match value {
+                CR_LOCK => Ok(()),
+                _ => Err(Problem::Misuse("FLASH_CR written while it is locked")),
+            };
         }
         if self.operation.is_some() {
             return Err(Problem::Misuse("FLASH_CR written while BSY is set"));
         }
-        self.cr = value & 0x8301_FFFF;
         if value & CR_LOCK != 0 {
+            self.cr = CR_LOCK;
             self.half_unlocked = false;
-            if self.stale_data_cache && self.acr & ACR_DCEN != 0 {
-                return Err(Problem::Misuse("flash locked after an erase without DCRST: the data cache is stale"));
+            if value & (CR_PG | CR_SER | CR_MER | CR_STRT) != 0 {
+                return Err(Problem::Misuse(
+                    "FLASH_CR locked in the write that asks for an operation",
+                ));
             }
+            return Ok(());
         }
+        self.cr = value & 0x0301_FFFF;
         if value & CR_STRT != 0 {
             return self.start_erase(now);
         }
@@ -327,7 +334,7 @@ impl Flash {
             CR_SER => {
                 let number = self.cr >> 3 & 0x1F;
                 let sector = if number >= 16 { number - 4 } else { number };
-                self.array.sector(sector).filter(|_| number < 12 || number >= 16)
+                self.array.sector(sector).filter(|_| !(12..16).contains(&number))
             }
             CR_MER => Some(0..bank_size),
             CR_MER1 if whole > bank_size => Some(bank_size..whole),
@@ -347,7 +354,7 @@ impl Flash {
             return Ok(());
         }
         let size = self.cr >> 8 & 3;
-        let ms = (first..=last).map(|sector| self.erase_ms(sector, size)).sum();
+        let time = (first..=last).map(|sector| self.timing.erase(sector, size).as_ps()).sum();
         let before = self.array.bytes()[range.clone()].to_vec();
         self.array.erase(range.clone());
         if self.failing_erases > 0 {
@@ -355,26 +362,8 @@ impl Flash {
             self.array.tear_erase(range.start, &before, self.operations);
         }
         self.stale_data_cache = self.acr & ACR_DCEN != 0 || self.stale_data_cache;
-        self.begin(Operation { end: now + Time::from_ms(ms), range, before, erase: true }, now);
+        self.begin(Operation { end: now + Time::from_ps(time), range, before, erase: true }, now);
         Ok(())
-    }
-
-    fn erase_ms(&self, sector: u32, size: u32) -> u64 {
-        let typical = match (sector % 12, size) {
-            (0..4, 0) => 400,
-            (0..4, 1) => 300,
-            (0..4, _) => 250,
-            (4, 0) => 1200,
-            (4, 1) => 700,
-            (4, _) => 550,
-            (_, 0) => 2000,
-            (_, 1) => 1300,
-            (_, _) => 1000,
-        };
-        match self.timing {
-            Timing::Typical => typical,
-            Timing::Worst => 2 * typical,
-        }
     }
 
     fn protected(&self, sector: u32) -> bool {
@@ -398,11 +387,8 @@ impl Flash {
             let range = offset as usize..offset as usize + size as usize;
             let before = self.array.bytes()[range.clone()].to_vec();
             self.array.program(offset, &value.to_le_bytes()[..size as usize]);
-            let us = match self.timing {
-                Timing::Typical => 16,
-                Timing::Worst => 100,
-            };
-            self.begin(Operation { end: now + Time::from_us(us), range, before, erase: false }, now);
+            let end = now + self.timing.program();
+            self.begin(Operation { end, range, before, erase: false }, now);
         }
     }
 

@@ -63,7 +63,9 @@ impl Iwdg {
             KR => Some(0),
             PR => Some(self.prescaler),
             RLR => Some(self.reload),
-            SR => Some(u32::from(now < self.prescaler_busy) | u32::from(now < self.reload_busy) << 1),
+            SR => {
+                Some(u32::from(now < self.prescaler_busy) | u32::from(now < self.reload_busy) << 1)
+            }
             _ => None,
         }
     }

@@ -48,19 +48,20 @@ pub struct Rsemu {
 impl Rsemu {
     /// A CPU for `chip`, not reset yet, with the chip's flash content and empty RAM.
     pub fn new(chip: Arc<Mutex<Chip>>) -> Self {
-        let guard = lock(&chip);
+        let mut guard = lock(&chip);
         let part = guard.part();
         let clock = CycleClock::new(guard.clocks().hclk, 0, Time::ZERO);
+        let flash = Arc::new(RamStore::new(part.flash_size().into()));
+        copy(&flash, 0, guard.flash().bytes());
+        guard.flash_mut().take_changed();
         drop(guard);
         let link = Arc::new(Link::new(clock));
-        let flash = Arc::new(RamStore::new(part.flash_size().into()));
         let ram = Arc::new(RamStore::new(part.ram_size().into()));
         let ccm = Arc::new(RamStore::new(part.ccm_size().into()));
-        let config =
-            Config::CORTEX_M4F.with_priority_bits(4).with_reset_vtor(FLASH_BASE);
+        let config = Config::CORTEX_M4F.with_priority_bits(4).with_reset_vtor(FLASH_BASE);
         let cpu = ArmV7m::new(config);
         cpu.attach_space(Arc::new(bus::address_space(&chip, &link, &flash, &ram, &ccm)));
-        let mut engine = Self {
+        Self {
             cpu,
             chip,
             link,
@@ -75,9 +76,7 @@ impl Rsemu {
             spin: None,
             irqs: 0,
             polls: 0,
-        };
-        engine.sync_flash();
-        engine
+        }
     }
 
     /// Lets cycles pass in which the core executes nothing.
@@ -136,7 +135,10 @@ impl Rsemu {
         let (deep, external_clock) =
             self.cpu.with_sys(|sys| (sys.scr & 1 << 2 != 0, sys.syst_csr & 0b101 == 0b001));
         if deep {
-            self.report(0xE000_ED10, Problem::Misuse("SLEEPDEEP: stop and standby are not modelled"));
+            self.report(
+                0xE000_ED10,
+                Problem::Misuse("SLEEPDEEP: stop and standby are not modelled"),
+            );
         }
         if external_clock {
             self.report(0xE000_E010, Problem::Misuse("SysTick on HCLK/8 is not modelled"));
@@ -146,7 +148,7 @@ impl Rsemu {
     fn report(&self, address: u32, problem: Problem) {
         let access =
             Access { address, width: Width::Word, now: self.now(), pc: self.link.pc.load(Relaxed) };
-        lock(&self.chip).report_core(access, problem);
+        lock(&self.chip).report(access, Some(0), problem);
     }
 
     /// Drives the interrupt inputs as the chip has them now.
@@ -191,10 +193,6 @@ impl Rsemu {
             self.stalled_until = self.clock.cycle_at(end);
         }
         self.flash_busy = chip.flash().operation_end().is_some_and(|end| end > now);
-    }
-
-    fn reset_requested(&mut self) -> bool {
-        self.cpu.reset_requested()
     }
 
     fn store(&self, address: u32, length: usize) -> Option<(&RamStore, u64)> {
@@ -248,18 +246,18 @@ impl Engine for Rsemu {
                 }
                 target = self.clock.cycle_at(until);
             }
+            self.polls += 1;
+            if self.polls >= RESET_POLL || next == pc {
+                self.polls = 0;
+                if self.cpu.reset_requested() {
+                    return Halt::ResetRequested;
+                }
+            }
             self.spin = None;
             if next == pc {
                 self.idle(used, target);
             }
             pc = next;
-            self.polls += 1;
-            if self.polls >= RESET_POLL {
-                self.polls = 0;
-                if self.reset_requested() {
-                    return Halt::ResetRequested;
-                }
-            }
         }
         Halt::Deadline
     }

@@ -96,7 +96,8 @@ mod tests {
 
     #[test]
     fn the_executable_is_found_in_cargos_messages() {
-        let messages = "{\"executable\":null}\n{\"executable\":\"C:\\\\t\\\\lss-slave\",\"fresh\":true}";
+        let messages =
+            "{\"executable\":null}\n{\"executable\":\"C:\\\\t\\\\lss-slave\",\"fresh\":true}";
         assert_eq!(executable(messages).as_deref(), Some("C:\\t\\lss-slave"));
         assert_eq!(executable("{\"executable\":null}"), None);
     }

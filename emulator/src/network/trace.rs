@@ -148,15 +148,19 @@ impl Trace {
                 self.frame(source, frame, start, end, controller.bit_rate());
             }
             can::Event::Error { kind, transmitting } if !controller.mode().silent => {
-                if self.error_frame.is_none_or(|(raiser, until)| raiser == source || now > until) {
-                    let span = Time::from_ps(ERROR_FRAME_BITS * 1_000_000_000_000 / u64::from(controller.bit_rate()));
-                    self.error_frame = Some((source, now + span));
-                    self.push(now, source, What::Error { kind, transmitting });
-                }
+                self.error(now, source, controller.bit_rate(), What::Error { kind, transmitting });
             }
             can::Event::BusOff => self.push(now, source, What::BusOff),
             can::Event::Recovered => self.push(now, source, What::Recovered),
             _ => {}
+        }
+    }
+
+    fn error(&mut self, now: Time, source: Source, bit_rate: u32, what: What) {
+        if self.error_frame.is_none_or(|(raiser, until)| raiser == source || now > until) {
+            let span = ERROR_FRAME_BITS * 1_000_000_000_000 / u64::from(bit_rate);
+            self.error_frame = Some((source, now + Time::from_ps(span)));
+            self.push(now, source, what);
         }
     }
 

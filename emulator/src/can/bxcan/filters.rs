@@ -132,7 +132,9 @@ impl Filters {
         let [c, d] = halves(second);
         let id = if wide { identifier_word(frame) } else { identifier_half(frame) };
         let masked = |(filter, mask): (u32, u32)| (filter ^ id) & mask == 0;
-        let position = |mut filters: std::slice::Iter<'_, (u32, u32)>| filters.position(|&filter| masked(filter));
+        let position = |mut filters: std::slice::Iter<'_, (u32, u32)>| {
+            filters.position(|&filter| masked(filter))
+        };
         // Bit 0 of a 32-bit filter stands for nothing; all other bits of a list entry must agree.
         const ALL: u32 = !1;
         const HALF: u32 = 0xFFFF;

@@ -41,7 +41,11 @@ struct Mailbox {
 impl Mailbox {
     fn frame(&self) -> Frame {
         let [tir, tdtr, low, high] = self.words;
-        let id = if tir & TIR_IDE == 0 { Id::Standard((tir >> 21) as u16) } else { Id::Extended(tir >> 3) };
+        let id = if tir & TIR_IDE == 0 {
+            Id::Standard((tir >> 21) as u16)
+        } else {
+            Id::Extended(tir >> 3)
+        };
         let dlc = (tdtr & 0xF) as u8;
         if tir & TIR_RTR != 0 {
             return Frame::remote(id, dlc);
@@ -121,7 +125,11 @@ impl Mailboxes {
         let mut aborted = [None; 3];
         for (number, mailbox) in self.mailboxes.iter_mut().enumerate() {
             let bits = value >> (8 * number);
-            let cleared = if bits & RQCP != 0 { RQCP | TXOK | ALST | TERR } else { bits & (TXOK | ALST | TERR) };
+            let cleared = if bits & RQCP != 0 {
+                RQCP | TXOK | ALST | TERR
+            } else {
+                bits & (TXOK | ALST | TERR)
+            };
             mailbox.status &= !cleared;
             if bits & ABRQ != 0 && mailbox.request.is_some() {
                 if self.sending == Some(number) {
@@ -171,7 +179,8 @@ impl Mailboxes {
     /// Numbers of the mailboxes that are not empty, highest priority first: by identifier, then by number, or by
     /// order of request.
     fn order(&self, chronological: bool) -> Vec<usize> {
-        let mut order: Vec<usize> = (0..3).filter(|&number| self.mailboxes[number].request.is_some()).collect();
+        let mut order: Vec<usize> =
+            (0..3).filter(|&number| self.mailboxes[number].request.is_some()).collect();
         order.sort_by_key(|&number| match self.mailboxes[number].request {
             Some((_, request)) if chronological => request,
             _ => u64::from(self.mailboxes[number].frame().arbitration()),

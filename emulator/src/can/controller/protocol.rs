@@ -1,11 +1,11 @@
 //! What a controller does at each sample point (ISO 11898-1, medium access control).
 
 use super::{Controller, ErrorKind, Event, Transmission};
+use crate::Time;
 use crate::can::{
     fault::ErrorCounters,
     stream::{Decoder, Level, Progress},
 };
-use crate::Time;
 
 /// Recessive bits that let a controller take part, and that make one step of bus-off recovery.
 const IDLE_BITS: u8 = 11;
@@ -19,22 +19,41 @@ const EXTENDED_RTR: u8 = 32;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
     Stopped,
-    Integrating { recessive: u8 },
+    Integrating {
+        recessive: u8,
+    },
     Idle,
     /// SOF to CRC sequence.
     Frame,
     CrcDelimiter,
     AckSlot,
     AckDelimiter,
-    EndOfFrame { bit: u8 },
-    Flag { flag: Flag, bits: u8 },
+    EndOfFrame {
+        bit: u8,
+    },
+    Flag {
+        flag: Flag,
+        bits: u8,
+    },
     /// Its own flag is over, others may still send theirs.
-    FlagEnd { flag: Flag, dominant: u32 },
-    Delimiter { bit: u8 },
-    Intermission { bit: u8 },
-    Suspend { bit: u8 },
+    FlagEnd {
+        flag: Flag,
+        dominant: u32,
+    },
+    Delimiter {
+        bit: u8,
+    },
+    Intermission {
+        bit: u8,
+    },
+    Suspend {
+        bit: u8,
+    },
     BusOff,
-    Recovering { sequences: u8, recessive: u8 },
+    Recovering {
+        sequences: u8,
+        recessive: u8,
+    },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,14 +76,21 @@ impl Phase {
     pub fn is_frame(self) -> bool {
         matches!(
             self,
-            Self::Frame | Self::CrcDelimiter | Self::AckSlot | Self::AckDelimiter | Self::EndOfFrame { .. }
+            Self::Frame
+                | Self::CrcDelimiter
+                | Self::AckSlot
+                | Self::AckDelimiter
+                | Self::EndOfFrame { .. }
         )
     }
 
     /// Whether an edge now restarts the bit instead of moving it by at most the jump width.
     pub fn synchronises_hard(self) -> bool {
         match self {
-            Self::Idle | Self::Suspend { .. } | Self::Integrating { .. } | Self::Recovering { .. } => true,
+            Self::Idle
+            | Self::Suspend { .. }
+            | Self::Integrating { .. }
+            | Self::Recovering { .. } => true,
             Self::Intermission { bit } => bit > 0,
             _ => false,
         }
@@ -102,7 +128,9 @@ impl Controller {
         let dominant = seen == Level::Dominant;
 
         match self.phase {
-            Phase::Integrating { .. } if dominant => self.phase = Phase::Integrating { recessive: 0 },
+            Phase::Integrating { .. } if dominant => {
+                self.phase = Phase::Integrating { recessive: 0 }
+            }
             Phase::Integrating { recessive } if recessive + 1 < IDLE_BITS => {
                 self.phase = Phase::Integrating { recessive: recessive + 1 };
             }
@@ -125,28 +153,38 @@ impl Controller {
             }
             Phase::AckSlot => self.phase = Phase::AckDelimiter,
             Phase::AckDelimiter if dominant => self.fixed_form_error(),
-            Phase::AckDelimiter if !self.transmitter && !self.decoder.crc_matches() => self.error(ErrorKind::Crc),
+            Phase::AckDelimiter if !self.transmitter && !self.decoder.crc_matches() => {
+                self.error(ErrorKind::Crc)
+            }
             Phase::AckDelimiter => self.phase = Phase::EndOfFrame { bit: 0 },
             Phase::EndOfFrame { bit } => self.end_of_frame_bit(bit, dominant),
             Phase::Flag { flag: Flag::PassiveError, bits } => {
                 self.passive_flag_bit(if seen == previous { bits + 1 } else { 1 }, dominant);
             }
             Phase::Flag { flag, bits } => self.flag_bit(flag, bits + 1),
-            Phase::FlagEnd { flag, dominant: before } if dominant => self.held_dominant(flag, before + 1),
+            Phase::FlagEnd { flag, dominant: before } if dominant => {
+                self.held_dominant(flag, before + 1)
+            }
             Phase::FlagEnd { .. } => self.phase = Phase::Delimiter { bit: 1 },
             Phase::Delimiter { bit: 7 } if dominant => self.overload(),
             Phase::Delimiter { .. } if dominant => self.error(ErrorKind::Form),
             Phase::Delimiter { bit: 7 } => self.intermission(),
             Phase::Delimiter { bit } => self.phase = Phase::Delimiter { bit: bit + 1 },
-            Phase::Intermission { bit: 2 } if dominant => self.start_of_frame(began, !self.must_suspend()),
+            Phase::Intermission { bit: 2 } if dominant => {
+                self.start_of_frame(began, !self.must_suspend())
+            }
             Phase::Intermission { .. } if dominant => self.overload(),
-            Phase::Intermission { bit: 2 } if self.must_suspend() => self.phase = Phase::Suspend { bit: 0 },
+            Phase::Intermission { bit: 2 } if self.must_suspend() => {
+                self.phase = Phase::Suspend { bit: 0 }
+            }
             Phase::Intermission { bit: 2 } => self.idle(),
             Phase::Intermission { bit } => self.phase = Phase::Intermission { bit: bit + 1 },
             Phase::Suspend { .. } if dominant => self.start_of_frame(began, false),
             Phase::Suspend { bit: 7 } => self.idle(),
             Phase::Suspend { bit } => self.phase = Phase::Suspend { bit: bit + 1 },
-            Phase::Recovering { sequences, recessive } => self.recovery_bit(sequences, recessive, dominant),
+            Phase::Recovering { sequences, recessive } => {
+                self.recovery_bit(sequences, recessive, dominant)
+            }
             Phase::Stopped | Phase::BusOff => {}
         }
     }
@@ -158,7 +196,8 @@ impl Controller {
         self.transmitter = false;
         self.decoder = Decoder::default();
         self.decoder.push(Level::Dominant);
-        if may_join && self.may_transmit() && self.offered.is_some_and(|(from, _)| from <= self.now) {
+        if may_join && self.may_transmit() && self.offered.is_some_and(|(from, _)| from <= self.now)
+        {
             self.begin_transmission(1);
             self.drive_frame();
         }

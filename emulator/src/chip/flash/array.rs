@@ -110,7 +110,9 @@ impl Array {
     /// What an erase leaves that was cut off: per 32 bytes the old content, erased cells, or anything.
     pub fn tear_erase(&mut self, start: usize, before: &[u8], seed: u64) {
         let mut random = Random(seed);
-        for (cells, old) in self.bytes[start..start + before.len()].chunks_mut(32).zip(before.chunks(32)) {
+        for (cells, old) in
+            self.bytes[start..start + before.len()].chunks_mut(32).zip(before.chunks(32))
+        {
             match random.next() % 3 {
                 0 => cells.copy_from_slice(old),
                 1 => cells.fill(0xFF),

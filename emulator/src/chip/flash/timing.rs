@@ -1,0 +1,42 @@
+//! How long the flash takes to program and to erase (STM32F405 data sheet, flash memory programming).
+
+use crate::Time;
+
+/// Which column of the data sheet counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Timing {
+    /// The typical times: 16 us a word; 250, 300 or 400 ms a 16 KB sector at x32, x16 or x8.
+    #[default]
+    Typical,
+    /// The guaranteed times: 100 us a word; 500, 600 or 800 ms a 16 KB sector.
+    Worst,
+}
+
+impl Timing {
+    /// One program operation, whatever its width.
+    pub const fn program(self) -> Time {
+        match self {
+            Self::Typical => Time::from_us(16),
+            Self::Worst => Time::from_us(100),
+        }
+    }
+
+    /// The erase of a sector, by its number and PSIZE (0 = x8, 1 = x16, 2 = x32).
+    pub const fn erase(self, sector: u32, psize: u32) -> Time {
+        let typical = match (sector % 12, psize) {
+            (0..4, 0) => 400,
+            (0..4, 1) => 300,
+            (0..4, _) => 250,
+            (4, 0) => 1200,
+            (4, 1) => 700,
+            (4, _) => 550,
+            (_, 0) => 2000,
+            (_, 1) => 1300,
+            (_, _) => 1000,
+        };
+        match self {
+            Self::Typical => Time::from_ms(typical),
+            Self::Worst => Time::from_ms(2 * typical),
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! The address map: what an access is, and which block answers where.
+
+use super::rcc::Gate;
+use crate::Time;
+
+/// First address of the flash.
+pub const FLASH_BASE: u32 = 0x0800_0000;
+/// First address of the SRAM.
+pub const RAM_BASE: u32 = 0x2000_0000;
+/// First address of the core-coupled memory.
+pub const CCM_BASE: u32 = 0x1000_0000;
+
+/// Where the bus answers with an error: the CPU takes a BusFault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BusFault;
+
+/// Width of an access.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Width {
+    /// 8 bits.
+    Byte,
+    /// 16 bits.
+    Half,
+    /// 32 bits.
+    Word,
+}
+
+impl Width {
+    /// Number of bytes.
+    pub const fn bytes(self) -> u32 {
+        match self {
+            Self::Byte => 1,
+            Self::Half => 2,
+            Self::Word => 4,
+        }
+    }
+
+    pub(super) const fn mask(self) -> u32 {
+        match self {
+            Self::Byte => 0xFF,
+            Self::Half => 0xFFFF,
+            Self::Word => 0xFFFF_FFFF,
+        }
+    }
+}
+
+/// A load or store by the CPU, naturally aligned.
+#[derive(Clone, Copy, Debug)]
+pub struct Access {
+    /// Address of the first byte.
+    pub address: u32,
+    /// How many bytes.
+    pub width: Width,
+    /// When it happens.
+    pub now: Time,
+    /// Address of the instruction.
+    pub pc: u32,
+}
+
+/// What an address belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Block {
+    Flash,
+    FlashRegisters,
+    Rcc,
+    Pwr,
+    Iwdg,
+    Can1,
+    Syscfg,
+    Exti,
+    Gpio(u8),
+    Dbgmcu,
+    Factory,
+    Unknown,
+}
+
+impl Block {
+    pub const fn of(address: u32) -> (Self, u32) {
+        let block = match address {
+            0x4000_3000..0x4000_3400 => Self::Iwdg,
+            0x4000_6400..0x4000_6800 => Self::Can1,
+            0x4000_7000..0x4000_7400 => Self::Pwr,
+            0x4001_3800..0x4001_3C00 => Self::Syscfg,
+            0x4001_3C00..0x4001_4000 => Self::Exti,
+            0x4002_0000..0x4002_2C00 => Self::Gpio((address >> 10 & 0xF) as u8),
+            0x4002_3800..0x4002_3C00 => Self::Rcc,
+            0x4002_3C00..0x4002_4000 => Self::FlashRegisters,
+            0xE004_2000..0xE004_2400 => Self::Dbgmcu,
+            0x1FFF_0000..0x2000_0000 => Self::Factory,
+            FLASH_BASE..CCM_BASE => return (Self::Flash, address - FLASH_BASE),
+            _ => Self::Unknown,
+        };
+        (block, address & 0x3FF)
+    }
+
+    pub const fn gate(self) -> Option<Gate> {
+        match self {
+            Self::Pwr => Some(Gate::Pwr),
+            Self::Can1 => Some(Gate::Can1),
+            Self::Syscfg => Some(Gate::Syscfg),
+            Self::Gpio(port) => Some(Gate::Gpio(port)),
+            _ => None,
+        }
+    }
+
+    /// Whether it hangs on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).
+    pub const fn on_apb(self) -> bool {
+        matches!(self, Self::Iwdg | Self::Can1 | Self::Pwr | Self::Syscfg | Self::Exti)
+    }
+}

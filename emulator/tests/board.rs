@@ -1,0 +1,315 @@
+//! Boards that run small programs, written here instruction by instruction.
+
+mod programs;
+
+use emulator::{
+    Time,
+    board::{Board, Settings, Stop},
+    can::Clock,
+    chip::{Part, Pin, PowerCut, Problem, ResetCause},
+};
+use programs::{Program, R0, R1, R2, R3};
+
+const RCC_CR: u32 = 0x4002_3800;
+const RCC_CFGR: u32 = 0x4002_3808;
+const RCC_AHB1ENR: u32 = 0x4002_3830;
+const RCC_CSR: u32 = 0x4002_3874;
+const GPIOD: u32 = 0x4002_0C00;
+const IWDG_KR: u32 = 0x4000_3000;
+const FLASH_KEYR: u32 = 0x4002_3C04;
+const FLASH_CR: u32 = 0x4002_3C10;
+const SYST_CSR: u32 = 0xE000_E010;
+const SYST_RVR: u32 = 0xE000_E014;
+const AIRCR: u32 = 0xE000_ED0C;
+const COUNTER: u32 = 0x2000_0100;
+
+const SYSTICK: usize = 15;
+const HARD_FAULT: usize = 3;
+
+/// The board starts its program this long after power-on.
+const START: Time = Time::from_us(1_500);
+
+fn board(program: Program) -> Board {
+    Board::new(Part::Stm32f405, &program.image(), Settings::default())
+}
+
+fn word(board: &Board, address: u32) -> u32 {
+    let mut bytes = [0; 4];
+    assert!(board.read_memory(address, &mut bytes), "{address:#x} is no memory");
+    u32::from_le_bytes(bytes)
+}
+
+/// Runs through resets up to `until`.
+fn run(board: &mut Board, until: Time) {
+    while board.run_until(until) != Stop::Deadline {}
+}
+
+/// Counts SysTick interrupts of `reload` + 1 cycles at `COUNTER`, and sleeps in between.
+fn ticker(reload: u32) -> Program {
+    let mut program = Program::new();
+    program.store(COUNTER, 0).store(SYST_RVR, reload).store(SYST_CSR, 7);
+    program.sleep_forever();
+    program.handler(SYSTICK).load(R1, COUNTER).add(R1, 1).store_register(COUNTER, R1).back();
+    program
+}
+
+#[test]
+fn a_program_sets_a_pin_at_the_time_of_its_store() {
+    let mut program = Program::new();
+    program.store(RCC_AHB1ENR, 1 << 3).store(GPIOD, 1 << 24).store(GPIOD + 0x18, 1 << 12);
+    program.stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(2));
+    let output = board.output(Pin('D', 12));
+    assert_eq!(output.level, Some(true));
+    // Two cycles of reset, and some twenty of program at 16 MHz.
+    assert!(output.since > START && output.since < START + Time::from_us(3), "{}", output.since);
+    assert_eq!(board.findings(), []);
+}
+
+#[test]
+fn the_bit_band_alias_reaches_peripherals_and_ram() {
+    let mut program = Program::new();
+    program.store(0x4247_0600 + 4 * 3, 1).store(COUNTER, 0).store(0x2200_2000 + 4 * 5, 1);
+    program.stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(2));
+    assert_eq!(word(&board, COUNTER), 1 << 5);
+    board.chip().gpio_mut().set_input(Pin('D', 0), None);
+    assert_eq!(board.findings(), []);
+}
+
+#[test]
+fn systick_wakes_a_sleeping_cpu_exactly_as_often_as_it_fires() {
+    let mut board = board(ticker(15_999));
+    run(&mut board, START + Time::from_s(10) + Time::from_us(5));
+    assert_eq!(word(&board, COUNTER), 10_000);
+    let (all, busy) = board.cycles();
+    assert!(all >= 160_000_000 && busy < all / 100, "{busy} of {all} cycles");
+}
+
+#[test]
+fn a_run_in_small_pieces_is_the_same_as_a_run_in_one() {
+    let mut whole = board(ticker(997));
+    let mut pieces = board(ticker(997));
+    let end = Time::from_ms(30);
+    run(&mut whole, end);
+    let mut step = 1;
+    while pieces.now() < end {
+        step = step * 5 % 1_000_003;
+        let next = pieces.now() + Time::from_ns(step);
+        run(&mut pieces, end.min(next));
+    }
+    assert_eq!(pieces.now(), whole.now());
+    assert_eq!(pieces.cycles(), whole.cycles());
+    assert_eq!(word(&pieces, COUNTER), word(&whole, COUNTER));
+}
+
+#[test]
+fn the_wake_time_of_a_sleeping_board_is_its_next_systick() {
+    let mut board = board(ticker(15_999));
+    run(&mut board, Time::from_ms(2));
+    let ticks = word(&board, COUNTER);
+    let wake = board.wake_time();
+    assert!(wake > board.now() && wake < START + Time::from_ms(2));
+    run(&mut board, wake);
+    assert_eq!(word(&board, COUNTER), ticks);
+    run(&mut board, wake + Time::from_us(5));
+    assert_eq!(word(&board, COUNTER), ticks + 1);
+}
+
+#[test]
+fn the_core_follows_the_clock_of_rcc_with_the_crystals_error() {
+    let mut program = Program::new();
+    program.store(RCC_CR, 0x0001_0083).wait_for_ones(RCC_CR, 1 << 17).store(RCC_CFGR, 1);
+    program.stop();
+    let settings = Settings { crystal: Clock { hz: 8_000_000, ppm: -100 }, ..Settings::default() };
+    let mut board = Board::new(Part::Stm32f405, &program.image(), settings);
+    run(&mut board, Time::from_ms(10));
+    let (before, _) = board.cycles();
+    let start = board.now();
+    run(&mut board, start + Time::from_s(1));
+    let (after, _) = board.cycles();
+    assert!((after - before).abs_diff(7_999_200) <= 3, "{}", after - before);
+}
+
+#[test]
+fn sysresetreq_resets_the_board_and_keeps_its_ram() {
+    let mut program = Program::new();
+    program.load(R2, RCC_CSR).store_register(COUNTER, R2);
+    program.load(R3, COUNTER + 4).add(R3, 1).store_register(COUNTER + 4, R3);
+    program.sleep_forever_if_nonzero_after(RCC_CSR, 1 << 28);
+    program.store(COUNTER + 4, 7).store(AIRCR, 0x05FA_0004).stop();
+    let mut board = board(program);
+    assert_eq!(board.run_until(Time::from_ms(2)), Stop::Reset(ResetCause::Software));
+    run(&mut board, Time::from_ms(2));
+    assert_eq!(word(&board, COUNTER), 0x1E00_0000);
+    assert_eq!(word(&board, COUNTER + 4), 8);
+    let causes: Vec<_> = board.resets().iter().map(|(_, cause)| *cause).collect();
+    assert_eq!(causes, [ResetCause::PowerOn, ResetCause::Software]);
+}
+
+#[test]
+fn the_watchdog_resets_a_sleeping_board_in_time() {
+    let mut program = Program::new();
+    program.store(IWDG_KR, 0xCCCC).sleep_forever();
+    let mut board = board(program);
+    assert_eq!(board.run_until(Time::from_s(1)), Stop::Reset(ResetCause::Watchdog));
+    // 4 * 4096 periods of 32 kHz.
+    let late = board.now() - (START + Time::from_ms(512));
+    assert!(late < Time::from_us(2), "{late}");
+}
+
+#[test]
+fn a_power_cycle_scrambles_ram_and_keeps_flash() {
+    let mut program = Program::new();
+    program.load(R2, COUNTER).store_register(COUNTER + 4, R2).store(COUNTER, 0).stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(2));
+    board.set_flash(0x4000, b"kept");
+    board.power_off();
+    assert_eq!(board.wake_time(), Time::MAX);
+    run(&mut board, Time::from_ms(5));
+    assert_eq!((board.now(), board.is_powered()), (Time::from_ms(5), false));
+    board.power_on();
+    run(&mut board, Time::from_ms(10));
+    assert_ne!(word(&board, COUNTER + 4), 0);
+    assert_eq!(board.flash()[0x4000..0x4004], *b"kept");
+    assert_eq!(board.resets().len(), 2);
+}
+
+/// Erases sector 1 and then writes 1 to `COUNTER`.
+fn eraser() -> Program {
+    let mut program = Program::new();
+    program.store(COUNTER, 0).store(FLASH_KEYR, 0x4567_0123).store(FLASH_KEYR, 0xCDEF_89AB);
+    program.store(FLASH_CR, 0x0001_020A).store(COUNTER, 1).stop();
+    program
+}
+
+#[test]
+fn an_erase_stalls_the_program_that_runs_from_flash() {
+    let mut board = board(eraser());
+    board.set_flash(0x4000, &[0; 0x4000]);
+    run(&mut board, Time::from_ms(250));
+    assert_eq!(word(&board, COUNTER), 0);
+    assert!(board.wake_time() > board.now());
+    run(&mut board, Time::from_ms(252));
+    assert_eq!(word(&board, COUNTER), 1);
+    assert!(board.flash()[0x4000..0x8000].iter().all(|&byte| byte == 0xFF));
+}
+
+#[test]
+fn an_erase_does_not_stall_a_program_that_runs_from_ram() {
+    let mut board = board(eraser().in_ram());
+    run(&mut board, Time::from_ms(3));
+    assert_eq!(word(&board, COUNTER), 1);
+}
+
+#[test]
+fn a_staged_power_cut_switches_the_board_off_in_the_middle_of_an_erase() {
+    let mut board = board(eraser());
+    board.set_flash(0x4000, &[0; 0x4000]);
+    board.chip().flash_mut().cut_power(PowerCut { operation: 0, seed: 127 });
+    assert_eq!(board.run_until(Time::from_s(1)), Stop::PowerCut);
+    assert_eq!(board.now().as_ms(), 126);
+    assert!(!board.is_powered());
+    assert!(board.flash()[0x4000..0x8000].contains(&0));
+    board.power_on();
+    run(&mut board, Time::from_s(1));
+    assert_eq!(word(&board, COUNTER), 1);
+}
+
+#[test]
+fn a_store_to_locked_flash_does_nothing() {
+    let mut program = Program::new();
+    program.store(0x0800_4000, 0).stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(2));
+    assert_eq!(word(&board, 0x0800_4000), u32::MAX);
+}
+
+#[test]
+fn nothing_at_an_address_is_a_bus_fault_that_escalates() {
+    let mut program = Program::new();
+    program.store(COUNTER, 0).store(0x6000_0000, 1).stop();
+    program.handler(HARD_FAULT).store(COUNTER, 2).stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(2));
+    assert_eq!(word(&board, COUNTER), 2);
+}
+
+#[test]
+fn a_breakpoint_without_a_debugger_is_a_hard_fault() {
+    let mut program = Program::new();
+    program.store(COUNTER, 0).breakpoint();
+    program.handler(HARD_FAULT).store(COUNTER, 3).stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(2));
+    assert_eq!(word(&board, COUNTER), 3);
+}
+
+#[test]
+fn a_fault_in_the_fault_handler_locks_up_until_the_watchdog_bites() {
+    let mut program = Program::new();
+    program.store(IWDG_KR, 0xCCCC).breakpoint();
+    program.handler(HARD_FAULT).undefined();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(100));
+    assert!(board.lockup().is_some());
+    assert_eq!(board.run_until(Time::from_s(1)), Stop::Reset(ResetCause::Watchdog));
+    assert_eq!(board.lockup(), None);
+}
+
+#[test]
+fn findings_name_the_instruction() {
+    let mut program = Program::new();
+    program.load(R0, 0x4000_0000);
+    let pc = program.here() - 2;
+    program.stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(2));
+    let findings = board.findings();
+    assert_eq!((findings.len(), findings[0].problem, findings[0].pc), (1, Problem::Unmodelled, pc));
+}
+
+#[test]
+fn systick_on_the_external_clock_is_found() {
+    let mut program = Program::new();
+    program.store(SYST_RVR, 99).store(SYST_CSR, 1).sleep_forever();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(2));
+    assert_eq!(board.findings().len(), 1);
+}
+
+#[test]
+fn a_program_that_spins_on_itself_costs_as_little_as_one_that_sleeps() {
+    let mut program = Program::new();
+    program.stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_s(1_000));
+    assert!(board.now() < Time::from_s(1_000) + Time::from_us(1));
+    assert_eq!(board.wake_time(), Time::MAX);
+}
+
+#[test]
+fn every_part_starts_its_program() {
+    for part in Part::ALL {
+        let mut program = Program::new();
+        program.store(COUNTER, 5).stop();
+        let mut board = Board::new(part, &program.image(), Settings::default());
+        run(&mut board, Time::from_ms(2));
+        assert_eq!(word(&board, COUNTER), 5, "{part:?}");
+    }
+}
+
+#[test]
+fn the_flash_can_be_kept_in_a_file() {
+    let path = std::env::temp_dir().join(format!("emulator-flash-{}", std::process::id()));
+    let mut first = board(eraser());
+    first.set_flash(0x8000, b"stored");
+    first.save_flash(&path).expect("the file is written");
+    let mut second = board(Program::new());
+    second.load_flash(&path).expect("the file is read");
+    std::fs::remove_file(&path).expect("the file is removed");
+    assert!(first.flash() == second.flash());
+}

@@ -1,0 +1,225 @@
+//! The chip's registers as a program sees them, without a CPU.
+
+use emulator::{
+    Time,
+    can::Clock,
+    chip::{Access, Chip, Part, Pin, Problem, Request, ResetCause, Width},
+};
+
+const RCC_CR: u32 = 0x4002_3800;
+const RCC_PLLCFGR: u32 = 0x4002_3804;
+const RCC_CFGR: u32 = 0x4002_3808;
+const RCC_AHB1ENR: u32 = 0x4002_3830;
+const RCC_APB1ENR: u32 = 0x4002_3840;
+const RCC_CSR: u32 = 0x4002_3874;
+const FLASH_ACR: u32 = 0x4002_3C00;
+const GPIOA: u32 = 0x4002_0000;
+const IWDG: u32 = 0x4000_3000;
+
+fn chip(part: Part) -> Chip {
+    Chip::new(part, Clock { hz: 8_000_000, ppm: 20 }, *b"unique id 12")
+}
+
+fn access(address: u32, width: Width, now: Time) -> Access {
+    Access { address, width, now, pc: 0x0800_1234 }
+}
+
+fn read(chip: &mut Chip, address: u32, now: Time) -> u32 {
+    chip.read(access(address, Width::Word, now)).expect("no bus error")
+}
+
+fn write(chip: &mut Chip, address: u32, value: u32, now: Time) {
+    chip.write(access(address, Width::Word, now), value).expect("no bus error");
+}
+
+/// HSE, PLL 8 MHz / 4 * 128 / 2 = 128 MHz, APB1 32 MHz, APB2 64 MHz, four wait states.
+fn to_128_mhz(chip: &mut Chip) {
+    let ready = Time::from_ms(10);
+    write(chip, FLASH_ACR, 4, Time::ZERO);
+    write(chip, RCC_CR, 0x0001_0083, Time::ZERO);
+    write(chip, RCC_PLLCFGR, 1 << 22 | 128 << 6 | 4, Time::ZERO);
+    write(chip, RCC_CR, 0x0101_0083, ready);
+    write(chip, RCC_CFGR, 4 << 13 | 5 << 10, ready);
+    write(chip, RCC_CFGR, 4 << 13 | 5 << 10 | 2, ready + Time::from_ms(1));
+}
+
+#[test]
+fn the_pll_on_the_crystal_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
+    for part in Part::ALL {
+        let mut chip = chip(part);
+        to_128_mhz(&mut chip);
+        let clocks = chip.clocks();
+        assert_eq!(clocks.hclk, Clock { hz: 128_000_000, ppm: 20 });
+        assert_eq!(clocks.pclk1, Clock { hz: 32_000_000, ppm: 20 });
+        assert_eq!(clocks.pclk2, Clock { hz: 64_000_000, ppm: 20 });
+        assert_eq!(read(&mut chip, RCC_CFGR, Time::from_s(1)) & 0xF, 0b1010);
+        assert_eq!(chip.findings(), []);
+    }
+}
+
+#[test]
+fn oscillators_take_their_time_to_become_ready() {
+    let mut chip = chip(Part::Stm32f405);
+    write(&mut chip, RCC_CR, 0x0001_0083, Time::ZERO);
+    assert_eq!(read(&mut chip, RCC_CR, Time::from_us(10)) >> 17 & 1, 0);
+    assert_eq!(read(&mut chip, RCC_CR, Time::from_ms(3)) >> 17 & 1, 1);
+}
+
+#[test]
+fn sysclk_does_not_follow_to_a_source_that_is_not_ready() {
+    let mut chip = chip(Part::Stm32f405);
+    write(&mut chip, RCC_CFGR, 1, Time::ZERO);
+    assert_eq!(chip.clocks().sysclk.hz, 16_000_000);
+    assert!(matches!(chip.findings()[0].problem, Problem::Misuse(_)));
+}
+
+#[test]
+fn too_few_flash_wait_states_are_found() {
+    let mut chip = chip(Part::Stm32f405);
+    to_128_mhz(&mut chip);
+    write(&mut chip, FLASH_ACR, 3, Time::from_s(1));
+    let finding = &chip.findings()[0];
+    assert_eq!(finding.problem.to_string(), "too few flash wait states for this HCLK");
+}
+
+#[test]
+fn apb1_above_42_mhz_is_found() {
+    let mut chip = chip(Part::Stm32f407);
+    to_128_mhz(&mut chip);
+    write(&mut chip, RCC_CFGR, 4 << 13 | 4 << 10 | 2, Time::from_s(1));
+    assert_eq!(chip.findings().len(), 1);
+}
+
+#[test]
+fn a_peripheral_without_clock_reads_0_loses_writes_and_is_found() {
+    let mut chip = chip(Part::Stm32f405);
+    write(&mut chip, GPIOA, 0x5555_5555, Time::ZERO);
+    assert_eq!(read(&mut chip, GPIOA, Time::ZERO), 0);
+    assert_eq!(chip.findings().len(), 2);
+    assert!(chip.findings().iter().all(|finding| finding.problem == Problem::ClockOff));
+    write(&mut chip, RCC_AHB1ENR, 1, Time::ZERO);
+    assert_eq!(read(&mut chip, GPIOA, Time::ZERO), 0xA800_0000);
+}
+
+#[test]
+fn an_unknown_register_is_found_once_and_counted() {
+    let mut chip = chip(Part::Stm32f405);
+    for _ in 0..3 {
+        assert_eq!(read(&mut chip, 0x4000_0000, Time::from_us(5)), 0);
+    }
+    let [finding] = chip.findings() else { panic!("{:?}", chip.findings()) };
+    assert_eq!((finding.problem, finding.count, finding.pc), (Problem::Unmodelled, 3, 0x0800_1234));
+    assert_eq!(
+        finding.to_string(),
+        "0.005000 ms, pc 08001234: 32-bit read of 40000000: not modelled (3 times)"
+    );
+}
+
+#[test]
+fn reset_flags_add_up_until_they_are_removed() {
+    let mut chip = chip(Part::Stm32f405);
+    assert_eq!(read(&mut chip, RCC_CSR, Time::ZERO), 0x0E00_0000);
+    chip.reset(ResetCause::Software, Time::ZERO);
+    assert_eq!(read(&mut chip, RCC_CSR, Time::ZERO), 0x1E00_0000);
+    write(&mut chip, RCC_CSR, 1 << 24, Time::ZERO);
+    assert_eq!(read(&mut chip, RCC_CSR, Time::ZERO), 0);
+    chip.reset(ResetCause::Watchdog, Time::ZERO);
+    assert_eq!(read(&mut chip, RCC_CSR, Time::ZERO), 0x2400_0000);
+}
+
+#[test]
+fn an_output_keeps_the_time_of_its_last_change() {
+    let mut chip = chip(Part::Stm32f405);
+    let pin = Pin('A', 5);
+    let (high, low) = (Time::from_ms(2), Time::from_ms(5));
+    write(&mut chip, RCC_AHB1ENR, 1, Time::ZERO);
+    assert_eq!(chip.gpio().output(pin).level, None);
+    write(&mut chip, GPIOA, 0xA800_0400, Time::from_ms(1));
+    assert_eq!(chip.gpio().output(pin).level, Some(false));
+    write(&mut chip, GPIOA + 0x18, 1 << 5, high);
+    write(&mut chip, GPIOA + 0x18, 1 << 5 | 1 << 6, Time::from_ms(3));
+    assert_eq!((chip.gpio().output(pin).level, chip.gpio().output(pin).since), (Some(true), high));
+    write(&mut chip, GPIOA + 0x18, 1 << 21, low);
+    assert_eq!((chip.gpio().output(pin).level, chip.gpio().output(pin).since), (Some(false), low));
+}
+
+#[test]
+fn an_input_reads_its_pull_until_something_is_connected() {
+    let mut chip = chip(Part::Stm32f405);
+    write(&mut chip, RCC_AHB1ENR, 1, Time::ZERO);
+    write(&mut chip, GPIOA + 0x0C, 0x6400_0001, Time::ZERO);
+    assert_eq!(read(&mut chip, GPIOA + 0x10, Time::ZERO) & 1, 1);
+    chip.gpio_mut().set_input(Pin('A', 0), Some(false));
+    assert_eq!(read(&mut chip, GPIOA + 0x10, Time::ZERO) & 1, 0);
+}
+
+#[test]
+fn the_watchdog_runs_out_after_its_periods_of_lsi() {
+    let mut chip = chip(Part::Stm32f405);
+    let start = Time::from_ms(7);
+    write(&mut chip, IWDG, 0x5555, start);
+    write(&mut chip, IWDG + 4, 3, start);
+    write(&mut chip, IWDG + 8, 999, start);
+    assert_eq!(read(&mut chip, IWDG + 12, start), 3);
+    write(&mut chip, IWDG, 0xCCCC, start);
+    // 1000 periods of 32 kHz / 32.
+    assert_eq!(chip.next_event(), start + Time::from_s(1));
+    write(&mut chip, IWDG, 0xAAAA, start + Time::from_ms(400));
+    assert_eq!(chip.next_event(), start + Time::from_ms(1400));
+    chip.advance(start + Time::from_ms(1400));
+    assert_eq!(chip.take_request(), Some(Request::Reset(ResetCause::Watchdog)));
+    assert_eq!(read(&mut chip, IWDG + 12, start + Time::from_ms(1)), 0);
+    assert_eq!(chip.findings(), []);
+}
+
+#[test]
+fn a_fast_lsi_shortens_the_watchdog() {
+    let mut chip = chip(Part::Stm32f405);
+    chip.iwdg_mut().set_lsi(47_000);
+    write(&mut chip, IWDG, 0xCCCC, Time::ZERO);
+    assert_eq!(chip.next_event().as_us(), 4 * 4096 * 1_000_000 / 47_000);
+}
+
+#[test]
+fn a_byte_on_apb_is_repeated_in_every_lane_and_one_on_ahb_is_not() {
+    let mut chip = chip(Part::Stm32f405);
+    write(&mut chip, RCC_AHB1ENR, 1, Time::ZERO);
+    chip.write(access(GPIOA + 0x15, Width::Byte, Time::ZERO), 0x81).expect("no bus error");
+    assert_eq!(read(&mut chip, GPIOA + 0x14, Time::ZERO), 0x8100);
+    write(&mut chip, 0x4002_3844, 1 << 14, Time::ZERO);
+    chip.write(access(0x4001_3808, Width::Byte, Time::ZERO), 0x12).expect("no bus error");
+    assert_eq!(read(&mut chip, 0x4001_3808, Time::ZERO), 0x1212_1212);
+}
+
+#[test]
+fn the_factory_data_is_readable_in_any_width() {
+    for part in Part::ALL {
+        let mut chip = chip(part);
+        assert_eq!(read(&mut chip, 0x1FFF_7A10, Time::ZERO).to_le_bytes(), *b"uniq");
+        assert_eq!(read(&mut chip, 0x1FFF_7A18, Time::ZERO).to_le_bytes(), *b"d 12");
+        let size = chip.read(access(0x1FFF_7A22, Width::Half, Time::ZERO)).expect("no bus error");
+        assert_eq!(size * 1024, part.flash_size());
+        assert_eq!(read(&mut chip, 0xE004_2000, Time::ZERO), part.id_code());
+        assert_eq!(chip.findings(), []);
+    }
+}
+
+#[test]
+fn can_that_starts_without_pins_is_found() {
+    let mut chip = chip(Part::Stm32f405);
+    write(&mut chip, RCC_APB1ENR, 1 << 25, Time::ZERO);
+    write(&mut chip, 0x4000_6400, 0, Time::ZERO);
+    let problem = chip.findings()[0].problem;
+    assert_eq!(problem.to_string(), "CAN1 leaves initialisation with no pins in AF9");
+}
+
+#[test]
+fn a_reset_through_rcc_puts_can_back_to_sleep() {
+    let mut chip = chip(Part::Stm32f405);
+    write(&mut chip, RCC_APB1ENR, 1 << 25, Time::ZERO);
+    write(&mut chip, 0x4000_6400, 1, Time::ZERO);
+    assert_eq!(read(&mut chip, 0x4000_6400, Time::ZERO), 1);
+    write(&mut chip, RCC_APB1ENR - 0x20, 1 << 25, Time::ZERO);
+    write(&mut chip, RCC_APB1ENR - 0x20, 0, Time::ZERO);
+    assert_eq!(read(&mut chip, 0x4000_6400, Time::ZERO), 0x0001_0002);
+}

@@ -1,0 +1,319 @@
+//! The flash interface as a driver sees it, and what failures leave behind.
+
+use emulator::{
+    Time,
+    can::Clock,
+    chip::{Access, BusFault, Chip, Part, PowerCut, Request, ResetCause, StuckBits, Timing, Width},
+};
+
+const ACR: u32 = 0x4002_3C00;
+const KEYR: u32 = 0x4002_3C04;
+const SR: u32 = 0x4002_3C0C;
+const CR: u32 = 0x4002_3C10;
+const OPTCR: u32 = 0x4002_3C14;
+
+const RCC_AHB1ENR: u32 = 0x4002_3830;
+
+const BSY: u32 = 1 << 16;
+const WRPERR: u32 = 1 << 4;
+const PGPERR: u32 = 1 << 6;
+const PGSERR: u32 = 1 << 7;
+const X32: u32 = 2 << 8;
+const PG: u32 = 1;
+const SER: u32 = 2;
+const STRT: u32 = 1 << 16;
+
+/// A chip and the time of its next access.
+struct Bench {
+    chip: Chip,
+    now: Time,
+}
+
+impl Bench {
+    fn new(part: Part) -> Self {
+        let crystal = Clock { hz: 8_000_000, ppm: 0 };
+        Self { chip: Chip::new(part, crystal, [0; 12]), now: Time::ZERO }
+    }
+
+    fn unlocked(part: Part) -> Self {
+        let mut bench = Self::new(part);
+        bench.write(KEYR, 0x4567_0123).expect("the first key");
+        bench.write(KEYR, 0xCDEF_89AB).expect("the second key");
+        bench
+    }
+
+    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<(), BusFault> {
+        self.now += Time::from_ns(100);
+        self.chip.write(Access { address, width, now: self.now, pc: 0 }, value)
+    }
+
+    fn write(&mut self, address: u32, value: u32) -> Result<(), BusFault> {
+        self.store(address, Width::Word, value)
+    }
+
+    fn set(&mut self, address: u32, value: u32) {
+        self.write(address, value).expect("no bus error");
+    }
+
+    fn read(&mut self, address: u32) -> u32 {
+        self.now += Time::from_ns(100);
+        let access = Access { address, width: Width::Word, now: self.now, pc: 0 };
+        self.chip.read(access).expect("no bus error")
+    }
+
+    fn flash(&self, offset: usize) -> u32 {
+        let bytes = &self.chip.flash().bytes()[offset..offset + 4];
+        u32::from_le_bytes(bytes.try_into().expect("four bytes"))
+    }
+
+    /// Waits for the end of an operation and returns how long it took.
+    fn wait(&mut self) -> Time {
+        let start = self.now;
+        if let Some(end) = self.chip.flash().operation_end() {
+            assert_ne!(self.read(SR) & BSY, 0);
+            self.now = end;
+        }
+        assert_eq!(self.read(SR) & BSY, 0);
+        self.now - start
+    }
+
+    fn program(&mut self, offset: u32, value: u32) {
+        self.set(CR, X32 | PG);
+        self.set(0x0800_0000 + offset, value);
+    }
+
+    fn erase(&mut self, number: u32) {
+        self.set(CR, X32 | SER | number << 3);
+        self.set(CR, X32 | SER | number << 3 | STRT);
+    }
+}
+
+#[test]
+fn programming_clears_bits_and_never_sets_them() {
+    let mut bench = Bench::unlocked(Part::Stm32f405);
+    bench.program(0x4000, 0x00FF_1234);
+    assert!(bench.wait() >= Time::from_us(16));
+    bench.program(0x4000, 0xFF0F_FFF0);
+    bench.wait();
+    assert_eq!(bench.flash(0x4000), 0x000F_1230);
+    assert_eq!(bench.read(SR), 0);
+}
+
+#[test]
+fn an_erase_sets_its_sector_and_no_other() {
+    for (part, number, range) in [
+        (Part::Stm32f405, 0, 0..0x4000),
+        (Part::Stm32f405, 3, 0xC000..0x1_0000),
+        (Part::Stm32f405, 4, 0x1_0000..0x2_0000),
+        (Part::Stm32f405, 11, 0xE_0000..0x10_0000),
+        (Part::Stm32f446, 7, 0x6_0000..0x8_0000),
+        (Part::Stm32f427, 16, 0x10_0000..0x10_4000),
+        (Part::Stm32f427, 27, 0x1E_0000..0x20_0000),
+    ] {
+        let mut bench = Bench::unlocked(part);
+        bench.chip.flash_mut().load(0, &vec![0; part.flash_size() as usize]);
+        bench.erase(number);
+        bench.wait();
+        let bytes = bench.chip.flash().bytes();
+        for (offset, &byte) in bytes.iter().enumerate() {
+            assert_eq!(byte == 0xFF, range.contains(&offset), "{part:?} {number} {offset:#x}");
+        }
+    }
+}
+
+#[test]
+fn a_sector_that_the_part_lacks_is_a_sequence_error() {
+    for (part, number) in [(Part::Stm32f405, 12), (Part::Stm32f446, 8), (Part::Stm32f427, 12)] {
+        let mut bench = Bench::unlocked(part);
+        bench.erase(number);
+        assert_eq!(bench.read(SR), PGSERR, "{part:?}");
+        assert_eq!(bench.chip.flash().operations(), 0);
+    }
+}
+
+#[test]
+fn times_follow_the_data_sheet() {
+    for (timing, size, ms) in [
+        (Timing::Typical, 2, 250),
+        (Timing::Typical, 0, 400),
+        (Timing::Worst, 1, 600),
+        (Timing::Worst, 0, 800),
+    ] {
+        let mut bench = Bench::unlocked(Part::Stm32f405);
+        bench.chip.flash_mut().set_timing(timing);
+        bench.set(CR, size << 8 | SER | 1 << 3 | STRT);
+        assert_eq!(bench.wait().as_ms(), ms, "{timing:?}");
+    }
+}
+
+#[test]
+fn a_store_without_pg_or_in_the_wrong_width_changes_nothing_and_says_so() {
+    let mut bench = Bench::unlocked(Part::Stm32f405);
+    bench.set(0x0800_4000, 0);
+    assert_eq!((bench.read(SR), bench.flash(0x4000)), (PGSERR, u32::MAX));
+    bench.set(SR, PGSERR);
+    bench.set(CR, X32 | PG);
+    bench.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
+    assert_eq!((bench.read(SR), bench.flash(0x4000)), (PGPERR, u32::MAX));
+    bench.set(SR, PGPERR);
+    assert_eq!(bench.read(SR), 0);
+}
+
+#[test]
+fn a_protected_sector_can_be_neither_programmed_nor_erased() {
+    let mut bench = Bench::unlocked(Part::Stm32f405);
+    bench.chip.flash_mut().protect_sectors(1 << 2);
+    assert_eq!(bench.read(OPTCR) >> 16, 0x0FFB);
+    bench.program(0x8000, 0);
+    assert_eq!(bench.read(SR), WRPERR);
+    bench.set(SR, WRPERR);
+    bench.erase(2);
+    assert_eq!(bench.read(SR), WRPERR);
+    bench.set(SR, WRPERR);
+    bench.program(0x4000, 0);
+    bench.wait();
+    assert_eq!((bench.flash(0x8000), bench.flash(0x4000)), (u32::MAX, 0));
+}
+
+#[test]
+fn a_wrong_key_is_a_bus_error_and_locks_until_reset() {
+    let mut bench = Bench::new(Part::Stm32f405);
+    assert_eq!(bench.write(KEYR, 0x4567_0124), Err(BusFault));
+    assert_eq!(bench.write(KEYR, 0x4567_0123), Err(BusFault));
+    assert_eq!(bench.write(KEYR, 0xCDEF_89AB), Err(BusFault));
+    assert_eq!(bench.read(CR), 1 << 31);
+    bench.chip.reset(ResetCause::Software, bench.now);
+    bench.set(KEYR, 0x4567_0123);
+    bench.set(KEYR, 0xCDEF_89AB);
+    assert_eq!(bench.read(CR), 0);
+}
+
+#[test]
+fn a_locked_control_register_keeps_its_value_and_the_write_is_found() {
+    let mut bench = Bench::new(Part::Stm32f405);
+    bench.set(CR, PG);
+    assert_eq!(bench.read(CR), 1 << 31);
+    assert_eq!(bench.chip.findings().len(), 1);
+}
+
+#[test]
+fn a_write_that_locks_starts_nothing_and_is_found() {
+    let mut bench = Bench::unlocked(Part::Stm32f405);
+    bench.set(CR, 1 << 31 | X32 | SER | 1 << 3 | STRT);
+    assert_eq!(bench.read(CR), 1 << 31);
+    assert_eq!((bench.chip.flash().operations(), bench.chip.findings().len()), (0, 1));
+}
+
+#[test]
+fn an_erase_behind_the_data_cache_is_found_unless_the_cache_is_reset() {
+    const DCEN: u32 = 1 << 10;
+    const DCRST: u32 = 1 << 12;
+    for reset in [false, true] {
+        let mut bench = Bench::unlocked(Part::Stm32f405);
+        bench.set(ACR, DCEN);
+        bench.erase(1);
+        bench.wait();
+        bench.set(CR, 1 << 31);
+        if reset {
+            bench.set(ACR, 0);
+            bench.set(ACR, DCRST);
+            bench.set(ACR, 0);
+            bench.set(ACR, DCEN);
+        }
+        bench.set(RCC_AHB1ENR, 1);
+        assert_eq!(bench.chip.findings().is_empty(), reset);
+    }
+}
+
+#[test]
+fn only_the_bank_that_works_stalls_its_readers() {
+    let mut bench = Bench::unlocked(Part::Stm32f427);
+    bench.erase(16);
+    let now = bench.now;
+    assert_eq!(bench.chip.stalled_until(0x0800_C000, now), None);
+    assert!(bench.chip.stalled_until(0x0810_0000, now).is_some());
+    assert_eq!(bench.chip.stalled_until(0x2000_0000, now), None);
+}
+
+#[test]
+fn stuck_bits_survive_programming_and_erasing() {
+    let mut bench = Bench::unlocked(Part::Stm32f405);
+    let stuck = StuckBits { offset: 0x4001, mask: 0x11, value: 0x01 };
+    bench.chip.flash_mut().add_stuck_bits(stuck);
+    bench.erase(1);
+    bench.wait();
+    assert_eq!(bench.flash(0x4000), 0xFFFF_EFFF);
+    bench.program(0x4000, 0);
+    bench.wait();
+    assert_eq!(bench.flash(0x4000), 0x0000_0100);
+}
+
+#[test]
+fn a_failing_erase_leaves_other_than_blank_without_a_flag() {
+    let mut bench = Bench::unlocked(Part::Stm32f405);
+    bench.chip.flash_mut().load(0x4000, &[0; 0x4000]);
+    bench.chip.flash_mut().fail_erases(1);
+    bench.erase(1);
+    bench.wait();
+    let sector = |bench: &Bench| bench.chip.flash().bytes()[0x4000..0x8000].to_vec();
+    assert!(sector(&bench).iter().any(|&byte| byte != 0xFF));
+    assert_eq!(bench.read(SR), 0);
+    bench.erase(1);
+    bench.wait();
+    assert!(sector(&bench).iter().all(|&byte| byte == 0xFF));
+}
+
+#[test]
+fn a_power_cut_leaves_a_word_between_its_old_and_its_new_value() {
+    let mut torn = 0;
+    for seed in 0..200 {
+        let mut bench = Bench::unlocked(Part::Stm32f405);
+        bench.chip.flash_mut().cut_power(PowerCut { operation: 1, seed });
+        bench.program(0x4000, 0x1234_5678);
+        bench.wait();
+        bench.program(0x4004, 0x0F0F_0000);
+        let cut = bench.chip.next_event();
+        assert!(cut > bench.now && cut < bench.now + Time::from_us(17), "seed {seed}");
+        bench.chip.advance(cut);
+        assert_eq!(bench.chip.take_request(), Some(Request::PowerCut), "seed {seed}");
+        bench.chip.reset(ResetCause::PowerOn, cut);
+        assert_eq!(bench.flash(0x4000), 0x1234_5678, "seed {seed}");
+        let word = bench.flash(0x4004);
+        assert_eq!(word & 0x0F0F_0000, 0x0F0F_0000, "seed {seed}");
+        torn += u32::from(word != 0x0F0F_0000 && word != u32::MAX);
+        assert_eq!(bench.chip.next_event(), Time::MAX, "seed {seed}");
+    }
+    assert!(torn > 150, "{torn} of 200 words were torn");
+}
+
+#[test]
+fn a_power_cut_leaves_an_erased_sector_in_any_state_and_its_neighbours_whole() {
+    for seed in 0..20 {
+        let mut bench = Bench::unlocked(Part::Stm32f405);
+        let flash = bench.chip.flash_mut();
+        flash.load(0, &[0x5A; 0xC000]);
+        flash.cut_power(PowerCut { operation: 0, seed });
+        bench.erase(1);
+        let cut = bench.chip.next_event();
+        bench.chip.reset(ResetCause::PowerOn, cut);
+        let bytes = bench.chip.flash().bytes();
+        assert!(bytes[..0x4000].iter().all(|&byte| byte == 0x5A), "seed {seed}");
+        assert!(bytes[0x8000..0xC000].iter().all(|&byte| byte == 0x5A), "seed {seed}");
+        let sector = &bytes[0x4000..0x8000];
+        assert!(sector.contains(&0xFF) && sector.contains(&0x5A), "seed {seed}");
+        assert!(sector.iter().any(|byte| ![0xFF, 0x5A].contains(byte)), "seed {seed}");
+    }
+}
+
+#[test]
+fn the_end_of_an_operation_interrupts_only_if_asked_to() {
+    const EOPIE: u32 = 1 << 24;
+    for enable in [0, EOPIE] {
+        let mut bench = Bench::unlocked(Part::Stm32f405);
+        bench.set(CR, X32 | PG | enable);
+        bench.set(0x0800_4000, 0);
+        bench.wait();
+        assert_eq!(bench.read(SR), u32::from(enable != 0));
+        assert_eq!(bench.chip.irqs() >> 4 & 1, u128::from(enable != 0));
+    }
+}

@@ -1,0 +1,420 @@
+//! The settings log in a flash that works and in one that does not: what is found, what is written, what is refused.
+
+mod support;
+
+use lss_slave::{
+    BitRate, NodeId, Settings,
+    lss::StoreError::MediumAccess,
+    settings::{Found, Log},
+};
+use support::{
+    flash::{BoardFlash, Flash, Operation},
+    random::Random,
+};
+
+/// Records that a bank of 16 KB has room for.
+const RECORDS: u16 = 512;
+
+/// Settings that differ for each `n`, in more than one field from those of `n` + 1.
+fn settings(n: u16) -> Settings {
+    Settings {
+        node_id: NodeId::new((n % 128) as u8),
+        bit_rate: BitRate::ALL[usize::from(n % 8)],
+        heartbeat_ms: n,
+    }
+}
+
+/// What a power-on finds.
+fn open<const W: usize, const E: usize>(flash: &Flash<W, E>) -> (Option<Settings>, Found) {
+    let (log, found) = Log::open(flash.clone());
+    (log.settings(), found)
+}
+
+/// The record of the documentation: sequence, kind, node-ID, bit rate index, heartbeat time, CRC, commit word.
+fn record(sequence: u32, kind: u8, node_id: u8, index: u8, heartbeat_ms: u16) -> [u8; 32] {
+    let mut bytes = [0xFF; 32];
+    bytes[..4].copy_from_slice(&sequence.to_le_bytes());
+    bytes[4..7].copy_from_slice(&[kind, node_id, index]);
+    bytes[8..10].copy_from_slice(&heartbeat_ms.to_le_bytes());
+    let mut crc = u32::MAX;
+    for bit in bytes[..24].iter().flat_map(|byte| (0..8).map(move |i| u32::from(byte >> i & 1))) {
+        crc = crc >> 1 ^ if (crc ^ bit) & 1 == 1 { 0xEDB8_8320 } else { 0 };
+    }
+    bytes[24..28].copy_from_slice(&(!crc).to_le_bytes());
+    bytes[28..].copy_from_slice(b"LSS1");
+    bytes
+}
+
+/// A flash with these records, each in its place: bank and number in the bank.
+fn flash_with<const W: usize, const E: usize>(records: &[(usize, usize, [u8; 32])]) -> Flash<W, E> {
+    let mut content = vec![0xFF; 2 * E];
+    for (bank, number, record) in records {
+        let at = bank * E + number * 32;
+        content[at..at + 32].copy_from_slice(record);
+    }
+    Flash::with_content(content, 0)
+}
+
+#[test]
+fn a_new_device_is_blank_once_and_has_no_settings() {
+    let flash = BoardFlash::blank(0);
+    assert_eq!(open(&flash), (None, Found::Blank));
+    assert_eq!(open(&flash), (None, Found::Complete));
+}
+
+#[test]
+fn what_was_stored_is_found_at_the_next_open() {
+    let flash = BoardFlash::blank(0);
+    for node_id in [1, 2, 0x40, 0x7E, 0x7F, 0xFF] {
+        for bit_rate in BitRate::ALL {
+            for heartbeat_ms in [0, 1, 0xFF, 0x100, u16::MAX] {
+                let node_id = NodeId::from_lss(node_id).unwrap();
+                let settings = Settings { node_id, bit_rate, heartbeat_ms };
+                let (mut log, _) = Log::open(flash.clone());
+                assert_eq!(log.store(settings), Ok(()));
+                assert_eq!(log.settings(), Some(settings));
+                assert_eq!(open(&flash), (Some(settings), Found::Complete));
+            }
+        }
+    }
+}
+
+#[test]
+fn the_record_in_flash_is_the_documented_one() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    assert_eq!(flash.content()[..32], record(1, 0, 0xFF, 0xFF, 0xFFFF));
+    log.store(Settings { node_id: NodeId::new(5), bit_rate: BitRate::Kbit500, heartbeat_ms: 1000 })
+        .unwrap();
+    assert_eq!(flash.content()[32..64], record(2, 1, 5, 2, 1000));
+    log.store(Settings { node_id: None, bit_rate: BitRate::Kbit10, heartbeat_ms: 0 }).unwrap();
+    assert_eq!(flash.content()[64..96], record(3, 1, 0xFF, 8, 0));
+}
+
+#[test]
+fn settings_that_are_stored_already_are_not_written() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    log.store(settings(1)).unwrap();
+    let content = flash.content();
+    let writes = flash.writes();
+    assert_eq!(log.store(settings(1)), Ok(()));
+    let (mut log, _) = Log::open(flash.clone());
+    assert_eq!(log.store(settings(1)), Ok(()));
+    assert_eq!((flash.writes(), flash.content()), (writes, content));
+    log.store(settings(2)).unwrap();
+    log.store(settings(1)).unwrap();
+    assert_eq!(open(&flash).0, Some(settings(1)), "not stored already: 2 was in between");
+}
+
+#[test]
+fn a_full_bank_refuses_keeps_the_old_settings_and_the_next_open_makes_room() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    for _ in 0..3 {
+        let erases = flash.erases();
+        for n in 1..RECORDS {
+            assert_eq!(log.store(settings(n)), Ok(()), "{n}");
+        }
+        assert_eq!(log.store(settings(RECORDS)), Err(MediumAccess));
+        assert_eq!(log.settings(), Some(settings(RECORDS - 1)));
+        assert_eq!(log.store(settings(RECORDS - 1)), Ok(()), "which is stored already");
+        assert_eq!(flash.erases(), erases, "store never erases");
+        let found;
+        (log, found) = Log::open(flash.clone());
+        assert_eq!((log.settings(), found), (Some(settings(RECORDS - 1)), Found::Complete));
+        assert_eq!(flash.erases(), erases + 1);
+    }
+}
+
+#[test]
+fn open_erases_only_when_less_than_a_quarter_is_left() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    let erases = flash.erases();
+    for n in 1..RECORDS * 3 / 4 {
+        log.store(settings(n)).unwrap();
+    }
+    let content = flash.content();
+    (log, _) = Log::open(flash.clone());
+    assert_eq!((flash.erases(), flash.content()), (erases, content), "a quarter is left");
+    log.store(settings(0)).unwrap();
+    (log, _) = Log::open(flash.clone());
+    assert_eq!(flash.erases(), erases + 1);
+    assert_eq!(log.settings(), Some(settings(0)));
+    Log::open(flash.clone());
+    assert_eq!(flash.erases(), erases + 1, "once");
+}
+
+#[test]
+fn stores_and_power_cycles_in_any_number_find_the_last_settings() {
+    let mut random = Random::new();
+    let flash = Flash::<1, 128>::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    let mut stored = None;
+    for _ in 0..5_000 {
+        if random.one_in(2) {
+            let settings = settings(random.within(0..4) as u16);
+            if log.store(settings).is_ok() {
+                stored = Some(settings);
+            }
+        } else {
+            (log, _) = Log::open(flash.clone());
+        }
+        assert_eq!(log.settings(), stored);
+    }
+    assert!(flash.erases() > 500);
+}
+
+#[test]
+fn the_newer_bank_counts_even_where_the_sequence_wraps() {
+    for older in [1, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFE, 0xFFFF_FFFF] {
+        for newer_by in [1u32, 2, 600] {
+            for bank in [0, 1] {
+                let flash = flash_with::<4, 0x4000>(&[
+                    (1 - bank, 100, record(older, 1, 5, 2, 5)),
+                    (bank, 0, record(older.wrapping_add(newer_by), 1, 6, 2, 6)),
+                ]);
+                let (mut log, _) = Log::open(flash.clone());
+                assert_eq!(log.settings().unwrap().heartbeat_ms, 6, "{older:#x} + {newer_by}");
+                for n in 10..1_000 {
+                    if log.store(settings(n)).is_err() {
+                        (log, _) = Log::open(flash.clone());
+                        log.store(settings(n)).unwrap();
+                    }
+                }
+                assert_eq!(open(&flash).0, Some(settings(999)));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_record_with_any_bit_wrong_does_not_count_and_the_one_before_does() {
+    let old = record(8, 1, 4, 3, 4);
+    for byte in 0..32 {
+        for bit in 0..8 {
+            let mut new = record(9, 1, 5, 2, 5);
+            new[byte] ^= 1 << bit;
+            let flash = flash_with::<4, 128>(&[(0, 0, old), (0, 1, new)]);
+            let (mut log, found) = Log::open(flash.clone());
+            assert_eq!(found, Found::Interrupted, "byte {byte}, bit {bit}");
+            assert_eq!(log.settings().unwrap().heartbeat_ms, 4);
+            assert_eq!(log.store(settings(6)), Ok(()), "after it, not over it");
+            assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
+        }
+    }
+}
+
+#[test]
+fn a_record_of_settings_that_cannot_be_does_not_count() {
+    for wrong in [
+        record(9, 1, 0x00, 2, 5),
+        record(9, 1, 0x80, 2, 5),
+        record(9, 1, 0xFE, 2, 5),
+        record(9, 1, 5, 5, 5),
+        record(9, 1, 5, 9, 5),
+        record(9, 1, 5, 0xFF, 5),
+        record(9, 2, 5, 2, 5),
+        record(9, 0xFF, 5, 2, 5),
+    ] {
+        let flash = flash_with::<4, 128>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, wrong)]);
+        assert_eq!(open(&flash).0.unwrap().heartbeat_ms, 4, "{wrong:02X?}");
+    }
+}
+
+#[test]
+fn garbage_means_defaults_and_is_formatted() {
+    let mut random = Random::new();
+    let mut contents = vec![vec![0; 0x8000], vec![0x5A; 0x8000]];
+    // Another program's data in one bank, the other blank.
+    contents.push([vec![0x11; 0x4000], vec![0xFF; 0x4000]].concat());
+    contents.push([vec![0xFF; 0x7FFF], vec![0xFE]].concat());
+    contents.push((0..0x8000).map(|_| random.byte()).collect());
+    for content in contents {
+        let flash = BoardFlash::with_content(content, 0);
+        let (mut log, found) = Log::open(flash.clone());
+        assert_eq!((log.settings(), found), (None, Found::Damaged));
+        assert_eq!(log.store(settings(1)), Ok(()));
+        assert_eq!(open(&flash), (Some(settings(1)), Found::Complete));
+    }
+}
+
+/// What a flash may hold at worst: true records, true records with errors, and noise, in any place.
+fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
+    let mut content = Vec::new();
+    let any = random.u32();
+    let first = random.pick(&[0, 1, 0x7FFF_FFFF, 0x8000_0000, u32::MAX, any]);
+    while content.len() < 2 * E {
+        let sequence = first.wrapping_add(random.within(0..1_000) as u32);
+        let mut record = record(
+            sequence,
+            random.byte() % 3,
+            random.byte(),
+            random.byte() % 10,
+            random.next() as u16,
+        );
+        match random.within(0..4) {
+            0 => record = [0xFF; 32],
+            1 => record = random.bytes(),
+            2 => record[random.within(0..32) as usize] ^= random.byte(),
+            _ => {}
+        }
+        content.extend(record);
+    }
+    content
+}
+
+#[test]
+fn whatever_the_flash_holds_open_ends_and_what_is_stored_then_is_found() {
+    let mut random = Random::new();
+    for _ in 0..5_000 {
+        let flash = Flash::<4, 128>::with_content(any_content::<128>(&mut random), random.next());
+        let (mut log, found) = Log::open(flash.clone());
+        assert_ne!(found, Found::MediumFailed);
+        assert_eq!(log.settings(), open(&flash).0, "what is found stays");
+        let settings = settings(random.next() as u16);
+        assert_eq!(log.store(settings), Ok(()), "open has made room");
+        assert_eq!(open(&flash).0, Some(settings));
+    }
+}
+
+#[test]
+fn a_flash_with_room_for_one_record_a_bank_is_of_no_use_but_does_no_harm() {
+    let flash = Flash::<4, 32>::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    assert_eq!(log.store(settings(1)), Err(MediumAccess));
+    assert_eq!(open(&flash).0, None);
+}
+
+/// A log that holds `settings(1)` and then one failure: the failing operation is the one after `others`.
+fn with_settings_1() -> (Log<BoardFlash>, BoardFlash) {
+    let flash = BoardFlash::blank(7);
+    let (mut log, _) = Log::open(flash.clone());
+    log.store(settings(1)).unwrap();
+    (log, flash)
+}
+
+#[test]
+fn a_flash_that_cannot_be_written_or_read_refuses_and_the_old_settings_stay() {
+    for operation in [Operation::Write, Operation::Read] {
+        let (mut log, flash) = with_settings_1();
+        flash.fail(operation);
+        for n in 2..5 {
+            assert_eq!(log.store(settings(n)), Err(MediumAccess), "{operation:?}");
+            assert_eq!(log.settings(), Some(settings(1)));
+        }
+        flash.repair();
+        assert_eq!(open(&flash).0, Some(settings(1)), "{operation:?}");
+        assert_eq!(log.store(settings(5)), Ok(()), "the flash works again");
+        assert_eq!(open(&flash).0, Some(settings(5)));
+    }
+}
+
+#[test]
+fn a_store_that_failed_at_any_operation_leaves_the_old_settings_and_the_next_one_works() {
+    for operation in [Operation::Write, Operation::Read] {
+        for others in 0.. {
+            let (mut log, flash) = with_settings_1();
+            flash.fail_once(operation, others);
+            let outcome = log.store(settings(2));
+            if flash.is_faulty() {
+                break;
+            }
+            let left = if outcome.is_ok() { settings(2) } else { settings(1) };
+            assert_eq!(log.settings(), Some(left));
+            assert_eq!(open(&flash).0, Some(left), "{operation:?} {others}: {outcome:?}");
+            assert_eq!(log.store(settings(3)), Ok(()));
+            assert_eq!(open(&flash).0, Some(settings(3)), "{operation:?} {others}");
+        }
+    }
+}
+
+#[test]
+fn settings_that_are_stored_again_after_a_store_that_failed_are_found() {
+    for operation in [Operation::Write, Operation::Read] {
+        for others in 0.. {
+            let (mut log, flash) = with_settings_1();
+            flash.fail_once(operation, others);
+            let _ = log.store(settings(2));
+            if flash.is_faulty() {
+                break;
+            }
+            assert_eq!(log.store(settings(1)), Ok(()));
+            assert_eq!(open(&flash).0, Some(settings(1)), "{operation:?} {others}");
+        }
+    }
+}
+
+#[test]
+fn a_blank_flash_that_fails_is_reported_and_refuses() {
+    for operation in [Operation::Read, Operation::Write, Operation::Erase] {
+        let flash = BoardFlash::blank(0);
+        flash.fail(operation);
+        let (mut log, found) = Log::open(flash.clone());
+        assert_eq!((log.settings(), found), (None, Found::MediumFailed), "{operation:?}");
+        assert_eq!(log.store(settings(1)), Err(MediumAccess), "{operation:?}");
+    }
+}
+
+#[test]
+fn an_open_that_fails_at_any_operation_loses_nothing() {
+    // Room for one more record, so that open moves to the other bank; from each of the two.
+    for bank in [0, 1] {
+        for operation in [Operation::Read, Operation::Write, Operation::Erase] {
+            for others in 0.. {
+                let records = [0, 1, 2].map(|n| (bank, n, record(n as u32 + 1, 1, 5, 2, n as u16)));
+                let flash = flash_with::<4, 128>(&records);
+                flash.fail_once(operation, others);
+                let (mut log, found) = Log::open(flash.clone());
+                if flash.is_faulty() {
+                    break;
+                }
+                let case = format!("bank {bank}, {operation:?} {others}: {found:?}");
+                let mut last = 2;
+                if log.store(settings(300)).is_ok() {
+                    last = 300;
+                }
+                assert_eq!(open(&flash).0.unwrap().heartbeat_ms, last, "{case}");
+                let (mut log, _) = Log::open(flash.clone());
+                assert_eq!(log.store(settings(301)), Ok(()), "{case}");
+                assert_eq!(open(&flash).0, Some(settings(301)), "{case}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_bit_that_sticks_costs_at_most_one_record() {
+    for at in 64..96 {
+        for bit in 0..8 {
+            for value in [false, true] {
+                let (mut log, flash) = with_settings_1();
+                flash.stick(at, 1 << bit, value);
+                let outcome = log.store(settings(2));
+                let left = if outcome.is_ok() { settings(2) } else { settings(1) };
+                assert_eq!(log.settings(), Some(left), "byte {at}, bit {bit} is {value}");
+                assert_eq!(open(&flash).0, Some(left), "byte {at}, bit {bit} is {value}");
+                assert_eq!(log.store(settings(3)), Ok(()));
+                assert_eq!(open(&flash).0, Some(settings(3)));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_bit_that_sticks_in_the_other_bank_loses_nothing() {
+    for at in 128..160 {
+        for bit in 0..8 {
+            for value in [false, true] {
+                let records = [0, 1, 2].map(|n| (0, n, record(n as u32 + 1, 1, 5, 2, n as u16)));
+                let flash = flash_with::<4, 128>(&records);
+                flash.stick(at, 1 << bit, value);
+                let (mut log, _) = Log::open(flash.clone());
+                assert_eq!(log.settings().unwrap().heartbeat_ms, 2);
+                assert_eq!(log.store(settings(300)), Ok(()), "there was still room");
+                assert_eq!(open(&flash).0, Some(settings(300)), "byte {at}, bit {bit} is {value}");
+            }
+        }
+    }
+}
