@@ -2,7 +2,7 @@
 
 mod support;
 
-use lss_slave::{NodeId, Settings, lss::StoreError, nmt::State};
+use lss_slave::{Frame, NodeId, Settings, lss::StoreError, nmt::State};
 use support::{
     board::{ADDRESS, Board, defaults},
     flash::{BoardFlash, Operation},
@@ -150,6 +150,10 @@ fn a_node_without_a_node_id_sends_nothing_and_stays_in_initialisation() {
         assert_eq!(board.node.nmt_state(), State::Initialisation, "{command}");
     }
     assert_eq!(board.pass_ms(1000), SILENCE);
+    for cob_id in 0x580..=0x680 {
+        let request = Frame::new(cob_id, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]).unwrap();
+        assert_eq!(board.receive(&request), SILENCE, "no SDO: {cob_id:03X}");
+    }
     assert_eq!(board.lss("4C"), ["50"]);
 }
 

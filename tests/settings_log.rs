@@ -1,4 +1,4 @@
-//! The settings log in a flash that works and in one that does not: what is found, what is written, what is refused.
+//! The settings log in a flash that works: what is found, what is written, what is refused.
 
 mod support;
 
@@ -8,52 +8,13 @@ use lss_slave::{
     settings::{Found, Log},
 };
 use support::{
-    flash::{BoardFlash, Flash, Operation},
+    flash::{BoardFlash, Flash},
     random::Random,
+    settings::{flash_with, open, record, settings},
 };
 
 /// Records that a bank of 16 KB has room for.
 const RECORDS: u16 = 512;
-
-/// Settings that differ for each `n`, in more than one field from those of `n` + 1.
-fn settings(n: u16) -> Settings {
-    Settings {
-        node_id: NodeId::new((n % 128) as u8),
-        bit_rate: BitRate::ALL[usize::from(n % 8)],
-        heartbeat_ms: n,
-    }
-}
-
-/// What a power-on finds.
-fn open<const W: usize, const E: usize>(flash: &Flash<W, E>) -> (Option<Settings>, Found) {
-    let (log, found) = Log::open(flash.clone());
-    (log.settings(), found)
-}
-
-/// The record of the documentation: sequence, kind, node-ID, bit rate index, heartbeat time, CRC, commit word.
-fn record(sequence: u32, kind: u8, node_id: u8, index: u8, heartbeat_ms: u16) -> [u8; 32] {
-    let mut bytes = [0xFF; 32];
-    bytes[..4].copy_from_slice(&sequence.to_le_bytes());
-    bytes[4..7].copy_from_slice(&[kind, node_id, index]);
-    bytes[8..10].copy_from_slice(&heartbeat_ms.to_le_bytes());
-    let mut crc = u32::MAX;
-    for bit in bytes[..24].iter().flat_map(|byte| (0..8).map(move |i| u32::from(byte >> i & 1))) {
-        crc = crc >> 1 ^ if (crc ^ bit) & 1 == 1 { 0xEDB8_8320 } else { 0 };
-    }
-    bytes[24..28].copy_from_slice(&(!crc).to_le_bytes());
-    bytes[28..].copy_from_slice(b"LSS1");
-    bytes
-}
-
-/// A flash with these records, each in its place: bank and number in the bank.
-fn flash_with<const W: usize, const E: usize>(records: &[(usize, usize, [u8; 32])]) -> Flash<W, E> {
-    let mut content = vec![0xFF; 2 * E];
-    for (bank, number, record) in records {
-        let at = bank * E + number * 32;
-        content[at..at + 32].copy_from_slice(record);
-    }
-    Flash::with_content(content, 0)
-}
 
 #[test]
 fn a_new_device_is_blank_once_and_has_no_settings() {
@@ -163,7 +124,7 @@ fn stores_and_power_cycles_in_any_number_find_the_last_settings() {
         }
         assert_eq!(log.settings(), stored);
     }
-    assert!(flash.erases() > 500);
+    assert!(flash.erases() > 100, "it moved often");
 }
 
 #[test]
@@ -285,136 +246,4 @@ fn a_flash_with_room_for_one_record_a_bank_is_of_no_use_but_does_no_harm() {
     let (mut log, _) = Log::open(flash.clone());
     assert_eq!(log.store(settings(1)), Err(MediumAccess));
     assert_eq!(open(&flash).0, None);
-}
-
-/// A log that holds `settings(1)` and then one failure: the failing operation is the one after `others`.
-fn with_settings_1() -> (Log<BoardFlash>, BoardFlash) {
-    let flash = BoardFlash::blank(7);
-    let (mut log, _) = Log::open(flash.clone());
-    log.store(settings(1)).unwrap();
-    (log, flash)
-}
-
-#[test]
-fn a_flash_that_cannot_be_written_or_read_refuses_and_the_old_settings_stay() {
-    for operation in [Operation::Write, Operation::Read] {
-        let (mut log, flash) = with_settings_1();
-        flash.fail(operation);
-        for n in 2..5 {
-            assert_eq!(log.store(settings(n)), Err(MediumAccess), "{operation:?}");
-            assert_eq!(log.settings(), Some(settings(1)));
-        }
-        flash.repair();
-        assert_eq!(open(&flash).0, Some(settings(1)), "{operation:?}");
-        assert_eq!(log.store(settings(5)), Ok(()), "the flash works again");
-        assert_eq!(open(&flash).0, Some(settings(5)));
-    }
-}
-
-#[test]
-fn a_store_that_failed_at_any_operation_leaves_the_old_settings_and_the_next_one_works() {
-    for operation in [Operation::Write, Operation::Read] {
-        for others in 0.. {
-            let (mut log, flash) = with_settings_1();
-            flash.fail_once(operation, others);
-            let outcome = log.store(settings(2));
-            if flash.is_faulty() {
-                break;
-            }
-            let left = if outcome.is_ok() { settings(2) } else { settings(1) };
-            assert_eq!(log.settings(), Some(left));
-            assert_eq!(open(&flash).0, Some(left), "{operation:?} {others}: {outcome:?}");
-            assert_eq!(log.store(settings(3)), Ok(()));
-            assert_eq!(open(&flash).0, Some(settings(3)), "{operation:?} {others}");
-        }
-    }
-}
-
-#[test]
-fn settings_that_are_stored_again_after_a_store_that_failed_are_found() {
-    for operation in [Operation::Write, Operation::Read] {
-        for others in 0.. {
-            let (mut log, flash) = with_settings_1();
-            flash.fail_once(operation, others);
-            let _ = log.store(settings(2));
-            if flash.is_faulty() {
-                break;
-            }
-            assert_eq!(log.store(settings(1)), Ok(()));
-            assert_eq!(open(&flash).0, Some(settings(1)), "{operation:?} {others}");
-        }
-    }
-}
-
-#[test]
-fn a_blank_flash_that_fails_is_reported_and_refuses() {
-    for operation in [Operation::Read, Operation::Write, Operation::Erase] {
-        let flash = BoardFlash::blank(0);
-        flash.fail(operation);
-        let (mut log, found) = Log::open(flash.clone());
-        assert_eq!((log.settings(), found), (None, Found::MediumFailed), "{operation:?}");
-        assert_eq!(log.store(settings(1)), Err(MediumAccess), "{operation:?}");
-    }
-}
-
-#[test]
-fn an_open_that_fails_at_any_operation_loses_nothing() {
-    // Room for one more record, so that open moves to the other bank; from each of the two.
-    for bank in [0, 1] {
-        for operation in [Operation::Read, Operation::Write, Operation::Erase] {
-            for others in 0.. {
-                let records = [0, 1, 2].map(|n| (bank, n, record(n as u32 + 1, 1, 5, 2, n as u16)));
-                let flash = flash_with::<4, 128>(&records);
-                flash.fail_once(operation, others);
-                let (mut log, found) = Log::open(flash.clone());
-                if flash.is_faulty() {
-                    break;
-                }
-                let case = format!("bank {bank}, {operation:?} {others}: {found:?}");
-                let mut last = 2;
-                if log.store(settings(300)).is_ok() {
-                    last = 300;
-                }
-                assert_eq!(open(&flash).0.unwrap().heartbeat_ms, last, "{case}");
-                let (mut log, _) = Log::open(flash.clone());
-                assert_eq!(log.store(settings(301)), Ok(()), "{case}");
-                assert_eq!(open(&flash).0, Some(settings(301)), "{case}");
-            }
-        }
-    }
-}
-
-#[test]
-fn a_bit_that_sticks_costs_at_most_one_record() {
-    for at in 64..96 {
-        for bit in 0..8 {
-            for value in [false, true] {
-                let (mut log, flash) = with_settings_1();
-                flash.stick(at, 1 << bit, value);
-                let outcome = log.store(settings(2));
-                let left = if outcome.is_ok() { settings(2) } else { settings(1) };
-                assert_eq!(log.settings(), Some(left), "byte {at}, bit {bit} is {value}");
-                assert_eq!(open(&flash).0, Some(left), "byte {at}, bit {bit} is {value}");
-                assert_eq!(log.store(settings(3)), Ok(()));
-                assert_eq!(open(&flash).0, Some(settings(3)));
-            }
-        }
-    }
-}
-
-#[test]
-fn a_bit_that_sticks_in_the_other_bank_loses_nothing() {
-    for at in 128..160 {
-        for bit in 0..8 {
-            for value in [false, true] {
-                let records = [0, 1, 2].map(|n| (0, n, record(n as u32 + 1, 1, 5, 2, n as u16)));
-                let flash = flash_with::<4, 128>(&records);
-                flash.stick(at, 1 << bit, value);
-                let (mut log, _) = Log::open(flash.clone());
-                assert_eq!(log.settings().unwrap().heartbeat_ms, 2);
-                assert_eq!(log.store(settings(300)), Ok(()), "there was still room");
-                assert_eq!(open(&flash).0, Some(settings(300)), "byte {at}, bit {bit} is {value}");
-            }
-        }
-    }
 }

@@ -6,7 +6,6 @@ mod gpio;
 mod iwdg;
 mod map;
 mod part;
-mod pwr;
 mod rcc;
 mod system;
 
@@ -19,9 +18,8 @@ pub use part::Part;
 pub use rcc::{Clocks, ResetCause};
 
 use map::Block;
-use pwr::Pwr;
 use rcc::{Gate, Rcc};
-use system::{Dbgmcu, Exti, Factory, Syscfg};
+use system::{Dbgmcu, Exti, Factory, Pwr, Syscfg};
 
 use crate::{
     Time,
@@ -342,7 +340,7 @@ impl Chip {
             self.can1.reset();
             self.can_written = true;
         }
-        for port in 0..self.gpio.len() {
+        for port in 0..self.gpio.ports() {
             if self.rcc.held_in_reset(Gate::Gpio(port as u8)) {
                 self.gpio.reset_port(port, now);
             }
@@ -365,11 +363,8 @@ impl Chip {
     }
 
     fn can1_has_pins(&self) -> bool {
-        let connected = |pins: [Pin; 4]| {
-            pins.iter()
-                .filter(|pin| usize::from(pin.0 as u8 - b'A') < self.gpio.len())
-                .any(|&pin| self.gpio.alternate_function(pin) == Some(9))
-        };
+        let connected =
+            |pins: [Pin; 4]| pins.iter().any(|&pin| self.gpio.alternate_function(pin) == Some(9));
         connected(CAN1_RX) && connected(CAN1_TX)
     }
 

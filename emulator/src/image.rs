@@ -102,3 +102,20 @@ impl Image {
         self.0.table.as_ref()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_no_elf_is_refused_with_a_reason() {
+        let error = Image::from_elf(b"#!/bin/sh").expect_err("no image");
+        assert!(error.to_string().starts_with("not a firmware image: "), "{error}");
+    }
+
+    #[test]
+    fn a_missing_file_is_named() {
+        let error = Image::load("no/such/file").expect_err("no image");
+        assert!(error.to_string().starts_with("cannot read no/such/file: "), "{error}");
+    }
+}

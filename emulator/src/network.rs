@@ -23,10 +23,11 @@ pub struct AdapterId(usize);
 
 /// Boards and adapters on a CAN bus, in virtual time; the same calls give the same run.
 ///
-/// While every CPU sleeps the bus goes first, up to the next wake-up or interrupt. One CPU that is awake on a quiet
-/// bus goes first, until it writes to its CAN controller. Else the CPUs run ahead of the bus, by at most a
-/// microsecond, in the order of the boards: what a program writes to its CAN controller takes effect at its own time,
-/// what happens on the bus reaches a CPU that is awake up to a microsecond late.
+/// While every CPU sleeps the bus goes first, up to the next wake-up or interrupt. One CPU that is
+/// awake on a quiet bus goes first, until it writes to its CAN controller. Else the CPUs run ahead
+/// of the bus, by at most a microsecond, in the order of the boards: what a program writes to its
+/// CAN controller takes effect at its own time, what happens on the bus reaches a CPU that is awake
+/// up to a microsecond late.
 #[derive(Default)]
 pub struct Network {
     now: Time,
@@ -51,7 +52,8 @@ impl Network {
         self.now
     }
 
-    /// Joins a board to the bus and returns its number. In a network that has run already it is switched on now.
+    /// Joins a board to the bus and returns its number. In a network that has run already it is
+    /// switched on now.
     pub fn add_board(&mut self, mut board: Board) -> usize {
         if board.now() < self.now() {
             board.power_off();
@@ -132,7 +134,8 @@ impl Network {
         self.run_until(self.now + span);
     }
 
-    /// Lets everybody live until an adapter has a frame to receive, at most for the span `timeout`, and takes it.
+    /// Lets everybody live until an adapter has a frame to receive, at most for the span `timeout`,
+    /// and takes it.
     pub fn run_until_received(
         &mut self,
         adapter: AdapterId,
@@ -194,7 +197,8 @@ impl Network {
             if self.touched || self.bus.next_action() <= end { self.run_bus(end) } else { end };
     }
 
-    /// Lets a board live until `end`, or to its first write to the CAN controller from `soon` on; returns which.
+    /// Lets a board live until `end`, or to its first write to the CAN controller from `soon` on;
+    /// returns which.
     fn run_board(&mut self, number: usize, mut end: Time, soon: Time) -> Time {
         let board = &mut self.boards[number];
         while board.now() < end {
@@ -215,7 +219,8 @@ impl Network {
         end
     }
 
-    /// Lets the bus live until `until` or to an instant that concerns a CPU or an adapter's user; returns which.
+    /// Lets the bus live until `until` or to an instant that concerns a CPU or an adapter's user;
+    /// returns which.
     fn run_bus(&mut self, until: Time) -> Time {
         let powered = |(_, board): &(usize, &Board)| board.is_powered();
         let boards: Vec<usize> =

@@ -313,3 +313,13 @@ fn the_flash_can_be_kept_in_a_file() {
     std::fs::remove_file(&path).expect("the file is removed");
     assert!(first.flash() == second.flash());
 }
+
+#[test]
+fn a_board_can_move_to_another_thread() {
+    let mut board = board(ticker(15_999));
+    let ticks = std::thread::spawn(move || {
+        run(&mut board, Time::from_ms(10));
+        word(&board, COUNTER)
+    });
+    assert_eq!(ticks.join().expect("no panic"), 8);
+}

@@ -1,4 +1,5 @@
-//! Boards and adapters on one bus: who is heard when, the trace, supply switches, and sameness of runs.
+//! Boards and adapters on one bus: who is heard when, the trace, supply switches, and sameness of
+//! runs.
 
 #[expect(dead_code, reason = "this program needs only a part of the assembler")]
 mod programs;
@@ -25,7 +26,8 @@ const CAN1_RX0: usize = 16 + 20;
 const QUARTER_MEGABIT: u32 = 0x001C_0001;
 const REPLY: u16 = 0x581;
 
-/// Answers each frame at 250 kbit/s with one of the same data and identifier `REPLY`, and sleeps in between.
+/// Answers each frame at 250 kbit/s with one of the same data and identifier `REPLY`, and sleeps in
+/// between.
 fn echo() -> Program {
     let mut program = Program::new();
     program.store(RCC_CR, 0x0001_0083).wait_for_ones(RCC_CR, 1 << 17).store(RCC_CFGR, 1);
@@ -75,8 +77,8 @@ fn a_board_answers_an_adapter() {
     let (time, answer) = network.run_until_received(adapter, Time::from_ms(5)).expect("an answer");
     assert_eq!(answer, reply(&[1, 2, 3]));
 
-    // Request: from the next bit boundary. Answer: some 40 instructions after the last but one bit of EOF, but not
-    // before intermission is over. Valid 1.125 bits before its own end.
+    // Request: from the next bit boundary. Answer: some 40 instructions after the last but one bit
+    // of EOF, but not before intermission is over. Valid 1.125 bits before its own end.
     let bits = u64::from(request.wire_bits() + 3 + answer.wire_bits());
     let span = time - READY;
     let expected = Time::from_us(4 * bits) - Time::from_ns(4_500);
@@ -110,6 +112,8 @@ fn the_trace_tells_what_a_board_did_in_order() {
     assert_eq!(trace[5].source, Source::Board(0));
     assert_eq!(trace[3].source, Source::Adapter(adapter));
     assert_eq!(trace[5].time - *start, Time::from_us(4 * u64::from(answer.wire_bits())));
+    let line = trace[4].to_string();
+    assert!(line.ends_with("  board 0     mailbox 0 requests 581#07"), "{line}");
     let left = trace[2].time - trace[1].time;
     assert!(left > Time::from_us(44) && left < Time::from_us(60), "eleven bits: {left}");
 }

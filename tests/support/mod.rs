@@ -5,3 +5,4 @@ pub mod board;
 pub mod flash;
 pub mod frames;
 pub mod random;
+pub mod settings;

@@ -1,1 +1,67 @@
-fn main() {}
+//! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`, `cargo xtask size`.
+
+mod boards;
+mod demo;
+mod emulate;
+mod explain;
+mod flash;
+mod size;
+
+use std::{io, process::ExitCode};
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(
+    name = "cargo xtask",
+    about = "The commands of the project",
+    disable_help_subcommand = true
+)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Show a board that is found, configured and power-cycled, frame by frame, on an emulated CAN bus
+    Demo(demo::Arguments),
+    /// Offer the CAN bus of emulated boards to any CAN program, as SLCAN adapters over TCP
+    Emulate(emulate::Arguments),
+    /// Write the firmware into a board, with probe-rs, and show its log
+    Flash(flash::Arguments),
+    /// Show the memory that the firmware takes, and check it against the budget
+    Size(size::Arguments),
+}
+
+fn main() -> ExitCode {
+    let outcome = match Arguments::parse().command {
+        Command::Demo(arguments) => demo::run(&arguments),
+        Command::Emulate(arguments) => emulate::run(&arguments),
+        Command::Flash(arguments) => flash::run(&arguments),
+        Command::Size(arguments) => size::run(&arguments),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            anstream::eprintln!("\x1b[1;31merror:\x1b[0m {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Whether the reader of our output, such as `head`, has seen enough.
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_arguments_are_consistent() {
+        super::Arguments::command().debug_assert();
+    }
+}

@@ -5,10 +5,12 @@ use std::collections::VecDeque;
 use super::{BitTiming, Clock, Controller, Event, Frame, Level, Mode, Station};
 use crate::Time;
 
-/// Time quanta in a bit of an adapter set by bit rate: two of them after the sample point, so 87.5 %.
+/// Time quanta in a bit of an adapter set by bit rate: two of them after the sample point, so 87.5
+/// %.
 const QUANTA: u32 = 16;
 
-/// A CAN adapter with unbounded queues. It repeats a frame until it is sent and recovers from bus-off by itself.
+/// A CAN adapter with unbounded queues. It repeats a frame until it is sent and recovers from
+/// bus-off by itself.
 pub struct Adapter {
     controller: Controller,
     ppm: i32,
@@ -64,7 +66,8 @@ impl Adapter {
         self.errors
     }
 
-    /// Leaves the bus at once, even within a frame, and forgets what waits to be sent and the error counters.
+    /// Leaves the bus at once, even within a frame, and forgets what waits to be sent and the error
+    /// counters.
     pub fn close(&mut self) {
         self.open = false;
         self.to_send.clear();
@@ -81,7 +84,8 @@ impl Adapter {
         self.reopen(Mode { silent: true, loopback: false });
     }
 
-    /// Changes to exactly `bit_rate` bit/s, sample point 87.5 %; an open adapter is closed and joins again.
+    /// Changes to exactly `bit_rate` bit/s, sample point 87.5 %; an open adapter is closed and
+    /// joins again.
     pub fn set_bit_rate(&mut self, bit_rate: u32) {
         let (clock, bit_timing) = exact(bit_rate, self.ppm);
         self.controller.set_clock(clock);
@@ -132,7 +136,7 @@ impl Station for Adapter {
                 return true;
             }
             Event::Error { .. } => self.errors += 1,
-            Event::BusOff => self.controller.recover(),
+            Event::BusOff => self.controller.recover(now),
             _ => {}
         }
         false

@@ -16,9 +16,9 @@ pub trait Station {
 
 /// A CAN bus without propagation delay.
 ///
-/// At one instant every station first changes what it drives, then synchronises on the edge that this made, then
-/// samples: the outcome does not depend on the order of the stations. A station that hears nothing but a recessive
-/// wire and has nothing to send costs no time.
+/// At one instant every station first changes what it drives, then synchronises on the edge that
+/// this made, then samples: the outcome does not depend on the order of the stations. A station
+/// that hears nothing but a recessive wire and has nothing to send costs no time.
 #[derive(Default)]
 pub struct Bus {
     now: Time,
@@ -43,20 +43,23 @@ impl Bus {
         self.level
     }
 
-    /// When a station acts next, as of the latest [`advance`](Self::advance); `Time::MAX` on an idle bus.
+    /// When a station acts next, as of the latest [`advance`](Self::advance); `Time::MAX` on an
+    /// idle bus.
     pub fn next_action(&self) -> Time {
         self.next.iter().copied().min().unwrap_or(Time::MAX)
     }
 
-    /// Lets bus life go on up to and including `until`, or up to the first instant after which a station wants a stop.
+    /// Lets bus life go on up to and including `until`, or up to the first instant after which a
+    /// station wants a stop.
     ///
-    /// `observe` hears each event before its station (named by its place in `stations`) does. The stations may
-    /// differ from call to call: who is absent is unplugged. Returns the instant reached.
+    /// `observe` hears each event before its station (named by its place in `stations`) does. The
+    /// stations may differ from call to call: who is absent is unplugged. Returns the instant
+    /// reached.
     pub fn advance(
         &mut self,
         until: Time,
         stations: &mut [&mut dyn Station],
-        mut observe: impl FnMut(usize, &mut Controller, &Event),
+        mut observe: impl FnMut(usize, &Controller, &Event),
     ) -> Time {
         self.level = wire_level(stations);
         self.next.clear();
@@ -64,10 +67,8 @@ impl Bus {
 
         let mut stop = false;
         while !stop {
-            let Some(now) = self.next.iter().copied().min().map(|time| time.max(self.now)) else {
-                break;
-            };
-            if now > until {
+            let now = self.next_action().max(self.now);
+            if now > until || now == Time::MAX {
                 break;
             }
             self.now = now;

@@ -5,9 +5,7 @@ mod mailbox;
 mod receive;
 mod registers;
 
-use super::{
-    BitTiming, Clock, Controller, ErrorKind, Event, Frame, Mode as BusMode, Station, stream::Level,
-};
+use super::{Clock, Controller, Event, Frame, Mode as BusMode, Station, stream::Level};
 use crate::Time;
 use filters::Filters;
 use mailbox::{Failure, Mailboxes};
@@ -27,7 +25,8 @@ pub struct Interrupts {
     pub sce: bool,
 }
 
-/// Something that the program did to the peripheral, or saw of it, that a trace of the bus should tell.
+/// Something that the program did to the peripheral, or saw of it, that a trace of the bus should
+/// tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Note {
     /// TXRQ was set.
@@ -132,7 +131,8 @@ impl Bxcan {
         self.controller.set_clock(clock);
     }
 
-    /// Levels of the interrupt lines: as of the program's latest write or [`update_irq`](Self::update_irq).
+    /// Levels of the interrupt lines: as of the program's latest write or
+    /// [`update_irq`](Self::update_irq).
     pub fn irq(&self) -> Interrupts {
         self.irq
     }
@@ -171,7 +171,8 @@ impl Bxcan {
         std::mem::take(&mut self.notes)
     }
 
-    /// The word at `offset` from the base address; `None` where the reference manual has no register.
+    /// The word at `offset` from the base address; `None` where the reference manual has no
+    /// register.
     pub fn read(&mut self, offset: u32, _now: Time) -> Option<u32> {
         Some(match offset {
             MCR => self.mcr,
@@ -196,8 +197,8 @@ impl Bxcan {
 
     /// Stores a word at `offset` from the base address.
     ///
-    /// Returns false where there is no register, a reserved bit is set or time-triggered mode is asked for, which is
-    /// not modelled.
+    /// Returns false where there is no register, a reserved bit is set or time-triggered mode is
+    /// asked for, which is not modelled.
     pub fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
         let modelled = self.write_register(offset, value, now);
         self.update_irq();
@@ -271,7 +272,7 @@ impl Bxcan {
         }
         self.mcr = value & MCR_WRITABLE;
         if self.mcr & MCR_ABOM != 0 && self.mode == Mode::Normal {
-            self.controller.recover();
+            self.controller.recover(now);
         }
         self.follow_request(now);
         self.offer();
@@ -380,7 +381,7 @@ impl Station for Bxcan {
                     self.transmission_failed(Failure::Error);
                 }
             }
-            Event::BusOff if self.mcr & MCR_ABOM != 0 => self.controller.recover(),
+            Event::BusOff if self.mcr & MCR_ABOM != 0 => self.controller.recover(now),
             Event::Joined | Event::Stopped => self.follow_request(now),
             Event::Activity => {
                 self.latched |= MSR_WKUI;
@@ -393,33 +394,5 @@ impl Station for Bxcan {
         }
         self.latch_errors(matches!(event, Event::Error { .. }));
         self.irq_changes()
-    }
-}
-
-/// Mailbox and word of it at a distance from the first mailbox's first register.
-fn place(distance: u32) -> (usize, usize) {
-    ((distance / 16) as usize, (distance % 16 / 4) as usize)
-}
-
-/// The fields of BTR (RM0090 32.9.2), each one less than what it stands for.
-fn bit_timing(btr: u32) -> BitTiming {
-    let field = |shift: u32, width: u32| (btr >> shift & ((1 << width) - 1)) + 1;
-    BitTiming {
-        prescaler: field(0, 10) as u16,
-        segment_1: field(16, 4) as u8,
-        segment_2: field(20, 3) as u8,
-        jump_width: field(24, 2) as u8,
-    }
-}
-
-/// ESR.LEC (RM0090 32.9.2).
-fn error_code(kind: ErrorKind) -> u32 {
-    match kind {
-        ErrorKind::Stuff => 1,
-        ErrorKind::Form => 2,
-        ErrorKind::Acknowledgement => 3,
-        ErrorKind::BitRecessive => 4,
-        ErrorKind::BitDominant => 5,
-        ErrorKind::Crc => 6,
     }
 }

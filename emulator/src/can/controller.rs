@@ -1,6 +1,9 @@
-//! A CAN protocol controller without mailboxes: its clock, its place in the bit, and what it tells its owner.
+//! A CAN protocol controller without mailboxes: its clock, its place in the bit, and what it tells
+//! its owner.
 
 mod protocol;
+#[cfg(test)]
+mod tests;
 
 use std::collections::VecDeque;
 
@@ -18,7 +21,8 @@ use protocol::Phase;
 pub enum ErrorKind {
     /// Six equal bits where a stuff bit was due.
     Stuff,
-    /// A dominant bit in a field that must be recessive, seen by a receiver or in an error delimiter.
+    /// A dominant bit in a field that must be recessive, seen by a receiver or in an error
+    /// delimiter.
     Form,
     /// Nobody drove the acknowledge slot.
     Acknowledgement,
@@ -69,10 +73,11 @@ pub enum Event {
     Activity,
 }
 
-/// A CAN 2.0B controller (ISO 11898-1) at one bit timing, between its owner and the [`Bus`](super::Bus).
+/// A CAN 2.0B controller (ISO 11898-1) at one bit timing, between its owner and the
+/// [`Bus`](super::Bus).
 ///
-/// The owner offers the frame to send next and keeps offering it until it is transmitted: the controller repeats
-/// a frame for as long as it stays offered.
+/// The owner offers the frame to send next and keeps offering it until it is transmitted: the
+/// controller repeats a frame for as long as it stays offered.
 #[derive(Debug)]
 pub struct Controller {
     clock: Clock,
@@ -98,7 +103,8 @@ pub struct Controller {
     /// Whether it sends, or sent last, the frame that this is about.
     transmitter: bool,
     frame_start: Time,
-    /// An acknowledgement error went uncounted; a dominant bit in the passive error flag makes it count.
+    /// An acknowledgement error went uncounted; a dominant bit in the passive error flag makes it
+    /// count.
     unacknowledged: bool,
     counters: ErrorCounters,
     stopping: bool,
@@ -161,7 +167,8 @@ impl Controller {
         self.spans = Spans::new(self.clock, bit_timing);
     }
 
-    /// Begins to take part after 11 recessive bits, or after bus-off recovery if the controller is bus-off.
+    /// Begins to take part after 11 recessive bits, or after bus-off recovery if the controller is
+    /// bus-off.
     ///
     /// Takes back a stop that still waits; does nothing if the controller runs.
     pub fn start(&mut self, now: Time) {
@@ -177,14 +184,15 @@ impl Controller {
     }
 
     /// Begins bus-off recovery: 128 times 11 recessive bits. Does nothing in any other state.
-    pub fn recover(&mut self) {
+    pub fn recover(&mut self, now: Time) {
         if self.phase == Phase::BusOff {
-            self.start = self.start.max(self.now);
+            self.start = self.start.max(now);
             self.phase = Phase::joining(self.counters);
         }
     }
 
-    /// Stops at once where no frame or error frame is under way, else at its end with [`Event::Stopped`].
+    /// Stops at once where no frame or error frame is under way, else at its end with
+    /// [`Event::Stopped`].
     pub fn stop(&mut self) {
         if self.is_quiet() {
             self.halt();
@@ -193,7 +201,8 @@ impl Controller {
         }
     }
 
-    /// Stops at once, whatever is under way, and forgets counters, offer and unread events: a hardware reset.
+    /// Stops at once, whatever is under way, and forgets counters, offer and unread events: a
+    /// hardware reset.
     pub fn reset(&mut self) {
         let (now, wire) = (self.now, self.wire);
         *self = Self { now, wire, ..Self::new(self.clock, self.bit_timing) };
@@ -204,7 +213,8 @@ impl Controller {
         self.watching = watching;
     }
 
-    /// Replaces the frame to send next; its SOF starts at `from` or later. A frame under way goes on.
+    /// Replaces the frame to send next; its SOF starts at `from` or later. A frame under way goes
+    /// on.
     pub fn offer(&mut self, frame: Option<Frame>, from: Time) {
         self.offered = frame.map(|frame| (from, frame));
         if self.phase == Phase::Idle && !self.synchronised {
@@ -304,7 +314,7 @@ impl Controller {
     }
 
     /// Tells the time and the level of the wire between actions.
-    pub(super) fn settle(&mut self, now: Time, wire: Level) {
+    pub(crate) fn settle(&mut self, now: Time, wire: Level) {
         self.now = now.max(self.now);
         self.wire = wire;
     }
@@ -321,8 +331,8 @@ impl Controller {
         }
     }
 
-    /// Synchronises on a recessive to dominant edge of the wire, to the grid of its own quanta: hard between
-    /// frames, else by at most the jump width.
+    /// Synchronises on a recessive to dominant edge of the wire, to the grid of its own quanta:
+    /// hard between frames, else by at most the jump width.
     pub(super) fn falling_edge(&mut self, now: Time) {
         if self.is_stopped() && self.watching {
             self.events.push_back(Event::Activity);

@@ -1,4 +1,5 @@
-//! Fault confinement (ISO 11898-1): the two error counters and the states that they put a controller in.
+//! Fault confinement (ISO 11898-1): the two error counters and the states that they put a
+//! controller in.
 
 /// A receive error counter comes down to this value after a good reception if it stood above 127.
 const RECEIVE_AFTER_PASSIVE: u16 = 120;

@@ -53,7 +53,8 @@ impl Frame {
         Self { dlc, ..self }
     }
 
-    /// The bytes that the data field carries: none in a remote frame, else the lesser of DLC and eight.
+    /// The bytes that the data field carries: none in a remote frame, else the lesser of DLC and
+    /// eight.
     pub fn payload(&self) -> &[u8] {
         let length = if self.remote { 0 } else { self.dlc.min(8) };
         &self.data[..usize::from(length)]
@@ -86,7 +87,8 @@ impl fmt::Display for Id {
     }
 }
 
-/// The notation of candump: `7E5#0401000000000000`, `000007E5#`, `7E5#R8`, and `_9` for a DLC above eight.
+/// The notation of candump: `7E5#0401000000000000`, `000007E5#`, `7E5#R8`, and `_9` for a DLC above
+/// eight.
 impl fmt::Display for Frame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}#", self.id)?;

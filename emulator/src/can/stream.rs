@@ -1,4 +1,5 @@
-//! Between a frame and its bits: field layout, CRC and stuffing from start of frame to the CRC sequence.
+//! Between a frame and its bits: field layout, CRC and stuffing from start of frame to the CRC
+//! sequence.
 
 use super::{Frame, Id};
 
@@ -22,7 +23,8 @@ impl Level {
     }
 }
 
-/// Bits from the CRC delimiter to the last bit of EOF: delimiter, acknowledge slot and delimiter, EOF.
+/// Bits from the CRC delimiter to the last bit of EOF: delimiter, acknowledge slot and delimiter,
+/// EOF.
 const TAIL: u32 = 10;
 /// Bits of the CRC sequence.
 const CRC_BITS: u8 = 15;
@@ -33,13 +35,15 @@ const BASE_HEADER: u8 = 19;
 const EXTENDED_HEADER: u8 = 39;
 
 impl Frame {
-    /// Bits on the wire from SOF to the last bit of EOF, stuff bits included; intermission adds three.
+    /// Bits on the wire from SOF to the last bit of EOF, stuff bits included; intermission adds
+    /// three.
     pub fn wire_bits(&self) -> u32 {
         u32::from(BitStream::new(self).length) + TAIL
     }
 }
 
-/// CRC-15 of ISO 11898-1, generator 0x4599, from zero: over a frame and its CRC sequence it is zero.
+/// CRC-15 of ISO 11898-1, generator 0x4599, from zero: over a frame and its CRC sequence it is
+/// zero.
 #[derive(Clone, Copy, Debug, Default)]
 struct Crc(u16);
 
@@ -257,7 +261,8 @@ mod tests {
 
     #[test]
     fn a_frame_without_repeats_has_its_nominal_length() {
-        // 34 bits + 10 of tail, none stuffed in the alternating identifier; the zeros of r0 and DLC are.
+        // 34 bits + 10 of tail, none stuffed in the alternating identifier; the zeros of r0 and DLC
+        // are.
         let bits = BitStream::new(&Frame::data(Id::Standard(0x555), &[0x55; 8]));
         assert_eq!(
             u32::from(bits.length) + TAIL,
@@ -269,7 +274,8 @@ mod tests {
 
     #[test]
     fn runs_of_five_are_broken_by_an_opposite_bit() {
-        // 000#: SOF and eleven zeros, RTR, IDE, r0, DLC make 19 dominant bits, the CRC of zeros is zero: 34.
+        // 000#: SOF and eleven zeros, RTR, IDE, r0, DLC make 19 dominant bits, the CRC of zeros is
+        // zero: 34.
         let frame = Frame::data(Id::Standard(0), &[]);
         let stream = BitStream::new(&frame);
         let wire: String =

@@ -16,7 +16,8 @@ pub struct Clock {
 pub struct BitTiming {
     /// Clock periods in a time quantum, 1..=1024.
     pub prescaler: u16,
-    /// Quanta from the synchronisation segment to the sample point (propagation and phase segment 1), 1..=16.
+    /// Quanta from the synchronisation segment to the sample point (propagation and phase segment
+    /// 1), 1..=16.
     pub segment_1: u8,
     /// Quanta from the sample point to the end of the bit, 1..=8.
     pub segment_2: u8,
@@ -45,7 +46,8 @@ impl BitTiming {
     }
 }
 
-/// The spans of a bit on a real clock, each rounded to the picosecond so that errors do not add up over quanta.
+/// The spans of a bit on a real clock, each rounded to the picosecond so that errors do not add up
+/// over quanta.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Spans {
     /// A time quantum in picoseconds.

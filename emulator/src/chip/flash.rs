@@ -14,7 +14,6 @@ use crate::Time;
 
 const ACR: u32 = 0x00;
 const KEYR: u32 = 0x04;
-const OPTKEYR: u32 = 0x08;
 const SR: u32 = 0x0C;
 const CR: u32 = 0x10;
 const OPTCR: u32 = 0x14;
@@ -36,7 +35,6 @@ const CR_MER1: u32 = 1 << 15;
 const CR_STRT: u32 = 1 << 16;
 const CR_EOPIE: u32 = 1 << 24;
 const CR_LOCK: u32 = 1 << 31;
-const OPTCR_LOCK: u32 = 1;
 
 /// A failure to be staged: the supply goes away in the middle of an operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +65,6 @@ pub struct Flash {
     optcr: u32,
     optcr1: u32,
     half_unlocked: bool,
-    option_half_unlocked: bool,
     locked_until_reset: bool,
     stale_data_cache: bool,
     operation: Option<Operation>,
@@ -91,7 +88,6 @@ impl Flash {
             optcr: 0x0FFF_AAED,
             optcr1: 0x0FFF_0000,
             half_unlocked: false,
-            option_half_unlocked: false,
             locked_until_reset: false,
             stale_data_cache: false,
             operation: None,
@@ -217,9 +213,7 @@ impl Flash {
         self.acr = 0;
         self.sr = 0;
         self.cr = CR_LOCK;
-        self.optcr |= OPTCR_LOCK;
         self.half_unlocked = false;
-        self.option_half_unlocked = false;
         self.locked_until_reset = false;
         self.stale_data_cache = false;
     }
@@ -237,7 +231,7 @@ impl Flash {
         let busy = if self.operation.is_some() { SR_BSY } else { 0 };
         match offset {
             ACR => Some(self.acr),
-            KEYR | OPTKEYR => Some(0),
+            KEYR => Some(0),
             SR => Some(self.sr | busy),
             CR => Some(self.cr),
             OPTCR => Some(self.optcr),
@@ -257,14 +251,8 @@ impl Flash {
         match offset {
             ACR => return Ok(self.write_acr(value)),
             KEYR => return self.write_key(value).map(Ok),
-            OPTKEYR => match (value, self.option_half_unlocked) {
-                (0x0819_2A3B, false) => self.option_half_unlocked = true,
-                (0x4C5D_6E7F, true) => self.optcr &= !OPTCR_LOCK,
-                _ => return Err(BusFault),
-            },
             SR => self.sr &= !value,
             CR => return Ok(self.write_cr(value, now)),
-            OPTCR if value & OPTCR_LOCK != 0 => self.optcr |= OPTCR_LOCK,
             _ => return Ok(Err(Problem::Unmodelled)),
         }
         Ok(Ok(()))

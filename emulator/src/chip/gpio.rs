@@ -106,13 +106,8 @@ impl Gpio {
     }
 
     /// How many ports there are.
-    pub fn len(&self) -> usize {
+    pub fn ports(&self) -> usize {
         self.ports.len()
-    }
-
-    /// Whether there is no port at all.
-    pub fn is_empty(&self) -> bool {
-        self.ports.is_empty()
     }
 
     /// A register of port `index`, or `None` where there is none.
@@ -145,14 +140,9 @@ impl Gpio {
         true
     }
 
-    fn at(&self, pin: Pin) -> (&Port, usize) {
-        (&self.ports[port_index(pin)], usize::from(pin.1))
-    }
-
     /// What the chip drives on `pin`. Panics if the part has no such pin.
     pub fn output(&self, pin: Pin) -> Output {
-        let (port, number) = self.at(pin);
-        port.outputs[number]
+        self.ports[port_index(pin)].outputs[usize::from(pin.1)]
     }
 
     /// Connects `pin` to a level from outside, or leaves it open. Panics if the part has no such pin.
@@ -160,9 +150,10 @@ impl Gpio {
         self.ports[port_index(pin)].outside[usize::from(pin.1)] = level;
     }
 
-    /// The alternate function that `pin` is switched to, if it is.
+    /// The alternate function that `pin` is switched to, if there is such a pin and it is.
     pub fn alternate_function(&self, pin: Pin) -> Option<u32> {
-        let (port, number) = self.at(pin);
+        let port = self.ports.get(port_index(pin))?;
+        let number = usize::from(pin.1);
         let register = if number < 8 { AFRL } else { AFRH };
         (port.mode(number) == 2).then(|| port.reg(register) >> (4 * (number % 8)) & 0xF)
     }

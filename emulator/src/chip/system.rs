@@ -1,6 +1,49 @@
-//! Small blocks around the core: SYSCFG, EXTI, DBGMCU, and the factory data (unique id, flash size).
+//! Small blocks: PWR, SYSCFG, EXTI, DBGMCU, and the factory data (unique id, flash size).
 
 use super::Part;
+
+/// PWR (RM0090 chapter 5): the voltage scale and over-drive bits that clock set-up waits for, settled at once.
+#[derive(Debug)]
+pub struct Pwr {
+    part: Part,
+    cr: u32,
+    csr: u32,
+}
+
+impl Pwr {
+    const CR: u32 = 0x00;
+    const CSR: u32 = 0x04;
+    const VOSRDY: u32 = 1 << 14;
+    /// ODEN and ODSWEN in CR, ODRDY and ODSWRDY in CSR.
+    const OVERDRIVE: u32 = 1 << 16 | 1 << 17;
+
+    /// After a reset.
+    pub fn new(part: Part) -> Self {
+        let cr = if part.has_overdrive() { 0xC000 } else { 0x4000 };
+        Self { part, cr, csr: 0 }
+    }
+
+    /// A register's value, or `None` where there is none.
+    pub fn read(&self, offset: u32) -> Option<u32> {
+        match offset {
+            Self::CR => Some(self.cr),
+            Self::CSR => Some(self.csr | Self::VOSRDY | self.cr & Self::OVERDRIVE),
+            _ => None,
+        }
+    }
+
+    /// Writes a register; false where there is none.
+    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+        match offset {
+            Self::CR => {
+                self.cr = value & if self.part.has_overdrive() { 0x000F_EFF3 } else { 0x43F3 }
+            }
+            Self::CSR => self.csr = value & (1 << 8 | 1 << 9),
+            _ => return false,
+        }
+        true
+    }
+}
 
 /// SYSCFG (RM0090 chapter 9): memory remap, interrupt line selection, compensation cell.
 #[derive(Debug, Default)]

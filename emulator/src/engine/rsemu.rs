@@ -272,8 +272,8 @@ impl Engine for Rsemu {
         }
         let irqs = lock(&self.chip).irqs();
         let interrupted = self.cpu.with_sys(|sys| {
-            sys.highest_pending().is_some()
-                || (0..128).any(|irq| irqs >> irq & 1 == 1 && sys.is_enabled(Exception(16 + irq)))
+            let enabled = |irq: u16| irqs >> irq & 1 == 1 && sys.is_enabled(Exception(16 + irq));
+            sys.highest_pending().is_some() || irqs != 0 && (0..128).any(enabled)
         });
         let idle = self.spin.is_some() || self.cpu.is_asleep();
         if interrupted || !idle {

@@ -1,4 +1,7 @@
-//! The record of a network's life: frames, error frames, and what boards did to their CAN controllers.
+//! The record of a network's life: frames, error frames, and what boards did to their CAN
+//! controllers.
+
+use std::fmt;
 
 use super::AdapterId;
 use crate::{
@@ -17,6 +20,15 @@ pub enum Source {
     Board(usize),
     /// An adapter.
     Adapter(AdapterId),
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Board(number) => write!(f, "board {number}"),
+            Self::Adapter(AdapterId(number)) => write!(f, "adapter {number}"),
+        }
+    }
 }
 
 /// Something that happened.
@@ -86,6 +98,33 @@ pub enum What {
     PowerOff,
     /// A board got its supply back.
     PowerOn,
+}
+
+/// A line of a log: time in milliseconds, who, what.
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:>14}  {:10}  ", self.time, self.source.to_string())?;
+        match &self.what {
+            What::Frame { frame, bit_rate, also, .. } => {
+                write!(f, "{frame} at {bit_rate} bit/s")?;
+                also.iter().try_for_each(|source| write!(f, ", {source}"))
+            }
+            What::Error { kind, transmitting } => {
+                let role = if *transmitting { "transmitting" } else { "receiving" };
+                write!(f, "error frame: {kind:?} while {role}")
+            }
+            What::Requested { mailbox, frame } => write!(f, "mailbox {mailbox} requests {frame}"),
+            What::Aborted { mailbox, frame } => write!(f, "mailbox {mailbox} aborts {frame}"),
+            What::BitTiming { btr, bit_rate } => write!(f, "BTR {btr:08x}: {bit_rate} bit/s"),
+            What::InitializationEntered => write!(f, "initialisation entered"),
+            What::InitializationLeft => write!(f, "initialisation left"),
+            What::BusOff => write!(f, "bus-off"),
+            What::Recovered => write!(f, "recovered from bus-off"),
+            What::Reset(cause) => write!(f, "reset: {cause:?}"),
+            What::PowerOff => write!(f, "power off"),
+            What::PowerOn => write!(f, "power on"),
+        }
+    }
 }
 
 /// How much of a trace is kept.

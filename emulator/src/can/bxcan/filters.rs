@@ -68,8 +68,9 @@ impl Filters {
         })
     }
 
-    /// Writes the register at `offset` from FMR; mode, scale and assignment only while FINIT is set, a bank only
-    /// while FINIT is set or the bank is inactive. Returns whether there is such a register and such bits.
+    /// Writes the register at `offset` from FMR; mode, scale and assignment only while FINIT is
+    /// set, a bank only while FINIT is set or the bank is inactive. Returns whether there is such a
+    /// register and such bits.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         let initializing = self.fmr & FMR_FINIT != 0;
         let register = match offset {
@@ -99,7 +100,8 @@ impl Filters {
         value & !BANK_BITS == 0
     }
 
-    /// The FIFO that takes `frame` and the filter match index there; `None` drops the frame, as does FINIT.
+    /// The FIFO that takes `frame` and the filter match index there; `None` drops the frame, as
+    /// does FINIT.
     ///
     /// Of several matches the wider scale wins, then list over mask mode, then the lower number.
     pub fn accept(&self, frame: &Frame) -> Option<(usize, u8)> {

@@ -82,8 +82,8 @@ impl Mailboxes {
         mailbox.words[word] | u32::from(word == 0 && mailbox.request.is_some())
     }
 
-    /// Writes TIR, TDTR, TDLR or TDHR of an empty mailbox; others are protected. Returns the frame to send if TXRQ
-    /// is set.
+    /// Writes TIR, TDTR, TDLR or TDHR of an empty mailbox; others are protected. Returns the frame
+    /// to send if TXRQ is set.
     pub fn write(&mut self, mailbox: usize, word: usize, value: u32, now: Time) -> Option<Frame> {
         let mailbox = &mut self.mailboxes[mailbox];
         if mailbox.request.is_some() {
@@ -119,8 +119,8 @@ impl Mailboxes {
         tsr | (free.or(lowest).unwrap_or(0) as u32) << CODE_SHIFT
     }
 
-    /// Writes TSR: clears status and asks for aborts. Returns the frames that were aborted at once; a frame under
-    /// way gets its end first.
+    /// Writes TSR: clears status and asks for aborts. Returns the frames that were aborted at once;
+    /// a frame under way gets its end first.
     pub fn write_tsr(&mut self, value: u32) -> [Option<Frame>; 3] {
         let mut aborted = [None; 3];
         for (number, mailbox) in self.mailboxes.iter_mut().enumerate() {
@@ -164,7 +164,8 @@ impl Mailboxes {
         }
     }
 
-    /// The frame under way was not sent; its mailbox is empty now if it is one-shot or to be aborted.
+    /// The frame under way was not sent; its mailbox is empty now if it is one-shot or to be
+    /// aborted.
     pub fn failed(&mut self, failure: Failure, one_shot: bool) {
         if let Some(failed) = self.sending.take() {
             let mailbox = &mut self.mailboxes[failed];
@@ -176,8 +177,8 @@ impl Mailboxes {
         }
     }
 
-    /// Numbers of the mailboxes that are not empty, highest priority first: by identifier, then by number, or by
-    /// order of request.
+    /// Numbers of the mailboxes that are not empty, highest priority first: by identifier, then by
+    /// number, or by order of request.
     fn order(&self, chronological: bool) -> Vec<usize> {
         let mut order: Vec<usize> =
             (0..3).filter(|&number| self.mailboxes[number].request.is_some()).collect();

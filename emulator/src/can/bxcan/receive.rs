@@ -29,8 +29,8 @@ pub struct Fifo {
 }
 
 impl Fifo {
-    /// Stores a frame with the index of the filter that let it in. When full, a locked FIFO drops the new frame,
-    /// another its newest.
+    /// Stores a frame with the index of the filter that let it in. When full, a locked FIFO drops
+    /// the new frame, another its newest.
     pub fn push(&mut self, frame: &Frame, filter_match: u8, locked: bool) {
         let data = u64::from_le_bytes(frame.data);
         let message = [

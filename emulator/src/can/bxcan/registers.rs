@@ -1,4 +1,7 @@
-//! Offsets, bits and reset values of the master registers (RM0090 32.9.2 and 32.9.5).
+//! Offsets, bits, fields and reset values of the control and status registers (RM0090 32.9.2 and
+//! 32.9.5).
+
+use crate::can::{BitTiming, ErrorKind};
 
 pub const MCR: u32 = 0x000;
 pub const MSR: u32 = 0x004;
@@ -47,3 +50,31 @@ pub const ESR_LEC: u32 = 0b111 << 4;
 
 pub const BTR_RESET_VALUE: u32 = 0x0123_0000;
 pub const BTR_WRITABLE: u32 = 0xC37F_03FF;
+
+/// Mailbox and word of it at a distance from the first mailbox's first register.
+pub fn place(distance: u32) -> (usize, usize) {
+    ((distance / 16) as usize, (distance % 16 / 4) as usize)
+}
+
+/// The fields of BTR (RM0090 32.9.2), each one less than what it stands for.
+pub fn bit_timing(btr: u32) -> BitTiming {
+    let field = |shift: u32, width: u32| (btr >> shift & ((1 << width) - 1)) + 1;
+    BitTiming {
+        prescaler: field(0, 10) as u16,
+        segment_1: field(16, 4) as u8,
+        segment_2: field(20, 3) as u8,
+        jump_width: field(24, 2) as u8,
+    }
+}
+
+/// ESR.LEC (RM0090 32.9.2).
+pub fn error_code(kind: ErrorKind) -> u32 {
+    match kind {
+        ErrorKind::Stuff => 1,
+        ErrorKind::Form => 2,
+        ErrorKind::Acknowledgement => 3,
+        ErrorKind::BitRecessive => 4,
+        ErrorKind::BitDominant => 5,
+        ErrorKind::Crc => 6,
+    }
+}

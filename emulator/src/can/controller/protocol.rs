@@ -11,7 +11,8 @@ use crate::can::{
 const IDLE_BITS: u8 = 11;
 /// Steps of bus-off recovery.
 const RECOVERY_SEQUENCES: u8 = 128;
-/// Positions of the RTR bit, the last of the arbitration field, in the base and the extended format.
+/// Positions of the RTR bit, the last of the arbitration field, in the base and the extended
+/// format.
 const BASE_RTR: u8 = 12;
 const EXTENDED_RTR: u8 = 32;
 
@@ -112,7 +113,8 @@ impl Controller {
         }
     }
 
-    /// Acts at a sample point. A dominant bit of its own it always hears, even where it is kept from the wire.
+    /// Acts at a sample point. A dominant bit of its own it always hears, even where it is kept
+    /// from the wire.
     pub(in crate::can) fn sample(&mut self, now: Time, wire: Level) {
         self.now = now;
         let seen = match self.driven {
@@ -271,7 +273,8 @@ impl Controller {
     fn error(&mut self, kind: ErrorKind) {
         let passive = self.counters.passive();
         self.unacknowledged = kind == ErrorKind::Acknowledgement && passive;
-        // A transmitter meets a stuff error only in arbitration, where its recessive stuff bit was overwritten.
+        // A transmitter meets a stuff error only in arbitration, where its recessive stuff bit was
+        // overwritten.
         let uncounted = self.unacknowledged || (self.transmitter && kind == ErrorKind::Stuff);
         if !uncounted {
             self.counters.raise(self.transmitter, if self.transmitter { 8 } else { 1 });
@@ -293,7 +296,8 @@ impl Controller {
         }
     }
 
-    /// An active flag is heard as it is sent, as nothing overrides a dominant bit: no bit error can occur in it.
+    /// An active flag is heard as it is sent, as nothing overrides a dominant bit: no bit error can
+    /// occur in it.
     fn flag_bit(&mut self, flag: Flag, bits: u8) {
         if bits < 6 {
             self.phase = Phase::Flag { flag, bits };
@@ -316,7 +320,8 @@ impl Controller {
         }
     }
 
-    /// Dominant bits that follow its own flag: the first blames a receiver, each eighth blames anyone.
+    /// Dominant bits that follow its own flag: the first blames a receiver, each eighth blames
+    /// anyone.
     fn held_dominant(&mut self, flag: Flag, count: u32) {
         self.phase = Phase::FlagEnd { flag, dominant: count };
         if (count == 1 && flag != Flag::Overload && !self.transmitter) || count.is_multiple_of(8) {

@@ -1,0 +1,156 @@
+//! Filter banks of each kind.
+
+use emulator::can::{Frame, Id};
+
+use crate::bench::{
+    Bench, F0R1, FA1R, FFA1R, FM1R, FMR, FS1R, MEGABIT, RF0R, RI0R, RI1R, standard,
+};
+
+/// Four banks, one of each kind, and the frames that they are asked about.
+fn with_filters(fifo_1: u32, active: u32) -> Bench {
+    let mut bench = Bench::new();
+    let bank = |n: u32| F0R1 + 8 * n;
+    for (register, value) in [
+        (FMR, 0x2A1C_0E01),
+        // Bank 0: 16-bit list of 7E5, 000, 601 and 602. Bank 1: 16-bit mask 180/780 and remote
+        // 000/000. Bank 2: 32-bit list of extended 12345 and standard 7E5. Bank 3: 32-bit mask of
+        // any extended.
+        (FM1R, 0b0101),
+        (FS1R, 0b1100),
+        (FFA1R, fifo_1),
+        (bank(0), 0x7E5 << 5),
+        (bank(0) + 4, 0x602 << 21 | 0x601 << 5),
+        (bank(1), 0xF018 << 16 | 0x180 << 5),
+        (bank(1) + 4, 0x0010 << 16 | 0x0010),
+        (bank(2), 0x1_2345 << 3 | 4),
+        (bank(2) + 4, 0x7E5 << 21),
+        (bank(3), 4),
+        (bank(3) + 4, 4),
+        (FA1R, active),
+        (FMR, 0x2A1C_0E00),
+    ] {
+        assert!(bench.write(register, value));
+    }
+    bench.join(0, MEGABIT);
+    bench
+}
+
+fn match_indices(bench: &mut Bench, fifo: u32, frames: &[Frame]) -> Vec<Option<u32>> {
+    let ask = |frame: &Frame| {
+        bench.adapter.send(*frame);
+        bench.run_us(300);
+        bench.fifo(fifo).first().map(|message| message[1] >> 8)
+    };
+    frames.iter().map(ask).collect()
+}
+
+fn asked() -> [Frame; 9] {
+    [
+        standard(0x7E5, &[0; 8]),
+        standard(0x000, &[0; 2]),
+        standard(0x601, &[0; 8]),
+        standard(0x602, &[0; 8]),
+        standard(0x1FF, &[]),
+        Frame::remote(Id::Standard(0x700), 0),
+        Frame::data(Id::Extended(0x1_2345), &[]),
+        Frame::data(Id::Extended(0x7E5), &[]),
+        standard(0x603, &[]),
+    ]
+}
+
+#[test]
+fn each_kind_of_filter_takes_what_it_names() {
+    // Alone in FIFO 0, with the numbers that inactive banks still take.
+    let all = |bench: &mut Bench| match_indices(bench, 0, &asked());
+    assert_eq!(
+        all(&mut with_filters(0, 0b0001)),
+        [Some(0), Some(1), Some(2), Some(3), None, None, None, None, None],
+        "16-bit list"
+    );
+    assert_eq!(
+        all(&mut with_filters(0, 0b0010)),
+        [None, None, None, None, Some(4), Some(5), None, None, None],
+        "16-bit mask"
+    );
+    assert_eq!(
+        all(&mut with_filters(0, 0b0100)),
+        [Some(7), None, None, None, None, None, Some(6), None, None],
+        "32-bit list"
+    );
+    assert_eq!(
+        all(&mut with_filters(0, 0b1000)),
+        [None, None, None, None, None, None, Some(8), Some(8), None],
+        "32-bit mask"
+    );
+}
+
+#[test]
+fn of_several_matches_the_wider_wins_and_then_the_list() {
+    let all = with_filters(0, 0b1111);
+    assert_eq!(
+        match_indices(&mut { all }, 0, &asked()),
+        [Some(7), Some(1), Some(2), Some(3), Some(4), Some(5), Some(6), Some(8), None]
+    );
+}
+
+#[test]
+fn each_fifo_numbers_its_own_filters() {
+    let frames = asked();
+    let mut bench = with_filters(0b0110, 0b1111);
+    assert_eq!(
+        match_indices(&mut bench, 1, &frames),
+        [Some(3), None, None, None, Some(0), Some(1), Some(2), None, None]
+    );
+    assert!(bench.read(RI1R) != 0, "the output mailbox keeps what was released");
+    let mut bench = with_filters(0b0110, 0b1111);
+    assert_eq!(
+        match_indices(&mut bench, 0, &frames),
+        [None, Some(1), Some(2), Some(3), None, None, None, Some(4), None]
+    );
+}
+
+#[test]
+fn no_active_filter_no_frame_but_an_acknowledgement() {
+    let mut bench = Bench::new();
+    bench.write(FMR, 0x2A1C_0E00);
+    bench.join(0, MEGABIT);
+    bench.adapter.send(standard(0x7E5, &[]));
+    bench.run_us(200);
+    assert_eq!(bench.adapter.unsent(), 0);
+    assert_eq!(bench.fifo(0), Vec::<[u32; 3]>::new());
+}
+
+#[test]
+fn filter_initialisation_stops_reception_and_guards_the_banks() {
+    let mut bench = Bench::running(0);
+    bench.write(FMR, 0x2A1C_0E01);
+    bench.adapter.send(standard(0x7E5, &[]));
+    bench.run_us(200);
+    assert_eq!(bench.read(RF0R), 0);
+    bench.write(FMR, 0x2A1C_0E00);
+    bench.write(F0R1, 0x1234);
+    assert_eq!(bench.read(F0R1), 0, "the bank is active");
+    bench.write(FM1R, 1);
+    assert_eq!(bench.read(FM1R), 0);
+    bench.write(FA1R, 0);
+    bench.write(F0R1, 0x1234);
+    assert_eq!(bench.read(F0R1), 0x1234);
+}
+
+#[test]
+fn banks_from_can2sb_on_belong_to_the_other_peripheral() {
+    let mut bench = Bench::new();
+    let bank_14 = F0R1 + 8 * 14;
+    for (register, value) in [(FS1R, 1 << 14), (bank_14, 0), (FA1R, 1 << 14), (FMR, 0x2A1C_0E00)] {
+        bench.write(register, value);
+    }
+    bench.join(0, MEGABIT);
+    bench.adapter.send(standard(1, &[]));
+    bench.run_us(200);
+    assert_eq!(bench.read(RF0R), 0);
+    bench.write(FMR, 28 << 8);
+    bench.adapter.send(standard(1, &[]));
+    bench.run_us(200);
+    assert_eq!(bench.read(RF0R), 1);
+    assert_eq!(bench.read(RI0R + 4) >> 8, 28, "14 banks of two 16-bit filters come before");
+}

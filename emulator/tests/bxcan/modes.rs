@@ -1,0 +1,141 @@
+//! Initialisation, sleep, silent and loopback mode.
+
+use emulator::{
+    Time,
+    can::{Adapter, BitTiming, Clock, Level, bxcan::Note},
+};
+
+use crate::bench::{
+    AWUM, BTR, Bench, IER, INAK, INRQ, MCR, MEGABIT, MSR, SLAK, SLEEP, TSR, standard,
+};
+
+#[test]
+fn initialisation_is_entered_while_sleep_is_still_set() {
+    let mut bench = Bench::new();
+    bench.write(MCR, 0x0001_0000 | SLEEP | INRQ);
+    assert_eq!(bench.read(MSR) & 3, INAK);
+    bench.write(MCR, SLEEP);
+    assert_eq!(bench.read(MSR) & 3, SLAK);
+    bench.write(MCR, INRQ);
+    assert_eq!(bench.read(MSR) & 3, INAK);
+}
+
+#[test]
+fn initialisation_is_left_after_eleven_recessive_bits() {
+    let mut bench = Bench::new();
+    bench.write(MCR, INRQ);
+    bench.write(BTR, MEGABIT);
+    bench.run_us(100);
+    bench.write(MCR, 0);
+    let asked = bench.bus.now();
+    bench.run(Time::from_ns(10_800));
+    assert_eq!(bench.read(MSR) & 3, INAK);
+    bench.run(Time::from_ns(100));
+    assert_eq!(bench.read(MSR) & 3, 0);
+    let left = asked + Time::from_ns(10_875);
+    assert_eq!(bench.can.take_notes().pop(), Some((left, Note::InitializationLeft)));
+}
+
+#[test]
+fn initialisation_is_not_left_while_the_bus_is_busy_and_the_wish_can_be_taken_back() {
+    let mut bench = Bench::running(0);
+    let mut noise = Adapter::with_timing(
+        Clock { hz: 16_000_000, ppm: 0 },
+        BitTiming { prescaler: 1, segment_1: 13, segment_2: 2, jump_width: 2 },
+    );
+    // Alone with the noise at 1 Mbit/s, so that it is never acknowledged and never pauses for 11
+    // bits of 10 kbit/s.
+    bench.adapter.close();
+    noise.send(standard(0, &[0; 8]));
+    let mut run = |bench: &mut Bench, us| {
+        let until = bench.bus.now() + Time::from_us(us);
+        while bench.bus.advance(until, &mut [&mut bench.can, &mut noise], |_, _, _| {}) < until {}
+    };
+    bench.write(MCR, INRQ);
+    bench.write(BTR, 0x001C_00C7);
+    run(&mut bench, 200);
+    bench.write(MCR, 0);
+    run(&mut bench, 50_000);
+    assert_eq!(bench.read(MSR) & 3, INAK);
+    bench.write(MCR, INRQ);
+    bench.write(BTR, MEGABIT);
+    assert_eq!(bench.read(BTR), MEGABIT);
+    bench.write(MCR, 0);
+    run(&mut bench, 400);
+    assert_eq!(bench.read(MSR) & 3, 0);
+}
+
+#[test]
+fn initialisation_waits_for_the_own_frame_to_end() {
+    let mut bench = Bench::running(0);
+    bench.mailbox(0, standard(0x123, &[0; 8]));
+    bench.mailbox(1, standard(0x124, &[0; 8]));
+    bench.run_us(20);
+    assert_eq!(bench.read(MSR) >> 8 & 3, 1, "TXM");
+    bench.write(MCR, INRQ);
+    assert_eq!(bench.read(MSR) & 3, 0);
+    bench.run_us(300);
+    assert_eq!(bench.read(MSR) & 3, INAK);
+    assert_eq!(bench.received().len(), 1);
+    assert_eq!(bench.read(TSR) >> 26 & 7, 0b101, "the second mailbox still waits");
+    bench.write(MCR, 0);
+    bench.run_us(300);
+    assert_eq!(bench.received().len(), 1);
+    assert_eq!(bench.read(TSR) >> 26 & 7, 0b111);
+}
+
+#[test]
+fn silent_mode_receives_without_driving_the_wire() {
+    let mut bench = Bench::new();
+    bench.open_filter();
+    bench.join(0, 1 << 31 | MEGABIT);
+    bench.mailbox(0, standard(1, &[]));
+    bench.run_us(500);
+    assert_eq!(bench.bus.level(), Level::Recessive);
+    assert_eq!(bench.read(TSR) >> 26 & 1, 0, "it cannot start");
+    bench.adapter.send(standard(0x7E5, &[5]));
+    bench.run_us(300);
+    assert!(bench.adapter.unsent() == 1 && bench.adapter.errors() > 1, "nobody acknowledges");
+}
+
+#[test]
+fn loopback_reads_back_its_own_frame() {
+    let mut bench = Bench::new();
+    bench.open_filter();
+    bench.adapter.close();
+    bench.join(0, 3 << 30 | MEGABIT);
+    bench.mailbox(2, standard(0x7E5, &[5]));
+    bench.run_us(100);
+    assert_eq!(bench.fifo(0), [[0x7E5 << 21, 1, 5]]);
+    assert_eq!(bench.read(TSR), 0x1C03_0000);
+}
+
+#[test]
+fn sleep_ends_on_bus_activity_with_awum() {
+    let mut bench = Bench::running(AWUM);
+    bench.write(IER, 1 << 16 | 1 << 17);
+    bench.write(MCR, AWUM | SLEEP);
+    assert_eq!(bench.read(MSR) & 0x1F, SLAK | 1 << 4, "SLAKI");
+    assert!(bench.can.irq().sce);
+    bench.write(MSR, 1 << 4);
+    assert!(!bench.can.irq().sce);
+    bench.adapter.send(standard(0x123, &[]));
+    bench.run_us(5);
+    assert_eq!(bench.read(MSR) & 0x1F, SLAK | 1 << 3, "WKUI");
+    assert_eq!(bench.read(MCR) & SLEEP, 0);
+    bench.run_us(300);
+    assert_eq!(bench.read(MSR) & 3, 0);
+}
+
+#[test]
+fn sleep_goes_on_without_awum() {
+    let mut bench = Bench::running(0);
+    bench.write(MCR, SLEEP);
+    bench.adapter.send(standard(0x123, &[]));
+    bench.run_us(300);
+    assert_eq!(bench.read(MSR) & 3, SLAK);
+    assert_eq!(bench.read(MSR) >> 3 & 1, 1);
+    bench.write(MCR, 0);
+    bench.run_us(300);
+    assert_eq!(bench.read(MSR) & 3, 0);
+}

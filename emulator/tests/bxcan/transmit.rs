@@ -1,0 +1,135 @@
+//! Transmit mailboxes: status, priority, abort, one-shot.
+
+use emulator::{Time, can::bxcan::Note};
+
+use crate::bench::{Bench, ESR, IER, INRQ, MCR, MSR, NART, TI0R, TSR, TXFP, standard};
+
+#[test]
+fn a_transmission_sets_its_bits_at_the_end_of_the_frame_and_interrupts() {
+    let mut bench = Bench::running(0);
+    bench.write(IER, 1);
+    bench.mailbox(0, standard(0x123, &[1, 2, 3]));
+    assert_eq!(bench.read(TSR), 0x1900_0000, "mailbox 1 is the next free one");
+    assert_eq!(bench.read(TI0R) & 1, 1);
+    let asked = bench.bus.now();
+    bench.step_until("RQCP0", |bench| bench.read(TSR) & 1 != 0);
+    let bits = u64::from(standard(0x123, &[1, 2, 3]).wire_bits());
+    let took = bench.bus.now() - asked;
+    assert!((Time::from_us(bits - 1)..=Time::from_us(bits + 1)).contains(&took), "{took}");
+    assert_eq!(bench.read(TSR), 0x1C00_0003);
+    assert!(bench.can.irq().tx);
+    bench.write(TSR, 1);
+    assert_eq!(bench.read(TSR), 0x1C00_0000);
+    assert!(!bench.can.irq().tx);
+    assert_eq!(bench.received(), [standard(0x123, &[1, 2, 3])]);
+    assert_eq!(bench.read(ESR), 0);
+}
+
+#[test]
+fn mailboxes_go_by_identifier_then_by_number() {
+    let mut bench = Bench::running(0);
+    bench.write(MCR, INRQ);
+    bench.mailbox(0, standard(0x300, &[0]));
+    bench.mailbox(1, standard(0x100, &[1]));
+    bench.mailbox(2, standard(0x300, &[2]));
+    assert_eq!(bench.read(TSR) >> 24, 0b1000_0010, "mailbox 2 has the lowest priority");
+    bench.write(MCR, 0);
+    bench.run_us(500);
+    let order: Vec<u8> = bench.received().iter().map(|frame| frame.data[0]).collect();
+    assert_eq!(order, [1, 0, 2]);
+}
+
+#[test]
+fn mailboxes_go_by_order_of_request_with_txfp() {
+    let mut bench = Bench::running(TXFP);
+    bench.write(MCR, TXFP | INRQ);
+    bench.mailbox(1, standard(0x300, &[1]));
+    bench.mailbox(2, standard(0x100, &[2]));
+    bench.mailbox(0, standard(0x200, &[0]));
+    assert_eq!(bench.read(TSR) >> 24, 0b0010_0000, "mailbox 0 was last");
+    bench.write(MCR, TXFP);
+    bench.run_us(500);
+    let order: Vec<u8> = bench.received().iter().map(|frame| frame.data[0]).collect();
+    assert_eq!(order, [1, 2, 0]);
+}
+
+#[test]
+fn a_higher_priority_overtakes_what_waits_but_not_what_is_under_way() {
+    let mut bench = Bench::running(0);
+    bench.mailbox(0, standard(0x300, &[0]));
+    bench.mailbox(1, standard(0x200, &[1]));
+    bench.run_us(10);
+    bench.mailbox(2, standard(0x100, &[2]));
+    bench.run_us(500);
+    let order: Vec<u8> = bench.received().iter().map(|frame| frame.data[0]).collect();
+    assert_eq!(order, [1, 2, 0], "chosen when the bus became free");
+}
+
+#[test]
+fn a_mailbox_that_waits_is_protected_and_aborted_at_once() {
+    let mut bench = Bench::running(0);
+    bench.adapter.send(standard(0, &[0; 8]));
+    bench.run_us(10);
+    bench.mailbox(0, standard(0x123, &[1]));
+    bench.can.take_notes();
+    bench.write(TI0R + 8, 0xFF);
+    assert_eq!(bench.read(TI0R + 8), 1);
+    bench.write(TSR, 1 << 7);
+    assert_eq!(bench.read(TSR), 0x1C00_0001, "RQCP without TXOK");
+    let now = bench.bus.now();
+    assert_eq!(
+        bench.can.take_notes(),
+        [(now, Note::Aborted { mailbox: 0, frame: standard(0x123, &[1]) })]
+    );
+    bench.run_us(500);
+    assert_eq!(bench.received(), []);
+}
+
+#[test]
+fn an_abort_under_way_lets_a_good_frame_succeed() {
+    let mut bench = Bench::running(0);
+    bench.mailbox(0, standard(0x123, &[1]));
+    bench.run_us(10);
+    bench.write(TSR, 1 << 7);
+    assert_eq!(bench.read(TSR) & 0xFF, 1 << 7);
+    bench.run_us(100);
+    assert_eq!(bench.read(TSR), 0x1C00_0003);
+    assert_eq!(bench.received().len(), 1);
+}
+
+#[test]
+fn an_abort_under_way_ends_the_repetition_of_a_failing_frame() {
+    let mut bench = Bench::running(0);
+    bench.adapter.close();
+    bench.mailbox(0, standard(0x123, &[1]));
+    bench.run_us(250);
+    assert_eq!(bench.read(TSR) & 0xF, 1 << 3, "TERR without RQCP: it is repeated");
+    bench.step_until("a transmission", |bench| bench.read(MSR) >> 8 & 1 == 1);
+    bench.write(TSR, 1 << 7);
+    assert_eq!(bench.read(TSR) >> 26 & 1, 0);
+    bench.run_us(100);
+    assert_eq!(bench.read(TSR), 0x1C00_0009, "RQCP and TERR");
+    let tec = bench.read(ESR) >> 16 & 0xFF;
+    bench.run_us(1000);
+    assert_eq!(bench.read(ESR) >> 16 & 0xFF, tec);
+}
+
+#[test]
+fn one_shot_gives_up_after_an_error_or_lost_arbitration() {
+    let mut bench = Bench::running(NART);
+    bench.write(MCR, NART | INRQ);
+    bench.mailbox(0, standard(0x123, &[1]));
+    // Both join now, and so start together after eleven bits.
+    bench.adapter.open();
+    bench.adapter.send(standard(0x100, &[]));
+    bench.write(MCR, NART);
+    bench.run_us(300);
+    assert_eq!(bench.read(TSR), 0x1C00_0005, "RQCP and ALST");
+    assert_eq!(bench.received(), []);
+
+    bench.adapter.close();
+    bench.mailbox(0, standard(0x123, &[1]));
+    bench.run_us(1000);
+    assert_eq!(bench.read(TSR), 0x1C00_0009, "RQCP and TERR");
+    assert_eq!(bench.read(ESR), 0x0008_0030, "one acknowledgement error");
+}

@@ -1,0 +1,50 @@
+//! Settings to store, and the log's records and flashes made by hand.
+
+use lss_slave::{
+    BitRate, NodeId, Settings,
+    settings::{Found, Log},
+};
+
+use super::flash::Flash;
+
+/// Settings that differ for each `n`, in more than one field from those of `n` + 1.
+pub fn settings(n: u16) -> Settings {
+    Settings {
+        node_id: NodeId::new((n % 128) as u8),
+        bit_rate: BitRate::ALL[usize::from(n % 8)],
+        heartbeat_ms: n,
+    }
+}
+
+/// What a power-on finds.
+pub fn open<const W: usize, const E: usize>(flash: &Flash<W, E>) -> (Option<Settings>, Found) {
+    let (log, found) = Log::open(flash.clone());
+    (log.settings(), found)
+}
+
+/// The record of the documentation: sequence, kind, node-ID, bit rate index, heartbeat time, CRC, commit word.
+pub fn record(sequence: u32, kind: u8, node_id: u8, index: u8, heartbeat_ms: u16) -> [u8; 32] {
+    let mut bytes = [0xFF; 32];
+    bytes[..4].copy_from_slice(&sequence.to_le_bytes());
+    bytes[4..7].copy_from_slice(&[kind, node_id, index]);
+    bytes[8..10].copy_from_slice(&heartbeat_ms.to_le_bytes());
+    let mut crc = u32::MAX;
+    for bit in bytes[..24].iter().flat_map(|byte| (0..8).map(move |i| u32::from(byte >> i & 1))) {
+        crc = crc >> 1 ^ if (crc ^ bit) & 1 == 1 { 0xEDB8_8320 } else { 0 };
+    }
+    bytes[24..28].copy_from_slice(&(!crc).to_le_bytes());
+    bytes[28..].copy_from_slice(b"LSS1");
+    bytes
+}
+
+/// A flash with these records, each in its place: bank and number in the bank.
+pub fn flash_with<const W: usize, const E: usize>(
+    records: &[(usize, usize, [u8; 32])],
+) -> Flash<W, E> {
+    let mut content = vec![0xFF; 2 * E];
+    for (bank, number, record) in records {
+        let at = bank * E + number * 32;
+        content[at..at + 32].copy_from_slice(record);
+    }
+    Flash::with_content(content, 0)
+}

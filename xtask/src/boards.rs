@@ -1,0 +1,127 @@
+//! The emulated boards of the commands: which chip, who they are, what they are set to.
+
+use std::ops::Range;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
+};
+use emulator::{
+    board::{self, Board},
+    chip::Part,
+    image::Image,
+};
+use lss_slave::{Settings, settings::Log};
+
+/// Sectors 1 and 2 of the flash, where the firmware keeps its settings (`memory.x`), from the start of the flash.
+const SETTINGS: Range<usize> = 0x4000..0xC000;
+const SECTOR: usize = 0x4000;
+
+/// Reads the name of a chip from the command line.
+pub fn part() -> impl TypedValueParser<Value = Part> {
+    PossibleValuesParser::new(Part::ALL.map(Part::name)).map(|name| {
+        let named = Part::ALL.into_iter().find(|part| part.name() == name);
+        named.expect("only names of parts are possible")
+    })
+}
+
+/// The board of this number with erased settings, switched on at time zero; no two numbers give the same unique id.
+pub fn board(part: Part, image: &Image, number: usize) -> Board {
+    Board::new(part, image, board::Settings { unique_id: unique_id(number), ..Default::default() })
+}
+
+/// Coordinates on a wafer, wafer number and lot, as in RM0090 39.1.
+fn unique_id(number: usize) -> [u8; 12] {
+    let [x, y, ..] = number.to_le_bytes();
+    let mut id = [x, 0, y, 0, 7, 0, 0, 0, 0, 0, 0, 0];
+    id[5..].copy_from_slice(b"EMULATE");
+    id
+}
+
+/// The LSS serial number that the firmware makes of the unique id of this board.
+pub fn serial_number(number: usize) -> u32 {
+    unique_id(number)
+        .iter()
+        .fold(0x811C_9DC5, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
+}
+
+/// The settings stored in a board's flash; `None` in that of a new board.
+pub fn stored_settings(flash: &[u8]) -> Option<Settings> {
+    let mut sectors = flash[SETTINGS].to_vec();
+    let (log, _) = Log::open(SettingsFlash(&mut sectors));
+    log.settings()
+}
+
+/// Stores settings in a board's flash, as the firmware would.
+pub fn store_settings(flash: &mut [u8], settings: Settings) {
+    let (mut log, _) = Log::open(SettingsFlash(&mut flash[SETTINGS]));
+    log.store(settings).expect("the flash in memory works, and has room after an open");
+}
+
+/// Two sectors of flash in memory.
+struct SettingsFlash<'a>(&'a mut [u8]);
+
+impl ErrorType for SettingsFlash<'_> {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for SettingsFlash<'_> {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        check_read(self, offset, bytes.len())?;
+        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.len()
+    }
+}
+
+impl NorFlash for SettingsFlash<'_> {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        check_erase(self, from, to)?;
+        self.0[from as usize..to as usize].fill(0xFF);
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        check_write(self, offset, bytes.len())?;
+        for (stored, byte) in self.0[offset as usize..].iter_mut().zip(bytes) {
+            *stored &= byte;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lss_slave::{BitRate, NodeId};
+
+    use super::*;
+
+    #[test]
+    fn stored_settings_are_found_again_and_the_program_is_left_alone() {
+        let mut flash = vec![0x55; 0x10_0000];
+        flash[SETTINGS].fill(0xFF);
+        assert_eq!(stored_settings(&flash), None);
+        let settings =
+            Settings { node_id: NodeId::new(5), bit_rate: BitRate::Kbit500, heartbeat_ms: 0 };
+        store_settings(&mut flash, settings);
+        assert_eq!(stored_settings(&flash), Some(settings));
+        assert!(flash[..SETTINGS.start].iter().all(|byte| *byte == 0x55));
+        assert!(flash[SETTINGS.end..].iter().all(|byte| *byte == 0x55));
+    }
+
+    #[test]
+    fn boards_differ_in_their_serial_numbers() {
+        let mut serial_numbers: Vec<u32> = (0..1000).map(serial_number).collect();
+        serial_numbers.sort();
+        serial_numbers.dedup();
+        assert_eq!(serial_numbers.len(), 1000);
+    }
+}

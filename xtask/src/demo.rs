@@ -1,0 +1,166 @@
+//! `cargo demo`: an LSS master that others wrote configures a board, which is emulated, with the release firmware.
+
+mod bench;
+mod screen;
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail, ensure};
+use emulator::{
+    Time,
+    can::{Frame, Id},
+    chip::Part,
+    image::Image,
+    network::{Event, Source, What},
+};
+use lss_slave::{
+    BitRate,
+    lss::{self, Request},
+};
+use zencan_client::{
+    LssMaster,
+    common::{
+        NodeId,
+        lss::{LssIdentity, LssState},
+    },
+};
+
+use crate::boards;
+use bench::Bench;
+use screen::Screen;
+
+const OLD_RATE: BitRate = BitRate::Kbit125;
+const NEW_RATE: BitRate = BitRate::Kbit500;
+const NODE_ID: u8 = 5;
+const SWITCH_DELAY_MS: u16 = 100;
+/// The first start formats the settings' flash: an erase of 16 KB takes 0.8 s at worst.
+const START: Duration = Duration::from_secs(1);
+/// How long the master waits for answers to each Fastscan step.
+const FASTSCAN_TIMEOUT: Duration = Duration::from_millis(20);
+const BOOT_UP: u16 = 0x700 + NODE_ID as u16;
+const PRE_OPERATIONAL: u8 = 0x7F;
+
+/// Show a board that is found, configured and power-cycled, frame by frame, on an emulated CAN bus
+///
+/// The board is an emulated STM32F4 with the release firmware, blank. The LSS master is the crate zencan-client.
+/// Fails if anything goes otherwise than CiA 305 says.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Show every frame of the Fastscan, not only where its parts begin and end
+    #[arg(long)]
+    all: bool,
+    /// The chip on the board
+    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    chip: Part,
+}
+
+/// Builds the firmware, runs the session and prints it.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let image = Image::build(arguments.chip)?;
+    let begin = Instant::now();
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build()?;
+    let mut screen = Screen::new(arguments.all);
+    runtime.block_on(async {
+        let bench = Bench::new(boards::board(arguments.chip, &image, 0), OLD_RATE);
+        let outcome = session(&bench, &mut screen).await;
+        // What was seen until it went wrong.
+        screen.show(&bench.events())?;
+        outcome?;
+        screen.chapter(&format!(
+            "As expected: {:.1} s on the board, {:.1} s here.",
+            bench.now().as_ms() as f64 / 1000.0,
+            begin.elapsed().as_secs_f64()
+        ))
+    })
+}
+
+async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
+    let mut master = LssMaster::new(bench.clone(), bench.clone());
+
+    screen.chapter("A blank board is switched on at 125 kbit/s: no node-ID, so it is silent")?;
+    bench.pass(START).await;
+    let sent = bench.events().iter().filter(|event| is_frame_of_board(event)).count();
+    ensure!(sent == 0, "a board without a node-ID sent {sent} frames by itself");
+    screen.show(&bench.events())?;
+
+    screen.chapter("The master finds it by Fastscan: 128 bits of LSS address, one by one")?;
+    let found = master.fast_scan(FASTSCAN_TIMEOUT).await;
+    let LssIdentity { vendor_id, product_code, revision, serial } =
+        found.context("Fastscan found nobody")?;
+    screen.show(&bench.events())?;
+    screen.remark(&format!(
+        "found: vendor-ID {vendor_id:08X}, product code {product_code:08X}, revision number \
+         {revision:08X}, serial number {serial:08X}"
+    ))?;
+    let expected = boards::serial_number(0);
+    ensure!(serial == expected, "the serial number of the chip is {expected:08X}");
+
+    screen.chapter("It gets a node-ID and a bit rate, and stores them")?;
+    let node_id = NodeId::new(NODE_ID).context("1 to 127 is a node-ID")?;
+    master.set_node_id(node_id).await.context("configure node-ID")?;
+    master.set_baud_rate(0, NEW_RATE.index()).await.context("configure bit timing")?;
+    master.store_config().await.context("store configuration")?;
+    screen.show(&bench.events())?;
+
+    screen.chapter("All switch to 500 kbit/s; zencan has no such service: the demo sends it")?;
+    bench.send(lss_request(Request::ActivateBitTiming(SWITCH_DELAY_MS))).await;
+    let delay = Duration::from_millis(SWITCH_DELAY_MS.into());
+    bench.pass(delay).await;
+    bench.set_bit_rate(NEW_RATE);
+    bench.pass(delay).await;
+    screen.show(&bench.events())?;
+
+    screen.chapter("Back to LSS waiting state: the board takes its node-ID and boots up")?;
+    master.set_global_mode(LssState::Waiting).await;
+    expect_boot_up(bench).await?;
+    screen.show(&bench.events())?;
+
+    screen.chapter("The power fails for half a second: node-ID and bit rate were stored")?;
+    bench.power_off();
+    bench.pass(Duration::from_millis(500)).await;
+    bench.power_on();
+    expect_boot_up(bench).await?;
+    let heartbeat = bench.receive(Duration::from_secs(2)).await.context("no heartbeat came")?;
+    ensure!(
+        heartbeat == Frame::data(Id::Standard(BOOT_UP), &[PRE_OPERATIONAL]),
+        "{heartbeat} came instead of a heartbeat"
+    );
+    screen.show(&bench.events())?;
+    check_conduct(bench)
+}
+
+async fn expect_boot_up(bench: &Bench) -> anyhow::Result<()> {
+    let boot_up = bench.receive(START).await.context("no boot-up came")?;
+    ensure!(
+        boot_up == Frame::data(Id::Standard(BOOT_UP), &[0]),
+        "{boot_up} came instead of the boot-up of node {NODE_ID}"
+    );
+    Ok(())
+}
+
+/// Nothing happened besides what was looked at.
+fn check_conduct(bench: &Bench) -> anyhow::Result<()> {
+    for event in bench.events() {
+        if let What::Error { kind, .. } = event.what {
+            bail!("an error frame, {kind:?}, at {} ms", event.time);
+        }
+    }
+    match bench.findings().first() {
+        Some(finding) => bail!("the firmware did what a chip would not forgive: {finding}"),
+        None => Ok(()),
+    }
+}
+
+fn is_frame_of_board(event: &Event) -> bool {
+    matches!((event.source, &event.what), (Source::Board(_), What::Frame { .. }))
+}
+
+fn lss_request(request: Request) -> Frame {
+    Frame::data(Id::Standard(lss::REQUEST_COB_ID), &request.to_bytes())
+}
+
+/// A span of tokio's clock as one of the emulation's.
+fn span(duration: Duration) -> Time {
+    Time::from_ns(duration.as_nanos() as u64)
+}

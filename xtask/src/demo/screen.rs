@@ -1,0 +1,133 @@
+//! The session as it is printed: chapters, and in each of them what happened on the bus, line by line.
+
+use std::io::{self, Write};
+
+use anstyle::{AnsiColor, Style};
+use emulator::{
+    can::{Frame, Id},
+    network::{Event, Source, What},
+};
+use lss_slave::lss::{self, AddressPart, FastscanStep, Request};
+
+use crate::explain::explain;
+
+const CHAPTER: Style = Style::new().bold();
+const MASTER: Style = AnsiColor::Cyan.on_default();
+const BOARD: Style = AnsiColor::Green.on_default();
+const ERROR: Style = AnsiColor::Red.on_default();
+const REMARK: Style = AnsiColor::Yellow.on_default();
+const DIM: Style = Style::new().dimmed();
+
+/// Of a part of a Fastscan so many lines are shown at its beginning, and as many at its end.
+const SHOWN: usize = 4;
+
+/// Prints to standard output, in colour if it is a terminal that wants it.
+pub struct Screen {
+    shows_all: bool,
+    /// How many events were shown or skipped already.
+    seen: usize,
+}
+
+/// Something to print, and what it belongs to.
+struct Line {
+    style: Style,
+    text: String,
+    /// The part of the LSS address that a Fastscan step is about, and its answers.
+    scanned: Option<AddressPart>,
+}
+
+impl Screen {
+    /// Shows every line of a Fastscan if `shows_all`, else folds the middle of its parts.
+    pub fn new(shows_all: bool) -> Self {
+        Self { shows_all, seen: 0 }
+    }
+
+    /// A headline.
+    pub fn chapter(&mut self, headline: &str) -> anyhow::Result<()> {
+        let gap = if self.seen == 0 { "" } else { "\n" };
+        Ok(writeln!(anstream::stdout(), "{gap}{CHAPTER}{headline}{CHAPTER:#}")?)
+    }
+
+    /// Something that is no event.
+    pub fn remark(&self, text: &str) -> anyhow::Result<()> {
+        Ok(writeln!(anstream::stdout(), "{REMARK}{text}{REMARK:#}")?)
+    }
+
+    /// The events since the last call; `events` holds those from before too.
+    pub fn show(&mut self, events: &[Event]) -> anyhow::Result<()> {
+        let mut lines: Vec<Line> = Vec::new();
+        for event in &events[self.seen..] {
+            let before = lines.last().and_then(|line| line.scanned);
+            lines.extend(line(event, before));
+        }
+        self.seen = events.len();
+        Ok(self.print(&lines)?)
+    }
+
+    fn print(&self, lines: &[Line]) -> io::Result<()> {
+        let mut out = anstream::stdout().lock();
+        for part in lines.chunk_by(|a, b| a.scanned == b.scanned) {
+            let is_folded =
+                part[0].scanned.is_some() && part.len() > 2 * SHOWN + 1 && !self.shows_all;
+            let (head, rest) = part.split_at(if is_folded { SHOWN } else { part.len() });
+            let (middle, tail) = rest.split_at(rest.len().saturating_sub(SHOWN));
+            for Line { style, text, .. } in head {
+                writeln!(out, "{style}{text}{style:#}")?;
+            }
+            if is_folded {
+                writeln!(out, "{DIM}{:>12}   {} more frames{DIM:#}", "...", middle.len())?;
+            }
+            for Line { style, text, .. } in tail {
+                writeln!(out, "{style}{text}{style:#}")?;
+            }
+        }
+        out.flush()
+    }
+}
+
+/// The line of an event, if it is worth one; `before` is the line before it scanned.
+fn line(event: &Event, before: Option<AddressPart>) -> Option<Line> {
+    let (style, who) = match event.source {
+        Source::Adapter(_) => (MASTER, "master ->".to_owned()),
+        Source::Board(number) => (BOARD, format!("<- board {number}")),
+    };
+    let plain = |text: String| Some((style, text, None));
+    let (style, text, scanned) = match &event.what {
+        What::Frame { frame, .. } => {
+            let scanned = match event.source {
+                Source::Adapter(_) => scanned_part(frame),
+                Source::Board(_) => before,
+            };
+            let bytes: Vec<_> = frame.payload().iter().map(|byte| format!("{byte:02X}")).collect();
+            let text = format!("{:<5}{:<25}{}", frame.id, bytes.join(" "), explain(frame));
+            Some((style, text, scanned))
+        }
+        What::Error { kind, .. } => Some((ERROR, format!("error frame: {kind:?}"), None)),
+        What::BusOff => Some((ERROR, "bus-off".into(), None)),
+        What::Recovered => plain("has recovered from bus-off".into()),
+        What::BitTiming { bit_rate, .. } => {
+            plain(format!("sets its bit rate: {} kbit/s", bit_rate / 1000))
+        }
+        What::Reset(cause) => plain(format!("is reset: {cause:?}")),
+        What::PowerOff => plain("has no power".into()),
+        What::PowerOn => plain("has power".into()),
+        What::Requested { .. }
+        | What::Aborted { .. }
+        | What::InitializationEntered
+        | What::InitializationLeft => None,
+    }?;
+    let milliseconds = event.time.as_us() as f64 / 1000.0;
+    let text = format!("{milliseconds:>12.3}   {who:<11}  {text}");
+    Some(Line { style, text, scanned })
+}
+
+/// What the Fastscan step in `frame` scans, if it is one that tries bits.
+fn scanned_part(frame: &Frame) -> Option<AddressPart> {
+    if frame.id != Id::Standard(lss::REQUEST_COB_ID) {
+        return None;
+    }
+    match Request::from_bytes(&frame.data)? {
+        Request::Fastscan(FastscanStep { sub, bit_check: 0..32, .. }) => AddressPart::new(sub),
+        _ => None,
+    }
+}

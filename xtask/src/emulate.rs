@@ -1,0 +1,206 @@
+//! `cargo emulate`: boards in real time, and their CAN bus as SLCAN adapters over TCP.
+
+mod client;
+mod memory;
+mod pace;
+mod slcan;
+
+use std::{
+    collections::BTreeMap,
+    net::{SocketAddr, TcpListener},
+    path::PathBuf,
+    sync::mpsc::{self, RecvTimeoutError},
+    time::Duration,
+};
+
+use anyhow::{Context, ensure};
+use emulator::{
+    Time,
+    chip::Part,
+    image::Image,
+    network::{Network, Recording},
+};
+use lss_slave::{BitRate, NodeId, Settings};
+
+use crate::boards;
+use client::{Client, ClientId, Input};
+use memory::Memory;
+use pace::Pace;
+
+/// What is received reaches the programs after this time at the latest.
+const TICK: Duration = Duration::from_millis(1);
+/// The first start formats the settings' flash: an erase of 16 KB takes 0.8 s at worst.
+const START: Time = Time::from_s(1);
+/// What a new board has: `DEFAULTS` in the firmware's `device.rs`.
+const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
+const DEFAULT_HEARTBEAT_MS: u16 = 1000;
+
+/// Offer the CAN bus of emulated boards to any CAN program, as SLCAN adapters over TCP
+///
+/// Each TCP connection is one SLCAN (LAWICEL) adapter on the bus, with its own bit rate. With python-can:
+///
+///   can.Bus(interface="slcan", channel="socket://127.0.0.1:29536", bitrate=125000)
+///
+/// The boards run the release firmware in real time until Ctrl-C. An adapter that is opened at another bit rate than
+/// theirs disturbs the bus, as it would on a desk.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// How many boards are on the bus
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=127))]
+    boards: u8,
+    /// Where to wait for CAN programs
+    #[arg(long, default_value = "127.0.0.1:29536", value_name = "ADDRESS:PORT")]
+    listen: SocketAddr,
+    /// Keep each board's flash in DIR/board-N.bin: the next run is a power cycle
+    #[arg(long, value_name = "DIR")]
+    flash: Option<PathBuf>,
+    /// Node-ID of a board that has nothing stored: 1..=127, the next board has the next; or none
+    #[arg(long, value_name = "ID|none", value_parser = node_id)]
+    node_id: Option<Option<NodeId>>,
+    /// Bit rate in kbit/s of a board that has nothing stored
+    #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
+    bit_rate: Option<BitRate>,
+    /// The chip on the boards
+    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    chip: Part,
+}
+
+fn node_id(text: &str) -> Result<Option<NodeId>, String> {
+    match text {
+        "none" => Ok(None),
+        _ => match text.parse().ok().and_then(NodeId::new) {
+            None => Err("1 to 127, or none".into()),
+            id => Ok(id),
+        },
+    }
+}
+
+fn bit_rate(text: &str) -> Result<BitRate, String> {
+    BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s().to_string() == text).ok_or_else(|| {
+        let rates = BitRate::ALL.map(|rate| rate.kbit_per_s().to_string());
+        format!("one of {}", rates.join(", "))
+    })
+}
+
+impl Arguments {
+    /// What is stored in a board before its first start; `None`: nothing, it is blank.
+    fn preset(&self, number: usize) -> anyhow::Result<Option<Settings>> {
+        if self.node_id.is_none() && self.bit_rate.is_none() {
+            return Ok(None);
+        }
+        let node_id = match self.node_id.flatten() {
+            None => None,
+            Some(first) => {
+                let id = NodeId::new(first.get().saturating_add(number as u8));
+                ensure!(id.is_some(), "--node-id {}: board {number} has none left", first.get());
+                id
+            }
+        };
+        let bit_rate = self.bit_rate.unwrap_or(DEFAULT_BIT_RATE);
+        Ok(Some(Settings { node_id, bit_rate, heartbeat_ms: DEFAULT_HEARTBEAT_MS }))
+    }
+}
+
+/// Runs the boards until Ctrl-C.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let listener = TcpListener::bind(arguments.listen).with_context(|| {
+        format!("cannot listen at {}: choose another address with --listen", arguments.listen)
+    })?;
+    let address = listener.local_addr()?;
+    let image = Image::build(arguments.chip)?;
+    let mut memory = Memory::open(arguments.flash.as_deref())?;
+    let mut network = Network::new();
+    network.record(Recording::Off);
+    for number in 0..usize::from(arguments.boards) {
+        let mut board = boards::board(arguments.chip, &image, number);
+        memory.restore(&mut board, &image, number, arguments.preset(number)?)?;
+        network.add_board(board);
+    }
+    network.run_for(START);
+    memory.save(&network)?;
+
+    let (sender, inputs) = mpsc::channel();
+    let stop = sender.clone();
+    ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
+    client::accept(listener, sender);
+    println!("ready: SLCAN on {address}; {}", describe(&network));
+    serve(&mut network, &inputs, &mut memory, arguments.bit_rate.unwrap_or(DEFAULT_BIT_RATE))
+}
+
+fn describe(network: &Network) -> String {
+    let board = |number: usize| {
+        let settings = boards::stored_settings(&network.board(number).flash());
+        let node_id = match settings.and_then(|settings| settings.node_id) {
+            Some(id) => format!("node-ID {}", id.get()),
+            None => "not configured".to_owned(),
+        };
+        let bit_rate = settings.map_or(DEFAULT_BIT_RATE, |settings| settings.bit_rate);
+        let serial_number = boards::serial_number(number);
+        format!(
+            "board {number}: serial number {serial_number:08X}, {node_id}, {} kbit/s",
+            bit_rate.kbit_per_s()
+        )
+    };
+    (0..network.boards().len()).map(board).collect::<Vec<_>>().join("; ")
+}
+
+fn serve(
+    network: &mut Network,
+    inputs: &mpsc::Receiver<Input>,
+    memory: &mut Memory,
+    bit_rate: BitRate,
+) -> anyhow::Result<()> {
+    let bit_rate = u32::from(bit_rate.kbit_per_s()) * 1000;
+    let mut clients: BTreeMap<ClientId, Client> = BTreeMap::new();
+    let mut unused = Vec::new();
+    let mut pace = Pace::new(network.now());
+    loop {
+        let input = inputs.recv_timeout(TICK);
+        network.run_until(pace.due(network.now()));
+        for client in clients.values_mut() {
+            client.deliver(network);
+        }
+        memory.save(network)?;
+        match input {
+            Ok(Input::Connected(id, stream)) => {
+                let adapter = unused.pop().unwrap_or_else(|| client::new_adapter(network));
+                clients.insert(id, Client::new(stream, adapter, bit_rate, network));
+            }
+            Ok(Input::Line(id, line)) => {
+                if let Some(client) = clients.get_mut(&id) {
+                    client.execute(&line, network);
+                }
+            }
+            Ok(Input::Gone(id)) => {
+                if let Some(client) = clients.remove(&id) {
+                    unused.push(client.leave(network));
+                }
+            }
+            Ok(Input::Stop) => return memory.save(network),
+            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_node_id_is_1_to_127_or_none() {
+        assert_eq!(node_id("none"), Ok(None));
+        assert_eq!(node_id("1"), Ok(NodeId::new(1)));
+        assert_eq!(node_id("127"), Ok(NodeId::new(127)));
+        for text in ["", "0", "128", "255", "-1", "x"] {
+            assert!(node_id(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_bit_rate_is_one_of_cia_301() {
+        assert_eq!(bit_rate("125"), Ok(BitRate::Kbit125));
+        assert_eq!(bit_rate("1000"), Ok(BitRate::Kbit1000));
+        assert!(bit_rate("100").is_err());
+    }
+}

@@ -1,0 +1,179 @@
+//! A program that is connected by TCP, and the adapter on the bus that it commands.
+
+use std::{
+    io::{BufRead, BufReader, Write},
+    net::{TcpListener, TcpStream},
+    sync::mpsc::{self, Sender},
+    thread,
+};
+
+use emulator::{
+    can::{Adapter, Station},
+    network::{AdapterId, Network},
+};
+
+use super::slcan::{self, Command, Status};
+
+/// The longest line that is read; no command is as long.
+const LINE: u64 = 64;
+/// As many frames wait for the bus; more are refused.
+const QUEUE: usize = 1000;
+
+/// Names a client, from the first on, never again.
+pub type ClientId = u64;
+
+/// What comes from outside of the emulation.
+pub enum Input {
+    /// A program has connected.
+    Connected(ClientId, TcpStream),
+    /// It sent a line, which stands here without its end.
+    Line(ClientId, Vec<u8>),
+    /// It has gone.
+    Gone(ClientId),
+    /// Ctrl-C.
+    Stop,
+}
+
+/// Waits for programs, in the background.
+pub fn accept(listener: TcpListener, inputs: Sender<Input>) {
+    thread::spawn(move || {
+        for (id, stream) in (0..).zip(listener.incoming().flatten()) {
+            let Ok(reader) = stream.try_clone() else { continue };
+            if inputs.send(Input::Connected(id, stream)).is_err() {
+                return;
+            }
+            let inputs = inputs.clone();
+            thread::spawn(move || read(id, reader, &inputs));
+        }
+    });
+}
+
+fn read(id: ClientId, stream: TcpStream, inputs: &Sender<Input>) {
+    let mut reader = BufReader::new(stream);
+    let mut line = Vec::new();
+    while let Ok(1..) = std::io::Read::take(&mut reader, LINE).read_until(slcan::END, &mut line) {
+        if line.ends_with(&[slcan::END]) {
+            line.pop();
+        }
+        line.retain(|byte| *byte != b'\n');
+        if inputs.send(Input::Line(id, std::mem::take(&mut line))).is_err() {
+            return;
+        }
+    }
+    // The emulation may have ended; then nobody has to know.
+    let _ = inputs.send(Input::Gone(id));
+}
+
+/// Puts one more adapter on the bus; it is closed.
+pub fn new_adapter(network: &mut Network) -> AdapterId {
+    let adapter = network.add_adapter(Adapter::new(1_000_000));
+    network.adapter_mut(adapter).close();
+    adapter
+}
+
+/// A connected program.
+pub struct Client {
+    /// To the thread that writes to the program, so that a slow one holds up nobody.
+    output: Sender<Vec<u8>>,
+    adapter: AdapterId,
+    is_open: bool,
+    may_transmit: bool,
+    has_timestamps: bool,
+    /// The adapter's error count when `F` was asked last.
+    known_errors: u64,
+}
+
+impl Client {
+    /// A program that commands `adapter`, which is closed and set to `bit_rate` bit/s.
+    pub fn new(
+        mut stream: TcpStream,
+        adapter: AdapterId,
+        bit_rate: u32,
+        network: &mut Network,
+    ) -> Self {
+        // Without it only the latency is worse.
+        let _ = stream.set_nodelay(true);
+        let (output, lines) = mpsc::channel::<Vec<u8>>();
+        thread::spawn(move || lines.iter().try_for_each(|line| stream.write_all(&line)));
+        let on_bus = network.adapter_mut(adapter);
+        on_bus.set_bit_rate(bit_rate);
+        let known_errors = on_bus.errors();
+        Self {
+            output,
+            adapter,
+            is_open: false,
+            may_transmit: false,
+            has_timestamps: false,
+            known_errors,
+        }
+    }
+
+    /// Takes the program's adapter off the bus and gives it back.
+    pub fn leave(self, network: &mut Network) -> AdapterId {
+        network.adapter_mut(self.adapter).close();
+        while network.receive(self.adapter).is_some() {}
+        self.adapter
+    }
+
+    /// Hands over the frames that the adapter has received.
+    pub fn deliver(&mut self, network: &mut Network) {
+        while let Some((time, frame)) = network.receive(self.adapter) {
+            let milliseconds = self.has_timestamps.then_some(time.as_ms());
+            self.write(slcan::received(&frame, milliseconds).into());
+        }
+    }
+
+    /// Carries out a line of the program and answers it.
+    pub fn execute(&mut self, line: &[u8], network: &mut Network) {
+        let answer = Command::parse(line).and_then(|command| self.carry_out(command, network));
+        self.write(answer.unwrap_or_else(|| slcan::REFUSED.to_vec()));
+    }
+
+    /// Returns the answer, or `None` for what is not possible now.
+    fn carry_out(&mut self, command: Command, network: &mut Network) -> Option<Vec<u8>> {
+        let adapter = network.adapter_mut(self.adapter);
+        match command {
+            Command::Nothing | Command::Filter => {}
+            Command::BitRate(_) | Command::Open | Command::ListenOnly if self.is_open => {
+                return None;
+            }
+            Command::BitRate(bit_rate) => adapter.set_bit_rate(bit_rate),
+            Command::Open => {
+                adapter.open();
+                (self.is_open, self.may_transmit) = (true, true);
+            }
+            Command::ListenOnly => {
+                adapter.listen_only();
+                (self.is_open, self.may_transmit) = (true, false);
+            }
+            Command::Close => {
+                adapter.close();
+                (self.is_open, self.may_transmit) = (false, false);
+            }
+            Command::Transmit(frame) if self.may_transmit && adapter.unsent() < QUEUE => {
+                network.send(self.adapter, frame);
+                return Some(slcan::queued(&frame).to_vec());
+            }
+            Command::Transmit(_) => return None,
+            Command::Timestamps(wanted) => self.has_timestamps = wanted,
+            Command::Version => return Some(b"V1013\r".to_vec()),
+            Command::SerialNumber => return Some(b"NEMUL\r".to_vec()),
+            Command::Status => {
+                let counters = adapter.controller().counters();
+                let status = Status {
+                    error_warning: counters.warning(),
+                    error_passive: counters.passive(),
+                    bus_error: adapter.errors() > self.known_errors,
+                };
+                self.known_errors = adapter.errors();
+                return Some(status.to_line().into());
+            }
+        }
+        Some(vec![slcan::END])
+    }
+
+    /// A program that has gone misses it; that it has gone comes as an [`Input`].
+    fn write(&mut self, line: Vec<u8>) {
+        let _ = self.output.send(line);
+    }
+}

@@ -1,0 +1,63 @@
+//! Virtual time in step with real time, for as long as the computer can keep up.
+
+use std::time::{Duration, Instant};
+
+use emulator::Time;
+
+/// The emulation may be late by this much before it gives up catching up.
+const PATIENCE: Duration = Duration::from_millis(250);
+
+/// Tells how far virtual time should have come.
+pub struct Pace {
+    /// Virtual time at `since`.
+    origin: Time,
+    since: Instant,
+    has_complained: bool,
+}
+
+impl Pace {
+    /// Virtual time is `now` at this instant, and runs on with real time.
+    pub fn new(now: Time) -> Self {
+        Self { origin: now, since: Instant::now(), has_complained: false }
+    }
+
+    /// The virtual time to run to, where it has come to `now`.
+    pub fn due(&mut self, now: Time) -> Time {
+        let due = self.origin + span(self.since.elapsed());
+        if due.saturating_sub(now) <= span(PATIENCE) {
+            return due;
+        }
+        if !self.has_complained {
+            eprintln!("the emulation cannot keep up with real time and goes on slower");
+            self.has_complained = true;
+        }
+        self.origin = now;
+        self.since = Instant::now();
+        now
+    }
+}
+
+fn span(duration: Duration) -> Time {
+    Time::from_ns(duration.as_nanos() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_that_was_lost_is_not_caught_up() {
+        let mut pace = Pace::new(Time::ZERO);
+        pace.since -= Duration::from_secs(10);
+        assert_eq!(pace.due(Time::from_ms(100)), Time::from_ms(100));
+        let due = pace.due(Time::from_ms(100));
+        assert!(due >= Time::from_ms(100) && due < Time::from_s(5));
+    }
+
+    #[test]
+    fn a_short_delay_is_caught_up() {
+        let mut pace = Pace::new(Time::from_s(1));
+        pace.since -= Duration::from_millis(200);
+        assert!(pace.due(Time::from_s(1)) >= Time::from_ms(1200));
+    }
+}

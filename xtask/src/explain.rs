@@ -1,0 +1,359 @@
+//! What a CANopen frame says, in a sentence: LSS, NMT, SDO and the other services with predefined COB-IDs.
+
+use emulator::can::{Frame, Id};
+use lss_slave::{
+    BitRate, NodeId,
+    lss::{self, AddressPart, FastscanStep, IdentifyKey, Request},
+    nmt,
+};
+
+/// What `frame` says, without the name of its sender: a short sentence on one line.
+pub fn explain(frame: &Frame) -> String {
+    let id = match frame.id {
+        Id::Standard(id) => id,
+        Id::Extended(_) => return "29-bit identifier, not CANopen".into(),
+    };
+    if frame.remote {
+        return "remote frame".into();
+    }
+    let data = frame.payload();
+    let node = id & 0x7F;
+    match id {
+        lss::REQUEST_COB_ID => lss_message(data, lss_request),
+        lss::RESPONSE_COB_ID => lss_message(data, lss_response),
+        nmt::COMMAND_COB_ID => nmt_command(data),
+        0x080 => "SYNC".into(),
+        0x081..=0x0FF => emergency(node, data),
+        0x100 => "TIME".into(),
+        0x181..=0x57F if node != 0 => {
+            let direction = if id & 0x80 != 0 { "T" } else { "R" };
+            format!("{direction}PDO {} of node {node}", (id - 0x100) >> 8 | u16::from(id < 0x200))
+        }
+        0x581..=0x5FF => sdo(&format!("SDO, node {node}"), data, sdo_answer),
+        0x601..=0x67F => sdo(&format!("SDO to node {node}"), data, sdo_request),
+        0x701..=0x77F => error_control(node, data),
+        _ => "no CANopen service".into(),
+    }
+}
+
+fn lss_message(data: &[u8], explain: fn(&[u8; 8]) -> String) -> String {
+    match data.try_into() {
+        Ok(data) => format!("LSS {}", explain(data)),
+        Err(_) => format!("LSS, but {} bytes instead of 8", data.len()),
+    }
+}
+
+fn lss_request(data: &[u8; 8]) -> String {
+    let Some(request) = Request::from_bytes(data) else {
+        return format!("command {:02X}, unknown", data[0]);
+    };
+    match request {
+        Request::SwitchToWaiting => "switch state global: waiting".into(),
+        Request::SwitchToConfiguration => "switch state global: configuration".into(),
+        Request::ConfigureNodeId(id) => format!("configure node-ID: {}", node_id(id)),
+        Request::ConfigureBitTiming { table, index } => {
+            format!("configure bit timing: {}", bit_timing(table, index))
+        }
+        Request::ActivateBitTiming(delay) => {
+            format!("activate bit timing: switch delay {delay} ms")
+        }
+        Request::StoreConfiguration => "store configuration".into(),
+        Request::Select(address_part, number) => {
+            format!("switch state selective: {} {number:08X}", part(address_part))
+        }
+        Request::Identify(key, number) => {
+            let name = match key {
+                IdentifyKey::VendorId => "vendor-ID",
+                IdentifyKey::ProductCode => "product code",
+                IdentifyKey::RevisionNumberLow => "revision number from",
+                IdentifyKey::RevisionNumberHigh => "revision number to",
+                IdentifyKey::SerialNumberLow => "serial number from",
+                IdentifyKey::SerialNumberHigh => "serial number to",
+            };
+            format!("identify remote slave: {name} {number:08X}")
+        }
+        Request::IdentifyNonConfigured => "identify non-configured remote slave".into(),
+        Request::Fastscan(step) => fastscan(step),
+        Request::Inquire(address_part) => format!("inquire {}", part(address_part)),
+        Request::InquireNodeId => "inquire node-ID".into(),
+    }
+}
+
+fn fastscan(FastscanStep { id_number, bit_check, sub, next }: FastscanStep) -> String {
+    if bit_check == 0x80 {
+        return "Fastscan: is anyone not configured?".into();
+    }
+    let Some(scanned) = AddressPart::new(sub).filter(|_| bit_check < 32) else {
+        return format!("Fastscan: impossible (bit {bit_check}, part {sub})");
+    };
+    let name = part(scanned);
+    match AddressPart::new(next) {
+        Some(_) if bit_check == 0 && next < sub => {
+            format!("Fastscan: {name} {id_number:08X}? That one to configuration state")
+        }
+        Some(next) if bit_check == 0 && next != scanned => {
+            format!("Fastscan: {name} {id_number:08X}? Then the {}", part(next))
+        }
+        _ if bit_check == 31 => format!("Fastscan: {name}, bit 31 of {id_number:08X}?"),
+        _ => format!("Fastscan: {name}, bits 31..{bit_check} of {id_number:08X}?"),
+    }
+}
+
+fn lss_response(data: &[u8; 8]) -> String {
+    let [command, error, specific, ..] = *data;
+    let number = u32::from_le_bytes([data[1], data[2], data[3], data[4]]);
+    let outcome = |accepted: &str, meanings: &[&str]| match error {
+        0 => accepted.to_owned(),
+        0xFF => format!("refused, error of the maker: {specific:02X}"),
+        _ => match meanings.get(usize::from(error) - 1) {
+            Some(meaning) => format!("refused: {meaning}"),
+            None => format!("refused, error {error:02X}"),
+        },
+    };
+    match command {
+        0x11 => format!("configure node-ID: {}", outcome("accepted", &["out of range"])),
+        0x13 => format!("configure bit timing: {}", outcome("accepted", &["not supported"])),
+        0x17 => {
+            let meanings = ["storing is not supported", "the storage medium failed"];
+            format!("store configuration: {}", outcome("stored", &meanings))
+        }
+        0x44 => "slave selected: now in configuration state".into(),
+        0x4F => "identify slave: that is me".into(),
+        0x50 => "identify non-configured slave: that is me".into(),
+        0x5A..=0x5D => {
+            let name = AddressPart::new(command - 0x5A).map_or("", part);
+            format!("{name} is {number:08X}")
+        }
+        0x5E => format!("node-ID is {}", node_id(error)),
+        _ => format!("answer {command:02X}, unknown"),
+    }
+}
+
+fn part(part: AddressPart) -> &'static str {
+    match part {
+        AddressPart::VendorId => "vendor-ID",
+        AddressPart::ProductCode => "product code",
+        AddressPart::RevisionNumber => "revision number",
+        AddressPart::SerialNumber => "serial number",
+    }
+}
+
+fn node_id(byte: u8) -> String {
+    match NodeId::from_lss(byte) {
+        Ok(Some(id)) => id.get().to_string(),
+        Ok(None) => "not configured (FF)".into(),
+        Err(_) => format!("{byte:02X}, which is none"),
+    }
+}
+
+fn bit_timing(table: u8, index: u8) -> String {
+    match (BitRate::from_table(table, index), table, index) {
+        (Some(rate), ..) => format!("{} kbit/s (table 0, index {index})", rate.kbit_per_s()),
+        (None, 0, 9) => "automatic detection (table 0, index 9)".into(),
+        _ => format!("table {table}, index {index}"),
+    }
+}
+
+fn nmt_command(data: &[u8]) -> String {
+    let &[command, addressee] = data else {
+        return format!("NMT, but {} bytes instead of 2", data.len());
+    };
+    let name = match command {
+        1 => "start",
+        2 => "stop",
+        128 => "enter pre-operational",
+        129 => "reset node",
+        130 => "reset communication",
+        _ => return format!("NMT command {command:02X}, unknown"),
+    };
+    match addressee {
+        0 => format!("NMT {name}: all nodes"),
+        _ => format!("NMT {name}: node {addressee}"),
+    }
+}
+
+fn error_control(node: u16, data: &[u8]) -> String {
+    const OPERATIONAL: u8 = nmt::State::Operational as u8;
+    const PRE_OPERATIONAL: u8 = nmt::State::PreOperational as u8;
+    const STOPPED: u8 = nmt::State::Stopped as u8;
+    let state = match data {
+        [0] => return format!("boot-up of node {node}"),
+        [OPERATIONAL] => "operational",
+        [PRE_OPERATIONAL] => "pre-operational",
+        [STOPPED] => "stopped",
+        _ => "unknown state",
+    };
+    format!("heartbeat of node {node}: {state}")
+}
+
+fn emergency(node: u16, data: &[u8]) -> String {
+    match data {
+        [0, 0, ..] => format!("emergency of node {node}: error reset"),
+        [low, high, ..] => format!("emergency of node {node}: error code {high:02X}{low:02X}"),
+        _ => format!("emergency of node {node}"),
+    }
+}
+
+fn sdo(who: &str, data: &[u8], explain: fn(&[u8; 8]) -> String) -> String {
+    match data.try_into() {
+        Ok(data) => format!("{who}: {}", explain(data)),
+        Err(_) => format!("{who}, but {} bytes instead of 8", data.len()),
+    }
+}
+
+/// CiA 301, 7.2.4.3: the client's command specifier is in the upper three bits.
+fn sdo_request(data: &[u8; 8]) -> String {
+    match data[0] >> 5 {
+        0 => "write, next segment".into(),
+        1 => format!("write {}{}", object(data), sdo_value(data)),
+        2 => format!("read {}", object(data)),
+        3 => "read, next segment".into(),
+        4 => sdo_abort(data),
+        _ => "block transfer".into(),
+    }
+}
+
+/// CiA 301, 7.2.4.3: the server's command specifiers are others than the client's.
+fn sdo_answer(data: &[u8; 8]) -> String {
+    match data[0] >> 5 {
+        0 => {
+            let length = 7 - usize::from(data[0] >> 1 & 7);
+            format!("segment \"{}\"", data[1..1 + length].escape_ascii())
+        }
+        1 => "segment written".into(),
+        2 => format!("{}{}", object(data), sdo_value(data)),
+        3 => format!("{} written", object(data)),
+        4 => sdo_abort(data),
+        _ => "block transfer".into(),
+    }
+}
+
+fn object(data: &[u8; 8]) -> String {
+    format!("{:04X}:{:02X}", u16::from_le_bytes([data[1], data[2]]), data[3])
+}
+
+fn sdo_value(data: &[u8; 8]) -> String {
+    let number = u32::from_le_bytes([data[4], data[5], data[6], data[7]]);
+    let is_expedited = data[0] & 2 != 0;
+    let is_sized = data[0] & 1 != 0;
+    match (is_expedited, is_sized) {
+        (true, true) => {
+            let length = 4 - usize::from(data[0] >> 2 & 3);
+            let number = number & u32::MAX >> (32 - 8 * length);
+            format!(" = {number:0width$X}", width = 2 * length)
+        }
+        (true, false) => format!(" = {number:08X}"),
+        (false, true) => format!(", {number} bytes in segments"),
+        (false, false) => ", in segments".into(),
+    }
+}
+
+fn sdo_abort(data: &[u8; 8]) -> String {
+    let code = u32::from_le_bytes([data[4], data[5], data[6], data[7]]);
+    format!("abort {}, code {code:08X}", object(data))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn explained(id: u16, data: &[u8]) -> String {
+        explain(&Frame::data(Id::Standard(id), data))
+    }
+
+    #[test]
+    fn requests_of_the_lss_master_are_named_as_in_cia_305() {
+        let cases: [([u8; 8], &str); 9] = [
+            ([0x04, 0, 0, 0, 0, 0, 0, 0], "LSS switch state global: waiting"),
+            ([0x11, 5, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: 5"),
+            ([0x11, 0xFF, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: not configured (FF)"),
+            ([0x11, 0x80, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: 80, which is none"),
+            (
+                [0x13, 0, 2, 0, 0, 0, 0, 0],
+                "LSS configure bit timing: 500 kbit/s (table 0, index 2)",
+            ),
+            ([0x15, 0x10, 0x27, 0, 0, 0, 0, 0], "LSS activate bit timing: switch delay 10000 ms"),
+            (
+                [0x43, 0x78, 0x56, 0x34, 0x12, 0, 0, 0],
+                "LSS switch state selective: serial number 12345678",
+            ),
+            (
+                [0x48, 1, 0, 0, 0, 0, 0, 0],
+                "LSS identify remote slave: revision number from 00000001",
+            ),
+            ([0xAA, 0, 0, 0, 0, 0, 0, 0], "LSS command AA, unknown"),
+        ];
+        for (data, sentence) in cases {
+            assert_eq!(explained(0x7E5, &data), sentence);
+        }
+        assert_eq!(explained(0x7E5, &[4, 1]), "LSS, but 2 bytes instead of 8");
+    }
+
+    #[test]
+    fn the_steps_of_a_fastscan_are_told_apart() {
+        let cases: [([u8; 3], &str); 6] = [
+            ([0x80, 0, 0], "LSS Fastscan: is anyone not configured?"),
+            ([31, 0, 0], "LSS Fastscan: vendor-ID, bit 31 of 12345678?"),
+            ([7, 3, 3], "LSS Fastscan: serial number, bits 31..7 of 12345678?"),
+            ([0, 0, 1], "LSS Fastscan: vendor-ID 12345678? Then the product code"),
+            ([0, 3, 0], "LSS Fastscan: serial number 12345678? That one to configuration state"),
+            ([0, 9, 0], "LSS Fastscan: impossible (bit 0, part 9)"),
+        ];
+        for ([bit_check, sub, next], sentence) in cases {
+            let data = [0x51, 0x78, 0x56, 0x34, 0x12, bit_check, sub, next];
+            assert_eq!(explained(0x7E5, &data), sentence);
+        }
+    }
+
+    #[test]
+    fn refusals_say_why() {
+        let cases: [([u8; 8], &str); 5] = [
+            ([0x11, 1, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: refused: out of range"),
+            ([0x13, 1, 0, 0, 0, 0, 0, 0], "LSS configure bit timing: refused: not supported"),
+            (
+                [0x17, 2, 0, 0, 0, 0, 0, 0],
+                "LSS store configuration: refused: the storage medium failed",
+            ),
+            (
+                [0x17, 0xFF, 7, 0, 0, 0, 0, 0],
+                "LSS store configuration: refused, error of the maker: 07",
+            ),
+            ([0x17, 9, 0, 0, 0, 0, 0, 0], "LSS store configuration: refused, error 09"),
+        ];
+        for (data, sentence) in cases {
+            assert_eq!(explained(0x7E4, &data), sentence);
+        }
+    }
+
+    #[test]
+    fn the_predefined_cob_ids_are_recognised() {
+        let cases: [(u16, &[u8], &str); 12] = [
+            (0x000, &[130, 0], "NMT reset communication: all nodes"),
+            (0x080, &[], "SYNC"),
+            (0x085, &[0x10, 0x81, 0, 0, 0, 0, 0, 0], "emergency of node 5: error code 8110"),
+            (0x185, &[1], "TPDO 1 of node 5"),
+            (0x205, &[1], "RPDO 1 of node 5"),
+            (0x285, &[1], "TPDO 2 of node 5"),
+            (0x505, &[1], "RPDO 4 of node 5"),
+            (0x605, &[0x40, 0x18, 0x10, 4, 0, 0, 0, 0], "SDO to node 5: read 1018:04"),
+            (0x585, &[0x4B, 0x17, 0x10, 0, 0xE8, 0x03, 0, 0], "SDO, node 5: 1017:00 = 03E8"),
+            (0x705, &[0], "boot-up of node 5"),
+            (0x705, &[0x7F], "heartbeat of node 5: pre-operational"),
+            (0x7E6, &[], "no CANopen service"),
+        ];
+        for (id, data, sentence) in cases {
+            assert_eq!(explained(id, data), sentence);
+        }
+    }
+
+    #[test]
+    fn every_identifier_with_any_first_byte_and_length_has_a_sentence() {
+        for id in 0..=0x7FF {
+            for command in 0..=0xFF {
+                for length in 1..=8 {
+                    assert!(!explained(id, &[command; 8][..length]).is_empty());
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! `cargo flash`: the firmware into a real board.
+
+use std::{
+    env, io,
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context, bail};
+use emulator::chip::Part;
+
+use crate::boards;
+
+/// Write the firmware into a board, with probe-rs, and show its log
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// The chip on the board
+    #[arg(default_value = "stm32f405", value_parser = boards::part())]
+    chip: Part,
+}
+
+/// Builds the firmware, writes it to the one board that is connected, and shows its log until Ctrl-C.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    find_probe_rs()?;
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let status = Command::new(cargo)
+        .args(["run", "--release", "--target", "thumbv7em-none-eabihf", "--bin", "lss-slave"])
+        .args(["--features", arguments.chip.name()])
+        .env("PROBE_RS_CHIP", probe_rs_name(arguments.chip))
+        .status()
+        .context("cannot run cargo")?;
+    if !status.success() {
+        bail!("the firmware was not written, or its run ended with an error: see above");
+    }
+    Ok(())
+}
+
+fn find_probe_rs() -> anyhow::Result<()> {
+    let version = Command::new("probe-rs").arg("--version").stdout(Stdio::null()).status();
+    match version {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => bail!(
+            "probe-rs is missing. Install it with `cargo install probe-rs-tools --locked`, or see \
+             https://probe.rs/docs/getting-started/installation; no board at hand? Try `cargo demo`"
+        ),
+        Err(error) => Err(error).context("cannot run probe-rs"),
+        Ok(_) => Ok(()),
+    }
+}
+
+/// The chip as probe-rs names it; the package does not matter to it.
+const fn probe_rs_name(part: Part) -> &'static str {
+    match part {
+        Part::Stm32f405 => "STM32F405RGTx",
+        Part::Stm32f407 => "STM32F407VGTx",
+        Part::Stm32f427 => "STM32F427VITx",
+        Part::Stm32f446 => "STM32F446RETx",
+    }
+}
