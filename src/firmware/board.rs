@@ -55,7 +55,7 @@ pub fn device() -> Device {
             revision_number: device::REVISION_NUMBER,
             serial_number: serial_number(),
         },
-        bit_rates: BitRates::possible(device::APB1_HZ),
+        bit_rates: const { BitRates::possible(device::APB1_HZ) },
         heartbeat_ms: device::DEFAULTS.heartbeat_ms,
         name: device::NAME,
         hardware_version: device::HARDWARE_VERSION,

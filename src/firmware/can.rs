@@ -1,10 +1,11 @@
 //! The CAN controller: bit timing, filters, reception, and the queue of frames that wait for a mailbox.
 
+use core::cmp::Reverse;
+
 use bxcan::{
     Fifo, StandardId,
     filter::{BankConfig, ListEntry16},
 };
-use heapless::Vec;
 use lss_slave::{BitRate, Frame, bit_rate::BitTiming, indicator::BusState};
 use stm32f4xx_hal::{
     can::Can,
@@ -32,8 +33,16 @@ pub struct Controller {
     bit_rate: BitRate,
     receives: [u16; 3],
     may_transmit: bool,
-    /// Sorted by COB-ID, the oldest of equals first.
-    queue: Vec<Frame, QUEUE_LEN>,
+    queue: [Option<Waiting>; QUEUE_LEN],
+    /// How many frames have ever waited; wraps.
+    arrivals: u32,
+}
+
+/// A frame that waits for a mailbox.
+struct Waiting {
+    frame: Frame,
+    /// Frames of one COB-ID leave in the order of their arrival.
+    arrival: u32,
 }
 
 /// What can be received or cannot.
@@ -56,8 +65,14 @@ impl Controller {
         receives: [u16; 3],
     ) -> Self {
         let can = bxcan::Can::builder(Can::new(can, pins, rcc)).leave_disabled();
-        let mut controller =
-            Self { can, bit_rate, receives, may_transmit: true, queue: Vec::new() };
+        let mut controller = Self {
+            can,
+            bit_rate,
+            receives,
+            may_transmit: true,
+            queue: [const { None }; QUEUE_LEN],
+            arrivals: 0,
+        };
         controller.start();
         controller
     }
@@ -137,9 +152,10 @@ impl Controller {
         if !self.may_transmit {
             return;
         }
-        let later = self.queue.iter().position(|waiting| waiting.cob_id() > frame.cob_id());
-        if self.queue.insert(later.unwrap_or(self.queue.len()), frame).is_err() {
-            defmt::warn!("CAN: too many frames wait, {=u16:#x} is lost", frame.cob_id());
+        self.arrivals = self.arrivals.wrapping_add(1);
+        match self.queue.iter_mut().find(|place| place.is_none()) {
+            Some(place) => *place = Some(Waiting { frame, arrival: self.arrivals }),
+            None => defmt::warn!("CAN: too many frames wait, {=u16:#x} is lost", frame.cob_id()),
         }
         self.fill_mailboxes();
     }
@@ -154,13 +170,21 @@ impl Controller {
     /// else it would wait for the bus.
     fn fill_mailboxes(&mut self) {
         const ANY_EMPTY: u32 = 0b111 << 26;
-        while registers().tsr().read().bits() & ANY_EMPTY != 0
-            && let Some(frame) = self.queue.first()
-            && let Some(data) = bxcan::Data::new(frame.data())
-            && let Some(id) = StandardId::new(frame.cob_id())
-            && self.can.transmit(&bxcan::Frame::new_data(id, data)).is_ok()
-        {
-            self.queue.remove(0);
+        while registers().tsr().read().bits() & ANY_EMPTY != 0 {
+            let now = self.arrivals;
+            let urgency = |w: &Waiting| (w.frame.cob_id(), Reverse(now.wrapping_sub(w.arrival)));
+            let waiting = self.queue.iter_mut().filter(|place| place.is_some());
+            let Some(place) = waiting.min_by_key(|place| place.as_ref().map(urgency)) else {
+                return;
+            };
+            if let Some(Waiting { frame, .. }) = place
+                && let Some(id) = StandardId::new(frame.cob_id())
+                && let Some(data) = bxcan::Data::new(frame.data())
+                && self.can.transmit(&bxcan::Frame::new_data(id, data)).is_err()
+            {
+                return;
+            }
+            *place = None;
         }
     }
 
@@ -168,7 +192,7 @@ impl Controller {
     pub fn stop_transmitting(&mut self) {
         const ABORT_ALL: u32 = 1 << 7 | 1 << 15 | 1 << 23;
         self.may_transmit = false;
-        self.queue.clear();
+        self.queue = [const { None }; QUEUE_LEN];
         // SAFETY: zeros have no effect in this register.
         registers().tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
     }
