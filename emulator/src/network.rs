@@ -235,7 +235,7 @@ impl Network {
         let adapter_stations = self.adapters.iter_mut().map(|adapter| adapter as &mut dyn Station);
         let mut stations: Vec<&mut dyn Station> = chip_stations.chain(adapter_stations).collect();
         let trace = &mut self.trace;
-        let reached = self.bus.advance(until, &mut stations, |station, controller, event| {
+        let reached = self.bus.advance(until, &mut stations, &mut |station, controller, event| {
             trace.observe(source(station), controller, event);
         });
         self.touched = false;

@@ -34,6 +34,7 @@ const FRAME_BITS: u64 = 160;
 pub struct Bench {
     pub network: Network,
     pub master: AdapterId,
+    bit_rate: BitRate,
     expected_resets: Vec<Vec<ResetCause>>,
 }
 
@@ -94,7 +95,7 @@ impl Bench {
     pub fn new(bit_rate: BitRate, boards: impl IntoIterator<Item = board::Board>) -> Self {
         let mut network = Network::new();
         let master = network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
-        let mut bench = Self { network, master, expected_resets: Vec::new() };
+        let mut bench = Self { network, master, bit_rate, expected_resets: Vec::new() };
         for board in boards {
             bench.network.add_board(board);
             bench.expected_resets.push(vec![ResetCause::PowerOn]);
@@ -165,6 +166,16 @@ impl Bench {
         self.collect(span)
     }
 
+    /// Sends an NMT command and returns its end on the bus.
+    pub fn transmit_command(&mut self, command: &str) -> Time {
+        self.transmit(on_the_wire(&frames::command(command)))
+    }
+
+    /// Sends a request of the LSS master and returns its end on the bus.
+    pub fn transmit_request(&mut self, request: &str) -> Time {
+        self.transmit(on_the_wire(&frames::request(request)))
+    }
+
     /// Sends a frame from the master and returns its end on the bus.
     ///
     /// # Panics
@@ -203,13 +214,13 @@ impl Bench {
 
     /// The master goes on at another bit rate.
     pub fn set_master_bit_rate(&mut self, bit_rate: BitRate) {
+        self.bit_rate = bit_rate;
         self.network.adapter_mut(self.master).set_bit_rate(bit_per_s(bit_rate));
     }
 
     /// The time of a bit at the master's rate.
-    pub fn bit_time(&mut self) -> Time {
-        let bit_rate = self.network.adapter_mut(self.master).bit_rate();
-        Time::from_ps(1_000_000_000_000 / u64::from(bit_rate))
+    pub fn bit_time(&self) -> Time {
+        Time::from_ps(1_000_000_000 / u64::from(self.bit_rate.kbit_per_s()))
     }
 
     /// What a board did from `since` on.

@@ -37,6 +37,8 @@ const SWITCH_DELAY_MS: u16 = 100;
 const START: Duration = Duration::from_secs(1);
 /// How long the master waits for answers to each Fastscan step.
 const FASTSCAN_TIMEOUT: Duration = Duration::from_millis(20);
+/// After the second switch delay, until every slave's clock says so too.
+const TOLERANCE: Duration = Duration::from_millis(10);
 const BOOT_UP: u16 = 0x700 + NODE_ID as u16;
 const PRE_OPERATIONAL: u8 = 0x7F;
 
@@ -108,7 +110,7 @@ async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
     let delay = Duration::from_millis(SWITCH_DELAY_MS.into());
     bench.pass(delay).await;
     bench.set_bit_rate(NEW_RATE);
-    bench.pass(delay).await;
+    bench.pass(delay + TOLERANCE).await;
     screen.show(&bench.events())?;
 
     screen.chapter("Back to LSS waiting state: the board takes its node-ID and boots up")?;

@@ -57,7 +57,7 @@ pub struct Arguments {
     flash: Option<PathBuf>,
     /// Node-ID of a board that has nothing stored: 1..=127, the next board has the next; or none
     #[arg(long, value_name = "ID|none", value_parser = node_id)]
-    node_id: Option<Option<NodeId>>,
+    node_id: Option<FirstNodeId>,
     /// Bit rate in kbit/s of a board that has nothing stored
     #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
     bit_rate: Option<BitRate>,
@@ -66,7 +66,10 @@ pub struct Arguments {
     chip: Part,
 }
 
-fn node_id(text: &str) -> Result<Option<NodeId>, String> {
+/// Of the first of the boards; `None`: they are stored as not configured.
+type FirstNodeId = Option<NodeId>;
+
+fn node_id(text: &str) -> Result<FirstNodeId, String> {
     match text {
         "none" => Ok(None),
         _ => match text.parse().ok().and_then(NodeId::new) {
@@ -108,13 +111,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         format!("cannot listen at {}: choose another address with --listen", arguments.listen)
     })?;
     let address = listener.local_addr()?;
+    let presets = (0..usize::from(arguments.boards))
+        .map(|number| arguments.preset(number))
+        .collect::<anyhow::Result<Vec<_>>>()?;
     let image = Image::build(arguments.chip)?;
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);
-    for number in 0..usize::from(arguments.boards) {
+    for (number, preset) in presets.into_iter().enumerate() {
         let mut board = boards::board(arguments.chip, &image, number);
-        memory.restore(&mut board, &image, number, arguments.preset(number)?)?;
+        memory.restore(&mut board, &image, number, preset)?;
         network.add_board(board);
     }
     network.run_for(START);
@@ -130,17 +136,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 fn describe(network: &Network) -> String {
     let board = |number: usize| {
-        let settings = boards::stored_settings(&network.board(number).flash());
-        let node_id = match settings.and_then(|settings| settings.node_id) {
-            Some(id) => format!("node-ID {}", id.get()),
-            None => "not configured".to_owned(),
+        let stored = match boards::stored_settings(&network.board(number).flash()) {
+            None => "blank".to_owned(),
+            Some(Settings { node_id, bit_rate, .. }) => {
+                let node_id = node_id.map_or("none".to_owned(), |id| id.get().to_string());
+                format!("node-ID {node_id}, {} kbit/s", bit_rate.kbit_per_s())
+            }
         };
-        let bit_rate = settings.map_or(DEFAULT_BIT_RATE, |settings| settings.bit_rate);
-        let serial_number = boards::serial_number(number);
-        format!(
-            "board {number}: serial number {serial_number:08X}, {node_id}, {} kbit/s",
-            bit_rate.kbit_per_s()
-        )
+        format!("board {number}: serial number {:08X}, {stored}", boards::serial_number(number))
     };
     (0..network.boards().len()).map(board).collect::<Vec<_>>().join("; ")
 }

@@ -25,10 +25,7 @@ pub fn explain(frame: &Frame) -> String {
         0x080 => "SYNC".into(),
         0x081..=0x0FF => emergency(node, data),
         0x100 => "TIME".into(),
-        0x181..=0x57F if node != 0 => {
-            let direction = if id & 0x80 != 0 { "T" } else { "R" };
-            format!("{direction}PDO {} of node {node}", (id - 0x100) >> 8 | u16::from(id < 0x200))
-        }
+        0x181..=0x57F if node != 0 => pdo(id),
         0x581..=0x5FF => sdo(&format!("SDO, node {node}"), data, sdo_answer),
         0x601..=0x67F => sdo(&format!("SDO to node {node}"), data, sdo_request),
         0x701..=0x77F => error_control(node, data),
@@ -184,6 +181,14 @@ fn error_control(node: u16, data: &[u8]) -> String {
         _ => "unknown state",
     };
     format!("heartbeat of node {node}: {state}")
+}
+
+fn pdo(id: u16) -> String {
+    let node = id & 0x7F;
+    match id & 0x80 {
+        0 => format!("RPDO {} of node {node}", (id >> 8) - 1),
+        _ => format!("TPDO {} of node {node}", id >> 8),
+    }
 }
 
 fn emergency(node: u16, data: &[u8]) -> String {

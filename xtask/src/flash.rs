@@ -23,7 +23,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     find_probe_rs()?;
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let status = Command::new(cargo)
-        .args(["run", "--release", "--target", "thumbv7em-none-eabihf", "--bin", "lss-slave"])
+        .args(["run", "--release", "--target", "thumbv7em-none-eabihf"])
+        .args(["--package", "lss-slave", "--bin", "lss-slave"])
         .args(["--features", arguments.chip.name()])
         .env("PROBE_RS_CHIP", probe_rs_name(arguments.chip))
         .status()

@@ -14,6 +14,7 @@ use clap::{Parser, Subcommand};
 #[derive(Parser)]
 #[command(
     name = "cargo xtask",
+    bin_name = "cargo xtask",
     about = "The commands of the project",
     disable_help_subcommand = true
 )]
@@ -24,13 +25,9 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Show a board that is found, configured and power-cycled, frame by frame, on an emulated CAN bus
     Demo(demo::Arguments),
-    /// Offer the CAN bus of emulated boards to any CAN program, as SLCAN adapters over TCP
     Emulate(emulate::Arguments),
-    /// Write the firmware into a board, with probe-rs, and show its log
     Flash(flash::Arguments),
-    /// Show the memory that the firmware takes, and check it against the budget
     Size(size::Arguments),
 }
 

@@ -59,16 +59,18 @@ impl Bus {
         &mut self,
         until: Time,
         stations: &mut [&mut dyn Station],
-        mut observe: impl FnMut(usize, &Controller, &Event),
+        observe: &mut dyn FnMut(usize, &Controller, &Event),
     ) -> Time {
         self.level = wire_level(stations);
         self.next.clear();
         self.next.extend(stations.iter_mut().map(|station| station.controller().next_action()));
 
+        let mut due = Vec::with_capacity(stations.len());
         let mut stop = false;
         while !stop {
-            let now = self.next_action().max(self.now);
-            if now > until || now == Time::MAX {
+            let earliest = self.find_due(&mut due);
+            let now = earliest.max(self.now);
+            if now > until || earliest == Time::MAX {
                 break;
             }
             self.now = now;
@@ -80,30 +82,28 @@ impl Bus {
                 station.controller().next_action()
             };
             let mut driven = false;
-            for (index, (station, next)) in stations.iter_mut().zip(&mut self.next).enumerate() {
-                if *next <= now && station.controller().drives_next() {
+            for &index in &due {
+                let station = &mut *stations[index];
+                if station.controller().drives_next() {
                     station.controller().drive(now);
-                    *next = deliver(index, *station);
+                    self.next[index] = deliver(index, station);
                     driven = true;
                 }
             }
             if driven {
                 let before = std::mem::replace(&mut self.level, wire_level(stations));
                 if before == Level::Recessive && self.level == Level::Dominant {
-                    for (index, (station, next)) in
-                        stations.iter_mut().zip(&mut self.next).enumerate()
-                    {
+                    for (index, station) in stations.iter_mut().enumerate() {
                         station.controller().falling_edge(now);
-                        *next = deliver(index, *station);
+                        self.next[index] = deliver(index, *station);
                     }
                 }
                 continue;
             }
-            for (index, (station, next)) in stations.iter_mut().zip(&mut self.next).enumerate() {
-                if *next <= now {
-                    station.controller().sample(now, self.level);
-                    *next = deliver(index, *station);
-                }
+            for &index in &due {
+                let station = &mut *stations[index];
+                station.controller().sample(now, self.level);
+                self.next[index] = deliver(index, station);
             }
         }
         if !stop {
@@ -113,6 +113,21 @@ impl Bus {
             station.controller().settle(self.now, self.level);
         }
         self.now
+    }
+
+    /// Finds the stations that act next, all at the time that is returned.
+    fn find_due(&self, due: &mut Vec<usize>) -> Time {
+        let mut earliest = Time::MAX;
+        for (index, &next) in self.next.iter().enumerate() {
+            if next < earliest {
+                earliest = next;
+                due.clear();
+            }
+            if next == earliest {
+                due.push(index);
+            }
+        }
+        earliest
     }
 }
 

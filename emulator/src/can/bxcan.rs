@@ -173,7 +173,7 @@ impl Bxcan {
 
     /// The word at `offset` from the base address; `None` where the reference manual has no
     /// register.
-    pub fn read(&mut self, offset: u32, _now: Time) -> Option<u32> {
+    pub fn read(&self, offset: u32, _now: Time) -> Option<u32> {
         Some(match offset {
             MCR => self.mcr,
             MSR => self.msr(),

@@ -89,9 +89,9 @@ impl Bench {
 
     pub fn run(&mut self, span: Time) {
         let until = self.bus.now() + span;
-        while self.bus.advance(until, &mut [&mut self.can, &mut self.adapter], |_, _, _| {}) < until
-        {
-        }
+        while self.bus.advance(until, &mut [&mut self.can, &mut self.adapter], &mut |_, _, _| {})
+            < until
+        {}
         self.can.update_irq();
     }
 

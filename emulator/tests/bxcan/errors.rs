@@ -100,7 +100,7 @@ fn a_node_at_another_rate_counts_errors_and_destroys_frames() {
     while bench.bus.now() < until {
         let stations: &mut [&mut dyn Station] =
             &mut [&mut bench.can, &mut bench.adapter, &mut peer];
-        bench.bus.advance(until, stations, |station, _, event| {
+        bench.bus.advance(until, stations, &mut |station, _, event| {
             errors += u32::from(station == 0 && matches!(event, Event::Error { .. }));
         });
     }

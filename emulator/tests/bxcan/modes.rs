@@ -49,7 +49,9 @@ fn initialisation_is_not_left_while_the_bus_is_busy_and_the_wish_can_be_taken_ba
     noise.send(standard(0, &[0; 8]));
     let mut run = |bench: &mut Bench, us| {
         let until = bench.bus.now() + Time::from_us(us);
-        while bench.bus.advance(until, &mut [&mut bench.can, &mut noise], |_, _, _| {}) < until {}
+        while bench.bus.advance(until, &mut [&mut bench.can, &mut noise], &mut |_, _, _| {}) < until
+        {
+        }
     };
     bench.write(MCR, INRQ);
     bench.write(BTR, 0x001C_00C7);

@@ -103,7 +103,7 @@ impl Station for Node {
 /// Lets bus life go on for a span.
 pub fn run<const N: usize>(bus: &mut Bus, nodes: [&mut Node; N], span: Time) {
     let until = bus.now() + span;
-    bus.advance(until, &mut nodes.map(|node| node as &mut dyn Station), |_, _, _| {});
+    bus.advance(until, &mut nodes.map(|node| node as &mut dyn Station), &mut |_, _, _| {});
 }
 
 pub fn standard(id: u16, payload: &[u8]) -> Frame {

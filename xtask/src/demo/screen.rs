@@ -75,7 +75,12 @@ impl Screen {
                 writeln!(out, "{style}{text}{style:#}")?;
             }
             if is_folded {
-                writeln!(out, "{DIM}{:>12}   {} more frames{DIM:#}", "...", middle.len())?;
+                writeln!(
+                    out,
+                    "{DIM}{:>12}   {} more frames, bit by bit{DIM:#}",
+                    "...",
+                    middle.len()
+                )?;
             }
             for Line { style, text, .. } in tail {
                 writeln!(out, "{style}{text}{style:#}")?;
@@ -99,7 +104,8 @@ fn line(event: &Event, before: Option<AddressPart>) -> Option<Line> {
                 Source::Board(_) => before,
             };
             let bytes: Vec<_> = frame.payload().iter().map(|byte| format!("{byte:02X}")).collect();
-            let text = format!("{:<5}{:<25}{}", frame.id, bytes.join(" "), explain(frame));
+            let (id, bytes) = (frame.id.to_string(), bytes.join(" "));
+            let text = format!("{id:<5}{bytes:<25}{}", explain(frame));
             Some((style, text, scanned))
         }
         What::Error { kind, .. } => Some((ERROR, format!("error frame: {kind:?}"), None)),

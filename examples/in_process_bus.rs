@@ -1,0 +1,59 @@
+//! A node on a bus within the process: channels carry the frames, and an LSS master gives the node its node-ID.
+
+use std::{sync::mpsc, thread, time::Duration};
+
+use lss_slave::{Action, BitRate, BitRates, Device, Frame, Instant, Node, Settings, lss::Address};
+
+fn main() {
+    let (to_node, requests) = mpsc::channel();
+    let (answers, from_node) = mpsc::channel();
+    let board = thread::spawn(move || run(requests, answers));
+
+    for request in [
+        [0x4C, 0, 0, 0, 0, 0, 0, 0], // Has any slave no node-ID?
+        [0x04, 1, 0, 0, 0, 0, 0, 0], // To LSS configuration state.
+        [0x11, 5, 0, 0, 0, 0, 0, 0], // Node-ID 5.
+        [0x17, 0, 0, 0, 0, 0, 0, 0], // Store it.
+        [0x04, 0, 0, 0, 0, 0, 0, 0], // To LSS waiting state: the node boots up.
+    ] {
+        println!("> 7E5 {request:02X?}");
+        to_node.send(Frame::new(0x7E5, &request).unwrap()).unwrap();
+        while let Ok(frame) = from_node.recv_timeout(Duration::from_millis(50)) {
+            println!("< {:03X} {:02X?}", frame.cob_id(), frame.data());
+        }
+    }
+    drop(to_node);
+    board.join().unwrap();
+}
+
+fn run(requests: mpsc::Receiver<Frame>, answers: mpsc::Sender<Frame>) {
+    let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
+    let device = Device {
+        address,
+        bit_rates: BitRates::possible(32_000_000),
+        heartbeat_ms: 0,
+        name: "Example",
+        hardware_version: "1",
+        software_version: "1",
+    };
+    let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125, heartbeat_ms: 0 };
+    let mut node = Node::new(device, settings);
+    let start = std::time::Instant::now();
+    let now = || Instant::from_micros(start.elapsed().as_micros() as u32);
+    loop {
+        let wait = node.next_deadline().map_or(u32::MAX, |at| at.micros_after(now()));
+        let mut action = match requests.recv_timeout(Duration::from_micros(wait.into())) {
+            Ok(frame) => node.handle_frame(&frame, now()),
+            Err(mpsc::RecvTimeoutError::Timeout) => None,
+            Err(mpsc::RecvTimeoutError::Disconnected) => return,
+        };
+        while let Some(now_due) = action.or_else(|| node.handle_deadline(now())) {
+            match now_due {
+                Action::Transmit(frame) => answers.send(frame).unwrap(),
+                Action::Store(_settings) => node.handle_stored(Ok(())),
+                other => println!("  {other:?}"),
+            }
+            action = None;
+        }
+    }
+}

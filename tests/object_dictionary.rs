@@ -1,0 +1,200 @@
+//! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): what each object reads as and what writing to it does.
+
+mod support;
+
+use lss_slave::{
+    Device,
+    lss::Address,
+    object_dictionary::{Access, DataType, Entry, Object, TABLE},
+};
+use support::{
+    board::{ADDRESS, Board, defaults, device},
+    flash::BoardFlash,
+    random::Random,
+};
+
+const DOES_NOT_EXIST: u32 = 0x0602_0000;
+const NO_SUB_INDEX: u32 = 0x0609_0011;
+const READ_ONLY: u32 = 0x0601_0002;
+
+#[test]
+fn the_objects_are_those_of_a_minimal_device() {
+    let addresses: Vec<_> = TABLE.iter().map(|entry| (entry.index, entry.sub_index)).collect();
+    #[rustfmt::skip]
+    assert_eq!(addresses, [
+        (0x1000, 0), (0x1001, 0), (0x1008, 0), (0x1009, 0), (0x100A, 0), (0x1010, 0), (0x1010, 1), (0x1011, 0),
+        (0x1011, 1), (0x1014, 0), (0x1017, 0), (0x1018, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4),
+    ]);
+}
+
+#[test]
+fn device_type_is_no_profile() {
+    let mut board = Board::with_node_id(0x40);
+    assert_eq!(board.sdo("40 00 10 00"), ["5C0: 43 00 10 00 00 00 00 00"]);
+}
+
+#[test]
+fn the_error_register_of_a_healthy_node_is_0() {
+    let mut board = Board::with_node_id(0x40);
+    assert_eq!(board.sdo("40 01 10 00"), ["5C0: 4F 01 10 00 00 00 00 00"]);
+}
+
+#[test]
+fn the_names_are_the_devices() {
+    let mut board = Board::with_node_id(0x40);
+    assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");
+    assert_eq!(board.upload(0x1009, 0).unwrap(), b"A");
+    assert_eq!(board.upload(0x100A, 0).unwrap(), b"1.2.3");
+}
+
+#[test]
+fn store_and_restore_say_that_they_act_on_command_and_not_by_themselves() {
+    let mut board = Board::with_node_id(0x40);
+    for index in ["10", "11"] {
+        let highest_sub_index = format!("5C0: 4F {index} 10 00 01 00 00 00");
+        assert_eq!(board.sdo(&format!("40 {index} 10 00")), [highest_sub_index.as_str()]);
+        let on_command = format!("5C0: 43 {index} 10 01 01 00 00 00");
+        assert_eq!(board.sdo(&format!("40 {index} 10 01")), [on_command.as_str()]);
+    }
+}
+
+#[test]
+fn the_cob_id_of_emergencies_is_80h_plus_the_node_id() {
+    for node_id in 1..=127 {
+        let mut board = Board::with_node_id(node_id);
+        assert_eq!(board.number(0x1014, 0), 0x80 + u32::from(node_id));
+    }
+}
+
+#[test]
+fn the_producer_heartbeat_time_is_what_was_written_from_0_to_65535() {
+    let mut board = Board::with_heartbeat(0x40, 500);
+    assert_eq!(board.number(0x1017, 0), 500);
+    for ms in [0, 1, 255, 256, 1000, 0x8000, u16::MAX] {
+        board.download(0x1017, 0, &ms.to_le_bytes()).unwrap();
+        assert_eq!(board.number(0x1017, 0), ms.into());
+    }
+}
+
+#[test]
+fn a_heartbeat_time_that_is_written_counts_from_the_write() {
+    let mut board = Board::with_heartbeat(0x40, 100);
+    board.pass_ms(60);
+    board.download(0x1017, 0, &[50, 0]).unwrap();
+    assert_eq!(board.pass_us(49_999), []);
+    assert_eq!(board.pass_us(1), ["740: 7F"]);
+    assert_eq!(board.pass_ms(50), ["740: 7F"]);
+    board.download(0x1017, 0, &[0, 0]).unwrap();
+    assert_eq!(board.pass_ms(100_000), [], "0: no heartbeat");
+    board.download(0x1017, 0, &[10, 0]).unwrap();
+    assert_eq!(board.pass_ms(9), []);
+    assert_eq!(board.pass_ms(1), ["740: 7F"]);
+}
+
+#[test]
+fn a_heartbeat_that_is_switched_on_after_hours_of_none_begins_on_time() {
+    // 35.8 minutes and more after the boot-up, half a turn of the clock, the past looks like the future.
+    for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
+        let mut board = Board::with_node_id(0x40);
+        board.be_late_ms(hours_ms);
+        board.download(0x1017, 0, &[0xE8, 0x03]).unwrap();
+        assert_eq!(board.pass_ms(999), []);
+        assert_eq!(board.pass_ms(1), ["740: 7F"]);
+    }
+}
+
+#[test]
+fn the_identity_object_is_the_lss_address() {
+    let mut random = Random::new();
+    for _ in 0..100 {
+        let address = Address {
+            vendor_id: random.u32(),
+            product_code: random.u32(),
+            revision_number: random.u32(),
+            serial_number: random.u32(),
+        };
+        let mut board = Board::new(address, defaults(0x40), BoardFlash::blank(0), 0);
+        board.lss("04 01");
+        assert_eq!(board.number(0x1018, 0), 4);
+        for (inquire, sub_index) in [("5A", 1), ("5B", 2), ("5C", 3), ("5D", 4)] {
+            let by_sdo = board.upload(0x1018, sub_index).unwrap();
+            assert_eq!(by_sdo, board.lss(inquire).0[0].data()[1..5], "sub-index {sub_index}");
+        }
+        assert_eq!(board.number(0x1018, 1), address.vendor_id);
+        assert_eq!(board.number(0x1018, 4), address.serial_number);
+    }
+}
+
+#[test]
+fn every_object_is_as_long_as_its_data_type() {
+    let mut board = Board::with_node_id(0x40);
+    for entry in TABLE {
+        let len = board.upload(entry.index, entry.sub_index).unwrap().len();
+        match entry.data_type {
+            DataType::Unsigned8 => assert_eq!(len, 1),
+            DataType::Unsigned16 => assert_eq!(len, 2),
+            DataType::Unsigned32 => assert_eq!(len, 4),
+            DataType::VisibleString => assert_ne!(len, 0),
+        }
+    }
+}
+
+#[test]
+fn every_object_that_is_not_read_write_refuses_every_length_and_keeps_its_value() {
+    let mut board = Board::with_node_id(0x40);
+    for entry in TABLE.iter().filter(|entry| entry.access != Access::ReadWrite) {
+        let before = board.upload(entry.index, entry.sub_index);
+        for len in 1..=4 {
+            let outcome = board.download(entry.index, entry.sub_index, &[0x55; 4][..len]);
+            assert_eq!(outcome, Err(READ_ONLY), "{entry:?}");
+        }
+        assert_eq!(board.upload(entry.index, entry.sub_index), before);
+    }
+}
+
+#[test]
+fn every_other_index_does_not_exist() {
+    let mut board = Board::with_node_id(0x40);
+    for index in 0..=u16::MAX {
+        if TABLE.iter().all(|entry| entry.index != index) {
+            assert_eq!(board.upload(index, 0), Err(DOES_NOT_EXIST), "{index:04X}");
+        }
+    }
+}
+
+#[test]
+fn every_other_sub_index_of_an_object_does_not_exist() {
+    let mut board = Board::with_node_id(0x40);
+    for Entry { index, .. } in TABLE {
+        for sub_index in 0..=u8::MAX {
+            let is_there = |e: &Entry| e.index == *index && e.sub_index == sub_index;
+            if !TABLE.iter().any(is_there) {
+                assert_eq!(board.upload(*index, sub_index), Err(NO_SUB_INDEX));
+                assert_eq!(board.download(*index, sub_index, &[0]), Err(NO_SUB_INDEX));
+            }
+        }
+    }
+}
+
+#[test]
+fn the_table_is_sorted_and_its_highest_sub_indices_are_true() {
+    assert!(TABLE.is_sorted_by_key(|entry| (entry.index, entry.sub_index)));
+    for entry in TABLE {
+        let of_the_same: Vec<_> = TABLE.iter().filter(|e| e.index == entry.index).collect();
+        match entry.object {
+            Object::HighestSubIndex(highest) => {
+                assert_eq!(entry.sub_index, 0);
+                assert_eq!(of_the_same.len(), usize::from(highest) + 1);
+            }
+            _ if entry.sub_index == 0 => assert_eq!(of_the_same.len(), 1, "{entry:?}"),
+            _ => assert!(matches!(of_the_same[0].object, Object::HighestSubIndex(_))),
+        }
+    }
+}
+
+#[test]
+fn a_device_without_names_can_be_read() {
+    let nameless = Device { name: "", ..device(ADDRESS) };
+    let mut board = Board::with_device(nameless, defaults(0x40), BoardFlash::blank(0), 0);
+    assert_eq!(board.upload(0x1008, 0), Ok(Vec::new()));
+}
