@@ -47,8 +47,8 @@ fn run(requests: mpsc::Receiver<Frame>, answers: mpsc::Sender<Frame>) {
             Err(mpsc::RecvTimeoutError::Timeout) => None,
             Err(mpsc::RecvTimeoutError::Disconnected) => return,
         };
-        while let Some(now_due) = action.or_else(|| node.handle_deadline(now())) {
-            match now_due {
+        while let Some(due) = action.or_else(|| node.handle_deadline(now())) {
+            match due {
                 Action::Transmit(frame) => answers.send(frame).unwrap(),
                 Action::Store(_settings) => node.handle_stored(Ok(())),
                 other => println!("  {other:?}"),

@@ -65,14 +65,15 @@ fn request_bit_time(bench: &Bench, t0: Time) -> Time {
 
 /// Checks the silence from `t0` on, the end of the request, and the switch of all boards.
 fn assert_switched(bench: &Bench, t0: Time, delay: Time, to: BitRate) {
-    let silence = frames_of_boards(bench, t0 + PROCESSING, t0 + delay * 2);
+    // A board counts from the last but one bit of the request.
+    let two_bits = request_bit_time(bench, t0) * 2;
+    let end = (t0 + delay * 2).saturating_sub(two_bits);
+    let silence = frames_of_boards(bench, t0 + PROCESSING, end);
     assert!(silence.is_empty(), "{silence:#?}");
     for board in 0..bench.network.boards().len() {
         let rates = bench.bit_rates(board, t0);
         let [(time, bit_rate)] = rates.as_slice() else { panic!("one switch, not {rates:?}") };
         assert_eq!(*bit_rate, bit_per_s(to));
-        // A board counts from the last but one bit of the request.
-        let two_bits = request_bit_time(bench, t0) * 2;
         assert!(*time + two_bits > t0 + delay, "{time} is {} early", t0 + delay - *time);
         let late = time.saturating_sub(t0 + delay);
         assert!(late < ACCURACY, "{time} is {late} late");
@@ -232,7 +233,7 @@ fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
     let other = bench.network.add_adapter(Adapter::new(bit_per_s(rate)));
     bench.transmit_request("04 01");
     configure(&mut bench, BitRate::Kbit1000);
-    bench.collect(Time::ZERO);
+    bench.collect(Time::from_ms(200));
     bench.next_frame();
     let bits = |bits| Time::from_us(100) * bits;
     bench.network.run_for(bits(5));
@@ -249,9 +250,9 @@ fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
     let delay = Time::from_ms(50);
     switch_master(&mut bench, t0 + delay, BitRate::Kbit1000);
     bench.network.adapter_mut(other).set_bit_rate(1_000_000);
-    bench.network.run_until(t0 + delay * 3);
+    bench.network.run_until(t0 + delay * 3 + Time::from_ms(5));
     assert_switched(&bench, t0, delay, BitRate::Kbit1000);
-    assert!(frames_of_boards(&bench, t0, t0 + delay * 2).is_empty());
+    assert!(frames_of_boards(&bench, t0, t0 + delay).is_empty());
     let (requested, heartbeat) =
         bench.requested(0, Time::ZERO).filter(|(time, _)| *time < t0).last().expect("a heartbeat");
     assert!(requested > t0 - bits(100), "it waited");
@@ -282,7 +283,7 @@ fn an_answer_that_did_not_leave_before_the_request_for_silence_never_leaves() {
     switch_master(&mut bench, t0 + delay, BitRate::Kbit250);
     bench.network.run_until(t0 + delay * 4);
     assert!(frames_of_boards(&bench, from, t0).len() >= 2);
-    assert!(frames_of_boards(&bench, t0, Time::MAX).is_empty());
+    assert!(frames_of_boards(&bench, t0 + PROCESSING, Time::MAX).is_empty());
 }
 
 #[test]

@@ -66,8 +66,8 @@ fn a_text_of_any_length_arrives_whole() {
     const TEXT: &str = "A name that needs several segments, the last of which is not full.";
     for len in 0..=TEXT.len() {
         let mut board = board_named(&TEXT[..len], &TEXT[len..], TEXT);
-        assert_eq!(board.upload(0x1008, 0).unwrap(), TEXT[..len].as_bytes());
-        assert_eq!(board.upload(0x1009, 0).unwrap(), TEXT[len..].as_bytes());
+        assert_eq!(board.upload(0x1008, 0).unwrap(), &TEXT.as_bytes()[..len]);
+        assert_eq!(board.upload(0x1009, 0).unwrap(), &TEXT.as_bytes()[len..]);
         assert_eq!(board.upload(0x100A, 0).unwrap(), TEXT.as_bytes());
     }
 }

@@ -188,7 +188,98 @@ fn serve(
 
 #[cfg(test)]
 mod tests {
+    use std::{
+        io::{Read, Write},
+        net::TcpStream,
+        thread,
+    };
+
     use super::*;
+
+    /// A bus without boards that is served until the end of the tests.
+    fn served_bus() -> SocketAddr {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address = listener.local_addr().expect("it is bound");
+        thread::spawn(move || {
+            let (sender, inputs) = mpsc::channel();
+            client::accept(listener, sender);
+            let mut memory = Memory::open(None).expect("there are no files");
+            serve(&mut Network::new(), &inputs, &mut memory, BitRate::Kbit500)
+        });
+        address
+    }
+
+    struct Program(TcpStream);
+
+    impl Program {
+        fn connect(address: SocketAddr) -> Self {
+            let stream = TcpStream::connect(address).expect("it listens");
+            stream.set_read_timeout(Some(Duration::from_secs(20))).expect("not zero");
+            Self(stream)
+        }
+
+        fn send(&mut self, lines: &str) {
+            self.0.write_all(lines.as_bytes()).expect("it is connected");
+        }
+
+        fn expect(&mut self, answer: &str) {
+            let mut received = vec![0; answer.len()];
+            self.0.read_exact(&mut received).expect("as many bytes as expected");
+            assert_eq!(String::from_utf8_lossy(&received), answer);
+        }
+    }
+
+    #[test]
+    fn programs_exchange_frames() {
+        let address = served_bus();
+        let (mut one, mut other) = (Program::connect(address), Program::connect(address));
+        let mut listener = Program::connect(address);
+        one.send("\rO\r");
+        one.expect("\r\r");
+        other.send("S6\rO\r");
+        other.expect("\r\r");
+        listener.send("S6\rL\r");
+        listener.expect("\r\r");
+        thread::sleep(Duration::from_millis(20));
+
+        one.send("t7E52AABB\rR123456783\r");
+        one.expect("z\rZ\r");
+        other.expect("t7E52AABB\rR123456783\r");
+        listener.expect("t7E52AABB\rR123456783\r");
+        listener.send("t1230\rF\r");
+        listener.expect("\x07F00\r");
+        other.send("T000000010\r");
+        other.expect("Z\r");
+        one.expect("T000000010\r");
+        listener.expect("T000000010\r");
+    }
+
+    #[test]
+    fn a_program_at_another_bit_rate_disturbs_the_bus_until_it_goes() {
+        let address = served_bus();
+        let (mut one, mut other) = (Program::connect(address), Program::connect(address));
+        for program in [&mut one, &mut other] {
+            program.send("S6\rO\r");
+            program.expect("\r\r");
+        }
+        let mut disturber = Program::connect(address);
+        disturber.send("S4\rO\rt0000\r");
+        disturber.expect("\r\rz\r");
+        thread::sleep(Duration::from_millis(100));
+        one.send("t1230\rF\r");
+        one.expect("z\rFA4\r");
+        drop(disturber);
+        other.expect("t1230\r");
+    }
+
+    #[test]
+    fn what_is_not_possible_now_is_refused() {
+        let mut program = Program::connect(served_bus());
+        program.send("t1230\rX\rO\rO\rL\rS4\rC\rC\rt1230\rS4\r");
+        program.expect("\x07\x07\r\x07\x07\x07\r\r\x07\r");
+        program.send("V\rN\rZ1\rM00000000\r\nmFFFFFFFF\r");
+        program.expect("V1013\rNEMUL\r\r\r\r");
+    }
 
     #[test]
     fn a_node_id_is_1_to_127_or_none() {

@@ -9,7 +9,10 @@ mod size;
 
 use std::{io, process::ExitCode};
 
+use anstyle::{AnsiColor, Style};
 use clap::{Parser, Subcommand};
+
+const ERROR: Style = AnsiColor::Red.on_default().bold();
 
 #[derive(Parser)]
 #[command(
@@ -42,7 +45,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            anstream::eprintln!("\x1b[1;31merror:\x1b[0m {error:#}");
+            anstream::eprintln!("{ERROR}error:{ERROR:#} {error:#}");
             ExitCode::FAILURE
         }
     }

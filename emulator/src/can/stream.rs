@@ -260,16 +260,19 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_without_repeats_has_its_nominal_length() {
-        // 34 bits + 10 of tail, none stuffed in the alternating identifier; the zeros of r0 and DLC
-        // are.
-        let bits = BitStream::new(&Frame::data(Id::Standard(0x555), &[0x55; 8]));
-        assert_eq!(
-            u32::from(bits.length) + TAIL,
-            Frame::data(Id::Standard(0x555), &[0x55; 8]).wire_bits()
-        );
-        let plain = 44 + 64;
-        assert!((plain..=plain + 4).contains(&(u32::from(bits.length) + TAIL)));
+    fn frames_have_the_length_that_long_division_gives() {
+        let standard = |id, payload: &[u8]| Frame::data(Id::Standard(id), payload);
+        for (frame, bits) in [
+            (standard(0x7E5, &[4, 1, 0, 0, 0, 0, 0, 0]), 120),
+            (standard(0x7E4, &[0x44, 0, 0, 0, 0, 0, 0, 0]), 121),
+            (standard(0x705, &[0x7F]), 55),
+            (standard(0x555, &[0x55; 8]), 109),
+            (Frame::remote(Id::Standard(0x123), 4), 44),
+            (Frame::data(Id::Extended(0x7E5), &[]), 70),
+            (Frame::data(Id::Extended(0x1FFF_FFFF), &[0xFF; 8]), 146),
+        ] {
+            assert_eq!(frame.wire_bits(), bits, "{frame}");
+        }
     }
 
     #[test]

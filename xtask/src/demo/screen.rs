@@ -26,6 +26,7 @@ pub struct Screen {
     shows_all: bool,
     /// How many events were shown or skipped already.
     seen: usize,
+    chapters: usize,
 }
 
 /// Something to print, and what it belongs to.
@@ -39,13 +40,17 @@ struct Line {
 impl Screen {
     /// Shows every line of a Fastscan if `shows_all`, else folds the middle of its parts.
     pub fn new(shows_all: bool) -> Self {
-        Self { shows_all, seen: 0 }
+        Self { shows_all, seen: 0, chapters: 0 }
     }
 
     /// A headline.
     pub fn chapter(&mut self, headline: &str) -> anyhow::Result<()> {
-        let gap = if self.seen == 0 { "" } else { "\n" };
-        Ok(writeln!(anstream::stdout(), "{gap}{CHAPTER}{headline}{CHAPTER:#}")?)
+        let mut out = anstream::stdout().lock();
+        if self.chapters == 0 {
+            writeln!(out, "{DIM}{:>12}   {:<13}{:<5}{:<25}meaning{DIM:#}", "ms", "", "id", "data")?;
+        }
+        self.chapters += 1;
+        Ok(writeln!(out, "\n{CHAPTER}{headline}{CHAPTER:#}")?)
     }
 
     /// Something that is no event.

@@ -89,10 +89,74 @@ impl Memory {
     }
 }
 
-/// Writes a file so that at any time either the old or the new content is there, whole.
+/// Writes a file so that whenever we are stopped either the old or the new content is there, whole.
 fn replace(path: &Path, content: &[u8]) -> io::Result<()> {
     let new = path.with_extension("bin.new");
     fs::write(&new, content)?;
-    fs::File::open(&new)?.sync_all()?;
     fs::rename(new, path)
+}
+
+#[cfg(test)]
+mod tests {
+    use emulator::chip::Part;
+    use lss_slave::{BitRate, NodeId};
+
+    use super::*;
+
+    const PART: Part = Part::Stm32f446;
+
+    fn image(byte: u8) -> Image {
+        Image::from_segments(vec![(FLASH_BASE, vec![byte; 64])])
+    }
+
+    fn settings(id: u8) -> Settings {
+        Settings { node_id: NodeId::new(id), bit_rate: BitRate::Kbit250, heartbeat_ms: 0 }
+    }
+
+    /// A run of a board with the program `image`, which does nothing; what is in its flash.
+    fn run(directory: Option<&Path>, image: &Image, preset: Option<Settings>) -> Vec<u8> {
+        let mut memory = Memory::open(directory).expect("the directory can be made");
+        let mut board = boards::board(PART, image, 0);
+        memory.restore(&mut board, image, 0, preset).expect("the file is good or missing");
+        let mut network = Network::new();
+        network.add_board(board);
+        memory.save(&network).expect("the file can be written");
+        network.board(0).flash()
+    }
+
+    fn new_directory(name: &str) -> PathBuf {
+        let directory = std::env::temp_dir().join(format!("{name}-{}", std::process::id()));
+        // It is there only if an earlier test was stopped.
+        let _ = fs::remove_dir_all(&directory);
+        directory
+    }
+
+    #[test]
+    fn settings_survive_from_run_to_run_under_a_new_program() {
+        let directory = new_directory("settings-survive");
+        run(Some(&directory), &image(1), Some(settings(5)));
+        let flash = run(Some(&directory), &image(2), Some(settings(6)));
+        assert_eq!(boards::stored_settings(&flash), Some(settings(5)));
+        assert_eq!(flash[..64], [2; 64]);
+        assert_eq!(fs::read(directory.join("board-0.bin")).ok(), Some(flash));
+        assert_eq!(fs::read_dir(&directory).expect("it was made").count(), 1);
+        fs::remove_dir_all(directory).expect("it was made");
+    }
+
+    #[test]
+    fn without_a_directory_nothing_survives() {
+        run(None, &image(1), Some(settings(5)));
+        assert_eq!(boards::stored_settings(&run(None, &image(1), None)), None);
+    }
+
+    #[test]
+    fn a_file_of_another_size_is_refused() {
+        let directory = new_directory("another-size");
+        let mut memory = Memory::open(Some(&directory)).expect("the directory can be made");
+        fs::write(directory.join("board-0.bin"), [0; 100]).expect("the directory was made");
+        let mut board = boards::board(PART, &image(1), 0);
+        let refusal = memory.restore(&mut board, &image(1), 0, None).expect_err("100 bytes");
+        assert!(refusal.to_string().contains("has 100 bytes instead of 524288"), "{refusal}");
+        fs::remove_dir_all(directory).expect("it was made");
+    }
 }

@@ -1,10 +1,13 @@
 //! What a controller does at each sample point (ISO 11898-1, medium access control).
 
 use super::{Controller, ErrorKind, Event, Transmission};
-use crate::Time;
-use crate::can::{
-    fault::ErrorCounters,
-    stream::{Decoder, Level, Progress},
+use crate::{
+    Time,
+    can::{
+        Id,
+        fault::ErrorCounters,
+        stream::{Decoder, Level, Progress},
+    },
 };
 
 /// Recessive bits that let a controller take part, and that make one step of bus-off recovery.
@@ -217,7 +220,7 @@ impl Controller {
                 transmission.index += 1;
                 self.drive_frame();
             } else {
-                let base = matches!(transmission.frame.id, crate::can::Id::Standard(_));
+                let base = matches!(transmission.frame.id, Id::Standard(_));
                 let rtr = if base { BASE_RTR } else { EXTENDED_RTR };
                 if seen == Level::Recessive {
                     return self.error(ErrorKind::BitDominant);

@@ -1,6 +1,7 @@
 //! A controller alone with a wire that does what a test says, bit by bit.
 
 use super::*;
+use crate::can::Id;
 
 const TIMING: BitTiming = BitTiming { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
@@ -77,7 +78,7 @@ impl Line {
 }
 
 fn frame() -> Frame {
-    Frame::data(crate::can::Id::Standard(0x2AA), &[0x5A])
+    Frame::data(Id::Standard(0x2AA), &[0x5A])
 }
 
 fn error(kind: ErrorKind, transmitting: bool) -> Event {
@@ -204,7 +205,7 @@ fn a_frame_that_waits_joins_a_start_of_frame_with_its_first_identifier_bit() {
 #[test]
 fn an_overwritten_stuff_bit_in_arbitration_is_an_error_that_does_not_count() {
     // SOF and four dominant bits, then the recessive stuff bit.
-    let mut line = Line::offering(Frame::data(crate::can::Id::Standard(0x07F), &[]));
+    let mut line = Line::offering(Frame::data(Id::Standard(0x07F), &[]));
     assert_eq!(line.bits("11111 0"), "000001");
     assert_eq!(line.take(), [Event::Started, error(ErrorKind::Stuff, true)]);
     assert_eq!(line.counters(), (0, 0));

@@ -1,0 +1,183 @@
+//! How long the release image takes to answer: from the request's last but one bit to the transmit request, in core cycles.
+
+mod support;
+
+use emulator::{
+    Time,
+    can::{Adapter, Frame, Id},
+    chip::Timing,
+    network::{Source, What},
+};
+use lss_slave::{BitRate, Frame as NodeFrame, Settings};
+use support::{
+    bench::{Bench, CORE_MHZ, board_with, on_the_wire, settings},
+    frames::{self, Frames, SILENCE},
+    random::Random,
+};
+
+/// What an answer may take, store configuration apart, in core cycles.
+const MOST_CYCLES: u64 = 2_000;
+/// A fast master waits so long.
+const MASTER_TIMEOUT: Time = Time::from_ms(20);
+
+/// Core cycles from when `request` was valid to when the board asked for the transmission of the answer.
+fn cycles_to_answer(bench: &mut Bench, request: &NodeFrame) -> u64 {
+    // A frame is valid for a receiver when the last but one bit of its end is sampled, at 7/8 of the bit.
+    let valid_before_end = Time::from_ps(bench.bit_time().as_ps() * 9 / 8);
+    let end = bench.transmit(on_the_wire(request));
+    bench.collect(MASTER_TIMEOUT);
+    let valid = end.saturating_sub(valid_before_end);
+    let (time, _) = bench.requested(0, valid).next().expect("an answer");
+    (time - valid).as_ps() * CORE_MHZ / 1_000_000
+}
+
+#[test]
+fn every_answer_but_the_one_to_store_takes_a_few_microseconds() {
+    let mut bench = Bench::with(settings(0xFF, BitRate::Kbit1000));
+    let waiting = [
+        ("identify non-configured", "4C"),
+        ("Fastscan, begin", "51 00 00 00 00 80"),
+        ("Fastscan, step", "51 00 00 00 00 1F"),
+    ];
+    let configuration = [
+        ("configure node-ID", "11 04"),
+        ("configure node-ID, refused", "11 00"),
+        ("configure bit timing", "13 00 02"),
+        ("configure bit timing, refused", "13 00 05"),
+        ("inquire vendor-ID", "5A"),
+        ("inquire product code", "5B"),
+        ("inquire revision number", "5C"),
+        ("inquire serial number", "5D"),
+        ("inquire node-ID", "5E"),
+    ];
+    let mut worst = 0;
+    let mut measure = |bench: &mut Bench, name, request: NodeFrame| {
+        let cycles = cycles_to_answer(bench, &request);
+        println!("{name:30} {cycles:5} cycles, {:4.1} us", cycles as f64 / CORE_MHZ as f64);
+        worst = worst.max(cycles);
+    };
+    for (name, request) in waiting {
+        measure(&mut bench, name, frames::request(request));
+    }
+    bench.lss("04 01");
+    let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
+        let answer = frames::text(&bench.lss(inquiry).0[0]);
+        answer.split_whitespace().skip(2).take(4).collect::<Vec<_>>().join(" ")
+    });
+    bench.lss("04 00");
+    for (command, part) in (0x40..0x43).zip(&address) {
+        assert_eq!(bench.lss(&format!("{command:02X} {part}")), SILENCE);
+    }
+    let last_step = format!("43 {}", address[3]);
+    measure(&mut bench, "switch state selective", frames::request(&last_step));
+    for (command, part) in (0x46..0x4B).zip([0, 1, 2, 2, 3]) {
+        assert_eq!(bench.lss(&format!("{command:02X} {}", address[part])), SILENCE);
+    }
+    let last_step = format!("4B {}", address[3]);
+    measure(&mut bench, "identify remote slave", frames::request(&last_step));
+    for (name, request) in configuration {
+        measure(&mut bench, name, frames::request(request));
+    }
+    bench.lss("11 04");
+    measure(&mut bench, "waiting, first boot-up", frames::request("04 00"));
+    measure(&mut bench, "NMT reset communication", frames::command("82 00"));
+    let read_vendor_id = NodeFrame::new(0x604, &[0x40, 0x18, 0x10, 0x01, 0, 0, 0, 0]);
+    measure(&mut bench, "SDO upload", read_vendor_id.expect("a frame"));
+    assert!(worst < MOST_CYCLES, "{worst} cycles");
+}
+
+#[test]
+fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
+    for (timing, most) in
+        [(Timing::Typical, Time::from_ms(1)), (Timing::Worst, Time::from_ms(2))]
+    {
+        let mut bench = Bench::with(settings(0x40, BitRate::Kbit1000));
+        bench.network.board(0).chip().flash_mut().set_timing(timing);
+        bench.network.run_for(Time::from_ms(20));
+        bench.lss("04 01");
+        bench.lss("11 04");
+        let cycles = cycles_to_answer(&mut bench, &frames::request("17"));
+        let time = Time::from_ns(cycles * 1_000 / CORE_MHZ);
+        println!("store, {timing:?} flash: {cycles} cycles, {time} ms");
+        assert!(time < most, "{time}");
+        let cycles = cycles_to_answer(&mut bench, &frames::request("17"));
+        println!("store of the same again: {cycles} cycles");
+        assert!(cycles < 2 * MOST_CYCLES);
+    }
+}
+
+const REQUESTS: [&str; 6] = ["04 01", "5A", "5B", "5C", "5D", "5E"];
+
+/// The answers, by their first bytes.
+fn command_specifiers(answers: &Frames) -> Vec<u8> {
+    let of_lss = answers.0.iter().filter(|frame| frame.cob_id() == 0x7E4);
+    of_lss.map(|frame| frame.data()[0]).collect()
+}
+
+#[test]
+fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
+    let mut bench = Bench::with(settings(0x40, BitRate::Kbit1000));
+    bench.collect(MASTER_TIMEOUT);
+    for _ in 0..20 {
+        for request in REQUESTS {
+            bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+        }
+        let answers = bench.collect(Time::from_ms(3));
+        assert_eq!(command_specifiers(&answers), [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
+        assert_eq!(bench.lss("04 00"), SILENCE);
+    }
+}
+
+#[test]
+fn six_requests_back_to_back_are_answered_in_their_order_on_a_bus_that_is_full_of_urgent_frames() {
+    let mut random = Random::new();
+    let mut bench = Bench::with(Settings { heartbeat_ms: 7, ..settings(0x40, BitRate::Kbit1000) });
+    let other = bench.network.add_adapter(Adapter::new(1_000_000));
+    bench.collect(MASTER_TIMEOUT);
+    let mut sent = 0;
+    for _ in 0..50 {
+        for request in REQUESTS.into_iter().chain(["04 00"]) {
+            bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+        }
+        // Bursts of urgent frames, some to the node, with gaps that are too short for a frame or just long enough.
+        for _ in 0..40 {
+            for _ in 0..random.within(1..6) {
+                let cob_id = random.pick(&[0x001, 0x080, 0x640, 0x7E3]);
+                let bytes = random.bytes::<8>();
+                let data = if cob_id == 0x640 { [0x40, 0, 0x10, 0, 0, 0, 0, 0] } else { bytes };
+                bench.network.send(other, Frame::data(Id::Standard(cob_id), &data));
+                sent += 1;
+            }
+            while bench.network.adapter_mut(other).unsent() > 0 {
+                bench.network.run_for(Time::from_us(10));
+            }
+            bench.network.run_for(Time::from_us(random.within(0..150)));
+        }
+        let answers = bench.collect(Time::from_ms(3));
+        assert_eq!(command_specifiers(&answers), [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
+    }
+    let urgent = bench.network.trace().iter().filter(|event| {
+        event.source == Source::Adapter(other) && matches!(event.what, What::Frame { .. })
+    });
+    assert_eq!(urgent.count(), sent);
+}
+
+#[test]
+fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
+    let boards = [1, 2].map(|number| board_with(number, settings(number, BitRate::Kbit1000)));
+    let mut bench = Bench::new(BitRate::Kbit1000, boards);
+    bench.collect(MASTER_TIMEOUT);
+    bench.lss("04 01");
+    let from = bench.network.now();
+    const REQUESTS: usize = 500;
+    (0..REQUESTS).for_each(|_| {
+        bench.network.send(bench.master, on_the_wire(&frames::request("11 80")));
+    });
+    while bench.network.adapter_mut(bench.master).unsent() > 0 {
+        bench.network.run_for(Time::from_ms(1));
+    }
+    bench.collect(Time::from_ms(3));
+    for board in [0, 1] {
+        assert_eq!(bench.requested(board, from).count(), REQUESTS);
+    }
+}
