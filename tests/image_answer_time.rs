@@ -16,7 +16,9 @@ use support::{
 };
 
 /// What an answer may take, store configuration apart, in core cycles.
-const MOST_CYCLES: u64 = 2_000;
+const ANSWER_CYCLES: u64 = 1_000;
+/// What a boot-up may take that a request or a command leads to: the filters change with the node-ID.
+const BOOT_UP_CYCLES: u64 = 2_500;
 /// A fast master waits so long.
 const MASTER_TIMEOUT: Time = Time::from_ms(20);
 
@@ -32,7 +34,7 @@ fn cycles_to_answer(bench: &mut Bench, request: &NodeFrame) -> u64 {
 }
 
 #[test]
-fn every_answer_but_the_one_to_store_takes_a_few_microseconds() {
+fn every_answer_but_the_one_to_store_takes_less_than_8_us() {
     let mut bench = Bench::with(settings(0xFF, BitRate::Kbit1000));
     let waiting = [
         ("identify non-configured", "4C"),
@@ -50,14 +52,13 @@ fn every_answer_but_the_one_to_store_takes_a_few_microseconds() {
         ("inquire serial number", "5D"),
         ("inquire node-ID", "5E"),
     ];
-    let mut worst = 0;
-    let mut measure = |bench: &mut Bench, name, request: NodeFrame| {
+    let measure = |bench: &mut Bench, name, request: NodeFrame, most| {
         let cycles = cycles_to_answer(bench, &request);
         println!("{name:30} {cycles:5} cycles, {:4.1} us", cycles as f64 / CORE_MHZ as f64);
-        worst = worst.max(cycles);
+        assert!(cycles < most, "{name}: {cycles} cycles");
     };
     for (name, request) in waiting {
-        measure(&mut bench, name, frames::request(request));
+        measure(&mut bench, name, frames::request(request), ANSWER_CYCLES);
     }
     bench.lss("04 01");
     let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
@@ -69,21 +70,20 @@ fn every_answer_but_the_one_to_store_takes_a_few_microseconds() {
         assert_eq!(bench.lss(&format!("{command:02X} {part}")), SILENCE);
     }
     let last_step = format!("43 {}", address[3]);
-    measure(&mut bench, "switch state selective", frames::request(&last_step));
+    measure(&mut bench, "switch state selective", frames::request(&last_step), ANSWER_CYCLES);
     for (command, part) in (0x46..0x4B).zip([0, 1, 2, 2, 3]) {
         assert_eq!(bench.lss(&format!("{command:02X} {}", address[part])), SILENCE);
     }
     let last_step = format!("4B {}", address[3]);
-    measure(&mut bench, "identify remote slave", frames::request(&last_step));
+    measure(&mut bench, "identify remote slave", frames::request(&last_step), ANSWER_CYCLES);
     for (name, request) in configuration {
-        measure(&mut bench, name, frames::request(request));
+        measure(&mut bench, name, frames::request(request), ANSWER_CYCLES);
     }
     bench.lss("11 04");
-    measure(&mut bench, "waiting, first boot-up", frames::request("04 00"));
-    measure(&mut bench, "NMT reset communication", frames::command("82 00"));
-    let read_vendor_id = NodeFrame::new(0x604, &[0x40, 0x18, 0x10, 0x01, 0, 0, 0, 0]);
-    measure(&mut bench, "SDO upload", read_vendor_id.expect("a frame"));
-    assert!(worst < MOST_CYCLES, "{worst} cycles");
+    measure(&mut bench, "waiting, first boot-up", frames::request("04 00"), BOOT_UP_CYCLES);
+    measure(&mut bench, "NMT reset communication", frames::command("82 00"), BOOT_UP_CYCLES);
+    let read = NodeFrame::new(0x604, &[0x40, 0x18, 0x10, 0x01, 0, 0, 0, 0]).expect("a frame");
+    measure(&mut bench, "SDO upload of the vendor-ID", read, 2 * ANSWER_CYCLES);
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
         assert!(time < most, "{time}");
         let cycles = cycles_to_answer(&mut bench, &frames::request("17"));
         println!("store of the same again: {cycles} cycles");
-        assert!(cycles < 2 * MOST_CYCLES);
+        assert!(cycles < 4 * ANSWER_CYCLES);
     }
 }
 

@@ -108,7 +108,7 @@ impl Arguments {
 /// Runs the boards until Ctrl-C.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let listener = TcpListener::bind(arguments.listen).with_context(|| {
-        format!("cannot listen at {}: choose another address with --listen", arguments.listen)
+        format!("cannot listen at {} (--listen chooses another address)", arguments.listen)
     })?;
     let address = listener.local_addr()?;
     let presets = (0..usize::from(arguments.boards))
