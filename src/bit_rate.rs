@@ -1,5 +1,7 @@
 //! The bit rates of CiA 301 and their table for LSS, and the solver from a bit rate and a clock to bxCAN bit timing.
 
+use core::fmt;
+
 /// A bit rate of CiA 301; the value is its index in the table that configure bit timing selects with 0 (CiA 305).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
@@ -64,7 +66,55 @@ impl BitRate {
     }
 }
 
-/// A set of bit rates: those that a device offers.
+/// What configure bit timing can choose from table 0 (CiA 305): a bit rate, or that the node finds it by listening.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BitRateSetting {
+    /// Index 0..=4, 6..=8.
+    Fixed(BitRate),
+    /// Index 9: automatic bit-rate detection.
+    Automatic,
+}
+
+impl BitRateSetting {
+    const AUTOMATIC_INDEX: u8 = 9;
+
+    /// The setting at `index` of table `table`.
+    pub const fn from_table(table: u8, index: u8) -> Option<Self> {
+        match (table, index) {
+            (0, Self::AUTOMATIC_INDEX) => Some(Self::Automatic),
+            _ => match BitRate::from_table(table, index) {
+                Some(rate) => Some(Self::Fixed(rate)),
+                None => None,
+            },
+        }
+    }
+
+    /// The index in table 0.
+    pub const fn index(self) -> u8 {
+        match self {
+            Self::Fixed(rate) => rate.index(),
+            Self::Automatic => Self::AUTOMATIC_INDEX,
+        }
+    }
+}
+
+/// `125 kbit/s` or `automatic`.
+impl fmt::Display for BitRateSetting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Fixed(rate) => write!(f, "{} kbit/s", rate.kbit_per_s()),
+            Self::Automatic => f.write_str("automatic"),
+        }
+    }
+}
+
+impl From<BitRate> for BitRateSetting {
+    fn from(rate: BitRate) -> Self {
+        Self::Fixed(rate)
+    }
+}
+
+/// A set of bit rate settings: those that a device offers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BitRates(u16);
 
@@ -82,9 +132,33 @@ impl BitRates {
         Self(rates)
     }
 
+    /// The same rates, and automatic detection.
+    #[must_use]
+    pub const fn with_automatic(self) -> Self {
+        Self(self.0 | 1 << BitRateSetting::AUTOMATIC_INDEX)
+    }
+
+    /// The fastest of them; 10 kbit/s of none.
+    pub(crate) const fn fastest(self) -> BitRate {
+        let mut fastest = BitRate::Kbit10;
+        let mut i = BitRate::ALL.len();
+        while i > 0 {
+            i -= 1;
+            if self.contains(BitRate::ALL[i]) {
+                fastest = BitRate::ALL[i];
+            }
+        }
+        fastest
+    }
+
     /// Whether `rate` is one of them.
     pub const fn contains(self, rate: BitRate) -> bool {
-        self.0 >> rate.index() & 1 == 1
+        self.offers(BitRateSetting::Fixed(rate))
+    }
+
+    /// Whether `setting` is one of them.
+    pub const fn offers(self, setting: BitRateSetting) -> bool {
+        self.0 >> setting.index() & 1 == 1
     }
 }
 

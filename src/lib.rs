@@ -7,8 +7,8 @@
 //! use lss_slave::{Action, Device, Frame, Instant, Node};
 //!
 //! # let device = Device { address: lss_slave::lss::Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-//! #     bit_rates: lss_slave::BitRates::possible(32_000_000), heartbeat_ms: 0, name: "", hardware_version: "", software_version: "" };
-//! # let settings = lss_slave::Settings { node_id: None, bit_rate: lss_slave::BitRate::Kbit125, heartbeat_ms: 0 };
+//! #     bit_rates: lss_slave::BitRates::possible(32_000_000), heartbeat_ms: 0, name: "", hardware_version: "", software_version: "", rescue: true };
+//! # let settings = lss_slave::Settings { node_id: None, bit_rate: lss_slave::BitRate::Kbit125.into(), heartbeat_ms: 0 };
 //! let mut node = Node::new(device, settings);
 //! let now = Instant::from_micros(0);
 //! let is_anyone_unconfigured = Frame::new(0x7E5, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
@@ -32,12 +32,14 @@ pub mod object_dictionary;
 pub mod sdo;
 pub mod settings;
 
+mod bus;
 mod can;
 mod node;
 mod node_id;
 mod time;
 
-pub use bit_rate::{BitRate, BitRates};
+pub use bit_rate::{BitRate, BitRateSetting, BitRates};
+pub use bus::BusEvent;
 pub use can::Frame;
 pub use node::{Action, Device, Node};
 pub use node_id::NodeId;

@@ -5,7 +5,8 @@ mod objects;
 use core::mem;
 
 use crate::{
-    BitRate, BitRates, Frame, Instant, NodeId, Settings,
+    BitRate, BitRateSetting, BitRates, Frame, Instant, NodeId, Settings,
+    bus::{Bus, BusEvent, Listening, Step},
     emergency::{Emergency, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
@@ -27,6 +28,8 @@ pub struct Device {
     pub hardware_version: &'static str,
     /// Manufacturer software version 100Ah.
     pub software_version: &'static str,
+    /// Whether a bit rate that fails on trial makes the node listen for the right one (see `docs/bit-rates.md`).
+    pub rescue: bool,
 }
 
 /// What the board has to do now.
@@ -43,6 +46,9 @@ pub enum Action {
     SetBitRate(BitRate),
     /// Frames may be sent again.
     ResumeTransmitting,
+    /// Run the controller silently at this bit rate: drop the frames that wait, send no dominant bit, not even to
+    /// acknowledge; receive all frames, and report the first frame and the first error to [`Node::handle_bus`].
+    Listen(BitRate),
     /// Make these settings persistent, then call [`Node::handle_stored`].
     Store(Settings),
     /// Reset the device as if the power had been cut; the node begins anew with the persistent settings.
@@ -63,6 +69,13 @@ pub enum Action {
 pub struct Node {
     device: Device,
     lss: Slave,
+    bus: Bus,
+    /// At which the controller runs.
+    rate: BitRate,
+    /// The one before the last switch.
+    previous_rate: Option<BitRate>,
+    /// After listening, before anything is sent.
+    is_resume_due: bool,
     sdo: sdo::Server,
     emergency: Emergency,
     /// [`nmt::State::Initialisation`] with a node-ID means that the boot-up is still to be sent.
@@ -117,7 +130,18 @@ enum Requester {
 impl Node {
     /// A node after power-on with its persistent settings.
     pub const fn new(device: Device, persistent: Settings) -> Self {
+        let (rate, bus) = match persistent.bit_rate {
+            BitRateSetting::Fixed(rate) => (rate, Bus::OnTrial),
+            BitRateSetting::Automatic => {
+                let rate = device.bit_rates.fastest();
+                (rate, Bus::Listening(Listening::begin(rate, None)))
+            }
+        };
         Self {
+            bus,
+            rate,
+            previous_rate: None,
+            is_resume_due: false,
             lss: Slave::new(
                 device.address,
                 device.bit_rates,
@@ -155,9 +179,20 @@ impl Node {
         self.lss.active_node_id()
     }
 
-    /// The active bit rate.
+    /// The bit rate at which the controller runs, or listens.
     pub const fn bit_rate(&self) -> BitRate {
-        self.lss.active_bit_rate()
+        self.rate
+    }
+
+    /// Whether the node only listens, in search of the bit rate.
+    pub const fn is_listening(&self) -> bool {
+        matches!(self.bus, Bus::Listening(_))
+    }
+
+    /// Whether the bit rate has neither proven good nor failed: until then the board reports every frame that it receives
+    /// or sends to [`handle_bus`](Self::handle_bus).
+    pub const fn is_bit_rate_on_trial(&self) -> bool {
+        matches!(self.bus, Bus::OnTrial)
     }
 
     /// The COB-IDs of the frames that the node wants to see; it ignores all others. They change with the node-ID.
@@ -169,6 +204,14 @@ impl Node {
 
     /// Takes a received frame.
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
+        match self.bus {
+            Bus::Proven => {}
+            Bus::OnTrial => self.bus = Bus::Proven,
+            Bus::Listening(_) | Bus::Found(_) => {
+                self.handle_bus(BusEvent::Good);
+                return None;
+            }
+        }
         match frame.cob_id() {
             lss::REQUEST_COB_ID => self.handle_lss(frame.eight_bytes()?, now),
             nmt::COMMAND_COB_ID => self.handle_nmt(Command::from_frame(frame, self.node_id())?),
@@ -193,22 +236,53 @@ impl Node {
         self.emergency.report(fault);
     }
 
+    /// Takes what the controller has seen of the bus. Telling it again does no harm.
+    pub fn handle_bus(&mut self, event: BusEvent) {
+        let is_to_listen = self.device.rescue && self.switch.is_none();
+        match (&mut self.bus, event) {
+            (Bus::OnTrial, BusEvent::Good) => self.bus = Bus::Proven,
+            (Bus::Proven, BusEvent::BusOff) => self.bus = Bus::OnTrial,
+            (Bus::OnTrial, BusEvent::ReceivesErrorsOnly | BusEvent::BusOff) if is_to_listen => {
+                let first = self.previous_rate.take().unwrap_or(self.device.bit_rates.fastest());
+                self.bus = Bus::Listening(Listening::begin(first, Some(self.rate)));
+            }
+            (Bus::Listening(listening), BusEvent::Good) => self.bus = Bus::Found(listening.rate()),
+            (Bus::Listening(listening), BusEvent::Error) => {
+                listening.handle_error(self.device.bit_rates);
+            }
+            _ => {}
+        }
+    }
+
     /// Does the next thing that is due at `now`; returns `None` when nothing is.
     pub fn handle_deadline(&mut self, now: Instant) -> Option<Action> {
+        if let Some(action) = self.listen(now) {
+            return Some(action);
+        }
         if let Some(switch) = self.switch {
             return self.advance(switch, now);
         }
+        if !self.is_listening() && mem::take(&mut self.is_resume_due) {
+            return Some(Action::ResumeTransmitting);
+        }
         if let Some(command) = self.command.take() {
             return self.handle_nmt(command).or_else(|| self.handle_deadline(now));
+        }
+        if self.is_listening() {
+            return None;
         }
         self.store_or_answer().or_else(|| self.tell(now))
     }
 
     /// When [`handle_deadline`](Self::handle_deadline) must be called again, if no other call comes before.
     pub fn next_deadline(&self) -> Option<Instant> {
-        match self.switch {
-            Some(switch) => Some(switch.until),
-            None => self.produces_heartbeat().then_some(self.heartbeat_due),
+        match (&self.bus, self.switch) {
+            (Bus::Listening(listening), Some(switch)) => {
+                Some(listening.deadline().earlier(switch.until))
+            }
+            (Bus::Listening(listening), None) => Some(listening.deadline()),
+            (_, Some(switch)) => Some(switch.until),
+            _ => self.produces_heartbeat().then_some(self.heartbeat_due),
         }
     }
 
@@ -293,19 +367,57 @@ impl Node {
             Phase::OldRate => {
                 let until = switch.until.plus_micros(switch.delay_micros);
                 self.switch = Some(Switch { phase: Phase::NewRate, until, ..switch });
-                let old_rate = self.bit_rate();
+                let was_automatic = self.lss.active_bit_rate() == BitRateSetting::Automatic;
                 self.lss.activate_bit_rate();
-                if self.bit_rate() == old_rate {
-                    return self.handle_deadline(now);
+                match self.lss.active_bit_rate() {
+                    BitRateSetting::Fixed(rate) if rate != self.rate => {
+                        self.previous_rate = Some(self.rate);
+                        self.bus = Bus::OnTrial;
+                        self.run_at(rate)
+                    }
+                    BitRateSetting::Automatic if !was_automatic => {
+                        let first = self.device.bit_rates.fastest();
+                        self.bus = Bus::Listening(Listening::begin(first, None));
+                        self.handle_deadline(now)
+                    }
+                    _ => self.handle_deadline(now),
                 }
-                Some(Action::SetBitRate(self.bit_rate()))
             }
             Phase::NewRate => {
                 self.switch = None;
                 self.heartbeat_due = now;
-                Some(Action::ResumeTransmitting)
+                self.is_resume_due = true;
+                self.handle_deadline(now)
             }
         }
+    }
+
+    fn listen(&mut self, now: Instant) -> Option<Action> {
+        match &mut self.bus {
+            Bus::OnTrial | Bus::Proven => None,
+            Bus::Found(rate) => {
+                let rate = *rate;
+                self.bus = Bus::Proven;
+                self.is_resume_due = self.switch.is_none();
+                self.run_at(rate)
+            }
+            Bus::Listening(listening) => match listening.step(self.device.bit_rates, now)? {
+                Step::Listen(rate) => {
+                    self.rate = rate;
+                    Some(Action::Listen(rate))
+                }
+                Step::TryAgain(rate) => {
+                    self.bus = Bus::OnTrial;
+                    self.is_resume_due = self.switch.is_none();
+                    self.run_at(rate)
+                }
+            },
+        }
+    }
+
+    fn run_at(&mut self, rate: BitRate) -> Option<Action> {
+        self.rate = rate;
+        Some(Action::SetBitRate(rate))
     }
 
     /// One store at a time: begins the next, or answers the one that has come to its end.

@@ -5,15 +5,15 @@ mod record;
 
 pub use log::{Found, Log};
 
-use crate::{BitRate, NodeId};
+use crate::{BitRateSetting, NodeId};
 
 /// The persistent settings of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// The node-ID; `None`: not configured.
     pub node_id: Option<NodeId>,
-    /// The bit rate.
-    pub bit_rate: BitRate,
+    /// The bit rate, or that it is to be detected.
+    pub bit_rate: BitRateSetting,
     /// The producer heartbeat time 1017h in milliseconds; 0: no heartbeat.
     pub heartbeat_ms: u16,
 }

@@ -30,6 +30,11 @@ impl Instant {
         if ahead <= u32::MAX / 2 { ahead } else { 0 }
     }
 
+    /// The one of the two that comes first.
+    pub(crate) const fn earlier(self, other: Self) -> Self {
+        if self.has_come(other) { self } else { other }
+    }
+
     /// Whether this instant has come at `now`.
     pub const fn has_come(self, now: Self) -> bool {
         self.micros_after(now) == 0

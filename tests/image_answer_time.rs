@@ -88,9 +88,7 @@ fn every_answer_but_the_one_to_store_takes_less_than_8_us() {
 
 #[test]
 fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
-    for (timing, most) in
-        [(Timing::Typical, Time::from_ms(1)), (Timing::Worst, Time::from_ms(2))]
-    {
+    for (timing, most) in [(Timing::Typical, Time::from_ms(1)), (Timing::Worst, Time::from_ms(2))] {
         let mut bench = Bench::with(settings(0x40, BitRate::Kbit1000));
         bench.network.board(0).chip().flash_mut().set_timing(timing);
         bench.network.run_for(Time::from_ms(20));

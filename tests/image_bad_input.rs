@@ -271,7 +271,8 @@ fn a_power_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
 
 #[test]
 fn a_board_alone_on_the_bus_waits_and_is_there_when_somebody_comes() {
-    let mut bench = Bench::with(Settings { heartbeat_ms: 500, ..settings(0x40, BitRate::Kbit1000) });
+    let mut bench =
+        Bench::with(Settings { heartbeat_ms: 500, ..settings(0x40, BitRate::Kbit1000) });
     let from = bench.network.now();
     bench.network.adapter_mut(bench.master).close();
     bench.network.run_for(Time::from_s(6));
@@ -296,9 +297,11 @@ fn a_board_at_the_wrong_rate_on_a_busy_bus_goes_bus_off_and_comes_back_when_the_
         others.iter().for_each(|&(adapter, frame)| bench.network.send(adapter, frame));
         bench.network.run_for(Time::from_ms(2));
     }
-    let board = |bench: &Bench, what: What| bench.did(0, Time::ZERO).any(|event| event.what == what);
+    let board =
+        |bench: &Bench, what: What| bench.did(0, Time::ZERO).any(|event| event.what == what);
     assert!(board(&bench, What::BusOff));
-    let errors = bench.network.trace().iter().filter(|event| matches!(event.what, What::Error { .. }));
+    let errors =
+        bench.network.trace().iter().filter(|event| matches!(event.what, What::Error { .. }));
     assert!(errors.count() > 100);
 
     others.iter().for_each(|&(adapter, _)| bench.network.adapter_mut(adapter).close());

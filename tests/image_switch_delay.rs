@@ -20,9 +20,8 @@ const ACCURACY: Time = Time::from_ms(1);
 
 /// Nodes 1 and 2 at `bit_rate`, in configuration state.
 fn two_boards(bit_rate: BitRate, heartbeat_ms: u16) -> Bench {
-    let boards = [1, 2].map(|number| {
-        board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) })
-    });
+    let boards = [1, 2]
+        .map(|number| board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) }));
     let mut bench = Bench::new(bit_rate, boards);
     bench.transmit_request("04 01");
     bench

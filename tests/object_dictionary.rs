@@ -72,7 +72,7 @@ fn the_producer_heartbeat_time_is_what_was_written_from_0_to_65535() {
     assert_eq!(board.number(0x1017, 0), 500);
     for ms in [0, 1, 255, 256, 1000, 0x8000, u16::MAX] {
         board.download(0x1017, 0, &ms.to_le_bytes()).unwrap();
-        assert_eq!(board.number(0x1017, 0), ms.into());
+        assert_eq!(board.number(0x1017, 0), u32::from(ms));
     }
 }
 

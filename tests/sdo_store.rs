@@ -77,7 +77,8 @@ fn lss_store_leaves_the_saved_heartbeat_time_and_does_not_save_a_new_one() {
     board.lss("11 04");
     board.lss("13 00 02");
     assert_eq!(board.lss("17"), ["17 00"]);
-    let expected = Settings { bit_rate: BitRate::Kbit500, heartbeat_ms: 1000, ..defaults(0x04) };
+    let expected =
+        Settings { bit_rate: BitRate::Kbit500.into(), heartbeat_ms: 1000, ..defaults(0x04) };
     assert_eq!(board.stored(), Some(expected));
     assert_eq!(board.power_cycle(), ["704: 00"]);
     assert_eq!(board.number(0x1017, 0), 1000);
@@ -92,7 +93,8 @@ fn save_after_lss_store_keeps_what_lss_stored() {
     board.lss("17");
     board.sdo(HEARTBEAT_1000);
     assert_eq!(board.sdo(SAVE), [SAVED]);
-    let expected = Settings { bit_rate: BitRate::Kbit500, heartbeat_ms: 1000, ..defaults(0x04) };
+    let expected =
+        Settings { bit_rate: BitRate::Kbit500.into(), heartbeat_ms: 1000, ..defaults(0x04) };
     assert_eq!(board.stored(), Some(expected));
 }
 

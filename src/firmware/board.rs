@@ -1,6 +1,6 @@
 //! The board after a reset: watchdog, clocks, pins, and who it is.
 
-use lss_slave::{BitRates, Device, lss::Address};
+use lss_slave::{Device, lss::Address};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Output, alt::can1},
     pac::{CAN1, DBGMCU, Peripherals, RCC},
@@ -55,22 +55,20 @@ pub fn device() -> Device {
             revision_number: device::REVISION_NUMBER,
             serial_number: serial_number(),
         },
-        bit_rates: const { BitRates::possible(device::APB1_HZ) },
+        bit_rates: device::BIT_RATES,
         heartbeat_ms: device::DEFAULTS.heartbeat_ms,
         name: device::NAME,
         hardware_version: device::HARDWARE_VERSION,
         software_version: device::SOFTWARE_VERSION,
+        rescue: device::RESCUE,
     }
 }
 
-/// A serial number from the chip's 96-bit unique id (RM0090, 39.1), mixed so that chips of one wafer differ: FNV-1a.
+/// From the chip's 96-bit unique id (RM0090, 39.1).
 fn serial_number() -> u32 {
     const UNIQUE_ID: *const [u8; 12] = 0x1FFF_7A10 as *const _;
     // SAFETY: read-only memory of every STM32F4.
-    let unique_id = unsafe { UNIQUE_ID.read() };
-    unique_id
-        .iter()
-        .fold(0x811C_9DC5, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
+    Address::serial_number_of(&unsafe { UNIQUE_ID.read() })
 }
 
 fn log_reset_cause(rcc: &RCC) {

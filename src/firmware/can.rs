@@ -4,7 +4,7 @@ use core::cmp::Reverse;
 
 use bxcan::{
     Fifo, StandardId,
-    filter::{BankConfig, ListEntry16},
+    filter::{BankConfig, ListEntry16, Mask16},
 };
 use lss_slave::{BitRate, Frame, bit_rate::BitTiming, indicator::BusState};
 use stm32f4xx_hal::{
@@ -31,6 +31,7 @@ const QUEUE_LEN: usize = 16;
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
     bit_rate: BitRate,
+    is_listening: bool,
     receives: [u16; 3],
     may_transmit: bool,
     queue: [Option<Waiting>; QUEUE_LEN],
@@ -48,6 +49,8 @@ struct Waiting {
 /// What can be received or cannot.
 pub enum Received {
     Frame(Frame),
+    /// A frame that no CANopen node has a use for.
+    Other,
     /// A frame was lost because three others waited.
     Overrun,
 }
@@ -68,6 +71,7 @@ impl Controller {
         let mut controller = Self {
             can,
             bit_rate,
+            is_listening: false,
             receives,
             may_transmit: true,
             queue: [const { None }; QUEUE_LEN],
@@ -80,6 +84,15 @@ impl Controller {
     /// Runs at `bit_rate` from now on; whatever waited in a mailbox is lost.
     pub fn set_bit_rate(&mut self, bit_rate: BitRate) {
         self.bit_rate = bit_rate;
+        self.is_listening = false;
+        self.start();
+    }
+
+    /// Receives everything at `bit_rate`, but sends no dominant bit (silent mode, RM0090, 32.5.1).
+    pub fn listen(&mut self, bit_rate: BitRate) {
+        self.stop_transmitting();
+        self.bit_rate = bit_rate;
+        self.is_listening = true;
         self.start();
     }
 
@@ -101,11 +114,14 @@ impl Controller {
             return;
         }
         // SAFETY: a value for the whole register.
-        can.btr().write(|w| unsafe { w.bits(BTR[usize::from(self.bit_rate.index())]) });
+        can.btr().write(|w| unsafe {
+            w.bits(BTR[usize::from(self.bit_rate.index())]).silm().bit(self.is_listening)
+        });
         self.set_filters();
         can.ier().write(|w| {
             w.fmpie0().set_bit().tmeie().set_bit();
-            w.errie().set_bit().epvie().set_bit().bofie().set_bit()
+            w.errie().set_bit().epvie().set_bit().bofie().set_bit();
+            w.lecie().bit(self.is_listening)
         });
         can.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
     }
@@ -117,33 +133,57 @@ impl Controller {
         }
     }
 
+    /// FIFO 0 gets what the node wants. Into FIFO 1, which interrupts nobody, go the first three of all other frames, to
+    /// show that there are any.
     fn set_filters(&mut self) {
-        let entries = core::array::from_fn(|i| {
+        let everything = BankConfig::Mask16([Mask16::accept_all(); 2]);
+        let mut filters = self.can.modify_filters();
+        filters.clear();
+        if self.is_listening {
+            filters.enable_bank(0, Fifo::Fifo0, everything);
+            return;
+        }
+        let wanted = core::array::from_fn(|i| {
             let cob_id = self.receives[i % self.receives.len()];
             ListEntry16::data_frames_with_id(StandardId::new(cob_id).unwrap_or(StandardId::ZERO))
         });
-        self.can.modify_filters().clear().enable_bank(0, Fifo::Fifo0, BankConfig::List16(entries));
+        filters.enable_bank(0, Fifo::Fifo0, BankConfig::List16(wanted));
+        filters.enable_bank(1, Fifo::Fifo1, everything);
+    }
+
+    /// Whether any valid frame has been received that the node does not want, since the start or
+    /// [`forget_others`](Self::forget_others).
+    pub fn has_heard_others(&self) -> bool {
+        registers().rfr(1).read().fmp().bits() > 0
+    }
+
+    /// Forgets what [`has_heard_others`](Self::has_heard_others) knows.
+    pub fn forget_others(&mut self) {
+        for _ in 0..3 {
+            release(1);
+        }
+    }
+
+    /// Whether the controller only listens.
+    pub fn is_listening(&self) -> bool {
+        self.is_listening
     }
 
     /// The next frame from the receive FIFO, or that frames were lost.
     pub fn receive(&mut self) -> Option<Received> {
-        loop {
-            // A length code of 9..=15 is legal on the wire, but `bxcan::Frame` panics on it.
-            let fifo = registers().rfr(0);
-            if fifo.read().fmp().bits() > 0 && registers().rx(0).rdtr().read().dlc().bits() > 8 {
-                fifo.write(|w| w.rfom().set_bit());
-                let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
-                continue;
+        // A length code of 9..=15 is legal on the wire, but `bxcan::Frame` panics on it.
+        let is_waiting = registers().rfr(0).read().fmp().bits() > 0;
+        if is_waiting && registers().rx(0).rdtr().read().dlc().bits() > 8 {
+            release(0);
+            return Some(Received::Other);
+        }
+        match self.can.rx0().receive() {
+            Ok(frame) => {
+                let frame = Frame::received(&frame);
+                Some(frame.map_or(Received::Other, Received::Frame))
             }
-            match self.can.rx0().receive() {
-                Ok(frame) => {
-                    if let Some(frame) = Frame::received(&frame) {
-                        return Some(Received::Frame(frame));
-                    }
-                }
-                Err(nb::Error::Other(_)) => return Some(Received::Overrun),
-                Err(nb::Error::WouldBlock) => return None,
-            }
+            Err(nb::Error::Other(_)) => Some(Received::Overrun),
+            Err(nb::Error::WouldBlock) => None,
         }
     }
 
@@ -160,10 +200,13 @@ impl Controller {
         self.fill_mailboxes();
     }
 
-    /// A mailbox has become empty.
-    pub fn handle_transmitted(&mut self) {
+    /// A mailbox has become empty; returns whether because its frame was sent and acknowledged.
+    pub fn handle_transmitted(&mut self) -> bool {
+        const ANY_SENT: u32 = 1 << 1 | 1 << 9 | 1 << 17;
+        let was_sent = registers().tsr().read().bits() & ANY_SENT != 0;
         self.can.clear_tx_interrupt();
         self.fill_mailboxes();
+        was_sent
     }
 
     /// `bxcan` keeps frames of one COB-ID in order and lets urgent ones overtake. It is asked only while a mailbox is free:
@@ -202,9 +245,22 @@ impl Controller {
         self.may_transmit = true;
     }
 
-    /// Acknowledges a status interrupt.
-    pub fn handle_status(&mut self) {
+    /// Acknowledges a status interrupt; returns whether the last thing received was no frame.
+    pub fn handle_status(&mut self) -> bool {
+        const STUFF: u8 = 1;
+        const FORM: u8 = 2;
+        const CRC: u8 = 6;
+        const NONE_YET: u8 = 7;
+        let last_error = registers().esr().read().lec().bits();
+        // SAFETY: 7 is the value that software sets, to see the next error (RM0090, 32.9.2).
+        registers().esr().write(|w| unsafe { w.lec().bits(NONE_YET) });
         registers().msr().write(|w| w.erri().set_bit());
+        matches!(last_error, STUFF | FORM | CRC)
+    }
+
+    /// Whether what is received has made the controller error passive.
+    pub fn receives_errors_only(&self) -> bool {
+        registers().esr().read().rec().bits() > 127
     }
 
     /// The controller's place on the bus (RM0090, 32.7.6).
@@ -216,6 +272,13 @@ impl Controller {
             _ => BusState::Good,
         }
     }
+}
+
+/// Gives up the oldest frame of a receive FIFO.
+fn release(fifo: usize) {
+    let fifo = registers().rfr(fifo);
+    fifo.write(|w| w.rfom().set_bit());
+    let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
 }
 
 /// CAN_BTR for each index of the bit timing table; 0 where this clock has none, which the node never asks for.

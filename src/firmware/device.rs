@@ -1,6 +1,6 @@
 //! What makes the firmware your product: identity, defaults, clock and pins. This is the file to edit.
 
-use lss_slave::{BitRate, BitRates, Settings};
+use lss_slave::{BitRate, BitRateSetting, BitRates, Settings};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, GpioExt, Output, alt::can1},
     pac::{GPIOB, GPIOD, RCC},
@@ -24,7 +24,7 @@ pub const SOFTWARE_VERSION: &str = env!("CARGO_PKG_VERSION");
 pub const DEFAULTS: Settings = Settings {
     // None: not configured, the device waits for an LSS master. Else `NodeId::new(5)`, for example.
     node_id: None,
-    bit_rate: BitRate::Kbit125,
+    bit_rate: BitRateSetting::Fixed(BitRate::Kbit125),
     // Milliseconds between heartbeats; 0: none.
     heartbeat_ms: 1000,
 };
@@ -53,11 +53,18 @@ pub const SYSCLK_HZ: u32 = 128_000_000;
 /// The clock of the CAN controller.
 pub const APB1_HZ: u32 = SYSCLK_HZ / 4;
 
+/// The bit rates that LSS may ask for. Without `with_automatic()`, index 9 (automatic detection) is refused.
+pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ).with_automatic();
+
+/// Whether a device whose bit rate turns out wrong right after power-on or after a switch falls silent and listens for
+/// the right one: docs/bit-rates.md.
+pub const RESCUE: bool = true;
+
 const _: () = {
     assert!(CRYSTAL_HZ.is_multiple_of(1_000_000), "CRYSTAL_HZ must be a whole number of MHz");
     assert!(4_000_000 <= CRYSTAL_HZ && CRYSTAL_HZ <= 26_000_000, "CRYSTAL_HZ must be 4 to 26 MHz");
     assert!(
-        BitRates::possible(APB1_HZ).contains(DEFAULTS.bit_rate),
+        BIT_RATES.offers(DEFAULTS.bit_rate),
         "DEFAULTS.bit_rate cannot be produced from APB1_HZ"
     );
 };

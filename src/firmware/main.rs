@@ -38,7 +38,7 @@ compile_error!("choose one chip: --features stm32f405, stm32f407, stm32f427 or s
 #[rtic::app(device = stm32f4xx_hal::pac, dispatchers = [USART1, USART2, USART3])]
 mod app {
     use lss_slave::{
-        Node, Settings,
+        Node, NodeId, Settings,
         emergency::Fault,
         indicator,
         settings::{Found, Log},
@@ -206,9 +206,9 @@ mod app {
             Found::MediumFailed => defmt::error!("the flash fails; nothing can be stored"),
         }
         defmt::info!(
-            "node-ID {=u8:#x}, {=u16} kbit/s",
-            lss_slave::NodeId::to_lss(settings.node_id),
-            settings.bit_rate.kbit_per_s()
+            "node-ID {=u8:#x}, bit timing table index {=u8}",
+            NodeId::to_lss(settings.node_id),
+            settings.bit_rate.index()
         );
     }
 }

@@ -2,7 +2,7 @@
 
 use cortex_m::peripheral::SCB;
 use lss_slave::{
-    Action, Instant, Node, NodeId, Settings,
+    Action, BusEvent, Instant, Node, NodeId, Settings,
     emergency::Fault,
     indicator::{BusState, Indicators, Lit},
     lss::{State, StoreError},
@@ -55,6 +55,7 @@ impl Slave {
                         self.act(action);
                     }
                 }
+                Received::Other => self.node.handle_bus(BusEvent::Good),
                 Received::Overrun => {
                     defmt::warn!("CAN: overrun, a received frame is lost");
                     self.node.handle_fault(Fault::Overrun);
@@ -66,16 +67,50 @@ impl Slave {
 
     /// A frame has been sent or aborted.
     pub fn handle_transmitted(&mut self) {
-        self.can.handle_transmitted();
+        if self.can.handle_transmitted() {
+            self.node.handle_bus(BusEvent::Good);
+        }
     }
 
-    /// The controller's error state has changed.
+    /// The controller's error state has changed, or it has heard something that is no frame.
     pub fn handle_status(&mut self) {
-        self.can.handle_status();
-        if self.can.bus_state() == BusState::BusOff && !self.was_bus_off {
-            defmt::error!("CAN: bus-off");
-            self.was_bus_off = true;
+        let is_receive_error = self.can.handle_status();
+        if self.can.is_listening() {
+            if is_receive_error {
+                self.node.handle_bus(BusEvent::Error);
+                self.settle();
+            }
+        } else {
+            self.watch_bus();
         }
+    }
+
+    /// Looks after the controller, a few times a second: no interrupt tells that it has recovered from bus-off.
+    pub fn supervise(&mut self) {
+        self.can.supervise();
+        self.watch_bus();
+    }
+
+    fn watch_bus(&mut self) {
+        let is_bus_off = self.can.bus_state() == BusState::BusOff;
+        match (self.was_bus_off, is_bus_off) {
+            (false, true) => {
+                defmt::error!("CAN: bus-off");
+                self.node.handle_bus(BusEvent::BusOff);
+                self.can.forget_others();
+            }
+            (true, false) => {
+                defmt::info!("CAN: recovered from bus-off");
+                self.node.handle_fault(Fault::BusOffRecovered);
+            }
+            _ if self.can.has_heard_others() => self.node.handle_bus(BusEvent::Good),
+            _ if self.can.receives_errors_only() => {
+                self.node.handle_bus(BusEvent::ReceivesErrorsOnly);
+            }
+            _ => {}
+        }
+        self.was_bus_off = is_bus_off;
+        self.settle();
     }
 
     /// The board has seen a trouble.
@@ -97,20 +132,11 @@ impl Slave {
         self.deadline
     }
 
-    /// Looks after the controller, a few times a second: nothing else tells that it has recovered from bus-off.
-    pub fn supervise(&mut self) {
-        self.can.supervise();
-        if self.was_bus_off && self.can.bus_state() != BusState::BusOff {
-            defmt::info!("CAN: recovered from bus-off");
-            self.was_bus_off = false;
-            self.handle_fault(Fault::BusOffRecovered);
-        }
-    }
-
     /// What the indicators are to show for the next 50 ms.
     pub fn indicate(&mut self) -> Lit {
-        let is_lss_active =
-            self.node.lss().state() == State::Configuration || self.node.node_id().is_none();
+        let is_lss_active = self.node.lss().state() == State::Configuration
+            || self.node.node_id().is_none()
+            || self.node.is_listening();
         self.indicators.step(self.node.nmt_state(), is_lss_active, self.can.bus_state())
     }
 
@@ -145,6 +171,10 @@ impl Slave {
                 self.can.set_bit_rate(rate);
             }
             Action::ResumeTransmitting => self.can.resume_transmitting(),
+            Action::Listen(rate) => {
+                defmt::info!("listening at {=u16} kbit/s", rate.kbit_per_s());
+                self.can.listen(rate);
+            }
             Action::Store(settings) => self.store.write(settings),
             Action::ResetDevice => {
                 defmt::info!("NMT reset node");

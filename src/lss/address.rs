@@ -38,6 +38,18 @@ impl AddressPart {
 }
 
 impl Address {
+    /// A serial number for a device that has none but its chip's unique id: FNV-1a, which spreads ids that differ in a few
+    /// bits over all 32-bit numbers. Of 1000 devices two have the same with a probability of 1 in 8600.
+    pub const fn serial_number_of(unique_id: &[u8]) -> u32 {
+        let mut hash = 0x811C_9DC5_u32;
+        let mut rest = unique_id;
+        while let [byte, tail @ ..] = rest {
+            hash = (hash ^ *byte as u32).wrapping_mul(0x0100_0193);
+            rest = tail;
+        }
+        hash
+    }
+
     /// One of the four numbers.
     pub const fn part(&self, part: AddressPart) -> u32 {
         match part {

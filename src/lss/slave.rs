@@ -4,7 +4,7 @@ use super::{
     Address, AddressPart, FastscanStep, IdentifyKey, Request,
     Response::{self, *},
 };
-use crate::{BitRate, BitRates, NodeId};
+use crate::{BitRateSetting, BitRates, NodeId};
 
 /// The LSS state, which is independent of the NMT state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,8 +44,8 @@ pub struct Slave {
     fastscan: u8,
     pending_node_id: Option<NodeId>,
     active_node_id: Option<NodeId>,
-    pending_bit_rate: BitRate,
-    active_bit_rate: BitRate,
+    pending_bit_rate: BitRateSetting,
+    active_bit_rate: BitRateSetting,
 }
 
 impl Slave {
@@ -56,7 +56,7 @@ impl Slave {
         address: Address,
         bit_rates: BitRates,
         node_id: Option<NodeId>,
-        bit_rate: BitRate,
+        bit_rate: BitRateSetting,
     ) -> Self {
         Self {
             address,
@@ -93,12 +93,12 @@ impl Slave {
     }
 
     /// The bit rate in use.
-    pub const fn active_bit_rate(&self) -> BitRate {
+    pub const fn active_bit_rate(&self) -> BitRateSetting {
         self.active_bit_rate
     }
 
     /// The bit rate that activate bit timing brings into use and store configuration stores.
-    pub const fn pending_bit_rate(&self) -> BitRate {
+    pub const fn pending_bit_rate(&self) -> BitRateSetting {
         self.pending_bit_rate
     }
 
@@ -144,7 +144,7 @@ impl Slave {
             }
             Request::ConfigureBitTiming { table, index } => {
                 let rate =
-                    BitRate::from_table(table, index).filter(|&r| self.bit_rates.contains(r));
+                    BitRateSetting::from_table(table, index).filter(|&r| self.bit_rates.offers(r));
                 if let Some(rate) = rate {
                     self.pending_bit_rate = rate;
                 }

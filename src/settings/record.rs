@@ -1,7 +1,7 @@
 //! One record of the settings log: 32 bytes that are valid as a whole or not at all.
 
 use super::Settings;
-use crate::{BitRate, NodeId};
+use crate::{BitRateSetting, NodeId};
 
 /// Bytes of a record.
 pub const LEN: u32 = 32;
@@ -56,7 +56,7 @@ impl Record {
             KIND_DEFAULTS => None,
             KIND_SETTINGS => Some(Settings {
                 node_id: NodeId::from_lss(node_id).ok()?,
-                bit_rate: BitRate::from_table(0, index)?,
+                bit_rate: BitRateSetting::from_table(0, index)?,
                 heartbeat_ms: u16::from_le_bytes([h0, h1]),
             }),
             _ => return None,

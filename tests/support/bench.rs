@@ -9,7 +9,7 @@ use emulator::{
     image::Image,
     network::{AdapterId, Event, Network, Source, What},
 };
-use lss_slave::{BitRate, NodeId, Settings, settings::Log};
+use lss_slave::{BitRate, BitRateSetting, NodeId, Settings, settings::Log};
 
 use super::{
     flash::BoardFlash,
@@ -69,7 +69,7 @@ pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
 /// Settings without a heartbeat; node-ID FF: not configured.
 pub fn settings(node_id: u8, bit_rate: BitRate) -> Settings {
     let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
-    Settings { node_id, bit_rate, heartbeat_ms: 0 }
+    Settings { node_id, bit_rate: bit_rate.into(), heartbeat_ms: 0 }
 }
 
 pub fn bit_per_s(bit_rate: BitRate) -> u32 {
@@ -113,7 +113,10 @@ impl Bench {
 
     /// One board with these settings, and the master at its bit rate.
     pub fn with(settings: Settings) -> Self {
-        Self::new(settings.bit_rate, [board_with(0, settings)])
+        let BitRateSetting::Fixed(bit_rate) = settings.bit_rate else {
+            panic!("the master needs a bit rate");
+        };
+        Self::new(bit_rate, [board_with(0, settings)])
     }
 
     /// Lets a board that was switched on or reset after `since` come to the bus.

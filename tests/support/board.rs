@@ -54,13 +54,14 @@ pub const fn device(address: Address) -> Device {
         name: "Test board",
         hardware_version: "A",
         software_version: "1.2.3",
+        rescue: false,
     }
 }
 
 /// The defaults of a board as it leaves the factory: 1 Mbit/s, no heartbeat.
 pub fn defaults(node_id: u8) -> Settings {
     let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
-    Settings { node_id, bit_rate: BitRate::Kbit1000, heartbeat_ms: 0 }
+    Settings { node_id, bit_rate: BitRate::Kbit1000.into(), heartbeat_ms: 0 }
 }
 
 impl Board {
@@ -235,6 +236,7 @@ impl Board {
                 Action::ResumeTransmitting => "resume".into(),
                 Action::Store(_) => "store".into(),
                 Action::ResetDevice => "reset".into(),
+                Action::Listen(rate) => format!("listen at {} kbit/s", rate.kbit_per_s()),
             };
             format!("{} ms {what}", (at - from) as f64 / 1000.0)
         };
@@ -280,6 +282,10 @@ impl Board {
             }
             Action::Store(settings) => self.node.handle_stored(self.log.store(settings)),
             Action::ResetDevice => self.restart(),
+            Action::Listen(rate) => {
+                self.may_transmit = false;
+                self.bit_rate = rate;
+            }
         }
     }
 

@@ -11,7 +11,7 @@ use super::flash::Flash;
 pub fn settings(n: u16) -> Settings {
     Settings {
         node_id: NodeId::new((n % 128) as u8),
-        bit_rate: BitRate::ALL[usize::from(n % 8)],
+        bit_rate: BitRate::ALL[usize::from(n % 8)].into(),
         heartbeat_ms: n,
     }
 }

@@ -11,7 +11,7 @@ use emulator::{
     chip::Part,
     image::Image,
 };
-use lss_slave::{Settings, settings::Log};
+use lss_slave::{Settings, lss::Address, settings::Log};
 
 /// Sectors 1 and 2 of the flash, where the firmware keeps its settings (`memory.x`), from the start of the flash.
 const SETTINGS: Range<usize> = 0x4000..0xC000;
@@ -40,9 +40,7 @@ fn unique_id(number: usize) -> [u8; 12] {
 
 /// The LSS serial number that the firmware makes of the unique id of this board.
 pub fn serial_number(number: usize) -> u32 {
-    unique_id(number)
-        .iter()
-        .fold(0x811C_9DC5, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
+    Address::serial_number_of(&unique_id(number))
 }
 
 /// The settings stored in a board's flash; `None` in that of a new board.
@@ -109,8 +107,11 @@ mod tests {
         let mut flash = vec![0x55; 0x10_0000];
         flash[SETTINGS].fill(0xFF);
         assert_eq!(stored_settings(&flash), None);
-        let settings =
-            Settings { node_id: NodeId::new(5), bit_rate: BitRate::Kbit500, heartbeat_ms: 0 };
+        let settings = Settings {
+            node_id: NodeId::new(5),
+            bit_rate: BitRate::Kbit500.into(),
+            heartbeat_ms: 0,
+        };
         store_settings(&mut flash, settings);
         assert_eq!(stored_settings(&flash), Some(settings));
         assert!(flash[..SETTINGS.start].iter().all(|byte| *byte == 0x55));

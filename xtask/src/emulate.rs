@@ -101,7 +101,11 @@ impl Arguments {
             }
         };
         let bit_rate = self.bit_rate.unwrap_or(DEFAULT_BIT_RATE);
-        Ok(Some(Settings { node_id, bit_rate, heartbeat_ms: DEFAULT_HEARTBEAT_MS }))
+        Ok(Some(Settings {
+            node_id,
+            bit_rate: bit_rate.into(),
+            heartbeat_ms: DEFAULT_HEARTBEAT_MS,
+        }))
     }
 }
 
@@ -140,7 +144,7 @@ fn describe(network: &Network) -> String {
             None => "blank".to_owned(),
             Some(Settings { node_id, bit_rate, .. }) => {
                 let node_id = node_id.map_or("none".to_owned(), |id| id.get().to_string());
-                format!("node-ID {node_id}, {} kbit/s", bit_rate.kbit_per_s())
+                format!("node-ID {node_id}, {bit_rate}")
             }
         };
         format!("board {number}: serial number {:08X}, {stored}", boards::serial_number(number))
