@@ -35,8 +35,9 @@ fn run(requests: mpsc::Receiver<Frame>, answers: mpsc::Sender<Frame>) {
         name: "Example",
         hardware_version: "1",
         software_version: "1",
+        rescue: false,
     };
-    let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125, heartbeat_ms: 0 };
+    let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 0 };
     let mut node = Node::new(device, settings);
     let start = std::time::Instant::now();
     let now = || Instant::from_micros(start.elapsed().as_micros() as u32);

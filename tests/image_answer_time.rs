@@ -132,7 +132,7 @@ fn six_requests_back_to_back_are_answered_in_their_order_on_a_bus_that_is_full_o
     let mut bench = Bench::with(Settings { heartbeat_ms: 7, ..settings(0x40, BitRate::Kbit1000) });
     let other = bench.network.add_adapter(Adapter::new(1_000_000));
     bench.collect(MASTER_TIMEOUT);
-    let mut sent = 0;
+    let (mut sent, mut sdo_requests, mut sdo_answers) = (0, 0, 0);
     for _ in 0..50 {
         for request in REQUESTS.into_iter().chain(["04 00"]) {
             bench.network.send(bench.master, on_the_wire(&frames::request(request)));
@@ -141,8 +141,11 @@ fn six_requests_back_to_back_are_answered_in_their_order_on_a_bus_that_is_full_o
         for _ in 0..40 {
             for _ in 0..random.within(1..6) {
                 let cob_id = random.pick(&[0x001, 0x080, 0x640, 0x7E3]);
-                let bytes = random.bytes::<8>();
-                let data = if cob_id == 0x640 { [0x40, 0, 0x10, 0, 0, 0, 0, 0] } else { bytes };
+                let mut data = random.bytes::<8>();
+                if cob_id == 0x640 {
+                    data = [0x40, 0, 0x10, 0, 0, 0, 0, 0];
+                    sdo_requests += 1;
+                }
                 bench.network.send(other, Frame::data(Id::Standard(cob_id), &data));
                 sent += 1;
             }
@@ -153,11 +156,30 @@ fn six_requests_back_to_back_are_answered_in_their_order_on_a_bus_that_is_full_o
         }
         let answers = bench.collect(Time::from_ms(3));
         assert_eq!(command_specifiers(&answers), [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
+        sdo_answers += answers.0.iter().filter(|frame| frame.cob_id() == 0x5C0).count();
     }
+    assert_eq!(sdo_answers, sdo_requests);
     let urgent = bench.network.trace().iter().filter(|event| {
         event.source == Source::Adapter(other) && matches!(event.what, What::Frame { .. })
     });
     assert_eq!(urgent.count(), sent);
+}
+
+#[test]
+fn requests_right_behind_a_change_of_the_node_id_are_not_lost() {
+    let mut bench = Bench::with(settings(0xFF, BitRate::Kbit1000));
+    for node_id in 1..=20 {
+        let configure = format!("11 {node_id:02X}");
+        for request in ["04 01", &configure, "04 00", "04 01", "5E", "11 FF", "04 00"] {
+            bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+        }
+        bench.network.send(bench.master, on_the_wire(&frames::command("82 00")));
+        let sent = bench.collect(Time::from_ms(5)).0;
+        let text: Vec<_> = sent.iter().map(frames::text).collect();
+        assert!(text.contains(&format!("{:03X}: 00", 0x700 + node_id)), "{text:#?}");
+        assert!(text.contains(&format!("7E4: 5E {node_id:02X} 00 00 00 00 00 00")), "{text:#?}");
+        assert_eq!(bench.lss("4C"), ["50"]);
+    }
 }
 
 #[test]

@@ -135,24 +135,27 @@ fn a_new_board_in_configuration_state_answers_every_inquiry() {
 
 #[test]
 fn select_and_identify_find_the_board_by_its_address_and_only_by_that() {
-    let mut bench = Bench::with(settings(0x40, BitRate::Kbit1000));
-    bench.collect(Time::from_ms(20));
-    bench.lss("04 01");
-    let own = address(&mut bench);
-    let [vendor, product, revision, serial] = own;
-    bench.lss("04 00");
+    let configured = Bench::with(settings(0x40, BitRate::Kbit1000));
+    for (mut bench, node_id) in [(configured, "5E 40"), (Bench::blank(), "5E FF")] {
+        bench.collect(Time::from_ms(20));
+        bench.lss("04 01");
+        let own = address(&mut bench);
+        let [vendor, product, revision, serial] = own;
+        bench.lss("04 00");
 
-    assert_eq!(identify(&mut bench, [vendor, product, 0, !0, 0, !0]), ["4F"]);
-    assert_eq!(identify(&mut bench, [vendor, product, revision, revision, serial, serial]), ["4F"]);
-    assert_eq!(identify(&mut bench, [vendor, product + 1, 0, !0, 0, !0]), SILENCE);
-    assert_eq!(identify(&mut bench, [vendor, product, 0, !0, 0, serial - 1]), SILENCE);
-    assert_eq!(identify(&mut bench, [vendor, product, 0, !0, serial + 1, !0]), SILENCE);
+        let exactly = [vendor, product, revision, revision, serial, serial];
+        assert_eq!(identify(&mut bench, exactly), ["4F"]);
+        assert_eq!(identify(&mut bench, [vendor, product, 0, !0, 0, !0]), ["4F"]);
+        assert_eq!(identify(&mut bench, [vendor, product + 1, 0, !0, 0, !0]), SILENCE);
+        assert_eq!(identify(&mut bench, [vendor, product, 0, !0, 0, serial - 1]), SILENCE);
+        assert_eq!(identify(&mut bench, [vendor, product, 0, !0, serial + 1, !0]), SILENCE);
 
-    assert_eq!(select(&mut bench, [vendor, product, revision, serial ^ 1]), SILENCE);
-    assert_eq!(bench.lss("5E"), SILENCE);
-    assert_eq!(select(&mut bench, own), ["44"]);
-    assert_eq!(bench.lss("5E"), ["5E 40"]);
-    assert_eq!(select(&mut bench, own), SILENCE, "in configuration state");
+        assert_eq!(select(&mut bench, [vendor, product, revision, serial ^ 1]), SILENCE);
+        assert_eq!(bench.lss("5E"), SILENCE);
+        assert_eq!(select(&mut bench, own), ["44"]);
+        assert_eq!(bench.lss("5E"), [node_id]);
+        assert_eq!(select(&mut bench, own), SILENCE, "in configuration state");
+    }
 }
 
 #[test]
@@ -200,7 +203,7 @@ fn values_out_of_range_are_refused_and_the_ones_before_stay() {
         assert_eq!(bench.lss(&format!("11 {node_id}")), ["11 01"]);
     }
     assert_eq!(bench.lss("13 00 02"), ["13 00"]);
-    for rate in ["00 05", "00 09", "00 FF", "01 00"] {
+    for rate in ["00 05", "00 0A", "00 FF", "01 00", "01 09"] {
         assert_eq!(bench.lss(&format!("13 {rate}")), ["13 01"]);
     }
     assert_eq!(bench.lss("17"), ["17 00"]);

@@ -44,8 +44,15 @@ fn cargo_build(part: Part) -> Result<Output, ImageError> {
     let mut command = Command::new(cargo);
     command
         .current_dir(workspace)
-        .args(["build", "--release", "--target", TARGET, "--features", part.name()])
-        .args(["--bin", "lss-slave", "--message-format", "json-render-diagnostics"])
+        .args(["build", "--package", "lss-slave", "--release", "--target", TARGET])
+        .args([
+            "--features",
+            part.name(),
+            "--bin",
+            "lss-slave",
+            "--message-format",
+            "json-render-diagnostics",
+        ])
         // What the host's build was given is not meant for the firmware.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
