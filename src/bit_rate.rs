@@ -211,7 +211,7 @@ impl BitTiming {
             let error_ppm = error_hz * 1_000_000 / quantum_hz;
             let rate_fits = prescaler >= 1
                 && prescaler <= 1024
-                && error_ppm <= Self::MAX_RATE_ERROR_PPM as u64 * prescaler;
+                && error_hz * 1_000_000 <= Self::MAX_RATE_ERROR_PPM as u64 * quantum_hz * prescaler;
             let mut segment2 = 1;
             while rate_fits && segment2 <= 8 && segment2 + 2 <= quanta {
                 let segment1 = quanta - 1 - segment2;

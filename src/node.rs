@@ -263,6 +263,7 @@ impl Node {
             return self.advance(switch, now);
         }
         if !self.is_listening() && mem::take(&mut self.is_resume_due) {
+            self.heartbeat_due = now;
             return Some(Action::ResumeTransmitting);
         }
         if let Some(command) = self.command.take() {
@@ -327,14 +328,17 @@ impl Node {
     }
 
     fn handle_sdo(&mut self, request: &[u8; 8]) -> Option<Action> {
-        let is_served = matches!(self.nmt, nmt::State::PreOperational | nmt::State::Operational);
-        if !is_served || self.switch.is_some() {
+        if !self.serves_sdo() || self.switch.is_some() {
             return None;
         }
         let mut server = mem::replace(&mut self.sdo, sdo::Server::new());
         let answer = server.handle(request, self);
         self.sdo = server;
         self.answer_sdo(answer?)
+    }
+
+    const fn serves_sdo(&self) -> bool {
+        matches!(self.nmt, nmt::State::PreOperational | nmt::State::Operational)
     }
 
     fn answer_sdo(&self, answer: [u8; 8]) -> Option<Action> {
@@ -348,6 +352,7 @@ impl Node {
 
     fn reset_communication(&mut self) -> Option<Action> {
         self.lss.reset_communication();
+        self.heartbeat_ms = self.persistent.heartbeat_ms;
         self.sdo.reset();
         self.sdo_store = None;
         if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
@@ -385,7 +390,6 @@ impl Node {
             }
             Phase::NewRate => {
                 self.switch = None;
-                self.heartbeat_due = now;
                 self.is_resume_due = true;
                 self.handle_deadline(now)
             }
@@ -431,11 +435,13 @@ impl Node {
                         self.lss_stores = self.lss_stores.saturating_sub(1);
                         answer(Response::StoreConfiguration(outcome))
                     }
-                    Requester::Sdo(index, sub_index) => self.answer_sdo(match outcome {
-                        Ok(()) => sdo::confirm(index, sub_index),
-                        Err(_) => sdo::abort(index, sub_index, sdo::Abort::Hardware),
-                    }),
-                    Requester::Nobody => self.store_or_answer(),
+                    Requester::Sdo(index, sub_index) if self.serves_sdo() => {
+                        self.answer_sdo(match outcome {
+                            Ok(()) => sdo::confirm(index, sub_index),
+                            Err(_) => sdo::abort(index, sub_index, sdo::Abort::Hardware),
+                        })
+                    }
+                    Requester::Sdo(..) | Requester::Nobody => self.store_or_answer(),
                 }
             }
             Store::Idle => {
@@ -467,7 +473,9 @@ impl Node {
             self.heartbeat_due = now.plus_micros(period);
             return Some(Action::Transmit(error_control));
         }
-        if self.nmt != nmt::State::Stopped
+        // Not before the boot-up has been acknowledged, which an emergency message would overtake.
+        if matches!(self.bus, Bus::Proven)
+            && self.nmt != nmt::State::Stopped
             && let Some(emergency) = self.emergency.next(node)
         {
             return Some(Action::Transmit(emergency));

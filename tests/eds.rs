@@ -63,10 +63,12 @@ fn text_in_device_rs(name: &str) -> &'static str {
     }
 }
 
-/// The clock of the CAN controller, in Hz.
-fn apb1_hz() -> u32 {
+/// What the clock of the CAN controller can produce, which is what device.rs offers. An EDS has no key for automatic
+/// detection.
+fn bit_rates() -> BitRates {
+    assert!(DEVICE_RS.contains("pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ)"));
     let divisor = in_device_rs("pub const APB1_HZ: u32 = SYSCLK_HZ / ", ';');
-    number_in_device_rs("SYSCLK_HZ") / number(divisor)
+    BitRates::possible(number_in_device_rs("SYSCLK_HZ") / number(divisor))
 }
 
 /// A board with the identity and the defaults of the firmware, and node-ID 40h.
@@ -79,7 +81,7 @@ fn board_of_device_rs() -> Board {
             revision_number: number_in_device_rs("REVISION_NUMBER"),
             serial_number: 0,
         },
-        bit_rates: BitRates::possible(apb1_hz()),
+        bit_rates: bit_rates(),
         heartbeat_ms,
         name: text_in_device_rs("NAME"),
         hardware_version: text_in_device_rs("HARDWARE_VERSION"),
@@ -219,7 +221,7 @@ fn the_identity_is_the_one_in_device_rs() {
 #[test]
 fn the_bit_rates_are_those_that_the_clock_can_produce() {
     let info = &sections()["DeviceInfo"];
-    let possible = BitRates::possible(apb1_hz());
+    let possible = bit_rates();
     let found: Vec<_> = info.keys().filter(|key| key.starts_with("BaudRate_")).collect();
     assert_eq!(found.len(), BitRate::ALL.len());
     for rate in BitRate::ALL {

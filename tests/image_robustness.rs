@@ -195,7 +195,20 @@ fn boards_with_crystals_3000_ppm_apart_understand_each_other_at_every_bit_rate()
             }
         }
         for board in [0, 1] {
-            assert_eq!(bench.requested(board, from).count(), 15, "{bit_rate:?}");
+            let all: Vec<_> =
+                bench.requested(board, from).map(|(t, f)| format!("{t} {f}")).collect();
+            assert_eq!(
+                all.len(),
+                15,
+                "{bit_rate:?} {all:#?} {:#?}",
+                bench
+                    .network
+                    .trace()
+                    .iter()
+                    .filter(|e| e.time >= from)
+                    .take(12)
+                    .collect::<Vec<_>>()
+            );
         }
         let is_error = |event: &Event| matches!(event.what, What::Error { .. });
         assert!(!bench.network.trace().iter().any(is_error), "{bit_rate:?}");

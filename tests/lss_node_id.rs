@@ -207,9 +207,11 @@ fn leaving_configuration_with_a_first_node_id_starts_communication_by_itself() {
 #[test]
 fn nothing_else_starts_communication_by_itself() {
     let mut board = Board::unconfigured();
+    board.timeline();
     board.lss("04 01");
     board.lss("04 00");
     assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending");
+    assert_eq!(board.timeline(), SILENCE, "not even a reset that is not seen");
     board.lss("04 01");
     board.lss("11 04");
     board.lss("04 01");

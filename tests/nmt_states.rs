@@ -2,9 +2,9 @@
 
 mod support;
 
-use lss_slave::{Frame, Settings, emergency::Fault, nmt::State};
+use lss_slave::{BusEvent, Device, Frame, Settings, emergency::Fault, nmt::State};
 use support::{
-    board::{ADDRESS, Board, defaults},
+    board::{ADDRESS, Board, defaults, device},
     flash::BoardFlash,
     frames::SILENCE,
 };
@@ -243,6 +243,22 @@ fn a_reset_in_a_switch_delay_wins_over_later_commands_that_are_none() {
 }
 
 #[test]
+fn of_two_resets_in_a_switch_delay_the_last_one_counts() {
+    for (first, last, done) in
+        [("81 00", "82 00", "20 ms node-ID 40"), ("82 00", "81 00", "20 ms reset")]
+    {
+        let mut board = Board::with_node_id(0x40);
+        board.lss("04 01");
+        board.timeline();
+        board.lss("15 0A 00");
+        board.nmt(first);
+        board.nmt(last);
+        board.pass_ms(20);
+        assert_eq!(board.timeline(), ["0 ms stop", "20 ms resume", done, "20 ms 740: 00"]);
+    }
+}
+
+#[test]
 fn after_a_boot_up_the_emergency_comes_before_the_heartbeat() {
     let settings = Settings { heartbeat_ms: 1, ..defaults(0x40) };
     let mut board = Board::new(ADDRESS, settings, BoardFlash::blank(0), 0);
@@ -257,4 +273,44 @@ fn nothing_answers_a_node_guarding_request_which_needs_a_remote_frame() {
     let mut board = Board::with_node_id(0x40);
     assert!(!board.node.receives().contains(&0x740));
     assert_eq!(board.receive(&Frame::new(0x740, &[]).unwrap()), SILENCE);
+}
+
+/// A board with node-ID 40h and a heartbeat every second that has lost its bus and listens for the bit rate.
+fn listening_board() -> Board {
+    let device = Device { rescue: true, ..device(ADDRESS) };
+    let settings = Settings { heartbeat_ms: 1_000, ..defaults(0x40) };
+    let mut board = Board::with_device(device, settings, BoardFlash::blank(0), 0);
+    // The first puts the bit rate, proven by the boot-up, on trial; the second makes an end of the trial.
+    board.node.handle_bus(BusEvent::BusOff);
+    board.node.handle_bus(BusEvent::BusOff);
+    assert_eq!(board.pass_us(0), SILENCE);
+    assert!(board.node.is_listening());
+    board
+}
+
+#[test]
+fn a_node_that_listens_for_its_bit_rate_sends_nothing_and_then_its_heartbeat_at_once() {
+    let mut board = listening_board();
+    board.node.handle_fault(Fault::Overrun);
+    assert_eq!(board.pass_ms(20_000), SILENCE);
+    board.node.handle_bus(BusEvent::Good);
+    let sent = ["0C0: 10 81 11 00 00 00 00 00", "0C0: 00 00 00 00 00 00 00 00", "740: 7F"];
+    assert_eq!(board.pass_us(0), sent);
+    assert_eq!(board.pass_us(999_999), SILENCE);
+    assert_eq!(board.pass_us(1), ["740: 7F"]);
+}
+
+#[test]
+fn a_node_that_listened_for_hours_goes_on_with_its_heartbeat_at_once() {
+    // 35.8 minutes and more after the last heartbeat, half a turn of the clock, the past looks like the future.
+    for minutes in [30, 36, 60, 71, 120] {
+        let mut board = listening_board();
+        for _ in 0..3 * minutes {
+            board.node.handle_bus(BusEvent::Error);
+            assert_eq!(board.pass_ms(20_000), SILENCE);
+        }
+        board.node.handle_bus(BusEvent::Good);
+        assert_eq!(board.pass_us(0), ["740: 7F"], "after {minutes} minutes");
+        assert_eq!(board.pass_ms(1_000), ["740: 7F"]);
+    }
 }

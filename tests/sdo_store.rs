@@ -235,4 +235,6 @@ fn a_save_that_still_waits_is_forgotten_by_reset_communication() {
     assert_eq!(board.nmt("82 00"), ["740: 00"]);
     assert_eq!(board.finish_store(), ["17 00"], "LSS goes on");
     assert_eq!(board.stored(), Some(defaults(0x40)));
+    let stores = board.timeline().into_iter().filter(|line| line.ends_with("store"));
+    assert_eq!(stores.count(), 1, "no other one has begun");
 }

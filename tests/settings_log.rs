@@ -179,7 +179,7 @@ fn a_record_of_settings_that_cannot_be_does_not_count() {
         record(9, 1, 0x80, 2, 5),
         record(9, 1, 0xFE, 2, 5),
         record(9, 1, 5, 5, 5),
-        record(9, 1, 5, 9, 5),
+        record(9, 1, 5, 10, 5),
         record(9, 1, 5, 0xFF, 5),
         record(9, 2, 5, 2, 5),
         record(9, 0xFF, 5, 2, 5),

@@ -29,11 +29,12 @@ pub fn now() -> Instant {
     Instant::from_micros(micros.wrapping_add(cycles / CYCLES_PER_MICRO))
 }
 
-/// Waits for `event`, but only until the first tick after `deadline`, if there is one.
+/// Waits for `event`, but only until the tick before or after `deadline`, if there is one: the caller looks, and waits for
+/// the next if it was the one before.
 pub async fn wait(event: impl Future<Output = ()>, deadline: Option<Instant>) {
     let Some(deadline) = deadline else {
         return event.await;
     };
     let ticks = deadline.micros_after(now()).div_ceil(MICROS_PER_TICK);
-    let _ = Mono::timeout_after(u64::from(ticks).millis(), event).await;
+    let _ = Mono::timeout_at(Mono::now() + u64::from(ticks).millis(), event).await;
 }

@@ -69,6 +69,7 @@ impl Slave {
     pub fn handle_transmitted(&mut self) {
         if self.can.handle_transmitted() {
             self.node.handle_bus(BusEvent::Good);
+            self.settle();
         }
     }
 

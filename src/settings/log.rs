@@ -41,6 +41,10 @@ pub enum Found {
 pub struct Log<F> {
     flash: F,
     newest: Record,
+    /// The sequence of the last record that was written or attempted.
+    sequence: u32,
+    /// Whether the last record was written but could not be read back: a later `open` may find it valid.
+    is_doubtful: bool,
     /// The blank space of the bank that holds the newest record.
     space: Range<u32>,
 }
@@ -80,7 +84,7 @@ impl<F: NorFlash> Log<F> {
             assert!((record::LEN as usize).is_multiple_of(F::READ_SIZE));
         }
         let newest = Record { sequence: 0, settings: None };
-        let mut log = Self { flash, newest, space: 0..0 };
+        let mut log = Self { flash, newest, sequence: 0, is_doubtful: false, space: 0..0 };
         let found = log.find().unwrap_or(Found::MediumFailed);
         (log, found)
     }
@@ -97,10 +101,16 @@ impl<F: NorFlash> Log<F> {
     /// [`StoreError::MediumAccess`] if the record could not be written and read back, or the bank is full until the next
     /// `open`; the settings of before are still persistent.
     pub fn store(&mut self, settings: Settings) -> Result<(), StoreError> {
-        if self.newest.settings == Some(settings) {
+        if self.newest.settings == Some(settings) && !self.is_doubtful {
             return Ok(());
         }
-        self.append(Some(settings)).map_err(|Failed| StoreError::MediumAccess)
+        self.append(Some(settings)).map_err(|Failed| {
+            if self.is_doubtful {
+                // The old settings on top of what is refused.
+                let _ = self.append(self.newest.settings);
+            }
+            StoreError::MediumAccess
+        })
     }
 
     /// Gives the flash back.
@@ -125,6 +135,7 @@ impl<F: NorFlash> Log<F> {
             return Ok(if is_blank { Found::Blank } else { Found::Damaged });
         };
         self.newest = newest;
+        self.sequence = newest.sequence;
         self.space = bank.blank_from..bank.range.end;
         if self.space.end - self.space.start < bank_len / 4 {
             self.move_to(other.range)?;
@@ -164,8 +175,9 @@ impl<F: NorFlash> Log<F> {
         if at >= self.space.end {
             return Err(Failed);
         }
-        let record = Record { sequence: self.newest.sequence.wrapping_add(1), settings };
+        self.sequence = self.sequence.wrapping_add(1);
         self.space.start = at + record::LEN;
+        let record = Record { sequence: self.sequence, settings };
         self.write(at, &record.to_bytes())?;
         self.newest = record;
         Ok(())
@@ -183,7 +195,10 @@ impl<F: NorFlash> Log<F> {
         }
         // Whatever the flash says of this last word: what is read back decides, now as at the next open.
         let _ = self.flash.write(at + COMMIT_AT as u32, commit);
-        if self.read(at)? == *bytes { Ok(()) } else { Err(Failed) }
+        self.is_doubtful = true;
+        let written = self.read(at)?;
+        self.is_doubtful = false;
+        if written == *bytes { Ok(()) } else { Err(Failed) }
     }
 
     fn read(&mut self, at: u32) -> Result<[u8; record::LEN as usize], Failed> {

@@ -1,7 +1,7 @@
 //! A board in the process: drives a [`Node`] as its documentation prescribes, in virtual time, with its settings in a flash.
 
 use lss_slave::{
-    Action, BitRate, BitRates, Device, Frame, Instant, Node, NodeId, Settings,
+    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId, Settings,
     lss::{Address, StoreError},
     settings::{Found, Log},
 };
@@ -268,7 +268,10 @@ impl Board {
         let Some(action) = action else { return };
         self.actions.push((self.now, action));
         match action {
-            Action::Transmit(_) => assert!(self.may_transmit, "nothing is sent in a silent period"),
+            Action::Transmit(_) => {
+                assert!(self.may_transmit, "nothing is sent in a silent period");
+                self.node.handle_bus(BusEvent::Good);
+            }
             Action::SetNodeId(id) => self.receives_for = id,
             Action::StopTransmitting => self.may_transmit = false,
             Action::SetBitRate(rate) => {

@@ -97,7 +97,12 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
 
     /// Every operation of this kind fails from now on.
     pub fn fail(&self, operation: Operation) {
-        self.0.borrow_mut().fault = Some((operation, 0, false));
+        self.fail_after(operation, 0);
+    }
+
+    /// Every operation of this kind fails, after `others` that succeed.
+    pub fn fail_after(&self, operation: Operation, others: usize) {
+        self.0.borrow_mut().fault = Some((operation, others, false));
     }
 
     /// One operation of this kind fails, after `others` that succeed.
