@@ -5,10 +5,9 @@ use std::{sync::mpsc, thread, time::Duration};
 use lss_slave::{Action, BitRate, BitRates, Device, Frame, Instant, Node, Settings, lss::Address};
 
 fn main() {
-    let (to_node, requests) = mpsc::channel();
-    let (answers, from_node) = mpsc::channel();
-    let board = thread::spawn(move || run(requests, answers));
-
+    let (to_node, received) = mpsc::channel();
+    let (transmitted, from_node) = mpsc::channel();
+    let board = thread::spawn(move || run(received, transmitted));
     for request in [
         [0x4C, 0, 0, 0, 0, 0, 0, 0], // Has any slave no node-ID?
         [0x04, 1, 0, 0, 0, 0, 0, 0], // To LSS configuration state.
@@ -26,10 +25,10 @@ fn main() {
     board.join().unwrap();
 }
 
-fn run(requests: mpsc::Receiver<Frame>, answers: mpsc::Sender<Frame>) {
-    let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
+/// The board: carries out what the node asks for, until nobody is left on the bus.
+fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
     let device = Device {
-        address,
+        address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
         bit_rates: BitRates::possible(32_000_000),
         heartbeat_ms: 0,
         name: "Example",
@@ -41,20 +40,20 @@ fn run(requests: mpsc::Receiver<Frame>, answers: mpsc::Sender<Frame>) {
     let mut node = Node::new(device, settings);
     let start = std::time::Instant::now();
     let now = || Instant::from_micros(start.elapsed().as_micros() as u32);
+    let mut first = None;
     loop {
+        while let Some(action) = first.take().or_else(|| node.handle_deadline(now())) {
+            match action {
+                Action::Transmit(frame) => transmitted.send(frame).unwrap(),
+                Action::Store(_settings) => node.handle_stored(Ok(())),
+                other => println!("  {other:?}"),
+            }
+        }
         let wait = node.next_deadline().map_or(u32::MAX, |at| at.micros_after(now()));
-        let mut action = match requests.recv_timeout(Duration::from_micros(wait.into())) {
+        first = match received.recv_timeout(Duration::from_micros(wait.into())) {
             Ok(frame) => node.handle_frame(&frame, now()),
             Err(mpsc::RecvTimeoutError::Timeout) => None,
             Err(mpsc::RecvTimeoutError::Disconnected) => return,
         };
-        while let Some(due) = action.or_else(|| node.handle_deadline(now())) {
-            match due {
-                Action::Transmit(frame) => answers.send(frame).unwrap(),
-                Action::Store(_settings) => node.handle_stored(Ok(())),
-                other => println!("  {other:?}"),
-            }
-            action = None;
-        }
     }
 }

@@ -180,7 +180,7 @@ impl BitTiming {
     pub const MAX_RATE_ERROR_PPM: u32 = 1_000;
     /// The sample point that is aimed at, in 1/1000 of the bit (CiA 301).
     pub const SAMPLE_POINT: u32 = 875;
-    /// Time quanta a bit: fewer leave no room for a sample point in range, more are of no use.
+    /// Time quanta a bit (ISO 11898-1).
     const QUANTA: core::ops::RangeInclusive<u32> = 8..=25;
 
     /// The range of the sample point that CiA 301 allows at `rate`, in 1/1000 of the bit: 750..=900 at 1000 and

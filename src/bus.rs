@@ -15,8 +15,10 @@ use crate::{BitRate, BitRates, Instant};
 /// What the controller has seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusEvent {
-    /// A valid frame was received, whether the node wants it or not, or a frame of the node was acknowledged.
-    Good,
+    /// A valid frame was received, whether the node wants it or not.
+    Received,
+    /// A frame of the node was sent and acknowledged.
+    Acknowledged,
     /// A receive error (stuff, form or CRC) while listening.
     Error,
     /// The controller is error passive through what it received (REC over 127). Missing acknowledges, which make an error

@@ -63,7 +63,7 @@ pub enum Action {
 /// - [`handle_deadline`](Self::handle_deadline) first of all, after each of the other two, and when the
 ///   [`next_deadline`](Self::next_deadline) has come: again and again until it returns `None`.
 ///
-/// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
+/// A deadline that has come goes before a frame. Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
 /// A call that comes late or without need does no harm.
 #[derive(Clone, Debug)]
 pub struct Node {
@@ -80,6 +80,7 @@ pub struct Node {
     emergency: Emergency,
     /// [`nmt::State::Initialisation`] with a node-ID means that the boot-up is still to be sent.
     nmt: nmt::State,
+    is_boot_up_acknowledged: bool,
     heartbeat_ms: u16,
     heartbeat_due: Instant,
     /// The heartbeat time has been written, but not seen by a call that knows the time.
@@ -152,6 +153,7 @@ impl Node {
             sdo: sdo::Server::new(),
             emergency: Emergency::new(),
             nmt: nmt::State::Initialisation,
+            is_boot_up_acknowledged: false,
             heartbeat_ms: persistent.heartbeat_ms,
             heartbeat_due: Instant::from_micros(0),
             heartbeat_is_new: false,
@@ -208,7 +210,7 @@ impl Node {
             Bus::Proven => {}
             Bus::OnTrial => self.bus = Bus::Proven,
             Bus::Listening(_) | Bus::Found(_) => {
-                self.handle_bus(BusEvent::Good);
+                self.handle_bus(BusEvent::Received);
                 return None;
             }
         }
@@ -238,15 +240,18 @@ impl Node {
 
     /// Takes what the controller has seen of the bus. Telling it again does no harm.
     pub fn handle_bus(&mut self, event: BusEvent) {
+        self.is_boot_up_acknowledged |= event == BusEvent::Acknowledged;
         let is_to_listen = self.device.rescue && self.switch.is_none();
         match (&mut self.bus, event) {
-            (Bus::OnTrial, BusEvent::Good) => self.bus = Bus::Proven,
+            (Bus::OnTrial, BusEvent::Received | BusEvent::Acknowledged) => self.bus = Bus::Proven,
             (Bus::Proven, BusEvent::BusOff) => self.bus = Bus::OnTrial,
             (Bus::OnTrial, BusEvent::ReceivesErrorsOnly | BusEvent::BusOff) if is_to_listen => {
                 let first = self.previous_rate.take().unwrap_or(self.device.bit_rates.fastest());
                 self.bus = Bus::Listening(Listening::begin(first, Some(self.rate)));
             }
-            (Bus::Listening(listening), BusEvent::Good) => self.bus = Bus::Found(listening.rate()),
+            (Bus::Listening(listening), BusEvent::Received) => {
+                self.bus = Bus::Found(listening.rate())
+            }
             (Bus::Listening(listening), BusEvent::Error) => {
                 listening.handle_error(self.device.bit_rates);
             }
@@ -470,11 +475,12 @@ impl Node {
         let error_control = nmt::error_control(node, self.nmt);
         if self.nmt == nmt::State::Initialisation {
             self.nmt = nmt::State::PreOperational;
+            self.is_boot_up_acknowledged = false;
             self.heartbeat_due = now.plus_micros(period);
             return Some(Action::Transmit(error_control));
         }
-        // Not before the boot-up has been acknowledged, which an emergency message would overtake.
-        if matches!(self.bus, Bus::Proven)
+        // It would overtake a boot-up that waits for the bus.
+        if self.is_boot_up_acknowledged
             && self.nmt != nmt::State::Stopped
             && let Some(emergency) = self.emergency.next(node)
         {

@@ -127,25 +127,14 @@ fn settings_that_were_lost_and_stored_before_the_node_had_a_node_id_are_told_and
 }
 
 #[test]
-fn an_emergency_waits_for_the_end_of_a_switch_delay_and_for_a_frame_that_proves_the_new_rate() {
-    let mut board = Board::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("13 00 02");
-    board.lss("15 0A 00");
-    assert_eq!(report(&mut board, Fault::BusOffRecovered), SILENCE);
-    assert_eq!(board.pass_ms(1_000), SILENCE);
-    assert_eq!(board.nmt("01 00"), [BUS_OFF_RECOVERED, NO_ERROR]);
-}
-
-#[test]
-fn an_emergency_follows_the_heartbeat_that_proves_the_rate_after_a_switch_delay() {
+fn an_emergency_waits_for_the_end_of_a_switch_delay() {
     let mut board = Board::with_heartbeat(0x40, 1_000);
     board.lss("04 01");
     board.lss("13 00 02");
     board.lss("15 0A 00");
     assert_eq!(report(&mut board, Fault::BusOffRecovered), SILENCE);
     assert_eq!(board.pass_us(19_999), SILENCE);
-    assert_eq!(board.pass_us(1), ["740: 7F", BUS_OFF_RECOVERED, NO_ERROR]);
+    assert_eq!(board.pass_us(1), [BUS_OFF_RECOVERED, NO_ERROR, "740: 7F"]);
 }
 
 #[test]

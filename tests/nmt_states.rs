@@ -293,7 +293,7 @@ fn a_node_that_listens_for_its_bit_rate_sends_nothing_and_then_its_heartbeat_at_
     let mut board = listening_board();
     board.node.handle_fault(Fault::Overrun);
     assert_eq!(board.pass_ms(20_000), SILENCE);
-    board.node.handle_bus(BusEvent::Good);
+    board.node.handle_bus(BusEvent::Received);
     let sent = ["0C0: 10 81 11 00 00 00 00 00", "0C0: 00 00 00 00 00 00 00 00", "740: 7F"];
     assert_eq!(board.pass_us(0), sent);
     assert_eq!(board.pass_us(999_999), SILENCE);
@@ -309,7 +309,7 @@ fn a_node_that_listened_for_hours_goes_on_with_its_heartbeat_at_once() {
             board.node.handle_bus(BusEvent::Error);
             assert_eq!(board.pass_ms(20_000), SILENCE);
         }
-        board.node.handle_bus(BusEvent::Good);
+        board.node.handle_bus(BusEvent::Received);
         assert_eq!(board.pass_us(0), ["740: 7F"], "after {minutes} minutes");
         assert_eq!(board.pass_ms(1_000), ["740: 7F"]);
     }

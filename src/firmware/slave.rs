@@ -51,11 +51,16 @@ impl Slave {
         while let Some(received) = self.can.receive() {
             match received {
                 Received::Frame(frame) => {
-                    if let Some(action) = self.node.handle_frame(&frame, clock::now()) {
+                    let now = clock::now();
+                    // What was due before the frame came is done before.
+                    if self.deadline.is_some_and(|deadline| deadline.has_come(now)) {
+                        self.act_until_nothing_is_due();
+                    }
+                    if let Some(action) = self.node.handle_frame(&frame, now) {
                         self.act(action);
                     }
                 }
-                Received::Other => self.node.handle_bus(BusEvent::Good),
+                Received::Other => self.node.handle_bus(BusEvent::Received),
                 Received::Overrun => {
                     defmt::warn!("CAN: overrun, a received frame is lost");
                     self.node.handle_fault(Fault::Overrun);
@@ -68,7 +73,7 @@ impl Slave {
     /// A frame has been sent or aborted.
     pub fn handle_transmitted(&mut self) {
         if self.can.handle_transmitted() {
-            self.node.handle_bus(BusEvent::Good);
+            self.node.handle_bus(BusEvent::Acknowledged);
             self.settle();
         }
     }
@@ -104,7 +109,7 @@ impl Slave {
                 defmt::info!("CAN: recovered from bus-off");
                 self.node.handle_fault(Fault::BusOffRecovered);
             }
-            _ if self.can.has_heard_others() => self.node.handle_bus(BusEvent::Good),
+            _ if self.can.has_heard_others() => self.node.handle_bus(BusEvent::Received),
             _ if self.can.receives_errors_only() => {
                 self.node.handle_bus(BusEvent::ReceivesErrorsOnly);
             }

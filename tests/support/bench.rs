@@ -122,12 +122,12 @@ impl Bench {
     /// Lets a board that was switched on or reset after `since` come to the bus.
     pub fn boot(&mut self, board: usize, since: Time) {
         let until = self.network.now() + BOOT;
-        let joined = |event: &Event| {
-            event.time >= since
-                && event.source == Source::Board(board)
-                && event.what == What::InitializationLeft
+        let joined = |bench: &Self| {
+            let is_of_program = |event: &&Event| matches!(event.what, What::BitTiming { .. });
+            let mut events = bench.did(board, since).skip_while(|event| !is_of_program(event));
+            events.any(|event| event.what == What::InitializationLeft)
         };
-        while !self.network.trace().iter().rev().any(joined) {
+        while !joined(self) {
             assert!(self.network.now() < until, "board {board} does not come to the bus");
             self.network.run_for(Time::from_ms(1));
         }

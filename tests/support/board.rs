@@ -270,7 +270,7 @@ impl Board {
         match action {
             Action::Transmit(_) => {
                 assert!(self.may_transmit, "nothing is sent in a silent period");
-                self.node.handle_bus(BusEvent::Good);
+                self.node.handle_bus(BusEvent::Acknowledged);
             }
             Action::SetNodeId(id) => self.receives_for = id,
             Action::StopTransmitting => self.may_transmit = false,

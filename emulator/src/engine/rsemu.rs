@@ -9,7 +9,11 @@ use rsemu::{
         device::{Device, ResetKind},
         space::RamStore,
     },
-    cpu::arm::v7m::{ArmV7m, Config, sys::Exception},
+    cpu::arm::v7m::{
+        ArmV7m, Config,
+        sys::{Exception, control},
+        xpsr,
+    },
 };
 
 use super::{Engine, Halt, Lockup, clock::CycleClock};
@@ -131,6 +135,28 @@ impl Rsemu {
         }
     }
 
+    /// rsemu 0.0.7 leaves ITSTATE out of the xPSR that an exception entry stacks, so that the rest of an interrupted IT
+    /// block would run unconditionally: puts it where the return restores it from.
+    ///
+    /// `before` and `pc` are from before the step that may have been the entry.
+    fn mend_stacked_itstate(&mut self, before: u32, pc: u32) {
+        const STACKED_PC: u32 = 6 * 4;
+        let regs = self.cpu.regs();
+        if (regs.xpsr ^ before) & xpsr::EXCEPTION == 0 {
+            return;
+        }
+        let was_handler = before & xpsr::EXCEPTION != 0;
+        let used_psp = !was_handler && regs.control & control::SPSEL != 0;
+        let frame = if used_psp { regs.psp } else { regs.msp };
+        let mut stacked = [0; 8];
+        // An exception return changes the exception number too, but has not stacked this PC.
+        if self.read_memory(frame + STACKED_PC, &mut stacked) && stacked[..4] == pc.to_le_bytes() {
+            let [.., x0, x1, x2, x3] = stacked;
+            let mended = u32::from_le_bytes([x0, x1, x2, x3]) | before & xpsr::IT_MASK;
+            self.write_memory(frame + STACKED_PC + 4, &mended.to_le_bytes());
+        }
+    }
+
     fn check_sleep(&self) {
         let (deep, external_clock) =
             self.cpu.with_sys(|sys| (sys.scr & 1 << 2 != 0, sys.syst_csr & 0b101 == 0b001));
@@ -236,8 +262,12 @@ impl Engine for Rsemu {
             }
             self.link.cycles.store(self.cycles, Relaxed);
             self.link.pc.store(pc, Relaxed);
+            let before = self.cpu.xpsr();
             let used = self.cpu.step();
             self.cycles += used;
+            if before & xpsr::IT_MASK != 0 {
+                self.mend_stacked_itstate(before, pc);
+            }
             let next = self.cpu.pc();
             if self.link.written.load(Relaxed) {
                 self.link.written.store(false, Relaxed);
