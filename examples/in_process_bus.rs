@@ -2,12 +2,14 @@
 
 use std::{sync::mpsc, thread, time::Duration};
 
-use lss_slave::{Action, BitRate, BitRates, Device, Frame, Instant, Node, Settings, lss::Address};
+use lss_slave::{
+    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings, lss::Address,
+};
 
 fn main() {
     let (to_node, received) = mpsc::channel();
     let (transmitted, from_node) = mpsc::channel();
-    let board = thread::spawn(move || run(received, transmitted));
+    thread::spawn(move || run(received, transmitted));
     for request in [
         [0x4C, 0, 0, 0, 0, 0, 0, 0], // Has any slave no node-ID?
         [0x04, 1, 0, 0, 0, 0, 0, 0], // To LSS configuration state.
@@ -21,11 +23,9 @@ fn main() {
             println!("< {:03X} {:02X?}", frame.cob_id(), frame.data());
         }
     }
-    drop(to_node);
-    board.join().unwrap();
 }
 
-/// The board: carries out what the node asks for, until nobody is left on the bus.
+/// The board: carries out what the node asks for, for as long as the process lives.
 fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
     let device = Device {
         address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
@@ -44,16 +44,16 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
     loop {
         while let Some(action) = first.take().or_else(|| node.handle_deadline(now())) {
             match action {
-                Action::Transmit(frame) => transmitted.send(frame).unwrap(),
+                Action::Transmit(frame) => {
+                    transmitted.send(frame).unwrap();
+                    node.handle_bus(BusEvent::Acknowledged);
+                }
                 Action::Store(_settings) => node.handle_stored(Ok(())),
                 other => println!("  {other:?}"),
             }
         }
         let wait = node.next_deadline().map_or(u32::MAX, |at| at.micros_after(now()));
-        first = match received.recv_timeout(Duration::from_micros(wait.into())) {
-            Ok(frame) => node.handle_frame(&frame, now()),
-            Err(mpsc::RecvTimeoutError::Timeout) => None,
-            Err(mpsc::RecvTimeoutError::Disconnected) => return,
-        };
+        let frame = received.recv_timeout(Duration::from_micros(wait.into())).ok();
+        first = frame.and_then(|frame| node.handle_frame(&frame, now()));
     }
 }

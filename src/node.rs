@@ -1,4 +1,4 @@
-//! The node: joins LSS, NMT, SDO and emergency; frames, time and outcomes of stores in, actions out.
+//! The node: joins LSS, NMT, SDO and emergency; frames, time and what the board sees in, actions out.
 
 mod objects;
 
@@ -57,13 +57,16 @@ pub enum Action {
 
 /// A CANopen node that an LSS master can configure.
 ///
-/// It is driven by three calls:
+/// It is driven by these calls:
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
+/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with what else the controller tells;
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
-/// - [`handle_deadline`](Self::handle_deadline) first of all, after each of the other two, and when the
-///   [`next_deadline`](Self::next_deadline) has come: again and again until it returns `None`.
+/// - [`handle_fault`](Self::handle_fault) with a trouble of the board;
+/// - [`handle_deadline`](Self::handle_deadline) first of all, after each of the others, and when the
+///   [`next_deadline`](Self::next_deadline) has come: again and again until it returns `None`. A deadline that has come
+///   goes before a frame.
 ///
-/// A deadline that has come goes before a frame. Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
+/// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
 /// A call that comes late or without need does no harm.
 #[derive(Clone, Debug)]
 pub struct Node {
@@ -189,12 +192,6 @@ impl Node {
     /// Whether the node only listens, in search of the bit rate.
     pub const fn is_listening(&self) -> bool {
         matches!(self.bus, Bus::Listening(_))
-    }
-
-    /// Whether the bit rate has neither proven good nor failed: until then the board reports every frame that it receives
-    /// or sends to [`handle_bus`](Self::handle_bus).
-    pub const fn is_bit_rate_on_trial(&self) -> bool {
-        matches!(self.bus, Bus::OnTrial)
     }
 
     /// The COB-IDs of the frames that the node wants to see; it ignores all others. They change with the node-ID.

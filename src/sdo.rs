@@ -88,13 +88,15 @@ impl Server {
             DOWNLOAD => download(command, index, sub_index, data, objects)
                 .map(|written| (written == Written::Now).then(|| confirm(index, sub_index))),
             UPLOAD => self.begin_upload(index, sub_index, objects).map(Some),
-            UPLOAD_SEGMENT => match upload {
-                None => Err(Abort::Command),
-                Some(upload) => match self.continue_upload(upload, command & TOGGLE) {
+            UPLOAD_SEGMENT => {
+                let Some(upload) = upload else {
+                    return Some(abort(0, 0, Abort::Command));
+                };
+                match self.continue_upload(upload, command & TOGGLE) {
                     Ok(answer) => Ok(Some(answer)),
                     Err(code) => return Some(abort(upload.index, upload.sub_index, code)),
-                },
-            },
+                }
+            }
             ABORT => Ok(None),
             _ => Err(Abort::Command),
         };

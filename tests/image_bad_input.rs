@@ -122,7 +122,7 @@ fn meaningless(random: &mut Random) -> Frame {
 fn random_frames_that_ask_nothing_have_no_effect() {
     let mut random = Random::new();
     let mut bench = configured();
-    for _ in 0..20 {
+    for _ in 0..30 {
         let frames: Vec<Frame> = (0..1_000).map(|_| meaningless(&mut random)).collect();
         assert_ignored(&mut bench, &frames);
     }

@@ -93,13 +93,14 @@ impl ErrorType for SettingsFlash {
 }
 
 impl ReadNorFlash for SettingsFlash {
-    const READ_SIZE: usize = 1;
+    const READ_SIZE: usize = 4;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
         check_read(self, offset, bytes.len()).map_err(FlashError::Range)?;
-        for (address, byte) in (START + offset..).zip(bytes) {
-            // SAFETY: within the sectors; volatile, since the content changes behind the compiler's back.
-            *byte = unsafe { (address as *const u8).read_volatile() };
+        let (words, _) = bytes.as_chunks_mut();
+        for (address, word) in (START + offset..).step_by(4).zip(words) {
+            // SAFETY: an aligned word within the sectors; volatile, since they change behind the compiler's back.
+            *word = unsafe { (address as *const u32).read_volatile() }.to_le_bytes();
         }
         Ok(())
     }

@@ -68,7 +68,11 @@ impl Bank {
     }
 }
 
-const BLANK: [u8; record::LEN as usize] = [0xFF; record::LEN as usize];
+/// Whether nothing has been written since the erase. By words: at each start a thousand records are asked.
+fn is_blank(bytes: &[u8; record::LEN as usize]) -> bool {
+    let (words, _) = bytes.as_chunks();
+    words.iter().all(|word| u32::from_ne_bytes(*word) == u32::MAX)
+}
 
 impl<F: NorFlash> Log<F> {
     /// Finds the newest settings, and makes room where little is left.
@@ -148,7 +152,7 @@ impl<F: NorFlash> Log<F> {
         let mut bank = Bank { range, newest: None, blank_from, is_interrupted: false };
         for at in bank.range.clone().step_by(record::LEN as usize).rev() {
             let bytes = self.read(at)?;
-            if bytes == BLANK {
+            if is_blank(&bytes) {
                 continue;
             }
             if bank.is_blank() {
@@ -186,7 +190,7 @@ impl<F: NorFlash> Log<F> {
     fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Failed> {
         const COMMIT_AT: usize = record::LEN as usize - record::COMMIT.len();
         let (content, commit) = bytes.split_at(COMMIT_AT);
-        if self.read(at)? != BLANK {
+        if !is_blank(&self.read(at)?) {
             return Err(Failed);
         }
         self.flash.write(at, content).map_err(|_| Failed)?;
@@ -202,7 +206,7 @@ impl<F: NorFlash> Log<F> {
     }
 
     fn read(&mut self, at: u32) -> Result<[u8; record::LEN as usize], Failed> {
-        let mut bytes = BLANK;
+        let mut bytes = [0; record::LEN as usize];
         self.flash.read(at, &mut bytes).map_err(|_| Failed)?;
         Ok(bytes)
     }
