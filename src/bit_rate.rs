@@ -192,9 +192,9 @@ impl BitTiming {
         }
     }
 
-    /// The best bit timing for `rate` from an APB1 clock of `clock_hz`: least rate error, then the sample point nearest
-    /// to 87.5 %, then the most time quanta. The synchronisation jump width is as large as the second segment allows,
-    /// since that is what bears a bad crystal.
+    /// The best bit timing for `rate` from an APB1 clock of `clock_hz`: least rate error, then a second segment of more
+    /// than one quantum, then the sample point nearest to 87.5 % (of two the earlier), then the most time quanta. The
+    /// synchronisation jump width is as large as the second segment allows: together they bear bad crystals.
     ///
     /// `None` if the rate would be more than 0.1 % off or the sample point outside of
     /// [`sample_point_range`](Self::sample_point_range).
@@ -212,9 +212,9 @@ impl BitTiming {
             let rate_fits = prescaler >= 1
                 && prescaler <= 1024
                 && error_hz * 1_000_000 <= Self::MAX_RATE_ERROR_PPM as u64 * quantum_hz * prescaler;
-            let mut segment2 = 1;
-            while rate_fits && segment2 <= 8 && segment2 + 2 <= quanta {
-                let segment1 = quanta - 1 - segment2;
+            let mut segment2 = 8;
+            while rate_fits && segment2 >= 1 {
+                let segment1 = (quanta - 1).saturating_sub(segment2);
                 let timing = Self {
                     prescaler: prescaler as u16,
                     segment1: segment1 as u8,
@@ -223,8 +223,10 @@ impl BitTiming {
                 };
                 let sample_point = timing.sample_point();
                 let badness = (error_ppm / prescaler) << 32
+                    | ((segment2 == 1) as u64) << 16
                     | sample_point.abs_diff(Self::SAMPLE_POINT) as u64;
-                if segment1 <= 16
+                if segment1 >= 1
+                    && segment1 <= 16
                     && sample_point >= *sample_points.start()
                     && sample_point <= *sample_points.end()
                     && badness < best_badness
@@ -232,7 +234,7 @@ impl BitTiming {
                     best_badness = badness;
                     best = Some(timing);
                 }
-                segment2 += 1;
+                segment2 -= 1;
             }
             quanta -= 1;
         }

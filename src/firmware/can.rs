@@ -1,6 +1,4 @@
-//! The CAN controller: bit timing, filters, reception, and the queue of frames that wait for a mailbox.
-
-use core::cmp::Reverse;
+//! The CAN controller: bit timing, filters, reception, transmission, and its place on the bus.
 
 use bxcan::{
     Fifo, StandardId,
@@ -14,7 +12,7 @@ use stm32f4xx_hal::{
     rcc::Reset,
 };
 
-use crate::device::APB1_HZ;
+use crate::{device::APB1_HZ, transmit_queue::TransmitQueue};
 
 /// Reads of CAN_MSR after which the controller counts as not answering. Out of a reset it enters initialisation mode
 /// within a few clock cycles.
@@ -23,10 +21,6 @@ const INIT_READS: u32 = 1_000;
 /// Reads of CAN_RF0R until a released FIFO shows its next frame: two APB1 cycles.
 const RELEASE_READS: u32 = 16;
 
-/// Frames that may wait for a mailbox. An LSS or SDO answer goes before the next request in the arbitration, so that
-/// only a bus that is full of other frames fills it.
-const QUEUE_LEN: usize = 16;
-
 /// CAN1 as the node uses it.
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
@@ -34,16 +28,7 @@ pub struct Controller {
     is_listening: bool,
     receives: [u16; 3],
     may_transmit: bool,
-    queue: [Option<Waiting>; QUEUE_LEN],
-    /// How many frames have ever waited; wraps.
-    arrivals: u32,
-}
-
-/// A frame that waits for a mailbox.
-struct Waiting {
-    frame: Frame,
-    /// Frames of one COB-ID leave in the order of their arrival.
-    arrival: u32,
+    queue: TransmitQueue,
 }
 
 /// What can be received or cannot.
@@ -74,8 +59,7 @@ impl Controller {
             is_listening: false,
             receives,
             may_transmit: true,
-            queue: [const { None }; QUEUE_LEN],
-            arrivals: 0,
+            queue: TransmitQueue::new(),
         };
         controller.start();
         controller
@@ -189,13 +173,11 @@ impl Controller {
 
     /// Sends `frame` as soon as the bus allows it, unless transmitting is stopped.
     pub fn transmit(&mut self, frame: Frame) {
-        if !self.may_transmit {
+        if !self.may_transmit || self.queue.is_empty() && put_in_mailbox(&mut self.can, &frame) {
             return;
         }
-        self.arrivals = self.arrivals.wrapping_add(1);
-        match self.queue.iter_mut().find(|place| place.is_none()) {
-            Some(place) => *place = Some(Waiting { frame, arrival: self.arrivals }),
-            None => defmt::warn!("CAN: too many frames wait, {=u16:#x} is lost", frame.cob_id()),
+        if !self.queue.push(frame) {
+            defmt::warn!("CAN: too many frames wait, {=u16:#x} is lost", frame.cob_id());
         }
         self.fill_mailboxes();
     }
@@ -209,33 +191,17 @@ impl Controller {
         was_sent
     }
 
-    /// `bxcan` keeps frames of one COB-ID in order and lets urgent ones overtake. It is asked only while a mailbox is free:
-    /// else it would wait for the bus.
     fn fill_mailboxes(&mut self) {
-        const ANY_EMPTY: u32 = 0b111 << 26;
-        while registers().tsr().read().bits() & ANY_EMPTY != 0 {
-            let now = self.arrivals;
-            let urgency = |w: &Waiting| (w.frame.cob_id(), Reverse(now.wrapping_sub(w.arrival)));
-            let waiting = self.queue.iter_mut().filter(|place| place.is_some());
-            let Some(place) = waiting.min_by_key(|place| place.as_ref().map(urgency)) else {
-                return;
-            };
-            if let Some(Waiting { frame, .. }) = place
-                && let Some(id) = StandardId::new(frame.cob_id())
-                && let Some(data) = bxcan::Data::new(frame.data())
-                && self.can.transmit(&bxcan::Frame::new_data(id, data)).is_err()
-            {
-                return;
-            }
-            *place = None;
-        }
+        while !self.queue.is_empty()
+            && self.queue.pop_if(|frame| put_in_mailbox(&mut self.can, frame))
+        {}
     }
 
     /// Sends nothing until [`resume_transmitting`](Self::resume_transmitting), except for a frame that is on the bus now.
     pub fn stop_transmitting(&mut self) {
         const ABORT_ALL: u32 = 1 << 7 | 1 << 15 | 1 << 23;
         self.may_transmit = false;
-        self.queue = [const { None }; QUEUE_LEN];
+        self.queue.clear();
         // SAFETY: zeros have no effect in this register.
         registers().tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
     }
@@ -272,6 +238,20 @@ impl Controller {
             _ => BusState::Good,
         }
     }
+}
+
+/// Hands a frame to the controller; `false`: it has to wait. `bxcan` keeps frames of one COB-ID in order and lets urgent ones
+/// overtake. It is asked only while a mailbox is free: else it would wait for the bus.
+fn put_in_mailbox(can: &mut bxcan::Can<Can<CAN1>>, frame: &Frame) -> bool {
+    const ANY_EMPTY: u32 = 0b111 << 26;
+    if registers().tsr().read().bits() & ANY_EMPTY == 0 {
+        return false;
+    }
+    let (Some(id), Some(data)) = (StandardId::new(frame.cob_id()), bxcan::Data::new(frame.data()))
+    else {
+        return true;
+    };
+    can.transmit(&bxcan::Frame::new_data(id, data)).is_ok()
 }
 
 /// Gives up the oldest frame of a receive FIFO.

@@ -10,6 +10,7 @@ mod device;
 mod flash;
 mod roll_call;
 mod slave;
+mod transmit_queue;
 
 use cortex_m_rt::{ExceptionFrame, exception};
 use defmt_rtt as _;

@@ -1,0 +1,71 @@
+//! The frames that wait for a mailbox: the most urgent first, those of one COB-ID in the order of their arrival.
+
+use core::cmp::Reverse;
+
+use lss_slave::{Frame, nmt};
+
+/// Frames that may wait. An LSS or SDO answer goes before the next request in the arbitration, so that only a bus that is
+/// full of other frames fills the queue.
+const CAPACITY: usize = 16;
+
+/// Frames that wait.
+pub struct TransmitQueue {
+    places: [Option<Waiting>; CAPACITY],
+    len: usize,
+    /// How many frames have ever waited; wraps.
+    arrivals: u32,
+}
+
+struct Waiting {
+    frame: Frame,
+    arrival: u32,
+}
+
+impl TransmitQueue {
+    /// No frames.
+    pub const fn new() -> Self {
+        Self { places: [const { None }; CAPACITY], len: 0, arrivals: 0 }
+    }
+
+    /// Whether no frame waits.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Forgets all frames.
+    pub fn clear(&mut self) {
+        *self = Self::new();
+    }
+
+    /// Adds a frame; returns whether there was room. A heartbeat that waits already is not added again: a board that is alone
+    /// on its bus does not save them up.
+    pub fn push(&mut self, frame: Frame) -> bool {
+        let is_error_control = frame.cob_id() & !0x7F == nmt::ERROR_CONTROL_COB_ID;
+        if is_error_control && self.places.iter().flatten().any(|waiting| waiting.frame == frame) {
+            return true;
+        }
+        let Some(place) = self.places.iter_mut().find(|place| place.is_none()) else {
+            return false;
+        };
+        self.arrivals = self.arrivals.wrapping_add(1);
+        *place = Some(Waiting { frame, arrival: self.arrivals });
+        self.len += 1;
+        true
+    }
+
+    /// Takes the most urgent frame if `send` says that it is on its way; returns whether it was.
+    pub fn pop_if(&mut self, send: impl FnOnce(&Frame) -> bool) -> bool {
+        let now = self.arrivals;
+        let urgency = |w: &Waiting| (w.frame.cob_id(), Reverse(now.wrapping_sub(w.arrival)));
+        let waiting = self.places.iter_mut().filter(|place| place.is_some());
+        let Some(place) = waiting.min_by_key(|place| place.as_ref().map(urgency)) else {
+            return false;
+        };
+        let is_sent = place.as_ref().is_some_and(|waiting| send(&waiting.frame));
+        if is_sent {
+            *place = None;
+            self.len -= 1;
+        }
+        is_sent
+    }
+}

@@ -1,0 +1,136 @@
+//! A program that calls all of the node, the settings log and the indicators with unknown values, and that has no panic
+//! handler to link with: it links only if the compiler has shown that none of these calls panics.
+
+#![no_std]
+#![no_main]
+
+use core::{hint::black_box, panic::PanicInfo};
+
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use lss_slave::{
+    BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
+    bit_rate::BitRateSetting,
+    emergency::Fault,
+    indicator::{BusState, Indicators},
+    lss::{Address, StoreError},
+    nmt,
+    settings::Log,
+};
+
+unsafe extern "C" {
+    /// Defined nowhere.
+    safe fn the_library_can_panic() -> !;
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    the_library_can_panic()
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn _start() -> ! {
+    keep_settings();
+    run_node();
+    indicate();
+    #[cfg(feature = "panic")]
+    assert_ne!(black_box(1), 2);
+    loop {}
+}
+
+/// A value of which the compiler knows nothing but the type.
+fn any<T>(value: T) -> T {
+    black_box(value)
+}
+
+fn any_number() -> u32 {
+    any(0)
+}
+
+fn any_settings() -> Settings {
+    any(Settings { node_id: None, bit_rate: BitRateSetting::Automatic, heartbeat_ms: 0 })
+}
+
+fn any_instant() -> Instant {
+    Instant::from_micros(any_number())
+}
+
+/// A flash of any size, with any content, whose operations fail at will.
+struct Flash;
+
+impl ErrorType for Flash {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = 4;
+
+    fn read(&mut self, _: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        bytes.fill_with(|| any(0));
+        any(Ok(()))
+    }
+
+    fn capacity(&self) -> usize {
+        any_number() as usize
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = 0x4000;
+
+    fn erase(&mut self, _: u32, _: u32) -> Result<(), NorFlashErrorKind> {
+        any(Ok(()))
+    }
+
+    fn write(&mut self, _: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        black_box(bytes);
+        any(Ok(()))
+    }
+}
+
+fn keep_settings() {
+    let (mut log, found) = any(Log::open(Flash));
+    black_box((found, log.settings()));
+    // Whatever came before, in whatever state the log is.
+    black_box(&mut log);
+    black_box(log.store(any_settings())).ok();
+    black_box(log.close());
+}
+
+fn run_node() {
+    let address = Address {
+        vendor_id: any_number(),
+        product_code: any_number(),
+        revision_number: any_number(),
+        serial_number: Address::serial_number_of(&any([0; 12])),
+    };
+    let device = Device {
+        address,
+        bit_rates: any(BitRates::possible(32_000_000)),
+        heartbeat_ms: any(0),
+        name: any(""),
+        hardware_version: any(""),
+        software_version: any(""),
+        rescue: any(true),
+    };
+    let mut node = Node::new(device, any_settings());
+    // Between the calls the node is in whatever state its types allow.
+    let node = &mut node;
+    if let Some(frame) = Frame::new(any(0), any(&[])) {
+        black_box((frame.cob_id(), frame.data()));
+        black_box(black_box(&mut *node).handle_frame(&any(frame), any_instant()));
+    }
+    black_box(&mut *node).handle_stored(any(Err(StoreError::MediumAccess)));
+    black_box(&mut *node).handle_fault(any(Fault::Overrun));
+    black_box(&mut *node).handle_bus(any(BusEvent::Error));
+    black_box(black_box(&mut *node).handle_deadline(any_instant()));
+    let node = &*black_box(node);
+    black_box((node.next_deadline(), node.receives(), node.nmt_state(), node.node_id()));
+    black_box((node.bit_rate(), node.is_listening(), node.lss().state()));
+}
+
+fn indicate() {
+    let mut indicators = any(Indicators::default());
+    black_box(indicators.step(any(nmt::State::Stopped), any(true), any(BusState::Good)));
+    black_box(any(BitRate::Kbit10).kbit_per_s());
+}

@@ -1,0 +1,129 @@
+//! `cargo xtask power-cut`: cuts the power wherever the settings are written, in the library and in the release image.
+
+mod image;
+mod library;
+
+#[path = "../../tests/support/flash.rs"]
+#[expect(dead_code, reason = "what other tests of the library need of it")]
+mod flash;
+#[path = "../../tests/support/random.rs"]
+#[expect(dead_code, reason = "what other tests of the library need of it")]
+mod random;
+
+use std::{fmt, time::Instant};
+
+use anyhow::ensure;
+use emulator::{chip::Part, image::Image};
+use lss_slave::Settings;
+
+use crate::boards;
+use random::Random;
+
+/// Erasures that the data sheet promises for a sector (STM32F405, table "flash memory endurance").
+const ENDURANCE: u64 = 10_000;
+const SECTORS: u64 = 2;
+const HOURS_A_YEAR: u64 = 8_766;
+
+/// Cut the power at every step of writing the settings, and see that none are lost
+///
+/// In the library: every history of up to --lives power-ons with up to three stores each, the power cut in any one or two
+/// of its program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase anything. In
+/// the release image on an emulated board: every flash operation of two commissionings by LSS, from a blank flash and from
+/// one that has to be erased. Fails if settings are lost.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// More power-ons a history, and two cuts in a row on the board: some minutes
+    #[arg(long)]
+    long: bool,
+    /// What the interrupted steps leave; drawn anew if it is not given
+    #[arg(long)]
+    seed: Option<u64>,
+    /// The chip on the board
+    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    chip: Part,
+}
+
+/// What was tried, and what went wrong.
+#[derive(Default)]
+struct Tally {
+    /// Points at which the power was cut.
+    cuts: u64,
+    /// What was lost, in words.
+    losses: Vec<String>,
+}
+
+/// What the settings must be at the next power-on.
+#[derive(Clone)]
+struct Expected {
+    /// Those that were stored or found last; `None`: the defaults.
+    known: Option<Settings>,
+    /// Those that the power failed in storing, after that.
+    attempted: Option<Settings>,
+}
+
+impl Expected {
+    const NOTHING: Self = Self { known: None, attempted: None };
+
+    /// Whether `found` is possible; if so it is what is known from now on.
+    fn admits(&mut self, found: Option<Settings>) -> bool {
+        let admits = found == self.known || found.is_some() && found == self.attempted;
+        *self = Self { known: found, attempted: None };
+        admits
+    }
+
+    fn attempt(&mut self, settings: Settings) {
+        self.attempted = Some(settings);
+    }
+
+    fn acknowledge(&mut self) {
+        self.known = self.attempted.take();
+    }
+}
+
+/// `node-ID 5, 500 kbit/s` or `the defaults`.
+struct Named(Option<Settings>);
+
+impl fmt::Display for Named {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            None => f.write_str("the defaults"),
+            Some(Settings { node_id, bit_rate, .. }) => {
+                write!(f, "node-ID {}, {bit_rate}", node_id.map_or(0xFF, |id| id.get()))
+            }
+        }
+    }
+}
+
+/// Prints what was tried. Fails if anything was lost.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let begin = Instant::now();
+    let image = Image::build(arguments.chip)?;
+    let mut random = arguments.seed.map_or_else(Random::new, Random::from_seed);
+    let mut losses = Vec::new();
+
+    println!("\nThe settings log, cut in every one and two steps");
+    for history in library::Histories::all(arguments.long) {
+        let tally = history.run(&mut random);
+        losses.extend(print(&history.to_string(), tally));
+    }
+
+    println!("\nThe release image for the {}, cut in every flash operation", arguments.chip.name());
+    for session in image::Session::ALL {
+        let tally = session.run(arguments.chip, &image, &mut random, arguments.long)?;
+        losses.extend(print(session.name(), tally));
+    }
+    let worst = image::worst_answer_time(arguments.chip, &image)?;
+    println!("\nFrom 17 to its answer, slowest flash, bus full at 1 Mbit/s: {worst} ms at worst");
+
+    let stores = library::stores_an_erase();
+    let years = stores * SECTORS * ENDURANCE / HOURS_A_YEAR;
+    println!("Stores an erase, power-on after each: {stores}; at one store an hour: {years} years");
+    println!("\n{:.0} s", begin.elapsed().as_secs_f64());
+    ensure!(losses.is_empty(), "settings were lost: {losses:#?}");
+    Ok(())
+}
+
+fn print(what: &str, tally: Tally) -> Vec<String> {
+    println!("  {what:58} {:>8} cuts, {} losses", tally.cuts, tally.losses.len());
+    tally.losses
+}

@@ -1,0 +1,190 @@
+//! Power cuts in the settings log over a flash in memory: all short histories, one or two cuts in any of their steps.
+
+use std::fmt;
+
+use lss_slave::{
+    BitRate, NodeId, Settings,
+    settings::{Found, Log},
+};
+
+use super::{
+    Expected, Named, Tally,
+    flash::{BoardFlash, Flash},
+    random::Random,
+};
+
+/// What a life stores at most; a bank of four records is full then.
+const STORES: usize = 3;
+
+/// All histories of so many lives, in a flash of two banks of so many records, that is blank or full of garbage first.
+pub struct Histories {
+    lives: usize,
+    records: usize,
+    garbage: bool,
+}
+
+/// A device between two lives: what its flash holds, and what it must find there.
+struct Device {
+    content: Vec<u8>,
+    expected: Expected,
+    /// The number of the next settings to store.
+    next: u8,
+    /// What it went through, in words.
+    history: Vec<String>,
+}
+
+impl fmt::Display for Histories {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { lives, records, garbage } = self;
+        let content = if *garbage { "garbage" } else { "blank" };
+        write!(f, "{lives} power-ons, 2 banks of {records} records, {content} first")
+    }
+}
+
+/// Settings that differ for each `number`.
+fn settings(number: u8) -> Settings {
+    Settings {
+        node_id: NodeId::new(number % 128),
+        bit_rate: BitRate::ALL[usize::from(number % 8)].into(),
+        heartbeat_ms: number.into(),
+    }
+}
+
+/// One life: power-on and so many stores, until the power fails. Returns what was lost, if anything.
+fn live<const W: usize, const E: usize>(
+    flash: &Flash<W, E>,
+    expected: &mut Expected,
+    mut next: u8,
+    stores: usize,
+) -> Result<u8, String> {
+    let (mut log, found) = Log::open(flash.clone());
+    if !flash.is_powered() {
+        return Ok(next);
+    }
+    let before = expected.clone();
+    if !expected.admits(log.settings()) || found == Found::MediumFailed {
+        let Expected { known, attempted } = before;
+        return Err(format!(
+            "{found:?}: {}, not {} or {}",
+            Named(log.settings()),
+            Named(known),
+            Named(attempted)
+        ));
+    }
+    for _ in 0..stores {
+        expected.attempt(settings(next));
+        next += 1;
+        match log.store(settings(next - 1)) {
+            Ok(()) => expected.acknowledge(),
+            Err(_) if !flash.is_powered() => break,
+            // Full until the next power-on.
+            Err(_) => expected.attempted = None,
+        }
+    }
+    Ok(next)
+}
+
+impl Histories {
+    /// Those that are tried.
+    pub fn all(long: bool) -> Vec<Self> {
+        let lives = if long { 5 } else { 4 };
+        vec![
+            Self { lives, records: 4, garbage: false },
+            Self { lives, records: 2, garbage: false },
+            Self { lives: lives - 1, records: 4, garbage: true },
+            Self { lives: lives - 1, records: 8, garbage: false },
+        ]
+    }
+
+    /// Goes through all of them.
+    pub fn run(&self, random: &mut Random) -> Tally {
+        match self.records {
+            2 => self.run_in::<64>(random),
+            4 => self.run_in::<128>(random),
+            _ => self.run_in::<256>(random),
+        }
+    }
+
+    fn run_in<const E: usize>(&self, random: &mut Random) -> Tally {
+        let content = if self.garbage { vec![0xA5; 2 * E] } else { vec![0xFF; 2 * E] };
+        let (expected, history) = (Expected::NOTHING, Vec::new());
+        let mut tally = Tally::default();
+        let device = Device { content, expected, next: 1, history };
+        device.go_on::<E>(self.lives, 2, random, &mut tally);
+        tally
+    }
+}
+
+impl Device {
+    /// All that can happen in so many lives with at most so many cuts, and a power-on after them.
+    fn go_on<const E: usize>(&self, lives: usize, cuts: usize, random: &mut Random, tally: &mut Tally) {
+        for stores in 0..=STORES {
+            let flash = self.flash::<E>(random);
+            let then = self.then(&flash, stores, format!("{stores} stores"), tally);
+            if stores == STORES && cuts > 0 && lives > 0 {
+                for step in 0..flash.writes() + flash.erases() {
+                    let flash = self.flash::<E>(random);
+                    flash.cut_power_after(step);
+                    tally.cuts += 1;
+                    let cut = format!("{stores} stores, cut in step {step}");
+                    if let Some(device) = self.then(&flash, stores, cut, tally) {
+                        device.go_on::<E>(lives - 1, cuts - 1, random, tally);
+                    }
+                }
+            }
+            match then {
+                Some(device) if lives > 1 => device.go_on::<E>(lives - 1, cuts, random, tally),
+                _ => {}
+            }
+            // The last life only looks what is there.
+            if lives == 0 {
+                break;
+            }
+        }
+    }
+
+    fn flash<const E: usize>(&self, random: &mut Random) -> Flash<4, E> {
+        Flash::with_content(self.content.clone(), random.next())
+    }
+
+    /// The device after one more life, or `None` if it has lost its settings.
+    fn then<const E: usize>(
+        &self,
+        flash: &Flash<4, E>,
+        stores: usize,
+        life: String,
+        tally: &mut Tally,
+    ) -> Option<Self> {
+        let mut expected = self.expected.clone();
+        let mut history = self.history.clone();
+        history.push(life);
+        match live(flash, &mut expected, self.next, stores) {
+            Ok(next) => Some(Self { content: flash.content(), expected, next, history }),
+            Err(loss) => {
+                tally.losses.push(format!("{}: {loss}", history.join("; ")));
+                None
+            }
+        }
+    }
+}
+
+/// How many stores there are from one erase of the board's flash to the next, if the power is cycled after each.
+pub fn stores_an_erase() -> u64 {
+    let flash = BoardFlash::blank(0);
+    let mut counts = [0; 2];
+    let mut number = 0;
+    // The first erase formats; from the second to the third a bank is filled.
+    for count in &mut counts {
+        let erases = flash.erases();
+        loop {
+            let (mut log, _) = Log::open(flash.clone());
+            if flash.erases() > erases && *count > 0 {
+                break;
+            }
+            number = number % 100 + 1;
+            log.store(settings(number)).expect("an open makes room");
+            *count += 1;
+        }
+    }
+    counts[1]
+}
