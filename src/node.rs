@@ -1,17 +1,21 @@
 //! The node: joins LSS, NMT, SDO and emergency; frames, time and what the board sees in, actions out.
 
+mod bit_rate;
 mod objects;
+mod storing;
 
 use core::mem;
 
 use crate::{
     BitRate, BitRateSetting, BitRates, Frame, Instant, NodeId, Settings,
-    bus::{Bus, BusEvent, Listening, Step},
+    bus::{Bus, BusEvent, Listening},
     emergency::{Emergency, Fault},
-    lss::{self, Reaction, Response, Slave, StoreError},
+    lss::{self, Reaction, Response, Slave},
     nmt::{self, Command},
     sdo,
 };
+use bit_rate::{Phase, Switch};
+use storing::Store;
 
 /// What the device is, as opposed to how it is set.
 #[derive(Clone, Copy, Debug)]
@@ -97,38 +101,6 @@ pub struct Node {
     lss_stores: u8,
     /// A store by SDO that has not begun: index and sub-index for its answer, and the heartbeat time.
     sdo_store: Option<(u16, u8, u16)>,
-}
-
-/// An activation of bit timing on its way (CiA 305, activate bit timing parameters).
-#[derive(Clone, Copy, Debug)]
-struct Switch {
-    phase: Phase,
-    /// The end of the phase.
-    until: Instant,
-    delay_micros: u32,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Phase {
-    OldRate,
-    NewRate,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Store {
-    Idle,
-    Running(Settings, Requester),
-    Done(Result<(), StoreError>, Requester),
-}
-
-/// Who waits for the outcome of a store.
-#[derive(Clone, Copy, Debug)]
-enum Requester {
-    Lss,
-    /// A client that wrote to this index and sub-index.
-    Sdo(u16, u8),
-    /// A client that was forgotten by a reset.
-    Nobody,
 }
 
 impl Node {
@@ -219,41 +191,9 @@ impl Node {
         }
     }
 
-    /// Takes the outcome of the last [`Action::Store`].
-    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
-        if let Store::Running(settings, requester) = self.store {
-            if outcome.is_ok() {
-                self.persistent = settings;
-                self.emergency.settings_are_stored();
-            }
-            self.store = Store::Done(outcome, requester);
-        }
-    }
-
     /// Takes note of a trouble that the board has seen, and tells it by an emergency message.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report(fault);
-    }
-
-    /// Takes what the controller has seen of the bus. Telling it again does no harm.
-    pub fn handle_bus(&mut self, event: BusEvent) {
-        self.is_boot_up_acknowledged |= event == BusEvent::Acknowledged;
-        let is_to_listen = self.device.rescue && self.switch.is_none();
-        match (&mut self.bus, event) {
-            (Bus::OnTrial, BusEvent::Received | BusEvent::Acknowledged) => self.bus = Bus::Proven,
-            (Bus::Proven, BusEvent::BusOff) => self.bus = Bus::OnTrial,
-            (Bus::OnTrial, BusEvent::ReceivesErrorsOnly | BusEvent::BusOff) if is_to_listen => {
-                let first = self.previous_rate.take().unwrap_or(self.device.bit_rates.fastest());
-                self.bus = Bus::Listening(Listening::begin(first, Some(self.rate)));
-            }
-            (Bus::Listening(listening), BusEvent::Received) => {
-                self.bus = Bus::Found(listening.rate())
-            }
-            (Bus::Listening(listening), BusEvent::Error) => {
-                listening.handle_error(self.device.bit_rates);
-            }
-            _ => {}
-        }
     }
 
     /// Does the next thing that is due at `now`; returns `None` when nothing is.
@@ -356,113 +296,9 @@ impl Node {
         self.lss.reset_communication();
         self.heartbeat_ms = self.persistent.heartbeat_ms;
         self.sdo.reset();
-        self.sdo_store = None;
-        if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
-            && let Requester::Sdo(..) = requester
-        {
-            *requester = Requester::Nobody;
-        }
+        self.forget_sdo_store();
         self.nmt = nmt::State::Initialisation;
         Some(Action::SetNodeId(self.node_id()))
-    }
-
-    fn advance(&mut self, switch: Switch, now: Instant) -> Option<Action> {
-        if !switch.until.has_come(now) {
-            return None;
-        }
-        match switch.phase {
-            Phase::OldRate => {
-                let until = switch.until.plus_micros(switch.delay_micros);
-                self.switch = Some(Switch { phase: Phase::NewRate, until, ..switch });
-                let was_automatic = self.lss.active_bit_rate() == BitRateSetting::Automatic;
-                self.lss.activate_bit_rate();
-                match self.lss.active_bit_rate() {
-                    BitRateSetting::Fixed(rate) if rate != self.rate => {
-                        self.previous_rate = Some(self.rate);
-                        self.bus = Bus::OnTrial;
-                        self.run_at(rate)
-                    }
-                    BitRateSetting::Automatic if !was_automatic => {
-                        let first = self.device.bit_rates.fastest();
-                        self.bus = Bus::Listening(Listening::begin(first, None));
-                        self.handle_deadline(now)
-                    }
-                    _ => self.handle_deadline(now),
-                }
-            }
-            Phase::NewRate => {
-                self.switch = None;
-                self.is_resume_due = true;
-                self.handle_deadline(now)
-            }
-        }
-    }
-
-    fn listen(&mut self, now: Instant) -> Option<Action> {
-        match &mut self.bus {
-            Bus::OnTrial | Bus::Proven => None,
-            Bus::Found(rate) => {
-                let rate = *rate;
-                self.bus = Bus::Proven;
-                self.is_resume_due = self.switch.is_none();
-                self.run_at(rate)
-            }
-            Bus::Listening(listening) => match listening.step(self.device.bit_rates, now)? {
-                Step::Listen(rate) => {
-                    self.rate = rate;
-                    Some(Action::Listen(rate))
-                }
-                Step::TryAgain(rate) => {
-                    self.bus = Bus::OnTrial;
-                    self.is_resume_due = self.switch.is_none();
-                    self.run_at(rate)
-                }
-            },
-        }
-    }
-
-    fn run_at(&mut self, rate: BitRate) -> Option<Action> {
-        self.rate = rate;
-        Some(Action::SetBitRate(rate))
-    }
-
-    /// One store at a time: begins the next, or answers the one that has come to its end.
-    fn store_or_answer(&mut self) -> Option<Action> {
-        match self.store {
-            Store::Running(..) => None,
-            Store::Done(outcome, requester) => {
-                self.store = Store::Idle;
-                match requester {
-                    Requester::Lss => {
-                        self.lss_stores = self.lss_stores.saturating_sub(1);
-                        answer(Response::StoreConfiguration(outcome))
-                    }
-                    Requester::Sdo(index, sub_index) if self.serves_sdo() => {
-                        self.answer_sdo(match outcome {
-                            Ok(()) => sdo::confirm(index, sub_index),
-                            Err(_) => sdo::abort(index, sub_index, sdo::Abort::Hardware),
-                        })
-                    }
-                    Requester::Sdo(..) | Requester::Nobody => self.store_or_answer(),
-                }
-            }
-            Store::Idle => {
-                let (settings, requester) = if self.lss_stores > 0 {
-                    let settings = Settings {
-                        node_id: self.lss.pending_node_id(),
-                        bit_rate: self.lss.pending_bit_rate(),
-                        ..self.persistent
-                    };
-                    (settings, Requester::Lss)
-                } else {
-                    let (index, sub_index, heartbeat_ms) = self.sdo_store.take()?;
-                    let settings = Settings { heartbeat_ms, ..self.persistent };
-                    (settings, Requester::Sdo(index, sub_index))
-                };
-                self.store = Store::Running(settings, requester);
-                Some(Action::Store(settings))
-            }
-        }
     }
 
     /// Boot-up, emergency, heartbeat.

@@ -53,14 +53,3 @@ impl Objects for Node {
         }
     }
 }
-
-impl Node {
-    /// What is stored by SDO is the heartbeat time; node-ID and bit rate belong to LSS and stay as they are.
-    fn request_store(&mut self, entry: &Entry, heartbeat_ms: u16) -> Result<Written, Abort> {
-        if self.sdo_store.is_some() {
-            return Err(Abort::Busy);
-        }
-        self.sdo_store = Some((entry.index, entry.sub_index, heartbeat_ms));
-        Ok(Written::Later)
-    }
-}
