@@ -22,6 +22,8 @@ pub enum Fault {
 pub(crate) struct Emergency {
     untold: u8,
     are_settings_lost: bool,
+    bus_offs: u16,
+    overruns: u16,
 }
 
 /// Not a fault but the end of all: error code 0.
@@ -33,16 +35,33 @@ const COMMUNICATION: u8 = 0x10;
 
 impl Emergency {
     pub const fn new() -> Self {
-        Self { untold: 0, are_settings_lost: false }
+        Self { untold: 0, are_settings_lost: false, bus_offs: 0, overruns: 0 }
     }
 
     pub const fn report(&mut self, fault: Fault) {
         self.untold |= fault as u8;
+        // All but lost settings is over by the time it is known.
         match fault {
             Fault::SettingsLost => self.are_settings_lost = true,
-            // The trouble is over by the time it is known.
-            Fault::BusOffRecovered | Fault::Overrun => self.untold |= ALL_IS_WELL,
+            Fault::BusOffRecovered => {
+                self.untold |= ALL_IS_WELL;
+                self.bus_offs = self.bus_offs.saturating_add(1);
+            }
+            Fault::Overrun => {
+                self.untold |= ALL_IS_WELL;
+                self.overruns = self.overruns.saturating_add(1);
+            }
         }
+    }
+
+    /// How often [`Fault::BusOffRecovered`] was reported.
+    pub const fn bus_offs(&self) -> u16 {
+        self.bus_offs
+    }
+
+    /// How often [`Fault::Overrun`] was reported.
+    pub const fn overruns(&self) -> u16 {
+        self.overruns
     }
 
     pub const fn settings_are_stored(&mut self) {

@@ -85,6 +85,8 @@ pub struct Node {
     is_resume_due: bool,
     sdo: sdo::Server,
     emergency: Emergency,
+    /// TEC and REC, as last told.
+    error_counters: (u8, u8),
     /// [`nmt::State::Initialisation`] with a node-ID means that the boot-up is still to be sent.
     nmt: nmt::State,
     is_boot_up_acknowledged: bool,
@@ -127,6 +129,7 @@ impl Node {
             device,
             sdo: sdo::Server::new(),
             emergency: Emergency::new(),
+            error_counters: (0, 0),
             nmt: nmt::State::Initialisation,
             is_boot_up_acknowledged: false,
             heartbeat_ms: persistent.heartbeat_ms,
@@ -194,6 +197,11 @@ impl Node {
     /// Takes note of a trouble that the board has seen, and tells it by an emergency message.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report(fault);
+    }
+
+    /// Takes note of the controller's error counters, TEC and REC, for object 2000h.
+    pub const fn note_error_counters(&mut self, transmit: u8, receive: u8) {
+        self.error_counters = (transmit, receive);
     }
 
     /// Does the next thing that is due at `now`; returns `None` when nothing is.

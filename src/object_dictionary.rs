@@ -20,6 +20,14 @@ pub enum Object {
     ProductCode,
     RevisionNumber,
     SerialNumber,
+    /// How often the controller has recovered from bus-off since the start.
+    BusOffs,
+    /// How often received frames were lost since the start.
+    Overruns,
+    /// TEC of the controller (ISO 11898-1).
+    TransmitErrorCounter,
+    /// REC of the controller (ISO 11898-1).
+    ReceiveErrorCounter,
     /// Sub-index 0 of an object with this many further ones.
     HighestSubIndex(u8),
 }
@@ -89,6 +97,11 @@ pub const TABLE: &[Entry] = &{
         row(0x1018, 2, Unsigned32, Const, ProductCode),
         row(0x1018, 3, Unsigned32, Const, RevisionNumber),
         row(0x1018, 4, Unsigned32, Const, SerialNumber),
+        row(0x2000, 0, Unsigned8, Const, HighestSubIndex(4)),
+        row(0x2000, 1, Unsigned16, ReadOnly, BusOffs),
+        row(0x2000, 2, Unsigned16, ReadOnly, Overruns),
+        row(0x2000, 3, Unsigned8, ReadOnly, TransmitErrorCounter),
+        row(0x2000, 4, Unsigned8, ReadOnly, ReceiveErrorCounter),
     ]
 };
 

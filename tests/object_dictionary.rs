@@ -4,6 +4,7 @@ mod support;
 
 use lss_slave::{
     Device,
+    emergency::Fault,
     lss::Address,
     object_dictionary::{Access, DataType, Entry, Object, TABLE},
 };
@@ -18,12 +19,13 @@ const NO_SUB_INDEX: u32 = 0x0609_0011;
 const READ_ONLY: u32 = 0x0601_0002;
 
 #[test]
-fn the_objects_are_those_of_a_minimal_device() {
+fn the_objects_are_those_of_a_minimal_device_and_the_can_controller() {
     let addresses: Vec<_> = TABLE.iter().map(|entry| (entry.index, entry.sub_index)).collect();
     #[rustfmt::skip]
     assert_eq!(addresses, [
         (0x1000, 0), (0x1001, 0), (0x1008, 0), (0x1009, 0), (0x100A, 0), (0x1010, 0), (0x1010, 1), (0x1011, 0),
         (0x1011, 1), (0x1014, 0), (0x1017, 0), (0x1018, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4),
+        (0x2000, 0), (0x2000, 1), (0x2000, 2), (0x2000, 3), (0x2000, 4),
     ]);
 }
 
@@ -31,6 +33,21 @@ fn the_objects_are_those_of_a_minimal_device() {
 fn device_type_is_no_profile() {
     let mut board = Board::with_node_id(0x40);
     assert_eq!(board.sdo("40 00 10 00"), ["5C0: 43 00 10 00 00 00 00 00"]);
+}
+
+#[test]
+fn the_can_controller_s_troubles_and_counters_can_be_read() {
+    let mut board = Board::with_node_id(0x40);
+    assert_eq!(board.number(0x2000, 0), 4);
+    for sub_index in 1..=4 {
+        assert_eq!(board.number(0x2000, sub_index), 0);
+    }
+    for fault in [Fault::BusOffRecovered, Fault::Overrun, Fault::Overrun] {
+        board.node.handle_fault(fault);
+    }
+    board.node.note_error_counters(136, 9);
+    let read = [1, 2, 3, 4].map(|sub_index| board.number(0x2000, sub_index));
+    assert_eq!(read, [1, 2, 136, 9]);
 }
 
 #[test]

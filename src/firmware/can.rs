@@ -224,9 +224,15 @@ impl Controller {
         matches!(last_error, STUFF | FORM | CRC)
     }
 
+    /// TEC and REC (RM0090, 32.7.6).
+    pub fn error_counters(&self) -> (u8, u8) {
+        let status = registers().esr().read();
+        (status.tec().bits(), status.rec().bits())
+    }
+
     /// Whether what is received has made the controller error passive.
     pub fn receives_errors_only(&self) -> bool {
-        registers().esr().read().rec().bits() > 127
+        self.error_counters().1 > 127
     }
 
     /// The controller's place on the bus (RM0090, 32.7.6).

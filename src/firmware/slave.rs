@@ -94,6 +94,8 @@ impl Slave {
     /// Looks after the controller, a few times a second: no interrupt tells that it has recovered from bus-off.
     pub fn supervise(&mut self) {
         self.can.supervise();
+        let (transmit, receive) = self.can.error_counters();
+        self.node.note_error_counters(transmit, receive);
         self.watch_bus();
     }
 

@@ -31,6 +31,10 @@ impl Objects for Node {
             Object::ProductCode => address.product_code,
             Object::RevisionNumber => address.revision_number,
             Object::SerialNumber => address.serial_number,
+            Object::BusOffs => self.emergency.bus_offs().into(),
+            Object::Overruns => self.emergency.overruns().into(),
+            Object::TransmitErrorCounter => self.error_counters.0.into(),
+            Object::ReceiveErrorCounter => self.error_counters.1.into(),
             Object::HighestSubIndex(highest) => highest.into(),
         })
     }
