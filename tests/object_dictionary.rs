@@ -45,6 +45,7 @@ fn the_can_controller_s_troubles_and_counters_can_be_read() {
     for fault in [Fault::BusOffRecovered, Fault::Overrun, Fault::Overrun] {
         board.node.handle_fault(fault);
     }
+    board.pass_us(0);
     board.node.note_error_counters(136, 9);
     let read = [1, 2, 3, 4].map(|sub_index| board.number(0x2000, sub_index));
     assert_eq!(read, [1, 2, 136, 9]);
