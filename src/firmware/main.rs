@@ -170,11 +170,13 @@ mod app {
     #[task(local = [indicators], shared = [slave], priority = 1)]
     async fn indicate(mut cx: indicate::Context) {
         let (run, error) = cx.local.indicators;
+        let mut next = Mono::now();
         loop {
             let lit = cx.shared.slave.lock(Slave::indicate);
             run.set_state(lit.run.into());
             error.set_state(lit.error.into());
-            Mono::delay(u64::from(indicator::STEP_MS).millis()).await;
+            next += u64::from(indicator::STEP_MS).millis();
+            Mono::delay_until(next).await;
         }
     }
 
