@@ -41,28 +41,20 @@ pub enum Received {
 }
 
 impl Controller {
-    /// CAN1 on its pins, at `bit_rate` and receiving the COB-IDs `receives`.
+    /// CAN1 on its pins, asleep until [`set_bit_rate`](Self::set_bit_rate) or [`listen`](Self::listen), and to receive the
+    /// COB-IDs `receives`.
     ///
-    /// The first entry of initialisation mode, out of a reset, is the only wait in here without a limit of its own: the
+    /// The way through initialisation mode, out of a reset, is the only wait in here without a limit of its own: the
     /// watchdog bounds it.
-    pub fn new(
-        can: CAN1,
-        pins: (can1::Tx, can1::Rx),
-        rcc: &mut RCC,
-        bit_rate: BitRate,
-        receives: [u16; 3],
-    ) -> Self {
-        let can = bxcan::Can::builder(Can::new(can, pins, rcc)).leave_disabled();
-        let mut controller = Self {
-            can,
-            bit_rate,
+    pub fn new(can: CAN1, pins: (can1::Tx, can1::Rx), rcc: &mut RCC, receives: [u16; 3]) -> Self {
+        Self {
+            can: bxcan::Can::builder(Can::new(can, pins, rcc)).leave_disabled(),
+            bit_rate: BitRate::Kbit10,
             is_listening: false,
             receives,
             may_transmit: true,
             queue: TransmitQueue::new(),
-        };
-        controller.start();
-        controller
+        }
     }
 
     /// Runs at `bit_rate` from now on; whatever waited in a mailbox is lost.

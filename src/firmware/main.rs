@@ -16,25 +16,14 @@ use cortex_m_rt::{ExceptionFrame, exception};
 use defmt_rtt as _;
 use panic_probe as _;
 
-#[cfg(not(any(
-    all(
-        feature = "stm32f405",
-        not(any(feature = "stm32f407", feature = "stm32f427", feature = "stm32f446"))
-    ),
-    all(
-        feature = "stm32f407",
-        not(any(feature = "stm32f405", feature = "stm32f427", feature = "stm32f446"))
-    ),
-    all(
-        feature = "stm32f427",
-        not(any(feature = "stm32f405", feature = "stm32f407", feature = "stm32f446"))
-    ),
-    all(
-        feature = "stm32f446",
-        not(any(feature = "stm32f405", feature = "stm32f407", feature = "stm32f427"))
-    ),
-)))]
-compile_error!("choose one chip: --features stm32f405, stm32f407, stm32f427 or stm32f446");
+const _: () = assert!(
+    cfg!(feature = "stm32f405") as u8
+        + cfg!(feature = "stm32f407") as u8
+        + cfg!(feature = "stm32f427") as u8
+        + cfg!(feature = "stm32f446") as u8
+        == 1,
+    "choose one chip: --features stm32f405, stm32f407, stm32f427 or stm32f446"
+);
 
 #[rtic::app(device = stm32f4xx_hal::pac, dispatchers = [USART1, USART2, USART3])]
 mod app {
@@ -88,13 +77,7 @@ mod app {
         report(found, &settings);
 
         let node = Node::new(board::device(), settings);
-        let can = Controller::new(
-            board.can,
-            board.can_pins,
-            &mut board.rcc,
-            node.bit_rate(),
-            node.receives(),
-        );
+        let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
         let (deadline_changed, changed) = make_signal!(());
         let roll_call = deadline_changed.clone();
         let (store, requests) = make_signal!(Settings);

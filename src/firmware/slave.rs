@@ -28,13 +28,17 @@ pub struct Slave {
 }
 
 impl Slave {
-    /// A node that has just been switched on, and its controller, which is set up as the node wants it.
+    /// A node that has just been switched on, and its controller, which takes part in the bus from now on, unless the node
+    /// wants to listen first.
     pub fn new(
         node: Node,
-        can: Controller,
+        mut can: Controller,
         store: SignalWriter<'static, Settings>,
         deadline_changed: SignalWriter<'static, ()>,
     ) -> Self {
+        if !node.is_listening() {
+            can.set_bit_rate(node.bit_rate());
+        }
         Self {
             node,
             can,
