@@ -30,8 +30,8 @@ pub fn board(part: Part, image: &Image, number: usize) -> Board {
     Board::new(part, image, board::Settings { unique_id: unique_id(number), ..Default::default() })
 }
 
-/// Coordinates on a wafer, wafer number and lot, as in RM0090 39.1.
-fn unique_id(number: usize) -> [u8; 12] {
+/// Of the chip of this board: coordinates on a wafer, wafer number and lot, as in RM0090 39.1.
+pub fn unique_id(number: usize) -> [u8; 12] {
     let [x, y, ..] = number.to_le_bytes();
     let mut id = [x, 0, y, 0, 7, 0, 0, 0, 0, 0, 0, 0];
     id[5..].copy_from_slice(b"EMULATE");

@@ -1,10 +1,14 @@
-//! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`, `cargo xtask size`.
+//! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`, `cargo xtask qemu`, `cargo xtask size`.
 
+mod bench;
 mod boards;
 mod demo;
 mod emulate;
 mod explain;
 mod flash;
+mod power_cut;
+mod qemu;
+mod record;
 mod size;
 
 use std::{io, process::ExitCode};
@@ -28,17 +32,24 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    Bench(bench::Arguments),
     Demo(demo::Arguments),
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
+    PowerCut(power_cut::Arguments),
+    /// Run a session with QEMU's CPU and with the emulator's, and show that they agree
+    Qemu,
     Size(size::Arguments),
 }
 
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
+        Command::Bench(arguments) => bench::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
+        Command::PowerCut(arguments) => power_cut::run(&arguments),
+        Command::Qemu => qemu::run(),
         Command::Size(arguments) => size::run(&arguments),
     };
     match outcome {

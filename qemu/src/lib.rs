@@ -1,0 +1,141 @@
+//! A plugin for `qemu-system-arm -M netduinoplus2`: our chip, on a CAN bus, around QEMU's CPU.
+//!
+//! QEMU gives the Cortex-M4F with NVIC, SysTick, RAM and flash; the [`emulator`]'s models take the place of all other
+//! peripherals, and of the flash sectors where the firmware keeps its settings. An adapter on the bus sends the
+//! frames that the plugin is given, prints those that it receives, and ends QEMU. Arguments:
+//!
+//! - `bit-rate=125000`: of the adapter, in bit/s;
+//! - `unique-id=000102030405060708090a0b`: of the chip;
+//! - `start=1000`, `interval=50`: when the first frame is queued and how long after it the next is, in ms;
+//! - `send=7E5#0401`, once for each frame: identifier and data.
+//!
+//! Works with QEMU 7.2 to 10.0 where it exports its symbols, as Debian builds it; the dynamic linker names one that is
+//! missing.
+#![cfg(target_os = "linux")]
+
+mod arguments;
+mod board;
+mod sys;
+
+use std::{
+    ffi::{CStr, c_char, c_int, c_uint, c_void},
+    sync::{
+        Mutex, MutexGuard, OnceLock,
+        atomic::{AtomicI32, Ordering::Relaxed},
+    },
+};
+
+use emulator::chip::{BusFault, FLASH_BASE, Width};
+
+use arguments::Arguments;
+use board::Board;
+use sys::{MEMTX_ERROR, MEMTX_OK, Machine, MemoryRegionOps};
+
+/// The version of the plugin interface that we speak: any, as we use no more of it than the entry. QEMU reads it when the
+/// plugin has been loaded.
+#[unsafe(no_mangle)]
+pub static qemu_plugin_version: AtomicI32 = AtomicI32::new(1);
+
+/// Runs while the plugin is being loaded: from version 9.0 on QEMU wants 2 at least, before it knows 1 at most.
+#[used]
+#[unsafe(link_section = ".init_array")]
+static CHOOSE_VERSION: extern "C" fn() = choose_version;
+
+extern "C" fn choose_version() {
+    if sys::exports(c"qemu_plugin_scoreboard_new") {
+        qemu_plugin_version.store(2, Relaxed);
+    }
+}
+
+/// What a range of addresses is called, where it begins, and its length in bytes.
+const RANGES: [(&CStr, u32, u64); 4] = [
+    // Sectors 1 and 2, never executed: the rest of the flash is QEMU's.
+    (c"settings", FLASH_BASE + 0x4000, 0x8000),
+    (c"system memory", 0x1FFF_0000, 0x1_0000),
+    (c"apb and ahb1", 0x4000_0000, 0x8_0000),
+    (c"ahb2", 0x5000_0000, 0x6_1000),
+];
+
+static OPS: MemoryRegionOps = MemoryRegionOps::little_endian(read, write);
+
+/// Set at the start, for the time when there is a machine.
+static ARGUMENTS: OnceLock<Arguments> = OnceLock::new();
+static BOARD: OnceLock<Mutex<Board>> = OnceLock::new();
+
+/// QEMU's entry. It is early: there is no machine yet.
+///
+/// # Safety
+/// QEMU calls it, with `argc` strings in `argv`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn qemu_plugin_install(
+    _id: u64,
+    _info: *const c_void,
+    argc: c_int,
+    argv: *const *const c_char,
+) -> c_int {
+    // SAFETY: our caller's promise.
+    let arguments = unsafe { sys::strings(argc, argv) };
+    match Arguments::parse(arguments.iter().map(String::as_str)) {
+        Ok(arguments) => {
+            ARGUMENTS.get_or_init(|| arguments);
+            sys::on_machine_ready(machine_ready);
+            0
+        }
+        Err(why) => {
+            eprintln!("qemu-bridge: {why}");
+            1
+        }
+    }
+}
+
+extern "C" fn machine_ready(_: *mut c_void, _: *mut c_void) {
+    let machine = Machine::find(tick);
+    let arguments = ARGUMENTS.get().expect("the plugin is installed before the machine is made");
+    BOARD.get_or_init(|| Mutex::new(Board::new(arguments, machine)));
+    for (name, base, length) in RANGES {
+        sys::map(name, base, length, &OPS);
+    }
+    sys::on_reset(reset);
+}
+
+fn board() -> MutexGuard<'static, Board> {
+    let board = BOARD.get().expect("QEMU calls back after the machine is made");
+    board.lock().expect("a panic in a callback ends QEMU")
+}
+
+extern "C" fn reset(_: *mut c_void) {
+    board().reset();
+}
+
+extern "C" fn tick(_: *mut c_void) {
+    board().advance();
+}
+
+extern "C" fn read(base: *mut c_void, offset: u64, data: &mut u64, size: c_uint) -> c_uint {
+    match board().read(address(base, offset), width(size)) {
+        Ok(value) => {
+            *data = value.into();
+            MEMTX_OK
+        }
+        Err(BusFault) => MEMTX_ERROR,
+    }
+}
+
+extern "C" fn write(base: *mut c_void, offset: u64, data: u64, size: c_uint) -> c_uint {
+    match board().write(address(base, offset), width(size), data as u32) {
+        Ok(()) => MEMTX_OK,
+        Err(BusFault) => MEMTX_ERROR,
+    }
+}
+
+fn address(base: *mut c_void, offset: u64) -> u32 {
+    base.addr() as u32 + offset as u32
+}
+
+fn width(size: c_uint) -> Width {
+    match size {
+        1 => Width::Byte,
+        2 => Width::Half,
+        _ => Width::Word,
+    }
+}

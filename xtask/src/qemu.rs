@@ -1,0 +1,186 @@
+//! `cargo xtask qemu`: the same session with QEMU's CPU and with ours, and whether they agree.
+
+use std::{
+    env, io,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context, bail, ensure};
+use emulator::{
+    Time,
+    can::{Adapter, Frame, Id},
+    chip::Part,
+    image::Image,
+    network::Network,
+};
+use lss_slave::{lss, nmt};
+
+use crate::{boards, explain::explain};
+
+const QEMU: &str = "qemu-system-arm";
+/// The machine with the STM32F405.
+const MACHINE: &str = "netduinoplus2";
+const PART: Part = Part::Stm32f405;
+/// An instruction takes 2^3 ns: a cycle at 128 MHz. Only a reset takes some microseconds more or less from run to run.
+const TIME: &str = "shift=3,sleep=off";
+/// Of the firmware's default.
+const BIT_RATE: u32 = 125_000;
+/// The first start formats the settings' flash: an erase of 16 KB takes 0.8 s at worst.
+const START: Time = Time::from_s(1);
+/// From one request to the next: enough for an answer, a store and a restart.
+const INTERVAL: Time = Time::from_ms(50);
+const NODE_ID: u8 = 5;
+
+/// A frame on the bus.
+struct Seen {
+    time: Time,
+    /// `>` for a request of the master, `<` for what the slave sent.
+    direction: char,
+    frame: Frame,
+}
+
+impl Seen {
+    /// What both runs have in common.
+    fn text(&self) -> String {
+        format!("{} {}", self.direction, self.frame)
+    }
+}
+
+/// Runs the session twice and prints it. Fails if the runs differ, in more than the times.
+pub fn run() -> anyhow::Result<()> {
+    let version = find_qemu()?;
+    let image = Image::build(PART)?;
+    let plugin = build_plugin()?;
+    let output = run_qemu(&plugin)?;
+    let ours = run_emulator(&image)?;
+
+    println!("{:>11} {:>11}", "QEMU", "emulator");
+    let mut lines = output.lines();
+    for seen in &ours {
+        let line = lines.next().unwrap_or("the end");
+        let (time, what) = line.split_once(' ').unwrap_or(("", line));
+        let expected = seen.text();
+        ensure!(what == expected, "QEMU has `{line}` where the emulator has `{expected}`");
+        println!("{time:>11} {:>11} {expected:24} {}", seen.time, explain(&seen.frame));
+    }
+    if let Some(line) = lines.next() {
+        bail!("QEMU has `{line}` where the emulator has come to an end");
+    }
+    println!("The two agree. Times are in ms; QEMU is {version}.");
+    Ok(())
+}
+
+/// QEMU's version, if it is there.
+fn find_qemu() -> anyhow::Result<String> {
+    match Command::new(QEMU).arg("--version").output() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => bail!(
+            "{QEMU} is missing. Install it with `apt-get install qemu-system-arm`; \
+             without it, try `cargo demo`"
+        ),
+        Err(error) => Err(error).context(format!("cannot run {QEMU}")),
+        Ok(output) => {
+            let text = String::from_utf8_lossy(&output.stdout);
+            let version = text.split_whitespace().nth(3).unwrap_or("unknown");
+            Ok(version.to_owned())
+        }
+    }
+}
+
+/// Where cargo builds: this program is in `debug` there.
+fn target_directory() -> anyhow::Result<PathBuf> {
+    let own = env::current_exe()?;
+    let target = own.ancestors().nth(2).context("this program is not in a target directory")?;
+    Ok(target.to_owned())
+}
+
+fn build_plugin() -> anyhow::Result<PathBuf> {
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let target = target_directory()?;
+    let status = Command::new(cargo)
+        .args(["build", "--quiet", "--package", "qemu-bridge", "--target-dir"])
+        .arg(&target)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .status()
+        .context("cannot run cargo")?;
+    ensure!(status.success(), "the plugin for QEMU does not build: see above");
+    Ok(target.join("debug/libqemu_bridge.so"))
+}
+
+/// The frames of the master: the whole of a new slave's configuration, and whether it lasts through a restart.
+fn session() -> Vec<Frame> {
+    let lss = |command: &[u8]| {
+        let mut data = [0; 8];
+        data[..command.len()].copy_from_slice(command);
+        Frame::data(Id::Standard(lss::REQUEST_COB_ID), &data)
+    };
+    let read_serial_number = [0x40, 0x18, 0x10, 4, 0, 0, 0, 0];
+    vec![
+        lss(&[0x4C]),
+        lss(&[0x04, 1]),
+        lss(&[0x5A]),
+        lss(&[0x5B]),
+        lss(&[0x5C]),
+        lss(&[0x5D]),
+        lss(&[0x5E]),
+        lss(&[0x11, 0x80]),
+        lss(&[0x11, NODE_ID]),
+        lss(&[0x17]),
+        lss(&[0x04, 0]),
+        Frame::data(Id::Standard(0x600 + u16::from(NODE_ID)), &read_serial_number),
+        Frame::data(Id::Standard(nmt::COMMAND_COB_ID), &[0x81, NODE_ID]),
+        lss(&[0x04, 1]),
+        lss(&[0x5E]),
+    ]
+}
+
+/// Returns what the plugin printed: a line for each frame and each finding.
+fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
+    let unique_id: String = boards::unique_id(0).iter().map(|byte| format!("{byte:02x}")).collect();
+    let mut argument = format!(
+        "{},bit-rate={BIT_RATE},unique-id={unique_id},start={},interval={}",
+        plugin.display(),
+        START.as_ms(),
+        INTERVAL.as_ms()
+    );
+    for frame in session() {
+        argument += &format!(",send={frame}");
+    }
+    let elf = target_directory()?.join("thumbv7em-none-eabihf/release/lss-slave");
+    let output = Command::new(QEMU)
+        .args(["-machine", MACHINE, "-icount", TIME, "-display", "none"])
+        .args(["-serial", "none", "-monitor", "none", "-kernel"])
+        .arg(elf)
+        .args(["-plugin", &argument])
+        .stdin(Stdio::null())
+        .stderr(Stdio::inherit())
+        .output()
+        .context(format!("cannot run {QEMU}"))?;
+    ensure!(
+        output.status.success(),
+        "{QEMU} failed, see above. The plugin needs QEMU 7.2 to 10.0 with plugins and its symbols \
+         exported, as Debian builds it"
+    );
+    Ok(String::from_utf8(output.stdout)?)
+}
+
+/// The same session on the emulator.
+fn run_emulator(image: &Image) -> anyhow::Result<Vec<Seen>> {
+    let mut network = Network::new();
+    let board = network.add_board(boards::board(PART, image, 0));
+    let adapter = network.add_adapter(Adapter::new(BIT_RATE));
+    let mut seen = Vec::new();
+    network.run_until(START);
+    for frame in session() {
+        seen.push(Seen { time: network.now(), direction: '>', frame });
+        network.send(adapter, frame);
+        network.run_for(INTERVAL);
+        while let Some((time, frame)) = network.receive(adapter) {
+            seen.push(Seen { time, direction: '<', frame });
+        }
+    }
+    if let Some(finding) = network.board(board).findings().first() {
+        bail!("on the emulator: {finding}");
+    }
+    Ok(seen)
+}
