@@ -1,0 +1,52 @@
+"""One run of commission.py gives every blank board on the bus a node-ID of its own, for good."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from boards import WORKSPACE, Boards
+
+SCRIPT = Path(__file__).with_name("commission.py")
+EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
+# How many boards, and how long the master takes silence for a no: longer where one computer runs more of them.
+BUSES = [(1, 0.1), (8, 0.1), (32, 0.15)]
+
+
+def serial_numbers_by_sdo(network, count):
+    read = {}
+    for node_id in range(1, count + 1):
+        node = network.add_node(node_id, EDS)
+        node.sdo.RESPONSE_TIMEOUT = 10
+        read[node_id] = node.sdo[0x1018][4].raw
+    return read
+
+
+@pytest.mark.parametrize(("count", "timeout"), BUSES)
+def test_every_board_ends_with_its_own_node_id_stored_and_booted(count, timeout, tmp_path):
+    arguments = "--boards", count, "--flash", tmp_path
+    with Boards(*arguments) as boards:
+        assert boards.description.count("blank") == count
+        script = subprocess.run(
+            [sys.executable, SCRIPT, boards.channel, str(timeout)],
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+            timeout=600,
+        )
+        print(script.stdout)
+        said = re.findall(r"node (\d+): serial number (\w{8})", script.stdout)
+        assignment = {int(node_id): int(number, 16) for node_id, number in said}
+        assert sorted(assignment) == list(range(1, count + 1))
+        assert sorted(assignment.values()) == sorted(boards.serial_numbers)
+        with boards.connect() as network:
+            assert serial_numbers_by_sdo(network, count) == assignment
+
+    with Boards(*arguments) as boards:
+        assert "blank" not in boards.description
+        with boards.connect() as network:
+            assert serial_numbers_by_sdo(network, count) == assignment
+            network.lss.RESPONSE_TIMEOUT = 1
+            assert network.lss.fast_scan() == (False, None), "a board is still blank"
