@@ -168,8 +168,15 @@ impl Chip {
         assert!(is_blank, "address {at:#x} is programmed twice");
         self.writes += 1;
         let succeeds = self.succeeds(Operation::Write);
+        // In a power cut the step may also have come to its end, or not have begun.
+        let tear = if self.powered { 0 } else { self.random.within(0..4) };
         for (at, byte) in (at..).zip(unit) {
-            let left = if succeeds { 0 } else { self.random.byte() };
+            let left = match tear {
+                _ if succeeds => 0x00,
+                1 => 0x00,
+                2 => 0xFF,
+                _ => self.random.byte(),
+            };
             self.bytes[at] &= byte | left;
         }
         if succeeds { Ok(()) } else { Err(NorFlashErrorKind::Other) }

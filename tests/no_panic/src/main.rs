@@ -4,7 +4,10 @@
 #![no_std]
 #![no_main]
 
-use core::{hint::black_box, panic::PanicInfo};
+use core::{
+    hint::{black_box, spin_loop},
+    panic::PanicInfo,
+};
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use lss_slave::{
@@ -34,7 +37,9 @@ extern "C" fn _start() -> ! {
     indicate();
     #[cfg(feature = "panic")]
     assert_ne!(black_box(1), 2);
-    loop {}
+    loop {
+        spin_loop();
+    }
 }
 
 /// A value of which the compiler knows nothing but the type.

@@ -87,7 +87,7 @@ fn live<const W: usize, const E: usize>(
 impl Histories {
     /// Those that are tried.
     pub fn all(long: bool) -> Vec<Self> {
-        let lives = if long { 5 } else { 4 };
+        let lives = if long { 6 } else { 4 };
         vec![
             Self { lives, records: 4, garbage: false },
             Self { lives, records: 2, garbage: false },
@@ -117,28 +117,35 @@ impl Histories {
 
 impl Device {
     /// All that can happen in so many lives with at most so many cuts, and a power-on after them.
-    fn go_on<const E: usize>(&self, lives: usize, cuts: usize, random: &mut Random, tally: &mut Tally) {
+    fn go_on<const E: usize>(
+        &self,
+        lives: usize,
+        cuts: usize,
+        random: &mut Random,
+        tally: &mut Tally,
+    ) {
+        if lives == 0 {
+            self.then(&self.flash::<E>(random), 0, "power-on".to_owned(), tally);
+            return;
+        }
+        let mut steps = 0;
         for stores in 0..=STORES {
             let flash = self.flash::<E>(random);
             let then = self.then(&flash, stores, format!("{stores} stores"), tally);
-            if stores == STORES && cuts > 0 && lives > 0 {
-                for step in 0..flash.writes() + flash.erases() {
-                    let flash = self.flash::<E>(random);
-                    flash.cut_power_after(step);
-                    tally.cuts += 1;
-                    let cut = format!("{stores} stores, cut in step {step}");
-                    if let Some(device) = self.then(&flash, stores, cut, tally) {
-                        device.go_on::<E>(lives - 1, cuts - 1, random, tally);
-                    }
-                }
-            }
-            match then {
-                Some(device) if lives > 1 => device.go_on::<E>(lives - 1, cuts, random, tally),
-                _ => {}
-            }
-            // The last life only looks what is there.
-            if lives == 0 {
-                break;
+            let Some(device) = then else { continue };
+            device.go_on::<E>(lives - 1, cuts, random, tally);
+            steps = flash.writes() + flash.erases();
+        }
+        if cuts == 0 {
+            return;
+        }
+        for step in 0..steps {
+            let flash = self.flash::<E>(random);
+            flash.cut_power_after(step);
+            tally.cuts += 1;
+            let life = format!("{STORES} stores, cut in step {step}");
+            if let Some(device) = self.then(&flash, STORES, life, tally) {
+                device.go_on::<E>(lives - 1, cuts - 1, random, tally);
             }
         }
     }
@@ -168,23 +175,15 @@ impl Device {
     }
 }
 
-/// How many stores there are from one erase of the board's flash to the next, if the power is cycled after each.
+/// How many stores there are to an erase of the board's flash, if the power is cycled after each.
 pub fn stores_an_erase() -> u64 {
     let flash = BoardFlash::blank(0);
-    let mut counts = [0; 2];
-    let mut number = 0;
-    // The first erase formats; from the second to the third a bank is filled.
-    for count in &mut counts {
-        let erases = flash.erases();
-        loop {
-            let (mut log, _) = Log::open(flash.clone());
-            if flash.erases() > erases && *count > 0 {
-                break;
-            }
-            number = number % 100 + 1;
-            log.store(settings(number)).expect("an open makes room");
-            *count += 1;
-        }
+    let mut stores = 0;
+    // The first erase formats, each of the next two comes when a bank is three quarters full.
+    while flash.erases() < 3 {
+        let (mut log, _) = Log::open(flash.clone());
+        log.store(settings((stores % 100) as u8 + 1)).expect("an open makes room");
+        stores += 1;
     }
-    counts[1]
+    stores / 2
 }

@@ -1,0 +1,14 @@
+//! LSS requests: whatever eight bytes stand for is written back so that it is read as the same again.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use lss_slave::lss::Request;
+
+fuzz_target!(|data: [u8; 8]| {
+    if let Some(request) = Request::from_bytes(&data) {
+        let bytes = request.to_bytes();
+        assert_eq!(bytes[0], data[0]);
+        assert_eq!(Request::from_bytes(&bytes), Some(request));
+    }
+});

@@ -1,0 +1,58 @@
+//! The SDO server through the node: any requests, each answered at most once, on the COB-ID of this node, with eight bytes.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use lss_slave::{
+    Action, BitRate, BitRates, Device, Frame, Instant, Node, NodeId, Settings, lss::Address,
+};
+
+const NOW: Instant = Instant::from_micros(0);
+const ABORT: u8 = 0x80;
+
+fn node() -> Node {
+    let device = Device {
+        address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
+        bit_rates: BitRates::possible(32_000_000),
+        heartbeat_ms: 0,
+        name: "A name that takes more than one segment",
+        hardware_version: "",
+        software_version: "1.2.34.5",
+        rescue: false,
+    };
+    let settings =
+        Settings { node_id: NodeId::new(5), bit_rate: BitRate::Kbit1000.into(), heartbeat_ms: 0 };
+    Node::new(device, settings)
+}
+
+fuzz_target!(|requests: Vec<[u8; 8]>| {
+    let mut node = node();
+    let mut answers = 0;
+    let mut stores = 0;
+    let boot_up = node.handle_deadline(NOW);
+    assert!(matches!(boot_up, Some(Action::Transmit(frame)) if frame.cob_id() == 0x705));
+    for request in &requests {
+        let frame = Frame::new(0x605, request).expect("eight bytes");
+        let at_once = node.handle_frame(&frame, NOW);
+        let mut action = at_once.or_else(|| node.handle_deadline(NOW));
+        while let Some(now) = action {
+            match now {
+                Action::Transmit(answer) if answer.cob_id() == 0x585 => {
+                    assert_eq!(answer.data().len(), 8);
+                    assert_ne!(request[0], ABORT, "an abort is answered");
+                    answers += 1;
+                }
+                // A heartbeat, once its time has been written.
+                Action::Transmit(other) => assert_eq!(other.cob_id(), 0x705),
+                Action::Store(_) => {
+                    stores += 1;
+                    node.handle_stored(Ok(()));
+                }
+                other => panic!("{other:?} by SDO"),
+            }
+            action = node.handle_deadline(NOW);
+        }
+    }
+    assert!(answers <= requests.len());
+    assert!(stores <= requests.len());
+});

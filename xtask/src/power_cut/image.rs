@@ -1,0 +1,311 @@
+//! Power cuts in the release image on an emulated board: every flash operation of a commissioning by LSS.
+
+use anyhow::{Context, bail, ensure};
+use emulator::{
+    Time,
+    board::Board,
+    can::{Adapter, Frame, Id},
+    chip::{Part, PowerCut, Timing},
+    image::Image,
+    network::{AdapterId, Event, Network, Source, What},
+};
+use lss_slave::{
+    BitRate, NodeId, Settings,
+    lss::{REQUEST_COB_ID, RESPONSE_COB_ID, Request},
+    settings::Log,
+};
+
+use super::{Expected, Named, Tally, flash::BoardFlash, random::Random};
+use crate::boards;
+
+/// What the image has on a blank board: `DEFAULTS` of the firmware's `device.rs`.
+const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
+/// The settings' place in the flash, as `memory.x` has it.
+const SETTINGS_OFFSET: u32 = 0x4000;
+/// A board has joined the bus so long after power-on, even if its flash has to be erased first.
+const BOOT: Time = Time::from_ms(600);
+/// How long an answer is waited for; a store takes 1 ms.
+const PATIENCE: Time = Time::from_ms(20);
+/// Stores after which the next power-on moves to the other half of the flash.
+const STORES_TO_MOVE: u16 = 384;
+/// What an LSS master stores, one after the other.
+const COMMISSIONINGS: [(u8, BitRate); 2] = [(5, BitRate::Kbit500), (6, BitRate::Kbit250)];
+/// What it stores after the cuts.
+const LAST_COMMISSIONING: (u8, BitRate) = (7, BitRate::Kbit1000);
+/// Requests with which the time of the answer is measured.
+const MEASUREMENTS: u8 = 40;
+/// Frames behind each of them: 5 ms at 1 Mbit/s.
+const FULL_BUS_FRAMES: usize = 40;
+
+/// What is in the flash before the session.
+#[derive(Clone, Copy)]
+pub enum Session {
+    Blank,
+    Moving,
+}
+
+/// A board and an LSS master on one bus.
+struct Bench {
+    network: Network,
+    master: AdapterId,
+}
+
+fn settings((node_id, bit_rate): (u8, BitRate)) -> Settings {
+    // The heartbeat time of a blank board is stored with what LSS sets.
+    Settings { node_id: NodeId::new(node_id), bit_rate: bit_rate.into(), heartbeat_ms: 1000 }
+}
+
+impl Session {
+    /// Those that are tried.
+    pub const ALL: [Self; 2] = [Self::Blank, Self::Moving];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Blank => "blank flash, two commissionings",
+            Self::Moving => "flash to be erased, two commissionings",
+        }
+    }
+
+    /// The content of the settings' flash, and what it means.
+    fn begin(self) -> (Vec<u8>, Expected) {
+        let flash = BoardFlash::blank(0);
+        if matches!(self, Self::Blank) {
+            return (flash.content(), Expected::NOTHING);
+        }
+        let mut known = None;
+        let (mut log, _) = Log::open(flash.clone());
+        for number in 0..STORES_TO_MOVE {
+            let stored = settings(((number % 127) as u8 + 1, BitRate::Kbit125));
+            log.store(stored).expect("there is room for 511");
+            known = Some(stored);
+        }
+        (flash.content(), Expected { known, attempted: None })
+    }
+
+    /// Cuts the power in every flash operation of the session, and in every one of the session after that if `twice`.
+    pub fn run(
+        self,
+        part: Part,
+        image: &Image,
+        random: &mut Random,
+        twice: bool,
+    ) -> anyhow::Result<Tally> {
+        let mut tally = Tally::default();
+        let (content, begin) = self.begin();
+        let operations = session(part, image, &content, None, &mut begin.clone())?.operations();
+        for operation in 0..operations {
+            let mut expected = begin.clone();
+            let cut = PowerCut { operation, seed: random.next() };
+            let bench = session(part, image, &content, Some(cut), &mut expected)?;
+            tally.cuts += 1;
+            let left = bench.settings_flash();
+            if let Err(loss) = check(part, image, &left, expected.clone()) {
+                tally.losses.push(format!("{cut:?}: {loss:#}"));
+                continue;
+            }
+            if !twice {
+                continue;
+            }
+            let operations = session(part, image, &left, None, &mut expected.clone())?.operations();
+            for operation in 0..operations {
+                let mut expected = expected.clone();
+                let second = PowerCut { operation, seed: random.next() };
+                let bench = session(part, image, &left, Some(second), &mut expected)?;
+                tally.cuts += 1;
+                if let Err(loss) = check(part, image, &bench.settings_flash(), expected) {
+                    tally.losses.push(format!("{cut:?}, {second:?}: {loss:#}"));
+                }
+            }
+        }
+        Ok(tally)
+    }
+}
+
+/// Power-on and both commissionings, until the power fails.
+fn session(
+    part: Part,
+    image: &Image,
+    content: &[u8],
+    cut: Option<PowerCut>,
+    expected: &mut Expected,
+) -> anyhow::Result<Bench> {
+    let mut bench = Bench::new(part, image, content);
+    if let Some(cut) = cut {
+        bench.network.board(0).chip().flash_mut().cut_power(cut);
+    }
+    if bench.boot()? {
+        let found = bench.found()?;
+        ensure!(expected.admits(found), "at power-on there is {}", Named(found));
+        for commissioning in COMMISSIONINGS {
+            expected.attempt(settings(commissioning));
+            match bench.commission(commissioning) {
+                Ok(()) => expected.acknowledge(),
+                Err(_) if !bench.network.board(0).is_powered() => break,
+                Err(error) => return Err(error),
+            }
+        }
+    }
+    let is_powered = bench.network.board(0).is_powered();
+    ensure!(is_powered == cut.is_none(), "the power fails if and only if it is cut");
+    Ok(bench)
+}
+
+/// Power is back: the board is reachable with settings that are possible, and can be commissioned.
+fn check(part: Part, image: &Image, content: &[u8], mut expected: Expected) -> anyhow::Result<()> {
+    let Expected { known, attempted } = expected;
+    let mut bench = Bench::new(part, image, content);
+    ensure!(bench.boot()?, "no power");
+    let found = bench.found()?;
+    ensure!(
+        expected.admits(found),
+        "{}, not {} or {}",
+        Named(found),
+        Named(known),
+        Named(attempted)
+    );
+    bench.commission(LAST_COMMISSIONING)?;
+    let mut bench = Bench::new(part, image, &bench.settings_flash());
+    bench.boot()?;
+    let found = bench.found()?;
+    ensure!(found == Some(settings(LAST_COMMISSIONING)), "{} after the cut", Named(found));
+    let findings = bench.network.board(0).findings();
+    ensure!(findings.is_empty(), "{findings:?}");
+    Ok(())
+}
+
+impl Bench {
+    /// A board with this content of the settings' flash, just switched on.
+    fn new(part: Part, image: &Image, content: &[u8]) -> Self {
+        let mut board: Board = boards::board(part, image, 0);
+        board.set_flash(SETTINGS_OFFSET, content);
+        let mut network = Network::new();
+        network.add_board(board);
+        let master = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
+        // It takes no part until it knows the bit rate: its errors would make the board search for another.
+        network.adapter_mut(master).close();
+        Self { network, master }
+    }
+
+    fn operations(&self) -> u64 {
+        self.network.board(0).chip().flash().operations()
+    }
+
+    fn settings_flash(&self) -> Vec<u8> {
+        let from = SETTINGS_OFFSET as usize;
+        self.network.board(0).flash()[from..from + 0x8000].to_vec()
+    }
+
+    /// Waits until the board is on the bus, and goes to its bit rate; `false` if the power fails before.
+    fn boot(&mut self) -> anyhow::Result<bool> {
+        while self.network.now() < BOOT {
+            self.network.run_for(Time::from_ms(1));
+            if !self.network.board(0).is_powered() {
+                return Ok(false);
+            }
+            let is_set_up = |event: &&Event| matches!(event.what, What::BitTiming { .. });
+            let mut events = self.network.trace().iter().skip_while(|event| !is_set_up(event));
+            if events.any(|event| event.what == What::InitializationLeft) {
+                let rate = self.bit_rate()?;
+                let master = self.network.adapter_mut(self.master);
+                master.set_bit_rate(bit_per_s(rate));
+                master.open();
+                return Ok(true);
+            }
+        }
+        bail!("the board does not come to the bus")
+    }
+
+    /// The first bit rate that the board set.
+    fn bit_rate(&self) -> anyhow::Result<BitRate> {
+        let first = self.network.trace().iter().find_map(|event| match event.what {
+            What::BitTiming { bit_rate, .. } => Some(bit_rate),
+            _ => None,
+        });
+        let known = BitRate::ALL.into_iter().find(|rate| Some(bit_per_s(*rate)) == first);
+        known.context("the board is at no bit rate of CiA 301")
+    }
+
+    /// The settings that the board shows on the bus; `None`: the defaults. Leaves it in LSS configuration state.
+    fn found(&mut self) -> anyhow::Result<Option<Settings>> {
+        let rate = self.bit_rate()?;
+        self.request(Request::SwitchToConfiguration);
+        let answer = self.ask(Request::InquireNodeId)?;
+        Ok(match answer[1] {
+            0xFF if rate == DEFAULT_BIT_RATE => None,
+            id => Some(settings((id, rate))),
+        })
+    }
+
+    /// Stores a node-ID and a bit rate.
+    fn commission(&mut self, (node_id, bit_rate): (u8, BitRate)) -> anyhow::Result<()> {
+        let index = bit_rate.index();
+        for request in [
+            Request::ConfigureNodeId(node_id),
+            Request::ConfigureBitTiming { table: 0, index },
+            Request::StoreConfiguration,
+        ] {
+            let answer = self.ask(request)?;
+            ensure!(answer[1] == 0, "{request:?} is refused: {answer:02X?}");
+        }
+        Ok(())
+    }
+
+    fn request(&mut self, request: Request) {
+        let frame = Frame::data(Id::Standard(REQUEST_COB_ID), &request.to_bytes());
+        self.network.send(self.master, frame);
+    }
+
+    /// Sends a request and returns its answer.
+    fn ask(&mut self, request: Request) -> anyhow::Result<[u8; 8]> {
+        self.request(request);
+        while let Some((_, frame)) = self.network.run_until_received(self.master, PATIENCE) {
+            if frame.id == Id::Standard(RESPONSE_COB_ID) {
+                return Ok(frame.data);
+            }
+        }
+        bail!("{request:?} has no answer")
+    }
+}
+
+fn bit_per_s(bit_rate: BitRate) -> u32 {
+    u32::from(bit_rate.kbit_per_s()) * 1000
+}
+
+/// The longest time from the end of a store request to the end of its answer: the flash is as slow as the data sheet
+/// allows, and the bus full of frames that the node has to look at and that let its answer pass.
+pub fn worst_answer_time(part: Part, image: &Image) -> anyhow::Result<Time> {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    log.store(settings(LAST_COMMISSIONING)).expect("the flash works");
+    let mut bench = Bench::new(part, image, &flash.content());
+    ensure!(bench.boot()?, "no power");
+    bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+    bench.request(Request::SwitchToConfiguration);
+    // An answer as it seems, on the COB-ID of requests: of lower priority than answers, looked at and ignored.
+    let ignored = Frame::data(Id::Standard(REQUEST_COB_ID), &[0x44; 8]);
+    for number in 1..=MEASUREMENTS {
+        bench.request(Request::ConfigureNodeId(number));
+        bench.request(Request::StoreConfiguration);
+        (0..FULL_BUS_FRAMES).for_each(|_| bench.network.send(bench.master, ignored));
+        while bench.network.adapter_mut(bench.master).unsent() > 0 {
+            bench.network.run_for(Time::from_ms(1));
+        }
+    }
+    let mut answers = 0;
+    let store = Request::StoreConfiguration.to_bytes();
+    let mut asked = Time::ZERO;
+    let mut worst = Time::ZERO;
+    for event in bench.network.trace() {
+        let What::Frame { frame, .. } = &event.what else { continue };
+        match (frame.id, event.source) {
+            (Id::Standard(REQUEST_COB_ID), _) if frame.data == store => asked = event.time,
+            (Id::Standard(RESPONSE_COB_ID), Source::Board(_)) if frame.data[0] == store[0] => {
+                worst = worst.max(event.time - asked);
+                answers += 1;
+            }
+            _ => {}
+        }
+    }
+    ensure!(answers == MEASUREMENTS, "{answers} answers to {MEASUREMENTS} requests");
+    Ok(worst)
+}
