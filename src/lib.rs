@@ -42,6 +42,6 @@ pub use bit_rate::{BitRate, BitRateSetting, BitRates};
 pub use bus::BusEvent;
 pub use can::Frame;
 pub use node::{Action, Device, Node};
-pub use node_id::NodeId;
+pub use node_id::{InvalidNodeId, NodeId};
 pub use settings::Settings;
 pub use time::Instant;
