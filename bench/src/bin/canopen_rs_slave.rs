@@ -1,0 +1,32 @@
+//! The LSS slave of canopen-rs without the node around it.
+
+#![no_std]
+#![no_main]
+
+use bench::{IDENTITY, Place, received, transmit};
+use canopen_rs::lss::{
+    LSS_MASTER_COB_ID, LSS_SLAVE_COB_ID, LssAddress, LssSlave, UNCONFIGURED_NODE_ID,
+};
+
+/// Its size is the LSS state's.
+#[unsafe(no_mangle)]
+static LSS_STATE: Place<LssSlave> = Place::empty();
+
+#[unsafe(no_mangle)]
+extern "C" fn prepare() {
+    let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
+    let address = LssAddress { vendor_id, product_code, revision_number, serial_number };
+    LSS_STATE.fill(LssSlave::new(address, UNCONFIGURED_NODE_ID));
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn receive() {
+    let (cob_id, length, data) = received();
+    if cob_id != LSS_MASTER_COB_ID || length != 8 {
+        return;
+    }
+    // SAFETY: `prepare` has filled it, and the reference ends here.
+    if let Some(answer) = unsafe { LSS_STATE.get() }.handle(&data) {
+        transmit(LSS_SLAVE_COB_ID, 8, answer);
+    }
+}

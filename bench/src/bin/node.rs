@@ -1,0 +1,63 @@
+//! This project's node.
+
+#![no_std]
+#![no_main]
+
+use bench::{IDENTITY, NOW, Place, Register, received, transmit};
+use lss_slave::{
+    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings, lss::Address,
+};
+
+const BIT_RATES: BitRates = BitRates::possible(32_000_000);
+
+static NODE: Place<Node> = Place::empty();
+/// What a timer is to be set to; 0: off.
+static TIMER: Register = Register::new();
+
+#[unsafe(no_mangle)]
+extern "C" fn prepare() {
+    let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
+    let device = Device {
+        address: Address { vendor_id, product_code, revision_number, serial_number },
+        bit_rates: BIT_RATES,
+        heartbeat_ms: 0,
+        name: "Bench",
+        hardware_version: "1",
+        software_version: "1",
+        rescue: true,
+    };
+    let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 0 };
+    NODE.fill(Node::new(device, settings));
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn receive() {
+    // SAFETY: `prepare` has filled it, and the reference ends here.
+    let node = unsafe { NODE.get() };
+    let now = Instant::from_micros(NOW.read());
+    let (cob_id, length, data) = received();
+    let Some(frame) = data.get(..length).and_then(|data| Frame::new(cob_id, data)) else {
+        return;
+    };
+    if let Some(action) = node.handle_frame(&frame, now) {
+        act(node, action);
+    }
+    while let Some(action) = node.handle_deadline(now) {
+        act(node, action);
+    }
+    TIMER.write(node.next_deadline().map_or(0, |deadline| deadline.as_micros() | 1));
+}
+
+#[inline(always)]
+fn act(node: &mut Node, action: Action) {
+    match action {
+        Action::Transmit(frame) => {
+            transmit(frame.cob_id(), frame.data().len(), bench::padded(frame.data()));
+        }
+        Action::Store(_) => node.handle_stored(Ok(())),
+        Action::SetBitRate(_) | Action::ResumeTransmitting => {
+            node.handle_bus(BusEvent::Acknowledged);
+        }
+        _ => {}
+    }
+}

@@ -1,0 +1,41 @@
+//! This project's LSS slave without the node around it.
+
+#![no_std]
+#![no_main]
+
+use bench::{IDENTITY, Place, received, transmit};
+use lss_slave::{
+    BitRate, BitRates,
+    lss::{Address, REQUEST_COB_ID, RESPONSE_COB_ID, Reaction, Response, Slave},
+};
+
+const BIT_RATES: BitRates = BitRates::possible(32_000_000);
+
+/// Its size is the LSS state's.
+#[unsafe(no_mangle)]
+static LSS_STATE: Place<Slave> = Place::empty();
+
+#[unsafe(no_mangle)]
+extern "C" fn prepare() {
+    let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
+    let address = Address { vendor_id, product_code, revision_number, serial_number };
+    LSS_STATE.fill(Slave::new(address, BIT_RATES, None, BitRate::Kbit125.into()));
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn receive() {
+    let (cob_id, length, data) = received();
+    if cob_id != REQUEST_COB_ID || length != 8 {
+        return;
+    }
+    // SAFETY: `prepare` has filled it, and the reference ends here.
+    let slave = unsafe { LSS_STATE.get() };
+    let response = match slave.handle(&data) {
+        Some(Reaction::Answer(response)) => response,
+        Some(Reaction::StoreConfiguration) => Response::StoreConfiguration(Ok(())),
+        Some(Reaction::ActivateBitTiming(_)) => return slave.activate_bit_rate(),
+        Some(Reaction::ResetCommunication) => return slave.reset_communication(),
+        None => return,
+    };
+    transmit(RESPONSE_COB_ID, 8, response.to_bytes());
+}

@@ -1,0 +1,101 @@
+//! The node of zencan-node, with the objects that its SDO server needs to be of use and without process data.
+
+#![no_std]
+#![no_main]
+
+use core::ptr::addr_of_mut;
+
+use bench::{IDENTITY, NOW, Place, padded, received, transmit};
+// For its critical section.
+use cortex_m as _;
+use zencan_node::{
+    Callbacks, Node, NodeMbox, NodeState, SDO_BUFFER_SIZE,
+    common::{
+        NodeId,
+        messages::{CanId, CanMessage},
+        objects::{ObjectCode, SubInfo},
+    },
+    object_dict::{ConstField, ODEntry, ProvidesSubObjects, ScalarField, SubObjectAccess},
+    priority_queue::PriorityQueue,
+};
+
+/// An object with a number at sub-index 0.
+struct Variable<T: SubObjectAccess>(T, SubInfo);
+
+impl<T: SubObjectAccess> ProvidesSubObjects for Variable<T> {
+    fn get_sub_object(&self, sub: u8) -> Option<(SubInfo, &dyn SubObjectAccess)> {
+        (sub == 0).then_some((self.1, &self.0))
+    }
+
+    fn object_code(&self) -> ObjectCode {
+        ObjectCode::Var
+    }
+}
+
+struct Identity([ConstField<4>; 4]);
+
+impl ProvidesSubObjects for Identity {
+    fn get_sub_object(&self, sub: u8) -> Option<(SubInfo, &dyn SubObjectAccess)> {
+        if sub == 0 {
+            return Some((SubInfo::MAX_SUB_NUMBER, const { &ConstField::new([4]) }));
+        }
+        let field = self.0.get(usize::from(sub) - 1)?;
+        Some((SubInfo::new_u32().const_access(), field))
+    }
+
+    fn object_code(&self) -> ObjectCode {
+        ObjectCode::Record
+    }
+}
+
+static DEVICE_TYPE: Variable<ConstField<4>> =
+    Variable(ConstField::new([0; 4]), SubInfo::new_u32().const_access());
+static ERROR_REGISTER: Variable<ScalarField<u8>> =
+    Variable(ScalarField::<u8>::new(0), SubInfo::new_u8().ro_access());
+static HEARTBEAT_TIME: Variable<ScalarField<u16>> =
+    Variable(ScalarField::<u16>::new(0), SubInfo::new_u16().rw_access());
+static IDENTITY_OBJECT: Identity = Identity([
+    ConstField::new(IDENTITY[0].to_le_bytes()),
+    ConstField::new(IDENTITY[1].to_le_bytes()),
+    ConstField::new(IDENTITY[2].to_le_bytes()),
+    ConstField::new(IDENTITY[3].to_le_bytes()),
+]);
+static DICTIONARY: [ODEntry<'static>; 4] = [
+    ODEntry { index: 0x1000, data: &DEVICE_TYPE },
+    ODEntry { index: 0x1001, data: &ERROR_REGISTER },
+    ODEntry { index: 0x1017, data: &HEARTBEAT_TIME },
+    ODEntry { index: 0x1018, data: &IDENTITY_OBJECT },
+];
+
+static STATE: NodeState<'static> = NodeState::new(&[], &[]);
+static QUEUE: PriorityQueue<4, CanMessage> = PriorityQueue::new();
+static mut SDO_BUFFER: [u8; SDO_BUFFER_SIZE] = [0; SDO_BUFFER_SIZE];
+static MAILBOX: NodeMbox =
+    // SAFETY: nobody else refers to the buffer.
+    NodeMbox::new(&[], &[], &QUEUE, unsafe { &mut *addr_of_mut!(SDO_BUFFER) });
+static NODE: Place<Node<'static>> = Place::empty();
+
+#[unsafe(no_mangle)]
+extern "C" fn prepare() {
+    let callbacks = Callbacks::new();
+    let mut node = Node::new(NodeId::Unconfigured, callbacks, &MAILBOX, &STATE, &DICTIONARY);
+    node.process(0);
+    NODE.fill(node);
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn receive() {
+    let (cob_id, length, data) = received();
+    let Some(data) = data.get(..length) else {
+        return;
+    };
+    if MAILBOX.store_message(CanMessage::new(CanId::std(cob_id), data)).is_err() {
+        return;
+    }
+    // SAFETY: `prepare` has filled it, and the reference ends here.
+    unsafe { NODE.get() }.process(NOW.read().into());
+    while let Some(message) = MAILBOX.next_transmit_message() {
+        let data = message.data();
+        transmit(message.id().raw() as u16, data.len(), padded(data));
+    }
+}

@@ -1,0 +1,191 @@
+//! The harness that all slaves are measured in: a receive and a transmit mailbox in RAM in place of the CAN controller's.
+//!
+//! A program has two functions. `prepare` is called once; `receive` is called for each frame, and what is counted is from
+//! its first instruction to its return.
+
+#![no_std]
+
+use core::{
+    arch::global_asm,
+    cell::UnsafeCell,
+    hint::spin_loop,
+    mem::MaybeUninit,
+    panic::PanicInfo,
+    ptr::{read_volatile, write_volatile},
+};
+
+// Fills the stack below `receive` with a pattern, so that its high-water mark can be seen.
+global_asm!(
+    ".section .vectors, \"a\"",
+    ".word stack_top",
+    ".word start",
+    ".section .text.start, \"ax\"",
+    ".global start",
+    ".type start, %function",
+    ".thumb_func",
+    "start:",
+    "ldr r0, =0xE000ED88", // CPACR: the FPU on
+    "ldr r1, =0x00F00000",
+    "str r1, [r0]",
+    "dsb",
+    "isb",
+    "bl prepare",
+    "ldr r0, =stack_bottom",
+    "ldr r1, =0xC5C5C5C5",
+    "mov r2, sp",
+    "0: str r1, [r0], #4",
+    "cmp r0, r2",
+    "blo 0b",
+    "ldr r4, =WAITING",
+    ".global idle",
+    "idle:",
+    "ldr r0, [r4]",
+    "cmp r0, #0",
+    "beq idle",
+    "bl receive",
+    ".global returned",
+    "returned:",
+    "movs r0, #0",
+    "str r0, [r4]",
+    "b idle",
+);
+
+/// A word that the outside reads and writes too.
+#[repr(transparent)]
+pub struct Register(UnsafeCell<u32>);
+
+// SAFETY: there is one thread.
+unsafe impl Sync for Register {}
+
+impl Register {
+    /// A register that reads as 0.
+    pub const fn new() -> Self {
+        Self(UnsafeCell::new(0))
+    }
+
+    /// Its value.
+    #[inline(always)]
+    pub fn read(&self) -> u32 {
+        // SAFETY: a valid word, which nobody refers to.
+        unsafe { read_volatile(self.0.get()) }
+    }
+
+    /// Changes its value.
+    #[inline(always)]
+    pub fn write(&self, value: u32) {
+        // SAFETY: a valid word, which nobody refers to.
+        unsafe { write_volatile(self.0.get(), value) }
+    }
+}
+
+impl Default for Register {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A mailbox of bxCAN (RM0090, 32.9.3).
+#[repr(C)]
+struct Mailbox {
+    /// The 11-bit identifier in bits 31..21; bit 0 of a transmit mailbox: transmission requested.
+    identifier: Register,
+    /// The data length code.
+    length: Register,
+    /// Bytes 0..=3.
+    low: Register,
+    /// Bytes 4..=7.
+    high: Register,
+}
+
+impl Mailbox {
+    const fn new() -> Self {
+        Self {
+            identifier: Register::new(),
+            length: Register::new(),
+            low: Register::new(),
+            high: Register::new(),
+        }
+    }
+}
+
+/// Not 0: a frame is in [`RECEIVED`].
+#[unsafe(no_mangle)]
+static WAITING: Register = Register::new();
+#[unsafe(no_mangle)]
+static RECEIVED: Mailbox = Mailbox::new();
+#[unsafe(no_mangle)]
+static TRANSMITTED: Mailbox = Mailbox::new();
+
+/// The clock: microseconds.
+#[unsafe(no_mangle)]
+pub static NOW: Register = Register::new();
+
+/// The received frame: identifier, data length code 0..=8, data.
+#[inline(always)]
+pub fn received() -> (u16, usize, [u8; 8]) {
+    let identifier = (RECEIVED.identifier.read() >> 21) as u16;
+    let length = RECEIVED.length.read() as usize & 0xF;
+    let [b0, b1, b2, b3] = RECEIVED.low.read().to_le_bytes();
+    let [b4, b5, b6, b7] = RECEIVED.high.read().to_le_bytes();
+    (identifier, length, [b0, b1, b2, b3, b4, b5, b6, b7])
+}
+
+/// Hands a frame with up to eight bytes over; what is beyond its length does not matter.
+#[inline(always)]
+pub fn transmit(identifier: u16, length: usize, data: [u8; 8]) {
+    let [b0, b1, b2, b3, b4, b5, b6, b7] = data;
+    TRANSMITTED.length.write(length as u32);
+    TRANSMITTED.low.write(u32::from_le_bytes([b0, b1, b2, b3]));
+    TRANSMITTED.high.write(u32::from_le_bytes([b4, b5, b6, b7]));
+    TRANSMITTED.identifier.write(u32::from(identifier) << 21 | 1);
+}
+
+/// The eight bytes of a transmit mailbox that begin with `data`.
+#[inline(always)]
+pub fn padded(data: &[u8]) -> [u8; 8] {
+    let mut bytes = [0; 8];
+    for (to, from) in bytes.iter_mut().zip(data) {
+        *to = *from;
+    }
+    bytes
+}
+
+/// The place of a slave, which `prepare` fills.
+pub struct Place<T>(UnsafeCell<MaybeUninit<T>>);
+
+// SAFETY: there is one thread.
+unsafe impl<T> Sync for Place<T> {}
+
+impl<T> Place<T> {
+    /// An empty place.
+    pub const fn empty() -> Self {
+        Self(UnsafeCell::new(MaybeUninit::uninit()))
+    }
+
+    /// Fills it.
+    pub fn fill(&'static self, value: T) {
+        // SAFETY: there is one thread, and `prepare` is over before `receive` is called.
+        unsafe { (*self.0.get()).write(value) };
+    }
+
+    /// What it was filled with.
+    ///
+    /// # Safety
+    /// It has been filled, and what an earlier call returned is no longer used.
+    #[expect(clippy::mut_from_ref, reason = "the caller promises it")]
+    #[inline(always)]
+    pub unsafe fn get(&'static self) -> &'static mut T {
+        // SAFETY: as the caller promises.
+        unsafe { (*self.0.get()).assume_init_mut() }
+    }
+}
+
+/// Vendor-ID, product code, revision number and serial number: 16 ones in each.
+pub const IDENTITY: [u32; 4] = [0x5AA5_3CC3, 0x0FF0_A55A, 0x3333_CCCC, 0x6996_9669];
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    loop {
+        spin_loop();
+    }
+}

@@ -1,0 +1,40 @@
+//! `cargo xtask bench`: what this project's LSS slave costs beside others, in instructions, cycles and bytes.
+
+mod machine;
+mod programs;
+mod report;
+mod session;
+mod sizes;
+
+use programs::Program;
+use session::Costs;
+use sizes::Sizes;
+
+/// Show what the LSS slave costs in instructions and bytes, beside others
+#[derive(clap::Args)]
+pub struct Arguments {}
+
+/// What is known of one slave.
+struct Measured {
+    program: Program,
+    costs: Costs,
+    sizes: Sizes,
+}
+
+/// Builds all slaves in one harness, measures them and prints the figures. The same sources give the same figures.
+///
+/// # Errors
+/// A slave cannot be built, or does not do what is measured.
+pub fn run(Arguments {}: &Arguments) -> anyhow::Result<()> {
+    let builds = programs::build()?;
+    let measured = Program::ALL
+        .into_iter()
+        .map(|program| {
+            let costs = Costs::measure(&builds.fast(program))?;
+            let sizes = Sizes::measure(program, &builds)?;
+            Ok(Measured { program, costs, sizes })
+        })
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    report::print(&measured);
+    Ok(())
+}

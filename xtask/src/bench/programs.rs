@@ -1,0 +1,109 @@
+//! The programs of `bench/`: which there are, and their builds for speed and for size.
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context, bail};
+
+const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// A slave in the harness.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Program {
+    /// This project's node.
+    Node,
+    /// This project's LSS slave alone.
+    Slave,
+    CanopenRsNode,
+    CanopenRsSlave,
+    ZencanNode,
+}
+
+impl Program {
+    pub const ALL: [Self; 5] =
+        [Self::Node, Self::Slave, Self::CanopenRsNode, Self::CanopenRsSlave, Self::ZencanNode];
+
+    /// What it is called in the tables.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Node => "lss-slave node",
+            Self::Slave => "lss-slave Slave alone",
+            Self::CanopenRsNode => "canopen-rs 0.6.1 node",
+            Self::CanopenRsSlave => "canopen-rs LssSlave alone",
+            Self::ZencanNode => "zencan-node 0.0.5",
+        }
+    }
+
+    const fn binary(self) -> &'static str {
+        match self {
+            Self::Node => "node",
+            Self::Slave => "slave",
+            Self::CanopenRsNode => "canopen_rs_node",
+            Self::CanopenRsSlave => "canopen_rs_slave",
+            Self::ZencanNode => "zencan_node",
+        }
+    }
+}
+
+/// Where the built programs lie.
+pub struct Builds(PathBuf);
+
+impl Builds {
+    /// The program at opt-level 3.
+    pub fn fast(&self, program: Program) -> PathBuf {
+        self.path("speed", program)
+    }
+
+    /// The program at opt-level s.
+    pub fn small(&self, program: Program) -> Vec<u8> {
+        self.read("size", program)
+    }
+
+    /// The program at opt-level s with crates that are not merged, so that its functions are apart.
+    pub fn in_modules(&self, program: Program) -> Vec<u8> {
+        self.read("module", program)
+    }
+
+    fn path(&self, profile: &str, program: Program) -> PathBuf {
+        self.0.join(TARGET).join(profile).join(program.binary())
+    }
+
+    fn read(&self, profile: &str, program: Program) -> Vec<u8> {
+        let path = self.path(profile, program);
+        fs::read(&path).unwrap_or_else(|error| panic!("{} was built: {error}", path.display()))
+    }
+}
+
+/// Builds all programs with all profiles.
+pub fn build() -> anyhow::Result<Builds> {
+    let own = env::current_exe()?;
+    let target = own.ancestors().nth(2).context("this program is not in a target directory")?;
+    let builds = Builds(target.join("bench"));
+    for profile in ["speed", "size", "module"] {
+        cargo_build(profile, &builds.0)?;
+    }
+    Ok(builds)
+}
+
+fn cargo_build(profile: &str, target_dir: &Path) -> anyhow::Result<()> {
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
+    let output = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+        .current_dir(workspace.join("bench"))
+        .args(["build", "--locked", "--bins", "--target", TARGET, "--profile", profile])
+        .arg("--target-dir")
+        .arg(target_dir)
+        // What the host's build was given is not meant for the chip.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .env_remove("CARGO_BUILD_TARGET")
+        .stdin(Stdio::null())
+        .output()
+        .context("cannot run cargo")?;
+    if !output.status.success() {
+        bail!("bench/ does not build:\n{}", String::from_utf8_lossy(&output.stderr).trim_end());
+    }
+    Ok(())
+}
