@@ -115,26 +115,18 @@ impl Slave {
 
     /// Carries out the request in the data of a frame from the LSS master, as far as the LSS state allows it.
     pub fn handle(&mut self, data: &[u8; 8]) -> Option<Reaction> {
+        let is_waiting = self.state == State::Waiting;
         let answer = match Request::from_bytes(data)? {
             Request::SwitchToWaiting => return self.switch_to_waiting(),
             Request::SwitchToConfiguration => {
                 self.switch_to(State::Configuration);
                 return None;
             }
-            Request::Identify(key, number) => self.identify(key, number),
-            Request::IdentifyNonConfigured => self.is_unconfigured().then_some(NonConfigured),
-            request => match (self.state, request) {
-                (State::Waiting, Request::Select(part, number)) => self.select(part, number),
-                (State::Waiting, Request::Fastscan(step)) => self.fastscan(step),
-                (State::Configuration, request) => return self.configure(request),
-                _ => None,
-            },
-        };
-        answer.map(Reaction::Answer)
-    }
-
-    fn configure(&mut self, request: Request) -> Option<Reaction> {
-        Some(Reaction::Answer(match request {
+            Request::Identify(key, number) => self.identify(key, number)?,
+            Request::IdentifyNonConfigured if self.is_unconfigured() => NonConfigured,
+            Request::Select(part, number) if is_waiting => self.select(part, number)?,
+            Request::Fastscan(step) if is_waiting => self.fastscan(step)?,
+            _ if is_waiting => return None,
             Request::ConfigureNodeId(byte) => {
                 let id = NodeId::from_lss(byte);
                 if let Ok(id) = id {
@@ -157,7 +149,8 @@ impl Slave {
             }
             Request::StoreConfiguration => return Some(Reaction::StoreConfiguration),
             _ => return None,
-        }))
+        };
+        Some(Reaction::Answer(answer))
     }
 
     const fn is_unconfigured(&self) -> bool {
