@@ -2,9 +2,7 @@
 
 mod support;
 
-use lss_slave::{
-    BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, Settings, nmt::State,
-};
+use lss_slave::{BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, Settings, nmt::State};
 use support::{
     board::{ADDRESS, Board, defaults, device},
     flash::BoardFlash,

@@ -1,9 +1,14 @@
 //! `cargo demo`: an LSS master that others wrote configures a board, which is emulated, with the release firmware.
 
 mod bench;
+mod diagram;
 mod screen;
 
-use std::time::{Duration, Instant};
+use std::{
+    fs,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
 
 use anyhow::{Context, bail, ensure};
 use emulator::{
@@ -25,7 +30,7 @@ use zencan_client::{
     },
 };
 
-use crate::boards;
+use crate::{boards, record};
 use bench::Bench;
 use screen::Screen;
 
@@ -54,6 +59,34 @@ pub struct Arguments {
     /// The chip on the board
     #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
     chip: Part,
+    /// Draw the switch of the bit rate as a timing diagram
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Write the frames as `candump -l` does
+    #[arg(long, value_name = "FILE")]
+    candump: Option<PathBuf>,
+    /// Write the frames as a capture for Wireshark
+    #[arg(long, value_name = "FILE")]
+    pcap: Option<PathBuf>,
+}
+
+impl Arguments {
+    fn write_records(&self, events: &[Event]) -> anyhow::Result<()> {
+        let mut files = Vec::new();
+        if let Some(path) = &self.candump {
+            files.push((path, record::candump(events).into_bytes()));
+        }
+        if let Some(path) = &self.pcap {
+            files.push((path, record::pcap(events)));
+        }
+        if let Some(path) = &self.svg {
+            files.push((path, diagram::draw(events)?.into_bytes()));
+        }
+        for (path, content) in files {
+            fs::write(path, content).with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        Ok(())
+    }
 }
 
 /// Builds the firmware, runs the session and prints it.
@@ -69,6 +102,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         // What was seen until it went wrong.
         screen.show(&bench.events())?;
         outcome?;
+        arguments.write_records(&bench.events())?;
         screen.chapter(&format!(
             "As expected: {:.1} s on the board, {:.1} s here.",
             bench.now().as_ms() as f64 / 1000.0,

@@ -1,0 +1,176 @@
+//! A timing diagram of a bit-rate switch, drawn from the record of a run: who sends when, and at which rate.
+
+use std::fmt::Write;
+
+use anyhow::Context;
+use emulator::{
+    Time,
+    can::{Frame, Id},
+    network::{Event, Source, What},
+};
+use lss_slave::lss::{self, Request};
+
+/// How long before the request and after the second delay the diagram reaches.
+const MARGIN: Time = Time::from_ms(12);
+/// Pixels.
+const PER_MS: f64 = 62.0;
+/// A span in which nothing happens is no longer than this.
+const LONGEST_GAP: f64 = 210.0;
+const LEFT: f64 = 110.0;
+const RIGHT: f64 = 50.0;
+const TOP: f64 = 66.0;
+const BOTTOM: f64 = 236.0;
+const MASTER: f64 = 100.0;
+const BOARD: f64 = 165.0;
+const BOX_HEIGHT: f64 = 26.0;
+
+/// The diagram of the last activation of bit timing among `events`, as SVG.
+///
+/// # Errors
+/// There is none, or the delays have not passed.
+pub fn draw(events: &[Event]) -> anyhow::Result<String> {
+    let (t0, delay) =
+        events.iter().rev().find_map(activation).context("no bit rate was switched")?;
+    let (t1, t2) = (t0 + delay, t0 + delay * 2);
+    let is_shown =
+        |event: &&Event| t0.saturating_sub(MARGIN) <= event.time && event.time <= t2 + MARGIN;
+    let shown: Vec<&Event> = events.iter().filter(is_shown).collect();
+    let scale = Scale::new(&shown, [t0, t1, t2]);
+    let [x0, x1, x2] = [t0, t1, t2].map(|time| scale.x(time));
+    let width = scale.x(Time::MAX) + RIGHT;
+
+    let mut svg = String::new();
+    writeln!(
+        svg,
+        r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0} 300" font-family="sans-serif" font-size="12">
+<rect width="100%" height="100%" fill="white"/>
+<text x="10" y="24" font-size="16">Activate bit timing, switch delay {} ms</text>"#,
+        delay.as_ms()
+    )?;
+    for (from, to, fill, name, rule) in
+        [(x0, x1, "#e8eef7", "d1", "old bit rate"), (x1, x2, "#fdf0df", "d2", "new bit rate")]
+    {
+        let (middle, span) = ((from + to) / 2.0, to - from);
+        let height = BOTTOM - TOP;
+        writeln!(
+            svg,
+            r#"<rect x="{from:.1}" y="{TOP}" width="{span:.1}" height="{height}" fill="{fill}"/>
+<text x="{middle:.1}" y="56" text-anchor="middle">{name} = {} ms</text>
+<text x="{middle:.1}" y="216" text-anchor="middle">{rule}:</text>
+<text x="{middle:.1}" y="230" text-anchor="middle">nobody starts a frame</text>"#,
+            delay.as_ms()
+        )?;
+    }
+    for (y, name) in [(MASTER, "LSS master"), (BOARD, "board")] {
+        let (text, to) = (y + 4.0, width - RIGHT / 2.0);
+        writeln!(
+            svg,
+            r##"<text x="10" y="{text}">{name}</text>
+<line x1="{LEFT}" y1="{y}" x2="{to:.1}" y2="{y}" stroke="#888"/>"##
+        )?;
+    }
+    for (time, x, name) in [(t0, x0, "t0"), (t1, x1, "t0 + d1"), (t2, x2, "t0 + d1 + d2")] {
+        writeln!(
+            svg,
+            r##"<line x1="{x:.1}" y1="{TOP}" x2="{x:.1}" y2="{BOTTOM}" stroke="#444" stroke-dasharray="4 3"/>
+<text x="{x:.1}" y="252" text-anchor="middle">{name}</text>
+<text x="{x:.1}" y="268" text-anchor="middle" fill="#666">{:.3} ms</text>"##,
+            time.as_us() as f64 / 1000.0
+        )?;
+    }
+    for event in shown {
+        draw_event(&mut svg, event, &scale)?;
+    }
+    writeln!(
+        svg,
+        r##"<text x="10" y="290" fill="#666">Frames to scale, one millisecond is {PER_MS} pixels; long silences are shortened.</text>
+</svg>"##
+    )?;
+    Ok(svg)
+}
+
+fn draw_event(svg: &mut String, event: &Event, scale: &Scale) -> anyhow::Result<()> {
+    let y = match event.source {
+        Source::Adapter(_) => MASTER,
+        Source::Board(_) => BOARD,
+    };
+    let end = scale.x(event.time);
+    match &event.what {
+        What::Frame { frame, start, bit_rate, .. } => {
+            let (x, rate) = (scale.x(*start), bit_rate / 1000);
+            let (width, middle) = (end - x, (x + end) / 2.0);
+            let (corner, above, below) = (y - BOX_HEIGHT / 2.0, y - 18.0, y + 26.0);
+            writeln!(
+                svg,
+                r##"<rect x="{x:.1}" y="{corner}" width="{width:.1}" height="{BOX_HEIGHT}" fill="#4a7ab5"/>
+<text x="{middle:.1}" y="{above}" text-anchor="middle" font-size="10">{}</text>
+<text x="{middle:.1}" y="{below}" text-anchor="middle" font-size="10" fill="#666">{rate} kbit/s</text>"##,
+                short(frame)
+            )?;
+        }
+        What::BitTiming { bit_rate, .. } => writeln!(
+            svg,
+            r##"<path d="M {end:.1} {y} l -6 -12 h 12 z" fill="#c03028"/>
+<text x="{:.1}" y="{}" font-size="11" fill="#c03028">goes to {} kbit/s</text>"##,
+            end + 9.0,
+            y - 6.0,
+            bit_rate / 1000
+        )?,
+        _ => {}
+    }
+    Ok(())
+}
+
+/// The end of the request and the switch delay, if this is one to activate a bit rate.
+fn activation(event: &Event) -> Option<(Time, Time)> {
+    match event.what {
+        What::Frame { frame, .. } if frame.id == Id::Standard(lss::REQUEST_COB_ID) => {
+            match Request::from_bytes(&frame.data)? {
+                Request::ActivateBitTiming(ms) => Some((event.time, Time::from_ms(ms.into()))),
+                _ => None,
+            }
+        }
+        _ => None,
+    }
+}
+
+/// Identifier and data of a frame, without the zeros at the end of an LSS message.
+fn short(frame: &Frame) -> String {
+    let mut data = frame.payload();
+    while data.len() > 1 && data.ends_with(&[0]) {
+        data = &data[..data.len() - 1];
+    }
+    data.iter().fold(format!("{}:", frame.id), |text, byte| format!("{text} {byte:02X}"))
+}
+
+/// Where an instant is in the diagram: in proportion between two that matter, if they are not too far apart.
+struct Scale(Vec<(Time, f64)>);
+
+impl Scale {
+    fn new(events: &[&Event], others: [Time; 3]) -> Self {
+        let mut times: Vec<Time> = others.into();
+        for event in events {
+            match event.what {
+                What::Frame { start, .. } => times.extend([start, event.time]),
+                What::BitTiming { .. } => times.push(event.time),
+                _ => {}
+            }
+        }
+        times.sort();
+        let mut x = LEFT;
+        let mut before = times[0];
+        let at = |time: Time| {
+            let ms = (time - before).as_us() as f64 / 1000.0;
+            x += (ms * PER_MS).min(LONGEST_GAP);
+            before = time;
+            (time, x)
+        };
+        Self(times.into_iter().map(at).collect())
+    }
+
+    /// The place of an instant that was given to [`new`](Self::new), or of the last one before it.
+    fn x(&self, time: Time) -> f64 {
+        let known = self.0.iter().rev().find(|(known, _)| *known <= time);
+        known.map_or(LEFT, |(_, x)| *x)
+    }
+}
