@@ -1,5 +1,7 @@
 //! The node on its board: hands over what arrives, carries out what the node answers.
 
+use core::mem;
+
 use cortex_m::peripheral::SCB;
 use lss_slave::{
     Action, BusEvent, Instant, Node, NodeId, Settings,
@@ -18,7 +20,8 @@ use crate::{
 pub struct Slave {
     node: Node,
     can: Controller,
-    was_bus_off: bool,
+    /// As last seen.
+    bus_state: BusState,
     indicators: Indicators,
     /// Begins a store; its outcome comes back by [`Slave::handle_stored`].
     store: SignalWriter<'static, Settings>,
@@ -42,7 +45,7 @@ impl Slave {
         Self {
             node,
             can,
-            was_bus_off: false,
+            bus_state: BusState::Good,
             indicators: Indicators::default(),
             store,
             deadline: None,
@@ -104,8 +107,13 @@ impl Slave {
     }
 
     fn watch_bus(&mut self) {
-        let is_bus_off = self.can.bus_state() == BusState::BusOff;
-        match (self.was_bus_off, is_bus_off) {
+        let state = self.can.bus_state();
+        let before = mem::replace(&mut self.bus_state, state);
+        if state != before {
+            let (transmit, receive) = self.can.error_counters();
+            defmt::info!("CAN: TEC {=u8}, REC {=u8}", transmit, receive);
+        }
+        match (before == BusState::BusOff, state == BusState::BusOff) {
             (false, true) => {
                 defmt::error!("CAN: bus-off");
                 self.node.handle_bus(BusEvent::BusOff);
@@ -121,7 +129,6 @@ impl Slave {
             }
             _ => {}
         }
-        self.was_bus_off = is_bus_off;
         self.settle();
     }
 

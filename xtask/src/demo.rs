@@ -1,4 +1,4 @@
-//! `cargo demo`: an LSS master that others wrote configures a board, which is emulated, with the release firmware.
+//! `cargo demo`: an LSS master that others wrote configures emulated boards with the release firmware.
 
 mod bench;
 mod diagram;
@@ -19,7 +19,7 @@ use emulator::{
     network::{Event, Source, What},
 };
 use lss_slave::{
-    BitRate,
+    BitRate, BitRateSetting, Settings,
     lss::{self, Request},
 };
 use zencan_client::{
@@ -44,12 +44,19 @@ const START: Duration = Duration::from_secs(1);
 const FASTSCAN_TIMEOUT: Duration = Duration::from_millis(20);
 /// After the second switch delay, until every slave's clock says so too.
 const TOLERANCE: Duration = Duration::from_millis(10);
-const BOOT_UP: u16 = 0x700 + NODE_ID as u16;
+const OLD_BOARD_ID: u8 = 9;
+/// What the second board was given before.
+const OLD_BOARD: Settings = Settings {
+    node_id: lss_slave::NodeId::new(OLD_BOARD_ID),
+    bit_rate: BitRateSetting::Fixed(OLD_RATE),
+    heartbeat_ms: 0,
+};
 const PRE_OPERATIONAL: u8 = 0x7F;
 
 /// Show a board that is found, configured and power-cycled, frame by frame, on an emulated CAN bus
 ///
-/// The board is an emulated STM32F4 with the release firmware, blank. The LSS master is the crate zencan-client.
+/// The boards are emulated STM32F4s with the release firmware, one of them blank. The LSS master is the crate
+/// zencan-client.
 /// Fails if anything goes otherwise than CiA 305 says.
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -97,7 +104,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build()?;
     let mut screen = Screen::new(arguments.all);
     runtime.block_on(async {
-        let bench = Bench::new(boards::board(arguments.chip, &image, 0), OLD_RATE);
+        let [blank, mut old] = [0, 1].map(|number| boards::board(arguments.chip, &image, number));
+        let mut flash = old.flash();
+        boards::store_settings(&mut flash, OLD_BOARD);
+        old.set_flash(0, &flash);
+        let bench = Bench::new([blank, old], OLD_RATE);
         let outcome = session(&bench, &mut screen).await;
         // What was seen until it went wrong.
         screen.show(&bench.events())?;
@@ -114,10 +125,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
     let mut master = LssMaster::new(bench.clone(), bench.clone());
 
-    screen.chapter("A blank board is switched on at 125 kbit/s: no node-ID, so it is silent")?;
+    screen.chapter(
+        "Two boards are switched on at 125 kbit/s: node 9, and a blank one, which is silent",
+    )?;
     bench.pass(START).await;
-    let sent = bench.events().iter().filter(|event| is_frame_of_board(event)).count();
+    let sent = bench.events().iter().filter(|event| is_frame_of_blank_board(event)).count();
     ensure!(sent == 0, "a board without a node-ID sent {sent} frames by itself");
+    expect_boot_up(bench, OLD_BOARD_ID).await?;
     screen.show(&bench.events())?;
 
     screen.chapter("The master finds it by Fastscan: 128 bits of LSS address, one by one")?;
@@ -132,9 +146,10 @@ async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
     let expected = boards::serial_number(0);
     ensure!(serial == expected, "the serial number of the chip is {expected:08X}");
 
-    screen.chapter("It gets a node-ID and a bit rate, and stores them")?;
+    screen.chapter("It gets a node-ID; both boards get a bit rate, and store")?;
     let node_id = NodeId::new(NODE_ID).context("1 to 127 is a node-ID")?;
     master.set_node_id(node_id).await.context("configure node-ID")?;
+    master.set_global_mode(LssState::Configuring).await;
     master.set_baud_rate(0, NEW_RATE.index()).await.context("configure bit timing")?;
     master.store_config().await.context("store configuration")?;
     screen.show(&bench.events())?;
@@ -147,32 +162,37 @@ async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
     bench.pass(delay + TOLERANCE).await;
     screen.show(&bench.events())?;
 
-    screen.chapter("Back to LSS waiting state: the board takes its node-ID and boots up")?;
+    screen.chapter("Back to LSS waiting state: the new board takes its node-ID and boots up")?;
+    while bench.receive(Duration::ZERO).await.is_some() {}
     master.set_global_mode(LssState::Waiting).await;
-    expect_boot_up(bench).await?;
+    expect_boot_up(bench, NODE_ID).await?;
     screen.show(&bench.events())?;
 
     screen.chapter("The power fails for half a second: node-ID and bit rate were stored")?;
     bench.power_off();
     bench.pass(Duration::from_millis(500)).await;
     bench.power_on();
-    expect_boot_up(bench).await?;
+    expect_boot_up(bench, NODE_ID).await?;
     let heartbeat = bench.receive(Duration::from_secs(2)).await.context("no heartbeat came")?;
     ensure!(
-        heartbeat == Frame::data(Id::Standard(BOOT_UP), &[PRE_OPERATIONAL]),
+        heartbeat == error_control(NODE_ID, PRE_OPERATIONAL),
         "{heartbeat} came instead of a heartbeat"
     );
     screen.show(&bench.events())?;
     check_conduct(bench)
 }
 
-async fn expect_boot_up(bench: &Bench) -> anyhow::Result<()> {
+async fn expect_boot_up(bench: &Bench, node_id: u8) -> anyhow::Result<()> {
     let boot_up = bench.receive(START).await.context("no boot-up came")?;
     ensure!(
-        boot_up == Frame::data(Id::Standard(BOOT_UP), &[0]),
-        "{boot_up} came instead of the boot-up of node {NODE_ID}"
+        boot_up == error_control(node_id, 0),
+        "{boot_up} came instead of the boot-up of node {node_id}"
     );
     Ok(())
+}
+
+fn error_control(node_id: u8, state: u8) -> Frame {
+    Frame::data(Id::Standard(0x700 + u16::from(node_id)), &[state])
 }
 
 /// Nothing happened besides what was looked at.
@@ -188,8 +208,8 @@ fn check_conduct(bench: &Bench) -> anyhow::Result<()> {
     }
 }
 
-fn is_frame_of_board(event: &Event) -> bool {
-    matches!((event.source, &event.what), (Source::Board(_), What::Frame { .. }))
+fn is_frame_of_blank_board(event: &Event) -> bool {
+    matches!((event.source, &event.what), (Source::Board(0), What::Frame { .. }))
 }
 
 fn lss_request(request: Request) -> Frame {

@@ -1,5 +1,5 @@
 //! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask qemu`, `cargo xtask size`.
+//! `cargo xtask bench`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask size`.
 
 mod bench;
 mod boards;

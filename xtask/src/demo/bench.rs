@@ -1,4 +1,4 @@
-//! A board and an adapter on one bus, whose virtual time is tokio's paused clock.
+//! Boards and an adapter on one bus, whose virtual time is tokio's paused clock.
 
 use std::{
     convert::Infallible,
@@ -25,7 +25,7 @@ use super::span;
 /// How often a master looks whether something was received; tokio's clock has no finer steps.
 const POLL: Duration = Duration::from_millis(1);
 
-/// The board, and the adapter by which a master talks to it. Clones share both.
+/// The boards, and the adapter by which a master talks to them. Clones share both.
 #[derive(Clone)]
 pub struct Bench(Arc<Mutex<Inner>>);
 
@@ -36,10 +36,12 @@ struct Inner {
 }
 
 impl Bench {
-    /// A board that is switched on now, and an adapter at `bit_rate`.
-    pub fn new(board: Board, bit_rate: BitRate) -> Self {
+    /// Boards that are switched on now, and an adapter at `bit_rate`.
+    pub fn new(boards: impl IntoIterator<Item = Board>, bit_rate: BitRate) -> Self {
         let mut network = Network::new();
-        network.add_board(board);
+        for board in boards {
+            network.add_board(board);
+        }
         let adapter = network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
         Self(Arc::new(Mutex::new(Inner { network, adapter, begin: Instant::now() })))
     }
@@ -62,9 +64,9 @@ impl Bench {
         self.now_inner().network.trace().to_vec()
     }
 
-    /// What the board's firmware did wrong.
+    /// What the boards' firmware did wrong.
     pub fn findings(&self) -> Vec<Finding> {
-        self.now_inner().network.board(0).findings()
+        self.now_inner().network.boards().iter().flat_map(Board::findings).collect()
     }
 
     /// Lets time pass.
@@ -100,12 +102,12 @@ impl Bench {
         inner.network.adapter_mut(adapter).set_bit_rate(bit_per_s(bit_rate));
     }
 
-    /// Takes the board's supply away.
+    /// Takes the supply of board 0 away.
     pub fn power_off(&self) {
         self.now_inner().network.power_off(0);
     }
 
-    /// Gives the board's supply back.
+    /// Gives the supply of board 0 back.
     pub fn power_on(&self) {
         self.now_inner().network.power_on(0);
     }

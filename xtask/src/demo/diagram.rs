@@ -19,9 +19,9 @@ const LONGEST_GAP: f64 = 210.0;
 const LEFT: f64 = 110.0;
 const RIGHT: f64 = 50.0;
 const TOP: f64 = 66.0;
-const BOTTOM: f64 = 236.0;
+/// The master's line, and from there to the line of each board.
 const MASTER: f64 = 100.0;
-const BOARD: f64 = 165.0;
+const LANE: f64 = 65.0;
 const BOX_HEIGHT: f64 = 26.0;
 
 /// The diagram of the last activation of bit timing among `events`, as SVG.
@@ -38,11 +38,18 @@ pub fn draw(events: &[Event]) -> anyhow::Result<String> {
     let scale = Scale::new(&shown, [t0, t1, t2]);
     let [x0, x1, x2] = [t0, t1, t2].map(|time| scale.x(time));
     let width = scale.x(Time::MAX) + RIGHT;
+    let boards = events.iter().filter_map(|event| match event.source {
+        Source::Board(number) => Some(number + 1),
+        Source::Adapter(_) => None,
+    });
+    let boards = boards.max().unwrap_or(0);
+    let bottom = lane(Source::Board(boards)) + 6.0;
+    let last = bottom + 64.0;
 
     let mut svg = String::new();
     writeln!(
         svg,
-        r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0} 300" font-family="sans-serif" font-size="12">
+        r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0} {last}" font-family="sans-serif" font-size="12">
 <rect width="100%" height="100%" fill="white"/>
 <text x="10" y="24" font-size="16">Activate bit timing, switch delay {} ms</text>"#,
         delay.as_ms()
@@ -51,17 +58,18 @@ pub fn draw(events: &[Event]) -> anyhow::Result<String> {
         [(x0, x1, "#e8eef7", "d1", "old bit rate"), (x1, x2, "#fdf0df", "d2", "new bit rate")]
     {
         let (middle, span) = ((from + to) / 2.0, to - from);
-        let height = BOTTOM - TOP;
+        let (height, above, below) = (bottom - TOP, bottom - 20.0, bottom - 6.0);
         writeln!(
             svg,
             r#"<rect x="{from:.1}" y="{TOP}" width="{span:.1}" height="{height}" fill="{fill}"/>
 <text x="{middle:.1}" y="56" text-anchor="middle">{name} = {} ms</text>
-<text x="{middle:.1}" y="216" text-anchor="middle">{rule}:</text>
-<text x="{middle:.1}" y="230" text-anchor="middle">nobody starts a frame</text>"#,
+<text x="{middle:.1}" y="{above}" text-anchor="middle">{rule}:</text>
+<text x="{middle:.1}" y="{below}" text-anchor="middle">nobody starts a frame</text>"#,
             delay.as_ms()
         )?;
     }
-    for (y, name) in [(MASTER, "LSS master"), (BOARD, "board")] {
+    let names = (0..boards).map(|number| (lane(Source::Board(number)), format!("board {number}")));
+    for (y, name) in [(MASTER, "LSS master".to_owned())].into_iter().chain(names) {
         let (text, to) = (y + 4.0, width - RIGHT / 2.0);
         writeln!(
             svg,
@@ -70,30 +78,48 @@ pub fn draw(events: &[Event]) -> anyhow::Result<String> {
         )?;
     }
     for (time, x, name) in [(t0, x0, "t0"), (t1, x1, "t0 + d1"), (t2, x2, "t0 + d1 + d2")] {
+        let (above, below) = (bottom + 16.0, bottom + 32.0);
         writeln!(
             svg,
-            r##"<line x1="{x:.1}" y1="{TOP}" x2="{x:.1}" y2="{BOTTOM}" stroke="#444" stroke-dasharray="4 3"/>
-<text x="{x:.1}" y="252" text-anchor="middle">{name}</text>
-<text x="{x:.1}" y="268" text-anchor="middle" fill="#666">{:.3} ms</text>"##,
+            r##"<line x1="{x:.1}" y1="{TOP}" x2="{x:.1}" y2="{bottom}" stroke="#444" stroke-dasharray="4 3"/>
+<text x="{x:.1}" y="{above}" text-anchor="middle">{name}</text>
+<text x="{x:.1}" y="{below}" text-anchor="middle" fill="#666">{:.3} ms</text>"##,
             time.as_us() as f64 / 1000.0
         )?;
     }
     for event in shown {
-        draw_event(&mut svg, event, &scale)?;
+        draw_event(&mut svg, event, event.source, &scale)?;
+        if let What::Frame { also, .. } = &event.what {
+            for source in also {
+                draw_event(&mut svg, event, *source, &scale)?;
+            }
+        }
     }
     writeln!(
         svg,
-        r##"<text x="10" y="290" fill="#666">Frames to scale, one millisecond is {PER_MS} pixels; long silences are shortened.</text>
-</svg>"##
+        r##"<text x="10" y="{}" fill="#666">Frames to scale, one millisecond is {PER_MS} pixels; long silences are shortened.</text>
+</svg>"##,
+        bottom + 54.0
     )?;
     Ok(svg)
 }
 
-fn draw_event(svg: &mut String, event: &Event, scale: &Scale) -> anyhow::Result<()> {
-    let y = match event.source {
+/// The height at which someone's line is.
+fn lane(source: Source) -> f64 {
+    match source {
         Source::Adapter(_) => MASTER,
-        Source::Board(_) => BOARD,
-    };
+        Source::Board(number) => MASTER + LANE * (number + 1) as f64,
+    }
+}
+
+/// Draws an event on the line of `source`, who made it or took part in it.
+fn draw_event(
+    svg: &mut String,
+    event: &Event,
+    source: Source,
+    scale: &Scale,
+) -> anyhow::Result<()> {
+    let y = lane(source);
     let end = scale.x(event.time);
     match &event.what {
         What::Frame { frame, start, bit_rate, .. } => {

@@ -95,10 +95,16 @@ impl Screen {
     }
 }
 
+/// Whether several boards sent the same frame at the same time.
+fn is_of_several(event: &Event) -> bool {
+    matches!(&event.what, What::Frame { also, .. } if !also.is_empty())
+}
+
 /// The line of an event, if it is worth one; `before` is the line before it scanned.
 fn line(event: &Event, before: Option<AddressPart>) -> Option<Line> {
     let (style, who) = match event.source {
         Source::Adapter(_) => (MASTER, "master ->".to_owned()),
+        Source::Board(_) if is_of_several(event) => (BOARD, "<- boards".to_owned()),
         Source::Board(number) => (BOARD, format!("<- board {number}")),
     };
     let plain = |text: String| Some((style, text, None));
