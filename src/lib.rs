@@ -16,6 +16,12 @@
 //! assert_eq!((answer.cob_id(), answer.data()), (0x7E4, &[0x50, 0, 0, 0, 0, 0, 0, 0][..]));
 //! ```
 //!
+//! The same on a bus within the process, as a program:
+//!
+//! ```no_run
+#![doc = include_str!("../examples/in_process_bus.rs")]
+//! ```
+//!
 //! [`Node`] says how to drive it; [`settings`] keeps what LSS configures in flash; [`bit_rate`] turns a bit rate
 //! and a clock into the bxCAN's bit timing.
 

@@ -247,6 +247,7 @@ impl Node {
                 let delay_micros = u32::from(delay_ms) * 1000;
                 let until = now.plus_micros(delay_micros);
                 self.switch = Some(Switch { phase: Phase::OldRate, until, delay_micros });
+                self.sdo.reset();
                 Some(Action::StopTransmitting)
             }
             Reaction::StoreConfiguration => {

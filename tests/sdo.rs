@@ -188,3 +188,14 @@ fn sdo_is_served_whatever_the_lss_state() {
     assert_eq!(board.lss("5E"), ["5E 40"], "LSS in the middle of a transfer");
     assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"]);
 }
+
+#[test]
+fn a_switch_of_the_bit_rate_ends_an_upload_without_a_word() {
+    let mut board = Board::with_node_id(0x40);
+    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
+    board.lss("04 01");
+    board.lss("13 00 02");
+    assert_eq!(board.lss("15 0A 00"), SILENCE);
+    assert_eq!(board.pass_ms(20), SILENCE);
+    assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"]);
+}
