@@ -29,7 +29,7 @@ fn main() {
 fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
     let device = Device {
         address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-        bit_rates: BitRates::possible(32_000_000),
+        bit_rates: BitRates::possible(40_000_000),
         heartbeat_ms: 0,
         name: "Example",
         hardware_version: "1",

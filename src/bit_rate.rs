@@ -178,6 +178,8 @@ pub struct BitTiming {
 impl BitTiming {
     /// By how much the rate may be wrong: 1/1000, which leaves most of what a CAN bit tolerates to the crystals.
     pub const MAX_RATE_ERROR_PPM: u32 = 1_000;
+    /// What each of two crystals may be off, if the clock allows it: 1/200.
+    pub const CRYSTAL_ERROR_PPM: u32 = 5_000;
     /// The sample point that is aimed at, in 1/1000 of the bit (CiA 301).
     pub const SAMPLE_POINT: u32 = 875;
     /// Time quanta a bit (ISO 11898-1).
@@ -192,9 +194,10 @@ impl BitTiming {
         }
     }
 
-    /// The best bit timing for `rate` from an APB1 clock of `clock_hz`: least rate error, then a second segment of more
-    /// than one quantum, then the sample point nearest to 87.5 % (of two the earlier), then the most time quanta. The
-    /// synchronisation jump width is as large as the second segment allows: together they bear bad crystals.
+    /// The best bit timing for `rate` from an APB1 clock of `clock_hz`: least rate error, then a
+    /// [`crystal_tolerance_ppm`](Self::crystal_tolerance_ppm) of [`CRYSTAL_ERROR_PPM`](Self::CRYSTAL_ERROR_PPM) or as near
+    /// as possible, then the sample point nearest to 87.5 % (of two the earlier), then the most time quanta. The
+    /// synchronisation jump width is as large as the second segment allows.
     ///
     /// `None` if the rate would be more than 0.1 % off or the sample point outside of
     /// [`sample_point_range`](Self::sample_point_range).
@@ -221,9 +224,11 @@ impl BitTiming {
                     segment2: segment2 as u8,
                     sync_jump_width: if segment2 < 4 { segment2 as u8 } else { 4 },
                 };
+                let intolerance =
+                    Self::CRYSTAL_ERROR_PPM.saturating_sub(timing.crystal_tolerance_ppm());
                 let sample_point = timing.sample_point();
                 let badness = (error_ppm / prescaler) << 32
-                    | ((segment2 == 1) as u64) << 16
+                    | (intolerance as u64) << 16
                     | sample_point.abs_diff(Self::SAMPLE_POINT) as u64;
                 if segment1 >= 1
                     && segment1 <= 16
@@ -239,6 +244,18 @@ impl BitTiming {
             quanta -= 1;
         }
         best
+    }
+
+    /// By how much the crystals of two nodes may be off, in opposite directions and in ppm, on a short bus: a
+    /// resynchronisation makes up for what has slipped in 10 bits, and within the 13 bits that an error flag can last
+    /// nothing slips past the sample point (ISO 11898-1).
+    pub const fn crystal_tolerance_ppm(self) -> u32 {
+        let quanta = self.quanta();
+        let shorter =
+            if self.segment1 < self.segment2 { self.segment1 } else { self.segment2 } as u32;
+        let jump = self.sync_jump_width as u32 * 1_000_000 / (20 * quanta);
+        let phase = shorter * 1_000_000 / (2 * (13 * quanta - self.segment2 as u32));
+        if jump < phase { jump } else { phase }
     }
 
     /// The value of the bit timing register CAN_BTR, without its silent and loop-back bits (RM0090, 32.9.2).

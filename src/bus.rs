@@ -2,8 +2,9 @@
 //!
 //! A bit rate is *on trial* from power-on, from a switch and from a bus-off until a frame has been received, or one of our
 //! own acknowledged: then it is *proven*, and nothing but the next of these three events questions it. If it fails on
-//! trial, which means that the controller became error passive by what it received, or bus-off, without one good frame,
-//! the node falls silent and *listens*: it sends no dominant bit until a valid frame has shown a rate that works.
+//! trial, which means that the controller became error passive by what it received, or bus-off, or that error was seen after
+//! error, without one good frame, the node falls silent and *listens*: it sends no dominant bit until a valid frame has shown
+//! a rate that works.
 //!
 //! Listening goes from the fastest rate down. A frame at a slower rate holds its bits longer than a faster listener can
 //! take for stuffed data, so that at every rate above the true one each frame ends in an error, which leads one step
@@ -19,7 +20,8 @@ pub enum BusEvent {
     Received,
     /// A frame of the node was sent and acknowledged.
     Acknowledged,
-    /// A receive error (stuff, form or CRC) while listening.
+    /// What was last seen on the bus is a stuff, form or CRC error. To be told of each while listening; else it is enough
+    /// to look a few times a second.
     Error,
     /// The controller is error passive through what it received (REC over 127). Missing acknowledges, which make an error
     /// passive transmitter of a node that is alone, do not count.
@@ -27,6 +29,10 @@ pub enum BusEvent {
     /// The controller is bus-off.
     BusOff,
 }
+
+/// So many times an [`Error`](BusEvent::Error) is seen on trial until the rate fails. Error counters alone do not tell: two
+/// nodes that both repeat a frame for ever may fall into step, and a transmitter's errors in the arbitration do not count.
+pub(crate) const ERRORS_ON_TRIAL: u8 = 8;
 
 /// How long nothing is heard until listening starts again at the fastest rate, in microseconds.
 const QUIET_MICROS: u32 = 1_500_000;
@@ -36,11 +42,17 @@ const QUIET_TURNS: u8 = 20;
 /// Where the node stands.
 #[derive(Clone, Debug)]
 pub(crate) enum Bus {
-    OnTrial,
+    OnTrial {
+        errors: u8,
+    },
     Proven,
     Listening(Listening),
     /// Listening has shown a rate at which the node can take part in the bus.
     Found(BitRate),
+}
+
+impl Bus {
+    pub const ON_TRIAL: Self = Self::OnTrial { errors: 0 };
 }
 
 /// A search for the bit rate.

@@ -109,7 +109,7 @@ impl Node {
     /// A node after power-on with its persistent settings.
     pub const fn new(device: Device, persistent: Settings) -> Self {
         let (rate, bus) = match persistent.bit_rate {
-            BitRateSetting::Fixed(rate) => (rate, Bus::OnTrial),
+            BitRateSetting::Fixed(rate) => (rate, Bus::ON_TRIAL),
             BitRateSetting::Automatic => {
                 let rate = device.bit_rates.fastest();
                 (rate, Bus::Listening(Listening::begin(rate, None)))
@@ -180,7 +180,7 @@ impl Node {
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         match self.bus {
             Bus::Proven => {}
-            Bus::OnTrial => self.bus = Bus::Proven,
+            Bus::OnTrial { .. } => self.bus = Bus::Proven,
             Bus::Listening(_) | Bus::Found(_) => {
                 self.handle_bus(BusEvent::Received);
                 return None;

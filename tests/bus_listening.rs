@@ -2,11 +2,11 @@
 
 mod support;
 
-use lss_slave::{BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, Settings, nmt::State};
+use lss_slave::{BitRate, BitRateSetting, BitRates, BusEvent, Device, Settings, nmt::State};
 use support::{
     board::{ADDRESS, Board, defaults, device},
     flash::BoardFlash,
-    frames::{self, Frames, SILENCE},
+    frames::{self, SILENCE},
 };
 
 const KBIT_PER_S: [u16; 8] = [1000, 800, 500, 250, 125, 50, 20, 10];
@@ -30,16 +30,6 @@ fn listening() -> Board {
     let mut board = listening_with(device(ADDRESS), defaults(0x40), 0);
     assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"]);
     board
-}
-
-/// The controller reports an event.
-fn see(board: &mut Board, event: BusEvent) -> Frames {
-    board.node.handle_bus(event);
-    board.pass_us(0)
-}
-
-fn stranger() -> Frame {
-    Frame::new(0x181, &[1, 2, 3]).expect("a frame")
 }
 
 #[test]
@@ -87,7 +77,7 @@ fn activation_begins_to_listen_after_the_delay_and_speaks_after_two_at_the_earli
         board.timeline();
         board.lss("15 64 00");
         board.pass_ms(heard_at_ms);
-        assert_eq!(board.receive(&stranger()), SILENCE);
+        assert_eq!(board.receive(&frames::stranger()), SILENCE);
         board.pass_ms(1000 - heard_at_ms);
         assert_eq!(board.timeline(), [&["0 ms stop"][..], expected].concat());
         assert_eq!(board.lss("5E"), ["5E 40"], "still in configuration state");
@@ -97,8 +87,8 @@ fn activation_begins_to_listen_after_the_delay_and_speaks_after_two_at_the_earli
 #[test]
 fn an_activation_of_automatic_detection_that_is_active_keeps_the_rate_that_was_found() {
     let mut board = listening();
-    see(&mut board, BusEvent::Error);
-    board.receive(&stranger());
+    board.see(BusEvent::Error);
+    board.receive(&frames::stranger());
     board.lss("04 01");
     board.timeline();
     board.lss("15 0A 00");
@@ -110,7 +100,7 @@ fn an_activation_of_automatic_detection_that_is_active_keeps_the_rate_that_was_f
 #[test]
 fn a_fixed_rate_ends_automatic_detection() {
     let mut board = listening();
-    board.receive(&stranger());
+    board.receive(&frames::stranger());
     board.lss("04 01");
     board.lss("13 00 04");
     board.lss("17");
@@ -125,10 +115,10 @@ fn nothing_is_sent_while_listening_whatever_happens() {
     let mut board =
         listening_with(device(ADDRESS), Settings { heartbeat_ms: 100, ..defaults(0x40) }, 0);
     for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000] {
-        assert_eq!(see(&mut board, BusEvent::Error), SILENCE);
+        assert_eq!(board.see(BusEvent::Error), SILENCE);
         assert_eq!(board.pass_ms(1_400), SILENCE, "no heartbeat");
-        assert_eq!(see(&mut board, BusEvent::ReceivesErrorsOnly), SILENCE);
-        assert_eq!(see(&mut board, BusEvent::BusOff), SILENCE);
+        assert_eq!(board.see(BusEvent::ReceivesErrorsOnly), SILENCE);
+        assert_eq!(board.see(BusEvent::BusOff), SILENCE);
         assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s, "only an error leads on");
         assert_eq!(board.node.nmt_state(), State::Initialisation);
     }
@@ -138,10 +128,10 @@ fn nothing_is_sent_while_listening_whatever_happens() {
 #[test]
 fn the_first_valid_frame_decides_and_is_not_obeyed() {
     for (steps, kbit_per_s) in KBIT_PER_S.into_iter().enumerate() {
-        for first in [stranger(), frames::request("04 01"), frames::command("01 00")] {
+        for first in [frames::stranger(), frames::request("04 01"), frames::command("01 00")] {
             let mut board = listening();
             for _ in 0..steps {
-                see(&mut board, BusEvent::Error);
+                board.see(BusEvent::Error);
             }
             board.timeline();
             assert_eq!(board.receive(&first), ["740: 00"], "the boot-up");
@@ -156,17 +146,17 @@ fn the_first_valid_frame_decides_and_is_not_obeyed() {
 #[test]
 fn a_frame_that_no_canopen_node_wants_decides_too() {
     let mut board = listening();
-    assert_eq!(see(&mut board, BusEvent::Received), ["740: 00"]);
+    assert_eq!(board.see(BusEvent::Received), ["740: 00"]);
     assert!(!board.node.is_listening());
 }
 
 #[test]
 fn a_rate_once_found_is_kept_through_errors_and_bus_off() {
     let mut board = listening();
-    see(&mut board, BusEvent::Error);
-    board.receive(&stranger());
+    board.see(BusEvent::Error);
+    board.receive(&frames::stranger());
     for event in [BusEvent::Error, BusEvent::ReceivesErrorsOnly, BusEvent::BusOff] {
-        see(&mut board, event);
+        board.see(event);
         board.pass_ms(60_000);
         assert_eq!(board.bit_rate(), BitRate::Kbit800, "{event:?}");
         assert!(!board.node.is_listening(), "{event:?}");
@@ -178,7 +168,7 @@ fn each_error_leads_to_the_next_slower_rate_and_from_the_slowest_to_the_fastest(
     let mut board = listening();
     for kbit_per_s in KBIT_PER_S.into_iter().cycle().skip(1).take(24) {
         board.pass_ms(1);
-        see(&mut board, BusEvent::Error);
+        board.see(BusEvent::Error);
         assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s);
         assert!(board.node.is_listening());
     }
@@ -189,7 +179,7 @@ fn rates_that_the_clock_cannot_produce_are_left_out() {
     let device = Device { bit_rates: BitRates::possible(42_000_000), ..device(ADDRESS) };
     assert!(!device.bit_rates.contains(BitRate::Kbit800));
     let mut board = listening_with(device, defaults(0x40), 0);
-    see(&mut board, BusEvent::Error);
+    board.see(BusEvent::Error);
     assert_eq!(board.bit_rate(), BitRate::Kbit500);
 }
 
@@ -197,14 +187,14 @@ fn rates_that_the_clock_cannot_produce_are_left_out() {
 fn after_a_second_and_a_half_without_anything_heard_listening_starts_again_at_the_fastest() {
     let mut board = listening();
     for _ in 0..3 {
-        see(&mut board, BusEvent::Error);
+        board.see(BusEvent::Error);
     }
     board.pass_us(1_499_999);
     assert_eq!(board.bit_rate(), BitRate::Kbit250);
     board.pass_us(1);
     assert_eq!(board.bit_rate(), BitRate::Kbit1000);
     board.pass_ms(100);
-    see(&mut board, BusEvent::Error);
+    board.see(BusEvent::Error);
     board.pass_us(1_499_999);
     assert_eq!(board.bit_rate(), BitRate::Kbit800, "the error began the time anew");
 }
@@ -216,14 +206,14 @@ fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_for_ever() {
         board.timeline();
         assert_eq!(board.pass_ms(10 * 60_000), SILENCE);
         assert_eq!(board.timeline(), SILENCE, "nor does it touch the controller");
-        assert_eq!(board.receive(&stranger()), ["740: 00"]);
+        assert_eq!(board.receive(&frames::stranger()), ["740: 00"]);
     }
 }
 
 #[test]
 fn a_node_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
     let mut board = listening_with(device(ADDRESS), defaults(0xFF), 0);
-    see(&mut board, BusEvent::Error);
+    board.see(BusEvent::Error);
     assert_eq!(board.receive(&frames::request("4C")), SILENCE, "it was deaf to this one");
     assert_eq!(board.bit_rate(), BitRate::Kbit800);
     assert_eq!(board.lss("4C"), ["50"]);

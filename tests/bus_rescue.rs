@@ -2,11 +2,11 @@
 
 mod support;
 
-use lss_slave::{BitRate, BusEvent, Device, Frame, Settings, nmt::State};
+use lss_slave::{BitRate, BusEvent, Device, Settings, nmt::State};
 use support::{
     board::{ADDRESS, Board, defaults, device},
     flash::BoardFlash,
-    frames::{Frames, SILENCE},
+    frames::{self, SILENCE},
 };
 
 /// What fails a bit rate on trial.
@@ -34,21 +34,11 @@ fn switched(rescue: bool) -> Board {
     board
 }
 
-/// The controller reports an event.
-fn see(board: &mut Board, event: BusEvent) -> Frames {
-    board.node.handle_bus(event);
-    board.pass_us(0)
-}
-
-fn stranger() -> Frame {
-    Frame::new(0x181, &[1, 2, 3]).expect("a frame")
-}
-
 #[test]
 fn after_power_on_errors_without_one_good_frame_make_a_node_listen_from_the_fastest_rate_on() {
     for failure in FAILURES {
         let mut board = unheard();
-        assert_eq!(see(&mut board, failure), SILENCE);
+        assert_eq!(board.see(failure), SILENCE);
         assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"], "{failure:?}");
     }
 }
@@ -63,7 +53,7 @@ fn after_a_switch_the_previous_rate_is_listened_to_first_and_on_silence_the_fast
             board.lss("15 00 00");
         }
         board.timeline();
-        see(&mut board, failure);
+        board.see(failure);
         board.pass_ms(2_000);
         let expected = ["0 ms listen at 250 kbit/s", "1500 ms listen at 1000 kbit/s"];
         assert_eq!(board.timeline(), expected, "{failure:?}");
@@ -73,16 +63,16 @@ fn after_a_switch_the_previous_rate_is_listened_to_first_and_on_silence_the_fast
 #[test]
 fn after_bus_off_a_rate_that_was_proven_is_on_trial_again() {
     let mut board = switched(true);
-    board.receive(&stranger());
-    see(&mut board, BusEvent::BusOff);
+    board.receive(&frames::stranger());
+    board.see(BusEvent::BusOff);
     assert!(!board.node.is_listening(), "once is not enough");
-    see(&mut board, BusEvent::BusOff);
+    board.see(BusEvent::BusOff);
     assert!(board.node.is_listening());
     let mut board = switched(true);
-    board.receive(&stranger());
-    see(&mut board, BusEvent::BusOff);
-    see(&mut board, BusEvent::Received);
-    see(&mut board, BusEvent::BusOff);
+    board.receive(&frames::stranger());
+    board.see(BusEvent::BusOff);
+    board.see(BusEvent::Received);
+    board.see(BusEvent::BusOff);
     assert!(!board.node.is_listening(), "a frame was received in between");
 }
 
@@ -90,10 +80,10 @@ fn after_bus_off_a_rate_that_was_proven_is_on_trial_again() {
 fn one_good_frame_or_one_acknowledge_proves_the_rate_and_no_error_questions_it() {
     for proof in [BusEvent::Received, BusEvent::Acknowledged] {
         for mut board in [unheard(), switched(true)] {
-            see(&mut board, proof);
-            see(&mut board, BusEvent::Error);
+            board.see(proof);
             for _ in 0..1000 {
-                see(&mut board, BusEvent::ReceivesErrorsOnly);
+                board.see(BusEvent::Error);
+                board.see(BusEvent::ReceivesErrorsOnly);
                 board.pass_ms(250);
             }
             assert_eq!(board.bit_rate(), BitRate::Kbit125, "{proof:?}");
@@ -101,15 +91,33 @@ fn one_good_frame_or_one_acknowledge_proves_the_rate_and_no_error_questions_it()
         }
     }
     let mut board = unheard();
-    board.receive(&stranger());
-    see(&mut board, BusEvent::ReceivesErrorsOnly);
+    board.receive(&frames::stranger());
+    board.see(BusEvent::ReceivesErrorsOnly);
     assert!(!board.node.is_listening(), "whatever the frame");
 }
 
 #[test]
-fn a_single_error_is_no_failure() {
-    let mut board = unheard();
-    see(&mut board, BusEvent::Error);
+fn eight_times_nothing_but_an_error_is_a_failure_and_seven_times_is_none() {
+    for mut board in [unheard(), switched(true)] {
+        for _ in 0..7 {
+            board.see(BusEvent::Error);
+            board.pass_ms(250);
+        }
+        assert!(!board.node.is_listening());
+        board.see(BusEvent::Error);
+        assert!(board.node.is_listening());
+    }
+}
+
+#[test]
+fn errors_are_counted_anew_after_each_trial() {
+    let mut board = switched(true);
+    for _ in 0..7 {
+        board.see(BusEvent::Error);
+    }
+    board.see(BusEvent::Received);
+    board.see(BusEvent::BusOff);
+    board.see(BusEvent::Error);
     assert!(!board.node.is_listening());
 }
 
@@ -122,12 +130,12 @@ fn within_the_silent_periods_of_a_switch_errors_do_not_count() {
         board.timeline();
         board.lss("15 64 00");
         for _ in 0..20 {
-            see(&mut board, failure);
+            board.see(failure);
             board.pass_ms(10);
         }
         let expected = ["0 ms stop", "100 ms 125 kbit/s", "200 ms resume"];
         assert_eq!(board.timeline(), expected, "{failure:?}");
-        see(&mut board, failure);
+        board.see(failure);
         assert!(board.node.is_listening(), "after them they do");
     }
 }
@@ -135,9 +143,9 @@ fn within_the_silent_periods_of_a_switch_errors_do_not_count() {
 #[test]
 fn an_error_while_listening_leads_to_the_next_slower_rate() {
     let mut board = unheard();
-    see(&mut board, BusEvent::BusOff);
+    board.see(BusEvent::BusOff);
     for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000] {
-        see(&mut board, BusEvent::Error);
+        board.see(BusEvent::Error);
         assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s);
     }
 }
@@ -146,7 +154,7 @@ fn an_error_while_listening_leads_to_the_next_slower_rate() {
 fn after_30_s_of_silence_a_node_goes_back_to_its_rate_on_trial() {
     for failure in FAILURES {
         let mut board = switched(true);
-        see(&mut board, failure);
+        board.see(failure);
         assert_eq!(board.pass_us(29_999_999), SILENCE);
         assert!(board.node.is_listening());
         board.pass_us(1);
@@ -155,9 +163,9 @@ fn after_30_s_of_silence_a_node_goes_back_to_its_rate_on_trial() {
         assert_eq!(board.lss("5E"), ["5E 40"], "it answers there");
 
         let mut board = switched(true);
-        see(&mut board, failure);
+        board.see(failure);
         board.pass_ms(30_000);
-        see(&mut board, failure);
+        board.see(failure);
         assert!(board.node.is_listening(), "it was on trial");
     }
 }
@@ -165,10 +173,10 @@ fn after_30_s_of_silence_a_node_goes_back_to_its_rate_on_trial() {
 #[test]
 fn errors_heard_put_the_return_to_the_old_rate_off() {
     let mut board = switched(true);
-    see(&mut board, BusEvent::BusOff);
+    board.see(BusEvent::BusOff);
     for _ in 0..10 {
         board.pass_ms(29_000);
-        see(&mut board, BusEvent::Error);
+        board.see(BusEvent::Error);
         assert!(board.node.is_listening());
     }
     board.pass_ms(30_000);
@@ -179,8 +187,9 @@ fn errors_heard_put_the_return_to_the_old_rate_off() {
 fn a_device_that_turns_rescue_off_stays_at_its_rate() {
     let mut board = switched(false);
     for _ in 0..100 {
-        see(&mut board, BusEvent::ReceivesErrorsOnly);
-        see(&mut board, BusEvent::BusOff);
+        board.see(BusEvent::Error);
+        board.see(BusEvent::ReceivesErrorsOnly);
+        board.see(BusEvent::BusOff);
         board.pass_ms(1000);
     }
     assert_eq!(board.timeline(), SILENCE);
@@ -192,11 +201,11 @@ fn a_rescued_node_is_as_it_was_and_serves_lss_and_nmt_at_the_rate_of_the_bus() {
     let mut board = new_board(true, Settings { heartbeat_ms: 1000, ..defaults(0x40) });
     board.nmt("01 00");
     board.lss("04 01");
-    see(&mut board, BusEvent::BusOff);
-    see(&mut board, BusEvent::BusOff);
-    see(&mut board, BusEvent::Error);
+    board.see(BusEvent::BusOff);
+    board.see(BusEvent::BusOff);
+    board.see(BusEvent::Error);
     board.timeline();
-    assert_eq!(board.receive(&stranger()), ["740: 05"], "a heartbeat at once, no boot-up");
+    assert_eq!(board.receive(&frames::stranger()), ["740: 05"], "a heartbeat at once, no boot-up");
     assert_eq!(board.timeline(), ["0 ms 800 kbit/s", "0 ms resume", "0 ms 740: 05"]);
     assert_eq!(board.node.nmt_state(), State::Operational);
     assert_eq!(board.lss("5E"), ["5E 40"], "still in configuration state");
@@ -209,8 +218,8 @@ fn a_rescued_node_is_as_it_was_and_serves_lss_and_nmt_at_the_rate_of_the_bus() {
 #[test]
 fn what_was_configured_survives_a_rescue_and_a_rescue_stores_nothing() {
     let mut board = switched(true);
-    see(&mut board, BusEvent::BusOff);
-    board.receive(&stranger());
+    board.see(BusEvent::BusOff);
+    board.receive(&frames::stranger());
     assert_eq!(board.bit_rate(), BitRate::Kbit1000, "the previous one");
     assert_eq!(board.stored(), None);
     assert_eq!(board.lss("17"), ["17 00"]);

@@ -29,7 +29,7 @@ impl Board {
     fn new(id: u8, rate: u8) -> Self {
         let device = Device {
             address: ADDRESS,
-            bit_rates: BitRates::possible(32_000_000).with_automatic(),
+            bit_rates: BitRates::possible(40_000_000).with_automatic(),
             heartbeat_ms: 10,
             name: "Fuzz",
             hardware_version: "A",

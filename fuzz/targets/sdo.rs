@@ -13,7 +13,7 @@ const ABORT: u8 = 0x80;
 fn node() -> Node {
     let device = Device {
         address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-        bit_rates: BitRates::possible(32_000_000),
+        bit_rates: BitRates::possible(40_000_000),
         heartbeat_ms: 0,
         name: "A name that takes more than one segment",
         hardware_version: "",

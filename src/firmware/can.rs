@@ -203,17 +203,17 @@ impl Controller {
         self.may_transmit = true;
     }
 
-    /// Acknowledges a status interrupt; returns whether the last thing received was no frame.
+    /// Acknowledges a status interrupt; returns whether the last thing seen on the bus is an error. A missing acknowledge is
+    /// none: nobody may be there.
     pub fn handle_status(&mut self) -> bool {
-        const STUFF: u8 = 1;
-        const FORM: u8 = 2;
-        const CRC: u8 = 6;
+        const NO_ERROR: u8 = 0;
+        const ACKNOWLEDGE: u8 = 3;
         const NONE_YET: u8 = 7;
         let last_error = registers().esr().read().lec().bits();
         // SAFETY: 7 is the value that software sets, to see the next error (RM0090, 32.9.2).
         registers().esr().write(|w| unsafe { w.lec().bits(NONE_YET) });
         registers().msr().write(|w| w.erri().set_bit());
-        matches!(last_error, STUFF | FORM | CRC)
+        !matches!(last_error, NO_ERROR | ACKNOWLEDGE | NONE_YET)
     }
 
     /// TEC and REC (RM0090, 32.7.6).

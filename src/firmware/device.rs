@@ -47,9 +47,9 @@ pub fn indicator_pins(port: GPIOD, rcc: &mut RCC) -> (ErasedPin<Output>, ErasedP
     (pins.pd12.into_push_pull_output().erase(), pins.pd14.into_push_pull_output().erase())
 }
 
-/// The core clock. 128 MHz with an APB1 clock of a quarter is the choice, legal for every chip here, from which all
-/// eight bit rates come out exact.
-pub const SYSCLK_HZ: u32 = 128_000_000;
+/// The core clock. 160 MHz with an APB1 clock of a quarter is legal for every chip here, and the choice from which all eight
+/// bit rates come out exact and bear crystals that are 0.5 % off: docs/bit-rates.md.
+pub const SYSCLK_HZ: u32 = 160_000_000;
 /// The clock of the CAN controller.
 pub const APB1_HZ: u32 = SYSCLK_HZ / 4;
 

@@ -87,15 +87,13 @@ impl Slave {
 
     /// The controller's error state has changed, or it has heard something that is no frame.
     pub fn handle_status(&mut self) {
-        let is_receive_error = self.can.handle_status();
-        if self.can.is_listening() {
-            if is_receive_error {
-                self.node.handle_bus(BusEvent::Error);
-                self.settle();
-            }
-        } else {
+        if self.can.handle_status() {
+            self.node.handle_bus(BusEvent::Error);
+        }
+        if !self.can.is_listening() {
             self.watch_bus();
         }
+        self.settle();
     }
 
     /// Looks after the controller, a few times a second: no interrupt tells that it has recovered from bus-off.
@@ -103,7 +101,7 @@ impl Slave {
         self.can.supervise();
         let (transmit, receive) = self.can.error_counters();
         self.node.note_error_counters(transmit, receive);
-        self.watch_bus();
+        self.handle_status();
     }
 
     fn watch_bus(&mut self) {
@@ -129,7 +127,6 @@ impl Slave {
             }
             _ => {}
         }
-        self.settle();
     }
 
     /// The board has seen a trouble.

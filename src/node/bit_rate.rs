@@ -3,7 +3,7 @@
 use super::{Action, Node};
 use crate::{
     BitRate, BitRateSetting, Instant,
-    bus::{Bus, BusEvent, Listening, Step},
+    bus::{Bus, BusEvent, ERRORS_ON_TRIAL, Listening, Step},
 };
 
 /// An activation of bit timing on its way (CiA 305, activate bit timing parameters).
@@ -27,11 +27,17 @@ impl Node {
         self.is_boot_up_acknowledged |= event == BusEvent::Acknowledged;
         let is_to_listen = self.device.rescue && self.switch.is_none();
         match (&mut self.bus, event) {
-            (Bus::OnTrial, BusEvent::Received | BusEvent::Acknowledged) => self.bus = Bus::Proven,
-            (Bus::Proven, BusEvent::BusOff) => self.bus = Bus::OnTrial,
-            (Bus::OnTrial, BusEvent::ReceivesErrorsOnly | BusEvent::BusOff) if is_to_listen => {
-                let first = self.previous_rate.take().unwrap_or(self.device.bit_rates.fastest());
-                self.bus = Bus::Listening(Listening::begin(first, Some(self.rate)));
+            (Bus::OnTrial { .. }, BusEvent::Received | BusEvent::Acknowledged) => {
+                self.bus = Bus::Proven
+            }
+            (Bus::Proven, BusEvent::BusOff) => self.bus = Bus::ON_TRIAL,
+            (Bus::OnTrial { errors }, event) if is_to_listen => {
+                *errors += u8::from(event == BusEvent::Error);
+                if event != BusEvent::Error || *errors >= ERRORS_ON_TRIAL {
+                    let fastest = self.device.bit_rates.fastest();
+                    let first = self.previous_rate.take().unwrap_or(fastest);
+                    self.bus = Bus::Listening(Listening::begin(first, Some(self.rate)));
+                }
             }
             (Bus::Listening(listening), BusEvent::Received) => {
                 self.bus = Bus::Found(listening.rate())
@@ -56,7 +62,7 @@ impl Node {
                 match self.lss.active_bit_rate() {
                     BitRateSetting::Fixed(rate) if rate != self.rate => {
                         self.previous_rate = Some(self.rate);
-                        self.bus = Bus::OnTrial;
+                        self.bus = Bus::ON_TRIAL;
                         self.run_at(rate)
                     }
                     BitRateSetting::Automatic if !was_automatic => {
@@ -77,7 +83,7 @@ impl Node {
 
     pub(super) fn listen(&mut self, now: Instant) -> Option<Action> {
         match &mut self.bus {
-            Bus::OnTrial | Bus::Proven => None,
+            Bus::OnTrial { .. } | Bus::Proven => None,
             Bus::Found(rate) => {
                 let rate = *rate;
                 self.bus = Bus::Proven;
@@ -90,7 +96,7 @@ impl Node {
                     Some(Action::Listen(rate))
                 }
                 Step::TryAgain(rate) => {
-                    self.bus = Bus::OnTrial;
+                    self.bus = Bus::ON_TRIAL;
                     self.is_resume_due = self.switch.is_none();
                     self.run_at(rate)
                 }

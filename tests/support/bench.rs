@@ -21,7 +21,7 @@ pub const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
 /// Offset of the settings log in the flash, as memory.x has it.
 pub const SETTINGS_OFFSET: u32 = 0x4000;
 /// The core clock of the image in MHz.
-pub const CORE_MHZ: u64 = 128;
+pub const CORE_MHZ: u64 = 160;
 /// How long an answer is waited for after its request, beside the time that its frame takes.
 const PATIENCE: Time = Time::from_ms(5);
 /// A board has joined the bus so long after power-on, even if its flash is slow and must be erased first.

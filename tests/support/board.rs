@@ -49,7 +49,7 @@ pub struct Board {
 pub const fn device(address: Address) -> Device {
     Device {
         address,
-        bit_rates: BitRates::possible(32_000_000),
+        bit_rates: BitRates::possible(40_000_000),
         heartbeat_ms: 0,
         name: "Test board",
         hardware_version: "A",
@@ -145,6 +145,12 @@ impl Board {
     }
 
     /// The node-ID that the node says it has; `None` in LSS waiting state, where it does not say.
+    /// The controller reports an event.
+    pub fn see(&mut self, event: BusEvent) -> Frames {
+        self.node.handle_bus(event);
+        self.pass_us(0)
+    }
+
     pub fn inquired_node_id(&mut self) -> Option<u8> {
         self.lss("5E").0.first().map(|answer| answer.data()[1])
     }

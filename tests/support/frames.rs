@@ -17,6 +17,11 @@ pub fn command(text: &str) -> Frame {
     Frame::new(nmt::COMMAND_COB_ID, &bytes(text)).expect("a frame")
 }
 
+/// A frame that the node has no use for.
+pub fn stranger() -> Frame {
+    Frame::new(0x181, &[1, 2, 3]).expect("a frame")
+}
+
 /// A frame of a node: an LSS answer, unless `text` names another COB-ID before a colon.
 fn sent_by_node(text: &str) -> Frame {
     match text.split_once(": ") {
