@@ -1,5 +1,5 @@
 //! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask size`.
+//! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask size`.
 
 mod bench;
 mod boards;
@@ -7,6 +7,7 @@ mod demo;
 mod emulate;
 mod explain;
 mod flash;
+mod fuzz;
 mod power_cut;
 mod qemu;
 mod record;
@@ -37,6 +38,7 @@ enum Command {
     Demo(demo::Arguments),
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
+    Fuzz(fuzz::Arguments),
     PowerCut(power_cut::Arguments),
     /// Run a session with QEMU's CPU and with the emulator's, and show that they agree
     Qemu,
@@ -49,6 +51,7 @@ fn main() -> ExitCode {
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
+        Command::Fuzz(arguments) => fuzz::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu => qemu::run(),
         Command::Size(arguments) => size::run(&arguments),

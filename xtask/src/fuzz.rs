@@ -1,0 +1,102 @@
+//! `cargo xtask fuzz`: the coverage-guided fuzz targets, with the compiler of the project and for a bounded time.
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context, bail, ensure};
+
+const TARGETS: [&str; 4] = ["message", "node", "sdo", "settings_log"];
+
+/// What `cargo fuzz` passes to a nightly compiler, less the address sanitizer: the library has no `unsafe` code.
+const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+    -Cllvm-args=-sanitizer-coverage-trace-compares -Cdebug-assertions -Coverflow-checks -Ccodegen-units=1";
+
+/// Feed the library with inputs that coverage guides, and fail if one breaks what must hold
+///
+/// Takes a C++ compiler, for libFuzzer. What must hold is in fuzz/README.md.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// What to fuzz [default: all, one after the other]
+    #[arg(value_parser = TARGETS)]
+    target: Vec<String>,
+    /// How long each
+    #[arg(long, default_value_t = 3)]
+    seconds: u32,
+}
+
+/// Fuzzes and prints the number of executions. Fails with the way to repeat it if an input breaks something.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("xtask is in a project")?;
+    let fuzz = root.join("fuzz");
+    let out = root.join("target/fuzz");
+    let programs = build(&fuzz, &out)?;
+    let all = TARGETS.map(String::from);
+    let targets = if arguments.target.is_empty() { &all[..] } else { &arguments.target };
+    for target in targets {
+        println!("{target}: {} s ...", arguments.seconds);
+        let executions = fuzz_target(target, arguments.seconds, &programs, &fuzz, &out)?;
+        println!("{target}: {executions} executions, nothing found");
+    }
+    Ok(())
+}
+
+/// Builds all targets; returns where they are.
+fn build(fuzz: &Path, out: &Path) -> anyhow::Result<PathBuf> {
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    println!("building the fuzz targets ...");
+    // Named although it is the default: so the flags are not applied to build scripts.
+    let host = Command::new("rustc").args(["--print", "host-tuple"]).output();
+    let host = String::from_utf8(host.context("cannot run rustc")?.stdout)?;
+    let host = host.trim();
+    let status = Command::new(cargo)
+        .args(["build", "--quiet", "--release", "--bins", "--target", host, "--target-dir"])
+        .arg(out)
+        .env("RUSTFLAGS", RUSTFLAGS)
+        .current_dir(fuzz)
+        .status()
+        .context("cannot run cargo")?;
+    ensure!(
+        status.success(),
+        "the fuzz targets do not build: see above. They need a C++ compiler (`apt-get install g++`)"
+    );
+    Ok(out.join(host).join("release"))
+}
+
+/// Runs one target; returns how many inputs it was given.
+fn fuzz_target(
+    target: &str,
+    seconds: u32,
+    programs: &Path,
+    fuzz: &Path,
+    out: &Path,
+) -> anyhow::Result<u64> {
+    // libFuzzer writes to the first folder and only reads the second.
+    let found = out.join("corpus").join(target);
+    let artifacts = fuzz.join("artifacts").join(target);
+    fs::create_dir_all(&found)?;
+    fs::create_dir_all(&artifacts)?;
+    let output = Command::new(programs.join(target))
+        .arg(&found)
+        .arg(fuzz.join("corpus").join(target))
+        .arg(format!("-max_total_time={seconds}"))
+        .arg(format!("-artifact_prefix={}/", artifacts.display()))
+        .args(["-print_final_stats=1", "-verbosity=1"])
+        .stdin(Stdio::null())
+        .output()
+        .with_context(|| format!("cannot run the fuzz target {target}"))?;
+    let text = String::from_utf8_lossy(&output.stderr);
+    if !output.status.success() {
+        bail!(
+            "{text}\n{target} failed, see above; repeat it with the file named there:\n    {} FILE",
+            programs.join(target).display()
+        );
+    }
+    text.lines()
+        .find_map(|line| line.strip_prefix("stat::number_of_executed_units:"))
+        .and_then(|number| number.trim().parse().ok())
+        .context("libFuzzer did not tell the number of executions")
+}
