@@ -4,7 +4,7 @@ mod support;
 
 use std::{cmp::Reverse, collections::BTreeSet};
 
-use lss_slave::{BitRate, BitRates, bit_rate::BitTiming};
+use lss_slave::{BitRate, BitRateSetting, BitRates, bit_rate::BitTiming};
 use support::random::Random;
 
 const MHZ: u32 = 1_000_000;
@@ -235,6 +235,21 @@ fn the_rates_that_are_possible_are_those_with_a_solution() {
     }
     assert!(BitRate::ALL.iter().all(|&rate| BitRates::possible(32 * MHZ).contains(rate)));
     assert!(!BitRates::possible(42 * MHZ).contains(BitRate::Kbit800), "0.96 % off");
+}
+
+#[test]
+fn automatic_detection_is_offered_by_nobody_who_does_not_ask_for_it_and_asking_twice_changes_nothing()
+ {
+    let rates = BitRates::possible(40 * MHZ);
+    assert!(!rates.offers(BitRateSetting::Automatic));
+    assert!(rates.with_automatic().offers(BitRateSetting::Automatic));
+    assert_eq!(rates.with_automatic().with_automatic(), rates.with_automatic());
+}
+
+#[test]
+fn a_setting_is_written_with_its_unit() {
+    assert_eq!(BitRateSetting::Fixed(BitRate::Kbit125).to_string(), "125 kbit/s");
+    assert_eq!(BitRateSetting::Automatic.to_string(), "automatic");
 }
 
 #[test]
