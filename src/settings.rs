@@ -3,7 +3,7 @@
 mod log;
 mod record;
 
-pub use log::{Found, Log};
+pub use log::{Failure, Found, Log};
 
 use crate::{BitRateSetting, NodeId};
 

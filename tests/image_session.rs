@@ -213,24 +213,6 @@ fn values_out_of_range_are_refused_and_the_ones_before_stay() {
 }
 
 #[test]
-fn a_flash_that_refuses_the_settings_is_answered_17_02_and_the_old_ones_stay() {
-    let mut bench = Bench::with(settings(0x40, BitRate::Kbit1000));
-    bench.collect(Time::from_ms(20));
-    bench.lss("04 01");
-    bench.network.board(0).chip().flash_mut().protect_sectors(0b110);
-    bench.lss("11 04");
-    assert_eq!(bench.lss("17"), ["17 02"]);
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
-    bench.network.board(0).chip().flash_mut().protect_sectors(0);
-    bench.lss("04 01");
-    bench.lss("11 04");
-    assert_eq!(bench.lss("17"), ["17 00"]);
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"]);
-}
-
-#[test]
 fn the_node_id_ff_takes_a_board_out_of_the_network() {
     let mut bench =
         Bench::with(Settings { heartbeat_ms: 100, ..settings(0x40, BitRate::Kbit1000) });

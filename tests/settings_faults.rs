@@ -5,7 +5,7 @@ mod support;
 use lss_slave::{
     NodeId, Settings,
     lss::StoreError::MediumAccess,
-    settings::{Found, Log},
+    settings::{Failure, Found, Log},
 };
 use support::{
     flash::{BoardFlash, Flash, Operation},
@@ -94,6 +94,29 @@ fn a_blank_flash_that_fails_is_reported_and_refuses() {
         assert_eq!((log.settings(), found), (None, Found::MediumFailed), "{operation:?}");
         assert_eq!(log.store(settings(1)), Err(MediumAccess), "{operation:?}");
     }
+}
+
+#[test]
+fn the_log_knows_why_it_failed_until_it_succeeds() {
+    let why = |fault: fn(&Flash<4, 256>)| {
+        let (mut log, flash) = with_settings_1();
+        assert_eq!(log.failure(), None);
+        fault(&flash);
+        let outcome = (2..9).map(|n| log.store(settings(n))).find(Result::is_err);
+        assert_eq!(outcome, Some(Err(MediumAccess)));
+        let failure = log.failure();
+        flash.repair();
+        let (mut log, _) = Log::open(flash);
+        assert_eq!((log.failure(), log.store(settings(9)), log.failure()), (None, Ok(()), None));
+        failure
+    };
+    assert_eq!(why(|flash| flash.fail(Operation::Write)), Some(Failure::Refused));
+    assert_eq!(why(|flash| flash.stick(64, 1, false)), Some(Failure::NotBlank));
+    assert_eq!(why(|flash| flash.stick(64, 4, true)), Some(Failure::NotAsWritten));
+    assert_eq!(why(|_| ()), Some(Failure::Full));
+    let flash = Flash::<4, 256>::blank(7);
+    flash.fail(Operation::Erase);
+    assert_eq!(Log::open(flash).0.failure(), Some(Failure::Refused));
 }
 
 /// A flash whose bank `bank` is full but for one record, so that open moves to the other; it holds `settings(7)`.

@@ -252,7 +252,7 @@ fn stuck_bits_survive_programming_and_erasing() {
 fn a_failing_erase_leaves_other_than_blank_without_a_flag() {
     let mut bench = Bench::unlocked(Part::Stm32f405);
     bench.chip.flash_mut().load(0x4000, &[0; 0x4000]);
-    bench.chip.flash_mut().fail_erases(1);
+    bench.chip.flash_mut().fail_erases(1, 0);
     bench.erase(1);
     bench.wait();
     let sector = |bench: &Bench| bench.chip.flash().bytes()[0x4000..0x8000].to_vec();
@@ -261,6 +261,18 @@ fn a_failing_erase_leaves_other_than_blank_without_a_flag() {
     bench.erase(1);
     bench.wait();
     assert!(sector(&bench).iter().all(|&byte| byte == 0xFF));
+}
+
+#[test]
+fn a_failing_program_operation_leaves_a_bit_without_a_flag() {
+    let mut bench = Bench::unlocked(Part::Stm32f405);
+    bench.chip.flash_mut().fail_programs(1);
+    for (at, left) in [(0x4000_u32, 0x1234_5679), (0x4004, 0x1234_5678)] {
+        bench.program(at, 0x1234_5678);
+        bench.wait();
+        assert_eq!(bench.flash(at as usize), left);
+        assert_eq!(bench.read(SR), 0);
+    }
 }
 
 #[test]

@@ -19,6 +19,7 @@ const BUSY_READS: u32 = 100_000;
 /// FLASH_SR: busy, and the errors of programming and erasing.
 const BUSY: u32 = 1 << 16;
 const ERRORS: u32 = 0b1111_0010;
+const WRITE_PROTECTED: u32 = 1 << 4;
 
 /// The part of the flash that holds the settings log.
 pub struct SettingsFlash {
@@ -81,10 +82,16 @@ impl SettingsFlash {
                 break;
             }
         }
-        match status & (BUSY | ERRORS) {
-            0 => Ok(()),
-            status => Err(FlashError::Status(status)),
+        let status = status & (BUSY | ERRORS);
+        if status == 0 {
+            return Ok(());
         }
+        if status & WRITE_PROTECTED != 0 {
+            defmt::error!("flash: the sector is write-protected");
+        } else {
+            defmt::error!("flash: failed with FLASH_SR {=u32:#x}", status);
+        }
+        Err(FlashError::Status(status))
     }
 }
 

@@ -31,7 +31,7 @@ mod app {
         Node, NodeId, Settings,
         emergency::Fault,
         indicator,
-        settings::{Found, Log},
+        settings::{Failure, Found, Log},
     };
     use rtic_monotonics::systick::prelude::*;
     use rtic_sync::{
@@ -74,7 +74,7 @@ mod app {
 
         let (log, found) = Log::open(board.settings_flash);
         let settings = log.settings().unwrap_or(device::DEFAULTS);
-        report(found, &settings);
+        report(found, log.failure(), &settings);
 
         let node = Node::new(board::device(), settings);
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
@@ -141,9 +141,12 @@ mod app {
     async fn store(mut cx: store::Context, mut requests: SignalReader<'static, Settings>) {
         loop {
             let outcome = cx.local.log.store(requests.wait().await);
-            match outcome {
-                Ok(()) => defmt::info!("settings stored"),
-                Err(_) => defmt::error!("the flash refuses the settings; the old ones are kept"),
+            match cx.local.log.failure() {
+                None => defmt::info!("settings stored"),
+                Some(failure) => defmt::error!(
+                    "the settings are not stored, the old ones are kept: {=istr}",
+                    why(failure)
+                ),
             }
             cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
         }
@@ -179,7 +182,7 @@ mod app {
         }
     }
 
-    fn report(found: Found, settings: &Settings) {
+    fn report(found: Found, failure: Option<Failure>, settings: &Settings) {
         match found {
             Found::Complete => {}
             Found::Interrupted => {
@@ -191,11 +194,23 @@ mod app {
             }
             Found::MediumFailed => defmt::error!("the flash fails; nothing can be stored"),
         }
+        if let Some(failure) = failure {
+            defmt::error!("the flash could not be made ready: {=istr}", why(failure));
+        }
         defmt::info!(
             "node-ID {=u8:#x}, bit timing table index {=u8}",
             NodeId::to_lss(settings.node_id),
             settings.bit_rate.index()
         );
+    }
+
+    fn why(failure: Failure) -> defmt::Str {
+        match failure {
+            Failure::Refused => defmt::intern!("the flash reports an error"),
+            Failure::NotBlank => defmt::intern!("the flash is not blank where it was erased"),
+            Failure::NotAsWritten => defmt::intern!("the flash reads back otherwise than written"),
+            Failure::Full => defmt::intern!("the flash is full until the next power-on"),
+        }
     }
 }
 

@@ -47,10 +47,21 @@ pub struct Log<F> {
     is_doubtful: bool,
     /// The blank space of the bank that holds the newest record.
     space: Range<u32>,
+    failure: Option<Failure>,
 }
 
-/// The flash could not be read, erased or written, or is full.
-struct Failed;
+/// Why the flash could not be used, for the node's log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Failure {
+    /// It reported an error, such as write protection.
+    Refused,
+    /// Space that has not been written since its erase does not read blank.
+    NotBlank,
+    /// A record reads back otherwise than it was written.
+    NotAsWritten,
+    /// The bank is full until the next [`Log::open`].
+    Full,
+}
 
 /// What the search of one bank showed.
 struct Bank {
@@ -88,8 +99,11 @@ impl<F: NorFlash> Log<F> {
             assert!((record::LEN as usize).is_multiple_of(F::READ_SIZE));
         }
         let newest = Record { sequence: 0, settings: None };
-        let mut log = Self { flash, newest, sequence: 0, is_doubtful: false, space: 0..0 };
-        let found = log.find().unwrap_or(Found::MediumFailed);
+        let mut log =
+            Self { flash, newest, sequence: 0, is_doubtful: false, space: 0..0, failure: None };
+        let outcome = log.find();
+        log.failure = outcome.err();
+        let found = outcome.unwrap_or(Found::MediumFailed);
         (log, found)
     }
 
@@ -105,16 +119,23 @@ impl<F: NorFlash> Log<F> {
     /// [`StoreError::MediumAccess`] if the record could not be written and read back, or the bank is full until the next
     /// `open`; the settings of before are still persistent.
     pub fn store(&mut self, settings: Settings) -> Result<(), StoreError> {
+        self.failure = None;
         if self.newest.settings == Some(settings) && !self.is_doubtful {
             return Ok(());
         }
-        self.append(Some(settings)).map_err(|Failed| {
+        self.append(Some(settings)).map_err(|failure| {
             if self.is_doubtful {
                 // The old settings on top of what is refused.
                 let _ = self.append(self.newest.settings);
             }
+            self.failure = Some(failure);
             StoreError::MediumAccess
         })
+    }
+
+    /// Why the last [`open`](Self::open) or [`store`](Self::store) failed, if it did.
+    pub fn failure(&self) -> Option<Failure> {
+        self.failure
     }
 
     /// Gives the flash back.
@@ -122,7 +143,7 @@ impl<F: NorFlash> Log<F> {
         self.flash
     }
 
-    fn find(&mut self) -> Result<Found, Failed> {
+    fn find(&mut self) -> Result<Found, Failure> {
         let erase_size = F::ERASE_SIZE as u32;
         let bank_len = self.flash.capacity() as u32 / 2 / erase_size * erase_size;
         let first = self.search(0..bank_len)?;
@@ -147,7 +168,7 @@ impl<F: NorFlash> Log<F> {
         Ok(if bank.is_interrupted { Found::Interrupted } else { Found::Complete })
     }
 
-    fn search(&mut self, range: Range<u32>) -> Result<Bank, Failed> {
+    fn search(&mut self, range: Range<u32>) -> Result<Bank, Failure> {
         let blank_from = range.start;
         let mut bank = Bank { range, newest: None, blank_from, is_interrupted: false };
         for at in bank.range.clone().step_by(record::LEN as usize).rev() {
@@ -168,16 +189,16 @@ impl<F: NorFlash> Log<F> {
     }
 
     /// Erases `bank` and makes it the one that holds the newest record.
-    fn move_to(&mut self, bank: Range<u32>) -> Result<(), Failed> {
-        self.flash.erase(bank.start, bank.end).map_err(|_| Failed)?;
+    fn move_to(&mut self, bank: Range<u32>) -> Result<(), Failure> {
+        self.flash.erase(bank.start, bank.end).map_err(|_| Failure::Refused)?;
         let old_space = mem::replace(&mut self.space, bank);
         self.append(self.newest.settings).inspect_err(|_| self.space = old_space)
     }
 
-    fn append(&mut self, settings: Option<Settings>) -> Result<(), Failed> {
+    fn append(&mut self, settings: Option<Settings>) -> Result<(), Failure> {
         let at = self.space.start;
         if at >= self.space.end {
-            return Err(Failed);
+            return Err(Failure::Full);
         }
         self.sequence = self.sequence.wrapping_add(1);
         self.space.start = at + record::LEN;
@@ -187,27 +208,27 @@ impl<F: NorFlash> Log<F> {
         Ok(())
     }
 
-    fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Failed> {
+    fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Failure> {
         const COMMIT_AT: usize = record::LEN as usize - record::COMMIT.len();
         let (content, commit) = bytes.split_at(COMMIT_AT);
         if !is_blank(&self.read(at)?) {
-            return Err(Failed);
+            return Err(Failure::NotBlank);
         }
-        self.flash.write(at, content).map_err(|_| Failed)?;
+        self.flash.write(at, content).map_err(|_| Failure::Refused)?;
         if !self.read(at)?.starts_with(content) {
-            return Err(Failed);
+            return Err(Failure::NotAsWritten);
         }
         // Whatever the flash says of this last word: what is read back decides, now as at the next open.
         let _ = self.flash.write(at + COMMIT_AT as u32, commit);
         self.is_doubtful = true;
         let written = self.read(at)?;
         self.is_doubtful = false;
-        if written == *bytes { Ok(()) } else { Err(Failed) }
+        if written == *bytes { Ok(()) } else { Err(Failure::NotAsWritten) }
     }
 
-    fn read(&mut self, at: u32) -> Result<[u8; record::LEN as usize], Failed> {
+    fn read(&mut self, at: u32) -> Result<[u8; record::LEN as usize], Failure> {
         let mut bytes = [0; record::LEN as usize];
-        self.flash.read(at, &mut bytes).map_err(|_| Failed)?;
+        self.flash.read(at, &mut bytes).map_err(|_| Failure::Refused)?;
         Ok(bytes)
     }
 }

@@ -72,6 +72,8 @@ pub struct Flash {
     power_cut: Option<PowerCut>,
     power_cut_at: Option<Time>,
     failing_erases: u32,
+    failing_erase_seed: u64,
+    failing_programs: u32,
     changed: Option<Range<usize>>,
 }
 
@@ -95,6 +97,8 @@ impl Flash {
             power_cut: None,
             power_cut_at: None,
             failing_erases: 0,
+            failing_erase_seed: 0,
+            failing_programs: 0,
             changed: None,
         }
     }
@@ -132,9 +136,15 @@ impl Flash {
         self.note_change(bits.offset as usize..bits.offset as usize + 1);
     }
 
-    /// Lets the next `count` erases leave anything in the sector, without an error flag.
-    pub fn fail_erases(&mut self, count: u32) {
+    /// Lets the next `count` erases leave anything, made from `seed`, in the sector, without an error flag.
+    pub fn fail_erases(&mut self, count: u32, seed: u64) {
         self.failing_erases = count;
+        self.failing_erase_seed = seed;
+    }
+
+    /// Lets each of the next `count` program operations leave a bit unprogrammed, without an error flag.
+    pub fn fail_programs(&mut self, count: u32) {
+        self.failing_programs = count;
     }
 
     /// How many program and erase operations were started since the board was made.
@@ -347,7 +357,8 @@ impl Flash {
         self.array.erase(range.clone());
         if self.failing_erases > 0 {
             self.failing_erases -= 1;
-            self.array.tear_erase(range.start, &before, self.operations);
+            let seed = self.failing_erase_seed.wrapping_add(self.operations);
+            self.array.tear_erase(range.start, &before, seed);
         }
         self.stale_data_cache = self.acr & ACR_DCEN != 0 || self.stale_data_cache;
         self.begin(Operation { end: now + Time::from_ps(time), range, before, erase: true }, now);
@@ -374,7 +385,13 @@ impl Flash {
         } else {
             let range = offset as usize..offset as usize + size as usize;
             let before = self.array.bytes()[range.clone()].to_vec();
-            self.array.program(offset, &value.to_le_bytes()[..size as usize]);
+            let mut programmed = value;
+            if self.failing_programs > 0 {
+                self.failing_programs -= 1;
+                // The lowest bit that was to become 0 stays.
+                programmed |= !value & value.wrapping_add(1);
+            }
+            self.array.program(offset, &programmed.to_le_bytes()[..size as usize]);
             let end = now + self.timing.program();
             self.begin(Operation { end, range, before, erase: false }, now);
         }
