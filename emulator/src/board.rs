@@ -63,6 +63,8 @@ pub struct Board {
     powered: bool,
     /// The time while there is no power.
     dark: Time,
+    /// When the supply will go away.
+    power_cut_at: Option<Time>,
     power_ups: u64,
     resets: Vec<(Time, ResetCause)>,
 }
@@ -88,6 +90,7 @@ impl Board {
             log: Log::new(image.clone()),
             powered: false,
             dark: Time::ZERO,
+            power_cut_at: None,
             power_ups: 0,
             resets: Vec::new(),
         };
@@ -115,8 +118,12 @@ impl Board {
         if !self.powered {
             return Time::MAX;
         }
-        let event = self.chip().next_event();
-        self.engine.wake_time().min(event)
+        self.engine.wake_time().min(self.next_event())
+    }
+
+    /// When the chip does something by itself, or the power fails.
+    fn next_event(&self) -> Time {
+        self.chip().next_event().min(self.power_cut_at.unwrap_or(Time::MAX))
     }
 
     /// Runs the program to `until` or past it by less than an instruction, or to an earlier stop.
@@ -127,7 +134,7 @@ impl Board {
                 self.dark = until;
                 break;
             }
-            let event = self.chip().next_event();
+            let event = self.next_event();
             let awake = self.engine.wake_time().max(self.now());
             let poll = Time::from_ps(awake.as_ps().saturating_add(LOG_POLL.as_ps()));
             let halt = self.engine.run(until.min(event).min(poll));
@@ -136,6 +143,10 @@ impl Board {
             if halt == Halt::ResetRequested {
                 self.reset(ResetCause::Software);
                 return Stop::Reset(ResetCause::Software);
+            }
+            if self.power_cut_at.is_some_and(|cut| now >= cut) {
+                self.power_off();
+                return Stop::PowerCut;
             }
             if now >= event {
                 let request = {
@@ -178,11 +189,17 @@ impl Board {
         self.resets.push((now, cause));
     }
 
+    /// Lets the supply go away at `time`, whatever the board does then.
+    pub fn cut_power_at(&mut self, time: Time) {
+        self.power_cut_at = Some(time);
+    }
+
     /// Takes the supply away now: an operation of the flash is torn.
     pub fn power_off(&mut self) {
         if !self.powered {
             return;
         }
+        self.power_cut_at = None;
         self.dark = self.engine.now();
         self.powered = false;
         self.chip().reset(ResetCause::PowerOn, self.dark);

@@ -220,6 +220,20 @@ fn a_staged_power_cut_switches_the_board_off_in_the_middle_of_an_erase() {
 }
 
 #[test]
+fn the_supply_goes_away_at_the_instant_that_was_set_and_only_then() {
+    let mut board = board(ticker(9_999));
+    let cut = Time::from_us(2_345);
+    board.cut_power_at(cut);
+    assert_eq!(board.run_until(Time::from_us(2_344)), Stop::Deadline);
+    assert_eq!(board.run_until(Time::from_ms(9)), Stop::PowerCut);
+    assert!(cut <= board.now() && board.now() < cut + Time::from_us(1), "{}", board.now());
+    assert!(!board.is_powered());
+    board.power_on();
+    run(&mut board, Time::from_ms(9));
+    assert!(board.is_powered());
+}
+
+#[test]
 fn a_store_to_locked_flash_does_nothing() {
     let mut program = Program::new();
     program.store(0x0800_4000, 0).stop();

@@ -23,16 +23,20 @@ use random::Random;
 const ENDURANCE: u64 = 10_000;
 const SECTORS: u64 = 2;
 const HOURS_A_YEAR: u64 = 8_766;
+/// Cuts at any instants in each session on the board.
+const INSTANTS: usize = 250;
+const INSTANTS_LONG: usize = 2_000;
 
 /// Cut the power at every step of writing the settings, and see that none are lost
 ///
 /// In the library: every history of four power-ons (--long: six) with up to three stores each, the power cut in any one or
 /// two of its program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase anything.
-/// In the release image on an emulated board: every flash operation of two commissionings by LSS, from a blank flash and
-/// from one that has to be erased. Fails if settings are lost.
+/// In the release image on an emulated board, in two commissionings by LSS, from a blank flash and from one that has to be
+/// erased: in every flash operation, in every pause between two, and at any instants from power-on to the last answer.
+/// Fails if settings are lost.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// More power-ons in a history, and two cuts in a row on the board: some minutes
+    /// More power-ons in a history, and on the board two cuts in a row and more instants: some minutes
     #[arg(long)]
     long: bool,
     /// What the interrupted steps leave; drawn anew if it is not given
@@ -107,10 +111,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         losses.extend(print(&history.to_string(), tally));
     }
 
-    println!("\nThe release image for the {}, cut in every flash operation", arguments.chip.name());
+    println!("\nThe release image for the {}", arguments.chip.name());
     for session in image::Session::ALL {
-        let tally = session.run(arguments.chip, &image, &mut random, arguments.long)?;
-        losses.extend(print(session.name(), tally));
+        let course = session.course(arguments.chip, &image)?;
+        let instants = if arguments.long { INSTANTS_LONG } else { INSTANTS };
+        let kinds = [
+            ("in every flash operation", course.in_operations(&mut random), arguments.long),
+            ("in every pause between them", course.between_operations(&mut random), false),
+            ("at any instants", course.at_instants(instants, &mut random), false),
+        ];
+        for (place, cuts, twice) in kinds {
+            let tally = session.run(arguments.chip, &image, &cuts, &mut random, twice)?;
+            losses.extend(print(&format!("{}, {place}", session.name()), tally));
+        }
     }
     let worst = image::worst_answer_time(arguments.chip, &image)?;
     println!("\nFrom 17 to its answer, slowest flash, bus full at 1 Mbit/s: {worst} ms at worst");
@@ -125,6 +138,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 fn print(what: &str, tally: Tally) -> Vec<String> {
-    println!("  {what:58} {:>8} cuts, {} losses", tally.cuts, tally.losses.len());
+    println!("  {what:72} {:>8} cuts, {} losses", tally.cuts, tally.losses.len());
     tally.losses
 }

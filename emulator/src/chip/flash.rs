@@ -68,7 +68,7 @@ pub struct Flash {
     locked_until_reset: bool,
     stale_data_cache: bool,
     operation: Option<Operation>,
-    operations: u64,
+    operations: Vec<Range<Time>>,
     power_cut: Option<PowerCut>,
     power_cut_at: Option<Time>,
     failing_erases: u32,
@@ -93,7 +93,7 @@ impl Flash {
             locked_until_reset: false,
             stale_data_cache: false,
             operation: None,
-            operations: 0,
+            operations: Vec::new(),
             power_cut: None,
             power_cut_at: None,
             failing_erases: 0,
@@ -149,7 +149,12 @@ impl Flash {
 
     /// How many program and erase operations were started since the board was made.
     pub fn operations(&self) -> u64 {
-        self.operations
+        self.operations.len() as u64
+    }
+
+    /// When each of them ran, or would have if the power had not failed.
+    pub fn operation_times(&self) -> &[Range<Time>] {
+        &self.operations
     }
 
     /// The range that changed since the last call, for whoever keeps a copy.
@@ -209,7 +214,7 @@ impl Flash {
     pub fn reset(&mut self, now: Time) {
         self.advance(now);
         if let Some(operation) = self.operation.take() {
-            let seed = self.power_cut.map_or(self.operations, |cut| cut.seed);
+            let seed = self.power_cut.map_or(self.operations(), |cut| cut.seed);
             if operation.erase {
                 self.array.tear_erase(operation.range.start, &operation.before, seed);
             } else {
@@ -357,7 +362,7 @@ impl Flash {
         self.array.erase(range.clone());
         if self.failing_erases > 0 {
             self.failing_erases -= 1;
-            let seed = self.failing_erase_seed.wrapping_add(self.operations);
+            let seed = self.failing_erase_seed.wrapping_add(self.operations());
             self.array.tear_erase(range.start, &before, seed);
         }
         self.stale_data_cache = self.acr & ACR_DCEN != 0 || self.stale_data_cache;
@@ -398,12 +403,12 @@ impl Flash {
     }
 
     fn begin(&mut self, operation: Operation, now: Time) {
-        if let Some(cut) = self.power_cut.filter(|cut| cut.operation == self.operations) {
+        if let Some(cut) = self.power_cut.filter(|cut| cut.operation == self.operations()) {
             let duration = operation.end - now;
             let part = Time::from_ps(duration.as_ps() / 256 * (cut.seed % 255 + 1));
             self.power_cut_at = Some(now + part);
         }
-        self.operations += 1;
+        self.operations.push(now..operation.end);
         self.note_change(operation.range.clone());
         self.operation = Some(operation);
     }

@@ -1,4 +1,7 @@
-//! Power cuts in the release image on an emulated board: every flash operation of a commissioning by LSS.
+//! Power cuts in the release image on an emulated board: in every flash operation of a commissioning by LSS, in every pause
+//! between two of them, and at any instant.
+
+use std::{iter, ops::Range};
 
 use anyhow::{Context, bail, ensure};
 use emulator::{
@@ -44,6 +47,47 @@ pub enum Session {
     Moving,
 }
 
+/// When the power is cut.
+#[derive(Clone, Copy, Debug)]
+pub enum Cut {
+    /// In the middle of a flash operation.
+    In(PowerCut),
+    /// At an instant after the first power-on.
+    At(Time),
+}
+
+/// The session without a cut: when its flash operations ran, and when it ended.
+pub struct Course {
+    operations: Vec<Range<Time>>,
+    end: Time,
+}
+
+impl Course {
+    /// A cut in every flash operation.
+    pub fn in_operations(&self, random: &mut Random) -> Vec<Cut> {
+        let operations = 0..self.operations.len() as u64;
+        operations.map(|operation| Cut::In(PowerCut { operation, seed: random.next() })).collect()
+    }
+
+    /// A cut in every pause before, between and after the flash operations.
+    pub fn between_operations(&self, random: &mut Random) -> Vec<Cut> {
+        let starts = self.operations.iter().map(|operation| operation.start);
+        let ends = self.operations.iter().map(|operation| operation.end);
+        let pauses = iter::once(Time::ZERO).chain(ends).zip(starts.chain([self.end]));
+        pauses.map(|(from, to)| Cut::At(instant(from..to, random))).collect()
+    }
+
+    /// So many cuts at any instants.
+    pub fn at_instants(&self, count: usize, random: &mut Random) -> Vec<Cut> {
+        (0..count).map(|_| Cut::At(instant(Time::ZERO..self.end, random))).collect()
+    }
+}
+
+fn instant(range: Range<Time>, random: &mut Random) -> Time {
+    // Not at its very beginning, where what ends there may be unfinished by a cycle.
+    Time::from_ps(random.within(range.start.as_ps() + 10_000..range.end.as_ps()))
+}
+
 /// A board and an LSS master on one bus.
 struct Bench {
     network: Network,
@@ -82,20 +126,28 @@ impl Session {
         (flash.content(), Expected { known, attempted: None })
     }
 
-    /// Cuts the power in every flash operation of the session, and in every one of the session after that if `twice`.
+    /// The session without a cut.
+    pub fn course(self, part: Part, image: &Image) -> anyhow::Result<Course> {
+        let (content, mut expected) = self.begin();
+        let bench = session(part, image, &content, None, &mut expected)?;
+        let operations = bench.network.board(0).chip().flash().operation_times().to_vec();
+        Ok(Course { operations, end: bench.network.now() })
+    }
+
+    /// Cuts the power of as many sessions as there are `cuts`; each may be followed by sessions with a second cut in every
+    /// flash operation, if `twice`.
     pub fn run(
         self,
         part: Part,
         image: &Image,
+        cuts: &[Cut],
         random: &mut Random,
         twice: bool,
     ) -> anyhow::Result<Tally> {
         let mut tally = Tally::default();
         let (content, begin) = self.begin();
-        let operations = session(part, image, &content, None, &mut begin.clone())?.operations();
-        for operation in 0..operations {
+        for &cut in cuts {
             let mut expected = begin.clone();
-            let cut = PowerCut { operation, seed: random.next() };
             let bench = session(part, image, &content, Some(cut), &mut expected)?;
             tally.cuts += 1;
             let left = bench.settings_flash();
@@ -110,7 +162,7 @@ impl Session {
             for operation in 0..operations {
                 let mut expected = expected.clone();
                 let second = PowerCut { operation, seed: random.next() };
-                let bench = session(part, image, &left, Some(second), &mut expected)?;
+                let bench = session(part, image, &left, Some(Cut::In(second)), &mut expected)?;
                 tally.cuts += 1;
                 if let Err(loss) = check(part, image, &bench.settings_flash(), expected) {
                     tally.losses.push(format!("{cut:?}, {second:?}: {loss:#}"));
@@ -126,26 +178,20 @@ fn session(
     part: Part,
     image: &Image,
     content: &[u8],
-    cut: Option<PowerCut>,
+    cut: Option<Cut>,
     expected: &mut Expected,
 ) -> anyhow::Result<Bench> {
     let mut bench = Bench::new(part, image, content);
-    if let Some(cut) = cut {
-        bench.network.board(0).chip().flash_mut().cut_power(cut);
+    match cut {
+        Some(Cut::In(cut)) => bench.network.board(0).chip().flash_mut().cut_power(cut),
+        Some(Cut::At(time)) => bench.network.board_mut(0).cut_power_at(time),
+        None => {}
     }
-    if bench.boot()? {
-        let found = bench.found()?;
-        ensure!(expected.admits(found), "at power-on there is {}", Named(found));
-        for commissioning in COMMISSIONINGS {
-            expected.attempt(settings(commissioning));
-            match bench.commission(commissioning) {
-                Ok(()) => expected.acknowledge(),
-                Err(_) if !bench.network.board(0).is_powered() => break,
-                Err(error) => return Err(error),
-            }
-        }
-    }
+    let outcome = bench.commission_all(expected);
     let is_powered = bench.network.board(0).is_powered();
+    if is_powered {
+        outcome?;
+    }
     ensure!(is_powered == cut.is_none(), "the power fails if and only if it is cut");
     Ok(bench)
 }
@@ -234,6 +280,19 @@ impl Bench {
             0xFF if rate == DEFAULT_BIT_RATE => None,
             id => Some(settings((id, rate))),
         })
+    }
+
+    /// Power-on and all commissionings; an error too if the power fails.
+    fn commission_all(&mut self, expected: &mut Expected) -> anyhow::Result<()> {
+        ensure!(self.boot()?, "no power");
+        let found = self.found()?;
+        ensure!(expected.admits(found), "at power-on there is {}", Named(found));
+        for commissioning in COMMISSIONINGS {
+            expected.attempt(settings(commissioning));
+            self.commission(commissioning)?;
+            expected.acknowledge();
+        }
+        Ok(())
     }
 
     /// Stores a node-ID and a bit rate.
