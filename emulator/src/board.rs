@@ -280,8 +280,18 @@ impl Board {
         self.engine.pc()
     }
 
+    /// The stack pointer in use.
+    pub fn sp(&self) -> u32 {
+        self.engine.sp()
+    }
+
     /// Copies out of RAM or flash. False, and nothing copied, outside of them.
     pub fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool {
         self.engine.read_memory(address, bytes)
+    }
+
+    /// Copies into RAM, as a debugger does. False, and nothing copied, outside of it.
+    pub fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
+        self.engine.write_memory(address, bytes)
     }
 }

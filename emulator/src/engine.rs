@@ -57,6 +57,9 @@ pub trait Engine: Send {
 
     /// Address of the next instruction.
     fn pc(&self) -> u32;
+
+    /// The stack pointer in use.
+    fn sp(&self) -> u32;
 }
 
 /// The fault registers of a core that locked up (ARM DDI 0403, B1.5.15).

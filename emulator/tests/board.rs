@@ -244,12 +244,15 @@ fn a_store_to_locked_flash_does_nothing() {
 
 #[test]
 fn nothing_at_an_address_is_a_bus_fault_that_escalates() {
-    let mut program = Program::new();
-    program.store(COUNTER, 0).store(0x6000_0000, 1).stop();
-    program.handler(HARD_FAULT).store(COUNTER, 2).stop();
-    let mut board = board(program);
-    run(&mut board, Time::from_ms(2));
-    assert_eq!(word(&board, COUNTER), 2);
+    // The second is right below the RAM: where a stack at its start overflows to.
+    for address in [0x6000_0000, 0x1FFF_FFFC] {
+        let mut program = Program::new();
+        program.store(COUNTER, 0).store(address, 1).stop();
+        program.handler(HARD_FAULT).store(COUNTER, 2).stop();
+        let mut board = board(program);
+        run(&mut board, Time::from_ms(2));
+        assert_eq!(word(&board, COUNTER), 2);
+    }
 }
 
 #[test]

@@ -51,7 +51,7 @@ extern "C" fn choose_version() {
 const RANGES: [(&CStr, u32, u64); 4] = [
     // Sectors 1 and 2, never executed: the rest of the flash is QEMU's.
     (c"settings", FLASH_BASE + 0x4000, 0x8000),
-    (c"system memory", 0x1FFF_0000, 0x1_0000),
+    (c"system memory", 0x1FFF_0000, 0xC000),
     (c"apb and ahb1", 0x4000_0000, 0x8_0000),
     (c"ahb2", 0x5000_0000, 0x6_1000),
 ];

@@ -7,12 +7,12 @@ mod board;
 mod can;
 mod clock;
 mod device;
+mod fault;
 mod flash;
 mod roll_call;
 mod slave;
 mod transmit_queue;
 
-use cortex_m_rt::{ExceptionFrame, exception};
 use defmt_rtt as _;
 use panic_probe as _;
 
@@ -212,11 +212,4 @@ mod app {
             Failure::Full => defmt::intern!("the flash is full until the next power-on"),
         }
     }
-}
-
-/// Also where a panic ends, after its message.
-#[exception]
-unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    defmt::error!("hard fault at {=u32:#x}, resetting", frame.pc());
-    cortex_m::peripheral::SCB::sys_reset();
 }

@@ -8,3 +8,4 @@ pub mod frames;
 pub mod random;
 pub mod sdo;
 pub mod settings;
+pub mod stack;

@@ -364,6 +364,10 @@ impl Engine for Rsemu {
     fn pc(&self) -> u32 {
         self.cpu.pc()
     }
+
+    fn sp(&self) -> u32 {
+        self.cpu.regs().r[13]
+    }
 }
 
 fn lock(chip: &Mutex<Chip>) -> MutexGuard<'_, Chip> {

@@ -105,7 +105,7 @@ pub fn address_space(
         memory("flash at reset", flash, 0, Perms::RX),
         memory("flash", flash, FLASH_BASE, Perms::RX),
         calls("flash programming", FLASH_BASE, flash.len(), Perms::WRITE),
-        calls("system memory", 0x1FFF_0000, 0x1_0000, Perms::RW),
+        calls("system memory", 0x1FFF_0000, 0xC000, Perms::RW),
         memory("sram", ram, RAM_BASE, Perms::RWX),
         calls("apb and ahb1", 0x4000_0000, 0x8_0000, Perms::RW),
         calls("ahb2", 0x5000_0000, 0x6_1000, Perms::RW),
