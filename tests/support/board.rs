@@ -229,6 +229,11 @@ impl Board {
         self.bit_rate
     }
 
+    /// What the node asked for since the last call of this or of `timeline`.
+    pub fn take_actions(&mut self) -> Vec<Action> {
+        self.actions.drain(..).map(|(_, action)| action).collect()
+    }
+
     /// What the board did since the last call, with its time from that call on: `2 ms 704: 7F`.
     pub fn timeline(&mut self) -> Vec<String> {
         let from = self.timeline_from;

@@ -9,3 +9,4 @@ pub mod random;
 pub mod sdo;
 pub mod settings;
 pub mod stack;
+pub mod storm;

@@ -1,5 +1,6 @@
 //! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask size`.
+//! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask size`,
+//! `cargo xtask storm`.
 
 mod bench;
 mod boards;
@@ -12,6 +13,7 @@ mod power_cut;
 mod qemu;
 mod record;
 mod size;
+mod storm;
 
 use std::{io, process::ExitCode};
 
@@ -43,6 +45,7 @@ enum Command {
     /// Run a session with QEMU's CPU and with the emulator's, and show that they agree
     Qemu,
     Size(size::Arguments),
+    Storm(storm::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -55,6 +58,7 @@ fn main() -> ExitCode {
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu => qemu::run(),
         Command::Size(arguments) => size::run(&arguments),
+        Command::Storm(arguments) => storm::run(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

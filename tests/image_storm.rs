@@ -1,0 +1,25 @@
+//! A short storm of random frames against the release image and against the node; `cargo xtask storm` makes long ones.
+
+mod support;
+
+use support::{
+    bench::{blank_board, image},
+    random::Random,
+    storm::{ImageStorm, NodeStorm},
+};
+
+#[test]
+fn the_image_sends_and_stores_in_a_storm_what_the_node_does_and_nothing_else() {
+    let mut storm = ImageStorm::new(blank_board(0), image(), Random::new().next());
+    storm.rage(10_000);
+    assert!(storm.stores > 5, "{} stores", storm.stores);
+    assert!(storm.resets > 5, "{} resets", storm.resets);
+    assert!(storm.switches > 5, "{} switches", storm.switches);
+}
+
+#[test]
+fn no_storm_makes_the_node_store_what_it_was_not_asked_to_or_silences_it() {
+    let mut storm = NodeStorm::new(Random::new().next());
+    storm.rage(200_000);
+    assert!(storm.stores > 100, "{} stores", storm.stores);
+}

@@ -1,0 +1,81 @@
+//! `cargo xtask storm`: random frames without end against the node in the process and against the release image.
+
+#[path = "../../tests/support/mod.rs"]
+mod support;
+
+use std::time::Instant;
+
+use emulator::{chip::Part, image::Image};
+
+use crate::boards;
+use support::{
+    random::Random,
+    storm::{ImageStorm, NodeStorm},
+};
+
+/// Lines of progress of each storm.
+const PARTS: u64 = 10;
+
+/// Send millions of random frames, and see that nothing breaks and nothing is stored that nobody asked for
+///
+/// Requests of LSS, NMT and SDO, nearly ones, and anything, also remote and 29-bit frames and lengths of 9 to 15. First to
+/// the node in the process; then, back to back at 1 Mbit/s, to the release image on an emulated board and to the node as
+/// its model: the image must answer what the model answers and have, byte for byte, the same settings in its flash, without
+/// a panic, a fault, a reset of its own, or an access that a real chip would not forgive. Both must answer at the end.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Frames to the node in the process
+    #[arg(long, default_value_t = 10_000_000)]
+    frames: u64,
+    /// Frames to the release image
+    #[arg(long, default_value_t = 1_000_000)]
+    image_frames: u64,
+    /// Which frames; drawn anew if it is not given
+    #[arg(long)]
+    seed: Option<u64>,
+    /// The chip on the board
+    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    chip: Part,
+}
+
+/// Lets both storms rage. Panics where something breaks.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let image = Image::build(arguments.chip)?;
+    let seed = arguments.seed.unwrap_or_else(|| Random::new().next());
+    println!("--seed {seed}");
+    rage_at_node(arguments.frames, seed);
+    rage_at_image(arguments, &image, seed);
+    Ok(())
+}
+
+fn rage_at_node(frames: u64, seed: u64) {
+    println!("\nThe node in the process");
+    let begin = Instant::now();
+    let mut storm = NodeStorm::new(seed);
+    for part in parts(frames) {
+        storm.rage(part);
+        let seconds = begin.elapsed().as_secs();
+        println!("{:>12} frames, {:>8} stores  {seconds:>5} s", storm.frames, storm.stores);
+    }
+}
+
+fn rage_at_image(arguments: &Arguments, image: &Image, seed: u64) {
+    println!("\nThe release image for the {}", arguments.chip.name());
+    let begin = Instant::now();
+    let mut storm = ImageStorm::new(boards::board(arguments.chip, image, 0), image, seed);
+    for part in parts(arguments.image_frames) {
+        storm.rage(part);
+        let ImageStorm { frames, stores, resets, switches, .. } = storm;
+        let (seconds, virtual_ms) = (begin.elapsed().as_secs(), storm.now());
+        println!(
+            "{frames:>12} frames, {stores:>8} stores, {resets} resets, {switches} switches, \
+             {virtual_ms} ms virtual  {seconds:>5} s"
+        );
+    }
+    println!("{:>12} bytes of stack at most", storm.stack_depth(image));
+}
+
+/// `frames` in parts.
+fn parts(frames: u64) -> impl Iterator<Item = u64> {
+    (0..PARTS).map(move |part| frames * (part + 1) / PARTS - frames * part / PARTS)
+}
