@@ -5,7 +5,7 @@ mod support;
 use support::{
     bench::{blank_board, image},
     random::Random,
-    storm::{ImageStorm, NodeStorm},
+    storm::{image::ImageStorm, node::NodeStorm},
 };
 
 #[test]

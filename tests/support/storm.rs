@@ -1,13 +1,10 @@
 //! Storms: random frames of every kind, from sensible requests to noise, and what they may bring about.
 
-mod image;
-mod node;
+pub mod image;
+pub mod node;
 
 use emulator::can::{Frame, Id};
 use lss_slave::{BitRate, lss};
-
-pub use image::ImageStorm;
-pub use node::NodeStorm;
 
 use super::random::Random;
 

@@ -14,6 +14,8 @@ mod qemu;
 mod record;
 mod size;
 mod storm;
+#[path = "../../tests/support/mod.rs"]
+mod support;
 
 use std::{io, process::ExitCode};
 

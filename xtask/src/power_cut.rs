@@ -3,21 +3,13 @@
 mod image;
 mod library;
 
-#[path = "../../tests/support/flash.rs"]
-#[expect(dead_code, reason = "what other tests of the library need of it")]
-mod flash;
-#[path = "../../tests/support/random.rs"]
-#[expect(dead_code, reason = "what other tests of the library need of it")]
-mod random;
-
 use std::{fmt, time::Instant};
 
 use anyhow::ensure;
 use emulator::{chip::Part, image::Image};
 use lss_slave::Settings;
 
-use crate::boards;
-use random::Random;
+use crate::{boards, support::random::Random};
 
 /// Erasures that the data sheet promises for a sector (STM32F405, table "flash memory endurance").
 const ENDURANCE: u64 = 10_000;

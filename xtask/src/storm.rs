@@ -1,16 +1,15 @@
 //! `cargo xtask storm`: random frames without end against the node in the process and against the release image.
 
-#[path = "../../tests/support/mod.rs"]
-mod support;
-
 use std::time::Instant;
 
 use emulator::{chip::Part, image::Image};
 
-use crate::boards;
-use support::{
-    random::Random,
-    storm::{ImageStorm, NodeStorm},
+use crate::{
+    boards,
+    support::{
+        random::Random,
+        storm::{image::ImageStorm, node::NodeStorm},
+    },
 };
 
 /// Lines of progress of each storm.

@@ -18,8 +18,11 @@ use lss_slave::{
     settings::Log,
 };
 
-use super::{Expected, Named, Tally, flash::BoardFlash, random::Random};
-use crate::boards;
+use super::{Expected, Named, Tally};
+use crate::{
+    boards,
+    support::{flash::BoardFlash, random::Random},
+};
 
 /// What the image has on a blank board: `DEFAULTS` of the firmware's `device.rs`.
 const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;

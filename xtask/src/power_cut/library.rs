@@ -7,8 +7,8 @@ use lss_slave::{
     settings::{Found, Log},
 };
 
-use super::{
-    Expected, Named, Tally,
+use super::{Expected, Named, Tally};
+use crate::support::{
     flash::{BoardFlash, Flash},
     random::Random,
 };
