@@ -97,6 +97,12 @@ impl Image {
         self.0.symbols.get(name).copied()
     }
 
+    /// Address of the one symbol whose mangled name contains `part`; `None` if there are several.
+    pub fn symbol_containing(&self, part: &str) -> Option<u32> {
+        let mut found = self.0.symbols.iter().filter(|(name, _)| name.contains(part));
+        found.next().filter(|_| found.next().is_none()).map(|(_, address)| *address)
+    }
+
     /// The defmt strings, if the program logs.
     pub(crate) fn defmt_table(&self) -> Option<&Table> {
         self.0.table.as_ref()
