@@ -1,14 +1,17 @@
 //! The CAN frame that a CANopen node exchanges: 11-bit identifier, data, up to eight bytes.
 
+use core::fmt;
+
 use embedded_can::{Id, StandardId};
 
 /// A classical CAN data frame with an 11-bit identifier.
 ///
 /// Remote frames, 29-bit identifiers and data length codes above 8 cannot be held: CANopen gives them no meaning for
 /// this node, and [`Frame::received`] is where they end.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy)]
 #[repr(align(4))]
 pub struct Frame {
+    /// The first `len` bytes count.
     data: [u8; 8],
     cob_id: u16,
     len: u8,
@@ -16,16 +19,19 @@ pub struct Frame {
 
 impl Frame {
     /// A frame with the COB-ID `cob_id` (0..=7FFh) and 0..=8 bytes of data; `None` outside of these.
-    pub const fn new(cob_id: u16, data: &[u8]) -> Option<Self> {
-        if cob_id > 0x7FF {
+    pub fn new(cob_id: u16, data: &[u8]) -> Option<Self> {
+        let mut padded = [0; 8];
+        padded.get_mut(..data.len())?.copy_from_slice(data);
+        Self::from_padded(cob_id, data.len(), padded)
+    }
+
+    /// A frame as a controller holds it: its COB-ID (0..=7FFh), how many bytes of data it has (0..=8), and eight bytes
+    /// that begin with them. `None` outside of these.
+    pub const fn from_padded(cob_id: u16, len: usize, data: [u8; 8]) -> Option<Self> {
+        if cob_id > 0x7FF || len > 8 {
             return None;
         }
-        let mut bytes = [0; 8];
-        match bytes.split_at_mut_checked(data.len()) {
-            Some((head, _)) => head.copy_from_slice(data),
-            None => return None,
-        }
-        Some(Self { data: bytes, cob_id, len: data.len() as u8 })
+        Some(Self { data, cob_id, len: len as u8 })
     }
 
     /// What a CAN driver received, unless it is a remote frame or has a 29-bit identifier.
@@ -59,8 +65,37 @@ impl Frame {
         self.data.get(..usize::from(self.len)).unwrap_or(&self.data)
     }
 
+    /// How many bytes of data there are: 0..=8.
+    pub const fn len(&self) -> usize {
+        self.len as usize
+    }
+
+    /// Whether there is no data.
+    pub const fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Eight bytes that begin with the data, for a controller that takes so many; what follows has no meaning.
+    pub const fn padded_data(&self) -> [u8; 8] {
+        self.data
+    }
+
     /// The data of a frame that has all eight bytes, as every LSS and SDO frame does.
     pub(crate) fn eight_bytes(&self) -> Option<&[u8; 8]> {
         (self.len == 8).then_some(&self.data)
+    }
+}
+
+impl PartialEq for Frame {
+    fn eq(&self, other: &Self) -> bool {
+        (self.cob_id, self.data()) == (other.cob_id, other.data())
+    }
+}
+
+impl Eq for Frame {}
+
+impl fmt::Debug for Frame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:03X}: {:02X?}", self.cob_id, self.data())
     }
 }

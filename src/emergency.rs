@@ -33,6 +33,14 @@ const ALL_IS_WELL: u8 = 1 << 3;
 const GENERIC: u8 = 0x01;
 const COMMUNICATION: u8 = 0x10;
 
+/// What is told first comes first: the bit of `untold`, the error code, the error register.
+const MESSAGES: &[(u8, u16, u8)] = &[
+    (Fault::SettingsLost as u8, 0x6310, GENERIC),
+    (Fault::BusOffRecovered as u8, 0x8140, GENERIC | COMMUNICATION),
+    (Fault::Overrun as u8, 0x8110, GENERIC | COMMUNICATION),
+    (ALL_IS_WELL, 0x0000, 0),
+];
+
 impl Emergency {
     pub const fn new() -> Self {
         Self { untold: 0, are_settings_lost: false, bus_offs: 0, overruns: 0 }
@@ -79,14 +87,7 @@ impl Emergency {
     /// The next message, if there is anything to tell.
     pub fn next(&mut self, node: NodeId) -> Option<Frame> {
         let lasting = self.error_register();
-        let messages = [
-            (Fault::SettingsLost as u8, 0x6310_u16, GENERIC),
-            (Fault::BusOffRecovered as u8, 0x8140, GENERIC | COMMUNICATION),
-            (Fault::Overrun as u8, 0x8110, GENERIC | COMMUNICATION),
-            (ALL_IS_WELL, 0x0000, 0),
-        ];
-        let (bit, code, register) =
-            messages.into_iter().find(|(bit, ..)| self.untold & bit != 0)?;
+        let (bit, code, register) = *MESSAGES.iter().find(|(bit, ..)| self.untold & bit != 0)?;
         self.untold &= !bit;
         if bit == ALL_IS_WELL && lasting != 0 {
             return None;

@@ -10,7 +10,7 @@ use crate::{
     BitRate, BitRateSetting, BitRates, Frame, Instant, NodeId, Settings,
     bus::{Bus, BusEvent, Listening},
     emergency::{Emergency, Fault},
-    lss::{self, Reaction, Response, Slave},
+    lss::{self, Reaction, Slave},
     nmt::{self, Command},
     sdo,
 };
@@ -68,7 +68,7 @@ pub enum Action {
 /// - [`handle_fault`](Self::handle_fault) with a trouble of the board;
 /// - [`handle_deadline`](Self::handle_deadline) first of all, after each of the others, and when the
 ///   [`next_deadline`](Self::next_deadline) has come: again and again until it returns `None`. A deadline that has come
-///   goes before a frame.
+///   goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether there is any need.
 ///
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
 /// A call that comes late or without need does no harm.
@@ -84,6 +84,8 @@ pub struct Node {
     /// After listening, before anything is sent.
     is_resume_due: bool,
     sdo: sdo::Server,
+    /// Received, and to be answered now.
+    sdo_request: Option<[u8; 8]>,
     emergency: Emergency,
     /// TEC and REC, as last told.
     error_counters: (u8, u8),
@@ -95,7 +97,7 @@ pub struct Node {
     /// The heartbeat time has been written, but not seen by a call that knows the time.
     heartbeat_is_new: bool,
     switch: Option<Switch>,
-    /// An NMT command that came during a switch and is to be carried out now.
+    /// An NMT command that is to be carried out, after a switch that is on its way.
     command: Option<Command>,
     persistent: Settings,
     store: Store,
@@ -103,6 +105,16 @@ pub struct Node {
     lss_stores: u8,
     /// A store by SDO that has not begun: index and sub-index for its answer, and the heartbeat time.
     sdo_store: Option<(u16, u8, u16)>,
+    due: Due,
+}
+
+/// When [`Node::handle_deadline`] has something to do.
+#[derive(Clone, Copy, Debug)]
+enum Due {
+    /// Whatever has happened may have made something due.
+    Now,
+    At(Instant),
+    Never,
 }
 
 impl Node {
@@ -128,6 +140,7 @@ impl Node {
             ),
             device,
             sdo: sdo::Server::new(),
+            sdo_request: None,
             emergency: Emergency::new(),
             error_counters: (0, 0),
             nmt: nmt::State::Initialisation,
@@ -141,6 +154,7 @@ impl Node {
             store: Store::Idle,
             lss_stores: 0,
             sdo_store: None,
+            due: Due::Now,
         }
     }
 
@@ -176,27 +190,33 @@ impl Node {
         [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo]
     }
 
-    /// Takes a received frame.
+    /// Takes a received frame; returns the answer to a request of LSS that has one at once. All else comes from
+    /// [`handle_deadline`](Self::handle_deadline).
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
-        match self.bus {
-            Bus::Proven => {}
-            Bus::OnTrial { .. } => self.bus = Bus::Proven,
-            Bus::Listening(_) | Bus::Found(_) => {
-                self.handle_bus(BusEvent::Received);
+        if !matches!(self.bus, Bus::Proven) {
+            self.handle_bus(BusEvent::Received);
+            if matches!(self.bus, Bus::Found(_)) {
                 return None;
             }
         }
         match frame.cob_id() {
-            lss::REQUEST_COB_ID => self.handle_lss(frame.eight_bytes()?, now),
-            nmt::COMMAND_COB_ID => self.handle_nmt(Command::from_frame(frame, self.node_id())?),
-            id if Some(id) == self.sdo_request_cob_id() => self.handle_sdo(frame.eight_bytes()?),
-            _ => None,
+            lss::REQUEST_COB_ID => return self.handle_lss(frame.eight_bytes()?, now),
+            nmt::COMMAND_COB_ID => {
+                self.handle_nmt(Command::from_frame(frame, self.node_id())?);
+            }
+            id if Some(id) == self.sdo_request_cob_id() && self.serves_sdo() => {
+                self.sdo_request = Some(*frame.eight_bytes()?);
+                self.due = Due::Now;
+            }
+            _ => {}
         }
+        None
     }
 
     /// Takes note of a trouble that the board has seen, and tells it by an emergency message.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report(fault);
+        self.due = Due::Now;
     }
 
     /// Takes note of the controller's error counters, TEC and REC, for object 2000h.
@@ -204,29 +224,70 @@ impl Node {
         self.error_counters = (transmit, receive);
     }
 
+    /// Whether [`handle_deadline`](Self::handle_deadline) may have something to do at `now`: a cheap question.
+    pub const fn is_due(&self, now: Instant) -> bool {
+        match self.due {
+            Due::Now => true,
+            Due::At(instant) => instant.has_come(now),
+            Due::Never => false,
+        }
+    }
+
     /// Does the next thing that is due at `now`; returns `None` when nothing is.
     pub fn handle_deadline(&mut self, now: Instant) -> Option<Action> {
+        if !self.is_due(now) {
+            return None;
+        }
+        let action = self.do_next(now);
+        if action.is_none() {
+            self.due = self.find_deadline().map_or(Due::Never, Due::At);
+        }
+        action
+    }
+
+    /// When [`handle_deadline`](Self::handle_deadline) must be called again, if no other call comes before.
+    pub fn next_deadline(&self) -> Option<Instant> {
+        match self.due {
+            Due::Now => self.find_deadline(),
+            Due::At(instant) => Some(instant),
+            Due::Never => None,
+        }
+    }
+
+    fn do_next(&mut self, now: Instant) -> Option<Action> {
         if let Some(action) = self.listen(now) {
             return Some(action);
         }
-        if let Some(switch) = self.switch {
-            return self.advance(switch, now);
+        while let Some(switch) = self.switch {
+            if !switch.until.has_come(now) {
+                return None;
+            }
+            if let Some(action) = self.advance(switch, now) {
+                return Some(action);
+            }
         }
         if !self.is_listening() && mem::take(&mut self.is_resume_due) {
             self.heartbeat_due = now;
             return Some(Action::ResumeTransmitting);
         }
-        if let Some(command) = self.command.take() {
-            return self.handle_nmt(command).or_else(|| self.handle_deadline(now));
+        if let Some(command) = self.command.take()
+            && let Some(action) = self.carry_out(command)
+        {
+            return Some(action);
         }
         if self.is_listening() {
             return None;
         }
+        if let Some(request) = self.sdo_request.take()
+            && let Some(answer) = sdo::handle(request, self)
+        {
+            return self.answer_sdo(answer);
+        }
         self.store_or_answer().or_else(|| self.tell(now))
     }
 
-    /// When [`handle_deadline`](Self::handle_deadline) must be called again, if no other call comes before.
-    pub fn next_deadline(&self) -> Option<Instant> {
+    #[inline(never)] // It has two callers.
+    fn find_deadline(&self) -> Option<Instant> {
         match (&self.bus, self.switch) {
             (Bus::Listening(listening), Some(switch)) => {
                 Some(listening.deadline().earlier(switch.until))
@@ -242,29 +303,27 @@ impl Node {
             return None;
         }
         match self.lss.handle(data)? {
-            Reaction::Answer(response) => answer(response),
+            Reaction::Answer(answer) => return Some(Action::Transmit(answer)),
             Reaction::ActivateBitTiming(delay_ms) => {
                 let delay_micros = u32::from(delay_ms) * 1000;
-                let until = now.plus_micros(delay_micros);
-                self.switch = Some(Switch { phase: Phase::OldRate, until, delay_micros });
+                self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });
                 self.sdo.reset();
-                Some(Action::StopTransmitting)
             }
-            Reaction::StoreConfiguration => {
-                self.lss_stores = self.lss_stores.saturating_add(1);
-                None
-            }
-            Reaction::ResetCommunication => self.reset_communication(),
+            Reaction::StoreConfiguration => self.lss_stores = self.lss_stores.saturating_add(1),
+            Reaction::ResetCommunication => self.command = Some(Command::ResetCommunication),
+        }
+        self.due = Due::Now;
+        None
+    }
+
+    fn handle_nmt(&mut self, command: Command) {
+        if command.is_reset() || !self.command.is_some_and(Command::is_reset) {
+            self.command = Some(command);
+            self.due = Due::Now;
         }
     }
 
-    fn handle_nmt(&mut self, command: Command) -> Option<Action> {
-        if self.switch.is_some() {
-            if command.is_reset() || !self.command.is_some_and(Command::is_reset) {
-                self.command = Some(command);
-            }
-            return None;
-        }
+    fn carry_out(&mut self, command: Command) -> Option<Action> {
         let state = match command {
             Command::ResetNode => return Some(Action::ResetDevice),
             Command::ResetCommunication => return self.reset_communication(),
@@ -278,18 +337,9 @@ impl Node {
         None
     }
 
-    fn handle_sdo(&mut self, request: &[u8; 8]) -> Option<Action> {
-        if !self.serves_sdo() || self.switch.is_some() {
-            return None;
-        }
-        let mut server = mem::replace(&mut self.sdo, sdo::Server::new());
-        let answer = server.handle(request, self);
-        self.sdo = server;
-        self.answer_sdo(answer?)
-    }
-
     const fn serves_sdo(&self) -> bool {
-        matches!(self.nmt, nmt::State::PreOperational | nmt::State::Operational)
+        self.switch.is_none()
+            && matches!(self.nmt, nmt::State::PreOperational | nmt::State::Operational)
     }
 
     fn answer_sdo(&self, answer: [u8; 8]) -> Option<Action> {
@@ -343,8 +393,4 @@ impl Node {
     fn produces_heartbeat(&self) -> bool {
         self.heartbeat_ms > 0 && self.nmt != nmt::State::Initialisation
     }
-}
-
-fn answer(response: Response) -> Option<Action> {
-    Some(Action::Transmit(Frame::with_eight_bytes(lss::RESPONSE_COB_ID, response.to_bytes())))
 }

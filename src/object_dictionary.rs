@@ -116,6 +116,7 @@ const fn row(
 }
 
 /// The row of an object, or why there is none.
+#[inline(never)] // It has two callers.
 pub(crate) fn find(index: u16, sub_index: u8) -> Result<&'static Entry, Missing> {
     let mut missing = Missing::Object;
     for entry in TABLE.iter().filter(|entry| entry.index == index) {

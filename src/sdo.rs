@@ -48,8 +48,9 @@ pub(crate) enum Written {
     Later,
 }
 
-/// What the server reads and writes.
+/// What the server reads and writes, and that the server belongs to.
 pub(crate) trait Objects {
+    fn server(&mut self) -> &mut Server;
     fn read(&self, object: Object) -> Value;
     fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort>;
 }
@@ -77,68 +78,66 @@ impl Server {
     pub const fn reset(&mut self) {
         self.upload = None;
     }
+}
 
-    /// Carries out a request and returns the answer, if there is one now.
-    pub fn handle(&mut self, request: &[u8; 8], objects: &mut impl Objects) -> Option<[u8; 8]> {
-        let &[command, i0, i1, sub_index, d0, d1, d2, d3] = request;
-        let index = u16::from_le_bytes([i0, i1]);
-        let data = [d0, d1, d2, d3];
-        let upload = self.upload.take();
-        let answer = match command >> 5 {
-            DOWNLOAD => download(command, index, sub_index, data, objects)
-                .map(|written| (written == Written::Now).then(|| confirm(index, sub_index))),
-            UPLOAD => self.begin_upload(index, sub_index, objects).map(Some),
-            UPLOAD_SEGMENT => {
-                let Some(upload) = upload else {
-                    return Some(abort(0, 0, Abort::Command));
-                };
-                match self.continue_upload(upload, command & TOGGLE) {
-                    Ok(answer) => Ok(Some(answer)),
-                    Err(code) => return Some(abort(upload.index, upload.sub_index, code)),
-                }
-            }
-            ABORT => Ok(None),
-            _ => Err(Abort::Command),
-        };
-        answer.unwrap_or_else(|code| Some(abort(index, sub_index, code)))
-    }
-
-    fn begin_upload(
-        &mut self,
-        index: u16,
-        sub_index: u8,
-        objects: &impl Objects,
-    ) -> Result<[u8; 8], Abort> {
-        let entry = object_dictionary::find(index, sub_index)?;
-        match objects.read(entry.object) {
-            Value::Number(number) => {
-                let unused = 4 - entry.data_type.size();
-                Ok(message(0x43 | unused << 2, index, sub_index, number))
-            }
-            Value::Text(text) => {
-                let rest = text.as_bytes();
-                self.upload = Some(Upload { index, sub_index, rest, toggle: 0 });
-                Ok(message(0x41, index, sub_index, rest.len() as u32))
+/// Carries out a request and returns the answer, if there is one now.
+pub(crate) fn handle(request: [u8; 8], objects: &mut impl Objects) -> Option<[u8; 8]> {
+    let [command, i0, i1, sub_index, d0, d1, d2, d3] = request;
+    let index = u16::from_le_bytes([i0, i1]);
+    let data = [d0, d1, d2, d3];
+    let upload = objects.server().upload.take();
+    let answer = match command >> 5 {
+        DOWNLOAD => download(command, index, sub_index, data, objects)
+            .map(|written| (written == Written::Now).then(|| confirm(index, sub_index))),
+        UPLOAD => begin_upload(index, sub_index, objects).map(Some),
+        UPLOAD_SEGMENT => {
+            let Some(upload) = upload else {
+                return Some(abort(0, 0, Abort::Command));
+            };
+            match continue_upload(upload, command & TOGGLE, objects.server()) {
+                Ok(answer) => Ok(Some(answer)),
+                Err(code) => return Some(abort(upload.index, upload.sub_index, code)),
             }
         }
-    }
+        ABORT => Ok(None),
+        _ => Err(Abort::Command),
+    };
+    answer.unwrap_or_else(|code| Some(abort(index, sub_index, code)))
+}
 
-    fn continue_upload(&mut self, upload: Upload, toggle: u8) -> Result<[u8; 8], Abort> {
-        if toggle != upload.toggle {
-            return Err(Abort::Toggle);
+fn begin_upload(index: u16, sub_index: u8, objects: &mut impl Objects) -> Result<[u8; 8], Abort> {
+    let entry = object_dictionary::find(index, sub_index)?;
+    match objects.read(entry.object) {
+        Value::Number(number) => {
+            let unused = 4 - entry.data_type.size();
+            Ok(message(0x43 | unused << 2, index, sub_index, number))
         }
-        let (segment, rest) = upload.rest.split_at_checked(7).unwrap_or((upload.rest, &[]));
-        let mut answer = [0; 8];
-        for (to, from) in answer.iter_mut().skip(1).zip(segment) {
-            *to = *from;
+        Value::Text(text) => {
+            let rest = text.as_bytes();
+            objects.server().upload = Some(Upload { index, sub_index, rest, toggle: 0 });
+            Ok(message(0x41, index, sub_index, rest.len() as u32))
         }
-        let unused = 7 - segment.len() as u8;
-        answer[0] = toggle | unused << 1 | u8::from(rest.is_empty());
-        if !rest.is_empty() {
-            self.upload = Some(Upload { rest, toggle: toggle ^ TOGGLE, ..upload });
-        }
-        Ok(answer)
     }
+}
+
+fn continue_upload(upload: Upload, toggle: u8, server: &mut Server) -> Result<[u8; 8], Abort> {
+    if toggle != upload.toggle {
+        return Err(Abort::Toggle);
+    }
+    let mut segment = [0; 7];
+    let mut rest = upload.rest.iter();
+    let mut unused = segment.len() as u8;
+    for (to, from) in segment.iter_mut().zip(&mut rest) {
+        *to = *from;
+        unused -= 1;
+    }
+    let rest = rest.as_slice();
+    let command = toggle | unused << 1 | u8::from(rest.is_empty());
+    if !rest.is_empty() {
+        server.upload = Some(Upload { rest, toggle: toggle ^ TOGGLE, ..upload });
+    }
+    let [b0, b1, b2, b3, b4, b5, b6] = segment;
+    Ok([command, b0, b1, b2, b3, b4, b5, b6])
 }
 
 /// Client command specifiers: the upper three bits of a request's first byte.

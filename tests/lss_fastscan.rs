@@ -271,7 +271,7 @@ fn a_master_that_knows_nothing_finds_all_slaves_one_by_one() {
             let mut selected: Vec<_> =
                 slaves.iter_mut().filter_map(|s| s.inquired_node_id().map(|_| s)).collect();
             assert_eq!(selected.len(), 1, "one slave is in LSS configuration state");
-            assert_eq!(*selected[0].node.lss().address(), address);
+            assert_eq!(selected[0].node.lss().address(), address);
             assert_eq!(selected[0].lss(&format!("11 {node_id:02X}")), ["11 00"]);
             for slave in &mut slaves {
                 slave.lss("04 00");

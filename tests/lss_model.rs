@@ -230,7 +230,7 @@ impl Pair {
                 let expected = self.model.handle(&data);
                 let effect = match self.slave.handle(&data) {
                     None => Effect::Nothing,
-                    Some(Reaction::Answer(response)) => Effect::Answer(response.to_bytes()),
+                    Some(Reaction::Answer(answer)) => Effect::Answer(answer.padded_data()),
                     Some(Reaction::ActivateBitTiming(delay)) => Effect::Activate(delay),
                     Some(Reaction::StoreConfiguration) => Effect::Store,
                     Some(Reaction::ResetCommunication) => Effect::ResetCommunication,

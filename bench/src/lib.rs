@@ -120,14 +120,19 @@ static TRANSMITTED: Mailbox = Mailbox::new();
 #[unsafe(no_mangle)]
 pub static NOW: Register = Register::new();
 
-/// The received frame: identifier, data length code 0..=8, data.
+/// The identifier of the received frame.
 #[inline(always)]
-pub fn received() -> (u16, usize, [u8; 8]) {
-    let identifier = (RECEIVED.identifier.read() >> 21) as u16;
+pub fn received_identifier() -> u16 {
+    (RECEIVED.identifier.read() >> 21) as u16
+}
+
+/// The data length code of the received frame, 0..=15, and its data.
+#[inline(always)]
+pub fn received_data() -> (usize, [u8; 8]) {
     let length = RECEIVED.length.read() as usize & 0xF;
     let [b0, b1, b2, b3] = RECEIVED.low.read().to_le_bytes();
     let [b4, b5, b6, b7] = RECEIVED.high.read().to_le_bytes();
-    (identifier, length, [b0, b1, b2, b3, b4, b5, b6, b7])
+    (length, [b0, b1, b2, b3, b4, b5, b6, b7])
 }
 
 /// Hands a frame with up to eight bytes over; what is beyond its length does not matter.

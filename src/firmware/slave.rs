@@ -60,7 +60,7 @@ impl Slave {
                 Received::Frame(frame) => {
                     let now = clock::now();
                     // What was due before the frame came is done before.
-                    if self.deadline.is_some_and(|deadline| deadline.has_come(now)) {
+                    if self.node.is_due(now) {
                         self.act_until_nothing_is_due();
                     }
                     if let Some(action) = self.node.handle_frame(&frame, now) {

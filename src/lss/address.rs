@@ -35,6 +35,11 @@ impl AddressPart {
             _ => None,
         }
     }
+
+    /// The part after this one; the vendor-ID after the last.
+    pub(super) fn next(self) -> Self {
+        Self::new(self as u8 + 1).unwrap_or(Self::VendorId)
+    }
 }
 
 impl Address {
@@ -48,15 +53,5 @@ impl Address {
             rest = tail;
         }
         hash
-    }
-
-    /// One of the four numbers.
-    pub const fn part(&self, part: AddressPart) -> u32 {
-        match part {
-            AddressPart::VendorId => self.vendor_id,
-            AddressPart::ProductCode => self.product_code,
-            AddressPart::RevisionNumber => self.revision_number,
-            AddressPart::SerialNumber => self.serial_number,
-        }
     }
 }

@@ -1,7 +1,7 @@
 //! LSS messages: the eight bytes of a frame to and from the values they may legally hold (CiA 305, protocols).
 
-use super::AddressPart;
-use crate::NodeId;
+use super::{AddressPart, RESPONSE_COB_ID};
+use crate::{Frame, NodeId};
 
 /// What an LSS master asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +48,36 @@ pub enum IdentifyKey {
     RevisionNumberHigh = 3,
     SerialNumberLow = 4,
     SerialNumberHigh = 5,
+}
+
+impl IdentifyKey {
+    /// The key with the number 0..=5.
+    const fn new(number: u8) -> Option<Self> {
+        match number {
+            0 => Some(Self::VendorId),
+            1 => Some(Self::ProductCode),
+            2 => Some(Self::RevisionNumberLow),
+            3 => Some(Self::RevisionNumberHigh),
+            4 => Some(Self::SerialNumberLow),
+            5 => Some(Self::SerialNumberHigh),
+            _ => None,
+        }
+    }
+
+    /// What it is compared with.
+    pub(super) const fn part(self) -> AddressPart {
+        match self {
+            Self::VendorId => AddressPart::VendorId,
+            Self::ProductCode => AddressPart::ProductCode,
+            Self::RevisionNumberLow | Self::RevisionNumberHigh => AddressPart::RevisionNumber,
+            Self::SerialNumberLow | Self::SerialNumberHigh => AddressPart::SerialNumber,
+        }
+    }
+
+    /// The key after this one; the vendor-ID after the last.
+    pub(super) fn next(self) -> Self {
+        Self::new(self as u8 + 1).unwrap_or(Self::VendorId)
+    }
 }
 
 /// One step of Fastscan, as it stands in the frame; no combination is excluded here.
@@ -118,7 +148,7 @@ const INQUIRE_NODE_ID: u8 = 0x5E;
 impl Request {
     /// The request in the data of a frame; `None` if the command specifier is unknown or a response's, or the mode of
     /// a 04 is neither 0 nor 1. Reserved bytes are not looked at.
-    pub const fn from_bytes(bytes: &[u8; 8]) -> Option<Self> {
+    pub fn from_bytes(bytes: &[u8; 8]) -> Option<Self> {
         let [command, b1, b2, b3, b4, b5, b6, b7] = *bytes;
         let number = u32::from_le_bytes([b1, b2, b3, b4]);
         Some(match command {
@@ -128,24 +158,15 @@ impl Request {
             CONFIGURE_BIT_TIMING => Self::ConfigureBitTiming { table: b1, index: b2 },
             ACTIVATE_BIT_TIMING => Self::ActivateBitTiming(u16::from_le_bytes([b1, b2])),
             STORE_CONFIGURATION => Self::StoreConfiguration,
-            0x40 => Self::Select(AddressPart::VendorId, number),
-            0x41 => Self::Select(AddressPart::ProductCode, number),
-            0x42 => Self::Select(AddressPart::RevisionNumber, number),
-            0x43 => Self::Select(AddressPart::SerialNumber, number),
-            0x46 => Self::Identify(IdentifyKey::VendorId, number),
-            0x47 => Self::Identify(IdentifyKey::ProductCode, number),
-            0x48 => Self::Identify(IdentifyKey::RevisionNumberLow, number),
-            0x49 => Self::Identify(IdentifyKey::RevisionNumberHigh, number),
-            0x4A => Self::Identify(IdentifyKey::SerialNumberLow, number),
-            0x4B => Self::Identify(IdentifyKey::SerialNumberHigh, number),
+            0x40 | 0x41 | 0x42 | 0x43 => Self::Select(AddressPart::new(command - SELECT)?, number),
+            0x46 | 0x47 | 0x48 | 0x49 | 0x4A | 0x4B => {
+                Self::Identify(IdentifyKey::new(command - IDENTIFY)?, number)
+            }
             IDENTIFY_NON_CONFIGURED => Self::IdentifyNonConfigured,
             FASTSCAN => {
                 Self::Fastscan(FastscanStep { id_number: number, bit_check: b5, sub: b6, next: b7 })
             }
-            0x5A => Self::Inquire(AddressPart::VendorId),
-            0x5B => Self::Inquire(AddressPart::ProductCode),
-            0x5C => Self::Inquire(AddressPart::RevisionNumber),
-            0x5D => Self::Inquire(AddressPart::SerialNumber),
+            0x5A | 0x5B | 0x5C | 0x5D => Self::Inquire(AddressPart::new(command - INQUIRE)?),
             INQUIRE_NODE_ID => Self::InquireNodeId,
             _ => return None,
         })
@@ -178,18 +199,26 @@ impl Request {
 impl Response {
     /// The data of the frame that gives this answer; reserved bytes are 0, so that slaves that answer at once send
     /// identical frames.
+    #[inline(always)] // Called apart, it would take its answer through memory, byte by byte.
     pub const fn to_bytes(self) -> [u8; 8] {
-        match self {
-            Self::Selected => bytes(SELECTED, 0),
-            Self::Identified => bytes(IDENTIFIED, 0),
-            Self::NonConfigured => bytes(NON_CONFIGURED, 0),
-            Self::ConfigureNodeId { accepted } => bytes(CONFIGURE_NODE_ID, !accepted as u32),
-            Self::ConfigureBitTiming { accepted } => bytes(CONFIGURE_BIT_TIMING, !accepted as u32),
-            Self::StoreConfiguration(Ok(())) => bytes(STORE_CONFIGURATION, 0),
-            Self::StoreConfiguration(Err(error)) => bytes(STORE_CONFIGURATION, error as u32),
-            Self::Inquire(part, number) => bytes(INQUIRE + part as u8, number),
-            Self::InquireNodeId(id) => bytes(INQUIRE_NODE_ID, NodeId::to_lss(id) as u32),
-        }
+        let (command, number) = match self {
+            Self::Selected => (SELECTED, 0),
+            Self::Identified => (IDENTIFIED, 0),
+            Self::NonConfigured => (NON_CONFIGURED, 0),
+            Self::ConfigureNodeId { accepted } => (CONFIGURE_NODE_ID, !accepted as u32),
+            Self::ConfigureBitTiming { accepted } => (CONFIGURE_BIT_TIMING, !accepted as u32),
+            Self::StoreConfiguration(Ok(())) => (STORE_CONFIGURATION, 0),
+            Self::StoreConfiguration(Err(error)) => (STORE_CONFIGURATION, error as u32),
+            Self::Inquire(part, number) => (INQUIRE + part as u8, number),
+            Self::InquireNodeId(id) => (INQUIRE_NODE_ID, NodeId::to_lss(id) as u32),
+        };
+        bytes(command, number)
+    }
+
+    /// The frame that gives this answer.
+    #[inline(always)]
+    pub const fn to_frame(self) -> Frame {
+        Frame::with_eight_bytes(RESPONSE_COB_ID, self.to_bytes())
     }
 }
 

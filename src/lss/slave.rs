@@ -1,10 +1,12 @@
 //! The LSS slave's state machine (CiA 305): what each request does in LSS waiting and LSS configuration state.
 
+use core::mem;
+
 use super::{
     Address, AddressPart, FastscanStep, IdentifyKey, Request,
     Response::{self, *},
 };
-use crate::{BitRateSetting, BitRates, NodeId};
+use crate::{BitRateSetting, BitRates, Frame, NodeId};
 
 /// The LSS state, which is independent of the NMT state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,7 +22,7 @@ pub enum State {
 #[must_use]
 pub enum Reaction {
     /// Send this answer.
-    Answer(Response),
+    Answer(Frame),
     /// Run at the pending bit rate after the switch delay in milliseconds, without a frame in between.
     ActivateBitTiming(u16),
     /// Make the pending node-ID and bit rate persistent, then answer.
@@ -33,15 +35,17 @@ pub enum Reaction {
 /// each pending and active.
 #[derive(Clone, Debug)]
 pub struct Slave {
-    address: Address,
+    /// The LSS address, by [`AddressPart`].
+    address: [u32; 4],
     bit_rates: BitRates,
     state: State,
     /// The part that the next 40..43 must name.
     select: AddressPart,
     /// The key that the next 46..4B must name.
     identify: IdentifyKey,
-    /// LSSPos, the part that the next Fastscan step must name: 0..=3.
-    fastscan: u8,
+    /// LSSPos, the part that the next Fastscan step must name; `None`: the slave takes no part in Fastscan, as in LSS
+    /// configuration state and with a node-ID.
+    fastscan: Option<AddressPart>,
     pending_node_id: Option<NodeId>,
     active_node_id: Option<NodeId>,
     pending_bit_rate: BitRateSetting,
@@ -58,23 +62,33 @@ impl Slave {
         node_id: Option<NodeId>,
         bit_rate: BitRateSetting,
     ) -> Self {
-        Self {
-            address,
+        let Address { vendor_id, product_code, revision_number, serial_number } = address;
+        let mut slave = Self {
+            address: [vendor_id, product_code, revision_number, serial_number],
             bit_rates,
             state: State::Waiting,
             select: AddressPart::VendorId,
             identify: IdentifyKey::VendorId,
-            fastscan: 0,
+            fastscan: None,
             pending_node_id: node_id,
             active_node_id: node_id,
             pending_bit_rate: bit_rate,
             active_bit_rate: bit_rate,
-        }
+        };
+        slave.switch_to(State::Waiting);
+        slave
     }
 
     /// The LSS address.
-    pub const fn address(&self) -> &Address {
-        &self.address
+    pub const fn address(&self) -> Address {
+        let [vendor_id, product_code, revision_number, serial_number] = self.address;
+        Address { vendor_id, product_code, revision_number, serial_number }
+    }
+
+    /// A part of the LSS address.
+    pub const fn address_part(&self, part: AddressPart) -> u32 {
+        // The mask shows the compiler that there are four.
+        self.address[part as usize & 3]
     }
 
     /// The LSS state.
@@ -115,26 +129,25 @@ impl Slave {
 
     /// Carries out the request in the data of a frame from the LSS master, as far as the LSS state allows it.
     pub fn handle(&mut self, data: &[u8; 8]) -> Option<Reaction> {
-        let is_waiting = self.state == State::Waiting;
-        let answer = match Request::from_bytes(data)? {
-            Request::SwitchToWaiting => return self.switch_to_waiting(),
-            Request::SwitchToConfiguration => {
-                self.switch_to(State::Configuration);
+        use State::{Configuration, Waiting};
+        let answer = match (Request::from_bytes(data)?, self.state) {
+            (Request::SwitchToWaiting, _) => return self.switch_to_waiting(),
+            (Request::SwitchToConfiguration, _) => {
+                self.switch_to(Configuration);
                 return None;
             }
-            Request::Identify(key, number) => self.identify(key, number)?,
-            Request::IdentifyNonConfigured if self.is_unconfigured() => NonConfigured,
-            Request::Select(part, number) if is_waiting => self.select(part, number)?,
-            Request::Fastscan(step) if is_waiting => self.fastscan(step)?,
-            _ if is_waiting => return None,
-            Request::ConfigureNodeId(byte) => {
+            (Request::Identify(key, number), _) => self.identify(key, number)?,
+            (Request::IdentifyNonConfigured, _) if self.is_unconfigured() => NonConfigured,
+            (Request::Select(part, number), Waiting) => self.select(part, number)?,
+            (Request::Fastscan(step), _) => self.fastscan(step)?,
+            (Request::ConfigureNodeId(byte), Configuration) => {
                 let id = NodeId::from_lss(byte);
                 if let Ok(id) = id {
                     self.pending_node_id = id;
                 }
                 ConfigureNodeId { accepted: id.is_ok() }
             }
-            Request::ConfigureBitTiming { table, index } => {
+            (Request::ConfigureBitTiming { table, index }, Configuration) => {
                 let rate =
                     BitRateSetting::from_table(table, index).filter(|&r| self.bit_rates.offers(r));
                 if let Some(rate) = rate {
@@ -142,15 +155,17 @@ impl Slave {
                 }
                 ConfigureBitTiming { accepted: rate.is_some() }
             }
-            Request::Inquire(part) => Inquire(part, self.address.part(part)),
-            Request::InquireNodeId => InquireNodeId(self.active_node_id),
-            Request::ActivateBitTiming(delay_ms) => {
+            (Request::Inquire(part), Configuration) => Inquire(part, self.address_part(part)),
+            (Request::InquireNodeId, Configuration) => InquireNodeId(self.active_node_id),
+            (Request::ActivateBitTiming(delay_ms), Configuration) => {
                 return Some(Reaction::ActivateBitTiming(delay_ms));
             }
-            Request::StoreConfiguration => return Some(Reaction::StoreConfiguration),
+            (Request::StoreConfiguration, Configuration) => {
+                return Some(Reaction::StoreConfiguration);
+            }
             _ => return None,
         };
-        Some(Reaction::Answer(answer))
+        Some(Reaction::Answer(answer.to_frame()))
     }
 
     const fn is_unconfigured(&self) -> bool {
@@ -162,7 +177,10 @@ impl Slave {
         self.state = state;
         self.select = AddressPart::VendorId;
         self.identify = IdentifyKey::VendorId;
-        self.fastscan = 0;
+        self.fastscan = match state {
+            State::Waiting if self.is_unconfigured() => Some(AddressPart::VendorId),
+            _ => None,
+        };
     }
 
     fn switch_to_waiting(&mut self) -> Option<Reaction> {
@@ -173,70 +191,63 @@ impl Slave {
         was_configured_just_now.then_some(Reaction::ResetCommunication)
     }
 
+    /// The slave was found, by a service that leaves the others' progress alone.
+    const fn enter_configuration(&mut self) {
+        self.state = State::Configuration;
+        self.fastscan = None;
+    }
+
     fn select(&mut self, part: AddressPart, number: u32) -> Option<Response> {
-        use AddressPart::*;
-        let in_order = part == VendorId || part == self.select;
-        let matches = in_order && number == self.address.part(part);
-        self.select = match part {
-            _ if !matches => VendorId,
-            VendorId => ProductCode,
-            ProductCode => RevisionNumber,
-            RevisionNumber => SerialNumber,
-            SerialNumber => {
-                self.state = State::Configuration;
-                self.select = VendorId;
-                return Some(Selected);
-            }
-        };
-        None
+        let in_order = part == AddressPart::VendorId || part == self.select;
+        if !in_order || number != self.address_part(part) {
+            self.select = AddressPart::VendorId;
+            return None;
+        }
+        self.select = part.next();
+        if part != AddressPart::SerialNumber {
+            return None;
+        }
+        self.enter_configuration();
+        Some(Selected)
     }
 
     fn identify(&mut self, key: IdentifyKey, number: u32) -> Option<Response> {
         use IdentifyKey::*;
-        let in_order = key == VendorId || key == self.identify;
-        let own = &self.address;
-        let matches = in_order
-            && match key {
-                VendorId => number == own.vendor_id,
-                ProductCode => number == own.product_code,
-                RevisionNumberLow => number <= own.revision_number,
-                RevisionNumberHigh => number >= own.revision_number,
-                SerialNumberLow => number <= own.serial_number,
-                SerialNumberHigh => number >= own.serial_number,
+        // Unless this step succeeds, the next must be the first.
+        let awaited = mem::replace(&mut self.identify, VendorId);
+        if key != VendorId && key != awaited {
+            return None;
+        }
+        let own = self.address_part(key.part());
+        let matches = number == own
+            || match key {
+                RevisionNumberLow | SerialNumberLow => number < own,
+                RevisionNumberHigh | SerialNumberHigh => number > own,
+                VendorId | ProductCode => false,
             };
-        self.identify = match key {
-            _ if !matches => VendorId,
-            VendorId => ProductCode,
-            ProductCode => RevisionNumberLow,
-            RevisionNumberLow => RevisionNumberHigh,
-            RevisionNumberHigh => SerialNumberLow,
-            SerialNumberLow => SerialNumberHigh,
-            SerialNumberHigh => {
-                self.identify = VendorId;
-                return Some(Identified);
-            }
-        };
-        None
+        if !matches {
+            return None;
+        }
+        self.identify = key.next();
+        (key == SerialNumberHigh).then_some(Identified)
     }
 
     fn fastscan(&mut self, step: FastscanStep) -> Option<Response> {
         const BEGIN: u8 = 0x80;
-        if !self.is_unconfigured() {
-            return None;
-        }
+        let part = self.fastscan?;
         if step.bit_check == BEGIN {
-            self.fastscan = 0;
+            self.fastscan = Some(AddressPart::VendorId);
             return Some(Identified);
         }
-        let own = self.address.part(AddressPart::new(step.sub)?);
-        let differs = (own ^ step.id_number).checked_shr(step.bit_check.into())? != 0;
-        if differs || step.sub != self.fastscan || step.next > 3 {
+        let difference = self.address_part(part) ^ step.id_number;
+        if step.sub != part as u8 || difference.checked_shr(step.bit_check.into())? != 0 {
             return None;
         }
-        self.fastscan = step.next;
+        let next = AddressPart::new(step.next)?;
+        self.fastscan = Some(next);
         // A master that knows some parts skips them: not the fourth part ends the scan, but the step back to an earlier.
-        if step.bit_check == 0 && step.next < step.sub {
-            self.state = State::Configuration;
+        if step.bit_check == 0 && next < part {
+            self.enter_configuration();
         }
         Some(Identified)
     }

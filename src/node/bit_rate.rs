@@ -1,6 +1,6 @@
 //! How the node comes to its bit rate: the switch with its two delays, listening, and the rescue.
 
-use super::{Action, Node};
+use super::{Action, Due, Node};
 use crate::{
     BitRate, BitRateSetting, Instant,
     bus::{Bus, BusEvent, ERRORS_ON_TRIAL, Listening, Step},
@@ -17,6 +17,8 @@ pub(super) struct Switch {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Phase {
+    /// The board has not been told.
+    Requested,
     OldRate,
     NewRate,
 }
@@ -25,6 +27,7 @@ impl Node {
     /// Takes what the controller has seen of the bus. Telling it again does no harm.
     pub fn handle_bus(&mut self, event: BusEvent) {
         self.is_boot_up_acknowledged |= event == BusEvent::Acknowledged;
+        self.due = Due::Now;
         let is_to_listen = self.device.rescue && self.switch.is_none();
         match (&mut self.bus, event) {
             (Bus::OnTrial { .. }, BusEvent::Received | BusEvent::Acknowledged) => {
@@ -49,35 +52,35 @@ impl Node {
         }
     }
 
+    /// Ends the phase of the switch that is over.
     pub(super) fn advance(&mut self, switch: Switch, now: Instant) -> Option<Action> {
-        if !switch.until.has_come(now) {
-            return None;
-        }
+        let until = switch.until.plus_micros(switch.delay_micros);
         match switch.phase {
-            Phase::OldRate => {
-                let until = switch.until.plus_micros(switch.delay_micros);
-                self.switch = Some(Switch { phase: Phase::NewRate, until, ..switch });
-                let was_automatic = self.lss.active_bit_rate() == BitRateSetting::Automatic;
-                self.lss.activate_bit_rate();
-                match self.lss.active_bit_rate() {
-                    BitRateSetting::Fixed(rate) if rate != self.rate => {
-                        self.previous_rate = Some(self.rate);
-                        self.bus = Bus::ON_TRIAL;
-                        self.run_at(rate)
-                    }
-                    BitRateSetting::Automatic if !was_automatic => {
-                        let first = self.device.bit_rates.fastest();
-                        self.bus = Bus::Listening(Listening::begin(first, None));
-                        self.handle_deadline(now)
-                    }
-                    _ => self.handle_deadline(now),
-                }
+            Phase::Requested => {
+                self.switch = Some(Switch { phase: Phase::OldRate, until, ..switch });
+                return Some(Action::StopTransmitting);
             }
+            Phase::OldRate => self.switch = Some(Switch { phase: Phase::NewRate, until, ..switch }),
             Phase::NewRate => {
                 self.switch = None;
                 self.is_resume_due = true;
-                self.handle_deadline(now)
+                return None;
             }
+        }
+        let was_automatic = self.lss.active_bit_rate() == BitRateSetting::Automatic;
+        self.lss.activate_bit_rate();
+        match self.lss.active_bit_rate() {
+            BitRateSetting::Fixed(rate) if rate != self.rate => {
+                self.previous_rate = Some(self.rate);
+                self.bus = Bus::ON_TRIAL;
+                self.run_at(rate)
+            }
+            BitRateSetting::Automatic if !was_automatic => {
+                let first = self.device.bit_rates.fastest();
+                self.bus = Bus::Listening(Listening::begin(first, None));
+                self.listen(now)
+            }
+            _ => None,
         }
     }
 

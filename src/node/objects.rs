@@ -3,8 +3,9 @@
 use super::Node;
 use crate::{
     emergency,
+    lss::AddressPart,
     object_dictionary::{Entry, Object},
-    sdo::{Abort, Objects, Value, Written},
+    sdo::{Abort, Objects, Server, Value, Written},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -15,8 +16,11 @@ const ON_COMMAND: u32 = 1;
 const DEVICE_TYPE: u32 = 0;
 
 impl Objects for Node {
+    fn server(&mut self) -> &mut Server {
+        &mut self.sdo
+    }
+
     fn read(&self, object: Object) -> Value {
-        let address = self.lss.address();
         let node_id = self.node_id().map_or(0, |id| u32::from(id.get()));
         Value::Number(match object {
             Object::DeviceName => return Value::Text(self.device.name),
@@ -27,10 +31,10 @@ impl Objects for Node {
             Object::StoreParameters | Object::RestoreDefaultParameters => ON_COMMAND,
             Object::CobIdEmergency => u32::from(emergency::COB_ID) + node_id,
             Object::ProducerHeartbeatTime => self.heartbeat_ms.into(),
-            Object::VendorId => address.vendor_id,
-            Object::ProductCode => address.product_code,
-            Object::RevisionNumber => address.revision_number,
-            Object::SerialNumber => address.serial_number,
+            Object::VendorId => self.lss.address_part(AddressPart::VendorId),
+            Object::ProductCode => self.lss.address_part(AddressPart::ProductCode),
+            Object::RevisionNumber => self.lss.address_part(AddressPart::RevisionNumber),
+            Object::SerialNumber => self.lss.address_part(AddressPart::SerialNumber),
             Object::BusOffs => self.emergency.bus_offs().into(),
             Object::Overruns => self.emergency.overruns().into(),
             Object::TransmitErrorCounter => self.error_counters.0.into(),

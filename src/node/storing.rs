@@ -1,6 +1,6 @@
 //! How the node stores: one store at a time, for LSS or for a client of SDO, and the answer when it has come to its end.
 
-use super::{Action, Node, answer};
+use super::{Action, Due, Node};
 use crate::{
     Settings,
     lss::{Response, StoreError},
@@ -34,6 +34,7 @@ impl Node {
                 self.emergency.settings_are_stored();
             }
             self.store = Store::Done(outcome, requester);
+            self.due = Due::Now;
         }
     }
 
@@ -56,13 +57,14 @@ impl Node {
                 match requester {
                     Requester::Lss => {
                         self.lss_stores = self.lss_stores.saturating_sub(1);
-                        answer(Response::StoreConfiguration(outcome))
+                        Some(Action::Transmit(Response::StoreConfiguration(outcome).to_frame()))
                     }
                     Requester::Sdo(index, sub_index) if self.serves_sdo() => {
-                        self.answer_sdo(match outcome {
+                        let answer = match outcome {
                             Ok(()) => sdo::confirm(index, sub_index),
                             Err(_) => sdo::abort(index, sub_index, sdo::Abort::Hardware),
-                        })
+                        };
+                        self.answer_sdo(answer)
                     }
                     Requester::Sdo(..) | Requester::Nobody => self.store_or_answer(),
                 }

@@ -3,7 +3,7 @@
 #![no_std]
 #![no_main]
 
-use bench::{IDENTITY, Place, padded, received, transmit};
+use bench::{IDENTITY, Place, padded, received_data, received_identifier, transmit};
 use canopen_rs::{Address, Entry, LssAddress, Node, NodeId, ObjectDictionary, Value};
 
 static NODE: Place<Node<8>> = Place::empty();
@@ -31,7 +31,8 @@ extern "C" fn prepare() {
 
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
-    let (cob_id, length, data) = received();
+    let cob_id = received_identifier();
+    let (length, data) = received_data();
     let Some(data) = data.get(..length) else {
         return;
     };

@@ -3,7 +3,7 @@
 #![no_std]
 #![no_main]
 
-use bench::{IDENTITY, Place, received, transmit};
+use bench::{IDENTITY, Place, received_data, received_identifier, transmit};
 use canopen_rs::lss::{
     LSS_MASTER_COB_ID, LSS_SLAVE_COB_ID, LssAddress, LssSlave, UNCONFIGURED_NODE_ID,
 };
@@ -21,8 +21,11 @@ extern "C" fn prepare() {
 
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
-    let (cob_id, length, data) = received();
-    if cob_id != LSS_MASTER_COB_ID || length != 8 {
+    if received_identifier() != LSS_MASTER_COB_ID {
+        return;
+    }
+    let (length, data) = received_data();
+    if length != 8 {
         return;
     }
     // SAFETY: `prepare` has filled it, and the reference ends here.

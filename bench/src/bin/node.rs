@@ -3,12 +3,12 @@
 #![no_std]
 #![no_main]
 
-use bench::{IDENTITY, NOW, Place, Register, received, transmit};
+use bench::{IDENTITY, NOW, Place, Register, received_data, received_identifier, transmit};
 use lss_slave::{
     Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings, lss::Address,
 };
 
-const BIT_RATES: BitRates = BitRates::possible(32_000_000);
+const BIT_RATES: BitRates = BitRates::possible(40_000_000);
 
 static NODE: Place<Node> = Place::empty();
 /// What a timer is to be set to; 0: off.
@@ -35,24 +35,32 @@ extern "C" fn receive() {
     // SAFETY: `prepare` has filled it, and the reference ends here.
     let node = unsafe { NODE.get() };
     let now = Instant::from_micros(NOW.read());
-    let (cob_id, length, data) = received();
-    let Some(frame) = data.get(..length).and_then(|data| Frame::new(cob_id, data)) else {
+    let cob_id = received_identifier();
+    let (length, data) = received_data();
+    let Some(frame) = Frame::from_padded(cob_id, length, data) else {
         return;
     };
     if let Some(action) = node.handle_frame(&frame, now) {
         act(node, action);
     }
+    if node.is_due(now) {
+        act_until_nothing_is_due(node, now);
+    }
+    TIMER.write(node.next_deadline().map_or(0, |deadline| deadline.as_micros() | 1));
+}
+
+#[inline(never)]
+fn act_until_nothing_is_due(node: &mut Node, now: Instant) {
     while let Some(action) = node.handle_deadline(now) {
         act(node, action);
     }
-    TIMER.write(node.next_deadline().map_or(0, |deadline| deadline.as_micros() | 1));
 }
 
 #[inline(always)]
 fn act(node: &mut Node, action: Action) {
     match action {
         Action::Transmit(frame) => {
-            transmit(frame.cob_id(), frame.data().len(), bench::padded(frame.data()));
+            transmit(frame.cob_id(), frame.len(), frame.padded_data());
         }
         Action::Store(_) => node.handle_stored(Ok(())),
         Action::SetBitRate(_) | Action::ResumeTransmitting => {

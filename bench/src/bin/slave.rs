@@ -3,13 +3,13 @@
 #![no_std]
 #![no_main]
 
-use bench::{IDENTITY, Place, received, transmit};
+use bench::{IDENTITY, Place, received_data, received_identifier, transmit};
 use lss_slave::{
     BitRate, BitRates,
-    lss::{Address, REQUEST_COB_ID, RESPONSE_COB_ID, Reaction, Response, Slave},
+    lss::{Address, REQUEST_COB_ID, Reaction, Response, Slave},
 };
 
-const BIT_RATES: BitRates = BitRates::possible(32_000_000);
+const BIT_RATES: BitRates = BitRates::possible(40_000_000);
 
 /// Its size is the LSS state's.
 #[unsafe(no_mangle)]
@@ -24,18 +24,21 @@ extern "C" fn prepare() {
 
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
-    let (cob_id, length, data) = received();
-    if cob_id != REQUEST_COB_ID || length != 8 {
+    if received_identifier() != REQUEST_COB_ID {
+        return;
+    }
+    let (length, data) = received_data();
+    if length != 8 {
         return;
     }
     // SAFETY: `prepare` has filled it, and the reference ends here.
     let slave = unsafe { LSS_STATE.get() };
-    let response = match slave.handle(&data) {
-        Some(Reaction::Answer(response)) => response,
-        Some(Reaction::StoreConfiguration) => Response::StoreConfiguration(Ok(())),
+    let answer = match slave.handle(&data) {
+        Some(Reaction::Answer(answer)) => answer,
+        Some(Reaction::StoreConfiguration) => Response::StoreConfiguration(Ok(())).to_frame(),
         Some(Reaction::ActivateBitTiming(_)) => return slave.activate_bit_rate(),
         Some(Reaction::ResetCommunication) => return slave.reset_communication(),
         None => return,
     };
-    transmit(RESPONSE_COB_ID, 8, response.to_bytes());
+    transmit(answer.cob_id(), answer.len(), answer.padded_data());
 }

@@ -5,7 +5,7 @@
 
 use core::ptr::addr_of_mut;
 
-use bench::{IDENTITY, NOW, Place, padded, received, transmit};
+use bench::{IDENTITY, NOW, Place, padded, received_data, received_identifier, transmit};
 // For its critical section.
 use cortex_m as _;
 use zencan_node::{
@@ -85,7 +85,8 @@ extern "C" fn prepare() {
 
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
-    let (cob_id, length, data) = received();
+    let cob_id = received_identifier();
+    let (length, data) = received_data();
     let Some(data) = data.get(..length) else {
         return;
     };

@@ -111,7 +111,7 @@ fn run_node() {
     };
     let device = Device {
         address,
-        bit_rates: any(BitRates::possible(32_000_000)),
+        bit_rates: any(BitRates::possible(40_000_000)),
         heartbeat_ms: any(0),
         name: any(""),
         hardware_version: any(""),
