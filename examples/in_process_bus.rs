@@ -35,6 +35,7 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
         hardware_version: "1",
         software_version: "1",
         rescue: false,
+        lss_lock: false,
     };
     let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 0 };
     let mut node = Node::new(device, settings);

@@ -7,7 +7,7 @@
 //! use lss_slave::{Action, Device, Frame, Instant, Node};
 //!
 //! # let device = Device { address: lss_slave::lss::Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-//! #     bit_rates: lss_slave::BitRates::possible(40_000_000), heartbeat_ms: 0, name: "", hardware_version: "", software_version: "", rescue: true };
+//! #     bit_rates: lss_slave::BitRates::possible(40_000_000), heartbeat_ms: 0, name: "", hardware_version: "", software_version: "", rescue: true, lss_lock: false };
 //! # let settings = lss_slave::Settings { node_id: None, bit_rate: lss_slave::BitRate::Kbit125.into(), heartbeat_ms: 0 };
 //! let mut node = Node::new(device, settings);
 //! let now = Instant::from_micros(0);

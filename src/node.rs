@@ -34,6 +34,8 @@ pub struct Device {
     pub software_version: &'static str,
     /// Whether a bit rate that fails on trial makes the node listen for the right one (see `docs/bit-rates.md`).
     pub rescue: bool,
+    /// Whether the LSS state stays waiting while the node is NMT operational, so that nobody configures a running machine.
+    pub lss_lock: bool,
 }
 
 /// What the board has to do now.
@@ -299,7 +301,7 @@ impl Node {
     }
 
     fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
-        if self.switch.is_some() {
+        if self.switch.is_some() || self.is_lss_locked() && lss::is_switch_state(data) {
             return None;
         }
         match self.lss.handle(data)? {
@@ -333,8 +335,15 @@ impl Node {
         };
         if self.nmt != nmt::State::Initialisation {
             self.nmt = state;
+            if self.is_lss_locked() {
+                self.lss.wait();
+            }
         }
         None
+    }
+
+    const fn is_lss_locked(&self) -> bool {
+        self.device.lss_lock && matches!(self.nmt, nmt::State::Operational)
     }
 
     const fn serves_sdo(&self) -> bool {

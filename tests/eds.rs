@@ -87,6 +87,7 @@ fn board_of_device_rs() -> Board {
         hardware_version: text_in_device_rs("HARDWARE_VERSION"),
         software_version: text_in_device_rs("SOFTWARE_VERSION"),
         rescue: true,
+        lss_lock: false,
     };
     let defaults = Settings { heartbeat_ms, ..defaults(0x40) };
     Board::with_device(device, defaults, BoardFlash::blank(0), 0)

@@ -35,6 +35,7 @@ impl Board {
             hardware_version: "A",
             software_version: "1.2.3",
             rescue: true,
+            lss_lock: id & 1 == 1,
         };
         let bit_rate = BitRate::from_table(0, rate).map_or(BitRateSetting::Automatic, Into::into);
         let node =

@@ -19,6 +19,7 @@ fn node() -> Node {
         hardware_version: "",
         software_version: "1.2.34.5",
         rescue: false,
+        lss_lock: false,
     };
     let settings =
         Settings { node_id: NodeId::new(5), bit_rate: BitRate::Kbit1000.into(), heartbeat_ms: 0 };

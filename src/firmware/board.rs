@@ -61,6 +61,7 @@ pub fn device() -> Device {
         hardware_version: device::HARDWARE_VERSION,
         software_version: device::SOFTWARE_VERSION,
         rescue: device::RESCUE,
+        lss_lock: device::LSS_LOCK,
     }
 }
 

@@ -60,6 +60,9 @@ pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ).with_automatic();
 /// the right one: docs/bit-rates.md.
 pub const RESCUE: bool = true;
 
+/// Whether LSS configuration is refused while the node is NMT operational: docs/threat-model.md.
+pub const LSS_LOCK: bool = false;
+
 const _: () = {
     assert!(CRYSTAL_HZ.is_multiple_of(1_000_000), "CRYSTAL_HZ must be a whole number of MHz");
     assert!(4_000_000 <= CRYSTAL_HZ && CRYSTAL_HZ <= 26_000_000, "CRYSTAL_HZ must be 4 to 26 MHz");

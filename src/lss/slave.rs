@@ -75,7 +75,7 @@ impl Slave {
             pending_bit_rate: bit_rate,
             active_bit_rate: bit_rate,
         };
-        slave.switch_to(State::Waiting);
+        slave.wait();
         slave
     }
 
@@ -124,7 +124,7 @@ impl Slave {
     /// NMT reset communication: the pending node-ID is active, the LSS state is waiting, all progress is lost.
     pub const fn reset_communication(&mut self) {
         self.active_node_id = self.pending_node_id;
-        self.switch_to(State::Waiting);
+        self.wait();
     }
 
     /// Carries out the request in the data of a frame from the LSS master, as far as the LSS state allows it.
@@ -173,6 +173,11 @@ impl Slave {
     }
 
     /// Every switch, even to the state that is already there, loses all progress.
+    /// The LSS state is waiting, whatever it was; nothing else changes but that all progress is lost.
+    pub(crate) const fn wait(&mut self) {
+        self.switch_to(State::Waiting);
+    }
+
     const fn switch_to(&mut self, state: State) {
         self.state = state;
         self.select = AddressPart::VendorId;
@@ -187,7 +192,7 @@ impl Slave {
         let was_configured_just_now = self.state == State::Configuration
             && self.active_node_id.is_none()
             && self.pending_node_id.is_some();
-        self.switch_to(State::Waiting);
+        self.wait();
         was_configured_just_now.then_some(Reaction::ResetCommunication)
     }
 

@@ -55,6 +55,7 @@ pub const fn device(address: Address) -> Device {
         hardware_version: "A",
         software_version: "1.2.3",
         rescue: false,
+        lss_lock: false,
     }
 }
 

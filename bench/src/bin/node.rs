@@ -25,6 +25,7 @@ extern "C" fn prepare() {
         hardware_version: "1",
         software_version: "1",
         rescue: true,
+        lss_lock: false,
     };
     let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 0 };
     NODE.fill(Node::new(device, settings));

@@ -117,6 +117,7 @@ fn run_node() {
         hardware_version: any(""),
         software_version: any(""),
         rescue: any(true),
+        lss_lock: any(true),
     };
     let mut node = Node::new(device, any_settings());
     // Between the calls the node is in whatever state its types allow.
