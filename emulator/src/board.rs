@@ -14,7 +14,7 @@ use crate::{
     Time,
     can::Clock,
     chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause},
-    engine::{Engine, Halt, Lockup, rsemu::Rsemu},
+    engine::{Engine, Halt, Lockup, Watcher, rsemu::Rsemu},
     image::Image,
 };
 use log::Log;
@@ -283,6 +283,11 @@ impl Board {
     /// The stack pointer in use.
     pub fn sp(&self) -> u32 {
         self.engine.sp()
+    }
+
+    /// Has `watcher` told of every instruction from now on.
+    pub fn watch(&mut self, watcher: Box<dyn Watcher>) {
+        self.engine.watch(watcher);
     }
 
     /// Copies out of RAM or flash. False, and nothing copied, outside of them.

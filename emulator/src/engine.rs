@@ -3,7 +3,7 @@
 pub mod clock;
 pub mod rsemu;
 
-use crate::Time;
+use crate::{Time, chip::Access};
 
 /// Why a CPU stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +60,67 @@ pub trait Engine: Send {
 
     /// The stack pointer in use.
     fn sp(&self) -> u32;
+
+    /// The registers, before the next instruction.
+    fn registers(&self) -> Registers;
+
+    /// Has `watcher` told of every instruction from now on.
+    fn watch(&mut self, watcher: Box<dyn Watcher>);
+}
+
+/// The core's registers, as a debugger names them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Registers {
+    /// `r0..r15`: `r13` is the stack pointer in use, `r15` the address of the next instruction.
+    pub r: [u32; 16],
+    /// Flags, ITSTATE and the number of the exception that is being handled.
+    pub xpsr: u32,
+    /// `s0..s31`.
+    pub s: [u32; 32],
+    /// Status and control of the floating-point unit.
+    pub fpscr: u32,
+}
+
+/// Follows a program instruction by instruction.
+pub trait Watcher: Send {
+    /// The core, as it is now, has made a step.
+    fn stepped(&mut self, step: &Step, core: &dyn Engine);
+
+    /// From the next step on the flash holds `bytes`, `offset` from its start.
+    fn flash_changed(&mut self, offset: usize, bytes: &[u8], core: &dyn Engine);
+
+    /// The debug probe has written to RAM.
+    fn ram_changed(&mut self, address: u32, bytes: &[u8], core: &dyn Engine);
+}
+
+/// An instruction, an exception entry, or the load of the first stack pointer and PC after a reset.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// It was the one after a reset.
+    pub from_reset: bool,
+    /// The registers before it.
+    pub before: Registers,
+    /// Levels of the interrupt lines before it, bit n for interrupt n.
+    pub irqs: u128,
+    /// `SYST_CSR`, `SYST_RVR`, `SYST_CVR` and `SYST_CALIB` before it.
+    pub systick: [u32; 4],
+    /// SysTick was pending before it.
+    pub systick_pending: bool,
+    /// It asked for a reset, with `AIRCR.SYSRESETREQ`.
+    pub requests_reset: bool,
+    /// Loads from the chip and stores to it, in order.
+    pub transfers: Vec<Transfer>,
+}
+
+/// A load from the chip, or a store to it or to flash.
+#[derive(Clone, Copy, Debug)]
+pub struct Transfer {
+    /// What was accessed.
+    pub access: Access,
+    /// Whether it was a store.
+    pub is_store: bool,
+    /// What was loaded or stored.
+    pub value: u32,
 }
 
 /// The fault registers of a core that locked up (ARM DDI 0403, B1.5.15).

@@ -17,6 +17,8 @@ use object::{
     read::elf::{ElfFile32, FileHeader, ProgramHeader},
 };
 
+use crate::chip::FLASH_BASE;
+
 /// A linked program. Clones share the content.
 #[derive(Clone, Debug)]
 pub struct Image(Arc<Content>);
@@ -101,6 +103,17 @@ impl Image {
     pub fn symbol_containing(&self, part: &str) -> Option<u32> {
         let mut found = self.0.symbols.iter().filter(|(name, _)| name.contains(part));
         found.next().filter(|_| found.next().is_none()).map(|(_, address)| *address)
+    }
+
+    /// The last symbol of the program at or before an address, and how far before.
+    pub fn symbol_at(&self, address: u32) -> Option<(&str, u32)> {
+        let symbols = self.0.symbols.iter().filter(|(name, _)| !name.starts_with('$'));
+        let before = symbols.filter_map(|(name, start)| {
+            // Bit 0 of a function's is that of the instruction set.
+            let offset = address.checked_sub(start & !1)?;
+            (*start >= FLASH_BASE).then_some((offset, name.as_str()))
+        });
+        before.min().map(|(offset, name)| (name, offset))
     }
 
     /// The defmt strings, if the program logs.

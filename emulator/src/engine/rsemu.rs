@@ -1,6 +1,7 @@
 //! The engine: rsemu's ARMv7E-M core with the chip's memories mapped directly and its peripherals by call.
 
 mod bus;
+mod watched;
 
 use std::sync::{Arc, Mutex, MutexGuard, atomic::Ordering::Relaxed};
 
@@ -16,7 +17,7 @@ use rsemu::{
     },
 };
 
-use super::{Engine, Halt, Lockup, clock::CycleClock};
+use super::{Engine, Halt, Lockup, Registers, Watcher, clock::CycleClock};
 use crate::{
     Time,
     chip::{Access, CCM_BASE, Chip, FLASH_BASE, Problem, RAM_BASE, Width},
@@ -47,6 +48,7 @@ pub struct Rsemu {
     spin: Option<u64>,
     irqs: u128,
     polls: u32,
+    watcher: Option<Box<dyn Watcher>>,
 }
 
 impl Rsemu {
@@ -80,6 +82,7 @@ impl Rsemu {
             spin: None,
             irqs: 0,
             polls: 0,
+            watcher: None,
         }
     }
 
@@ -153,7 +156,23 @@ impl Rsemu {
         if self.read_memory(frame + STACKED_PC, &mut stacked) && stacked[..4] == pc.to_le_bytes() {
             let [.., x0, x1, x2, x3] = stacked;
             let mended = u32::from_le_bytes([x0, x1, x2, x3]) | before & xpsr::IT_MASK;
-            self.write_memory(frame + STACKED_PC + 4, &mended.to_le_bytes());
+            self.write_ram(frame + STACKED_PC + 4, &mended.to_le_bytes());
+        }
+    }
+
+    fn write_ram(&self, address: u32, bytes: &[u8]) -> bool {
+        address >= CCM_BASE
+            && self
+                .store(address, bytes.len())
+                .is_some_and(|(store, offset)| store.write_at(offset, bytes).is_ok())
+    }
+
+    /// Takes over what changed in the chip's flash.
+    fn take_flash(&mut self, chip: &mut Chip) {
+        if let Some(range) = chip.flash_mut().take_changed() {
+            let bytes = &chip.flash().bytes()[range.clone()];
+            copy(&self.flash, range.start, bytes);
+            self.tell(|watcher, core| watcher.flash_changed(range.start, bytes, core));
         }
     }
 
@@ -198,9 +217,7 @@ impl Rsemu {
             self.clock.change(hclk, self.cycles);
             self.link.set_clock(self.clock);
         }
-        if let Some(range) = chip.flash_mut().take_changed() {
-            copy(&self.flash, range.start, &chip.flash().bytes()[range]);
-        }
+        self.take_flash(&mut chip);
         self.flash_busy = chip.flash().operation_end().is_some();
         if chip.take_can_written() {
             Some(Halt::CanWritten)
@@ -263,10 +280,14 @@ impl Engine for Rsemu {
             self.link.cycles.store(self.cycles, Relaxed);
             self.link.pc.store(pc, Relaxed);
             let before = self.cpu.xpsr();
+            let step = self.observe();
             let used = self.cpu.step();
             self.cycles += used;
             if before & xpsr::IT_MASK != 0 {
                 self.mend_stacked_itstate(before, pc);
+            }
+            if let Some(step) = step {
+                self.tell_of(step);
             }
             let next = self.cpu.pc();
             if self.link.written.load(Relaxed) {
@@ -277,7 +298,7 @@ impl Engine for Rsemu {
                 target = self.clock.cycle_at(until);
             }
             self.polls += 1;
-            if self.polls >= RESET_POLL || next == pc {
+            if self.polls >= RESET_POLL || next == pc || self.watcher.is_some() {
                 self.polls = 0;
                 if self.cpu.reset_requested() {
                     return Halt::ResetRequested;
@@ -327,17 +348,16 @@ impl Engine for Rsemu {
     }
 
     fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
-        address >= CCM_BASE
-            && self
-                .store(address, bytes.len())
-                .is_some_and(|(store, offset)| store.write_at(offset, bytes).is_ok())
+        let written = self.write_ram(address, bytes);
+        if written {
+            self.tell(|watcher, core| watcher.ram_changed(address, bytes, core));
+        }
+        written
     }
 
     fn sync_flash(&mut self) {
-        let mut chip = lock(&self.chip);
-        if let Some(range) = chip.flash_mut().take_changed() {
-            copy(&self.flash, range.start, &chip.flash().bytes()[range]);
-        }
+        let chip = Arc::clone(&self.chip);
+        self.take_flash(&mut lock(&chip));
     }
 
     fn scramble_ram(&mut self, seed: u64) {
@@ -367,6 +387,20 @@ impl Engine for Rsemu {
 
     fn sp(&self) -> u32 {
         self.cpu.regs().r[13]
+    }
+
+    fn registers(&self) -> Registers {
+        Registers {
+            r: self.cpu.regs().r,
+            xpsr: self.cpu.xpsr(),
+            s: std::array::from_fn(|number| self.cpu.s(number as u8)),
+            fpscr: self.cpu.fpscr(),
+        }
+    }
+
+    fn watch(&mut self, watcher: Box<dyn Watcher>) {
+        self.link.watched.store(true, Relaxed);
+        self.watcher = Some(watcher);
     }
 }
 

@@ -12,7 +12,7 @@ use rsemu::core::{
 
 use crate::{
     chip::{Access, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Width},
-    engine::clock::CycleClock,
+    engine::{Transfer, clock::CycleClock},
 };
 
 /// What the CPU loop and the calls that its instructions cause tell each other.
@@ -24,6 +24,9 @@ pub struct Link {
     pub pc: AtomicU32,
     /// It stored to the chip.
     pub written: AtomicBool,
+    /// Somebody wants to know the transfers.
+    pub watched: AtomicBool,
+    transfers: Mutex<Vec<Transfer>>,
     clock: Mutex<CycleClock>,
 }
 
@@ -33,6 +36,8 @@ impl Link {
             cycles: AtomicU64::new(0),
             pc: AtomicU32::new(0),
             written: AtomicBool::new(false),
+            watched: AtomicBool::new(false),
+            transfers: Mutex::default(),
             clock: Mutex::new(clock),
         }
     }
@@ -40,6 +45,17 @@ impl Link {
     /// Takes over a new clock.
     pub fn set_clock(&self, clock: CycleClock) {
         *self.clock.lock().expect("nothing panics while it holds the clock") = clock;
+    }
+
+    fn note(&self, transfer: Transfer) {
+        if self.watched.load(Relaxed) {
+            self.transfers.lock().expect("nothing panics while it holds them").push(transfer);
+        }
+    }
+
+    /// The transfers of the instruction that was last executed, if watched.
+    pub fn take_transfers(&self) -> Vec<Transfer> {
+        std::mem::take(&mut self.transfers.lock().expect("nothing panics while it holds them"))
     }
 }
 
@@ -71,6 +87,7 @@ impl MemOps for Aperture {
         let access = self.access(offset, dst.len())?;
         let mut chip = self.chip.lock().map_err(|_| BusError::BadAccess)?;
         let value = chip.read(access).map_err(|BusFault| BusError::Unassigned)?;
+        self.link.note(Transfer { access, is_store: false, value });
         dst.copy_from_slice(&value.to_le_bytes()[..dst.len()]);
         Ok(())
     }
@@ -79,9 +96,11 @@ impl MemOps for Aperture {
         let access = self.access(offset, src.len())?;
         let mut bytes = [0; 4];
         bytes[..src.len()].copy_from_slice(src);
+        let value = u32::from_le_bytes(bytes);
+        self.link.note(Transfer { access, is_store: true, value });
         self.link.written.store(true, Relaxed);
         let mut chip = self.chip.lock().map_err(|_| BusError::BadAccess)?;
-        chip.write(access, u32::from_le_bytes(bytes)).map_err(|BusFault| BusError::Unassigned)
+        chip.write(access, value).map_err(|BusFault| BusError::Unassigned)
     }
 }
 
