@@ -7,7 +7,8 @@
 //! - `bit-rate=125000`: of the adapter, in bit/s;
 //! - `unique-id=000102030405060708090a0b`: of the chip;
 //! - `start=1000`, `interval=50`: when the first frame is queued and how long after it the next is, in ms;
-//! - `send=7E5#0401`, once for each frame: identifier and data.
+//! - `send=7E5#0401`, once for each frame: identifier and data;
+//! - `lock-step`, in place of all others: a debugger gives what peripherals would, see `mirror.rs`.
 //!
 //! Works with QEMU 7.2 to 10.0 where it exports its symbols, as Debian builds it; the dynamic linker names one that is
 //! missing.
@@ -15,6 +16,7 @@
 
 mod arguments;
 mod board;
+mod mirror;
 mod sys;
 
 use std::{
@@ -47,10 +49,12 @@ extern "C" fn choose_version() {
     }
 }
 
+/// Sectors 1 and 2 of the flash, never executed: the rest of the flash is QEMU's.
+const SETTINGS: (&CStr, u32, u64) = (c"settings", FLASH_BASE + 0x4000, 0x8000);
+
 /// What a range of addresses is called, where it begins, and its length in bytes.
 const RANGES: [(&CStr, u32, u64); 4] = [
-    // Sectors 1 and 2, never executed: the rest of the flash is QEMU's.
-    (c"settings", FLASH_BASE + 0x4000, 0x8000),
+    SETTINGS,
     (c"system memory", 0x1FFF_0000, 0xC000),
     (c"apb and ahb1", 0x4000_0000, 0x8_0000),
     (c"ahb2", 0x5000_0000, 0x6_1000),
@@ -89,8 +93,11 @@ pub unsafe extern "C" fn qemu_plugin_install(
 }
 
 extern "C" fn machine_ready(_: *mut c_void, _: *mut c_void) {
-    let machine = Machine::find(tick);
     let arguments = ARGUMENTS.get().expect("the plugin is installed before the machine is made");
+    if arguments.lock_step {
+        return mirror::install();
+    }
+    let machine = Machine::find(tick);
     BOARD.get_or_init(|| Mutex::new(Board::new(arguments, machine)));
     for (name, base, length) in RANGES {
         sys::map(name, base, length, &OPS);

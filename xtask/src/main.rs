@@ -44,8 +44,7 @@ enum Command {
     Flash(flash::Arguments),
     Fuzz(fuzz::Arguments),
     PowerCut(power_cut::Arguments),
-    /// Run a session with QEMU's CPU and with the emulator's, and show that they agree
-    Qemu,
+    Qemu(qemu::Arguments),
     Size(size::Arguments),
     Storm(storm::Arguments),
 }
@@ -58,7 +57,7 @@ fn main() -> ExitCode {
         Command::Flash(arguments) => flash::run(&arguments),
         Command::Fuzz(arguments) => fuzz::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
-        Command::Qemu => qemu::run(),
+        Command::Qemu(arguments) => qemu::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
     };

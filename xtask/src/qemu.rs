@@ -1,7 +1,11 @@
 //! `cargo xtask qemu`: the same session with QEMU's CPU and with ours, and whether they agree.
 
+mod gdb;
+mod lock_step;
+
 use std::{
     env, io,
+    num::NonZeroUsize,
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
@@ -47,11 +51,51 @@ impl Seen {
     }
 }
 
-/// Runs the session twice and prints it. Fails if the runs differ, in more than the times.
-pub fn run() -> anyhow::Result<()> {
+/// Run a session with QEMU's CPU and with the emulator's, and show that they agree
+///
+/// On their own: QEMU with the emulator's peripherals, the emulator, and the same frames must come from both. In lock-step:
+/// all registers must be the same after every instruction, and so every access to peripherals and what RAM holds; the first
+/// difference is shown.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Compare instruction by instruction
+    #[arg(long)]
+    lock_step: bool,
+    /// End after so many instructions; else with the session
+    #[arg(long, value_name = "NUMBER", requires = "lock_step", default_value_t = u64::MAX, hide_default_value = true)]
+    instructions: u64,
+    /// Compare once in so many instructions, and wherever the core meets what is outside of it: faster, but the first
+    /// difference is not told to the instruction
+    #[arg(long, value_name = "INSTRUCTIONS", requires = "lock_step", default_value = "1")]
+    stride: NonZeroUsize,
+    /// Spoil r0..r12 of QEMU's before this instruction, to see that it is found
+    #[arg(
+        long,
+        value_name = "INSTRUCTION",
+        requires = "lock_step",
+        conflicts_with = "stride",
+        hide = true
+    )]
+    corrupt: Option<u64>,
+}
+
+/// Prints the session. Fails if the runs differ; on their own, in more than the times.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let version = find_qemu()?;
     let image = Image::build(PART)?;
     let plugin = build_plugin()?;
+    if arguments.lock_step {
+        let Arguments { instructions, stride, corrupt, .. } = *arguments;
+        let stride = stride.get();
+        let mut qemu = qemu(&format!("{},lock-step=on", plugin.display()))?;
+        qemu.args(["-S", "-gdb", "stdio"]);
+        println!("QEMU is {version}.");
+        return lock_step::run(
+            &mut qemu,
+            &image,
+            lock_step::Limits { instructions, stride, corrupt },
+        );
+    }
     let output = run_qemu(&plugin)?;
     let ours = run_emulator(&image)?;
 
@@ -134,6 +178,18 @@ fn session() -> Vec<Frame> {
     ]
 }
 
+/// QEMU with the release image and a plugin.
+fn qemu(plugin: &str) -> anyhow::Result<Command> {
+    let elf = target_directory()?.join("thumbv7em-none-eabihf/release/lss-slave");
+    let mut command = Command::new(QEMU);
+    command
+        .args(["-machine", MACHINE, "-display", "none", "-serial", "none", "-monitor", "none"])
+        .arg("-kernel")
+        .arg(elf)
+        .args(["-plugin", plugin]);
+    Ok(command)
+}
+
 /// Returns what the plugin printed: a line for each frame and each finding.
 fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
     let unique_id: String = boards::unique_id(0).iter().map(|byte| format!("{byte:02x}")).collect();
@@ -146,12 +202,8 @@ fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
     for frame in session() {
         argument += &format!(",send={frame}");
     }
-    let elf = target_directory()?.join("thumbv7em-none-eabihf/release/lss-slave");
-    let output = Command::new(QEMU)
-        .args(["-machine", MACHINE, "-icount", TIME, "-display", "none"])
-        .args(["-serial", "none", "-monitor", "none", "-kernel"])
-        .arg(elf)
-        .args(["-plugin", &argument])
+    let output = qemu(&argument)?
+        .args(["-icount", TIME])
         .stdin(Stdio::null())
         .stderr(Stdio::inherit())
         .output()
