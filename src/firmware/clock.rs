@@ -1,40 +1,64 @@
-//! Time: the monotonic of the tasks, and the microseconds that the node is told.
+//! Time: a tick each millisecond, and the microseconds that the node is told.
 
-use cortex_m::peripheral::SYST;
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use cortex_m::peripheral::{SCB, SYST, syst::SystClkSource};
 use lss_slave::Instant;
-use rtic_monotonics::systick::prelude::*;
 
 use crate::device::SYSCLK_HZ;
 
-systick_monotonic!(Mono, 1_000);
 const MICROS_PER_TICK: u32 = 1_000;
+const CYCLES_PER_MICRO: u32 = SYSCLK_HZ / 1_000_000;
+const CYCLES_PER_TICK: u32 = MICROS_PER_TICK * CYCLES_PER_MICRO;
 
-/// Starts the monotonic; the core runs at [`SYSCLK_HZ`].
-pub fn start(systick: SYST) {
-    Mono::start(systick, SYSCLK_HZ);
+static TICKS: AtomicU32 = AtomicU32::new(0);
+
+/// Starts the ticks; the core runs at [`SYSCLK_HZ`].
+pub fn start(mut systick: SYST) {
+    systick.set_clock_source(SystClkSource::Core);
+    systick.set_reload(CYCLES_PER_TICK - 1);
+    systick.clear_current();
+    systick.enable_interrupt();
+    systick.enable_counter();
 }
 
-/// The present time, finer than the monotonic's ticks: a switch delay begins with a request, not with a tick.
+/// Counts a tick, in its interrupt.
+pub fn tick() {
+    TICKS.store(TICKS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+}
+
+/// The present time, finer than the ticks: a switch delay begins with a request, not with a tick. To be called where no
+/// tick interrupts.
 pub fn now() -> Instant {
-    const CYCLES_PER_MICRO: u32 = SYSCLK_HZ / 1_000_000;
-    const CYCLES_PER_TICK: u32 = MICROS_PER_TICK * CYCLES_PER_MICRO;
-    let read = || (Mono::now().as_ticks() as u32, CYCLES_PER_TICK - 1 - SYST::get_current());
-    let (tick, mut cycles) = read();
-    let (tick_after, cycles_after) = read();
-    // A tick between the two halves of the first reading?
-    if tick_after != tick {
-        cycles = cycles_after;
+    let mut ticks = TICKS.load(Ordering::Relaxed);
+    let mut cycles_left = SYST::get_current();
+    if SCB::is_pendst_pending() {
+        // Between the two readings, or before: then the first shows the cycles of an earlier tick.
+        ticks = ticks.wrapping_add(1);
+        cycles_left = SYST::get_current();
     }
-    let micros = tick_after.wrapping_mul(MICROS_PER_TICK);
-    Instant::from_micros(micros.wrapping_add(cycles / CYCLES_PER_MICRO))
+    let micros = ticks.wrapping_mul(MICROS_PER_TICK);
+    Instant::from_micros(micros.wrapping_add((CYCLES_PER_TICK - cycles_left) / CYCLES_PER_MICRO))
 }
 
-/// Waits for `event`, but only until the tick before or after `deadline`, if there is one: the caller looks, and waits for
-/// the next if it was the one before.
-pub async fn wait(event: impl Future<Output = ()>, deadline: Option<Instant>) {
-    let Some(deadline) = deadline else {
-        return event.await;
-    };
-    let ticks = deadline.micros_after(now()).div_ceil(MICROS_PER_TICK);
-    let _ = Mono::timeout_at(Mono::now() + u64::from(ticks).millis(), event).await;
+/// A span that passes again and again.
+pub struct Interval {
+    ms: u32,
+    began: u32,
+}
+
+impl Interval {
+    /// One of `ms` milliseconds, which begins now.
+    pub fn of_ms(ms: u32) -> Self {
+        Self { ms, began: TICKS.load(Ordering::Relaxed) }
+    }
+
+    /// Whether it has passed; then the next one has begun.
+    pub fn has_passed(&mut self) -> bool {
+        let has_passed = TICKS.load(Ordering::Relaxed).wrapping_sub(self.began) >= self.ms;
+        if has_passed {
+            self.began = self.began.wrapping_add(self.ms);
+        }
+        has_passed
+    }
 }

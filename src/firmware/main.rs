@@ -25,7 +25,7 @@ const _: () = assert!(
     "choose one chip: --features stm32f405, stm32f407, stm32f427 or stm32f446"
 );
 
-#[rtic::app(device = stm32f4xx_hal::pac, dispatchers = [USART1, USART2, USART3])]
+#[rtic::app(device = stm32f4xx_hal::pac)]
 mod app {
     use lss_slave::{
         Node, NodeId, Settings,
@@ -33,21 +33,15 @@ mod app {
         indicator,
         settings::{Failure, Found, Log},
     };
-    use rtic_monotonics::systick::prelude::*;
-    use rtic_sync::{
-        make_signal,
-        signal::{SignalReader, SignalWriter},
-    };
     use stm32f4xx_hal::{
         gpio::{ErasedPin, Output},
-        pac::Interrupt,
         watchdog::IndependentWatchdog,
     };
 
     use crate::{
         board::{self, Board},
         can::Controller,
-        clock::{self, Mono},
+        clock::{self, Interval},
         device,
         flash::SettingsFlash,
         roll_call::{self, Task},
@@ -64,7 +58,6 @@ mod app {
         log: Log<SettingsFlash>,
         indicators: (ErasedPin<Output>, ErasedPin<Output>),
         watchdog: IndependentWatchdog,
-        roll_call: SignalWriter<'static, ()>,
     }
 
     #[init]
@@ -78,28 +71,35 @@ mod app {
 
         let node = Node::new(board::device(), settings);
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
-        let (deadline_changed, changed) = make_signal!(());
-        let roll_call = deadline_changed.clone();
-        let (store, requests) = make_signal!(Settings);
-        let mut slave = Slave::new(node, can, store, deadline_changed);
+        let mut slave = Slave::new(node, can);
         if found == Found::Damaged {
             slave.handle_fault(Fault::SettingsLost);
         }
-
-        // Each task is spawned once, and so its place is free.
-        let _ = deadlines::spawn(changed);
-        let _ = store::spawn(requests);
-        let _ = watch::spawn();
-        let _ = indicate::spawn();
         let Board { indicators, watchdog, .. } = board;
-        (Shared { slave }, Local { log, indicators, watchdog, roll_call })
+        (Shared { slave }, Local { log, indicators, watchdog })
     }
 
-    /// Sleeps. The debugger reads the log all the same.
-    #[idle]
-    fn idle(_: idle::Context) -> ! {
+    /// Shows the state of the node, calls the roll four times a second, and sleeps; the debugger reads the log all the same.
+    /// The watchdog is fed if everyone has answered; it bites after 2 s.
+    #[idle(local = [indicators, watchdog], shared = [slave])]
+    fn idle(mut cx: idle::Context) -> ! {
+        const ROLL_CALL_MS: u32 = 250;
+        let (run, error) = cx.local.indicators;
+        let mut step = Interval::of_ms(indicator::STEP_MS);
+        let mut roll_call = Interval::of_ms(ROLL_CALL_MS);
         loop {
-            roll_call::answer(Task::Idle);
+            if step.has_passed() {
+                let lit = cx.shared.slave.lock(Slave::indicate);
+                run.set_state(lit.run.into());
+                error.set_state(lit.error.into());
+            }
+            if roll_call.has_passed() {
+                if roll_call::is_everyone_present() {
+                    cx.local.watchdog.feed();
+                }
+                roll_call::begin();
+                cx.shared.slave.lock(Slave::supervise);
+            }
             cortex_m::asm::wfi();
         }
     }
@@ -126,60 +126,31 @@ mod app {
         cx.shared.slave.lock(Slave::handle_status);
     }
 
-    /// Does what is due at a time: ends of switch delays, heartbeats. Late, the bit rate switches late: within 1 ms.
-    #[task(shared = [slave], priority = 3)]
-    async fn deadlines(mut cx: deadlines::Context, mut changed: SignalReader<'static, ()>) {
-        loop {
-            roll_call::answer(Task::Deadlines);
-            let deadline = cx.shared.slave.lock(Slave::handle_deadline);
-            clock::wait(changed.wait(), deadline).await;
-        }
+    /// Does what is due at a time, each millisecond: ends of switch delays, heartbeats. Late, the bit rate switches late.
+    #[task(binds = SysTick, shared = [slave], priority = 3)]
+    fn tick(mut cx: tick::Context) {
+        clock::tick();
+        roll_call::answer(Task::Tick);
+        cx.shared.slave.lock(Slave::act_until_nothing_is_due);
     }
 
     /// Writes to the flash, below everything on the bus. Late, so is the answer to store configuration: 20 ms are allowed.
-    #[task(local = [log], shared = [slave], priority = 1)]
-    async fn store(mut cx: store::Context, mut requests: SignalReader<'static, Settings>) {
-        loop {
-            let outcome = cx.local.log.store(requests.wait().await);
-            match cx.local.log.failure() {
-                None => defmt::info!("settings stored"),
-                Some(failure) => defmt::error!(
-                    "the settings are not stored, the old ones are kept: {=istr}",
-                    why(failure)
-                ),
-            }
-            cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
+    /// The interrupt is not the USART's, which is not used, but pended by the [`Slave`].
+    #[task(binds = USART1, local = [log], shared = [slave], priority = 1)]
+    fn store(mut cx: store::Context) {
+        roll_call::answer(Task::Store);
+        let Some(settings) = cx.shared.slave.lock(Slave::take_store) else {
+            return;
+        };
+        let outcome = cx.local.log.store(settings);
+        match cx.local.log.failure() {
+            None => defmt::info!("settings stored"),
+            Some(failure) => defmt::error!(
+                "the settings are not stored, the old ones are kept: {=istr}",
+                why(failure)
+            ),
         }
-    }
-
-    /// Shows the state of the node. Late, it flickers unevenly.
-    #[task(local = [indicators], shared = [slave], priority = 1)]
-    async fn indicate(mut cx: indicate::Context) {
-        let (run, error) = cx.local.indicators;
-        let mut next = Mono::now();
-        loop {
-            let lit = cx.shared.slave.lock(Slave::indicate);
-            run.set_state(lit.run.into());
-            error.set_state(lit.error.into());
-            next += u64::from(indicator::STEP_MS).millis();
-            Mono::delay_until(next).await;
-        }
-    }
-
-    /// Calls the roll four times a second and feeds the watchdog if everyone has answered; it bites after 2 s.
-    #[task(local = [watchdog, roll_call], shared = [slave], priority = 2)]
-    async fn watch(mut cx: watch::Context) {
-        loop {
-            if roll_call::is_everyone_present() {
-                cx.local.watchdog.feed();
-            }
-            for interrupt in [Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE] {
-                rtic::pend(interrupt);
-            }
-            cx.local.roll_call.write(());
-            cx.shared.slave.lock(Slave::supervise);
-            Mono::delay(250.millis()).await;
-        }
+        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
     }
 
     fn report(found: Found, failure: Option<Failure>, settings: &Settings) {

@@ -2,6 +2,8 @@
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
+use stm32f4xx_hal::pac::Interrupt;
+
 /// Who has to answer.
 #[derive(Clone, Copy)]
 #[repr(u8)]
@@ -9,8 +11,8 @@ pub enum Task {
     Received = 1 << 0,
     Transmitted = 1 << 1,
     Status = 1 << 2,
-    Deadlines = 1 << 3,
-    Idle = 1 << 4,
+    Tick = 1 << 3,
+    Store = 1 << 4,
 }
 
 const EVERYONE: u8 = 0b1_1111;
@@ -21,7 +23,17 @@ pub fn answer(task: Task) {
     PRESENT.fetch_or(task as u8, Ordering::Relaxed);
 }
 
-/// Ends one roll call and begins the next: whether everyone has answered.
+/// Whether everyone has answered.
 pub fn is_everyone_present() -> bool {
-    PRESENT.swap(0, Ordering::Relaxed) == EVERYONE
+    PRESENT.load(Ordering::Relaxed) == EVERYONE
+}
+
+/// Begins the next roll call: calls those that do not come by themselves.
+pub fn begin() {
+    PRESENT.store(0, Ordering::Relaxed);
+    for interrupt in
+        [Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE, Interrupt::USART1]
+    {
+        rtic::pend(interrupt);
+    }
 }

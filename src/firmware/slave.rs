@@ -4,12 +4,12 @@ use core::mem;
 
 use cortex_m::peripheral::SCB;
 use lss_slave::{
-    Action, BusEvent, Instant, Node, NodeId, Settings,
+    Action, BusEvent, Node, NodeId, Settings,
     emergency::Fault,
     indicator::{BusState, Indicators, Lit},
     lss::{State, StoreError},
 };
-use rtic_sync::signal::SignalWriter;
+use stm32f4xx_hal::pac::Interrupt;
 
 use crate::{
     can::{Controller, Received},
@@ -23,34 +23,19 @@ pub struct Slave {
     /// As last seen.
     bus_state: BusState,
     indicators: Indicators,
-    /// Begins a store; its outcome comes back by [`Slave::handle_stored`].
-    store: SignalWriter<'static, Settings>,
-    deadline: Option<Instant>,
-    /// Tells the task that waits for the deadline that there is another.
-    deadline_changed: SignalWriter<'static, ()>,
+    /// A store that has not begun; its outcome comes back by [`Slave::handle_stored`].
+    store: Option<Settings>,
 }
 
 impl Slave {
     /// A node that has just been switched on, and its controller, which takes part in the bus from now on, unless the node
     /// wants to listen first.
-    pub fn new(
-        node: Node,
-        mut can: Controller,
-        store: SignalWriter<'static, Settings>,
-        deadline_changed: SignalWriter<'static, ()>,
-    ) -> Self {
+    pub fn new(node: Node, mut can: Controller) -> Self {
         if !node.is_listening() {
             can.set_bit_rate(node.bit_rate());
         }
-        Self {
-            node,
-            can,
-            bus_state: BusState::Good,
-            indicators: Indicators::default(),
-            store,
-            deadline: None,
-            deadline_changed,
-        }
+        let indicators = Indicators::default();
+        Self { node, can, bus_state: BusState::Good, indicators, store: None }
     }
 
     /// Frames have been received.
@@ -73,7 +58,7 @@ impl Slave {
                     self.node.handle_fault(Fault::Overrun);
                 }
             }
-            self.settle();
+            self.act_until_nothing_is_due();
         }
     }
 
@@ -81,7 +66,7 @@ impl Slave {
     pub fn handle_transmitted(&mut self) {
         if self.can.handle_transmitted() {
             self.node.handle_bus(BusEvent::Acknowledged);
-            self.settle();
+            self.act_until_nothing_is_due();
         }
     }
 
@@ -93,7 +78,7 @@ impl Slave {
         if !self.can.is_listening() {
             self.watch_bus();
         }
-        self.settle();
+        self.act_until_nothing_is_due();
     }
 
     /// Looks after the controller, a few times a second: no interrupt tells that it has recovered from bus-off.
@@ -132,20 +117,18 @@ impl Slave {
     /// The board has seen a trouble.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.node.handle_fault(fault);
-        self.settle();
+        self.act_until_nothing_is_due();
     }
 
     /// A store has come to its end.
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         self.node.handle_stored(outcome);
-        self.settle();
+        self.act_until_nothing_is_due();
     }
 
-    /// The deadline may have come; returns the next one.
-    pub fn handle_deadline(&mut self) -> Option<Instant> {
-        self.act_until_nothing_is_due();
-        self.deadline = self.node.next_deadline();
-        self.deadline
+    /// The settings that are to be stored now, if there are any.
+    pub fn take_store(&mut self) -> Option<Settings> {
+        self.store.take()
     }
 
     /// What the indicators are to show for the next 50 ms.
@@ -156,16 +139,8 @@ impl Slave {
         self.indicators.step(self.node.nmt_state(), is_lss_active, self.can.bus_state())
     }
 
-    fn settle(&mut self) {
-        self.act_until_nothing_is_due();
-        let deadline = self.node.next_deadline();
-        if deadline != self.deadline {
-            self.deadline = deadline;
-            self.deadline_changed.write(());
-        }
-    }
-
-    fn act_until_nothing_is_due(&mut self) {
+    /// Time has passed, or anything has happened.
+    pub fn act_until_nothing_is_due(&mut self) {
         while let Some(action) = self.node.handle_deadline(clock::now()) {
             self.act(action);
         }
@@ -191,7 +166,10 @@ impl Slave {
                 defmt::info!("listening at {=u16} kbit/s", rate.kbit_per_s());
                 self.can.listen(rate);
             }
-            Action::Store(settings) => self.store.write(settings),
+            Action::Store(settings) => {
+                self.store = Some(settings);
+                rtic::pend(Interrupt::USART1);
+            }
             Action::ResetDevice => {
                 defmt::info!("NMT reset node");
                 SCB::sys_reset();

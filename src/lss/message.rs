@@ -154,6 +154,7 @@ pub(crate) const fn is_switch_state(data: &[u8; 8]) -> bool {
 impl Request {
     /// The request in the data of a frame; `None` if the command specifier is unknown or a response's, or the mode of
     /// a 04 is neither 0 nor 1. Reserved bytes are not looked at.
+    #[expect(clippy::manual_range_patterns, reason = "a range is not looked up in the jump table")]
     pub fn from_bytes(bytes: &[u8; 8]) -> Option<Self> {
         let [command, b1, b2, b3, b4, b5, b6, b7] = *bytes;
         let number = u32::from_le_bytes([b1, b2, b3, b4]);
