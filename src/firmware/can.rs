@@ -147,25 +147,32 @@ impl Controller {
 
     /// The next frame from the receive FIFO, or that frames were lost.
     pub fn receive(&mut self) -> Option<Received> {
-        // A length code of 9..=15 is legal on the wire, but `bxcan::Frame` panics on it.
-        let is_waiting = registers().rfr(0).read().fmp().bits() > 0;
-        if is_waiting && registers().rx(0).rdtr().read().dlc().bits() > 8 {
-            release(0);
+        // Of what is on the wire `bxcan` has no place for a length code of 9..=15, which is legal.
+        let fifo = registers().rfr(0).read();
+        if fifo.fmp().bits() == 0 {
+            return None;
+        }
+        if fifo.fovr().bit_is_set() {
+            registers().rfr(0).write(|w| w.fovr().set_bit());
+            return Some(Received::Overrun);
+        }
+        let mailbox = registers().rx(0);
+        let identifier = mailbox.rir().read();
+        let len = mailbox.rdtr().read().dlc().bits().into();
+        let (low, high) = (mailbox.rdlr().read().bits(), mailbox.rdhr().read().bits());
+        release(0);
+        if identifier.ide().bit_is_set() || identifier.rtr().bit_is_set() {
             return Some(Received::Other);
         }
-        match self.can.rx0().receive() {
-            Ok(frame) => {
-                let frame = Frame::received(&frame);
-                Some(frame.map_or(Received::Other, Received::Frame))
-            }
-            Err(nb::Error::Other(_)) => Some(Received::Overrun),
-            Err(nb::Error::WouldBlock) => None,
-        }
+        let cob_id = identifier.stid().bits();
+        let data = (u64::from(high) << 32 | u64::from(low)).to_le_bytes();
+        let frame = Frame::from_padded(cob_id, len, data);
+        Some(frame.map_or(Received::Other, Received::Frame))
     }
 
     /// Sends `frame` as soon as the bus allows it, unless transmitting is stopped.
     pub fn transmit(&mut self, frame: Frame) {
-        if !self.may_transmit || self.queue.is_empty() && put_in_mailbox(&mut self.can, &frame) {
+        if !self.may_transmit || self.queue.is_empty() && put_in_mailbox(&frame) {
             return;
         }
         if !self.queue.push(frame) {
@@ -184,9 +191,7 @@ impl Controller {
     }
 
     fn fill_mailboxes(&mut self) {
-        while !self.queue.is_empty()
-            && self.queue.pop_if(|frame| put_in_mailbox(&mut self.can, frame))
-        {}
+        while !self.queue.is_empty() && self.queue.pop_if(put_in_mailbox) {}
     }
 
     /// Sends nothing until [`resume_transmitting`](Self::resume_transmitting), except for a frame that is on the bus now.
@@ -238,18 +243,28 @@ impl Controller {
     }
 }
 
-/// Hands a frame to the controller; `false`: it has to wait. `bxcan` keeps frames of one COB-ID in order and lets urgent ones
-/// overtake. It is asked only while a mailbox is free: else it would wait for the bus.
-fn put_in_mailbox(can: &mut bxcan::Can<Can<CAN1>>, frame: &Frame) -> bool {
-    const ANY_EMPTY: u32 = 0b111 << 26;
-    if registers().tsr().read().bits() & ANY_EMPTY == 0 {
+/// Hands a frame to the controller; `false`: it has to wait. Only a frame that is more urgent than all that are in mailboxes
+/// is put beside them: of two with one COB-ID the controller would not send the older one first (RM0090, 32.7.1).
+fn put_in_mailbox(frame: &Frame) -> bool {
+    let can = registers();
+    const EMPTY: u32 = 1 << 26;
+    let status = can.tsr().read();
+    let is_empty = |mailbox: usize| status.bits() & EMPTY << mailbox != 0;
+    let cob_id_in = |mailbox| can.tx(mailbox).tir().read().stid().bits();
+    let goes_before = |mailbox| is_empty(mailbox) || frame.cob_id() < cob_id_in(mailbox);
+    if !(0..3).all(goes_before) || !(0..3).any(is_empty) {
         return false;
     }
-    let (Some(id), Some(data)) = (StandardId::new(frame.cob_id()), bxcan::Data::new(frame.data()))
-    else {
-        return true;
-    };
-    can.transmit(&bxcan::Frame::new_data(id, data)).is_ok()
+    let data = u64::from_le_bytes(frame.padded_data());
+    let mailbox = can.tx(usize::from(status.code().bits()) % 3);
+    // SAFETY: values for the whole registers.
+    unsafe {
+        mailbox.tdtr().write(|w| w.dlc().bits(frame.len() as u8));
+        mailbox.tdlr().write(|w| w.bits(data as u32));
+        mailbox.tdhr().write(|w| w.bits((data >> 32) as u32));
+        mailbox.tir().write(|w| w.stid().bits(frame.cob_id()).txrq().set_bit());
+    }
+    true
 }
 
 /// Gives up the oldest frame of a receive FIFO.

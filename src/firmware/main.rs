@@ -9,6 +9,7 @@ mod clock;
 mod device;
 mod fault;
 mod flash;
+mod memory;
 mod roll_call;
 mod slave;
 mod transmit_queue;
