@@ -1,13 +1,15 @@
-//! `cargo xtask size`: how much flash and RAM the firmware takes, against the budget in `size-budget.toml`.
+//! `cargo xtask size`: how much flash and RAM the firmware takes, against the budget in `size-budget.toml`, and for what.
 
-use std::{env, fs, path::PathBuf};
+use std::{collections::BTreeMap, env, fs, path::PathBuf};
 
 use anyhow::{Context, bail};
 use emulator::{
     chip::{FLASH_BASE, Part, RAM_BASE},
     image::Image,
 };
-use object::{Object, ObjectSection, SectionFlags, elf, read::elf::ElfFile32};
+use object::{
+    Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf, read::elf::ElfFile32,
+};
 
 use crate::boards;
 
@@ -46,6 +48,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     println!("{:16} {flash:>8} {ram:>8}", "total");
     println!("{:16} {budget:>8}", "budget");
+    println!("\n{:28} {:>8}", "flash by part", "bytes");
+    for (part, bytes) in parts(&elf, &sections)?.into_iter().filter(|(_, bytes)| *bytes > 0) {
+        println!("{part:28} {bytes:>8}");
+    }
+    println!("{:28} {flash:>8}", "total");
     if flash > budget {
         bail!(
             "the firmware takes {} bytes more flash than size-budget.toml allows",
@@ -53,6 +60,62 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         );
     }
     Ok(())
+}
+
+/// What a function belongs to, by what its name contains; the first that fits counts. What the compiler has put into its
+/// caller counts there.
+const PARTS: [(&str, &[&str]); 11] = [
+    ("tasks", &["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "SysTick", "USART1", "lss_slave::app::idle"]),
+    (
+        "start and clocks",
+        &["lss_slave::app", "lss_slave::board", "lss_slave::clock", "lss_slave::__"],
+    ),
+    ("SDO", &["lss_slave::sdo", "lss_slave::object_dictionary", "lss_slave::node::objects"]),
+    ("LSS", &["lss_slave::lss"]),
+    ("settings log", &["lss_slave::settings"]),
+    ("flash driver", &["lss_slave::flash"]),
+    ("CAN driver", &["lss_slave::can", "lss_slave::transmit_queue", "bxcan"]),
+    ("node", &["lss_slave::"]),
+    ("defmt", &["defmt"]),
+    ("panic text", &["core::", "rust_begin_unwind"]),
+    ("compiler's memory functions", &["mem"]),
+];
+
+/// What the flash holds, and its bytes; together all of it.
+fn parts(elf: &[u8], sections: &[Section]) -> anyhow::Result<Vec<(&'static str, u64)>> {
+    let bytes_of = |name: &str| -> u64 {
+        sections.iter().filter(|section| section.name == name).map(|section| section.bytes).sum()
+    };
+    let file = ElfFile32::<object::Endianness>::parse(elf)?;
+    // A function may have several names.
+    let functions: BTreeMap<u64, (u64, String)> = file
+        .symbols()
+        .filter(|symbol| symbol.kind() == SymbolKind::Text && symbol.size() > 0)
+        .filter_map(|symbol| {
+            let name = format!("{:#}", rustc_demangle::demangle(symbol.name().ok()?));
+            Some((symbol.address(), (symbol.size(), name)))
+        })
+        .collect();
+    let mut parts = PARTS.map(|(part, _)| (part, 0));
+    let mut rest = bytes_of(".text");
+    for (bytes, name) in functions.values() {
+        let fits = |(_, words): &(_, &[&str])| words.iter().any(|word| name.contains(word));
+        if let Some(part) = PARTS.iter().position(fits) {
+            parts[part].1 += bytes;
+            rest -= bytes;
+        }
+    }
+    let of_sections = sections.iter().filter(|section| section.in_flash);
+    let other_sections: u64 = of_sections
+        .filter(|section| ![".vector_table", ".text", ".rodata", ".data"].contains(&&*section.name))
+        .map(|section| section.bytes)
+        .sum();
+    let mut all = vec![("vector table", bytes_of(".vector_table"))];
+    all.extend(parts);
+    all.push(("constants", bytes_of(".rodata")));
+    all.push(("initial values of RAM", bytes_of(".data")));
+    all.push(("other", rest + other_sections));
+    Ok(all)
 }
 
 /// Bytes of flash that the firmware may take.
