@@ -122,7 +122,8 @@ fn run_node() {
     let mut node = Node::new(device, any_settings());
     // Between the calls the node is in whatever state its types allow.
     let node = &mut node;
-    if let Some(frame) = Frame::new(any(0), any(&[])) {
+    black_box(Frame::new(any(0), any(&[])));
+    if let Some(frame) = Frame::from_padded(any(0), any(0), any([0; 8])) {
         black_box((frame.cob_id(), frame.data()));
         black_box(black_box(&mut *node).handle_frame(&any(frame), any_instant()));
     }
@@ -131,6 +132,7 @@ fn run_node() {
     black_box(&mut *node).handle_bus(any(BusEvent::Error));
     black_box(black_box(&mut *node).handle_deadline(any_instant()));
     let node = &*black_box(node);
+    black_box(node.is_due(any_instant()));
     black_box((node.next_deadline(), node.receives(), node.nmt_state(), node.node_id()));
     black_box((node.bit_rate(), node.is_listening(), node.lss().state()));
 }
