@@ -321,3 +321,30 @@ fn a_board_that_switched_alone_comes_back_to_the_bus_that_stayed_at_the_old_rate
     let answers = bench.lss("5E");
     assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 01")));
 }
+
+/// The watchdog, which resets a board after 2 s in which a task hangs, is a witness: the bench expects no reset.
+#[test]
+fn a_board_whose_new_rate_finds_no_idle_bus_lives_on_and_takes_part_when_there_is_one() {
+    let mut bench = Bench::with(settings(1, BitRate::Kbit500));
+    let other = bench.network.add_adapter(Adapter::new(500_000));
+    bench.transmit_request("04 01");
+    configure(&mut bench, BitRate::Kbit10);
+    let t0 = activate(&mut bench, 10);
+    let delay = Time::from_ms(10);
+    while bench.network.now() < t0 + Time::from_ms(2_500) {
+        while bench.network.adapter_mut(other).unsent() < 8 {
+            bench.network.send(other, Frame::data(Id::Standard(0x001), &[0; 8]));
+        }
+        bench.network.run_for(Time::from_ms(1));
+    }
+    assert_switched(&bench, t0, delay, BitRate::Kbit10);
+    let has_joined = |bench: &Bench| {
+        bench.did(0, t0 + delay).any(|event| event.what == What::InitializationLeft)
+    };
+    assert!(!has_joined(&bench), "eleven recessive bits never came");
+    bench.network.adapter_mut(other).close();
+    bench.set_master_bit_rate(BitRate::Kbit10);
+    bench.collect(Time::from_ms(5));
+    assert!(has_joined(&bench));
+    assert_eq!(bench.lss("5E"), ["5E 01"]);
+}

@@ -320,6 +320,21 @@ fn a_store_that_the_medium_refuses_is_answered_17_02_and_the_old_values_stay() {
 }
 
 #[test]
+fn a_store_that_reads_back_otherwise_than_written_is_answered_17_02_and_the_old_values_stay() {
+    // The node-ID in the records that the first two stores write, behind the one of the formatting.
+    const NODE_ID_AT: [usize; 2] = [32 + 5, 64 + 5];
+    let mut board = Board::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 05");
+    board.flash.stick(NODE_ID_AT[1], 0x01, true);
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.flash.content()[NODE_ID_AT[0]], 0x05);
+    board.lss("11 04");
+    assert_eq!(board.lss("17"), ["17 02"]);
+    assert_eq!(board.power_cycle(), ["705: 00"]);
+}
+
+#[test]
 fn a_store_of_values_that_are_stored_already_writes_nothing() {
     let mut board = Board::with_node_id(0x40);
     board.lss("04 01");

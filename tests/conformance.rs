@@ -1,0 +1,80 @@
+//! The conformance table, `docs/conformance.md`: every rule names a test, and every test that is named exists.
+
+use std::{fs, path::Path};
+
+/// What a row of the table says.
+#[derive(Debug, PartialEq)]
+struct Row {
+    rule: String,
+    /// `file::name`.
+    tests: Vec<String>,
+}
+
+/// The rows of all tables in `text`, without the heads.
+fn rows(text: &str) -> Vec<Row> {
+    let cells = |line: &str| -> Option<Row> {
+        let (rule, tests) = line.strip_prefix('|')?.strip_suffix('|')?.rsplit_once('|')?;
+        let tests = tests.split("<br>").map(|test| test.trim().trim_matches('`').to_owned());
+        let tests = tests.filter(|test| !test.is_empty()).collect();
+        Some(Row { rule: rule.trim().to_owned(), tests })
+    };
+    let is_head = |row: &Row| row.rule == "rule" || row.rule.starts_with("---");
+    text.lines().filter_map(cells).filter(|row| !is_head(row)).collect()
+}
+
+/// Whether `source` has a test of that name which is run by default.
+fn has_test(source: &str, name: &str) -> bool {
+    let lines = source.lines().map(str::trim);
+    let function = format!("fn {name}(");
+    lines
+        .clone()
+        .zip(lines.skip(1))
+        .any(|(attribute, line)| attribute == "#[test]" && line.starts_with(&function))
+}
+
+/// What is wrong with the table, row by row; `source` gives the text of a test file.
+fn faults(text: &str, source: impl Fn(&str) -> Option<String>) -> Vec<String> {
+    let mut faults = Vec::new();
+    for Row { rule, tests } in rows(text) {
+        if tests.is_empty() {
+            faults.push(format!("{rule}: names no test"));
+        }
+        for test in tests {
+            let is_there = test.split_once("::").is_some_and(|(file, name)| {
+                source(file).is_some_and(|source| has_test(&source, name))
+            });
+            if !is_there {
+                faults.push(format!("{rule}: there is no test {test}"));
+            }
+        }
+    }
+    faults
+}
+
+fn read(path: &str) -> Option<String> {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).ok()
+}
+
+#[test]
+fn every_test_that_the_conformance_table_names_exists() {
+    let table = read("docs/conformance.md").expect("the table");
+    assert!(rows(&table).len() > 60, "the table has been read");
+    let faults = faults(&table, |file| read(&format!("tests/{file}.rs")));
+    assert!(faults.is_empty(), "docs/conformance.md:\n{}", faults.join("\n"));
+}
+
+#[test]
+fn a_row_that_is_wrong_is_noticed() {
+    const SOURCE: &str =
+        "#[test]\nfn one() {}\n\n#[test]\n#[ignore]\nfn two() {}\n\nfn three() {}\n";
+    let fault = |cell: &str| {
+        let table = format!("| rule | proved by |\n|---|---|\n| A rule | {cell} |\n");
+        faults(&table, |file| (file == "file").then(|| SOURCE.to_owned()))
+    };
+    assert_eq!(fault("`file::one`"), [""; 0]);
+    assert_eq!(fault(""), ["A rule: names no test"]);
+    for wrong in ["file::on", "file::oned", "file::two", "file::three", "other::one", "one"] {
+        let expected = format!("A rule: there is no test {wrong}");
+        assert_eq!(fault(&format!("`file::one`<br>`{wrong}`")), [expected]);
+    }
+}
