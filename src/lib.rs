@@ -1,7 +1,8 @@
 //! A CANopen LSS slave (CiA 305) and the small node around it, as a pure function of frames and time.
 //!
 //! The library does no I/O, reads no clock, allocates nothing, knows no chip and cannot panic. Frames and the
-//! present time go in, [`Action`]s come out; a board is whatever carries them out:
+//! present time go in, [`Action`]s come out; a board is whatever carries them out. Here a master asks whether any slave
+//! has no node-ID:
 //!
 //! ```
 //! use lss_slave::{Action, Device, Frame, Instant, Node};
@@ -22,8 +23,11 @@
 #![doc = include_str!("../examples/in_process_bus.rs")]
 //! ```
 //!
-//! [`Node`] says how to drive it; [`settings`] keeps what LSS configures in flash; [`bit_rate`] turns a bit rate
-//! and a clock into the bxCAN's bit timing.
+//! # Where to begin
+//! - [`Node`] says which calls drive it, and in which order; [`Action`] says what each answer asks of the board.
+//! - [`Device`] is what the device is, [`Settings`] how it is set; [`settings::Log`] keeps the settings in flash.
+//! - [`BitRates`] says which bit rates a clock can make, [`bit_rate::BitTiming`] the bxCAN's registers for them.
+//! - [`lss::Slave`] is the state machine of CiA 305 alone, for a node that has its own NMT and SDO.
 
 #![no_std]
 #![forbid(unsafe_code)]

@@ -1,4 +1,4 @@
-//! The session that the README tells: a node gets another node-ID and another bit rate, and keeps them.
+//! The sessions that manuals tell: a node gets another node-ID and another bit rate, and keeps them.
 
 mod support;
 
