@@ -5,19 +5,29 @@
 //! has no node-ID:
 //!
 //! ```
-//! use lss_slave::{Action, Device, Frame, Instant, Node};
+//! use lss_slave::{Action, BitRate, BitRates, Device, Frame, Instant, Node, Settings, lss::Address};
 //!
-//! # let device = Device { address: lss_slave::lss::Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-//! #     bit_rates: lss_slave::BitRates::possible(40_000_000), heartbeat_ms: 0, name: "", hardware_version: "", software_version: "", rescue: true, lss_lock: false };
-//! # let settings = lss_slave::Settings { node_id: None, bit_rate: lss_slave::BitRate::Kbit125.into(), heartbeat_ms: 0 };
+//! let device = Device {
+//!     address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
+//!     bit_rates: BitRates::possible(40_000_000),
+//!     heartbeat_ms: 1000,
+//!     name: "Example",
+//!     hardware_version: "1",
+//!     software_version: "1",
+//!     rescue: false,
+//!     lss_lock: false,
+//! };
+//! let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 1000 };
 //! let mut node = Node::new(device, settings);
 //! let now = Instant::from_micros(0);
+//! assert_eq!(node.handle_deadline(now), None, "no boot-up without a node-ID");
+//!
 //! let is_anyone_unconfigured = Frame::new(0x7E5, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
 //! let Some(Action::Transmit(answer)) = node.handle_frame(&is_anyone_unconfigured, now) else { panic!() };
 //! assert_eq!((answer.cob_id(), answer.data()), (0x7E4, &[0x50, 0, 0, 0, 0, 0, 0, 0][..]));
 //! ```
 //!
-//! The same on a bus within the process, as a program:
+//! A whole port, on a bus within the process:
 //!
 //! ```no_run
 #![doc = include_str!("../examples/in_process_bus.rs")]
