@@ -129,8 +129,8 @@ fn draw_event(
             writeln!(
                 svg,
                 r##"<rect x="{x:.1}" y="{corner}" width="{width:.1}" height="{BOX_HEIGHT}" fill="#4a7ab5"/>
-<text x="{middle:.1}" y="{above}" text-anchor="middle" font-size="10">{}</text>
-<text x="{middle:.1}" y="{below}" text-anchor="middle" font-size="10" fill="#666">{rate} kbit/s</text>"##,
+<text x="{middle:.1}" y="{above}" text-anchor="middle" font-size="9">{}</text>
+<text x="{middle:.1}" y="{below}" text-anchor="middle" font-size="9" fill="#666">{rate} kbit/s</text>"##,
                 short(frame)
             )?;
         }
