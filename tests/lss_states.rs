@@ -4,7 +4,7 @@
 
 mod support;
 
-use std::{env, fmt::Write, fs, path::Path};
+use std::{env, fs, path::Path};
 
 use lss_slave::{
     lss::{self, Request, State},
@@ -50,22 +50,22 @@ const SERVICES: [Service; 14] = [
 /// An effect that nobody sees at once.
 const FORGETS: &str = "progress is forgotten";
 
-/// A node before a request.
+/// A node before a request, by its node-ID.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Kind {
-    WithoutNodeId,
+    Unconfigured,
     /// Without an active one; one is pending.
-    WithFirstNodeId,
-    WithNodeId,
+    GivenItsFirst,
+    Configured,
 }
 
-use Kind::{WithFirstNodeId, WithNodeId, WithoutNodeId};
+use Kind::{Configured, GivenItsFirst, Unconfigured};
 
 /// The kinds of node that there are in a state: one with its first node-ID leaves configuration as one with a node-ID.
 fn kinds(state: State) -> &'static [Kind] {
     match state {
-        State::Waiting => &[WithoutNodeId, WithNodeId],
-        State::Configuration => &[WithoutNodeId, WithFirstNodeId, WithNodeId],
+        State::Waiting => &[Unconfigured, Configured],
+        State::Configuration => &[Unconfigured, GivenItsFirst, Configured],
     }
 }
 
@@ -79,13 +79,13 @@ struct Outcome {
 
 fn board(kind: Kind, state: State) -> Board {
     let mut board = match kind {
-        WithNodeId => Board::with_node_id(0x40),
-        WithoutNodeId | WithFirstNodeId => Board::unconfigured(),
+        Configured => Board::with_node_id(0x40),
+        Unconfigured | GivenItsFirst => Board::unconfigured(),
     };
     if state == State::Configuration {
         board.lss("04 01");
     }
-    if kind == WithFirstNodeId {
+    if kind == GivenItsFirst {
         assert_eq!(board.lss("11 05"), ["11 00"]);
     }
     board
@@ -94,7 +94,7 @@ fn board(kind: Kind, state: State) -> Board {
 /// Sends a request and names what came of it at once.
 fn effect(board: &mut Board, request: &str) -> String {
     board.timeline();
-    let is_nmt = request.starts_with('8');
+    let is_nmt = ["81 00", "82 00"].contains(&request);
     let sent = if is_nmt { board.nmt(request) } else { board.lss(request) };
     let acts = board.timeline().into_iter().filter_map(|line| match line.as_str() {
         "0 ms stop" => Some("silence, then the new bit rate".to_owned()),
@@ -166,11 +166,11 @@ fn drawn(state: State, requests: &[&str]) -> Option<Outcome> {
         let effect = if outcome.effect.is_empty() { "no answer" } else { &outcome.effect };
         let condition = match kinds[..] {
             _ if is_all || i > 0 => "",
-            [WithoutNodeId] => " without a node-ID",
-            [WithNodeId] if state == State::Configuration => " with an active node-ID",
-            [WithNodeId] => " with a node-ID",
-            [WithFirstNodeId, WithNodeId] => " with a node-ID, active or pending",
-            [WithFirstNodeId] => " with its first node-ID",
+            [Unconfigured] => " without a node-ID",
+            [Configured] if state == State::Configuration => " with an active node-ID",
+            [Configured] => " with a node-ID",
+            [GivenItsFirst, Configured] => " with a node-ID, active or pending",
+            [GivenItsFirst] => " with its first node-ID",
             _ => panic!("{requests:?}: no words for {kinds:?}"),
         };
         match (i, condition) {
@@ -187,114 +187,120 @@ const BOX_WIDTH: u32 = 345;
 const GAP: u32 = 380;
 const MARGIN: u32 = 20;
 const TOP: u32 = 96;
-const HEAD: u32 = 40;
+/// The first line in a box.
+const FIRST: u32 = TOP + 60;
 const ROW: u32 = 44;
+const ARROW: u32 = 62;
+const LEFT: u32 = MARGIN + BOX_WIDTH;
+const RIGHT: u32 = LEFT + GAP;
 
-/// A service in two lines of text.
-fn service(
-    svg: &mut String,
-    x: u32,
-    y: u32,
-    anchor: &str,
-    (specifiers, name): (&str, &str),
-    effect: &str,
-) {
+const BOXES: [(State, u32, &str, &str); 2] = [
+    (State::Waiting, MARGIN, "LSS waiting", "#e8eef7"),
+    (State::Configuration, RIGHT, "LSS configuration", "#fdf0df"),
+];
+
+/// A service in two lines of text: what it is, what it does.
+fn service(x: u32, y: u32, anchor: &str, (specifiers, name, _): Service, effect: &str) -> String {
     let below = y + 16;
-    writeln!(
-        svg,
+    format!(
         r##"<text x="{x}" y="{y}" text-anchor="{anchor}"><tspan font-family="monospace" font-weight="bold">{specifiers}</tspan> {name}</text>
-<text x="{x}" y="{below}" text-anchor="{anchor}" fill="#666">{effect}</text>"##
+<text x="{x}" y="{below}" text-anchor="{anchor}" fill="#666">{effect}</text>
+"##
     )
-    .expect("a string");
 }
 
-fn draw() -> String {
-    let left = [(State::Waiting, MARGIN), (State::Configuration, MARGIN + BOX_WIDTH + GAP)];
-    let (mut inside, mut arrows) = (String::new(), String::new());
-    let (mut arrow_y, mut longest) = (TOP + HEAD, 0);
-    for (state, x) in left {
-        let mut y = TOP + HEAD + 20;
-        let mut ignored = Vec::new();
-        for (specifiers, name, requests) in SERVICES {
-            let Some(Outcome { effect, then }) = drawn(state, requests) else {
-                ignored.push(specifiers);
-                continue;
-            };
-            if then == state {
-                service(&mut inside, x + 14, y, "start", (specifiers, name), &effect);
-                y += ROW;
-                continue;
-            }
-            let (from, to) = (MARGIN + BOX_WIDTH, MARGIN + BOX_WIDTH + GAP);
-            let (start, end) = if state == State::Waiting { (from, to) } else { (to, from) };
-            let line = arrow_y + 8;
-            service(&mut arrows, (from + to) / 2, arrow_y, "middle", (specifiers, name), &effect);
-            // The line runs between the two lines of text.
-            writeln!(
-                arrows,
-                r##"<line x1="{start}" y1="{0}" x2="{end}" y2="{0}" stroke="#4a7ab5" stroke-width="1.5" marker-end="url(#tip)"/>"##,
-                line + 16
-            )
-            .expect("a string");
-            arrow_y += 62;
-        }
-        let ignored = ignored.join(", ");
-        writeln!(
-            inside,
-            r##"<text x="{0}" y="{y}">without any effect:</text>
-<text x="{0}" y="{1}" fill="#666" font-family="monospace" font-size="11">{ignored}</text>
-<text x="{0}" y="{2}" fill="#666">and all other command specifiers</text>"##,
-            x + 14,
-            y + 18,
-            y + 36
-        )
-        .expect("a string");
-        longest = longest.max(y + 36);
-    }
-    let height = longest + 20 - TOP;
-    let (width, bottom) = (2 * (MARGIN + BOX_WIDTH) + GAP, TOP + height);
-    let mut svg = format!(
-        r##"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {}" font-family="sans-serif" font-size="12">
-<defs><marker id="tip" viewBox="0 0 10 10" refX="10" refY="5" markerWidth="9" markerHeight="9" orient="auto"><path d="M 0 0 L 10 5 L 0 10 z" fill="#4a7ab5"/></marker></defs>
-<rect width="100%" height="100%" fill="white"/>
-<text x="{MARGIN}" y="28" font-size="16">The states of an LSS slave, and what each service does there</text>
-"##,
-        bottom + 66
-    );
-    let names = [("LSS waiting", "#e8eef7"), ("LSS configuration", "#fdf0df")];
-    for ((_, x), (name, fill)) in left.into_iter().zip(names) {
-        writeln!(
-            svg,
-            r##"<rect x="{x}" y="{TOP}" width="{BOX_WIDTH}" height="{height}" rx="10" fill="{fill}" stroke="#888"/>
-<text x="{}" y="{}" text-anchor="middle" font-size="15" font-weight="bold">{name}</text>"##,
-            x + BOX_WIDTH / 2,
-            TOP + 26
-        )
-        .expect("a string");
-    }
-    let middle = MARGIN + BOX_WIDTH / 2;
-    writeln!(
-        svg,
-        r##"<circle cx="{middle}" cy="56" r="6" fill="#444"/>
-<text x="{}" y="60">power-on: {}</text>
-<line x1="{middle}" y1="62" x2="{middle}" y2="{TOP}" stroke="#4a7ab5" stroke-width="1.5" marker-end="url(#tip)"/>
-{inside}{arrows}<text x="{MARGIN}" y="{}" fill="#666">"answered": with the same command specifier. First node-ID: configured (11) while none is active.</text>
-<text x="{MARGIN}" y="{}" fill="#666">Progress: the steps of 40..43, 46..4B and 51. What has several steps is shown with all of them right.</text>
-<text x="{MARGIN}" y="{}" fill="#666">Drawn by tests/lss_states.rs from what the node does with each service in each state.</text>
-</svg>"##,
-        middle + 14,
-        power_on(),
-        bottom + 22,
-        bottom + 38,
-        bottom + 54
+fn arrow([x1, y1]: [u32; 2], [x2, y2]: [u32; 2]) -> String {
+    format!(
+        r##"<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" stroke="#4a7ab5" stroke-width="1.5" marker-end="url(#tip)"/>
+"##
     )
-    .expect("a string");
+}
+
+/// What is served in a state without leaving it, and what has no effect; and where it ends.
+fn draw_services(state: State, x: u32) -> (String, u32) {
+    let (x, mut y) = (x + 14, FIRST);
+    let (mut svg, mut ignored) = (String::new(), Vec::new());
+    for of in SERVICES {
+        match drawn(state, of.2) {
+            None => ignored.push(of.0),
+            Some(Outcome { effect, then }) if then == state => {
+                svg += &service(x, y, "start", of, &effect);
+                y += ROW;
+            }
+            Some(_) => {}
+        }
+    }
+    let (below, last, ignored) = (y + 18, y + 36, ignored.join(", "));
+    svg += &format!(
+        r##"<text x="{x}" y="{y}">without any effect:</text>
+<text x="{x}" y="{below}" fill="#666" font-family="monospace" font-size="11">{ignored}</text>
+<text x="{x}" y="{last}" fill="#666">and all other command specifiers</text>
+"##
+    );
+    (svg, last + 20)
+}
+
+/// What leads from one state to the other.
+fn draw_transitions() -> String {
+    let mut svg = String::new();
+    let mut y = TOP + 40;
+    for (state, from, to) in [(State::Waiting, LEFT, RIGHT), (State::Configuration, RIGHT, LEFT)] {
+        for of in SERVICES {
+            if let Some(Outcome { effect, then }) = drawn(state, of.2)
+                && then != state
+            {
+                svg += &service((LEFT + RIGHT) / 2, y, "middle", of, &effect);
+                svg += &arrow([from, y + 24], [to, y + 24]);
+                y += ARROW;
+            }
+        }
+    }
     svg
 }
 
+fn draw() -> String {
+    let services = BOXES.map(|(state, x, ..)| draw_services(state, x));
+    let bottom = services.iter().map(|(_, bottom)| *bottom).max().expect("two boxes");
+    let (width, height) = (RIGHT + LEFT, bottom - TOP);
+    let boxes = BOXES.map(|(_, x, name, fill)| {
+        let (middle, y) = (x + BOX_WIDTH / 2, TOP + 26);
+        format!(
+            r##"<rect x="{x}" y="{TOP}" width="{BOX_WIDTH}" height="{height}" rx="10" fill="{fill}" stroke="#888"/>
+<text x="{middle}" y="{y}" text-anchor="middle" font-size="15" font-weight="bold">{name}</text>
+"##
+        )
+    });
+    let (middle, end) = (MARGIN + BOX_WIDTH / 2, bottom + 66);
+    let mut svg = format!(
+        r##"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {end}" font-family="sans-serif" font-size="12">
+<defs><marker id="tip" viewBox="0 0 10 10" refX="10" refY="5" markerWidth="9" markerHeight="9" orient="auto"><path d="M 0 0 L 10 5 L 0 10 z" fill="#4a7ab5"/></marker></defs>
+<rect width="100%" height="100%" fill="white"/>
+<text x="{MARGIN}" y="28" font-size="16">The states of an LSS slave, and what each service does there</text>
+<circle cx="{middle}" cy="56" r="6" fill="#444"/>
+<text x="{}" y="60">power-on: {}</text>
+"##,
+        middle + 14,
+        power_on()
+    );
+    svg += &boxes.concat();
+    svg += &arrow([middle, 62], [middle, TOP]);
+    svg += &services.map(|(svg, _)| svg).concat();
+    svg += &draw_transitions();
+    for (y, line) in (bottom + 22..).step_by(16).zip(LEGEND) {
+        svg += &format!("<text x=\"{MARGIN}\" y=\"{y}\" fill=\"#666\">{line}</text>\n");
+    }
+    svg + "</svg>\n"
+}
+
+const LEGEND: [&str; 3] = [
+    r#""answered": with the same command specifier. First node-ID: configured (11) while none is active."#,
+    "Progress: the steps of 40..43, 46..4B and 51. What has several steps is shown with all of them right.",
+    "Drawn by tests/lss_states.rs from what the node does with each service in each state.",
+];
+
 /// What a node does at power-on, with and without a node-ID.
 fn power_on() -> &'static str {
-    for (kind, sent) in [(WithoutNodeId, &[][..]), (WithNodeId, &["740: 00"])] {
+    for (kind, sent) in [(Unconfigured, &[][..]), (Configured, &["740: 00"])] {
         let mut board = board(kind, State::Configuration);
         assert_eq!(board.power_cycle(), sent);
         assert_eq!(board.node.lss().state(), State::Waiting);
