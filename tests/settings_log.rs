@@ -10,7 +10,7 @@ use lss_slave::{
 use support::{
     flash::{BoardFlash, Flash},
     random::Random,
-    settings::{flash_with, open, record, settings},
+    settings::{flash_with, open, record, sealed, settings},
 };
 
 /// Records that a bank of 16 KB has room for.
@@ -187,6 +187,28 @@ fn a_record_of_settings_that_cannot_be_does_not_count() {
         let flash = flash_with::<4, 128>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, wrong)]);
         assert_eq!(open(&flash).0.unwrap().heartbeat_ms, 4, "{wrong:02X?}");
     }
+}
+
+#[test]
+fn a_record_of_a_kind_that_a_later_version_wrote_is_passed_over_and_left_as_it_is() {
+    let later = record(9, 2, 5, 2, 5);
+    let flash = flash_with::<4, 256>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, later)]);
+    let (mut log, found) = Log::open(flash.clone());
+    assert_eq!((log.settings().unwrap().heartbeat_ms, found), (4, Found::Interrupted));
+    assert_eq!(log.store(settings(6)), Ok(()));
+    assert_eq!(flash.content()[32..64], later);
+    assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
+    assert_eq!(open(&flash_with::<4, 256>(&[(0, 0, later)])), (None, Found::Damaged));
+}
+
+#[test]
+fn bytes_of_a_record_that_are_unused_may_hold_anything() {
+    let mut later = record(9, 1, 5, 2, 5);
+    later[7] = 0x00;
+    later[10..24].fill(0x5A);
+    let flash = flash_with::<4, 256>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, sealed(later))]);
+    let (settings, found) = open(&flash);
+    assert_eq!((settings.unwrap().heartbeat_ms, found), (5, Found::Complete));
 }
 
 #[test]

@@ -28,6 +28,11 @@ pub fn record(sequence: u32, kind: u8, node_id: u8, index: u8, heartbeat_ms: u16
     bytes[..4].copy_from_slice(&sequence.to_le_bytes());
     bytes[4..7].copy_from_slice(&[kind, node_id, index]);
     bytes[8..10].copy_from_slice(&heartbeat_ms.to_le_bytes());
+    sealed(bytes)
+}
+
+/// A record of these contents, with their CRC and the commit word.
+pub fn sealed(mut bytes: [u8; 32]) -> [u8; 32] {
     let mut crc = u32::MAX;
     for bit in bytes[..24].iter().flat_map(|byte| (0..8).map(move |i| u32::from(byte >> i & 1))) {
         crc = crc >> 1 ^ if (crc ^ bit) & 1 == 1 { 0xEDB8_8320 } else { 0 };
