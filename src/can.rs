@@ -65,16 +65,6 @@ impl Frame {
         self.data.get(..usize::from(self.len)).unwrap_or(&self.data)
     }
 
-    /// How many bytes of data there are: 0..=8.
-    pub const fn len(&self) -> usize {
-        self.len as usize
-    }
-
-    /// Whether there is no data.
-    pub const fn is_empty(&self) -> bool {
-        self.len == 0
-    }
-
     /// Eight bytes that begin with the data, for a controller that takes so many; what follows has no meaning.
     pub const fn padded_data(&self) -> [u8; 8] {
         self.data

@@ -5,7 +5,6 @@ mod message;
 mod slave;
 
 pub use address::{Address, AddressPart};
-pub(crate) use message::is_switch_state;
 pub use message::{FastscanStep, IdentifyKey, Request, Response, StoreError};
 pub use slave::{Reaction, Slave, State};
 

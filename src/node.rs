@@ -301,7 +301,7 @@ impl Node {
     }
 
     fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
-        if self.switch.is_some() || self.is_lss_locked() && lss::is_switch_state(data) {
+        if self.switch.is_some() {
             return None;
         }
         match self.lss.handle(data)? {
@@ -335,15 +335,9 @@ impl Node {
         };
         if self.nmt != nmt::State::Initialisation {
             self.nmt = state;
-            if self.is_lss_locked() {
-                self.lss.wait();
-            }
+            self.lss.set_locked(self.device.lss_lock && state == nmt::State::Operational);
         }
         None
-    }
-
-    const fn is_lss_locked(&self) -> bool {
-        self.device.lss_lock && matches!(self.nmt, nmt::State::Operational)
     }
 
     const fn serves_sdo(&self) -> bool {

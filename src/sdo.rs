@@ -1,6 +1,6 @@
 //! The SDO server (CiA 301, 7.2.4): expedited transfers both ways, segmented upload for the names.
 
-use crate::object_dictionary::{self, Access, DataType, Entry, Missing, Object};
+use crate::object_dictionary::{self, Access, Entry, Missing, Object};
 
 /// Requests to a node have this COB-ID plus its node-ID.
 pub const REQUEST_COB_ID: u16 = 0x600;
@@ -52,6 +52,7 @@ pub(crate) enum Written {
 pub(crate) trait Objects {
     fn server(&mut self) -> &mut Server;
     fn read(&self, object: Object) -> Value;
+    /// Of `value` the bytes that the entry has count.
     fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort>;
 }
 
@@ -177,12 +178,7 @@ fn download(
     if !expedited {
         return Err(Abort::Command);
     }
-    let value = match entry.data_type {
-        DataType::Unsigned8 => number & 0xFF,
-        DataType::Unsigned16 => number & 0xFFFF,
-        _ => number,
-    };
-    objects.write(entry, value)
+    objects.write(entry, number)
 }
 
 /// The answer to a download that has been carried out.

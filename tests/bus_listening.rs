@@ -85,6 +85,25 @@ fn activation_begins_to_listen_after_the_delay_and_speaks_after_two_at_the_earli
 }
 
 #[test]
+fn within_the_second_delay_of_an_activation_the_search_goes_on_from_the_top_after_each_silence() {
+    let mut board = fixed();
+    board.lss("04 01");
+    board.lss("13 00 09");
+    board.timeline();
+    board.lss("15 88 13");
+    board.pass_ms(6_000);
+    board.see(BusEvent::Error);
+    board.pass_ms(6_000);
+    let expected = [
+        "0 ms stop",
+        "5000 ms listen at 1000 kbit/s",
+        "6000 ms listen at 800 kbit/s",
+        "7500 ms listen at 1000 kbit/s",
+    ];
+    assert_eq!(board.timeline(), expected);
+}
+
+#[test]
 fn an_activation_of_automatic_detection_that_is_active_keeps_the_rate_that_was_found() {
     let mut board = listening();
     board.see(BusEvent::Error);

@@ -232,7 +232,7 @@ fn after_a_torn_last_record_the_settings_before_it_are_used_and_the_board_says_s
     let mut bench = Bench::new(BitRate::Kbit1000, [board]);
     assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
     let log = bench.network.board(0).log();
-    let why = "the last store was interrupted; using the one before";
+    let why = "an incomplete or unknown record behind the last store; using that store";
     assert!(log.iter().any(|line| line.level == "warn" && line.text == why), "{log:#?}");
 }
 

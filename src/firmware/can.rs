@@ -259,7 +259,7 @@ fn put_in_mailbox(frame: &Frame) -> bool {
     let mailbox = can.tx(usize::from(status.code().bits()) % 3);
     // SAFETY: values for the whole registers.
     unsafe {
-        mailbox.tdtr().write(|w| w.dlc().bits(frame.len() as u8));
+        mailbox.tdtr().write(|w| w.dlc().bits(frame.data().len() as u8));
         mailbox.tdlr().write(|w| w.bits(data as u32));
         mailbox.tdhr().write(|w| w.bits((data >> 32) as u32));
         mailbox.tir().write(|w| w.stid().bits(frame.cob_id()).txrq().set_bit());

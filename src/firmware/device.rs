@@ -34,7 +34,8 @@ pub const CRYSTAL_HZ: u32 = 8_000_000;
 /// Whether the clock comes from outside (a Nucleo's ST-LINK, an oscillator) and not from a crystal.
 pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
 
-/// The pins to the CAN transceiver. CAN1 can also use PA12 and PA11, or PD1 and PD0: change the port in all three places.
+/// The pins to the CAN transceiver. CAN1 can also use PA12 and PA11: change the port in all three places. On PD1 and PD0 it
+/// shares port D, which can be split only once, with the indicators: give those another port.
 pub fn can_pins(port: GPIOB, rcc: &mut RCC) -> (can1::Tx, can1::Rx) {
     let pins = port.split(rcc);
     (pins.pb9.into(), pins.pb8.into())

@@ -29,7 +29,7 @@ const _: () = assert!(
 #[rtic::app(device = stm32f4xx_hal::pac)]
 mod app {
     use lss_slave::{
-        Node, NodeId, Settings,
+        BitRateSetting, Node, NodeId, Settings,
         emergency::Fault,
         indicator,
         settings::{Failure, Found, Log},
@@ -158,7 +158,9 @@ mod app {
         match found {
             Found::Complete => {}
             Found::Interrupted => {
-                defmt::warn!("the last store was interrupted; using the one before")
+                defmt::warn!(
+                    "an incomplete or unknown record behind the last store; using that store"
+                )
             }
             Found::Blank => defmt::info!("no settings stored yet; using the defaults"),
             Found::Damaged => {
@@ -169,11 +171,16 @@ mod app {
         if let Some(failure) = failure {
             defmt::error!("the flash could not be made ready: {=istr}", why(failure));
         }
-        defmt::info!(
-            "node-ID {=u8:#x}, bit timing table index {=u8}",
-            NodeId::to_lss(settings.node_id),
-            settings.bit_rate.index()
-        );
+        let node_id = NodeId::to_lss(settings.node_id);
+        match settings.bit_rate {
+            BitRateSetting::Fixed(rate) => {
+                let kbit_per_s = rate.kbit_per_s();
+                defmt::info!("node-ID {=u8} (255 is none), {=u16} kbit/s", node_id, kbit_per_s);
+            }
+            BitRateSetting::Automatic => {
+                defmt::info!("node-ID {=u8} (255 is none), listens for the bit rate", node_id);
+            }
+        }
     }
 
     fn why(failure: Failure) -> defmt::Str {

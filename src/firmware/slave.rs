@@ -94,7 +94,7 @@ impl Slave {
         let before = mem::replace(&mut self.bus_state, state);
         if state != before {
             let (transmit, receive) = self.can.error_counters();
-            defmt::info!("CAN: TEC {=u8}, REC {=u8}", transmit, receive);
+            defmt::info!("CAN: error counters: transmit {=u8}, receive {=u8}", transmit, receive);
         }
         match (before == BusState::BusOff, state == BusState::BusOff) {
             (false, true) => {
@@ -150,20 +150,23 @@ impl Slave {
         match action {
             Action::Transmit(frame) => self.can.transmit(frame),
             Action::SetNodeId(id) => {
-                defmt::info!("node-ID {=u8:#x}", NodeId::to_lss(id));
+                defmt::info!("node-ID {=u8} (255 is none)", NodeId::to_lss(id));
                 self.can.set_receives(self.node.receives());
             }
             Action::StopTransmitting => {
-                defmt::info!("activate bit timing: silent from now on");
+                defmt::info!("activate bit timing: silent for two switch delays");
                 self.can.stop_transmitting();
             }
             Action::SetBitRate(rate) => {
                 defmt::info!("bit rate {=u16} kbit/s", rate.kbit_per_s());
                 self.can.set_bit_rate(rate);
             }
-            Action::ResumeTransmitting => self.can.resume_transmitting(),
+            Action::ResumeTransmitting => {
+                defmt::info!("sending again");
+                self.can.resume_transmitting();
+            }
             Action::Listen(rate) => {
-                defmt::info!("listening at {=u16} kbit/s", rate.kbit_per_s());
+                defmt::debug!("listening at {=u16} kbit/s", rate.kbit_per_s());
                 self.can.listen(rate);
             }
             Action::Store(settings) => {

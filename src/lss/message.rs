@@ -145,12 +145,6 @@ const FASTSCAN: u8 = 0x51;
 const INQUIRE: u8 = 0x5A;
 const INQUIRE_NODE_ID: u8 = 0x5E;
 
-/// Whether the data of a frame is a switch state request, the only way to LSS configuration state of a slave that has a
-/// node-ID.
-pub(crate) const fn is_switch_state(data: &[u8; 8]) -> bool {
-    matches!(data[0], SWITCH_GLOBAL | SELECT..SELECTED)
-}
-
 impl Request {
     /// The request in the data of a frame; `None` if the command specifier is unknown or a response's, or the mode of
     /// a 04 is neither 0 nor 1. Reserved bytes are not looked at.

@@ -39,6 +39,8 @@ pub struct Slave {
     address: [u32; 4],
     bit_rates: BitRates,
     state: State,
+    /// The state stays waiting.
+    is_locked: bool,
     /// The part that the next 40..43 must name.
     select: AddressPart,
     /// The key that the next 46..4B must name.
@@ -67,6 +69,7 @@ impl Slave {
             address: [vendor_id, product_code, revision_number, serial_number],
             bit_rates,
             state: State::Waiting,
+            is_locked: false,
             select: AddressPart::VendorId,
             identify: IdentifyKey::VendorId,
             fastscan: None,
@@ -75,7 +78,7 @@ impl Slave {
             pending_bit_rate: bit_rate,
             active_bit_rate: bit_rate,
         };
-        slave.wait();
+        slave.switch_to(State::Waiting);
         slave
     }
 
@@ -121,10 +124,19 @@ impl Slave {
         self.active_bit_rate = self.pending_bit_rate;
     }
 
-    /// NMT reset communication: the pending node-ID is active, the LSS state is waiting, all progress is lost.
+    /// From now on the LSS state is waiting and stays so, whatever is asked; or no longer.
+    pub const fn set_locked(&mut self, is_locked: bool) {
+        self.is_locked = is_locked;
+        if is_locked {
+            self.switch_to(State::Waiting);
+        }
+    }
+
+    /// NMT reset communication: the pending node-ID is active, the LSS state is waiting and not locked, all progress is lost.
     pub const fn reset_communication(&mut self) {
+        self.is_locked = false;
         self.active_node_id = self.pending_node_id;
-        self.wait();
+        self.switch_to(State::Waiting);
     }
 
     /// Carries out the request in the data of a frame from the LSS master, as far as the LSS state allows it.
@@ -132,7 +144,7 @@ impl Slave {
         use State::{Configuration, Waiting};
         let answer = match (Request::from_bytes(data)?, self.state) {
             (Request::SwitchToWaiting, _) => return self.switch_to_waiting(),
-            (Request::SwitchToConfiguration, _) => {
+            (Request::SwitchToConfiguration, _) if !self.is_locked => {
                 self.switch_to(Configuration);
                 return None;
             }
@@ -173,11 +185,6 @@ impl Slave {
     }
 
     /// Every switch, even to the state that is already there, loses all progress.
-    /// The LSS state is waiting, whatever it was; nothing else changes but that all progress is lost.
-    pub(crate) const fn wait(&mut self) {
-        self.switch_to(State::Waiting);
-    }
-
     const fn switch_to(&mut self, state: State) {
         self.state = state;
         self.select = AddressPart::VendorId;
@@ -192,7 +199,7 @@ impl Slave {
         let was_configured_just_now = self.state == State::Configuration
             && self.active_node_id.is_none()
             && self.pending_node_id.is_some();
-        self.wait();
+        self.switch_to(State::Waiting);
         was_configured_just_now.then_some(Reaction::ResetCommunication)
     }
 
@@ -209,7 +216,7 @@ impl Slave {
             return None;
         }
         self.select = part.next();
-        if part != AddressPart::SerialNumber {
+        if part != AddressPart::SerialNumber || self.is_locked {
             return None;
         }
         self.enter_configuration();

@@ -61,7 +61,7 @@ fn act_until_nothing_is_due(node: &mut Node, now: Instant) {
 fn act(node: &mut Node, action: Action) {
     match action {
         Action::Transmit(frame) => {
-            transmit(frame.cob_id(), frame.len(), frame.padded_data());
+            transmit(frame.cob_id(), frame.data().len(), frame.padded_data());
         }
         Action::Store(_) => node.handle_stored(Ok(())),
         Action::SetBitRate(_) | Action::ResumeTransmitting => {

@@ -40,5 +40,5 @@ extern "C" fn receive() {
         Some(Reaction::ResetCommunication) => return slave.reset_communication(),
         None => return,
     };
-    transmit(answer.cob_id(), answer.len(), answer.padded_data());
+    transmit(answer.cob_id(), answer.data().len(), answer.padded_data());
 }

@@ -1,0 +1,47 @@
+//! Frames: what can be made, what is in them, when two are equal.
+
+use lss_slave::Frame;
+
+#[test]
+fn a_frame_has_an_11_bit_identifier_and_up_to_eight_bytes() {
+    let data = [1, 2, 3, 4, 5, 6, 7, 8, 9];
+    for len in 0..=8 {
+        for cob_id in [0, 0x7FF] {
+            let frame = Frame::new(cob_id, &data[..len]).expect("a frame");
+            assert_eq!((frame.cob_id(), frame.data()), (cob_id, &data[..len]));
+        }
+        assert_eq!(Frame::new(0x800, &data[..len]), None);
+    }
+    assert_eq!(Frame::new(0, &data), None);
+}
+
+#[test]
+fn a_frame_from_a_controller_is_the_same_as_one_from_its_data() {
+    let padded = [1, 2, 3, 4, 5, 6, 7, 8];
+    for len in 0..=8 {
+        let frame = Frame::from_padded(0x123, len, padded).expect("a frame");
+        assert_eq!(
+            Some(frame),
+            Frame::new(0x123, &padded[..len]),
+            "what follows the data is nothing"
+        );
+        assert_eq!(frame.data(), &padded[..len]);
+        assert_eq!(frame.padded_data()[..len], padded[..len]);
+    }
+    assert_eq!(Frame::from_padded(0x123, 9, padded), None);
+    assert_eq!(Frame::from_padded(0x800, 8, padded), None);
+}
+
+#[test]
+fn frames_with_another_identifier_length_or_byte_differ() {
+    let frame = Frame::new(0x123, &[1, 0]);
+    for other in [Frame::new(0x124, &[1, 0]), Frame::new(0x123, &[1]), Frame::new(0x123, &[1, 1])] {
+        assert_ne!(frame, other);
+    }
+}
+
+#[test]
+fn a_frame_is_shown_in_hexadecimal() {
+    let frame = Frame::new(0x7E5, &[0x04, 0xAB]).expect("a frame");
+    assert_eq!(format!("{frame:?}"), "7E5: [04, AB]");
+}
