@@ -5,12 +5,15 @@ mod support;
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
-    chip::Timing,
-    network::{Source, What},
+    chip::{ResetCause, Timing},
+    network::{Event, Source, What},
 };
 use lss_slave::{BitRate, Frame as NodeFrame, Settings};
 use support::{
-    bench::{Bench, CORE_MHZ, board_with, on_the_wire, settings},
+    bench::{
+        Bench, CORE_MHZ, SETTINGS_OFFSET, blank_board, board_with, flash_with, on_the_wire,
+        settings,
+    },
     frames::{self, Frames, SILENCE},
     random::Random,
 };
@@ -255,4 +258,24 @@ fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
     for board in [0, 1] {
         assert_eq!(bench.requested(board, from).count(), REQUESTS);
     }
+}
+
+#[test]
+fn a_node_boots_up_within_5_ms_of_a_reset_also_behind_a_full_bank_of_settings() {
+    // As many records as fit before the log moves to its other bank.
+    let stores: Vec<_> =
+        (0..383_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();
+    let mut board = blank_board(0);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&stores));
+    let mut bench = Bench::new(BitRate::Kbit1000, [board]);
+    bench.collect(Time::from_ms(20));
+    bench.expect_reset(0, ResetCause::Software);
+    let from = bench.transmit_command("81 00");
+    bench.collect(Time::from_ms(20));
+    let reset = |event: &&Event| event.what == What::Reset(ResetCause::Software);
+    let reset = bench.did(0, from).find(reset).expect("a reset").time;
+    let (time, boot_up) = bench.requested(0, reset).next().expect("a boot-up");
+    assert_eq!(boot_up, Frame::data(Id::Standard(0x701), &[0]));
+    println!("boot-up {} ms after a reset", time - reset);
+    assert!(time - reset < Time::from_ms(5));
 }

@@ -1,5 +1,5 @@
-//! Copying and clearing memory in a few bytes of flash. The compiler's own, 1.1 KB, are made for speed, which nothing here
-//! needs: what is copied is a log line, or the node once at the start.
+//! Copying and clearing memory in a few bytes of flash. The compiler's own, 1.1 KB, are made for a speed that nothing here
+//! needs: what is copied is a log line, a record of the settings, or the node once at the start.
 
 use core::arch::global_asm;
 
@@ -17,20 +17,33 @@ global_asm!(
     "function __aeabi_memcpy",
     "function __aeabi_memcpy4",
     "function __aeabi_memcpy8",
-    "0: subs r2, #1", // r1: the source, r2: the length
-    "itt pl",
+    "subs r2, #4", // r1: the source, r2: the length
+    "0: ittt pl",  // words from the end on, aligned or not
+    "ldrpl r3, [r1, r2]",
+    "strpl r3, [r0, r2]",
+    "subspl r2, #4",
+    "bpl 0b",
+    "adds r2, #3", // and what is left at the start
+    "1: ittt pl",
     "ldrbpl r3, [r1, r2]",
     "strbpl r3, [r0, r2]",
-    "bpl 0b",
+    "subspl r2, #1",
+    "bpl 1b",
     "bx lr",
     "function __aeabi_memclr",
     "function __aeabi_memclr4",
     "function __aeabi_memclr8",
     "movs r2, #0",
-    "0: subs r1, #1", // r1: the length
-    "it pl",
-    "strbpl r2, [r0, r1]",
+    "subs r1, #4", // r1: the length
+    "0: itt pl",
+    "strpl r2, [r0, r1]",
+    "subspl r1, #4",
     "bpl 0b",
+    "adds r1, #3",
+    "1: itt pl",
+    "strbpl r2, [r0, r1]",
+    "subspl r1, #1",
+    "bpl 1b",
     "bx lr",
     ".purgem function",
 );
