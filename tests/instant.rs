@@ -1,0 +1,25 @@
+//! Instants: microseconds of a count that wraps.
+
+use lss_slave::Instant;
+
+#[test]
+fn an_instant_is_the_count_that_it_was_made_of() {
+    for micros in [0, 1, u32::MAX] {
+        assert_eq!(Instant::from_micros(micros).as_micros(), micros);
+    }
+}
+
+#[test]
+fn a_later_instant_has_not_come_until_the_count_stands_there_also_across_the_wrap() {
+    for start in [0, 1_000, u32::MAX - 5, u32::MAX] {
+        let now = Instant::from_micros(start);
+        for span in [1, 10, u32::MAX / 2] {
+            let later = now.plus_micros(span);
+            assert!(!later.has_come(now));
+            assert_eq!(later.micros_after(now), span);
+            assert!(later.has_come(later));
+            assert!(now.has_come(later));
+            assert_eq!(now.micros_after(later), 0);
+        }
+    }
+}
