@@ -122,7 +122,14 @@ enum Due {
 impl Node {
     /// A node after power-on with its persistent settings.
     pub const fn new(device: Device, persistent: Settings) -> Self {
-        let (rate, bus) = match persistent.bit_rate {
+        // Another image, with other clocks, may have stored a rate that this one has not.
+        let bit_rate = match persistent.bit_rate {
+            BitRateSetting::Fixed(rate) if !device.bit_rates.contains(rate) => {
+                BitRateSetting::Automatic
+            }
+            bit_rate => bit_rate,
+        };
+        let (rate, bus) = match bit_rate {
             BitRateSetting::Fixed(rate) => (rate, Bus::ON_TRIAL),
             BitRateSetting::Automatic => {
                 let rate = device.bit_rates.fastest();
@@ -134,12 +141,7 @@ impl Node {
             rate,
             previous_rate: None,
             is_resume_due: false,
-            lss: Slave::new(
-                device.address,
-                device.bit_rates,
-                persistent.node_id,
-                persistent.bit_rate,
-            ),
+            lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
             device,
             sdo: sdo::Server::new(),
             sdo_request: None,
@@ -194,6 +196,7 @@ impl Node {
 
     /// Takes a received frame; returns the answer to a request of LSS that has one at once. All else comes from
     /// [`handle_deadline`](Self::handle_deadline).
+    #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         if !matches!(self.bus, Bus::Proven) {
             self.handle_bus(BusEvent::Received);
@@ -236,6 +239,7 @@ impl Node {
     }
 
     /// Does the next thing that is due at `now`; returns `None` when nothing is.
+    #[must_use = "an action that is not carried out is lost"]
     pub fn handle_deadline(&mut self, now: Instant) -> Option<Action> {
         if !self.is_due(now) {
             return None;
@@ -310,6 +314,7 @@ impl Node {
                 let delay_micros = u32::from(delay_ms) * 1000;
                 self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });
                 self.sdo.reset();
+                self.forget_sdo_store();
             }
             Reaction::StoreConfiguration => self.lss_stores = self.lss_stores.saturating_add(1),
             Reaction::ResetCommunication => self.command = Some(Command::ResetCommunication),

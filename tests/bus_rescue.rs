@@ -2,7 +2,7 @@
 
 mod support;
 
-use lss_slave::{BitRate, BusEvent, Device, Settings, nmt::State};
+use lss_slave::{Action, BitRate, BusEvent, Device, Frame, Instant, Node, Settings, nmt::State};
 use support::{
     board::{ADDRESS, Board, defaults, device},
     flash::BoardFlash,
@@ -225,4 +225,23 @@ fn what_was_configured_survives_a_rescue_and_a_rescue_stores_nothing() {
     assert_eq!(board.lss("17"), ["17 00"]);
     let pending = Some(BitRate::Kbit125.into());
     assert_eq!(board.stored().map(|settings| settings.bit_rate), pending);
+}
+
+/// All that is due at once.
+fn actions(node: &mut Node) -> Vec<Action> {
+    std::iter::from_fn(|| node.handle_deadline(Instant::from_micros(0))).collect()
+}
+
+#[test]
+fn a_boot_up_that_nobody_acknowledged_is_sent_again_after_a_rescue() {
+    let device = Device { rescue: true, ..device(ADDRESS) };
+    let mut node = Node::new(device, defaults(0x40));
+    let boot_up = Action::Transmit(Frame::new(0x740, &[0]).expect("a frame"));
+    assert_eq!(actions(&mut node), [boot_up]);
+    node.handle_bus(BusEvent::BusOff);
+    let listen = actions(&mut node);
+    assert!(matches!(listen[..], [Action::Listen(_)]));
+    node.handle_bus(BusEvent::Received);
+    let actions = actions(&mut node);
+    assert!(actions.contains(&boot_up), "{actions:?}");
 }

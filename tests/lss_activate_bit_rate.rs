@@ -333,3 +333,16 @@ fn answers_before_an_activation_are_handed_over_before_the_silence() {
     assert_eq!(Frames(sent), ["5E 40", "13 00"]);
     assert_eq!(board.timeline().last().unwrap(), "0 ms stop");
 }
+
+#[test]
+fn the_answer_to_a_store_by_sdo_that_ends_within_the_silent_periods_is_not_sent_late() {
+    let save = Frame::new(0x640, &[0x23, 0x10, 0x10, 1, b's', b'a', b'v', b'e']).expect("a frame");
+    let mut board = Board::with_heartbeat(0x40, 0);
+    board.lss("04 01");
+    board.let_stores_take_time();
+    assert_eq!(board.receive(&save), SILENCE);
+    board.lss("15 64 00");
+    board.pass_ms(50);
+    assert_eq!(board.finish_store(), SILENCE);
+    assert_eq!(board.pass_ms(1000), SILENCE);
+}

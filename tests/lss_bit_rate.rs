@@ -2,7 +2,7 @@
 
 mod support;
 
-use lss_slave::{BitRate, BitRates, Device};
+use lss_slave::{BitRate, BitRates, Device, Node, Settings};
 use support::{
     board::{ADDRESS, Board, defaults, device},
     flash::BoardFlash,
@@ -104,4 +104,14 @@ fn reset_communication_touches_neither_the_active_nor_the_pending_rate() {
     assert_eq!(board.bit_rate(), BitRate::Kbit500);
     board.lss("04 01");
     assert_eq!(pending(&mut board), 250);
+}
+
+#[test]
+fn a_stored_bit_rate_that_the_device_does_not_offer_is_looked_for_by_listening() {
+    let device = Device { bit_rates: BitRates::possible(42_000_000), ..device(ADDRESS) };
+    assert!(!device.bit_rates.contains(BitRate::Kbit800), "{:?}", device.bit_rates);
+    let settings = Settings { bit_rate: BitRate::Kbit800.into(), ..defaults(0x40) };
+    let node = Node::new(device, settings);
+    assert!(node.is_listening());
+    assert!(device.bit_rates.contains(node.bit_rate()));
 }

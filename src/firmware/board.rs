@@ -11,7 +11,8 @@ use stm32f4xx_hal::{
 
 use crate::{device, flash::SettingsFlash};
 
-/// The watchdog's patience in ms. The longest silence of a healthy board is the erase of a 16 KB sector: 800 ms.
+/// The watchdog's patience in ms at 32 kHz; its oscillator has 17 to 47 kHz. The longest silence of a healthy board is the erase of
+/// a 16 KB sector: 800 ms.
 const WATCHDOG_MS: u32 = 2_000;
 
 /// What the tasks need of the board.

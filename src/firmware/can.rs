@@ -147,7 +147,6 @@ impl Controller {
 
     /// The next frame from the receive FIFO, or that frames were lost.
     pub fn receive(&mut self) -> Option<Received> {
-        // Of what is on the wire `bxcan` has no place for a length code of 9..=15, which is legal.
         let fifo = registers().rfr(0).read();
         if fifo.fmp().bits() == 0 {
             return None;
@@ -166,6 +165,7 @@ impl Controller {
         }
         let cob_id = identifier.stid().bits();
         let data = (u64::from(high) << 32 | u64::from(low)).to_le_bytes();
+        // A length code of 9..=15 is legal on the wire.
         let frame = Frame::from_padded(cob_id, len, data);
         Some(frame.map_or(Received::Other, Received::Frame))
     }
@@ -183,11 +183,14 @@ impl Controller {
 
     /// A mailbox has become empty; returns whether because its frame was sent and acknowledged.
     pub fn handle_transmitted(&mut self) -> bool {
+        const COMPLETED: u32 = 1 << 0 | 1 << 8 | 1 << 16;
         const ANY_SENT: u32 = 1 << 1 | 1 << 9 | 1 << 17;
-        let was_sent = registers().tsr().read().bits() & ANY_SENT != 0;
-        self.can.clear_tx_interrupt();
+        let status = registers().tsr().read().bits();
+        // Only what has been seen: what completes from now on interrupts again.
+        // SAFETY: zeros have no effect in this register.
+        registers().tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
         self.fill_mailboxes();
-        was_sent
+        status & ANY_SENT != 0
     }
 
     fn fill_mailboxes(&mut self) {
@@ -288,7 +291,7 @@ const BTR: [u32; 10] = {
     values
 };
 
-/// What `bxcan` gives no access to.
+/// The registers themselves: `bxcan` sets the filters, but copies each frame twice on its way.
 fn registers() -> &'static pac::can1::RegisterBlock {
     // SAFETY: all accesses to CAN1 come from its one owner, the `Controller`.
     unsafe { &*CAN1::ptr() }

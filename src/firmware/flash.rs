@@ -12,9 +12,11 @@ const FIRST_SECTOR: u8 = 1;
 const SECTORS: u32 = 2;
 const SECTOR_LEN: u32 = 16 * 1024;
 
-/// Reads of the status register after which an operation counts as hung. The core fetches from the same flash and
-/// stalls until an operation ends, so that in truth the first reads decide.
-const BUSY_READS: u32 = 100_000;
+/// Reads of the status register after which programming a word counts as hung: it takes 100 us at most. The core stalls when it
+/// fetches from the flash meanwhile, but what is in the instruction cache runs on.
+const WORD_READS: u32 = 10_000;
+/// The same for the erase of a sector, 800 ms at most: a read takes 50 ns at least.
+const ERASE_READS: u32 = 20_000_000;
 
 /// FLASH_SR: busy, and the errors of programming and erasing.
 const BUSY: u32 = 1 << 16;
@@ -74,9 +76,9 @@ impl SettingsFlash {
         outcome
     }
 
-    fn wait(&self) -> Result<(), FlashError> {
+    fn wait(&self, reads: u32) -> Result<(), FlashError> {
         let mut status = BUSY;
-        for _ in 0..BUSY_READS {
+        for _ in 0..reads {
             status = self.registers.sr().read().bits();
             if status & BUSY == 0 {
                 break;
@@ -139,7 +141,7 @@ impl NorFlash for SettingsFlash {
                         .strt()
                         .set_bit()
                 });
-                flash.wait()?;
+                flash.wait(ERASE_READS)?;
             }
             Ok(())
         })
@@ -157,7 +159,7 @@ impl NorFlash for SettingsFlash {
             for (address, word) in (START + offset..).step_by(4).zip(words) {
                 // SAFETY: an aligned word within the sectors; the controller programs what is stored there.
                 unsafe { (address as *mut u32).write_volatile(u32::from_le_bytes(*word)) };
-                flash.wait()?;
+                flash.wait(WORD_READS)?;
             }
             Ok(())
         })

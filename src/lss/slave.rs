@@ -140,6 +140,7 @@ impl Slave {
     }
 
     /// Carries out the request in the data of a frame from the LSS master, as far as the LSS state allows it.
+    #[must_use = "a reaction that is not carried out is lost"]
     pub fn handle(&mut self, data: &[u8; 8]) -> Option<Reaction> {
         use State::{Configuration, Waiting};
         let answer = match (Request::from_bytes(data)?, self.state) {

@@ -4,6 +4,7 @@ use super::{Action, Due, Node};
 use crate::{
     BitRate, BitRateSetting, Instant,
     bus::{Bus, BusEvent, ERRORS_ON_TRIAL, Listening, Step},
+    nmt,
 };
 
 /// An activation of bit timing on its way (CiA 305, activate bit timing parameters).
@@ -40,6 +41,10 @@ impl Node {
                     let fastest = self.device.bit_rates.fastest();
                     let first = self.previous_rate.take().unwrap_or(fastest);
                     self.bus = Bus::Listening(Listening::begin(first, Some(self.rate)));
+                    // Nobody has heard the boot-up that is dropped now.
+                    if !self.is_boot_up_acknowledged && self.nmt == nmt::State::PreOperational {
+                        self.nmt = nmt::State::Initialisation;
+                    }
                 }
             }
             (Bus::Listening(listening), BusEvent::Received) => {

@@ -26,7 +26,8 @@ const QEMU: &str = "qemu-system-arm";
 /// The machine with the STM32F405.
 const MACHINE: &str = "netduinoplus2";
 const PART: Part = Part::Stm32f405;
-/// An instruction takes 2^3 ns: a cycle at 128 MHz. Only a reset takes some microseconds more or less from run to run.
+/// An instruction takes 2^3 ns, little more than a cycle at 160 MHz. Only a reset takes some microseconds more or less from
+/// run to run.
 const TIME: &str = "shift=3,sleep=off";
 /// Of the firmware's default.
 const BIT_RATE: u32 = 125_000;

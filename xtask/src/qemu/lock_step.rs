@@ -146,6 +146,8 @@ struct Tally {
     in_it_block: u64,
     resets: u64,
     sleeps: u64,
+    /// Loads of the ICSR that differed in VECTACTIVE, which rsemu lacks.
+    vectactive: u64,
     loads: u64,
     stores: u64,
     checks: u64,
@@ -168,6 +170,11 @@ impl fmt::Display for Tally {
         )?;
         writeln!(f, "{:>9} resets, the power-on among them", self.resets)?;
         writeln!(f, "{:>9} times asleep", self.sleeps)?;
+        writeln!(
+            f,
+            "{:>9} times without VECTACTIVE in the ICSR, which rsemu lacks",
+            self.vectactive
+        )?;
         writeln!(f, "{:>9} loads from peripherals: address and width", self.loads)?;
         writeln!(f, "{:>9} stores to them and to flash: value too", self.stores)?;
         write!(f, "{:>9} times all RAM and the floating-point registers", self.checks)

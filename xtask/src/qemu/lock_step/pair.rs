@@ -34,6 +34,8 @@ mod window {
 const SETTINGS: Range<usize> = 0x4000..0xC000;
 /// A load with a base from here can reach SysTick: an instruction's offset is -255 to 4095.
 const NEAR_SYSTICK: Range<u32> = 0xE000_D000..0xE000_E120;
+/// The same for the ICSR, 0xE000_ED04.
+const NEAR_ICSR: Range<u32> = 0xE000_DD00..0xE000_EE08;
 /// What no single step shows is compared after so many instructions.
 const CHECK_INTERVAL: u64 = 50_000;
 const VECTORS: u32 = 0x0800_0000;
@@ -175,7 +177,8 @@ impl Pair {
             || !step.transfers.is_empty()
             || step.irqs != self.irqs
             || step.systick_pending != self.systick_pending
-            || may_load_systick(step, core)
+            || may_load(step, core, NEAR_SYSTICK)
+            || may_load(step, core, NEAR_ICSR)
             || is_sleep(step, core)
     }
 
@@ -210,7 +213,7 @@ impl Pair {
         now: &Registers,
         core: &dyn Engine,
     ) -> anyhow::Result<()> {
-        if may_load_systick(step, core) {
+        if may_load(step, core, NEAR_SYSTICK) {
             self.gdb.write(window::SYSTICK, step.systick.map(u32::to_le_bytes).as_flattened())?;
         }
         let loaded = step.transfers.iter().filter(|transfer| !transfer.is_store);
@@ -228,8 +231,24 @@ impl Pair {
         } else {
             self.gdb.step()?;
         }
+        if may_load(step, core, NEAR_ICSR) {
+            self.leave_out_vectactive(now)?;
+        }
         self.compare_accesses(step)?;
         self.compare(usize::from(kind != Kind::Entry), &step.before, now, core)
+    }
+
+    /// rsemu 0.0.7 has no VECTACTIVE in the ICSR, the number of the exception that is served: a register of QEMU that differs
+    /// in nothing else takes over ours.
+    fn leave_out_vectactive(&mut self, ours: &Registers) -> anyhow::Result<()> {
+        let (theirs, _) = self.gdb.registers()?;
+        for (number, (theirs, ours_is)) in theirs.iter().zip(ours.r).enumerate().take(SP) {
+            if *theirs != ours_is && *theirs == ours_is | ours.xpsr & EXCEPTION {
+                self.gdb.set_register(number, ours_is)?;
+                self.tally.vectactive += 1;
+            }
+        }
+        Ok(())
     }
 
     /// Drives QEMU's interrupt lines and SysTick's exception as they were before the step.
@@ -381,15 +400,16 @@ impl Pair {
     }
 }
 
-/// Were one missed, QEMU would load what SysTick had before: a difference.
-fn may_load_systick(step: &Step, core: &dyn Engine) -> bool {
+/// Whether an instruction may load a word from what is `near` its base. Were a load of SysTick missed, QEMU would have what was
+/// there before: a difference.
+fn may_load(step: &Step, core: &dyn Engine, near: Range<u32>) -> bool {
     // ARM DDI 0403, A5.2 and A5.3: loads of words.
     let is_load = match halfword(core, step.before.r[PC]).to_be_bytes() {
         [0x58..=0x5F | 0x68..=0x6F | 0xC8..=0xCF, _] => true,
         [0xE8 | 0xE9 | 0xF8, low] => low & 0x10 != 0,
         _ => false,
     };
-    is_load && step.before.r.iter().any(|register| NEAR_SYSTICK.contains(register))
+    is_load && step.before.r.iter().any(|register| near.contains(register))
 }
 
 fn is_sleep(step: &Step, core: &dyn Engine) -> bool {
