@@ -200,24 +200,32 @@ fn each_default_value_is_what_a_new_device_answers_by_sdo() {
         };
         let value = board.upload(entry.index, entry.sub_index).unwrap();
         if entry.data_type == DataType::VisibleString {
-            assert_eq!(value, default.as_bytes(), "[{name}]");
+            let value = String::from_utf8_lossy(&value);
+            assert_eq!(value, *default, "device.rs, then eds/lss-slave.eds [{name}] DefaultValue");
             continue;
         }
         let expected = match default.strip_prefix("$NODEID+") {
             Some(offset) => 0x40 + number(offset),
             None => number(default),
         };
-        assert_eq!(board.number(entry.index, entry.sub_index), expected, "[{name}]");
+        let value = board.number(entry.index, entry.sub_index);
+        assert_eq!(value, expected, "device.rs, then eds/lss-slave.eds [{name}] DefaultValue");
     }
 }
 
 #[test]
 fn the_identity_is_the_one_in_device_rs() {
     let info = &sections()["DeviceInfo"];
-    assert_eq!(number(info["VendorNumber"]), number_in_device_rs("VENDOR_ID"));
-    assert_eq!(number(info["ProductNumber"]), number_in_device_rs("PRODUCT_CODE"));
-    assert_eq!(number(info["RevisionNumber"]), number_in_device_rs("REVISION_NUMBER"));
-    assert_eq!(info["ProductName"], text_in_device_rs("NAME"));
+    for (key, name) in [
+        ("VendorNumber", "VENDOR_ID"),
+        ("ProductNumber", "PRODUCT_CODE"),
+        ("RevisionNumber", "REVISION_NUMBER"),
+    ] {
+        let (eds, device) = (number(info[key]), number_in_device_rs(name));
+        assert_eq!(eds, device, "eds/lss-slave.eds {key}, then device.rs {name}");
+    }
+    let (eds, device) = (info["ProductName"], text_in_device_rs("NAME"));
+    assert_eq!(eds, device, "eds/lss-slave.eds ProductName, then device.rs NAME");
 }
 
 #[test]

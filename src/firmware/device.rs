@@ -22,7 +22,7 @@ pub const SOFTWARE_VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// How a new device starts, until an LSS master stores something else.
 pub const DEFAULTS: Settings = Settings {
-    // None: not configured, the device waits for an LSS master. Else `NodeId::new(5)`, for example.
+    // None: not configured, the device waits for an LSS master. Else `Some(NodeId::new(5).expect("1 to 127"))`, for example.
     node_id: None,
     bit_rate: BitRateSetting::Fixed(BitRate::Kbit125),
     // Milliseconds between heartbeats; 0: none.
@@ -67,8 +67,5 @@ pub const LSS_LOCK: bool = false;
 const _: () = {
     assert!(CRYSTAL_HZ.is_multiple_of(1_000_000), "CRYSTAL_HZ must be a whole number of MHz");
     assert!(4_000_000 <= CRYSTAL_HZ && CRYSTAL_HZ <= 26_000_000, "CRYSTAL_HZ must be 4 to 26 MHz");
-    assert!(
-        BIT_RATES.offers(DEFAULTS.bit_rate),
-        "DEFAULTS.bit_rate cannot be produced from APB1_HZ"
-    );
+    assert!(BIT_RATES.offers(DEFAULTS.bit_rate), "BIT_RATES does not offer DEFAULTS.bit_rate");
 };

@@ -72,7 +72,7 @@ pub struct Arguments {
     /// Write the frames as `candump -l` does
     #[arg(long, value_name = "FILE")]
     candump: Option<PathBuf>,
-    /// Write the frames as a capture for Wireshark
+    /// Write the frames as a capture for Wireshark; to see CANopen: Decode As, CAN next level, or `tshark -d can.subdissector,canopen`
     #[arg(long, value_name = "FILE")]
     pcap: Option<PathBuf>,
 }

@@ -42,7 +42,7 @@ const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 ///   can.Bus(interface="slcan", channel="socket://127.0.0.1:29536", bitrate=125000)
 ///
 /// The boards run the release firmware in real time until Ctrl-C. An adapter that is opened at another bit rate than
-/// theirs disturbs the bus, as it would on a desk.
+/// theirs disturbs the bus, as it would on a desk; one that is closed drops the frames that still wait.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -130,7 +130,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     network.run_for(START);
     memory.save(&network)?;
 
-    let (sender, inputs) = mpsc::channel();
+    let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let stop = sender.clone();
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
     client::accept(listener, sender);
@@ -205,7 +205,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let address = listener.local_addr().expect("it is bound");
         thread::spawn(move || {
-            let (sender, inputs) = mpsc::channel();
+            let (sender, inputs) = mpsc::sync_channel(client::WAITING);
             client::accept(listener, sender);
             let mut memory = Memory::open(None).expect("there are no files");
             serve(&mut Network::new(), &inputs, &mut memory, BitRate::Kbit500)
@@ -283,6 +283,29 @@ mod tests {
         program.expect("\x07\x07\r\x07\x07\x07\r\r\x07\r");
         program.send("V\rN\rZ1\rM00000000\r\nmFFFFFFFF\r");
         program.expect("V1013\rNEMUL\r\r\r\r");
+    }
+
+    #[test]
+    fn a_line_that_is_too_long_is_refused_as_a_whole() {
+        let mut program = Program::connect(served_bus());
+        program.send("S6\rO\r");
+        program.expect("\r\r");
+        let long = "A".repeat(64);
+        program.send(&format!("{long}t1230\r{long}\r{}\rV\r", "A".repeat(10_000)));
+        program.expect("\x07\x07\x07V1013\r");
+    }
+
+    #[test]
+    fn a_program_that_floods_the_emulation_does_not_keep_others_from_being_answered() {
+        let address = served_bus();
+        let mut flood = Program::connect(address);
+        thread::spawn(move || while flood.0.write_all(&[b'\r'; 4096]).is_ok() {});
+        thread::sleep(Duration::from_millis(300));
+        let mut program = Program::connect(address);
+        for _ in 0..10 {
+            program.send("V\r");
+            program.expect("V1013\r");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::{
     io::{BufRead, BufReader, Write},
     net::{TcpListener, TcpStream},
-    sync::mpsc::{self, Sender},
+    sync::mpsc::{self, Sender, SyncSender},
     thread,
 };
 
@@ -18,6 +18,9 @@ use super::slcan::{self, Command, Status};
 const LINE: u64 = 64;
 /// As many frames wait for the bus; more are refused.
 const QUEUE: usize = 1000;
+
+/// As many lines wait to be carried out; then the programs wait.
+pub const WAITING: usize = 1000;
 
 /// Names a client, from the first on, never again.
 pub type ClientId = u64;
@@ -35,7 +38,7 @@ pub enum Input {
 }
 
 /// Waits for programs, in the background.
-pub fn accept(listener: TcpListener, inputs: Sender<Input>) {
+pub fn accept(listener: TcpListener, inputs: SyncSender<Input>) {
     thread::spawn(move || {
         for (id, stream) in (0..).zip(listener.incoming().flatten()) {
             let Ok(reader) = stream.try_clone() else { continue };
@@ -48,14 +51,20 @@ pub fn accept(listener: TcpListener, inputs: Sender<Input>) {
     });
 }
 
-fn read(id: ClientId, stream: TcpStream, inputs: &Sender<Input>) {
+fn read(id: ClientId, stream: TcpStream, inputs: &SyncSender<Input>) {
     let mut reader = BufReader::new(stream);
     let mut line = Vec::new();
     while let Ok(1..) = std::io::Read::take(&mut reader, LINE).read_until(slcan::END, &mut line) {
-        if line.ends_with(&[slcan::END]) {
-            line.pop();
+        if line.len() as u64 == LINE && !line.ends_with(&[slcan::END]) {
+            // The rest of it is no command either.
+            if reader.skip_until(slcan::END).is_err() {
+                break;
+            }
+        } else if !line.ends_with(&[slcan::END]) {
+            // The program has gone within a line.
+            break;
         }
-        line.retain(|byte| *byte != b'\n');
+        line.retain(|byte| ![b'\n', slcan::END].contains(byte));
         if inputs.send(Input::Line(id, std::mem::take(&mut line))).is_err() {
             return;
         }
