@@ -188,6 +188,19 @@ fn the_clock_of_the_board_gives_all_rates_exactly_with_these_registers() {
 }
 
 #[test]
+fn crystals_are_limited_by_the_jump_width_or_by_the_shorter_segment() {
+    for (segment1, segment2, sync_jump_width, ppm) in [
+        (16, 3, 3, 3_000_000 / (2 * (13 * 20 - 3))),
+        (12, 7, 4, 4_000_000 / (20 * 20)),
+        (12, 7, 1, 1_000_000 / (20 * 20)),
+        (3, 8, 4, 3_000_000 / (2 * (13 * 12 - 8))),
+    ] {
+        let timing = BitTiming { prescaler: 1, segment1, segment2, sync_jump_width };
+        assert_eq!(timing.crystal_tolerance_ppm(), ppm, "{timing:?}");
+    }
+}
+
+#[test]
 fn the_register_holds_each_field_less_one_at_its_place() {
     for (timing, btr) in [
         ([1, 1, 1, 1], 0x0000_0000),
