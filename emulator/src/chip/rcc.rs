@@ -235,7 +235,7 @@ impl Rcc {
         }
         let starts = |bit: u32| value & bit != 0 && old & bit == 0;
         if starts(HSEON) {
-            self.hse_ready = now + HSE_START;
+            self.hse_ready = if self.crystal.hz > 0 { now + HSE_START } else { Time::MAX };
         }
         for (index, bit) in [PLLON, PLLI2SON, PLLSAION].into_iter().enumerate() {
             if starts(bit) {
