@@ -20,8 +20,8 @@ pub enum BusEvent {
     Received,
     /// A frame of the node was sent and acknowledged.
     Acknowledged,
-    /// What was last seen on the bus is a stuff, form or CRC error. To be told of each while listening; else it is enough
-    /// to look a few times a second.
+    /// What was last seen on the bus is an error, but no missing acknowledge: nobody may be there. To be told of each while
+    /// listening; else it is enough to look a few times a second.
     Error,
     /// The controller is error passive through what it received (REC over 127). Missing acknowledges, which make an error
     /// passive transmitter of a node that is alone, do not count.

@@ -16,6 +16,7 @@ use support::{
     board::{self as reference, Board},
     frames::{self, SILENCE},
     random::Random,
+    storm,
 };
 
 const LSS: Id = Id::Standard(0x7E5);
@@ -139,18 +140,8 @@ fn request(random: &mut Random, address: [u32; 4]) -> [u8; 8] {
     if random.one_in(10) {
         return data;
     }
-    let [vendor, product, revision, serial] = address;
     let number = match data[0] {
-        0x40 | 0x46 => vendor,
-        0x41 | 0x47 => product,
-        0x42 | 0x48 | 0x49 => revision,
-        0x43 | 0x4A | 0x4B => serial,
-        0x51 => {
-            data[5] = random.pick(&[0x80, 0, 0, 31]);
-            data[6] = random.within(0..4) as u8;
-            data[7] = random.within(0..4) as u8;
-            address[usize::from(data[6])]
-        }
+        0x40..=0x51 => storm::address_number(random, &mut data, address),
         0x04 => random.within(0..2) as u32,
         0x11 => random.pick(&[0x01, 0x40, 0x7F, 0xFF, 0xFF, 0x00]),
         0x13 => random.pick(&[0x0000, 0x0200, 0x0500, 0x0800, 0x0001]),

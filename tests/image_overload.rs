@@ -5,9 +5,9 @@ mod support;
 
 use emulator::{
     Time,
-    can::{Adapter, Frame, Id},
+    can::{Frame, Id},
     chip::{FLASH_BASE, ResetCause, Timing},
-    network::{AdapterId, Event, Source, What},
+    network::{Event, Source, What},
 };
 use lss_slave::{BitRate, BitRateSetting, Settings};
 use support::{
@@ -112,23 +112,10 @@ fn the_shortest_frames_of_a_full_bus_are_not_lost_while_the_slowest_flash_is_wri
     assert!(!logs(&bench, "CAN: overrun"));
 }
 
-/// A node at a bit rate that nobody uses, never quiet: all others see errors.
-fn disturber(bench: &mut Bench) -> AdapterId {
-    let disturber = bench.network.add_adapter(Adapter::new(333_000));
-    bench.network.adapter_mut(disturber).close();
-    disturber
-}
-
-fn disturb(bench: &mut Bench, disturber: AdapterId, span: Time) {
-    bench.network.adapter_mut(bench.master).close();
-    bench.network.adapter_mut(disturber).open();
-    let until = bench.network.now() + span;
-    while bench.network.now() < until {
-        bench.network.send(disturber, Frame::data(Id::Standard(0), &[0xA5; 8]));
-        bench.network.run_for(Time::from_us(300));
-    }
-    bench.network.adapter_mut(disturber).close();
-    bench.network.adapter_mut(bench.master).open();
+/// The others see nothing but errors, for long.
+fn disturb(bench: &mut Bench) {
+    let disturber = bench.add_disturber();
+    bench.disturb(disturber, Id::Standard(0), Time::from_us(300), LONG);
 }
 
 fn errors(bench: &Bench, since: Time) -> usize {
@@ -138,10 +125,9 @@ fn errors(bench: &Bench, since: Time) -> usize {
 #[test]
 fn a_bus_of_error_frames_only_does_not_keep_the_board_from_answering_once_it_is_over() {
     let mut bench = node_40(20);
-    let disturber = disturber(&mut bench);
     bench.lss("04 01");
     let since = bench.network.now();
-    disturb(&mut bench, disturber, LONG);
+    disturb(&mut bench);
     assert!(errors(&bench, since) > 1_000, "{} errors", errors(&bench, since));
     bench.collect(Time::from_s(1));
     let answers = bench.lss("5E").0;
@@ -156,9 +142,8 @@ fn noise_without_end_does_not_end_the_search_for_the_bit_rate() {
     let automatic =
         Settings { bit_rate: BitRateSetting::Automatic, ..settings(0x40, BitRate::Kbit1000) };
     let mut bench = Bench::new(BitRate::Kbit500, [board_with(0, automatic)]);
-    let disturber = disturber(&mut bench);
     let since = bench.network.now();
-    disturb(&mut bench, disturber, LONG);
+    disturb(&mut bench);
     let tried = bench.bit_rates(0, since).len();
     assert!(tried > 10, "{tried} bit rates are tried");
     for _ in 0..100 {

@@ -4,7 +4,7 @@ mod support;
 
 use emulator::{
     Time,
-    can::{Adapter, Frame, Id},
+    can::{Frame, Id},
     network::{AdapterId, What},
 };
 use lss_slave::{BitRate, Settings};
@@ -14,8 +14,7 @@ use support::bench::{Bench, settings};
 fn about_to_switch() -> (Bench, AdapterId) {
     let settings = Settings { heartbeat_ms: 20, ..settings(0x40, BitRate::Kbit500) };
     let mut bench = Bench::with(settings);
-    let foreign = bench.network.add_adapter(Adapter::new(333_000));
-    bench.network.adapter_mut(foreign).close();
+    let foreign = bench.add_disturber();
     bench.lss("04 01");
     bench.lss("13 00 03");
     (bench, foreign)
@@ -23,15 +22,7 @@ fn about_to_switch() -> (Bench, AdapterId) {
 
 /// The foreign node alone is heard for `span`.
 fn disturb(bench: &mut Bench, foreign: AdapterId, span: Time) {
-    bench.network.adapter_mut(bench.master).close();
-    bench.network.adapter_mut(foreign).open();
-    let until = bench.network.now() + span;
-    while bench.network.now() < until {
-        bench.network.send(foreign, Frame::data(Id::Standard(0x7FF), &[0xA5; 8]));
-        bench.network.run_for(Time::from_ms(1));
-    }
-    bench.network.adapter_mut(foreign).close();
-    bench.network.adapter_mut(bench.master).open();
+    bench.disturb(foreign, Id::Standard(0x7FF), Time::from_ms(1), span);
 }
 
 fn went_bus_off(bench: &Bench, since: Time) -> bool {

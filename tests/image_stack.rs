@@ -83,8 +83,7 @@ fn note(bench: &mut Bench, what: &str) {
 /// written below them.
 fn storm(bench: &mut Bench, random: &mut Random) {
     let other = bench.network.add_adapter(Adapter::new(1_000_000));
-    let disturber = bench.network.add_adapter(Adapter::new(333_000));
-    bench.network.adapter_mut(disturber).close();
+    let disturber = bench.add_disturber();
     bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
     for round in 0..150 {
         let requests = ["04 01", "11 40", "11 04", "17", "5E", "51", "47", "4C"];

@@ -215,6 +215,26 @@ impl Bench {
         }
     }
 
+    /// Adds a node at a bit rate that nobody uses; it is not on the bus.
+    pub fn add_disturber(&mut self) -> AdapterId {
+        let disturber = self.network.add_adapter(Adapter::new(333_000));
+        self.network.adapter_mut(disturber).close();
+        disturber
+    }
+
+    /// Instead of the master the disturber is on the bus for `span`, and has one more frame to send `every` so often.
+    pub fn disturb(&mut self, disturber: AdapterId, id: Id, every: Time, span: Time) {
+        self.network.adapter_mut(self.master).close();
+        self.network.adapter_mut(disturber).open();
+        let until = self.network.now() + span;
+        while self.network.now() < until {
+            self.network.send(disturber, Frame::data(id, &[0xA5; 8]));
+            self.network.run_for(every);
+        }
+        self.network.adapter_mut(disturber).close();
+        self.network.adapter_mut(self.master).open();
+    }
+
     /// The master goes on at another bit rate.
     pub fn set_master_bit_rate(&mut self, bit_rate: BitRate) {
         self.bit_rate = bit_rate;

@@ -48,18 +48,8 @@ fn lss_request(random: &mut Random, target: &Target) -> Frame {
     if random.one_in(20) {
         return Frame::data(LSS, &data);
     }
-    let [vendor, product, revision, serial] = target.address;
     let number = match data[0] {
-        0x40 | 0x46 => vendor,
-        0x41 | 0x47 => product,
-        0x42 | 0x48 | 0x49 => revision,
-        0x43 | 0x4A | 0x4B => serial,
-        0x51 => {
-            data[5] = random.pick(&[0x80, 0, 0, 31, 16]);
-            data[6] = random.within(0..4) as u8;
-            data[7] = random.within(0..4) as u8;
-            target.address[usize::from(data[6])]
-        }
+        0x40..=0x51 => address_number(random, &mut data, target.address),
         0x04 => random.within(0..2) as u32,
         0x11 => random.pick(&[0x01, 0x04, 0x40, 0x7F, 0xFF, 0xFF, 0xFF, 0x00, 0x80]),
         0x13 => u32::from(random.within(0..11) as u8) << 8 | u32::from(random.one_in(8)),
@@ -68,6 +58,24 @@ fn lss_request(random: &mut Random, target: &Target) -> Frame {
     };
     data[1..5].copy_from_slice(&number.to_le_bytes());
     Frame::data(LSS, &data)
+}
+
+/// The number in a request that compares it with the LSS address `address`, the right one; and how Fastscan compares it.
+pub fn address_number(random: &mut Random, data: &mut [u8; 8], address: [u32; 4]) -> u32 {
+    let [vendor, product, revision, serial] = address;
+    match data[0] {
+        0x40 | 0x46 => vendor,
+        0x41 | 0x47 => product,
+        0x42 | 0x48 | 0x49 => revision,
+        0x43 | 0x4A | 0x4B => serial,
+        0x51 => {
+            data[5] = random.pick(&[0x80, 0, 0, 31, 16]);
+            data[6] = random.within(0..4) as u8;
+            data[7] = random.within(0..4) as u8;
+            address[usize::from(data[6])]
+        }
+        _ => random.u32(),
+    }
 }
 
 fn nmt_command(random: &mut Random, target: &Target) -> Frame {
