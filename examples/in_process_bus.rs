@@ -47,7 +47,7 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
             match action {
                 Action::Transmit(frame) => {
                     transmitted.send(frame).unwrap();
-                    node.handle_bus(BusEvent::Acknowledged);
+                    node.handle_bus(BusEvent::Acknowledged, now());
                 }
                 Action::Store(_settings) => node.handle_stored(Ok(())),
                 other => println!("  {other:?}"),

@@ -52,16 +52,16 @@ pub mod object_dictionary;
 pub mod sdo;
 pub mod settings;
 
-mod bus;
 mod can;
 mod node;
 mod node_id;
+mod supervision;
 mod time;
 
 pub use bit_rate::{BitRate, BitRateSetting, BitRates};
-pub use bus::BusEvent;
 pub use can::Frame;
 pub use node::{Action, Device, Node};
 pub use node_id::{InvalidNodeId, NodeId};
 pub use settings::Settings;
+pub use supervision::BusEvent;
 pub use time::Instant;

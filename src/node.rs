@@ -8,11 +8,11 @@ use core::mem;
 
 use crate::{
     BitRate, BitRateSetting, BitRates, Frame, Instant, NodeId, Settings,
-    bus::{Bus, BusEvent, Listening},
     emergency::{Emergency, Fault},
     lss::{self, Reaction, Slave},
     nmt::{self, Command},
     sdo,
+    supervision::{BusEvent, Supervision},
 };
 use bit_rate::{Phase, Switch};
 use storing::Store;
@@ -48,7 +48,8 @@ pub enum Action {
     SetNodeId(Option<NodeId>),
     /// Start no frame from now on and drop those that wait; go on receiving and acknowledging.
     StopTransmitting,
-    /// Run the controller at this bit rate, receiving and acknowledging only.
+    /// Drop the frames that wait and run the controller at this bit rate, out of bus-off if need be. If
+    /// [`StopTransmitting`](Self::StopTransmitting) or [`Listen`](Self::Listen) came before, it receives and acknowledges only.
     SetBitRate(BitRate),
     /// Frames may be sent again.
     ResumeTransmitting,
@@ -78,12 +79,8 @@ pub enum Action {
 pub struct Node {
     device: Device,
     lss: Slave,
-    bus: Bus,
-    /// At which the controller runs.
-    rate: BitRate,
-    /// The one before the last switch.
-    previous_rate: Option<BitRate>,
-    /// After listening, before anything is sent.
+    supervision: Supervision,
+    /// Frames may be sent again, and the board has not been told.
     is_resume_due: bool,
     sdo: sdo::Server,
     /// Received, and to be answered now.
@@ -129,17 +126,8 @@ impl Node {
             }
             bit_rate => bit_rate,
         };
-        let (rate, bus) = match bit_rate {
-            BitRateSetting::Fixed(rate) => (rate, Bus::ON_TRIAL),
-            BitRateSetting::Automatic => {
-                let rate = device.bit_rates.fastest();
-                (rate, Bus::Listening(Listening::begin(rate, None)))
-            }
-        };
         Self {
-            bus,
-            rate,
-            previous_rate: None,
+            supervision: Supervision::new(bit_rate, device.bit_rates, device.rescue),
             is_resume_due: false,
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
             device,
@@ -179,12 +167,12 @@ impl Node {
 
     /// The bit rate at which the controller runs, or listens.
     pub const fn bit_rate(&self) -> BitRate {
-        self.rate
+        self.supervision.bit_rate()
     }
 
     /// Whether the node only listens, in search of the bit rate.
     pub const fn is_listening(&self) -> bool {
-        matches!(self.bus, Bus::Listening(_))
+        self.supervision.is_listening()
     }
 
     /// The COB-IDs of the frames that the node wants to see; it ignores all others. They change with the node-ID.
@@ -198,9 +186,11 @@ impl Node {
     /// [`handle_deadline`](Self::handle_deadline).
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
-        if !matches!(self.bus, Bus::Proven) {
-            self.handle_bus(BusEvent::Received);
-            if matches!(self.bus, Bus::Found(_)) {
+        if !self.supervision.is_at_ease() {
+            let was_listening = self.is_listening();
+            self.handle_bus(BusEvent::Received, now);
+            // Its sender repeats it if nobody has acknowledged it.
+            if was_listening {
                 return None;
             }
         }
@@ -261,7 +251,7 @@ impl Node {
     }
 
     fn do_next(&mut self, now: Instant) -> Option<Action> {
-        if let Some(action) = self.listen(now) {
+        if let Some(action) = self.supervise(now) {
             return Some(action);
         }
         while let Some(switch) = self.switch {
@@ -281,7 +271,7 @@ impl Node {
         {
             return Some(action);
         }
-        if self.is_listening() {
+        if !self.may_send() {
             return None;
         }
         if let Some(request) = self.sdo_request.take()
@@ -289,18 +279,23 @@ impl Node {
         {
             return self.answer_sdo(answer);
         }
-        self.store_or_answer().or_else(|| self.tell(now))
+        let action = self.store_or_answer().or_else(|| self.tell(now));
+        if let Some(Action::Transmit(_)) = action {
+            self.supervision.note_sent(now);
+        }
+        action
     }
 
     #[inline(never)] // It has two callers.
     fn find_deadline(&self) -> Option<Instant> {
-        match (&self.bus, self.switch) {
-            (Bus::Listening(listening), Some(switch)) => {
-                Some(listening.deadline().earlier(switch.until))
-            }
-            (Bus::Listening(listening), None) => Some(listening.deadline()),
-            (_, Some(switch)) => Some(switch.until),
-            _ => self.produces_heartbeat().then_some(self.heartbeat_due),
+        let supervision = self.supervision.poll_at().filter(|_| self.is_supervised());
+        let other = match self.switch {
+            Some(switch) => Some(switch.until),
+            None => (self.produces_heartbeat() && self.may_send()).then_some(self.heartbeat_due),
+        };
+        match (supervision, other) {
+            (Some(a), Some(b)) => Some(a.earlier(b)),
+            (a, b) => a.or(b),
         }
     }
 

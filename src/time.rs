@@ -35,6 +35,11 @@ impl Instant {
         if self.has_come(other) { self } else { other }
     }
 
+    /// The one of the two that comes last.
+    pub(crate) const fn later(self, other: Self) -> Self {
+        if self.has_come(other) { other } else { self }
+    }
+
     /// Whether this instant has come at `now`.
     pub const fn has_come(self, now: Self) -> bool {
         self.micros_after(now) == 0

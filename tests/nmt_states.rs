@@ -281,8 +281,9 @@ fn listening_board() -> Board {
     let settings = Settings { heartbeat_ms: 1_000, ..defaults(0x40) };
     let mut board = Board::with_device(device, settings, BoardFlash::blank(0), 0);
     // The first puts the bit rate, proven by the boot-up, on trial; the second makes an end of the trial.
-    board.node.handle_bus(BusEvent::BusOff);
-    board.node.handle_bus(BusEvent::BusOff);
+    for _ in 0..2 {
+        board.see(BusEvent::Error);
+    }
     assert_eq!(board.pass_us(0), SILENCE);
     assert!(board.node.is_listening());
     board
@@ -306,7 +307,7 @@ fn a_node_that_listened_for_hours_goes_on_with_its_heartbeat_at_once() {
     for minutes in [30, 36, 60, 71, 120] {
         let mut board = listening_board();
         for _ in 0..3 * minutes {
-            board.node.handle_bus(BusEvent::Error);
+            board.see(BusEvent::Error);
             assert_eq!(board.pass_ms(20_000), SILENCE);
         }
         board.node.handle_bus(BusEvent::Received);

@@ -104,13 +104,17 @@ impl Board {
                 let outcome = if what == 0 { Err(StoreError::MediumAccess) } else { Ok(()) };
                 self.node.handle_stored(outcome);
             }
-            11 => self.node.handle_bus(BusEvent::Acknowledged),
-            12 => self.node.handle_bus(match what % 4 {
-                0 => BusEvent::Received,
-                1 => BusEvent::Error,
-                2 => BusEvent::ReceivesErrorsOnly,
-                _ => BusEvent::BusOff,
-            }),
+            11 => self.node.handle_bus(BusEvent::Acknowledged, self.now),
+            12 => {
+                let event = match what % 5 {
+                    0 => BusEvent::Received,
+                    1 => BusEvent::Error,
+                    2 => BusEvent::FormError,
+                    3 => BusEvent::ErrorPassive,
+                    _ => BusEvent::BusOff,
+                };
+                self.node.handle_bus(event, self.now);
+            }
             13 => self.node.handle_fault(match what % 3 {
                 0 => Fault::BusOffRecovered,
                 1 => Fault::Overrun,

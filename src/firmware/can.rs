@@ -4,7 +4,7 @@ use bxcan::{
     Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
 };
-use lss_slave::{BitRate, Frame, bit_rate::BitTiming, indicator::BusState};
+use lss_slave::{BitRate, BusEvent, Frame, bit_rate::BitTiming, indicator::BusState};
 use stm32f4xx_hal::{
     can::Can,
     gpio::alt::can1,
@@ -57,8 +57,9 @@ impl Controller {
         }
     }
 
-    /// Runs at `bit_rate` from now on; whatever waited in a mailbox is lost.
+    /// Runs at `bit_rate` from now on; whatever waited to be sent is lost.
     pub fn set_bit_rate(&mut self, bit_rate: BitRate) {
+        self.queue.clear();
         self.bit_rate = bit_rate;
         self.is_listening = false;
         self.start();
@@ -96,8 +97,7 @@ impl Controller {
         self.set_filters();
         can.ier().write(|w| {
             w.fmpie0().set_bit().tmeie().set_bit();
-            w.errie().set_bit().epvie().set_bit().bofie().set_bit();
-            w.lecie().bit(self.is_listening)
+            w.errie().set_bit().epvie().set_bit().bofie().set_bit().lecie().set_bit()
         });
         can.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
     }
@@ -127,17 +127,13 @@ impl Controller {
         filters.enable_bank(1, Fifo::Fifo1, everything);
     }
 
-    /// Whether any valid frame has been received that the node does not want, since the start or
-    /// [`forget_others`](Self::forget_others).
-    pub fn has_heard_others(&self) -> bool {
-        registers().rfr(1).read().fmp().bits() > 0
-    }
-
-    /// Forgets what [`has_heard_others`](Self::has_heard_others) knows.
-    pub fn forget_others(&mut self) {
-        for _ in 0..3 {
+    /// Whether any valid frame that the node does not want has been received since the last call.
+    pub fn has_heard_others(&mut self) -> bool {
+        let frames = registers().rfr(1).read().fmp().bits();
+        for _ in 0..frames {
             release(1);
         }
+        frames > 0
     }
 
     /// Whether the controller only listens.
@@ -211,17 +207,23 @@ impl Controller {
         self.may_transmit = true;
     }
 
-    /// Acknowledges a status interrupt; returns whether the last thing seen on the bus is an error. A missing acknowledge is
-    /// none: nobody may be there.
-    pub fn handle_status(&mut self) -> bool {
-        const NO_ERROR: u8 = 0;
-        const ACKNOWLEDGE: u8 = 3;
-        const NONE_YET: u8 = 7;
+    /// Acknowledges a status interrupt; returns the latest error (last error code, RM0090, 32.9.2), if the supervision of
+    /// the bit rate is concerned.
+    pub fn handle_status(&mut self) -> Option<BusEvent> {
+        const STUFF: u8 = 1;
+        const FORM: u8 = 2;
+        const BIT_RECESSIVE: u8 = 4;
+        const CRC: u8 = 6;
+        const SET_BY_SOFTWARE: u8 = 7;
         let last_error = registers().esr().read().lec().bits();
-        // SAFETY: 7 is the value that software sets, to see the next error (RM0090, 32.9.2).
-        registers().esr().write(|w| unsafe { w.lec().bits(NONE_YET) });
+        // SAFETY: the value that software sets, to see the next error.
+        registers().esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
         registers().msr().write(|w| w.erri().set_bit());
-        !matches!(last_error, NO_ERROR | ACKNOWLEDGE | NONE_YET)
+        match last_error {
+            STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
+            FORM => Some(BusEvent::FormError),
+            _ => None,
+        }
     }
 
     /// TEC and REC (RM0090, 32.7.6).
@@ -231,7 +233,7 @@ impl Controller {
     }
 
     /// Whether what is received has made the controller error passive.
-    pub fn receives_errors_only(&self) -> bool {
+    pub fn is_passive_by_reception(&self) -> bool {
         self.error_counters().1 > 127
     }
 

@@ -22,6 +22,7 @@ pub struct Slave {
     can: Controller,
     /// As last seen.
     bus_state: BusState,
+    was_passive: bool,
     indicators: Indicators,
     /// A store that has not begun; its outcome comes back by [`Slave::handle_stored`].
     store: Option<Settings>,
@@ -35,7 +36,7 @@ impl Slave {
             can.set_bit_rate(node.bit_rate());
         }
         let indicators = Indicators::default();
-        Self { node, can, bus_state: BusState::Good, indicators, store: None }
+        Self { node, can, bus_state: BusState::Good, was_passive: false, indicators, store: None }
     }
 
     /// Frames have been received.
@@ -52,7 +53,7 @@ impl Slave {
                         self.act(action);
                     }
                 }
-                Received::Other => self.node.handle_bus(BusEvent::Received),
+                Received::Other => self.node.handle_bus(BusEvent::Received, clock::now()),
                 Received::Overrun => {
                     defmt::warn!("CAN: overrun, a received frame is lost");
                     self.node.handle_fault(Fault::Overrun);
@@ -65,15 +66,21 @@ impl Slave {
     /// A frame has been sent or aborted.
     pub fn handle_transmitted(&mut self) {
         if self.can.handle_transmitted() {
-            self.node.handle_bus(BusEvent::Acknowledged);
+            self.node.handle_bus(BusEvent::Acknowledged, clock::now());
             self.act_until_nothing_is_due();
         }
     }
 
-    /// The controller's error state has changed, or it has heard something that is no frame.
+    /// The controller's error state has changed, or it has found an error on the bus.
     pub fn handle_status(&mut self) {
-        if self.can.handle_status() {
-            self.node.handle_bus(BusEvent::Error);
+        let error = self.can.handle_status();
+        let now = clock::now();
+        // Frames that came before the error count before it.
+        if !self.can.is_listening() && self.can.has_heard_others() {
+            self.node.handle_bus(BusEvent::Received, now);
+        }
+        if let Some(error) = error {
+            self.node.handle_bus(error, now);
         }
         if !self.can.is_listening() {
             self.watch_bus();
@@ -96,19 +103,19 @@ impl Slave {
             let (transmit, receive) = self.can.error_counters();
             defmt::info!("CAN: error counters: transmit {=u8}, receive {=u8}", transmit, receive);
         }
+        let is_passive = self.can.is_passive_by_reception();
+        let was_passive = mem::replace(&mut self.was_passive, is_passive);
         match (before == BusState::BusOff, state == BusState::BusOff) {
             (false, true) => {
                 defmt::error!("CAN: bus-off");
-                self.node.handle_bus(BusEvent::BusOff);
-                self.can.forget_others();
+                self.node.handle_bus(BusEvent::BusOff, clock::now());
             }
             (true, false) => {
                 defmt::info!("CAN: recovered from bus-off");
                 self.node.handle_fault(Fault::BusOffRecovered);
             }
-            _ if self.can.has_heard_others() => self.node.handle_bus(BusEvent::Received),
-            _ if self.can.receives_errors_only() => {
-                self.node.handle_bus(BusEvent::ReceivesErrorsOnly);
+            _ if is_passive && !was_passive => {
+                self.node.handle_bus(BusEvent::ErrorPassive, clock::now());
             }
             _ => {}
         }

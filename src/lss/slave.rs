@@ -6,7 +6,7 @@ use super::{
     Address, AddressPart, FastscanStep, IdentifyKey, Request,
     Response::{self, *},
 };
-use crate::{BitRateSetting, BitRates, Frame, NodeId};
+use crate::{BitRate, BitRateSetting, BitRates, Frame, NodeId};
 
 /// The LSS state, which is independent of the NMT state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +52,8 @@ pub struct Slave {
     active_node_id: Option<NodeId>,
     pending_bit_rate: BitRateSetting,
     active_bit_rate: BitRateSetting,
+    /// A master has configured the pending bit rate, and has not activated it.
+    is_bit_rate_configured: bool,
 }
 
 impl Slave {
@@ -77,6 +79,7 @@ impl Slave {
             active_node_id: node_id,
             pending_bit_rate: bit_rate,
             active_bit_rate: bit_rate,
+            is_bit_rate_configured: false,
         };
         slave.switch_to(State::Waiting);
         slave
@@ -122,6 +125,19 @@ impl Slave {
     /// The pending bit rate is active from now on.
     pub const fn activate_bit_rate(&mut self) {
         self.active_bit_rate = self.pending_bit_rate;
+        self.is_bit_rate_configured = false;
+    }
+
+    /// The node takes part in the bus at `rate`, which no master has commanded: it is active from now on, and pending too
+    /// unless a master has configured another one that is still to be activated. Automatic detection stays active.
+    pub const fn adopt_bit_rate(&mut self, rate: BitRate) {
+        if let BitRateSetting::Automatic = self.active_bit_rate {
+            return;
+        }
+        self.active_bit_rate = BitRateSetting::Fixed(rate);
+        if !self.is_bit_rate_configured {
+            self.pending_bit_rate = self.active_bit_rate;
+        }
     }
 
     /// From now on the LSS state is waiting and stays so, whatever is asked; or no longer.
@@ -165,6 +181,7 @@ impl Slave {
                     BitRateSetting::from_table(table, index).filter(|&r| self.bit_rates.offers(r));
                 if let Some(rate) = rate {
                     self.pending_bit_rate = rate;
+                    self.is_bit_rate_configured = true;
                 }
                 ConfigureBitTiming { accepted: rate.is_some() }
             }

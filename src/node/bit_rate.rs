@@ -1,13 +1,12 @@
-//! How the node comes to its bit rate: the switch with its two delays, listening, and the rescue.
+//! The switch of the bit rate with its two delays, and what the supervision of the bit rate asks of the node.
 
 use super::{Action, Due, Node};
 use crate::{
-    BitRate, BitRateSetting, Instant,
-    bus::{Bus, BusEvent, ERRORS_ON_TRIAL, Listening, Step},
-    nmt,
+    BitRateSetting, Instant, nmt,
+    supervision::{BusEvent, Step},
 };
 
-/// An activation of bit timing on its way (CiA 305, activate bit timing parameters).
+/// An activation of bit timing under way (CiA 305, activate bit timing parameters).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Switch {
     pub(super) phase: Phase,
@@ -25,36 +24,25 @@ pub(super) enum Phase {
 }
 
 impl Node {
-    /// Takes what the controller has seen of the bus. Telling it again does no harm.
-    pub fn handle_bus(&mut self, event: BusEvent) {
+    /// Takes what the controller has observed at `now`. The same event twice does no harm.
+    pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         self.is_boot_up_acknowledged |= event == BusEvent::Acknowledged;
-        self.due = Due::Now;
-        let is_to_listen = self.device.rescue && self.switch.is_none();
-        match (&mut self.bus, event) {
-            (Bus::OnTrial { .. }, BusEvent::Received | BusEvent::Acknowledged) => {
-                self.bus = Bus::Proven
-            }
-            (Bus::Proven, BusEvent::BusOff) => self.bus = Bus::ON_TRIAL,
-            (Bus::OnTrial { errors }, event) if is_to_listen => {
-                *errors += u8::from(event == BusEvent::Error);
-                if event != BusEvent::Error || *errors >= ERRORS_ON_TRIAL {
-                    let fastest = self.device.bit_rates.fastest();
-                    let first = self.previous_rate.take().unwrap_or(fastest);
-                    self.bus = Bus::Listening(Listening::begin(first, Some(self.rate)));
-                    // Nobody has heard the boot-up that is dropped now.
-                    if !self.is_boot_up_acknowledged && self.nmt == nmt::State::PreOperational {
-                        self.nmt = nmt::State::Initialisation;
-                    }
-                }
-            }
-            (Bus::Listening(listening), BusEvent::Received) => {
-                self.bus = Bus::Found(listening.rate())
-            }
-            (Bus::Listening(listening), BusEvent::Error) => {
-                listening.handle_error(self.device.bit_rates);
-            }
-            _ => {}
+        let is_proof = matches!(event, BusEvent::Received | BusEvent::Acknowledged);
+        // Within the silent periods of a switch errors are to be expected.
+        if is_proof || self.is_supervised() {
+            self.supervision.handle(event, now);
         }
+        self.due = Due::Now;
+    }
+
+    /// Whether the supervision may act: not within a switch, unless that has begun a detection.
+    pub(super) const fn is_supervised(&self) -> bool {
+        self.switch.is_none() || self.supervision.is_detecting()
+    }
+
+    /// Whether frames may leave, as far as the supervision is concerned.
+    pub(super) const fn may_send(&self) -> bool {
+        !self.supervision.is_listening() && !self.supervision.is_withholding()
     }
 
     /// Ends the phase of the switch that is over.
@@ -75,45 +63,36 @@ impl Node {
         let was_automatic = self.lss.active_bit_rate() == BitRateSetting::Automatic;
         self.lss.activate_bit_rate();
         match self.lss.active_bit_rate() {
-            BitRateSetting::Fixed(rate) if rate != self.rate => {
-                self.previous_rate = Some(self.rate);
-                self.bus = Bus::ON_TRIAL;
-                self.run_at(rate)
-            }
-            BitRateSetting::Automatic if !was_automatic => {
-                let first = self.device.bit_rates.fastest();
-                self.bus = Bus::Listening(Listening::begin(first, None));
-                self.listen(now)
-            }
-            _ => None,
+            BitRateSetting::Fixed(rate) => self.supervision.command(rate, until),
+            BitRateSetting::Automatic if !was_automatic => self.supervision.detect(),
+            BitRateSetting::Automatic => {}
         }
+        self.next_step(now)
     }
 
-    pub(super) fn listen(&mut self, now: Instant) -> Option<Action> {
-        match &mut self.bus {
-            Bus::OnTrial { .. } | Bus::Proven => None,
-            Bus::Found(rate) => {
-                let rate = *rate;
-                self.bus = Bus::Proven;
-                self.is_resume_due = self.switch.is_none();
-                self.run_at(rate)
-            }
-            Bus::Listening(listening) => match listening.step(self.device.bit_rates, now)? {
-                Step::Listen(rate) => {
-                    self.rate = rate;
-                    Some(Action::Listen(rate))
-                }
-                Step::TryAgain(rate) => {
-                    self.bus = Bus::ON_TRIAL;
-                    self.is_resume_due = self.switch.is_none();
-                    self.run_at(rate)
-                }
-            },
+    /// What the supervision of the bit rate asks for now.
+    pub(super) fn supervise(&mut self, now: Instant) -> Option<Action> {
+        if !self.is_supervised() {
+            return None;
         }
+        let action = self.next_step(now);
+        if let Some(rate) = self.supervision.take_change() {
+            self.lss.adopt_bit_rate(rate);
+        }
+        action
     }
 
-    fn run_at(&mut self, rate: BitRate) -> Option<Action> {
-        self.rate = rate;
-        Some(Action::SetBitRate(rate))
+    fn next_step(&mut self, now: Instant) -> Option<Action> {
+        let step = self.supervision.poll(now)?;
+        // Each step drops the frames that wait. Nobody has received a boot-up among them.
+        if !self.is_boot_up_acknowledged && self.nmt == nmt::State::PreOperational {
+            self.nmt = nmt::State::Initialisation;
+        }
+        self.is_resume_due = self.switch.is_none();
+        Some(match step {
+            Step::TakePart(rate) => Action::SetBitRate(rate),
+            Step::Listen(rate) => Action::Listen(rate),
+            Step::DropFrames => Action::StopTransmitting,
+        })
     }
 }

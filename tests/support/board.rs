@@ -145,13 +145,13 @@ impl Board {
         self.sent_since(before)
     }
 
-    /// The node-ID that the node says it has; `None` in LSS waiting state, where it does not say.
-    /// The controller reports an event.
+    /// The controller reports an event; returns what the node sends at once.
     pub fn see(&mut self, event: BusEvent) -> Frames {
-        self.node.handle_bus(event);
+        self.node.handle_bus(event, self.instant());
         self.pass_us(0)
     }
 
+    /// The node-ID that the node says it has; `None` in LSS waiting state, where it does not say.
     pub fn inquired_node_id(&mut self) -> Option<u8> {
         self.lss("5E").0.first().map(|answer| answer.data()[1])
     }
@@ -282,7 +282,7 @@ impl Board {
         match action {
             Action::Transmit(_) => {
                 assert!(self.may_transmit, "nothing is sent in a silent period");
-                self.node.handle_bus(BusEvent::Acknowledged);
+                self.node.handle_bus(BusEvent::Acknowledged, self.instant());
             }
             Action::SetNodeId(id) => self.receives_for = id,
             Action::StopTransmitting => self.may_transmit = false,

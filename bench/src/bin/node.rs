@@ -65,7 +65,7 @@ fn act(node: &mut Node, action: Action) {
         }
         Action::Store(_) => node.handle_stored(Ok(())),
         Action::SetBitRate(_) | Action::ResumeTransmitting => {
-            node.handle_bus(BusEvent::Acknowledged);
+            node.handle_bus(BusEvent::Acknowledged, Instant::from_micros(0));
         }
         _ => {}
     }

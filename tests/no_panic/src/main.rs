@@ -129,7 +129,7 @@ fn run_node() {
     }
     black_box(&mut *node).handle_stored(any(Err(StoreError::MediumAccess)));
     black_box(&mut *node).handle_fault(any(Fault::Overrun));
-    black_box(&mut *node).handle_bus(any(BusEvent::Error));
+    black_box(&mut *node).handle_bus(any(BusEvent::Error), any_instant());
     black_box(black_box(&mut *node).handle_deadline(any_instant()));
     let node = &*black_box(node);
     black_box(node.is_due(any_instant()));
