@@ -324,7 +324,12 @@ impl Node {
     }
 
     fn handle_nmt(&mut self, command: Command) {
-        if command.is_reset() || !self.command.is_some_and(Command::is_reset) {
+        let counts = match self.command {
+            Some(Command::ResetNode) => false,
+            Some(Command::ResetCommunication) => command.is_reset(),
+            _ => true,
+        };
+        if counts {
             self.command = Some(command);
             self.due = Due::Now;
         }

@@ -243,18 +243,25 @@ fn a_reset_in_a_switch_delay_wins_over_later_commands_that_are_none() {
 }
 
 #[test]
-fn of_two_resets_in_a_switch_delay_the_last_one_counts() {
-    for (first, last, done) in
-        [("81 00", "82 00", "20 ms node-ID 40"), ("82 00", "81 00", "20 ms reset")]
-    {
+fn of_two_resets_in_a_switch_delay_that_of_the_node_counts() {
+    let device = "20 ms reset";
+    let communication = "20 ms node-ID 40";
+    for (commands, done) in [
+        (&["81 00", "82 00"][..], device),
+        (&["82 00", "81 00"], device),
+        (&["82 40", "81 40", "82 00", "01 00"], device),
+        (&["82 00", "82 40", "80 00"], communication),
+    ] {
         let mut board = Board::with_node_id(0x40);
         board.lss("04 01");
         board.timeline();
         board.lss("15 0A 00");
-        board.nmt(first);
-        board.nmt(last);
+        for command in commands {
+            board.nmt(command);
+        }
         board.pass_ms(20);
-        assert_eq!(board.timeline(), ["0 ms stop", "20 ms resume", done, "20 ms 740: 00"]);
+        let timeline = board.timeline();
+        assert_eq!(timeline, ["0 ms stop", "20 ms resume", done, "20 ms 740: 00"], "{commands:?}");
     }
 }
 
