@@ -11,7 +11,7 @@ use crate::{
     bus::{Bus, BusEvent, Listening},
     emergency::{Emergency, Fault},
     lss::{self, Reaction, Slave},
-    nmt::{self, Command},
+    nmt::{self, Command, ErrorBehaviour},
     sdo,
 };
 use bit_rate::{Phase, Switch};
@@ -98,6 +98,7 @@ pub struct Node {
     heartbeat_due: Instant,
     /// The heartbeat time has been written, but not seen by a call that knows the time.
     heartbeat_is_new: bool,
+    error_behaviour: ErrorBehaviour,
     switch: Option<Switch>,
     /// An NMT command that is to be carried out, after a switch that is on its way.
     command: Option<Command>,
@@ -152,6 +153,7 @@ impl Node {
             heartbeat_ms: persistent.heartbeat_ms,
             heartbeat_due: Instant::from_micros(0),
             heartbeat_is_new: false,
+            error_behaviour: ErrorBehaviour::EnterPreOperational,
             switch: None,
             command: None,
             persistent,
@@ -218,15 +220,30 @@ impl Node {
         None
     }
 
-    /// Takes note of a trouble that the board has seen, and tells it by an emergency message.
+    /// Takes note of a fault that the board has seen: an emergency message reports it, and the history 1003h keeps it.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report(fault);
         self.due = Due::Now;
     }
 
-    /// Takes note of the controller's error counters, TEC and REC, for object 2000h.
-    pub const fn note_error_counters(&mut self, transmit: u8, receive: u8) {
+    /// Takes note of the controller's error counters, TEC and REC: for object 2000h, and to report when the controller is
+    /// error passive. To be called when it has become so and a few times a second; more often does no harm.
+    pub fn note_error_counters(&mut self, transmit: u8, receive: u8) {
+        /// The error warning limit (ISO 11898-1). One valid frame takes a receiver that is error passive to 119..=127 and the
+        /// next error back: that is no end.
+        const WARNING_LIMIT: u8 = 96;
+        const PASSIVE_LIMIT: u8 = 128;
         self.error_counters = (transmit, receive);
+        let is_passive = transmit.max(receive) >= PASSIVE_LIMIT;
+        if !self.emergency.has(Fault::ErrorPassive) {
+            // Whoever only listens takes no part in the bus.
+            if is_passive && !self.is_listening() {
+                self.handle_fault(Fault::ErrorPassive);
+            }
+        } else if !is_passive && receive < WARNING_LIMIT {
+            self.emergency.end(Fault::ErrorPassive);
+            self.due = Due::Now;
+        }
     }
 
     /// Whether [`handle_deadline`](Self::handle_deadline) may have something to do at `now`: a cheap question.
@@ -343,11 +360,26 @@ impl Node {
             Command::Stop => nmt::State::Stopped,
             Command::EnterPreOperational => nmt::State::PreOperational,
         };
+        self.enter(state);
+        None
+    }
+
+    fn enter(&mut self, state: nmt::State) {
         if self.nmt != nmt::State::Initialisation {
             self.nmt = state;
             self.lss.set_locked(self.device.lss_lock && state == nmt::State::Operational);
         }
-        None
+    }
+
+    /// Does what the error behaviour 1029h says of a communication error (CiA 301).
+    fn handle_communication_error(&mut self) {
+        match self.error_behaviour {
+            ErrorBehaviour::EnterPreOperational if self.nmt == nmt::State::Operational => {
+                self.enter(nmt::State::PreOperational);
+            }
+            ErrorBehaviour::EnterStopped => self.enter(nmt::State::Stopped),
+            ErrorBehaviour::EnterPreOperational | ErrorBehaviour::KeepState => {}
+        }
     }
 
     const fn serves_sdo(&self) -> bool {
@@ -367,6 +399,7 @@ impl Node {
     fn reset_communication(&mut self) -> Option<Action> {
         self.lss.reset_communication();
         self.heartbeat_ms = self.persistent.heartbeat_ms;
+        self.error_behaviour = ErrorBehaviour::EnterPreOperational;
         self.sdo.reset();
         self.forget_sdo_store();
         self.nmt = nmt::State::Initialisation;

@@ -72,6 +72,8 @@ impl Slave {
 
     /// The controller's error state has changed, or it has heard something that is no frame.
     pub fn handle_status(&mut self) {
+        let (transmit, receive) = self.can.error_counters();
+        self.node.note_error_counters(transmit, receive);
         if self.can.handle_status() {
             self.node.handle_bus(BusEvent::Error);
         }
@@ -84,8 +86,6 @@ impl Slave {
     /// Looks after the controller, a few times a second: no interrupt tells that it has recovered from bus-off.
     pub fn supervise(&mut self) {
         self.can.supervise();
-        let (transmit, receive) = self.can.error_counters();
-        self.node.note_error_counters(transmit, receive);
         self.handle_status();
     }
 

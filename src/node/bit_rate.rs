@@ -29,6 +29,9 @@ impl Node {
     pub fn handle_bus(&mut self, event: BusEvent) {
         self.is_boot_up_acknowledged |= event == BusEvent::Acknowledged;
         self.due = Due::Now;
+        if event == BusEvent::BusOff {
+            self.handle_communication_error();
+        }
         let is_to_listen = self.device.rescue && self.switch.is_none();
         match (&mut self.bus, event) {
             (Bus::OnTrial { .. }, BusEvent::Received | BusEvent::Acknowledged) => {
