@@ -44,7 +44,9 @@ pub struct Device {
 pub enum Action {
     /// Send this frame. Frames of equal COB-ID leave in the order of their actions.
     Transmit(Frame),
-    /// Receive what a node with this node-ID [`receives`](Node::receives).
+    /// Receive what a node with this node-ID [`receives`](Node::receives), and drop all frames that wait to be sent but those
+    /// of COB-ID 7E4h: they carry the COB-IDs of before. One that is on the bus now may go on; what the node sends next leaves
+    /// after it.
     SetNodeId(Option<NodeId>),
     /// Start no frame from now on and drop those that wait; go on receiving and acknowledging.
     StopTransmitting,

@@ -7,7 +7,7 @@ use lss_slave::{
     Action, BusEvent, Node, NodeId, Settings,
     emergency::Fault,
     indicator::{BusState, Indicators, Lit},
-    lss::{State, StoreError},
+    lss::{self, State, StoreError},
 };
 use stm32f4xx_hal::pac::Interrupt;
 
@@ -151,6 +151,7 @@ impl Slave {
             Action::Transmit(frame) => self.can.transmit(frame),
             Action::SetNodeId(id) => {
                 defmt::info!("node-ID {=u8} (255 is none)", NodeId::to_lss(id));
+                self.can.forget_all_but(lss::RESPONSE_COB_ID);
                 self.can.set_receives(self.node.receives());
             }
             Action::StopTransmitting => {
