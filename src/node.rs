@@ -113,6 +113,9 @@ pub struct Node {
     due: Due,
 }
 
+/// A controller with an error counter from here on is error passive (ISO 11898-1).
+const ERROR_PASSIVE_LIMIT: u8 = 128;
+
 /// When [`Node::handle_deadline`] has something to do.
 #[derive(Clone, Copy, Debug)]
 enum Due {
@@ -234,18 +237,15 @@ impl Node {
         /// The error warning limit (ISO 11898-1). One valid frame takes a receiver that is error passive to 119..=127 and the
         /// next error back: that is no end.
         const WARNING_LIMIT: u8 = 96;
-        const PASSIVE_LIMIT: u8 = 128;
         self.error_counters = (transmit, receive);
-        let is_passive = transmit.max(receive) >= PASSIVE_LIMIT;
-        if !self.emergency.has(Fault::ErrorPassive) {
-            // Whoever only listens takes no part in the bus.
-            if is_passive && !self.is_listening() {
-                self.handle_fault(Fault::ErrorPassive);
-            }
-        } else if !is_passive && receive < WARNING_LIMIT {
+        let is_passive = transmit >= ERROR_PASSIVE_LIMIT || receive >= ERROR_PASSIVE_LIMIT;
+        if !is_passive && receive < WARNING_LIMIT {
             self.emergency.end(Fault::ErrorPassive);
-            self.due = Due::Now;
+        } else if is_passive && !self.emergency.has(Fault::ErrorPassive) && !self.is_listening() {
+            // Whoever only listens takes no part in the bus.
+            self.emergency.report(Fault::ErrorPassive);
         }
+        self.due = Due::Now;
     }
 
     /// Whether [`handle_deadline`](Self::handle_deadline) may have something to do at `now`: a cheap question.
@@ -419,8 +419,10 @@ impl Node {
             self.heartbeat_due = now.plus_micros(period);
             return Some(Action::Transmit(error_control));
         }
-        // It would overtake a boot-up that waits for the bus.
+        // It would overtake a boot-up that waits for the bus; and where nothing but errors is heard it would disturb others
+        // who may run at another bit rate.
         if self.is_boot_up_acknowledged
+            && self.error_counters.1 < ERROR_PASSIVE_LIMIT
             && self.nmt != nmt::State::Stopped
             && let Some(emergency) = self.emergency.next(node)
         {

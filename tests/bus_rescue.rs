@@ -199,6 +199,7 @@ fn a_device_that_turns_rescue_off_stays_at_its_rate() {
 #[test]
 fn a_rescued_node_is_as_it_was_and_serves_lss_and_nmt_at_the_rate_of_the_bus() {
     let mut board = new_board(true, Settings { heartbeat_ms: 1000, ..defaults(0x40) });
+    board.download(0x1029, 1, &[1]).unwrap(); // Bus-off leaves the NMT state alone.
     board.nmt("01 00");
     board.lss("04 01");
     board.see(BusEvent::BusOff);

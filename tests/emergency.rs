@@ -161,12 +161,12 @@ fn count(board: &mut Board, transmit: u8, receive: u8) -> Frames {
 
 #[test]
 fn error_passive_is_8120_and_its_end_is_no_error() {
-    for (transmit, receive) in [(128, 0), (0, 128), (255, 255)] {
+    for transmit in [128, 255] {
         let mut board = Board::with_node_id(0x40);
         assert_eq!(count(&mut board, 127, 127), SILENCE, "error active");
-        assert_eq!(count(&mut board, transmit, receive), [ERROR_PASSIVE]);
+        assert_eq!(count(&mut board, transmit, 0), [ERROR_PASSIVE]);
         assert_eq!(board.number(0x1001, 0), 0x11);
-        assert_eq!(count(&mut board, transmit, receive), SILENCE, "once");
+        assert_eq!(count(&mut board, transmit, 127), SILENCE, "once");
         assert_eq!(count(&mut board, 127, 95), [NO_ERROR]);
         assert_eq!(board.number(0x1001, 0), 0);
         assert_eq!(count(&mut board, 0, 0), SILENCE, "no error is said once");
@@ -176,12 +176,25 @@ fn error_passive_is_8120_and_its_end_is_no_error() {
 #[test]
 fn a_receiver_that_hears_errors_and_frames_in_turn_reports_error_passive_once() {
     let mut board = Board::with_node_id(0x40);
-    assert_eq!(count(&mut board, 0, 135), [ERROR_PASSIVE]);
+    assert_eq!(count(&mut board, 0, 135), SILENCE);
+    assert_eq!(count(&mut board, 0, 127), [ERROR_PASSIVE]);
     for _ in 0..1_000 {
-        assert_eq!(count(&mut board, 0, 119), SILENCE);
         assert_eq!(count(&mut board, 0, 128), SILENCE);
+        assert_eq!(count(&mut board, 0, 119), SILENCE);
     }
     assert_eq!(board.number(0x1003, 0), 1);
+    assert_eq!(count(&mut board, 0, 95), [NO_ERROR]);
+}
+
+#[test]
+fn emergencies_wait_while_nothing_but_errors_is_heard() {
+    let mut board = Board::with_heartbeat(0x40, 1_000);
+    for receive in [128, 135, 255] {
+        assert_eq!(count(&mut board, 0, receive), SILENCE);
+        assert_eq!(report(&mut board, Fault::Overrun), SILENCE);
+        assert_eq!(board.pass_ms(1_000), ["740: 7F"]);
+    }
+    assert_eq!(count(&mut board, 0, 119), [ERROR_PASSIVE, "0C0: 10 81 11 00 00 00 00 00"]);
     assert_eq!(count(&mut board, 0, 95), [NO_ERROR]);
 }
 
