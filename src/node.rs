@@ -69,7 +69,8 @@ pub enum Action {
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
 /// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with what else the controller tells;
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
-/// - [`handle_fault`](Self::handle_fault) with a trouble of the board;
+/// - [`handle_fault`](Self::handle_fault) with a fault of the board, [`note_error_counters`](Self::note_error_counters)
+///   with those of the controller;
 /// - [`handle_deadline`](Self::handle_deadline) first of all, after each of the others, and when the
 ///   [`next_deadline`](Self::next_deadline) has come: again and again until it returns `None`. A deadline that has come
 ///   goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether there is any need.
