@@ -1,65 +1,146 @@
-//! Emergency messages (CiA 301, 7.2.7): what the node tells of its own troubles.
+//! Emergency messages (CiA 301, 7.2.7): the faults that the node reports, and its error history 1003h.
 
-use crate::{Frame, NodeId};
+use core::mem;
+
+use crate::{BitRate, Frame, NodeId};
 
 /// The COB-ID of emergency messages is this plus the node-ID.
 pub const COB_ID: u16 = 0x080;
 
-/// A trouble that the board has seen.
+/// How many errors the history 1003h keeps.
+pub const HISTORY_LEN: u8 = 8;
+
+/// A fault that an emergency message reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
 pub enum Fault {
+    /// 6310h: the stored settings were damaged and the defaults are in use. Lasts until something is stored.
+    SettingsLost,
+    /// 8120h: the controller is error passive (ISO 11898-1). The node sees it by itself, and its end, in what
+    /// [`Node::note_error_counters`](crate::Node::note_error_counters) is given.
+    ErrorPassive,
     /// 8140h: the controller was bus-off and takes part in the bus again.
-    BusOffRecovered = 1 << 0,
+    BusOffRecovered,
     /// 8110h: the controller received frames faster than they were taken.
-    Overrun = 1 << 1,
-    /// 6310h: the stored settings were damaged and the defaults are in use, until something is stored.
-    SettingsLost = 1 << 2,
+    Overrun,
+    /// FF10h: the node takes part in the bus at another bit rate than its home rate. Bytes 3..=6 of the message, and of the
+    /// one that reports the end, are the two rates in kbit/s, 16 bits each, little endian. The node sees both by itself.
+    AwayFromHomeRate {
+        /// The bit rate at which the controller runs.
+        in_use: BitRate,
+        /// The one that was last commanded.
+        home: BitRate,
+    },
 }
 
-/// What is still to be told, and what is still wrong.
+// Each fault is a bit; messages that wait together leave in this order.
+const SETTINGS_LOST: u8 = 1 << 0;
+const ERROR_PASSIVE: u8 = 1 << 1;
+const BUS_OFF_RECOVERED: u8 = 1 << 2;
+const OVERRUN: u8 = 1 << 3;
+const AWAY_FROM_HOME_RATE: u8 = 1 << 4;
+
+/// Those that are there until their end is reported; the others are over by the time they are known.
+const LASTING: u8 = SETTINGS_LOST | ERROR_PASSIVE | AWAY_FROM_HOME_RATE;
+
+const fn error_code(fault: u8) -> u16 {
+    match fault {
+        SETTINGS_LOST => 0x6310,
+        ERROR_PASSIVE => 0x8120,
+        BUS_OFF_RECOVERED => 0x8140,
+        OVERRUN => 0x8110,
+        _ => 0xFF10,
+    }
+}
+
+/// The error register 1001h while there are these faults.
+const fn error_register(faults: u8) -> u8 {
+    const GENERIC: u8 = 1 << 0;
+    const COMMUNICATION: u8 = 1 << 4;
+    match faults {
+        0 => 0,
+        SETTINGS_LOST => GENERIC,
+        _ => GENERIC | COMMUNICATION,
+    }
+}
+
+impl Fault {
+    const fn bit(self) -> u8 {
+        match self {
+            Self::SettingsLost => SETTINGS_LOST,
+            Self::ErrorPassive => ERROR_PASSIVE,
+            Self::BusOffRecovered => BUS_OFF_RECOVERED,
+            Self::Overrun => OVERRUN,
+            Self::AwayFromHomeRate { .. } => AWAY_FROM_HOME_RATE,
+        }
+    }
+}
+
+/// What is still to be sent, what is still wrong, and what has been.
 #[derive(Clone, Debug)]
 pub(crate) struct Emergency {
-    untold: u8,
-    are_settings_lost: bool,
+    /// Faults whose message has not been sent.
+    unsent: u8,
+    /// A fault is over since the last message with error code 0.
+    is_end_unsent: bool,
+    lasting: u8,
+    /// Bytes 3..=6 of the message of [`Fault::AwayFromHomeRate`] and of the one of its end, in kbit/s: in use, and above it
+    /// home.
+    rates: u32,
+    /// 1003h, the newest first; 0 is none.
+    history: [u32; HISTORY_LEN as usize],
     bus_offs: u16,
     overruns: u16,
 }
 
-/// Not a fault but the end of all: error code 0.
-const ALL_IS_WELL: u8 = 1 << 3;
-
-/// Error register 1001h: bit 0 any error, bit 4 communication error.
-const GENERIC: u8 = 0x01;
-const COMMUNICATION: u8 = 0x10;
-
-/// What is told first comes first: the bit of `untold`, the error code, the error register.
-const MESSAGES: &[(u8, u16, u8)] = &[
-    (Fault::SettingsLost as u8, 0x6310, GENERIC),
-    (Fault::BusOffRecovered as u8, 0x8140, GENERIC | COMMUNICATION),
-    (Fault::Overrun as u8, 0x8110, GENERIC | COMMUNICATION),
-    (ALL_IS_WELL, 0x0000, 0),
-];
-
 impl Emergency {
     pub const fn new() -> Self {
-        Self { untold: 0, are_settings_lost: false, bus_offs: 0, overruns: 0 }
+        Self {
+            unsent: 0,
+            is_end_unsent: false,
+            lasting: 0,
+            rates: 0,
+            history: [0; HISTORY_LEN as usize],
+            bus_offs: 0,
+            overruns: 0,
+        }
     }
 
-    pub const fn report(&mut self, fault: Fault) {
-        self.untold |= fault as u8;
-        // All but lost settings is over by the time it is known.
+    #[inline(never)] // It has several callers.
+    pub fn report(&mut self, fault: Fault) {
+        let mut information = 0;
         match fault {
-            Fault::SettingsLost => self.are_settings_lost = true,
-            Fault::BusOffRecovered => {
-                self.untold |= ALL_IS_WELL;
-                self.bus_offs = self.bus_offs.saturating_add(1);
+            Fault::BusOffRecovered => self.bus_offs = self.bus_offs.saturating_add(1),
+            Fault::Overrun => self.overruns = self.overruns.saturating_add(1),
+            Fault::AwayFromHomeRate { in_use, home } => {
+                information = in_use.kbit_per_s().into();
+                self.rates = information | u32::from(home.kbit_per_s()) << 16;
             }
-            Fault::Overrun => {
-                self.untold |= ALL_IS_WELL;
-                self.overruns = self.overruns.saturating_add(1);
-            }
+            Fault::SettingsLost | Fault::ErrorPassive => {}
         }
+        let bit = fault.bit();
+        if bit & LASTING != 0 {
+            self.lasting |= bit;
+        } else {
+            self.is_end_unsent = true;
+        }
+        // One entry for one message.
+        if self.unsent & bit == 0 {
+            self.unsent |= bit;
+            self.enter(u32::from(error_code(bit)) | information << 16);
+        }
+    }
+
+    /// A fault that lasted is over; nothing if it is not there.
+    pub const fn end(&mut self, fault: Fault) {
+        let bit = fault.bit();
+        if self.lasting & bit != 0 {
+            self.lasting &= !bit;
+            self.is_end_unsent = true;
+        }
+    }
+
+    pub const fn has(&self, fault: Fault) -> bool {
+        self.lasting & fault.bit() != 0
     }
 
     /// How often [`Fault::BusOffRecovered`] was reported.
@@ -72,28 +153,52 @@ impl Emergency {
         self.overruns
     }
 
-    pub const fn settings_are_stored(&mut self) {
-        if self.are_settings_lost {
-            self.are_settings_lost = false;
-            self.untold |= ALL_IS_WELL;
-        }
-    }
-
     /// The error register 1001h.
     pub const fn error_register(&self) -> u8 {
-        if self.are_settings_lost { GENERIC } else { 0 }
+        error_register(self.lasting)
     }
 
-    /// The next message, if there is anything to tell.
-    pub fn next(&mut self, node: NodeId) -> Option<Frame> {
-        let lasting = self.error_register();
-        let (bit, code, register) = *MESSAGES.iter().find(|(bit, ..)| self.untold & bit != 0)?;
-        self.untold &= !bit;
-        if bit == ALL_IS_WELL && lasting != 0 {
-            return None;
+    /// Sub-index 1..=8 of the history 1003h: the error code, and in the upper half the bit rate in use in kbit/s if the
+    /// error is [`Fault::AwayFromHomeRate`].
+    pub fn error(&self, sub_index: u8) -> Option<u32> {
+        let error = self.history.get(usize::from(sub_index.checked_sub(1)?))?;
+        (*error != 0).then_some(*error)
+    }
+
+    /// Sub-index 0 of the history 1003h.
+    pub fn number_of_errors(&self) -> u8 {
+        let first_place_free = self.history.iter().position(|error| *error == 0);
+        first_place_free.map_or(HISTORY_LEN, |number| number as u8)
+    }
+
+    pub const fn clear_history(&mut self) {
+        self.history = [0; HISTORY_LEN as usize];
+    }
+
+    fn enter(&mut self, error: u32) {
+        let mut newer = error;
+        for place in &mut self.history {
+            newer = mem::replace(place, newer);
         }
-        let [low, high] = code.to_le_bytes();
-        let data = [low, high, register | lasting, 0, 0, 0, 0, 0];
-        Some(Frame::with_eight_bytes(COB_ID + u16::from(node.get()), data))
+    }
+
+    /// The next message, if there is any to send.
+    ///
+    /// Error code 0 comes when nothing is wrong any more: there are masters that take it for the end of all faults, though
+    /// CiA 301 allows it at the end of each.
+    pub fn next(&mut self, node: NodeId) -> Option<Frame> {
+        let fault = self.unsent & self.unsent.wrapping_neg();
+        self.unsent &= !fault;
+        let (error_code, rates) = match fault {
+            0 if mem::take(&mut self.is_end_unsent) && self.lasting == 0 => {
+                (0, mem::take(&mut self.rates))
+            }
+            0 => return None,
+            AWAY_FROM_HOME_RATE => (error_code(fault), self.rates),
+            _ => (error_code(fault), 0),
+        };
+        let register = error_register(fault | self.lasting);
+        let data = u64::from(error_code) | u64::from(register) << 16 | u64::from(rates) << 24;
+        Some(Frame::with_eight_bytes(COB_ID + u16::from(node.get()), data.to_le_bytes()))
     }
 }

@@ -61,6 +61,27 @@ impl Command {
     }
 }
 
+/// What a communication error does to the NMT state: 1029h sub-index 1 (CiA 301).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(crate) enum ErrorBehaviour {
+    /// Only from operational.
+    EnterPreOperational = 0,
+    KeepState = 1,
+    EnterStopped = 2,
+}
+
+impl ErrorBehaviour {
+    pub const fn new(value: u8) -> Option<Self> {
+        match value {
+            0 => Some(Self::EnterPreOperational),
+            1 => Some(Self::KeepState),
+            2 => Some(Self::EnterStopped),
+            _ => None,
+        }
+    }
+}
+
 /// The frame that tells the state of `node`: a heartbeat, or in [`State::Initialisation`] the boot-up.
 pub(crate) const fn error_control(node: NodeId, state: State) -> Frame {
     Frame::with_one_byte(ERROR_CONTROL_COB_ID + node.get() as u16, state as u8)

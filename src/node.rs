@@ -10,7 +10,7 @@ use crate::{
     BitRate, BitRateSetting, BitRates, Frame, Instant, NodeId, Settings,
     emergency::{Emergency, Fault},
     lss::{self, Reaction, Slave},
-    nmt::{self, Command},
+    nmt::{self, Command, ErrorBehaviour},
     sdo,
     supervision::{BusEvent, Supervision},
 };
@@ -44,7 +44,9 @@ pub struct Device {
 pub enum Action {
     /// Send this frame. Frames of equal COB-ID leave in the order of their actions.
     Transmit(Frame),
-    /// Receive what a node with this node-ID [`receives`](Node::receives).
+    /// Receive what a node with this node-ID [`receives`](Node::receives), and drop all frames that wait to be sent but those
+    /// of COB-ID 7E4h: they carry the COB-IDs of before. One that is on the bus now may go on; what the node sends next leaves
+    /// after it.
     SetNodeId(Option<NodeId>),
     /// Start no frame from now on and drop those that wait; go on receiving and acknowledging.
     StopTransmitting,
@@ -68,7 +70,8 @@ pub enum Action {
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
 /// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with what else the controller tells;
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
-/// - [`handle_fault`](Self::handle_fault) with a trouble of the board;
+/// - [`handle_fault`](Self::handle_fault) with a fault of the board, [`note_error_counters`](Self::note_error_counters)
+///   with those of the controller;
 /// - [`handle_deadline`](Self::handle_deadline) first of all, after each of the others, and when the
 ///   [`next_deadline`](Self::next_deadline) has come: again and again until it returns `None`. A deadline that has come
 ///   goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether there is any need.
@@ -95,6 +98,7 @@ pub struct Node {
     heartbeat_due: Instant,
     /// The heartbeat time has been written, but not seen by a call that knows the time.
     heartbeat_is_new: bool,
+    error_behaviour: ErrorBehaviour,
     switch: Option<Switch>,
     /// An NMT command that is to be carried out, after a switch that is on its way.
     command: Option<Command>,
@@ -106,6 +110,9 @@ pub struct Node {
     sdo_store: Option<(u16, u8, u16)>,
     due: Due,
 }
+
+/// A controller with an error counter from here on is error passive (ISO 11898-1).
+const ERROR_PASSIVE_LIMIT: u8 = 128;
 
 /// When [`Node::handle_deadline`] has something to do.
 #[derive(Clone, Copy, Debug)]
@@ -140,6 +147,7 @@ impl Node {
             heartbeat_ms: persistent.heartbeat_ms,
             heartbeat_due: Instant::from_micros(0),
             heartbeat_is_new: false,
+            error_behaviour: ErrorBehaviour::EnterPreOperational,
             switch: None,
             command: None,
             persistent,
@@ -208,15 +216,27 @@ impl Node {
         None
     }
 
-    /// Takes note of a trouble that the board has seen, and tells it by an emergency message.
+    /// Takes note of a fault that the board has seen: an emergency message reports it, and the history 1003h keeps it.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report(fault);
         self.due = Due::Now;
     }
 
-    /// Takes note of the controller's error counters, TEC and REC, for object 2000h.
-    pub const fn note_error_counters(&mut self, transmit: u8, receive: u8) {
+    /// Takes note of the controller's error counters, TEC and REC: for object 2000h, and to report when the controller is
+    /// error passive. To be called when it has become so and a few times a second; more often does no harm.
+    pub fn note_error_counters(&mut self, transmit: u8, receive: u8) {
+        /// The error warning limit (ISO 11898-1). One valid frame takes a receiver that is error passive to 119..=127 and the
+        /// next error back: that is no end.
+        const WARNING_LIMIT: u8 = 96;
         self.error_counters = (transmit, receive);
+        let is_passive = transmit >= ERROR_PASSIVE_LIMIT || receive >= ERROR_PASSIVE_LIMIT;
+        if !is_passive && receive < WARNING_LIMIT {
+            self.emergency.end(Fault::ErrorPassive);
+        } else if is_passive && !self.emergency.has(Fault::ErrorPassive) && !self.is_listening() {
+            // Whoever only listens takes no part in the bus.
+            self.emergency.report(Fault::ErrorPassive);
+        }
+        self.due = Due::Now;
     }
 
     /// Whether [`handle_deadline`](Self::handle_deadline) may have something to do at `now`: a cheap question.
@@ -319,7 +339,12 @@ impl Node {
     }
 
     fn handle_nmt(&mut self, command: Command) {
-        if command.is_reset() || !self.command.is_some_and(Command::is_reset) {
+        let counts = match self.command {
+            Some(Command::ResetNode) => false,
+            Some(Command::ResetCommunication) => command.is_reset(),
+            _ => true,
+        };
+        if counts {
             self.command = Some(command);
             self.due = Due::Now;
         }
@@ -333,11 +358,26 @@ impl Node {
             Command::Stop => nmt::State::Stopped,
             Command::EnterPreOperational => nmt::State::PreOperational,
         };
+        self.enter(state);
+        None
+    }
+
+    fn enter(&mut self, state: nmt::State) {
         if self.nmt != nmt::State::Initialisation {
             self.nmt = state;
             self.lss.set_locked(self.device.lss_lock && state == nmt::State::Operational);
         }
-        None
+    }
+
+    /// Does what the error behaviour 1029h says of a communication error (CiA 301).
+    fn handle_communication_error(&mut self) {
+        match self.error_behaviour {
+            ErrorBehaviour::EnterPreOperational if self.nmt == nmt::State::Operational => {
+                self.enter(nmt::State::PreOperational);
+            }
+            ErrorBehaviour::EnterStopped => self.enter(nmt::State::Stopped),
+            ErrorBehaviour::EnterPreOperational | ErrorBehaviour::KeepState => {}
+        }
     }
 
     const fn serves_sdo(&self) -> bool {
@@ -357,6 +397,7 @@ impl Node {
     fn reset_communication(&mut self) -> Option<Action> {
         self.lss.reset_communication();
         self.heartbeat_ms = self.persistent.heartbeat_ms;
+        self.error_behaviour = ErrorBehaviour::EnterPreOperational;
         self.sdo.reset();
         self.forget_sdo_store();
         self.nmt = nmt::State::Initialisation;
@@ -374,8 +415,10 @@ impl Node {
             self.heartbeat_due = now.plus_micros(period);
             return Some(Action::Transmit(error_control));
         }
-        // It would overtake a boot-up that waits for the bus.
+        // It would overtake a boot-up that waits for the bus; and where nothing but errors is heard it would disturb others
+        // who may run at another bit rate.
         if self.is_boot_up_acknowledged
+            && self.error_counters.1 < ERROR_PASSIVE_LIMIT
             && self.nmt != nmt::State::Stopped
             && let Some(emergency) = self.emergency.next(node)
         {

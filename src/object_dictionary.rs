@@ -9,6 +9,9 @@
 pub enum Object {
     DeviceType,
     ErrorRegister,
+    NumberOfErrors,
+    /// The error history's entry at this sub-index: 1 is the newest.
+    ErrorField(u8),
     DeviceName,
     HardwareVersion,
     SoftwareVersion,
@@ -16,6 +19,8 @@ pub enum Object {
     RestoreDefaultParameters,
     CobIdEmergency,
     ProducerHeartbeatTime,
+    /// What a communication error does to the NMT state.
+    CommunicationErrorBehaviour,
     VendorId,
     ProductCode,
     RevisionNumber,
@@ -28,6 +33,12 @@ pub enum Object {
     TransmitErrorCounter,
     /// REC of the controller (ISO 11898-1).
     ReceiveErrorCounter,
+    /// The bit rate in kbit/s that was last commanded: stored at power-on, or activated since. 0 while it is detected.
+    HomeBitRate,
+    /// The bit rate in use, in kbit/s.
+    BitRateInUse,
+    /// How often the node has found another bit rate to take part at since the start.
+    Rescues,
     /// Sub-index 0 of an object with this many further ones.
     HighestSubIndex(u8),
 }
@@ -83,6 +94,15 @@ pub const TABLE: &[Entry] = &{
     [
         row(0x1000, 0, Unsigned32, Const, DeviceType),
         row(0x1001, 0, Unsigned8, ReadOnly, ErrorRegister),
+        row(0x1003, 0, Unsigned8, ReadWrite, NumberOfErrors),
+        row(0x1003, 1, Unsigned32, ReadOnly, ErrorField(1)),
+        row(0x1003, 2, Unsigned32, ReadOnly, ErrorField(2)),
+        row(0x1003, 3, Unsigned32, ReadOnly, ErrorField(3)),
+        row(0x1003, 4, Unsigned32, ReadOnly, ErrorField(4)),
+        row(0x1003, 5, Unsigned32, ReadOnly, ErrorField(5)),
+        row(0x1003, 6, Unsigned32, ReadOnly, ErrorField(6)),
+        row(0x1003, 7, Unsigned32, ReadOnly, ErrorField(7)),
+        row(0x1003, 8, Unsigned32, ReadOnly, ErrorField(8)),
         row(0x1008, 0, VisibleString, Const, DeviceName),
         row(0x1009, 0, VisibleString, Const, HardwareVersion),
         row(0x100A, 0, VisibleString, Const, SoftwareVersion),
@@ -97,11 +117,16 @@ pub const TABLE: &[Entry] = &{
         row(0x1018, 2, Unsigned32, Const, ProductCode),
         row(0x1018, 3, Unsigned32, Const, RevisionNumber),
         row(0x1018, 4, Unsigned32, Const, SerialNumber),
-        row(0x2000, 0, Unsigned8, Const, HighestSubIndex(4)),
+        row(0x1029, 0, Unsigned8, Const, HighestSubIndex(1)),
+        row(0x1029, 1, Unsigned8, ReadWrite, CommunicationErrorBehaviour),
+        row(0x2000, 0, Unsigned8, Const, HighestSubIndex(7)),
         row(0x2000, 1, Unsigned16, ReadOnly, BusOffs),
         row(0x2000, 2, Unsigned16, ReadOnly, Overruns),
         row(0x2000, 3, Unsigned8, ReadOnly, TransmitErrorCounter),
         row(0x2000, 4, Unsigned8, ReadOnly, ReceiveErrorCounter),
+        row(0x2000, 5, Unsigned16, ReadOnly, HomeBitRate),
+        row(0x2000, 6, Unsigned16, ReadOnly, BitRateInUse),
+        row(0x2000, 7, Unsigned16, ReadOnly, Rescues),
     ]
 };
 

@@ -27,10 +27,14 @@ pub enum Abort {
     TooShort = 0x0607_0013,
     /// The object exists, the sub-index does not.
     NoSubIndex = 0x0609_0011,
+    /// A value that the object cannot have.
+    InvalidValue = 0x0609_0030,
     /// Neither "save" nor "load" where it must be.
     NotStored = 0x0800_0020,
     /// A store is on its way already.
     Busy = 0x0800_0021,
+    /// The object is there, but holds nothing now.
+    NoData = 0x0800_0024,
 }
 
 /// The value of an object.
@@ -51,7 +55,7 @@ pub(crate) enum Written {
 /// What the server reads and writes, and that the server belongs to.
 pub(crate) trait Objects {
     fn server(&mut self) -> &mut Server;
-    fn read(&self, object: Object) -> Value;
+    fn read(&self, object: Object) -> Result<Value, Abort>;
     /// Of `value` the bytes that the entry has count.
     fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort>;
 }
@@ -108,7 +112,7 @@ pub(crate) fn handle(request: [u8; 8], objects: &mut impl Objects) -> Option<[u8
 
 fn begin_upload(index: u16, sub_index: u8, objects: &mut impl Objects) -> Result<[u8; 8], Abort> {
     let entry = object_dictionary::find(index, sub_index)?;
-    match objects.read(entry.object) {
+    match objects.read(entry.object)? {
         Value::Number(number) => {
             let unused = 4 - entry.data_type.size();
             Ok(message(0x43 | unused << 2, index, sub_index, number))

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use lss_slave::{
     BitRate, BitRates, Device, Settings,
     lss::Address,
-    object_dictionary::{Access, DataType, Entry, TABLE},
+    object_dictionary::{Access, DataType, Entry, Object, TABLE},
 };
 use support::{
     board::{Board, defaults},
@@ -194,8 +194,8 @@ fn each_default_value_is_what_a_new_device_answers_by_sdo() {
     for entry in TABLE {
         let name = section_of(entry);
         let Some(default) = sections[name.as_str()].get("DefaultValue") else {
-            let is_a_counter = entry.index == 0x2000 && entry.sub_index > 0;
-            assert!(name == "1018sub4" || is_a_counter, "[{name}] has no default");
+            let is_of_the_past = [0x1003, 0x2000].contains(&entry.index) && entry.sub_index > 0;
+            assert!(name == "1018sub4" || is_of_the_past, "[{name}] has no default");
             continue;
         };
         let value = board.upload(entry.index, entry.sub_index).unwrap();
@@ -210,6 +210,21 @@ fn each_default_value_is_what_a_new_device_answers_by_sdo() {
         };
         let value = board.number(entry.index, entry.sub_index);
         assert_eq!(value, expected, "device.rs, then eds/lss-slave.eds [{name}] DefaultValue");
+    }
+}
+
+#[test]
+fn a_tool_that_writes_a_configuration_leaves_out_what_a_write_sets_off() {
+    const REFUSE_WRITE_ON_DOWNLOAD: &str = "1";
+    let sections = sections();
+    for entry in TABLE {
+        let name = section_of(entry);
+        let acts = matches!(
+            entry.object,
+            Object::StoreParameters | Object::RestoreDefaultParameters | Object::NumberOfErrors
+        );
+        let flags = sections[name.as_str()].get("ObjFlags").copied();
+        assert_eq!(flags, acts.then_some(REFUSE_WRITE_ON_DOWNLOAD), "[{name}]");
     }
 }
 

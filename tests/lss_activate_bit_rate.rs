@@ -185,11 +185,9 @@ fn nmt_commands_of_the_silent_periods_are_carried_out_at_their_end_and_the_last_
 
 #[test]
 fn a_reset_of_the_silent_periods_wins_whatever_comes_after_or_before() {
-    for (commands, last) in [
-        (["82 00", "01 00"], "200 ms 740: 00"),
-        (["01 00", "82 00"], "200 ms 740: 00"),
-        (["81 00", "82 00"], "200 ms 740: 00"),
-    ] {
+    for (commands, last) in
+        [(["82 00", "01 00"], "200 ms 740: 00"), (["01 00", "82 00"], "200 ms 740: 00")]
+    {
         let mut board = ready_to_switch(0);
         board.lss("15 64 00");
         for command in commands {
@@ -203,7 +201,8 @@ fn a_reset_of_the_silent_periods_wins_whatever_comes_after_or_before() {
         assert_eq!(board.node.nmt_state(), State::PreOperational);
         assert!(!board.is_in_configuration_state());
     }
-    for commands in [["81 00", "01 00"], ["02 00", "81 00"], ["82 00", "81 00"]] {
+    for commands in [["81 00", "01 00"], ["02 00", "81 00"], ["82 00", "81 00"], ["81 00", "82 00"]]
+    {
         let mut board = ready_to_switch(0);
         board.lss("15 64 00");
         for command in commands {

@@ -243,18 +243,25 @@ fn a_reset_in_a_switch_delay_wins_over_later_commands_that_are_none() {
 }
 
 #[test]
-fn of_two_resets_in_a_switch_delay_the_last_one_counts() {
-    for (first, last, done) in
-        [("81 00", "82 00", "20 ms node-ID 40"), ("82 00", "81 00", "20 ms reset")]
-    {
+fn of_two_resets_in_a_switch_delay_that_of_the_node_counts() {
+    let device = "20 ms reset";
+    let communication = "20 ms node-ID 40";
+    for (commands, done) in [
+        (&["81 00", "82 00"][..], device),
+        (&["82 00", "81 00"], device),
+        (&["82 40", "81 40", "82 00", "01 00"], device),
+        (&["82 00", "82 40", "80 00"], communication),
+    ] {
         let mut board = Board::with_node_id(0x40);
         board.lss("04 01");
         board.timeline();
         board.lss("15 0A 00");
-        board.nmt(first);
-        board.nmt(last);
+        for command in commands {
+            board.nmt(command);
+        }
         board.pass_ms(20);
-        assert_eq!(board.timeline(), ["0 ms stop", "20 ms resume", done, "20 ms 740: 00"]);
+        let timeline = board.timeline();
+        assert_eq!(timeline, ["0 ms stop", "20 ms resume", done, "20 ms 740: 00"], "{commands:?}");
     }
 }
 
@@ -266,6 +273,64 @@ fn after_a_boot_up_the_emergency_comes_before_the_heartbeat() {
     let reset = Frame::new(0x000, &[0x82, 0]).unwrap();
     assert_eq!(board.receive(&reset), ["740: 00", "0C0: 10 63 01 00 00 00 00 00"]);
     assert_eq!(board.pass_ms(1), ["740: 7F"]);
+}
+
+/// The NMT state after a bus-off, with this error behaviour; `None`: the default.
+fn after_bus_off(command: &str, error_behaviour: Option<u8>) -> State {
+    let mut board = Board::with_heartbeat(0x40, 100);
+    if let Some(value) = error_behaviour {
+        board.download(0x1029, 1, &[value]).unwrap();
+    }
+    board.nmt(command);
+    assert_eq!(board.see(BusEvent::BusOff), SILENCE);
+    let state = board.node.nmt_state();
+    let (.., heartbeat) = STATES.into_iter().find(|(_, is, _)| *is == state).unwrap();
+    assert_eq!(board.pass_ms(100), [heartbeat]);
+    state
+}
+
+#[test]
+fn a_bus_off_in_operational_leads_to_pre_operational_by_default() {
+    for (command, state, _) in STATES {
+        let expected = if state == State::Operational { State::PreOperational } else { state };
+        assert_eq!(after_bus_off(command, None), expected);
+        assert_eq!(after_bus_off(command, Some(0)), expected);
+    }
+}
+
+#[test]
+fn with_error_behaviour_1_a_bus_off_leaves_the_nmt_state_alone() {
+    for (command, state, _) in STATES {
+        assert_eq!(after_bus_off(command, Some(1)), state);
+    }
+}
+
+#[test]
+fn with_error_behaviour_2_a_bus_off_stops_the_node() {
+    for (command, ..) in STATES {
+        assert_eq!(after_bus_off(command, Some(2)), State::Stopped);
+    }
+}
+
+#[test]
+fn a_node_that_bus_off_took_out_of_operational_can_be_started_again() {
+    let mut board = Board::with_node_id(0x40);
+    board.nmt("01 00");
+    board.see(BusEvent::BusOff);
+    board.nmt("01 00");
+    assert_eq!(board.node.nmt_state(), State::Operational);
+    // What is not a bus-off leaves it there.
+    for event in [BusEvent::Error, BusEvent::ReceivesErrorsOnly, BusEvent::Acknowledged] {
+        board.see(event);
+        assert_eq!(board.node.nmt_state(), State::Operational, "{event:?}");
+    }
+}
+
+#[test]
+fn a_bus_off_of_a_node_without_a_node_id_leaves_it_in_initialisation() {
+    let mut board = Board::unconfigured();
+    board.see(BusEvent::BusOff);
+    assert_eq!(board.node.nmt_state(), State::Initialisation);
 }
 
 #[test]

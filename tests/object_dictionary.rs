@@ -17,15 +17,18 @@ use support::{
 const DOES_NOT_EXIST: u32 = 0x0602_0000;
 const NO_SUB_INDEX: u32 = 0x0609_0011;
 const READ_ONLY: u32 = 0x0601_0002;
+const INVALID_VALUE: u32 = 0x0609_0030;
+const NO_DATA: u32 = 0x0800_0024;
 
 #[test]
 fn the_objects_are_those_of_a_minimal_device_and_the_can_controller() {
     let addresses: Vec<_> = TABLE.iter().map(|entry| (entry.index, entry.sub_index)).collect();
     #[rustfmt::skip]
     assert_eq!(addresses, [
-        (0x1000, 0), (0x1001, 0), (0x1008, 0), (0x1009, 0), (0x100A, 0), (0x1010, 0), (0x1010, 1), (0x1011, 0),
-        (0x1011, 1), (0x1014, 0), (0x1017, 0), (0x1018, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4),
-        (0x2000, 0), (0x2000, 1), (0x2000, 2), (0x2000, 3), (0x2000, 4),
+        (0x1000, 0), (0x1001, 0), (0x1003, 0), (0x1003, 1), (0x1003, 2), (0x1003, 3), (0x1003, 4), (0x1003, 5),
+        (0x1003, 6), (0x1003, 7), (0x1003, 8), (0x1008, 0), (0x1009, 0), (0x100A, 0), (0x1010, 0), (0x1010, 1),
+        (0x1011, 0), (0x1011, 1), (0x1014, 0), (0x1017, 0), (0x1018, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3),
+        (0x1018, 4), (0x1029, 0), (0x1029, 1), (0x2000, 0), (0x2000, 1), (0x2000, 2), (0x2000, 3), (0x2000, 4),
     ]);
 }
 
@@ -45,10 +48,101 @@ fn the_can_controller_s_troubles_and_counters_can_be_read() {
     for fault in [Fault::BusOffRecovered, Fault::Overrun, Fault::Overrun] {
         board.node.handle_fault(fault);
     }
-    board.pass_us(0);
     board.node.note_error_counters(136, 9);
+    board.pass_us(0);
     let read = [1, 2, 3, 4].map(|sub_index| board.number(0x2000, sub_index));
     assert_eq!(read, [1, 2, 136, 9]);
+}
+
+/// The error history, after as many overruns and recoveries from bus-off, in turn.
+fn history_of(faults: usize) -> (Board, Vec<Vec<u8>>) {
+    let mut board = Board::with_node_id(0x40);
+    for fault in [Fault::Overrun, Fault::BusOffRecovered].into_iter().cycle().take(faults) {
+        board.node.handle_fault(fault);
+        board.pass_us(0);
+    }
+    let number = board.number(0x1003, 0) as u8;
+    let history = (1..=number).map(|sub_index| board.upload(0x1003, sub_index).unwrap()).collect();
+    (board, history)
+}
+
+#[test]
+fn the_error_history_of_a_healthy_node_is_empty() {
+    let (mut board, history) = history_of(0);
+    assert_eq!(board.sdo("40 03 10 00"), ["5C0: 4F 03 10 00 00 00 00 00"]);
+    assert!(history.is_empty());
+}
+
+#[test]
+fn the_error_history_holds_the_last_eight_errors_the_newest_first() {
+    const OVERRUN: [u8; 4] = [0x10, 0x81, 0, 0];
+    const RECOVERED: [u8; 4] = [0x40, 0x81, 0, 0];
+    for faults in 0..20 {
+        let (_, history) = history_of(faults);
+        let newest_first = (0..faults).rev();
+        let expected: Vec<_> = newest_first
+            .map(|n| if n.is_multiple_of(2) { OVERRUN } else { RECOVERED })
+            .take(8)
+            .collect();
+        assert_eq!(history, expected, "{faults}");
+    }
+}
+
+#[test]
+fn an_error_field_beyond_the_number_of_errors_has_no_data() {
+    for faults in 0..=8 {
+        let (mut board, _) = history_of(faults);
+        for sub_index in faults as u8 + 1..=8 {
+            assert_eq!(board.upload(0x1003, sub_index), Err(NO_DATA), "{faults}, {sub_index}");
+        }
+        assert_eq!(board.upload(0x1003, 9), Err(NO_SUB_INDEX));
+    }
+}
+
+#[test]
+fn writing_0_clears_the_error_history_and_any_other_number_is_refused() {
+    let (mut board, _) = history_of(3);
+    for number in 1..=u8::MAX {
+        assert_eq!(board.download(0x1003, 0, &[number]), Err(INVALID_VALUE));
+    }
+    assert_eq!(board.number(0x1003, 0), 3);
+    // Without its size, what is behind the byte does not count.
+    assert_eq!(board.sdo("22 03 10 00 00 FF FF FF"), ["5C0: 60 03 10 00 00 00 00 00"]);
+    assert_eq!(board.number(0x1003, 0), 0);
+    assert_eq!(board.upload(0x1003, 1), Err(NO_DATA));
+    board.node.handle_fault(Fault::Overrun);
+    board.pass_us(0);
+    assert_eq!(board.number(0x1003, 0), 1, "it goes on");
+}
+
+#[test]
+fn the_error_behaviour_takes_0_1_and_2_and_refuses_the_rest() {
+    let mut board = Board::with_node_id(0x40);
+    assert_eq!(board.number(0x1029, 0), 1);
+    assert_eq!(board.number(0x1029, 1), 0, "the default");
+    for value in [1, 2, 0, 2] {
+        board.download(0x1029, 1, &[value]).unwrap();
+        assert_eq!(board.number(0x1029, 1), u32::from(value));
+    }
+    for value in 3..=u8::MAX {
+        assert_eq!(board.download(0x1029, 1, &[value]), Err(INVALID_VALUE));
+    }
+    assert_eq!(board.number(0x1029, 1), 2);
+    assert_eq!(board.sdo("22 29 10 01 01 FF FF FF"), ["5C0: 60 29 10 01 00 00 00 00"]);
+    assert_eq!(board.number(0x1029, 1), 1);
+}
+
+#[test]
+fn the_error_behaviour_is_not_stored() {
+    let mut board = Board::with_node_id(0x40);
+    board.download(0x1029, 1, &[2]).unwrap();
+    board.download(0x1010, 1, b"save").unwrap();
+    assert_eq!(board.number(0x1029, 1), 2);
+    board.nmt("82 00");
+    assert_eq!(board.number(0x1029, 1), 0);
+    board.download(0x1029, 1, &[1]).unwrap();
+    board.power_cycle();
+    assert_eq!(board.number(0x1029, 1), 0);
 }
 
 #[test]
@@ -145,7 +239,7 @@ fn the_identity_object_is_the_lss_address() {
 
 #[test]
 fn every_object_is_as_long_as_its_data_type() {
-    let mut board = Board::with_node_id(0x40);
+    let (mut board, _) = history_of(8);
     for entry in TABLE {
         let len = board.upload(entry.index, entry.sub_index).unwrap().len();
         match entry.data_type {
@@ -204,6 +298,9 @@ fn the_table_is_sorted_and_its_highest_sub_indices_are_true() {
                 assert_eq!(entry.sub_index, 0);
                 assert_eq!(of_the_same.len(), usize::from(highest) + 1);
             }
+            // CiA 301 lets this one count the errors there are.
+            Object::NumberOfErrors => assert_eq!(of_the_same.len(), 8 + 1),
+            Object::ErrorField(sub_index) => assert_eq!(entry.sub_index, sub_index),
             _ if entry.sub_index == 0 => assert_eq!(of_the_same.len(), 1, "{entry:?}"),
             _ => assert!(matches!(of_the_same[0].object, Object::HighestSubIndex(_))),
         }

@@ -202,6 +202,20 @@ impl Controller {
         registers().tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
     }
 
+    /// Forgets the frames that wait but those of `cob_id`; one that is on the bus now goes on.
+    pub fn forget_all_but(&mut self, cob_id: u16) {
+        const ABORT: u32 = 1 << 7;
+        self.queue.retain(cob_id);
+        let mut aborts = 0;
+        for mailbox in 0..3 {
+            if registers().tx(mailbox).tir().read().stid().bits() != cob_id {
+                aborts |= ABORT << (8 * mailbox);
+            }
+        }
+        // SAFETY: zeros, and the abort of an empty mailbox, have no effect in this register.
+        registers().tsr().write(|w| unsafe { w.bits(aborts) });
+    }
+
     /// Ends [`stop_transmitting`](Self::stop_transmitting).
     pub fn resume_transmitting(&mut self) {
         self.may_transmit = true;

@@ -7,7 +7,7 @@ use lss_slave::{
     Action, BusEvent, Node, NodeId, Settings,
     emergency::Fault,
     indicator::{BusState, Indicators, Lit},
-    lss::{State, StoreError},
+    lss::{self, State, StoreError},
 };
 use stm32f4xx_hal::pac::Interrupt;
 
@@ -73,6 +73,8 @@ impl Slave {
 
     /// The controller's error state has changed, or it has found an error on the bus.
     pub fn handle_status(&mut self) {
+        let (transmit, receive) = self.can.error_counters();
+        self.node.note_error_counters(transmit, receive);
         let error = self.can.handle_status();
         let now = clock::now();
         // Frames that came before the error count before it.
@@ -91,8 +93,6 @@ impl Slave {
     /// Looks after the controller, a few times a second: no interrupt tells that it has recovered from bus-off.
     pub fn supervise(&mut self) {
         self.can.supervise();
-        let (transmit, receive) = self.can.error_counters();
-        self.node.note_error_counters(transmit, receive);
         self.handle_status();
     }
 
@@ -158,6 +158,7 @@ impl Slave {
             Action::Transmit(frame) => self.can.transmit(frame),
             Action::SetNodeId(id) => {
                 defmt::info!("node-ID {=u8} (255 is none)", NodeId::to_lss(id));
+                self.can.forget_all_but(lss::RESPONSE_COB_ID);
                 self.can.set_receives(self.node.receives());
             }
             Action::StopTransmitting => {

@@ -37,6 +37,15 @@ impl TransmitQueue {
         *self = Self::new();
     }
 
+    /// Forgets all frames but those of `cob_id`.
+    pub fn retain(&mut self, cob_id: u16) {
+        for place in &mut self.places {
+            if place.take_if(|waiting| waiting.frame.cob_id() != cob_id).is_some() {
+                self.len -= 1;
+            }
+        }
+    }
+
     /// Adds a frame; returns whether there was room. A heartbeat that waits already is not added again: a board that is alone
     /// on its bus does not save them up.
     pub fn push(&mut self, frame: Frame) -> bool {

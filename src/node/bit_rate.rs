@@ -2,7 +2,9 @@
 
 use super::{Action, Due, Node};
 use crate::{
-    BitRateSetting, Instant, nmt,
+    BitRateSetting, Instant,
+    emergency::Fault,
+    nmt,
     supervision::{BusEvent, Step},
 };
 
@@ -27,6 +29,9 @@ impl Node {
     /// Takes what the controller has observed at `now`. The same event twice does no harm.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         self.is_boot_up_acknowledged |= event == BusEvent::Acknowledged;
+        if event == BusEvent::BusOff {
+            self.handle_communication_error();
+        }
         let is_proof = matches!(event, BusEvent::Received | BusEvent::Acknowledged);
         // Within the silent periods of a switch errors are to be expected.
         if is_proof || self.is_supervised() {
@@ -63,7 +68,10 @@ impl Node {
         let was_automatic = self.lss.active_bit_rate() == BitRateSetting::Automatic;
         self.lss.activate_bit_rate();
         match self.lss.active_bit_rate() {
-            BitRateSetting::Fixed(rate) => self.supervision.command(rate, until),
+            BitRateSetting::Fixed(rate) => {
+                self.supervision.command(rate, until);
+                self.emergency.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
+            }
             BitRateSetting::Automatic if !was_automatic => self.supervision.detect(),
             BitRateSetting::Automatic => {}
         }
@@ -76,8 +84,14 @@ impl Node {
             return None;
         }
         let action = self.next_step(now);
-        if let Some(rate) = self.supervision.take_change() {
-            self.lss.adopt_bit_rate(rate);
+        if let Some(in_use) = self.supervision.take_change() {
+            self.lss.adopt_bit_rate(in_use);
+            match self.supervision.home() {
+                Some(home) if home != in_use => {
+                    self.emergency.report(Fault::AwayFromHomeRate { in_use, home });
+                }
+                _ => self.emergency.end(Fault::AwayFromHomeRate { in_use, home: in_use }),
+            }
         }
         action
     }

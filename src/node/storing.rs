@@ -3,6 +3,7 @@
 use super::{Action, Due, Node};
 use crate::{
     Settings,
+    emergency::Fault,
     lss::{Response, StoreError},
     object_dictionary::Entry,
     sdo::{self, Abort, Written},
@@ -31,7 +32,7 @@ impl Node {
         if let Store::Running(settings, requester) = self.store {
             if outcome.is_ok() {
                 self.persistent = settings;
-                self.emergency.settings_are_stored();
+                self.emergency.end(Fault::SettingsLost);
             }
             self.store = Store::Done(outcome, requester);
             self.due = Due::Now;

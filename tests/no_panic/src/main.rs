@@ -130,6 +130,7 @@ fn run_node() {
     black_box(&mut *node).handle_stored(any(Err(StoreError::MediumAccess)));
     black_box(&mut *node).handle_fault(any(Fault::Overrun));
     black_box(&mut *node).handle_bus(any(BusEvent::Error), any_instant());
+    black_box(&mut *node).note_error_counters(any(0), any(0));
     black_box(black_box(&mut *node).handle_deadline(any_instant()));
     let node = &*black_box(node);
     black_box(node.is_due(any_instant()));
