@@ -9,6 +9,7 @@ pub mod fault;
 pub mod frame;
 mod stream;
 pub mod timing;
+mod wire;
 
 pub use adapter::Adapter;
 pub use bus::{Bus, Station};
@@ -17,3 +18,4 @@ pub use controller::{Controller, ErrorKind, Event};
 pub use frame::{Frame, Id};
 pub use stream::Level;
 pub use timing::{BitTiming, Clock, Mode};
+pub use wire::{Noise, Short};

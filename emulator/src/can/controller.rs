@@ -1,6 +1,7 @@
 //! A CAN protocol controller without mailboxes: its clock, its place in the bit, and what it tells
 //! its owner.
 
+mod line;
 mod protocol;
 #[cfg(test)]
 mod tests;
@@ -14,6 +15,7 @@ use super::{
     timing::{BitTiming, Clock, Mode, Spans},
 };
 use crate::Time;
+use line::Line;
 use protocol::Phase;
 
 /// What a controller found wrong (ISO 11898-1, error detection).
@@ -88,6 +90,7 @@ pub struct Controller {
     /// The latest instant that it took part in, and the level of the wire then.
     now: Time,
     wire: Level,
+    line: Line,
     /// Start of the bit whose sample point comes next; it may lie ahead.
     start: Time,
     /// What it drives, and from `start` on.
@@ -132,6 +135,7 @@ impl Controller {
             phase: Phase::Stopped,
             now: Time::ZERO,
             wire: Level::Recessive,
+            line: Line::default(),
             start: Time::ZERO,
             driven: Level::Recessive,
             next: Level::Recessive,
@@ -204,8 +208,8 @@ impl Controller {
     /// Stops at once, whatever is under way, and forgets counters, offer and unread events: a
     /// hardware reset.
     pub fn reset(&mut self) {
-        let (now, wire) = (self.now, self.wire);
-        *self = Self { now, wire, ..Self::new(self.clock, self.bit_timing) };
+        let (now, wire, line) = (self.now, self.wire, std::mem::take(&mut self.line));
+        *self = Self { now, wire, line, ..Self::new(self.clock, self.bit_timing) };
     }
 
     /// Whether a stopped controller reports [`Event::Activity`]; a start ends it.
@@ -291,11 +295,6 @@ impl Controller {
         self.events.pop_front()
     }
 
-    /// What the wire gets from this controller.
-    pub(super) fn output(&self) -> Level {
-        if self.mode.silent { Level::Recessive } else { self.driven }
-    }
-
     /// When it changes what it drives or samples next; `Time::MAX` while only an edge can move it.
     pub(super) fn next_action(&self) -> Time {
         if self.drives_next() {
@@ -303,9 +302,17 @@ impl Controller {
         }
         match self.phase {
             Phase::Stopped | Phase::BusOff => Time::MAX,
-            Phase::Idle if !self.synchronised => Time::MAX,
+            Phase::Idle if !self.synchronised => self.idle_sample(),
             _ => self.start + self.spans.sample,
         }
+    }
+
+    /// On an idle bus a controller needs no sample but one that is to be inverted.
+    fn idle_sample(&self) -> Time {
+        let Some(flip) = self.line.next_flip() else { return Time::MAX };
+        let first = self.start + self.spans.sample;
+        let late = flip.max(self.now).saturating_sub(first).as_ps();
+        first + self.spans.bit * late.div_ceil(self.spans.bit.as_ps())
     }
 
     /// Whether its next action is to change what it drives.
@@ -316,7 +323,14 @@ impl Controller {
     /// Tells the time and the level of the wire between actions.
     pub(crate) fn settle(&mut self, now: Time, wire: Level) {
         self.now = now.max(self.now);
-        self.wire = wire;
+        self.wire = self.heard(wire);
+    }
+
+    /// Looks at the wire after something was done to it or to the controller's line.
+    pub(super) fn resume(&mut self, now: Time, wire: Level) {
+        if self.wire == Level::Recessive && !self.is_stopped() {
+            self.falling_edge(now, wire);
+        }
     }
 
     /// Acts at a bit boundary.
@@ -333,7 +347,10 @@ impl Controller {
 
     /// Synchronises on a recessive to dominant edge of the wire, to the grid of its own quanta:
     /// hard between frames, else by at most the jump width.
-    pub(super) fn falling_edge(&mut self, now: Time) {
+    pub(super) fn falling_edge(&mut self, now: Time, wire: Level) {
+        if self.heard(wire) == Level::Recessive {
+            return;
+        }
         if self.is_stopped() && self.watching {
             self.events.push_back(Event::Activity);
         }

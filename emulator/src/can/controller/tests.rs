@@ -43,7 +43,7 @@ impl Line {
         let own = self.controller.output();
         let level = if dominant { Level::Dominant } else { own };
         if self.level == Level::Recessive && level == Level::Dominant {
-            self.controller.falling_edge(self.now);
+            self.controller.falling_edge(self.now, Level::Dominant);
         }
         self.level = level;
         let sample = self.controller.next_action();
