@@ -320,7 +320,7 @@ impl Chip {
             Block::Can1 => {
                 self.can_written = true;
                 let modelled = self.can1.write(offset, value, now);
-                if modelled && offset == 0 && value & 1 == 0 && !self.can1_has_its_pins() {
+                if modelled && offset == 0 && value & 3 == 0 && !self.can1_has_its_pins() {
                     return Ok(Err(Problem::Misuse(
                         "CAN1 leaves initialisation with no pins in AF9",
                     )));
