@@ -9,11 +9,13 @@ pub mod fault;
 pub mod frame;
 mod stream;
 pub mod timing;
+mod wire;
 
 pub use adapter::Adapter;
 pub use bus::{Bus, Station};
 pub use bxcan::Bxcan;
-pub use controller::{Controller, ErrorKind, Event};
+pub use controller::{Controller, ErrorKind, Event, Pins};
 pub use frame::{Frame, Id};
 pub use stream::Level;
 pub use timing::{BitTiming, Clock, Mode};
+pub use wire::{Noise, Short};

@@ -4,12 +4,13 @@ mod trace;
 
 use std::sync::MutexGuard;
 
+pub use crate::can::{Noise, Short};
 pub use trace::{Event, Recording, Source, What};
 
 use crate::{
     Time,
     board::{Board, Stop},
-    can::{Adapter, Bus, Frame, Station},
+    can::{Adapter, Bus, Controller, Frame, Station},
     chip::Chip,
 };
 use trace::Trace;
@@ -117,6 +118,40 @@ impl Network {
         if !self.boards[board].is_powered() {
             self.boards[board].power_on();
             self.trace.push(self.boards[board].now(), Source::Board(board), What::PowerOn);
+        }
+    }
+
+    /// Shorts the bus from now on, or mends it.
+    pub fn set_short(&mut self, short: Option<Short>) {
+        self.bus.set_short(short, self.now);
+    }
+
+    /// Puts noise on the bus from now on, or ends it.
+    pub fn set_noise(&mut self, noise: Option<Noise>) {
+        self.bus.set_noise(noise, self.now);
+    }
+
+    /// Cuts a station off the bus from now on: it hears only what it drives itself.
+    pub fn cut_wire(&mut self, station: Source) {
+        self.with_controller(station, |controller| controller.cut(true));
+    }
+
+    /// Joins a station that was cut off to the bus again.
+    pub fn mend_wire(&mut self, station: Source) {
+        self.with_controller(station, |controller| controller.cut(false));
+    }
+
+    /// Inverts what a station samples first at or after `at`: a bit error that it alone sees.
+    pub fn flip_bit(&mut self, station: Source, at: Time) {
+        self.with_controller(station, |controller| controller.flip(at));
+    }
+
+    /// Does something to a station's controller when the bus has come to now.
+    fn with_controller(&mut self, station: Source, act: impl FnOnce(&mut Controller)) {
+        self.bus.settle(self.now);
+        match station {
+            Source::Board(number) => act(self.boards[number].chip().can1_mut().controller()),
+            Source::Adapter(AdapterId(number)) => act(self.adapters[number].controller()),
         }
     }
 

@@ -4,12 +4,12 @@ use lss_slave::{Device, lss::Address};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Output, alt::can1},
     pac::{CAN1, DBGMCU, Peripherals, RCC},
-    rcc::{Config, Rcc, RccExt},
+    rcc::{Config, Enable, Rcc, RccExt},
     time::Hertz,
     watchdog::IndependentWatchdog,
 };
 
-use crate::{device, flash::SettingsFlash};
+use crate::{device, flash::SettingsFlash, transmit_pin::TransmitPin};
 
 /// The watchdog's patience in ms at 32 kHz; its oscillator has 17 to 47 kHz. The longest silence of a healthy board is the erase of
 /// a 16 KB sector: 800 ms.
@@ -19,7 +19,7 @@ const WATCHDOG_MS: u32 = 2_000;
 pub struct Board {
     pub rcc: Rcc,
     pub can: CAN1,
-    pub can_pins: (can1::Tx, can1::Rx),
+    pub can_pins: (TransmitPin, can1::Rx),
     pub indicators: (ErasedPin<Output>, ErasedPin<Output>),
     pub settings_flash: SettingsFlash,
     pub watchdog: IndependentWatchdog,
@@ -40,6 +40,8 @@ impl Board {
             clocks = clocks.bypass_hse_oscillator();
         }
         let mut rcc = chip.RCC.freeze(clocks);
+        // Before it has its pins, so that they do not twitch.
+        CAN1::enable(&mut rcc);
         let can_pins = device::can_pins(chip.GPIOB, &mut rcc);
         let indicators = device::indicator_pins(chip.GPIOD, &mut rcc);
         let settings_flash = SettingsFlash::new(chip.FLASH);

@@ -4,19 +4,27 @@ use bxcan::{
     Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
 };
+<<<<<<< HEAD
 use lss_slave::{BitRate, BusEvent, Frame, bit_rate::BitTiming, indicator::BusState};
+=======
+use cortex_m::peripheral::SCB;
+use lss_slave::{BitRate, Frame, bit_rate::BitTiming, indicator::BusState};
+>>>>>>> bus
 use stm32f4xx_hal::{
     can::Can,
-    gpio::alt::can1,
+    gpio::{PinPull, Pull, alt::can1},
     pac::{self, CAN1, RCC},
     rcc::Reset,
 };
 
-use crate::{device::APB1_HZ, transmit_queue::TransmitQueue};
+use crate::{device::APB1_HZ, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
 
 /// Reads of CAN_MSR after which the controller counts as not answering. Out of a reset it enters initialisation mode
-/// within a few clock cycles.
+/// within a few clock cycles, or 11 of the bits that CAN_BTR then makes: 88 cycles of APB1.
 const INIT_READS: u32 = 1_000;
+
+/// Resets after which a controller that does not enter initialisation mode is left alone for a while.
+const RESETS: u32 = 4;
 
 /// Reads of CAN_RF0R until a released FIFO shows its next frame: two APB1 cycles.
 const RELEASE_READS: u32 = 16;
@@ -24,8 +32,11 @@ const RELEASE_READS: u32 = 16;
 /// CAN1 as the node uses it.
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
+    transmit_pin: TransmitPin,
     bit_rate: BitRate,
     is_listening: bool,
+    /// While listening: whether anything was heard since the last look.
+    has_heard: bool,
     receives: [u16; 3],
     may_transmit: bool,
     queue: TransmitQueue,
@@ -44,13 +55,23 @@ impl Controller {
     /// CAN1 on its pins, asleep until [`set_bit_rate`](Self::set_bit_rate) or [`listen`](Self::listen), and to receive the
     /// COB-IDs `receives`.
     ///
-    /// The way through initialisation mode, out of a reset, is the only wait in here without a limit of its own: the
-    /// watchdog bounds it.
-    pub fn new(can: CAN1, pins: (can1::Tx, can1::Rx), rcc: &mut RCC, receives: [u16; 3]) -> Self {
+    /// A controller that does not enter initialisation mode has the chip reset. What `bxcan` waits for is there by then.
+    pub fn new(
+        can: CAN1,
+        (transmit_pin, receive_pin): (TransmitPin, can1::Rx),
+        rcc: &mut RCC,
+        receives: [u16; 3],
+    ) -> Self {
+        let can = Can::rx(can, receive_pin.internal_resistor(Pull::Up), rcc);
+        if !enter_initialization() {
+            SCB::sys_reset();
+        }
         Self {
-            can: bxcan::Can::builder(Can::new(can, pins, rcc)).leave_disabled(),
+            can: bxcan::Can::builder(can).leave_disabled(),
+            transmit_pin,
             bit_rate: BitRate::Kbit10,
             is_listening: false,
+            has_heard: false,
             receives,
             may_transmit: true,
             queue: TransmitQueue::new(),
@@ -65,7 +86,8 @@ impl Controller {
         self.start();
     }
 
-    /// Receives everything at `bit_rate`, but sends no dominant bit (silent mode, RM0090, 32.5.1).
+    /// Receives everything at `bit_rate`, but sends no dominant bit (silent mode, RM0090, 32.5.1). There are chips whose
+    /// controller then drives the transmit line dominant all the same, so it is not given to it.
     pub fn listen(&mut self, bit_rate: BitRate) {
         self.stop_transmitting();
         self.bit_rate = bit_rate;
@@ -82,14 +104,13 @@ impl Controller {
     /// Resets the controller and sets it up anew: of all ways to another bit rate the one that waits for nothing. It takes
     /// part in the bus by itself after 11 recessive bits, whenever they come (RM0090, 32.4.2).
     fn start(&mut self) {
-        // SAFETY: the reset bit of CAN1 in RCC belongs to its owner.
-        unsafe { CAN1::reset_unchecked() };
-        let can = registers();
-        can.mcr().write(|w| w.sleep().clear_bit().inrq().set_bit());
-        if !(0..INIT_READS).any(|_| can.msr().read().inak().bit_is_set()) {
-            defmt::error!("CAN: the controller does not enter initialisation mode, will try again");
+        if self.is_listening {
+            self.transmit_pin.rest();
+        }
+        if !enter_initialization() {
             return;
         }
+        let can = registers();
         // SAFETY: a value for the whole register.
         can.btr().write(|w| unsafe {
             w.bits(BTR[usize::from(self.bit_rate.index())]).silm().bit(self.is_listening)
@@ -99,12 +120,20 @@ impl Controller {
             w.fmpie0().set_bit().tmeie().set_bit();
             w.errie().set_bit().epvie().set_bit().bofie().set_bit().lecie().set_bit()
         });
+        if !self.is_listening {
+            self.transmit_pin.connect();
+        }
         can.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
     }
 
-    /// Tries again what [`start`](Self::start) could not do.
+    /// Tries again what [`start`](Self::start) could not do, and resets a listener that hears nothing of a dominant bus.
+    /// To be called a few times a second.
     pub fn supervise(&mut self) {
-        if registers().mcr().read().inrq().bit_is_set() {
+        let can = registers();
+        let is_bus_dominant = can.msr().read().rx().bit_is_clear();
+        let is_deaf = self.is_listening && is_bus_dominant && !self.has_heard;
+        self.has_heard = false;
+        if is_deaf || can.mcr().read().inrq().bit_is_set() {
             self.start();
         }
     }
@@ -147,6 +176,7 @@ impl Controller {
         if fifo.fmp().bits() == 0 {
             return None;
         }
+        self.has_heard = true;
         if fifo.fovr().bit_is_set() {
             registers().rfr(0).write(|w| w.fovr().set_bit());
             return Some(Received::Overrun);
@@ -221,6 +251,7 @@ impl Controller {
         self.may_transmit = true;
     }
 
+<<<<<<< HEAD
     /// Acknowledges a status interrupt; returns the latest error (last error code, RM0090, 32.9.2), if the supervision of
     /// the bit rate is concerned.
     pub fn handle_status(&mut self) -> Option<BusEvent> {
@@ -238,6 +269,24 @@ impl Controller {
             FORM => Some(BusEvent::FormError),
             _ => None,
         }
+=======
+    /// Acknowledges a status interrupt; returns whether the last thing seen on the bus is an error. A missing acknowledge is
+    /// none: nobody may be there.
+    pub fn handle_status(&mut self) -> bool {
+        const NO_ERROR: u8 = 0;
+        const ACKNOWLEDGE: u8 = 3;
+        const NONE_YET: u8 = 7;
+        let can = registers();
+        let status = can.esr().read();
+        // SAFETY: 7 is the value that software sets, to see the next error (RM0090, 32.9.2).
+        can.esr().write(|w| unsafe { w.lec().bits(NONE_YET) });
+        // It is told once, even if the interrupt stays for as long as bus-off does.
+        can.ier().modify(|_, w| w.bofie().bit(status.boff().bit_is_clear()));
+        can.msr().write(|w| w.erri().set_bit());
+        let is_error = !matches!(status.lec().bits(), NO_ERROR | ACKNOWLEDGE | NONE_YET);
+        self.has_heard |= is_error;
+        is_error
+>>>>>>> bus
     }
 
     /// TEC and REC (RM0090, 32.7.6).
@@ -260,6 +309,21 @@ impl Controller {
             _ => BusState::Good,
         }
     }
+}
+
+/// Resets the controller, again if need be, and has it enter initialisation mode; returns whether it does.
+fn enter_initialization() -> bool {
+    let can = registers();
+    let is_there = (0..RESETS).any(|_| {
+        // SAFETY: the reset bit of CAN1 in RCC belongs to its owner.
+        unsafe { CAN1::reset_unchecked() };
+        can.mcr().write(|w| w.sleep().clear_bit().inrq().set_bit());
+        (0..INIT_READS).any(|_| can.msr().read().inak().bit_is_set())
+    });
+    if !is_there {
+        defmt::error!("CAN: the controller does not enter initialisation mode, will try again");
+    }
+    is_there
 }
 
 /// Hands a frame to the controller; `false`: it has to wait. Only a frame that is more urgent than all that are in mailboxes

@@ -6,6 +6,8 @@ use stm32f4xx_hal::{
     pac::{GPIOB, GPIOD, RCC},
 };
 
+use crate::transmit_pin::TransmitPin;
+
 /// Your company's number, from CiA.
 pub const VENDOR_ID: u32 = 0x0000_0000;
 /// Your number for this product.
@@ -36,7 +38,7 @@ pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
 
 /// The pins to the CAN transceiver. CAN1 can also use PA12 and PA11: change the port in all three places. On PD1 and PD0 it
 /// shares port D, which can be split only once, with the indicators: give those another port.
-pub fn can_pins(port: GPIOB, rcc: &mut RCC) -> (can1::Tx, can1::Rx) {
+pub fn can_pins(port: GPIOB, rcc: &mut RCC) -> (TransmitPin, can1::Rx) {
     let pins = port.split(rcc);
     (pins.pb9.into(), pins.pb8.into())
 }

@@ -12,6 +12,7 @@ mod flash;
 mod memory;
 mod roll_call;
 mod slave;
+mod transmit_pin;
 mod transmit_queue;
 
 use defmt_rtt as _;

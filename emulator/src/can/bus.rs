@@ -1,6 +1,12 @@
-//! The wire that joins controllers: it is dominant while anyone drives it so, everywhere at once.
+//! The bus that joins controllers: it is dominant while anyone drives it so, everywhere at once.
 
-use super::{Controller, Event, stream::Level};
+use std::cell::Cell;
+
+use super::{
+    Controller, Event,
+    stream::Level,
+    wire::{Noise, Short, Wire},
+};
 use crate::Time;
 
 /// What a [`Bus`] needs of whoever owns a controller.
@@ -22,7 +28,7 @@ pub trait Station {
 #[derive(Default)]
 pub struct Bus {
     now: Time,
-    level: Level,
+    wire: Wire,
     /// When each station acts next.
     next: Vec<Time>,
 }
@@ -40,13 +46,30 @@ impl Bus {
 
     /// Level of the wire.
     pub fn level(&self) -> Level {
-        self.level
+        self.wire.level
     }
 
-    /// When a station acts next, as of the latest [`advance`](Self::advance); `Time::MAX` on an
-    /// idle bus.
+    /// Shorts the wires from `now` on, or mends them.
+    pub fn set_short(&mut self, short: Option<Short>, now: Time) {
+        self.settle(now);
+        self.wire.short = short;
+    }
+
+    /// Puts noise on the wires from `now` on, or ends it.
+    pub fn set_noise(&mut self, noise: Option<Noise>, now: Time) {
+        self.settle(now);
+        self.wire.set_noise(noise, self.now);
+    }
+
+    /// Comes to `now` on a bus where nothing happens until then.
+    pub(crate) fn settle(&mut self, now: Time) {
+        self.now = self.now.max(now);
+    }
+
+    /// When a station or a disturbance acts next, as of the latest [`advance`](Self::advance);
+    /// `Time::MAX` on an idle bus.
     pub fn next_action(&self) -> Time {
-        self.next.iter().copied().min().unwrap_or(Time::MAX)
+        self.next.iter().copied().fold(self.wire.next_action(), Time::min)
     }
 
     /// Lets bus life go on up to and including `until`, or up to the first instant after which a
@@ -61,63 +84,68 @@ impl Bus {
         stations: &mut [&mut dyn Station],
         observe: &mut dyn FnMut(usize, &Controller, &Event),
     ) -> Time {
-        self.level = wire_level(stations);
+        let stop = Cell::new(false);
+        let mut deliver = |index: usize, station: &mut dyn Station, now: Time| {
+            while let Some(event) = station.controller().take_event() {
+                observe(index, station.controller(), &event);
+                stop.set(stop.get() | station.handle(&event, now));
+            }
+            station.controller().next_action()
+        };
+        self.wire.level = self.wire.resolve(anyone_drives(stations));
         self.next.clear();
-        self.next.extend(stations.iter_mut().map(|station| station.controller().next_action()));
+        for (index, station) in stations.iter_mut().enumerate() {
+            station.controller().resume(self.now, self.wire.level);
+            self.next.push(deliver(index, *station, self.now));
+        }
 
         let mut due = Vec::with_capacity(stations.len());
-        let mut stop = false;
-        while !stop {
+        while !stop.get() {
             let earliest = self.find_due(&mut due);
             let now = earliest.max(self.now);
             if now > until || earliest == Time::MAX {
                 break;
             }
             self.now = now;
-            let mut deliver = |index: usize, station: &mut dyn Station| {
-                while let Some(event) = station.controller().take_event() {
-                    observe(index, station.controller(), &event);
-                    stop |= station.handle(&event, now);
-                }
-                station.controller().next_action()
-            };
-            let mut driven = false;
+            let mut changed = self.wire.act(now);
             for &index in &due {
                 let station = &mut *stations[index];
-                if station.controller().drives_next() {
+                if station.controller().drives_at(now) {
                     station.controller().drive(now);
-                    self.next[index] = deliver(index, station);
-                    driven = true;
+                    self.next[index] = deliver(index, station, now);
+                    changed = true;
                 }
             }
-            if driven {
-                let before = std::mem::replace(&mut self.level, wire_level(stations));
-                if before == Level::Recessive && self.level == Level::Dominant {
+            if changed {
+                let level = self.wire.resolve(anyone_drives(stations));
+                let before = std::mem::replace(&mut self.wire.level, level);
+                if before == Level::Recessive && level == Level::Dominant {
                     for (index, station) in stations.iter_mut().enumerate() {
                         station.controller().falling_edge(now);
-                        self.next[index] = deliver(index, *station);
+                        self.next[index] = deliver(index, *station, now);
                     }
                 }
                 continue;
             }
             for &index in &due {
                 let station = &mut *stations[index];
-                station.controller().sample(now, self.level);
-                self.next[index] = deliver(index, station);
+                station.controller().sample(now, self.wire.level);
+                self.next[index] = deliver(index, station, now);
             }
         }
-        if !stop {
+        if !stop.get() {
             self.now = self.now.max(until);
         }
         for station in stations {
-            station.controller().settle(self.now, self.level);
+            station.controller().settle(self.now, self.wire.level);
         }
         self.now
     }
 
     /// Finds the stations that act next, all at the time that is returned.
     fn find_due(&self, due: &mut Vec<usize>) -> Time {
-        let mut earliest = Time::MAX;
+        let mut earliest = self.wire.next_action();
+        due.clear();
         for (index, &next) in self.next.iter().enumerate() {
             if next < earliest {
                 earliest = next;
@@ -131,8 +159,6 @@ impl Bus {
     }
 }
 
-fn wire_level(stations: &mut [&mut dyn Station]) -> Level {
-    let dominant =
-        stations.iter_mut().any(|station| station.controller().output() == Level::Dominant);
-    if dominant { Level::Dominant } else { Level::Recessive }
+fn anyone_drives(stations: &mut [&mut dyn Station]) -> bool {
+    stations.iter_mut().any(|station| station.controller().output() == Level::Dominant)
 }

@@ -116,14 +116,13 @@ impl Controller {
         }
     }
 
-    /// Acts at a sample point. A dominant bit of its own it always hears, even where it is kept
-    /// from the wire.
+    /// Acts at a sample point.
     pub(in crate::can) fn sample(&mut self, now: Time, wire: Level) {
         self.now = now;
-        let seen = match self.driven {
-            Level::Recessive if !self.mode.loopback => wire,
-            own => own,
-        };
+        let seen = self.take_sample(now, wire);
+        if self.phase == Phase::Idle {
+            self.start = now - self.spans.sample;
+        }
         let previous = self.sampled;
         let began = self.start;
         self.sampled = seen;
@@ -156,6 +155,9 @@ impl Controller {
             Phase::AckSlot if self.transmitter && !dominant && !self.mode.loopback => {
                 self.error(ErrorKind::Acknowledgement);
             }
+            Phase::AckSlot if self.driven == Level::Dominant && !dominant => {
+                self.error(ErrorKind::BitDominant);
+            }
             Phase::AckSlot => self.phase = Phase::AckDelimiter,
             Phase::AckDelimiter if dominant => self.fixed_form_error(),
             Phase::AckDelimiter if !self.transmitter && !self.decoder.crc_matches() => {
@@ -166,6 +168,8 @@ impl Controller {
             Phase::Flag { flag: Flag::PassiveError, bits } => {
                 self.passive_flag_bit(if seen == previous { bits + 1 } else { 1 }, dominant);
             }
+            // In an own active error or overload flag.
+            Phase::Flag { .. } if !dominant => self.fail(ErrorKind::BitDominant, 8),
             Phase::Flag { flag, bits } => self.flag_bit(flag, bits + 1),
             Phase::FlagEnd { flag, dominant: before } if dominant => {
                 self.held_dominant(flag, before + 1)
@@ -248,10 +252,10 @@ impl Controller {
                 self.counters.received();
                 self.events.push_back(Event::Received(self.decoder.frame()));
             }
-            (5, true) if self.mode.loopback => {
-                self.events.push_back(Event::Received(self.decoder.frame()));
-            }
             (6, true) => {
+                if self.mode.loopback {
+                    self.events.push_back(Event::Received(self.decoder.frame()));
+                }
                 if let Some(Transmission { frame, .. }) = self.transmission.take() {
                     self.counters.transmitted();
                     let (start, end) = (self.frame_start, self.start);
@@ -274,13 +278,17 @@ impl Controller {
 
     /// Counts an error and begins the error flag that the state before it asks for.
     fn error(&mut self, kind: ErrorKind) {
+        self.fail(kind, if self.transmitter { 8 } else { 1 });
+    }
+
+    fn fail(&mut self, kind: ErrorKind, weight: u16) {
         let passive = self.counters.passive();
         self.unacknowledged = kind == ErrorKind::Acknowledgement && passive;
         // A transmitter meets a stuff error only in arbitration, where its recessive stuff bit was
         // overwritten.
         let uncounted = self.unacknowledged || (self.transmitter && kind == ErrorKind::Stuff);
         if !uncounted {
-            self.counters.raise(self.transmitter, if self.transmitter { 8 } else { 1 });
+            self.counters.raise(self.transmitter, weight);
         }
         self.transmission = None;
         self.events.push_back(Event::Error { kind, transmitting: self.transmitter });
@@ -299,8 +307,6 @@ impl Controller {
         }
     }
 
-    /// An active flag is heard as it is sent, as nothing overrides a dominant bit: no bit error can
-    /// occur in it.
     fn flag_bit(&mut self, flag: Flag, bits: u8) {
         if bits < 6 {
             self.phase = Phase::Flag { flag, bits };

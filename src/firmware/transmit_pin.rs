@@ -1,0 +1,52 @@
+//! The pin to the CAN transceiver's transmit input, which belongs to the controller or rests recessive.
+
+use stm32f4xx_hal::{
+    gpio::{Output, Pin, PinSpeed, PinState, Speed, alt::can1},
+    pac::GPIOA,
+};
+
+/// Bytes from one GPIO port's registers to the next (RM0090, 2.3).
+const PORT_DISTANCE: usize = 0x400;
+/// Modes of a pin in GPIOx_MODER (RM0090, 8.4.1).
+const OUTPUT: u32 = 0b01;
+const ALTERNATE_FUNCTION: u32 = 0b10;
+
+/// A pin that can carry CAN1's transmit line.
+pub struct TransmitPin {
+    port: usize,
+    number: u8,
+}
+
+impl<const PORT: char, const NUMBER: u8> From<Pin<PORT, NUMBER>> for TransmitPin
+where
+    can1::Tx: From<Pin<PORT, NUMBER, Output>>,
+{
+    /// Sets the pin up for CAN1, and has it rest. CAN1 must have its clock, as the line may twitch otherwise.
+    fn from(pin: Pin<PORT, NUMBER>) -> Self {
+        let pin = pin.into_push_pull_output_in_state(PinState::High);
+        can1::Tx::from(pin).set_speed(Speed::High);
+        let mut pin = Self { port: PORT as usize - 'A' as usize, number: NUMBER };
+        pin.rest();
+        pin
+    }
+}
+
+impl TransmitPin {
+    /// Gives the pin to the controller.
+    pub fn connect(&mut self) {
+        self.set_mode(ALTERNATE_FUNCTION);
+    }
+
+    /// Holds the line recessive, whatever the controller drives.
+    pub fn rest(&mut self) {
+        self.set_mode(OUTPUT);
+    }
+
+    fn set_mode(&mut self, mode: u32) {
+        // SAFETY: the ports have equal registers at equal distances.
+        let port = unsafe { &*GPIOA::ptr().byte_add(PORT_DISTANCE * self.port) };
+        let shift = 2 * self.number;
+        // SAFETY: only the bits of this pin change, and nobody else writes the modes of pins while tasks run.
+        port.moder().modify(|r, w| unsafe { w.bits(r.bits() & !(0b11 << shift) | mode << shift) });
+    }
+}
