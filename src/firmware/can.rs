@@ -4,12 +4,8 @@ use bxcan::{
     Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
 };
-<<<<<<< HEAD
-use lss_slave::{BitRate, BusEvent, Frame, bit_rate::BitTiming, indicator::BusState};
-=======
 use cortex_m::peripheral::SCB;
-use lss_slave::{BitRate, Frame, bit_rate::BitTiming, indicator::BusState};
->>>>>>> bus
+use lss_slave::{BitRate, BusEvent, Frame, bit_rate::BitTiming, indicator::BusState};
 use stm32f4xx_hal::{
     can::Can,
     gpio::{PinPull, Pull, alt::can1},
@@ -251,42 +247,28 @@ impl Controller {
         self.may_transmit = true;
     }
 
-<<<<<<< HEAD
-    /// Acknowledges a status interrupt; returns the latest error (last error code, RM0090, 32.9.2), if the supervision of
-    /// the bit rate is concerned.
+    /// Acknowledges a status interrupt; returns the latest error (last error code, RM0090, 32.9.2), if it concerns the
+    /// supervision of the bit rate.
     pub fn handle_status(&mut self) -> Option<BusEvent> {
         const STUFF: u8 = 1;
         const FORM: u8 = 2;
         const BIT_RECESSIVE: u8 = 4;
         const CRC: u8 = 6;
         const SET_BY_SOFTWARE: u8 = 7;
-        let last_error = registers().esr().read().lec().bits();
-        // SAFETY: the value that software sets, to see the next error.
-        registers().esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
-        registers().msr().write(|w| w.erri().set_bit());
-        match last_error {
-            STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
-            FORM => Some(BusEvent::FormError),
-            _ => None,
-        }
-=======
-    /// Acknowledges a status interrupt; returns whether the last thing seen on the bus is an error. A missing acknowledge is
-    /// none: nobody may be there.
-    pub fn handle_status(&mut self) -> bool {
-        const NO_ERROR: u8 = 0;
-        const ACKNOWLEDGE: u8 = 3;
-        const NONE_YET: u8 = 7;
         let can = registers();
         let status = can.esr().read();
-        // SAFETY: 7 is the value that software sets, to see the next error (RM0090, 32.9.2).
-        can.esr().write(|w| unsafe { w.lec().bits(NONE_YET) });
+        // SAFETY: the value that software sets, to see the next error.
+        can.esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
         // It is told once, even if the interrupt stays for as long as bus-off does.
         can.ier().modify(|_, w| w.bofie().bit(status.boff().bit_is_clear()));
         can.msr().write(|w| w.erri().set_bit());
-        let is_error = !matches!(status.lec().bits(), NO_ERROR | ACKNOWLEDGE | NONE_YET);
-        self.has_heard |= is_error;
-        is_error
->>>>>>> bus
+        let error = match status.lec().bits() {
+            STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
+            FORM => Some(BusEvent::FormError),
+            _ => None,
+        };
+        self.has_heard |= error.is_some();
+        error
     }
 
     /// TEC and REC (RM0090, 32.7.6).
