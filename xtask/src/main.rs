@@ -1,6 +1,6 @@
 //! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask size`,
-//! `cargo xtask storm`.
+//! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
+//! `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
 mod boards;
@@ -9,6 +9,7 @@ mod emulate;
 mod explain;
 mod flash;
 mod fuzz;
+mod no_harm;
 mod power_cut;
 mod qemu;
 mod record;
@@ -43,6 +44,7 @@ enum Command {
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
     Fuzz(fuzz::Arguments),
+    NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
     Size(size::Arguments),
@@ -56,6 +58,7 @@ fn main() -> ExitCode {
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
         Command::Fuzz(arguments) => fuzz::run(&arguments),
+        Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(arguments) => qemu::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
