@@ -238,7 +238,7 @@ fn bit_timing(bit_rate: BitRate) -> lss_slave::bit_rate::BitTiming {
 /// error frame.
 fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> bool {
     let crystal = Clock { hz: 8_000_000, ppm: board_ppm };
-    let settings_of_board = board::Settings { crystal, unique_id: [1; 12] };
+    let settings_of_board = board::Settings { crystal, unique_id: [1; 12], ..Default::default() };
     let mut board = board::Board::new(Part::Stm32f405, image(), settings_of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(1, bit_rate)]));
     let mut network = Network::new();

@@ -12,7 +12,7 @@ pub use log::LogLine;
 
 use crate::{
     Time,
-    can::Clock,
+    can::{Clock, bxcan},
     chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause},
     engine::{Engine, Halt, Lockup, Watcher, rsemu::Rsemu},
     image::Image,
@@ -33,12 +33,18 @@ pub struct Settings {
     pub crystal: Clock,
     /// The chip's 96-bit unique id, as it lies in memory.
     pub unique_id: [u8; 12],
+    /// How its CAN controller behaves where the manual is open.
+    pub can_readings: bxcan::Readings,
 }
 
 impl Default for Settings {
-    /// An exact 8 MHz crystal and a unique id of zeros.
+    /// An exact 8 MHz crystal, a unique id of zeros, and the manual as it is mostly read.
     fn default() -> Self {
-        Self { crystal: Clock { hz: 8_000_000, ppm: 0 }, unique_id: [0; 12] }
+        Self {
+            crystal: Clock { hz: 8_000_000, ppm: 0 },
+            unique_id: [0; 12],
+            can_readings: bxcan::Readings::default(),
+        }
     }
 }
 
@@ -76,6 +82,7 @@ impl Board {
     /// A segment of the image lies outside of the part's flash.
     pub fn new(part: Part, image: &Image, settings: Settings) -> Self {
         let mut chip = Chip::new(part, settings.crystal, settings.unique_id);
+        chip.can1_mut().set_readings(settings.can_readings);
         for (address, bytes) in image.segments() {
             let offset = address.wrapping_sub(FLASH_BASE);
             let fits = u64::from(offset) + bytes.len() as u64 <= part.flash_size().into();

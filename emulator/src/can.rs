@@ -14,7 +14,7 @@ mod wire;
 pub use adapter::Adapter;
 pub use bus::{Bus, Station};
 pub use bxcan::Bxcan;
-pub use controller::{Controller, ErrorKind, Event};
+pub use controller::{Controller, ErrorKind, Event, Pins};
 pub use frame::{Frame, Id};
 pub use stream::Level;
 pub use timing::{BitTiming, Clock, Mode};

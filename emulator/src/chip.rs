@@ -1,5 +1,6 @@
 //! One STM32F4: its peripherals behind their addresses, independent of the engine that runs the CPU.
 
+mod can_pins;
 mod finding;
 mod flash;
 mod gpio;
@@ -23,7 +24,7 @@ use system::{Dbgmcu, Exti, Factory, Pwr, Syscfg};
 
 use crate::{
     Time,
-    can::{Bxcan, Clock},
+    can::{Bxcan, Clock, Pins},
 };
 
 /// Something that the chip asks of its board.
@@ -49,6 +50,8 @@ pub struct Chip {
     dbgmcu: Dbgmcu,
     factory: Factory,
     can1: Bxcan,
+    /// Its pins as it knows them.
+    can1_joined: Pins,
     findings: Vec<Finding>,
     request: Option<Request>,
     can_written: bool,
@@ -56,10 +59,6 @@ pub struct Chip {
 
 /// The nominal frequency of LSI in Hz.
 const LSI_HZ: u32 = 32_000;
-
-/// Pins that can carry CAN1, receive and transmit, as alternate function 9 (F405 data sheet, table 9).
-const CAN1_RX: [Pin; 4] = [Pin('A', 11), Pin('B', 8), Pin('D', 0), Pin('I', 9)];
-const CAN1_TX: [Pin; 4] = [Pin('A', 12), Pin('B', 9), Pin('D', 1), Pin('H', 13)];
 
 impl Chip {
     /// A chip with erased flash at power-on, with `crystal` at HSE.
@@ -76,11 +75,13 @@ impl Chip {
             dbgmcu: Dbgmcu::new(part),
             factory: Factory::new(part, unique_id),
             can1: Bxcan::new(),
+            can1_joined: Pins { transmit: true, receive: true },
             findings: Vec::new(),
             request: None,
             can_written: false,
         };
         chip.can1.set_clock(chip.clocks().pclk1);
+        chip.connect_can(Time::ZERO);
         chip
     }
 
@@ -197,6 +198,7 @@ impl Chip {
         }
         self.can1.reset();
         self.can1.set_clock(self.clocks().pclk1);
+        self.connect_can(now);
         self.request = None;
         self.can_written = false;
     }
@@ -318,7 +320,7 @@ impl Chip {
             Block::Can1 => {
                 self.can_written = true;
                 let modelled = self.can1.write(offset, value, now);
-                if modelled && offset == 0 && value & 1 == 0 && !self.can1_has_pins() {
+                if modelled && offset == 0 && value & 1 == 0 && !self.can1_has_its_pins() {
                     return Ok(Err(Problem::Misuse(
                         "CAN1 leaves initialisation with no pins in AF9",
                     )));
@@ -328,7 +330,11 @@ impl Chip {
             Block::Pwr => self.pwr.write(offset, value),
             Block::Syscfg => self.syscfg.write(offset, value),
             Block::Exti => self.exti.write(offset, value),
-            Block::Gpio(port) => self.gpio.write(usize::from(port), offset, value, now),
+            Block::Gpio(port) => {
+                let modelled = self.gpio.write(usize::from(port), offset, value, now);
+                self.connect_can(now);
+                modelled
+            }
             Block::Dbgmcu => self.dbgmcu.write(offset, value),
             Block::Flash | Block::Factory | Block::Unknown => false,
         };
@@ -345,6 +351,7 @@ impl Chip {
                 self.gpio.reset_port(port, now);
             }
         }
+        self.connect_can(now);
         if self.rcc.held_in_reset(Gate::Pwr) {
             self.pwr = Pwr::new(self.part);
         }
@@ -360,12 +367,6 @@ impl Chip {
             return Err(Problem::Misuse("too few flash wait states for this HCLK"));
         }
         Ok(())
-    }
-
-    fn can1_has_pins(&self) -> bool {
-        let connected =
-            |pins: [Pin; 4]| pins.iter().any(|&pin| self.gpio.alternate_function(pin) == Some(9));
-        connected(CAN1_RX) && connected(CAN1_TX)
     }
 
     fn clocked(&self, block: Block) -> bool {

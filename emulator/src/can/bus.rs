@@ -110,7 +110,7 @@ impl Bus {
             let mut changed = self.wire.act(now);
             for &index in &due {
                 let station = &mut *stations[index];
-                if station.controller().drives_next() {
+                if station.controller().drives_at(now) {
                     station.controller().drive(now);
                     self.next[index] = deliver(index, station, now);
                     changed = true;
@@ -121,7 +121,7 @@ impl Bus {
                 let before = std::mem::replace(&mut self.wire.level, level);
                 if before == Level::Recessive && level == Level::Dominant {
                     for (index, station) in stations.iter_mut().enumerate() {
-                        station.controller().falling_edge(now, level);
+                        station.controller().falling_edge(now);
                         self.next[index] = deliver(index, *station, now);
                     }
                 }

@@ -2,13 +2,18 @@
 
 mod filters;
 mod mailbox;
+mod readings;
 mod receive;
 mod registers;
+mod station;
 
-use super::{Clock, Controller, Event, Frame, Mode as BusMode, Station, stream::Level};
+pub use readings::{Acknowledge, Readings, TransmitLock};
+
+use super::{Clock, Controller, Event, Frame, Mode as BusMode, Pins, Station, stream::Level};
 use crate::Time;
 use filters::Filters;
 use mailbox::{Failure, Mailboxes};
+use readings::Oddities;
 use receive::Fifo;
 use registers::*;
 
@@ -64,6 +69,10 @@ enum Mode {
 pub struct Bxcan {
     controller: Controller,
     mode: Mode,
+    /// When INAK is set, in initialisation mode.
+    inak_from: Time,
+    /// Start of the counter of bit times.
+    counts_from: Time,
     mcr: u32,
     /// ERRI, WKUI and SLAKI.
     latched: u32,
@@ -77,6 +86,7 @@ pub struct Bxcan {
     filters: Filters,
     notes: Vec<(Time, Note)>,
     irq: Interrupts,
+    oddities: Oddities,
 }
 
 impl Default for Bxcan {
@@ -92,6 +102,8 @@ impl Bxcan {
         let mut bxcan = Self {
             controller: Controller::new(clock, bit_timing(BTR_RESET_VALUE)),
             mode: Mode::Sleep,
+            inak_from: Time::ZERO,
+            counts_from: Time::ZERO,
             mcr: MCR_RESET_VALUE,
             latched: 0,
             ier: 0,
@@ -103,9 +115,21 @@ impl Bxcan {
             filters: Filters::default(),
             notes: Vec::new(),
             irq: Interrupts::default(),
+            oddities: Oddities::default(),
         };
         bxcan.controller.watch(true);
         bxcan
+    }
+
+    /// Chooses how the manual is read.
+    pub fn set_readings(&mut self, readings: Readings) {
+        self.oddities = Oddities::new(readings);
+    }
+
+    /// Joins its pins to the transceiver, or takes them away, from `from` on; at first both are
+    /// joined.
+    pub fn connect(&mut self, pins: Pins, from: Time) {
+        self.controller.connect(pins, from);
     }
 
     /// Resets every register; the clock stays, and a frame under way is cut off.
@@ -124,6 +148,7 @@ impl Bxcan {
         self.fifos = Default::default();
         self.filters = Filters::default();
         self.irq = Interrupts::default();
+        self.oddities.reset();
     }
 
     /// The APB1 clock, which the time quanta are counted in.
@@ -166,6 +191,11 @@ impl Bxcan {
         self.controller.bit_rate()
     }
 
+    /// Whether BTR asks for silent mode.
+    pub fn is_silent(&self) -> bool {
+        self.controller.mode().silent
+    }
+
     /// What the program did since the last call, in order of time.
     pub fn take_notes(&mut self) -> Vec<(Time, Note)> {
         std::mem::take(&mut self.notes)
@@ -173,10 +203,10 @@ impl Bxcan {
 
     /// The word at `offset` from the base address; `None` where the reference manual has no
     /// register.
-    pub fn read(&self, offset: u32, _now: Time) -> Option<u32> {
+    pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
         Some(match offset {
             MCR => self.mcr,
-            MSR => self.msr(),
+            MSR => self.msr(now),
             TSR => self.mailboxes.tsr(self.mcr & MCR_TXFP != 0),
             RF0R => self.fifos[0].rfr(),
             RF1R => self.fifos[1].rfr(),
@@ -197,8 +227,8 @@ impl Bxcan {
 
     /// Stores a word at `offset` from the base address.
     ///
-    /// Returns false where there is no register, a reserved bit is set or time-triggered mode is
-    /// asked for, which is not modelled.
+    /// Returns false where there is no register, a reserved bit is set, or the time is to be sent in
+    /// a frame (TGT), which is not modelled.
     pub fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
         let modelled = self.write_register(offset, value, now);
         self.update_irq();
@@ -208,9 +238,14 @@ impl Bxcan {
     fn write_register(&mut self, offset: u32, value: u32, now: Time) -> bool {
         match offset {
             MCR => return self.write_mcr(value, now),
-            MSR => self.latched &= !value,
+            MSR => {
+                self.latched &= !value;
+                self.latch_errors(false);
+            }
             TSR => {
-                for (mailbox, frame) in self.mailboxes.write_tsr(value).into_iter().enumerate() {
+                for (mailbox, frame) in
+                    self.mailboxes.write_tsr(value, self.has_chosen()).into_iter().enumerate()
+                {
                     if let Some(frame) = frame {
                         self.notes.push((now, Note::Aborted { mailbox, frame }));
                     }
@@ -231,6 +266,7 @@ impl Bxcan {
                     self.notes.push((now, Note::Requested { mailbox, frame }));
                     self.offer();
                 }
+                return word != 1 || value & TDTR_TGT == 0;
             }
             FILTERS.. => return self.filters.write(offset - FILTERS, value),
             _ => return false,
@@ -238,8 +274,13 @@ impl Bxcan {
         true
     }
 
-    fn msr(&self) -> u32 {
-        u32::from(self.mode == Mode::Initialization)
+    /// Whether INAK is set.
+    fn is_initialized(&self, now: Time) -> bool {
+        self.mode == Mode::Initialization && self.inak_from <= now
+    }
+
+    fn msr(&self, now: Time) -> u32 {
+        u32::from(self.is_initialized(now))
             | u32::from(self.mode == Mode::Sleep) << 1
             | self.latched
             | u32::from(self.controller.is_transmitting()) << 8
@@ -250,11 +291,10 @@ impl Bxcan {
 
     fn esr(&self) -> u32 {
         let counters = self.controller.counters();
-        // TEC shows the lower eight of nine bits.
-        self.flags()
-            | self.lec
-            | u32::from(counters.transmit & 0xFF) << 16
-            | u32::from(counters.receive) << 24
+        // Captured from a chip in bus-off (confidence 0.8); the counter has nine bits.
+        let in_bus_off = counters.bus_off() && !self.oddities.readings.bus_off_tec_overflows;
+        let tec = if in_bus_off { BUS_OFF_TEC } else { counters.transmit & 0xFF };
+        self.flags() | self.lec | u32::from(tec) << 16 | u32::from(counters.receive) << 24
     }
 
     fn flags(&self) -> u32 {
@@ -267,7 +307,10 @@ impl Bxcan {
 
     fn write_mcr(&mut self, value: u32, now: Time) -> bool {
         if value & MCR_RESET != 0 {
-            self.reset();
+            // Neither the error counters nor the other registers (confidence 0.85).
+            self.mcr = MCR_RESET_VALUE;
+            self.fifos.iter_mut().for_each(Fifo::clear);
+            self.follow_request(now);
             return true;
         }
         self.mcr = value & MCR_WRITABLE;
@@ -276,11 +319,11 @@ impl Bxcan {
         }
         self.follow_request(now);
         self.offer();
-        value & !(MCR_WRITABLE & !MCR_TTCM) == 0
+        value & !MCR_WRITABLE == 0
     }
 
     fn write_btr(&mut self, value: u32, now: Time) -> bool {
-        if self.mode == Mode::Initialization && self.controller.is_stopped() {
+        if self.is_initialized(now) && self.controller.is_stopped() {
             let before = std::mem::replace(&mut self.btr, value & BTR_WRITABLE);
             let mode = BusMode { silent: value >> 31 == 1, loopback: value >> 30 & 1 == 1 };
             self.controller.configure(bit_timing(self.btr), mode);
@@ -299,6 +342,9 @@ impl Bxcan {
             _ => Mode::Initialization,
         };
         if requested == Mode::Normal {
+            if self.mode == Mode::Initialization {
+                self.oddities.start(self.controller.mode().silent);
+            }
             self.controller.start(now);
         } else {
             self.controller.stop();
@@ -312,87 +358,24 @@ impl Bxcan {
             return;
         }
         match (self.mode, requested) {
-            (_, Mode::Initialization) => self.notes.push((now, Note::InitializationEntered)),
-            (Mode::Initialization, _) => self.notes.push((now, Note::InitializationLeft)),
+            (_, Mode::Initialization) => {
+                self.inak_from = self.oddities.initialize(now, self.controller.bit_time());
+                if self.inak_from < Time::MAX {
+                    self.notes.push((self.inak_from, Note::InitializationEntered));
+                }
+            }
+            (Mode::Initialization, _) if self.is_initialized(now) => {
+                self.notes.push((now, Note::InitializationLeft));
+            }
             _ => {}
+        }
+        if requested == Mode::Normal {
+            self.counts_from = now;
         }
         self.mode = requested;
         self.latched &= !MSR_SLAKI;
         if requested == Mode::Sleep && self.ier & IER_SLKIE != 0 {
             self.latched |= MSR_SLAKI;
         }
-    }
-
-    /// Gives the controller the mailbox whose turn is next.
-    fn offer(&mut self) {
-        match self.mailboxes.schedule(self.mcr & MCR_TXFP != 0) {
-            Some((frame, since)) => self.controller.offer(Some(frame), since),
-            None => self.controller.offer(None, Time::ZERO),
-        }
-    }
-
-    fn transmission_failed(&mut self, failure: Failure) {
-        self.mailboxes.failed(failure, self.mcr & MCR_NART != 0);
-        self.offer();
-    }
-
-    fn received(&mut self, frame: &Frame) {
-        if let Some((fifo, index)) = self.filters.accept(frame) {
-            self.fifos[fifo].push(frame, index, self.mcr & MCR_RFLM != 0);
-        }
-    }
-
-    /// Raises ERRI for flags of ESR that rose and, if an error was found, for its code.
-    fn latch_errors(&mut self, error: bool) {
-        let flags = self.flags();
-        let risen = flags & !std::mem::replace(&mut self.error_flags, flags);
-        let asks = |flag, enable| risen & flag != 0 && self.ier & enable != 0;
-        if asks(ESR_EWGF, IER_EWGIE)
-            || asks(ESR_EPVF, IER_EPVIE)
-            || asks(ESR_BOFF, IER_BOFIE)
-            || (error && self.ier & IER_LECIE != 0)
-        {
-            self.latched |= MSR_ERRI;
-        }
-    }
-}
-
-impl Station for Bxcan {
-    fn controller(&mut self) -> &mut Controller {
-        &mut self.controller
-    }
-
-    fn handle(&mut self, event: &Event, now: Time) -> bool {
-        match *event {
-            Event::Started => self.mailboxes.started(),
-            Event::Transmitted { .. } => {
-                self.lec = 0;
-                self.mailboxes.transmitted();
-                self.offer();
-            }
-            Event::ArbitrationLost => self.transmission_failed(Failure::Arbitration),
-            Event::Received(frame) => {
-                self.lec = 0;
-                self.received(&frame);
-            }
-            Event::Error { kind, transmitting } => {
-                self.lec = error_code(kind) << 4;
-                if transmitting {
-                    self.transmission_failed(Failure::Error);
-                }
-            }
-            Event::BusOff if self.mcr & MCR_ABOM != 0 => self.controller.recover(now),
-            Event::Joined | Event::Stopped => self.follow_request(now),
-            Event::Activity => {
-                self.latched |= MSR_WKUI;
-                if self.mcr & MCR_AWUM != 0 {
-                    self.mcr &= !MCR_SLEEP;
-                    self.follow_request(now);
-                }
-            }
-            Event::BusOff | Event::Recovered | Event::CounterRaised => {}
-        }
-        self.latch_errors(matches!(event, Event::Error { .. }));
-        self.irq_changes()
     }
 }

@@ -1,6 +1,7 @@
 //! A CAN protocol controller without mailboxes: its clock, its place in the bit, and what it tells
 //! its owner.
 
+mod bit;
 mod line;
 mod protocol;
 #[cfg(test)]
@@ -16,6 +17,7 @@ use super::{
 };
 use crate::Time;
 use line::Line;
+pub use line::Pins;
 use protocol::Phase;
 
 /// What a controller found wrong (ISO 11898-1, error detection).
@@ -208,7 +210,8 @@ impl Controller {
     /// Stops at once, whatever is under way, and forgets counters, offer and unread events: a
     /// hardware reset.
     pub fn reset(&mut self) {
-        let (now, wire, line) = (self.now, self.wire, std::mem::take(&mut self.line));
+        let (now, wire, mut line) = (self.now, self.wire, std::mem::take(&mut self.line));
+        line.reset();
         *self = Self { now, wire, line, ..Self::new(self.clock, self.bit_timing) };
     }
 
@@ -275,7 +278,22 @@ impl Controller {
         self.phase.is_frame() && self.transmission.is_none()
     }
 
-    /// Level of the wire, as of the latest instant that the bus told.
+    /// Whether an own frame is going to start at the next bit boundary.
+    pub fn is_starting(&self) -> bool {
+        self.phase == Phase::Idle && self.next == Level::Dominant
+    }
+
+    /// A bit time.
+    pub fn bit_time(&self) -> Time {
+        self.spans.bit
+    }
+
+    /// The sample point of the SOF of the present or latest frame.
+    pub fn start_of_frame_sample(&self) -> Time {
+        self.frame_start + self.spans.sample
+    }
+
+    /// Level that it heard, as of the latest instant that the bus told.
     pub fn wire_level(&self) -> Level {
         self.wire
     }
@@ -295,96 +313,11 @@ impl Controller {
         self.events.pop_front()
     }
 
-    /// When it changes what it drives or samples next; `Time::MAX` while only an edge can move it.
-    pub(super) fn next_action(&self) -> Time {
-        if self.drives_next() {
-            return self.start;
-        }
-        match self.phase {
-            Phase::Stopped | Phase::BusOff => Time::MAX,
-            Phase::Idle if !self.synchronised => self.idle_sample(),
-            _ => self.start + self.spans.sample,
-        }
-    }
-
-    /// On an idle bus a controller needs no sample but one that is to be inverted.
-    fn idle_sample(&self) -> Time {
-        let Some(flip) = self.line.next_flip() else { return Time::MAX };
-        let first = self.start + self.spans.sample;
-        let late = flip.max(self.now).saturating_sub(first).as_ps();
-        first + self.spans.bit * late.div_ceil(self.spans.bit.as_ps())
-    }
-
-    /// Whether its next action is to change what it drives.
-    pub(super) fn drives_next(&self) -> bool {
-        self.next != self.driven
-    }
-
-    /// Tells the time and the level of the wire between actions.
-    pub(crate) fn settle(&mut self, now: Time, wire: Level) {
-        self.now = now.max(self.now);
-        self.wire = self.heard(wire);
-    }
-
-    /// Looks at the wire after something was done to it or to the controller's line.
-    pub(super) fn resume(&mut self, now: Time, wire: Level) {
-        if self.wire == Level::Recessive && !self.is_stopped() {
-            self.falling_edge(now, wire);
-        }
-    }
-
-    /// Acts at a bit boundary.
-    pub(super) fn drive(&mut self, now: Time) {
-        self.now = now;
-        self.driven = self.next;
-        if self.phase == Phase::Idle && self.driven == Level::Dominant {
-            self.frame_start = now;
-            self.decoder = Decoder::default();
-            self.phase = Phase::Frame;
-            self.begin_transmission(0);
-        }
-    }
-
-    /// Synchronises on a recessive to dominant edge of the wire, to the grid of its own quanta:
-    /// hard between frames, else by at most the jump width.
-    pub(super) fn falling_edge(&mut self, now: Time, wire: Level) {
-        if self.heard(wire) == Level::Recessive {
-            return;
-        }
-        if self.is_stopped() && self.watching {
-            self.events.push_back(Event::Activity);
-        }
-        if self.synchronised || self.sampled == Level::Dominant || self.mode.loopback {
-            return;
-        }
-        let quantum = self.spans.quantum as i64;
-        let late = (now.as_ps() as i64 - self.start.as_ps() as i64).div_euclid(quantum);
-        let quanta = if self.phase.synchronises_hard() {
-            self.next = Level::Recessive;
-            late
-        } else {
-            late.clamp(-self.spans.jump_width, self.spans.jump_width)
-        };
-        self.start = Time::from_ps((self.start.as_ps() as i64 + quanta * quantum) as u64);
-        self.synchronised = true;
-    }
-
     fn halt(&mut self) {
         self.phase = Phase::Stopped;
         self.stopping = false;
         self.driven = Level::Recessive;
         self.next = Level::Recessive;
-    }
-
-    /// In idle: has the offered frame start at the first own bit boundary that is not past.
-    fn schedule(&mut self) {
-        self.next = Level::Recessive;
-        let Some((from, _)) = self.offered.filter(|_| self.may_transmit()) else { return };
-        let from = from.max(self.now);
-        let bit = self.spans.bit.as_ps();
-        let bits = from.saturating_sub(self.start).as_ps().div_ceil(bit);
-        self.start += self.spans.bit * bits;
-        self.next = Level::Dominant;
     }
 
     fn may_transmit(&self) -> bool {

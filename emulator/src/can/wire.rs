@@ -90,6 +90,6 @@ impl Pulses {
         mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
         mixed ^= mixed >> 31;
         let range = 2 * u128::from(self.noise.mean_interval.as_ps());
-        Time::from_ps((u128::from(mixed) * range >> 64) as u64 + 1)
+        Time::from_ps(((u128::from(mixed) * range) >> 64) as u64 + 1)
     }
 }

@@ -2,7 +2,7 @@
 
 use emulator::{
     Time,
-    can::{Adapter, Bus, Bxcan, Clock, Frame, Id},
+    can::{Adapter, Bus, Bxcan, Clock, Frame, Id, bxcan::Readings},
 };
 
 pub const MCR: u32 = 0x000;
@@ -30,6 +30,7 @@ pub const RFLM: u32 = 8;
 pub const NART: u32 = 16;
 pub const AWUM: u32 = 32;
 pub const ABOM: u32 = 64;
+pub const MCR_RESET: u32 = 1 << 15;
 
 pub const INAK: u32 = 1;
 pub const SLAK: u32 = 2;
@@ -56,6 +57,15 @@ impl Bench {
     /// In normal mode with these bits of MCR and a filter that lets everything into FIFO 0.
     pub fn running(mcr: u32) -> Self {
         let mut bench = Self::new();
+        bench.open_filter();
+        bench.join(mcr, MEGABIT);
+        bench
+    }
+
+    /// As [`running`](Self::running), with other readings of the manual.
+    pub fn reading(readings: Readings, mcr: u32) -> Self {
+        let mut bench = Self::new();
+        bench.can.set_readings(readings);
         bench.open_filter();
         bench.join(mcr, MEGABIT);
         bench

@@ -2,10 +2,12 @@
 
 use emulator::{
     Time,
-    can::{Adapter, Event, Station},
+    can::{Adapter, Event, Station, bxcan::Readings},
 };
 
-use crate::bench::{ABOM, Bench, ESR, HALF_MEGABIT, IER, INAK, INRQ, MCR, MSR, RF0R, standard};
+use crate::bench::{
+    ABOM, Bench, ESR, HALF_MEGABIT, IER, INAK, INRQ, MCR, MCR_RESET, MSR, RF0R, TSR, standard,
+};
 
 #[test]
 fn alone_the_warning_and_passive_flags_rise_at_96_and_128_and_interrupt_once() {
@@ -45,8 +47,8 @@ fn error_codes_interrupt_with_lecie_and_a_good_frame_clears_the_code() {
 }
 
 /// Drives the transmit error counter over 255 by noise at half the rate.
-fn bus_off(mcr: u32) -> Bench {
-    let mut bench = Bench::running(mcr);
+fn bus_off(readings: Readings, mcr: u32) -> Bench {
+    let mut bench = Bench::reading(readings, mcr);
     bench.adapter.set_bit_rate(500_000);
     bench.mailbox(0, standard(0x7FF, &[0xFF; 8]));
     let limit = Time::from_s(1);
@@ -61,7 +63,7 @@ fn bus_off(mcr: u32) -> Bench {
 
 #[test]
 fn bus_off_lasts_until_the_program_passes_through_initialisation() {
-    let mut bench = bus_off(0);
+    let mut bench = bus_off(Readings::default(), 0);
     assert_eq!(bench.read(ESR) & 7, 7);
     bench.run(Time::from_ms(10));
     assert_eq!(bench.read(ESR) & 4, 4);
@@ -80,7 +82,7 @@ fn bus_off_lasts_until_the_program_passes_through_initialisation() {
 
 #[test]
 fn bus_off_ends_by_itself_with_abom_and_the_mailbox_is_sent_at_last() {
-    let mut bench = bus_off(ABOM);
+    let mut bench = bus_off(Readings::default(), ABOM);
     bench.adapter.set_bit_rate(1_000_000);
     bench.adapter.open();
     bench.run_us(1_700);
@@ -107,4 +109,61 @@ fn a_node_at_another_rate_counts_errors_and_destroys_frames() {
     assert!(errors > 0);
     assert_eq!(bench.read(RF0R), 0);
     assert!(bench.read(ESR) >> 24 > 0 && bench.adapter.errors() > 0);
+}
+
+/// As captured from a chip (confidence 0.8); the manual says nothing.
+#[test]
+fn the_transmit_error_counter_reads_248_in_bus_off() {
+    let tec = |readings| bus_off(readings, 0).read(ESR) >> 16 & 0xFF;
+    assert_eq!(tec(Readings::default()), 0xF8);
+    assert!(tec(Readings { bus_off_tec_overflows: true, ..Readings::default() }) < 8);
+}
+
+/// Only a reset by RCC clears the counters (confidence 0.85).
+#[test]
+fn neither_a_master_reset_nor_initialisation_leaves_error_passive() {
+    let mut bench = Bench::running(0);
+    bench.adapter.close();
+    bench.mailbox(0, standard(0x123, &[]));
+    bench.step_until("EPVF", |bench| bench.read(ESR) & 2 == 2);
+    bench.write(TSR, 1 << 7);
+    bench.run(Time::from_ms(1));
+    for mcr in [MCR_RESET, INRQ] {
+        bench.write(MCR, mcr);
+        bench.run_us(300);
+        bench.write(MCR, 0);
+        bench.run_us(300);
+        assert_eq!(bench.read(ESR) & 7, 3);
+    }
+    bench.can.reset();
+    assert_eq!(bench.read(ESR), 0);
+}
+
+#[test]
+fn errors_may_interrupt_again_and_again_while_passive() {
+    let interrupts = |readings| {
+        let mut bench = Bench::reading(readings, 0);
+        bench.adapter.close();
+        bench.write(IER, 1 << 15 | 1 << 9);
+        bench.mailbox(0, standard(0x123, &[]));
+        bench.step_until("EPVF", |bench| bench.can.irq().sce);
+        bench.write(MSR, 1 << 2);
+        assert!(!bench.can.irq().sce);
+        bench.run_us(200);
+        bench.can.irq().sce
+    };
+    assert!(!interrupts(Readings::default()));
+    assert!(interrupts(Readings { passive_errors_interrupt: true, ..Readings::default() }));
+}
+
+#[test]
+fn bus_off_may_hold_its_interrupt_until_it_is_over() {
+    let holds = |readings| {
+        let mut bench = bus_off(readings, 0);
+        bench.write(IER, 1 << 15 | 1 << 10);
+        bench.write(MSR, 1 << 2);
+        bench.can.irq().sce
+    };
+    assert!(!holds(Readings::default()));
+    assert!(holds(Readings { bus_off_holds_interrupt: true, ..Readings::default() }));
 }

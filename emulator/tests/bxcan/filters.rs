@@ -1,6 +1,6 @@
 //! Filter banks of each kind.
 
-use emulator::can::{Frame, Id};
+use emulator::can::{Frame, Id, bxcan::Readings};
 
 use crate::bench::{
     Bench, F0R1, FA1R, FFA1R, FM1R, FMR, FS1R, MEGABIT, RF0R, RI0R, RI1R, standard,
@@ -153,4 +153,21 @@ fn banks_from_can2sb_on_belong_to_the_other_peripheral() {
     bench.run_us(200);
     assert_eq!(bench.read(RF0R), 1);
     assert_eq!(bench.read(RI0R + 4) >> 8, 28, "14 banks of two 16-bit filters come before");
+}
+
+/// Renode's model stores it in both.
+#[test]
+fn a_frame_that_both_fifos_let_in_goes_into_one() {
+    let held = |readings| {
+        let mut bench = with_filters(0b0010, 0b0011);
+        bench.can.set_readings(readings);
+        bench.write(FA1R, 0);
+        bench.write(F0R1 + 8, 0);
+        bench.write(FA1R, 0b0011);
+        bench.adapter.send(standard(0x7E5, &[]));
+        bench.run_us(300);
+        [bench.read(RF0R) & 3, bench.read(RF0R + 4) & 3]
+    };
+    assert_eq!(held(Readings::default()), [1, 0], "a list goes before a mask");
+    assert_eq!(held(Readings { both_fifos: true, ..Readings::default() }), [1, 1]);
 }

@@ -2,11 +2,14 @@
 
 use emulator::{
     Time,
-    can::{Adapter, BitTiming, Clock, Level, bxcan::Note},
+    can::{
+        Adapter, BitTiming, Clock, Level,
+        bxcan::{Acknowledge, Note, Readings, TransmitLock},
+    },
 };
 
 use crate::bench::{
-    AWUM, BTR, Bench, IER, INAK, INRQ, MCR, MEGABIT, MSR, SLAK, SLEEP, TSR, standard,
+    AWUM, BTR, Bench, IER, INAK, INRQ, MCR, MEGABIT, MSR, RF0R, SLAK, SLEEP, TSR, standard,
 };
 
 #[test]
@@ -112,6 +115,17 @@ fn loopback_reads_back_its_own_frame() {
     assert_eq!(bench.read(TSR), 0x1C03_0000);
 }
 
+/// Both at the end of EOF (confidence 0.7).
+#[test]
+fn in_loopback_the_frame_is_received_when_it_is_sent() {
+    let mut bench = Bench::new();
+    bench.open_filter();
+    bench.join(0, 3 << 30 | MEGABIT);
+    bench.mailbox(0, standard(0x7E5, &[5]));
+    bench.step_until("a message", |bench| bench.read(RF0R) & 3 == 1);
+    assert_eq!(bench.read(TSR) & 3, 3);
+}
+
 #[test]
 fn sleep_ends_on_bus_activity_with_awum() {
     let mut bench = Bench::running(AWUM);
@@ -140,4 +154,85 @@ fn sleep_goes_on_without_awum() {
     bench.write(MCR, 0);
     bench.run_us(300);
     assert_eq!(bench.read(MSR) & 3, 0);
+}
+
+/// Resets the controller and has it listen, with some other node that sends a frame.
+fn listen_after_reset(bench: &mut Bench) -> Level {
+    bench.can.reset();
+    bench.join(0, 1 << 31 | MEGABIT);
+    bench.adapter.send(standard(0x123, &[]));
+    bench.run_us(300);
+    bench.adapter.close();
+    bench.run_us(300);
+    bench.adapter.open();
+    bench.bus.level()
+}
+
+#[test]
+fn the_transmit_pin_may_be_locked_dominant_while_it_listens_until_a_reset() {
+    let mut bench = Bench::new();
+    let transmit_lock = Some(TransmitLock { every: 2, frame: 1 });
+    bench.can.set_readings(Readings { transmit_lock, ..Readings::default() });
+    assert_eq!(listen_after_reset(&mut bench), Level::Recessive);
+    assert_eq!(listen_after_reset(&mut bench), Level::Dominant);
+    bench.write(MCR, INRQ);
+    bench.run_us(300);
+    assert_eq!(bench.bus.level(), Level::Dominant, "initialisation does not help");
+    bench.can.reset();
+    bench.run_us(1);
+    assert_eq!(bench.bus.level(), Level::Recessive);
+}
+
+/// The way of PX4's boot loader.
+#[test]
+fn silent_mode_entered_by_initialisation_does_not_lock_the_transmit_pin() {
+    let mut bench = Bench::new();
+    let transmit_lock = Some(TransmitLock { every: 1, frame: 1 });
+    bench.can.set_readings(Readings { transmit_lock, ..Readings::default() });
+    bench.join(0, MEGABIT);
+    for _ in 0..3 {
+        bench.adapter.close();
+        bench.join(0, 1 << 31 | MEGABIT);
+        bench.adapter.open();
+        bench.adapter.send(standard(0x123, &[]));
+        bench.run_us(300);
+        bench.adapter.close();
+        bench.run_us(100);
+        assert_eq!(bench.bus.level(), Level::Recessive);
+    }
+}
+
+#[test]
+fn initialisation_may_be_acknowledged_late() {
+    let mut bench = Bench::new();
+    let acknowledge = Acknowledge::Late(11);
+    bench.can.set_readings(Readings { acknowledge, ..Readings::default() });
+    bench.write(MCR, INRQ);
+    // Out of a reset BTR makes eight quanta of a clock period.
+    let bits = |bits: u64| Time::from_ns(250) * bits;
+    bench.run(bits(11) - Time::from_ns(1));
+    bench.write(BTR, MEGABIT);
+    assert_eq!((bench.read(MSR) & INAK, bench.read(BTR)), (0, 0x0123_0000));
+    bench.run(Time::from_ns(1));
+    bench.write(BTR, MEGABIT);
+    assert_eq!((bench.read(MSR) & INAK, bench.read(BTR)), (INAK, MEGABIT));
+}
+
+#[test]
+fn initialisation_may_not_be_acknowledged_until_a_reset() {
+    let mut bench = Bench::new();
+    let acknowledge = Acknowledge::Lost { every: 2 };
+    bench.can.set_readings(Readings { acknowledge, ..Readings::default() });
+    let mut acknowledged = Vec::new();
+    for _ in 0..4 {
+        bench.can.reset();
+        bench.write(MCR, INRQ);
+        bench.run_us(100);
+        let first = bench.read(MSR) & INAK;
+        bench.write(MCR, SLEEP);
+        bench.write(MCR, INRQ);
+        bench.run_us(100);
+        acknowledged.push((first, bench.read(MSR) & INAK));
+    }
+    assert_eq!(acknowledged, [(0, 0), (1, 1), (0, 0), (1, 1)]);
 }

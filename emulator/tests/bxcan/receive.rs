@@ -55,6 +55,32 @@ fn the_fourth_message_replaces_the_third() {
     assert_eq!(data, [1, 2, 5]);
 }
 
+/// Contrary to "cleared by software" in RM0090, 32.9.2 (confidence 0.85).
+#[test]
+fn full_falls_when_a_frame_is_released() {
+    let mut bench = Bench::running(0);
+    bench.write(IER, 1 << 2);
+    (1..=3).for_each(|n| bench.adapter.send(standard(0x100, &[n])));
+    bench.run_us(300);
+    assert_eq!((bench.read(RF0R), bench.can.irq().rx0), (3 | 1 << 3, true));
+    bench.write(RF0R, 1 << 5);
+    assert_eq!((bench.read(RF0R), bench.can.irq().rx0), (2, false));
+}
+
+#[test]
+fn a_frame_has_the_time_of_its_sof_in_time_triggered_mode() {
+    const TTCM: u32 = 1 << 7;
+    for (mcr, apart) in [(TTCM, 300), (0, 0)] {
+        let mut bench = Bench::running(mcr);
+        bench.adapter.send(standard(0x100, &[1]));
+        bench.run_us(300);
+        bench.adapter.send(standard(0x100, &[2]));
+        bench.run_us(300);
+        let stamps: Vec<u32> = bench.fifo(0).iter().map(|message| message[1] >> 16).collect();
+        assert_eq!(stamps[1] - stamps[0], apart, "{stamps:?}");
+    }
+}
+
 #[test]
 fn a_locked_fifo_keeps_its_first_three() {
     let mut bench = Bench::running(RFLM);

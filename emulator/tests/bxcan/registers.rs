@@ -36,10 +36,10 @@ fn registers_have_their_reset_values() {
 }
 
 #[test]
-fn reserved_bits_and_time_triggered_mode_are_reported() {
+fn reserved_bits_and_the_sending_of_the_time_are_reported() {
     let mut bench = Bench::new();
     assert!(bench.write(MCR, INRQ));
-    assert!(!bench.write(MCR, INRQ | 1 << 7));
+    assert!(!bench.write(TI0R + 4, 1 << 8), "TGT");
     assert!(!bench.write(MCR, INRQ | 1 << 20));
     assert!(!bench.write(IER, 1 << 7));
     assert!(!bench.write(BTR, 1 << 10));
@@ -68,6 +68,7 @@ fn a_master_reset_puts_it_to_sleep_and_empties_the_fifos() {
     assert_eq!(bench.read(RF0R), 1);
     bench.write(MCR, 1 << 15);
     assert_eq!((bench.read(MCR), bench.read(MSR) & 3, bench.read(RF0R)), (0x0001_0002, SLAK, 0));
+    assert_eq!((bench.read(BTR), bench.read(FA1R)), (MEGABIT, 1), "nothing else (confidence 0.85)");
 }
 
 #[test]

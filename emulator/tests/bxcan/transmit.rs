@@ -1,6 +1,9 @@
 //! Transmit mailboxes: status, priority, abort, one-shot.
 
-use emulator::{Time, can::bxcan::Note};
+use emulator::{
+    Time,
+    can::bxcan::{Note, Readings},
+};
 
 use crate::bench::{Bench, ESR, IER, INRQ, MCR, MSR, NART, TI0R, TSR, TXFP, standard};
 
@@ -53,16 +56,73 @@ fn mailboxes_go_by_order_of_request_with_txfp() {
     assert_eq!(order, [1, 2, 0]);
 }
 
-#[test]
-fn a_higher_priority_overtakes_what_waits_but_not_what_is_under_way() {
-    let mut bench = Bench::running(0);
+/// Two requests on an idle bus, a third while the first of them is sent.
+fn order_of_three_requests(bench: &mut Bench) -> Vec<u8> {
     bench.mailbox(0, standard(0x300, &[0]));
     bench.mailbox(1, standard(0x200, &[1]));
     bench.run_us(10);
     bench.mailbox(2, standard(0x100, &[2]));
     bench.run_us(500);
+    bench.received().iter().map(|frame| frame.data[0]).collect()
+}
+
+/// The reading of RM0090, 32.7.1, that is modelled: an idle bus makes a mailbox "transmit" at once
+/// (confidence 0.85).
+#[test]
+fn a_higher_priority_overtakes_what_waits_but_not_what_was_chosen() {
+    assert_eq!(order_of_three_requests(&mut Bench::running(0)), [0, 2, 1]);
+}
+
+/// The other reading: chosen at SOF.
+#[test]
+fn with_a_late_choice_a_higher_priority_overtakes_on_an_idle_bus() {
+    let readings = Readings { late_choice: true, ..Readings::default() };
+    assert_eq!(order_of_three_requests(&mut Bench::reading(readings, 0)), [1, 2, 0]);
+}
+
+#[test]
+fn an_abort_comes_too_late_for_a_request_on_an_idle_bus() {
+    let sent = |readings| {
+        let mut bench = Bench::reading(readings, 0);
+        bench.mailbox(0, standard(0x123, &[1]));
+        bench.write(TSR, 1 << 7);
+        let pending = bench.read(TSR) & 0xFF;
+        bench.run_us(100);
+        (pending, bench.read(TSR) & 0xF, bench.received().len())
+    };
+    assert_eq!(sent(Readings::default()), (1 << 7, 0b0011, 1));
+    let late_choice = Readings { late_choice: true, ..Readings::default() };
+    assert_eq!(sent(late_choice), (1, 0b0001, 0));
+}
+
+/// Another station's SOF takes the turn of the mailbox that was chosen: now it can be aborted, and
+/// its place is taken by what is more urgent.
+#[test]
+fn a_choice_ends_when_another_station_starts_first() {
+    let mut bench = Bench::running(0);
+    bench.adapter.send(standard(0x7F, &[7]));
+    bench.step_until("a frame", |bench| bench.read(MSR) >> 9 & 1 == 1);
+    bench.mailbox(0, standard(0x300, &[0]));
+    bench.mailbox(1, standard(0x200, &[1]));
+    bench.mailbox(2, standard(0x100, &[2]));
+    bench.write(TSR, 1 << 15);
+    bench.run_us(500);
     let order: Vec<u8> = bench.received().iter().map(|frame| frame.data[0]).collect();
-    assert_eq!(order, [1, 2, 0], "chosen when the bus became free");
+    assert_eq!(order, [2, 0]);
+}
+
+#[test]
+fn a_sent_frame_has_the_time_of_its_sof_in_time_triggered_mode() {
+    const TTCM: u32 = 1 << 7;
+    let mut bench = Bench::running(TTCM);
+    bench.mailbox(0, standard(0x123, &[1]));
+    bench.run_us(200);
+    let first = bench.read(TI0R + 4);
+    bench.mailbox(0, standard(0x123, &[2]));
+    bench.run_us(200);
+    let second = bench.read(TI0R + 4);
+    assert_eq!((second >> 16) - (first >> 16), 200, "{first:#x} {second:#x}");
+    assert_eq!(second & 0xFFFF, 1);
 }
 
 #[test]

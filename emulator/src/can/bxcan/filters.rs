@@ -100,30 +100,33 @@ impl Filters {
         value & !BANK_BITS == 0
     }
 
-    /// The FIFO that takes `frame` and the filter match index there; `None` drops the frame, as
-    /// does FINIT.
+    /// The filter match index in the FIFO that takes `frame`; FINIT drops the frame.
     ///
-    /// Of several matches the wider scale wins, then list over mask mode, then the lower number.
-    pub fn accept(&self, frame: &Frame) -> Option<(usize, u8)> {
+    /// Of several matches the wider scale wins, then list over mask mode, then the lower number;
+    /// with `both` that is so for each FIFO by itself.
+    pub fn accept(&self, frame: &Frame, both: bool) -> [Option<u8>; 2] {
         if self.fmr & FMR_FINIT != 0 {
-            return None;
+            return [None; 2];
         }
         let of_can1 = (self.fmr >> CAN2SB_SHIFT & 0x3F) as usize;
         let mut next_index = [0; 2];
-        let mut best = None;
+        let mut best = [None; 2];
         for bank in 0..of_can1.min(BANKS) {
             let bit = |register: u32| register >> bank & 1 == 1;
             let (wide, list, fifo) = (bit(self.fs1r), bit(self.fm1r), usize::from(bit(self.ffa1r)));
             let (filters, found) = self.matches(bank, wide, list, frame);
             if let (true, Some(number)) = (bit(self.fa1r), found) {
-                let rank = (!wide, !list);
-                if best.is_none_or(|(best, _, _)| rank < best) {
-                    best = Some((rank, fifo, next_index[fifo] + number));
+                let rank = (!wide, !list, bank);
+                if best[fifo].is_none_or(|(best, _)| rank < best) {
+                    best[fifo] = Some((rank, next_index[fifo] + number));
                 }
             }
             next_index[fifo] += filters;
         }
-        best.map(|(_, fifo, index)| (fifo, index))
+        let winner = best.iter().flatten().map(|&(rank, _)| rank).min();
+        best.map(|best| {
+            best.filter(|&(rank, _)| both || Some(rank) == winner).map(|(_, index)| index)
+        })
     }
 
     /// How many filters the bank has, and which of them is the first to match.

@@ -120,8 +120,9 @@ impl Mailboxes {
     }
 
     /// Writes TSR: clears status and asks for aborts. Returns the frames that were aborted at once;
-    /// a frame under way gets its end first.
-    pub fn write_tsr(&mut self, value: u32) -> [Option<Frame>; 3] {
+    /// a frame under way, or chosen to be so next, gets its end first.
+    pub fn write_tsr(&mut self, value: u32, chosen: bool) -> [Option<Frame>; 3] {
+        let spared = if chosen { self.scheduled } else { self.sending };
         let mut aborted = [None; 3];
         for (number, mailbox) in self.mailboxes.iter_mut().enumerate() {
             let bits = value >> (8 * number);
@@ -132,7 +133,7 @@ impl Mailboxes {
             };
             mailbox.status &= !cleared;
             if bits & ABRQ != 0 && mailbox.request.is_some() {
-                if self.sending == Some(number) {
+                if spared == Some(number) {
                     mailbox.status |= ABRQ;
                 } else {
                     aborted[number] = Some(mailbox.frame());
@@ -141,6 +142,15 @@ impl Mailboxes {
             }
         }
         aborted
+    }
+
+    /// Empties mailboxes whose abort had to wait for a start that did not come.
+    pub fn finish_aborts(&mut self) {
+        for (number, mailbox) in self.mailboxes.iter_mut().enumerate() {
+            if mailbox.status & ABRQ != 0 && self.sending != Some(number) {
+                mailbox.complete(0);
+            }
+        }
     }
 
     /// Chooses the mailbox that is to be sent next: its frame and the time of its request.
@@ -155,10 +165,13 @@ impl Mailboxes {
         self.sending = self.scheduled;
     }
 
-    /// The frame under way was sent.
-    pub fn transmitted(&mut self) {
+    /// The frame under way was sent; `stamp` is its time stamp, if there are any.
+    pub fn transmitted(&mut self, stamp: Option<u16>) {
         if let Some(sent) = self.sending.take() {
             let mailbox = &mut self.mailboxes[sent];
+            if let Some(stamp) = stamp {
+                mailbox.words[1] = mailbox.words[1] & 0xFFFF | u32::from(stamp) << 16;
+            }
             mailbox.status &= !(ALST | TERR);
             mailbox.complete(TXOK);
         }

@@ -29,13 +29,13 @@ pub struct Fifo {
 }
 
 impl Fifo {
-    /// Stores a frame with the index of the filter that let it in. When full, a locked FIFO drops
-    /// the new frame, another its newest.
-    pub fn push(&mut self, frame: &Frame, filter_match: u8, locked: bool) {
+    /// Stores a frame with the index of the filter that let it in and its time stamp. When full, a
+    /// locked FIFO drops the new frame, another its newest.
+    pub fn push(&mut self, frame: &Frame, filter_match: u8, stamp: u16, locked: bool) {
         let data = u64::from_le_bytes(frame.data);
         let message = [
             identifier_word(frame),
-            u32::from(frame.dlc) | u32::from(filter_match) << 8,
+            u32::from(frame.dlc) | u32::from(filter_match) << 8 | u32::from(stamp) << 16,
             data as u32,
             (data >> 32) as u32,
         ];
@@ -57,13 +57,20 @@ impl Fifo {
         self.messages.len() as u32 | self.flags
     }
 
-    /// Clears FULL and FOVR where 1 is written; RFOM releases the output mailbox.
+    /// Forgets its messages, as a master reset does.
+    pub fn clear(&mut self) {
+        self.messages.clear();
+    }
+
+    /// Clears FULL and FOVR where 1 is written; RFOM releases the output mailbox, and FULL falls
+    /// with it, though the manual says that only software clears it (confidence 0.85).
     pub fn write_rfr(&mut self, value: u32) {
         self.flags &= !(value & (FULL | FOVR));
         if value & RFOM != 0
             && let Some(message) = self.messages.pop_front()
         {
             self.released = message;
+            self.flags &= !FULL;
         }
     }
 

@@ -48,6 +48,11 @@ pub const ESR_EPVF: u32 = 1 << 1;
 pub const ESR_BOFF: u32 = 1 << 2;
 pub const ESR_LEC: u32 = 0b111 << 4;
 
+/// What ESR shows as TEC in bus-off.
+pub const BUS_OFF_TEC: u16 = 0xF8;
+
+pub const TDTR_TGT: u32 = 1 << 8;
+
 pub const BTR_RESET_VALUE: u32 = 0x0123_0000;
 pub const BTR_WRITABLE: u32 = 0xC37F_03FF;
 

@@ -168,7 +168,8 @@ impl Controller {
             Phase::Flag { flag: Flag::PassiveError, bits } => {
                 self.passive_flag_bit(if seen == previous { bits + 1 } else { 1 }, dominant);
             }
-            Phase::Flag { .. } if !dominant => self.flag_error(),
+            // In an own active error or overload flag.
+            Phase::Flag { .. } if !dominant => self.fail(ErrorKind::BitDominant, 8),
             Phase::Flag { flag, bits } => self.flag_bit(flag, bits + 1),
             Phase::FlagEnd { flag, dominant: before } if dominant => {
                 self.held_dominant(flag, before + 1)
@@ -251,10 +252,10 @@ impl Controller {
                 self.counters.received();
                 self.events.push_back(Event::Received(self.decoder.frame()));
             }
-            (5, true) if self.mode.loopback => {
-                self.events.push_back(Event::Received(self.decoder.frame()));
-            }
             (6, true) => {
+                if self.mode.loopback {
+                    self.events.push_back(Event::Received(self.decoder.frame()));
+                }
                 if let Some(Transmission { frame, .. }) = self.transmission.take() {
                     self.counters.transmitted();
                     let (start, end) = (self.frame_start, self.start);
@@ -273,11 +274,6 @@ impl Controller {
     /// A dominant bit in a delimiter or in EOF.
     fn fixed_form_error(&mut self) {
         self.error(if self.transmitter { ErrorKind::BitRecessive } else { ErrorKind::Form });
-    }
-
-    /// A recessive bit in an own active error or overload flag.
-    fn flag_error(&mut self) {
-        self.fail(ErrorKind::BitDominant, 8);
     }
 
     /// Counts an error and begins the error flag that the state before it asks for.

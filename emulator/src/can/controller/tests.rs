@@ -37,13 +37,14 @@ impl Line {
     }
 
     fn bit(&mut self, dominant: bool) -> char {
-        if self.controller.drives_next() {
-            self.controller.drive(self.controller.next_action());
+        let boundary = self.controller.next_action();
+        if self.controller.drives_at(boundary) {
+            self.controller.drive(boundary);
         }
         let own = self.controller.output();
         let level = if dominant { Level::Dominant } else { own };
         if self.level == Level::Recessive && level == Level::Dominant {
-            self.controller.falling_edge(self.now, Level::Dominant);
+            self.controller.falling_edge(self.now);
         }
         self.level = level;
         let sample = self.controller.next_action();

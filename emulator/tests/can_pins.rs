@@ -1,0 +1,120 @@
+//! How GPIO joins CAN1 to its transceiver.
+
+use emulator::{
+    Time,
+    can::{Adapter, Bus, Clock, Frame, Id, Level},
+    chip::{Access, Chip, Part, Width},
+};
+
+const RCC_APB1RSTR: u32 = 0x4002_3820;
+const RCC_AHB1ENR: u32 = 0x4002_3830;
+const RCC_APB1ENR: u32 = 0x4002_3840;
+const GPIOB: u32 = 0x4002_0400;
+const CAN: u32 = 0x4000_6400;
+/// PB9 (TX) and PB8 (RX) as alternate functions, and PB9 as output or input.
+const BOTH: u32 = 0b1010 << 16;
+const TX_IS_OUTPUT: u32 = 0b0110 << 16;
+const TX_IS_INPUT: u32 = 0b0010 << 16;
+/// 500 kbit/s on 16 MHz.
+const BTR: u32 = 0x001C_0001;
+
+struct Bench {
+    bus: Bus,
+    chip: Chip,
+    adapter: Adapter,
+}
+
+impl Bench {
+    /// A chip that takes part, with these modes of its pins, and an adapter.
+    fn new(moder: u32, btr: u32) -> Self {
+        let chip = Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
+        let mut bench = Self { bus: Bus::new(), chip, adapter: Adapter::new(500_000) };
+        bench.write(RCC_AHB1ENR, 1 << 1);
+        bench.write(RCC_APB1ENR, 1 << 25);
+        bench.write(GPIOB + 0x24, 0x99);
+        bench.write(GPIOB, moder);
+        bench.start(btr);
+        bench
+    }
+
+    fn start(&mut self, btr: u32) {
+        self.write(CAN, 1);
+        self.write(CAN + 0x1C, btr);
+        self.write(CAN, 0);
+        self.run(Time::from_ms(1));
+    }
+
+    fn write(&mut self, address: u32, value: u32) {
+        let now = self.bus.now();
+        let access = Access { address, width: Width::Word, now, pc: 0x0800_0000 };
+        self.chip.write(access, value).expect("no bus error");
+    }
+
+    fn run(&mut self, span: Time) {
+        let until = self.bus.now() + span;
+        let stations: &mut [&mut dyn emulator::can::Station] =
+            &mut [self.chip.can1_mut(), &mut self.adapter];
+        while self.bus.advance(until, stations, &mut |_, _, _| {}) < until {}
+    }
+
+    /// Whether the adapter is acknowledged.
+    fn is_heard(&mut self) -> bool {
+        self.adapter.open();
+        self.adapter.send(Frame::data(Id::Standard(0x123), &[1]));
+        self.run(Time::from_ms(1));
+        self.adapter.unsent() == 0
+    }
+}
+
+#[test]
+fn a_chip_acknowledges_only_by_a_pin_in_its_alternate_function() {
+    let mut bench = Bench::new(BOTH, BTR);
+    assert!(bench.is_heard());
+    for moder in [TX_IS_OUTPUT, TX_IS_INPUT] {
+        bench.write(GPIOB, moder);
+        assert!(!bench.is_heard());
+        bench.write(GPIOB, BOTH);
+        bench.run(Time::from_ms(30));
+        assert!(bench.is_heard());
+    }
+}
+
+#[test]
+fn nobody_joins_the_bus_without_a_pin_to_receive() {
+    let mut bench = Bench::new(0b1000 << 16, BTR);
+    assert!(!bench.is_heard());
+    bench.write(GPIOB, BOTH);
+    bench.adapter.close();
+    bench.run(Time::from_ms(1));
+    assert!(bench.is_heard());
+}
+
+#[test]
+fn a_chip_that_only_listens_needs_no_pin_to_transmit() {
+    let mut bench = Bench::new(TX_IS_OUTPUT, 1 << 31 | BTR);
+    bench.is_heard();
+    assert_eq!(bench.chip.findings(), []);
+    let bench = Bench::new(TX_IS_OUTPUT, BTR);
+    assert_eq!(bench.chip.findings().len(), 1);
+}
+
+#[test]
+fn a_locked_transmit_pin_reaches_the_bus_only_in_its_alternate_function() {
+    use emulator::can::bxcan::{Readings, TransmitLock};
+    let mut bench = Bench::new(TX_IS_OUTPUT, BTR);
+    let transmit_lock = Some(TransmitLock { every: 1, frame: 1 });
+    bench.chip.can1_mut().set_readings(Readings { transmit_lock, ..Readings::default() });
+    bench.write(RCC_APB1RSTR, 1 << 25);
+    bench.write(RCC_APB1RSTR, 0);
+    bench.start(1 << 31 | BTR);
+    bench.is_heard();
+    bench.adapter.close();
+    bench.run(Time::from_ms(1));
+    assert_eq!(bench.bus.level(), Level::Recessive);
+    bench.write(GPIOB, BOTH);
+    bench.run(Time::from_us(1));
+    assert_eq!(bench.bus.level(), Level::Dominant);
+    bench.write(GPIOB, TX_IS_INPUT);
+    bench.run(Time::from_us(1));
+    assert_eq!(bench.bus.level(), Level::Recessive);
+}
