@@ -1,6 +1,6 @@
 //! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
-//! `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
 mod boards;
@@ -12,6 +12,7 @@ mod fuzz;
 mod no_harm;
 mod power_cut;
 mod qemu;
+mod readings;
 mod record;
 mod size;
 mod storm;
@@ -47,6 +48,7 @@ enum Command {
     NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
+    Readings(readings::Arguments),
     Size(size::Arguments),
     Storm(storm::Arguments),
 }
@@ -61,6 +63,7 @@ fn main() -> ExitCode {
         Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(arguments) => qemu::run(&arguments),
+        Command::Readings(arguments) => readings::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
     };

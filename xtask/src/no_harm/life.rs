@@ -391,7 +391,7 @@ fn pause(foreign: Foreign) -> Time {
 fn board(number: usize, node: Node, image: &Image, part: Part) -> Board {
     let crystal = Clock { hz: 8_000_000, ppm: PPM[number % PPM.len()] };
     let unique_id = boards::unique_id(number);
-    let settings = board::Settings { crystal, unique_id };
+    let settings = board::Settings { crystal, unique_id, ..Default::default() };
     let mut board = Board::new(part, image, settings);
     board.set_flash(
         SETTINGS_OFFSET,
