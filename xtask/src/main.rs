@@ -10,6 +10,7 @@ mod explain;
 mod flash;
 mod fuzz;
 mod no_harm;
+mod parallel;
 mod power_cut;
 mod qemu;
 mod readings;

@@ -9,19 +9,13 @@ mod situation;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    num::NonZero,
-    sync::{
-        atomic::{AtomicU64, Ordering},
-        mpsc,
-    },
-    thread,
     time::{Duration, Instant},
 };
 
 use anyhow::ensure;
 use emulator::{Time, chip::Part, image::Image};
 
-use crate::{boards, support::random::Random};
+use crate::{boards, parallel, support::random::Random};
 use judge::{Failure, Images, Verdict};
 use situation::{Kind, Situation};
 
@@ -125,7 +119,8 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
     let mut kinds: BTreeMap<Kind, Tally> = BTreeMap::new();
     let mut failed = Vec::new();
     let mut reported = begin;
-    judge_all(images, &seeds, |index, verdict| {
+    let judge = |seed: &u64| images.judge(&draw::situation(*seed));
+    parallel::map(&seeds, judge, |index, verdict| {
         let kind = draw::situation(seeds[index]).kind;
         all.add(&verdict);
         kinds.entry(kind).or_default().add(&verdict);
@@ -152,33 +147,6 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
     println!("\n{}, {} s, seed {seed}", all.text(), begin.elapsed().as_secs());
     ensure!(all.worse + all.not_found == 0, "supervision does harm, or does not help");
     Ok(())
-}
-
-/// Judges all situations on all cores, and hands over each verdict with the situation's place.
-fn judge_all(images: &Images, seeds: &[u64], mut take: impl FnMut(usize, Verdict)) {
-    let workers = thread::available_parallelism().map_or(1, NonZero::get);
-    let next = AtomicU64::new(0);
-    let (verdicts, judged) = mpsc::channel();
-    thread::scope(|scope| {
-        for _ in 0..workers {
-            let verdicts = verdicts.clone();
-            let next = &next;
-            scope.spawn(move || {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed) as usize;
-                    let Some(&seed) = seeds.get(index) else { return };
-                    let verdict = images.judge(&draw::situation(seed));
-                    if verdicts.send((index, verdict)).is_err() {
-                        return;
-                    }
-                }
-            });
-        }
-        drop(verdicts);
-        for (index, verdict) in judged {
-            take(index, verdict);
-        }
-    });
 }
 
 /// Prints the least of a situation that still fails in the same way.

@@ -9,7 +9,8 @@ use std::time::Instant;
 use anyhow::ensure;
 use emulator::{chip::Part, image::Image};
 
-use crate::boards;
+use crate::{boards, parallel};
+use matrix::Reading;
 use rig::Rig;
 
 /// Run the image's sessions once under each doubtful reading of what a chip does
@@ -19,7 +20,7 @@ use rig::Rig;
 /// and recover from bus-off. The table says for each reading whether it does, or what differed first.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Leave out the power cuts, the detection on a quiet bus and the switches between other rates
+    /// Leave out the sessions that take longest: power cuts, detection on a quiet bus, a rescue, three boards, more switches
     #[arg(long)]
     quick: bool,
     /// The chip on the board
@@ -32,17 +33,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let image = Image::build(arguments.chip)?;
     let begin = Instant::now();
     let sessions = sessions::all(arguments.quick);
-    let mut failed = 0;
     let readings = matrix::readings();
-    for reading in &readings {
+    let try_out = |reading: &Reading| -> Option<String> {
         let rig = Rig { image: &image, part: arguments.chip, settings: reading.settings };
-        let failures = sessions.iter().filter_map(|(name, session)| {
+        sessions.iter().find_map(|(name, session)| {
             session(&rig).err().map(|error| format!("{name}: {error:#}"))
-        });
-        let first = failures.into_iter().next();
-        failed += usize::from(first.is_some());
-        println!("{:62} {}", reading.name, first.as_deref().unwrap_or("passed"));
-    }
+        })
+    };
+    let mut failed = 0;
+    parallel::map(&readings, try_out, |index, first_failure| {
+        failed += usize::from(first_failure.is_some());
+        let outcome = first_failure.as_deref().unwrap_or("passed");
+        println!("{:62} {outcome}", readings[index].name);
+    });
     let (count, sessions) = (readings.len(), sessions.len());
     let seconds = begin.elapsed().as_secs();
     println!("\n{count} readings, {sessions} sessions each: {failed} failed, {seconds} s");

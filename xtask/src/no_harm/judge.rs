@@ -34,6 +34,7 @@ pub struct Images {
 /// What both runs of a situation show.
 #[derive(Default)]
 pub struct Verdict {
+    /// Those that were not found come last.
     pub failures: Vec<Failure>,
     /// Boards that the plain slave shows to be lost, and that were found.
     pub rescued: usize,
@@ -137,6 +138,7 @@ impl Images {
                 (None, ours) => verdict.failures.push(Failure::NotFound { board, ours, limit }),
             }
         }
+        verdict.failures.sort_by_key(|failure| matches!(failure, Failure::NotFound { .. }));
         verdict
     }
 }

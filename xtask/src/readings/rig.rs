@@ -19,8 +19,10 @@ use crate::{
     },
 };
 
-/// How long an answer may take; a controller that loses a step is set up again after 250 ms.
-const PATIENCE: Time = Time::from_ms(30);
+/// How long an answer may take, beside two frames.
+const PATIENCE: Time = Time::from_ms(5);
+/// More bits than a request and its answer have.
+const EXCHANGE_BITS: u64 = 300;
 /// How long a node may need to come to the bus, or to another rate.
 pub const AWAY: Time = Time::from_s(3);
 /// From one question to a node that may be away to the next.
@@ -37,6 +39,7 @@ pub struct Rig<'a> {
 pub struct Bus {
     pub network: Network,
     pub master: AdapterId,
+    rate: BitRate,
     /// Resets that were asked for, power-ons included, of each board.
     pub resets: Vec<Vec<ResetCause>>,
 }
@@ -58,7 +61,7 @@ impl Rig<'_> {
         network.record(Recording::Off);
         let master = network.add_adapter(Adapter::new(bit_per_s(rate)));
         let count = boards.into_iter().map(|board| network.add_board(board)).count();
-        Bus { network, master, resets: vec![vec![ResetCause::PowerOn]; count] }
+        Bus { network, master, rate, resets: vec![vec![ResetCause::PowerOn]; count] }
     }
 }
 
@@ -94,11 +97,13 @@ impl Bus {
         self.network.run_for(Time::from_ms(span));
     }
 
-    /// The first LSS answer, or none in 30 ms.
+    /// The first LSS answer, or none in time.
     fn answer(&mut self, request: &str) -> Option<Frame> {
         while self.network.receive(self.master).is_some() {}
         self.send(request);
-        let until = self.network.now() + PATIENCE;
+        let exchange =
+            Time::from_ps(EXCHANGE_BITS * 1_000_000_000_000 / u64::from(bit_per_s(self.rate)));
+        let until = self.network.now() + PATIENCE + exchange;
         loop {
             let left = until.saturating_sub(self.network.now());
             let (_, frame) = self.network.run_until_received(self.master, left)?;
@@ -162,6 +167,7 @@ impl Bus {
     }
 
     pub fn set_master_rate(&mut self, rate: BitRate) {
+        self.rate = rate;
         self.network.adapter_mut(self.master).set_bit_rate(bit_per_s(rate));
     }
 
