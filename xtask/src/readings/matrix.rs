@@ -1,8 +1,10 @@
 //! The readings: how a chip may differ from the emulated board's default.
 
 use emulator::{
+    Time,
     board::Settings,
     can::bxcan::{Acknowledge, Readings as Can, TransmitLock},
+    chip::{Readings as Chip, Timing},
 };
 
 /// A reading, and the board on which it holds.
@@ -40,9 +42,20 @@ pub fn readings() -> Vec<Reading> {
         ("INAK lost every second time", acknowledge(Acknowledge::Lost { every: 2 })),
         ("INAK lost every third time", acknowledge(Acknowledge::Lost { every: 3 })),
     ];
-    let on_can = |(name, can_readings)| Reading {
-        name,
-        settings: Settings { can_readings, ..Settings::default() },
-    };
-    can.map(on_can).into()
+    let usual = Chip::default();
+    let chip = [
+        ("no fault below RAM", Chip { no_fault_below_ram: true, ..usual }),
+        ("core twice as slow", Chip { slowdown: 2, ..usual }),
+        ("core three times as slow", Chip { slowdown: 3, ..usual }),
+        ("words whose programming was cut flip", Chip { cut_words_flip: true, ..usual }),
+        ("LSI at 17 kHz", Chip { lsi_hz: 17_000, ..usual }),
+        ("LSI at 47 kHz", Chip { lsi_hz: 47_000, ..usual }),
+        ("crystal starts in 0.1 ms", Chip { hse_start: Time::from_us(100), ..usual }),
+        ("crystal starts in 10 ms", Chip { hse_start: Time::from_ms(10), ..usual }),
+        ("flash as slow as allowed", Chip { flash_timing: Timing::Worst, ..usual }),
+    ];
+    let settings = Settings::default();
+    let can = can.map(|(name, can_readings)| (name, Settings { can_readings, ..settings }));
+    let chip = chip.map(|(name, chip_readings)| (name, Settings { chip_readings, ..settings }));
+    can.into_iter().chain(chip).map(|(name, settings)| Reading { name, settings }).collect()
 }
