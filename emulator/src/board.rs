@@ -13,7 +13,7 @@ pub use log::LogLine;
 use crate::{
     Time,
     can::{Clock, bxcan},
-    chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause},
+    chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Readings, Request, ResetCause},
     engine::{Engine, Halt, Lockup, Watcher, rsemu::Rsemu},
     image::Image,
 };
@@ -33,16 +33,19 @@ pub struct Settings {
     pub crystal: Clock,
     /// The chip's 96-bit unique id, as it lies in memory.
     pub unique_id: [u8; 12],
+    /// How the chip differs from the nominal one.
+    pub chip_readings: Readings,
     /// How its CAN controller behaves where the manual is open.
     pub can_readings: bxcan::Readings,
 }
 
 impl Default for Settings {
-    /// An exact 8 MHz crystal, a unique id of zeros, and the manual as it is mostly read.
+    /// An exact 8 MHz crystal, a unique id of zeros, a nominal chip, and the manual as it is mostly read.
     fn default() -> Self {
         Self {
             crystal: Clock { hz: 8_000_000, ppm: 0 },
             unique_id: [0; 12],
+            chip_readings: Readings::default(),
             can_readings: bxcan::Readings::default(),
         }
     }
@@ -81,8 +84,9 @@ impl Board {
     /// # Panics
     /// A segment of the image lies outside of the part's flash.
     pub fn new(part: Part, image: &Image, settings: Settings) -> Self {
-        let mut chip = Chip::new(part, settings.crystal, settings.unique_id);
-        chip.can1_mut().set_readings(settings.can_readings);
+        let Settings { crystal, unique_id, chip_readings, can_readings } = settings;
+        let mut chip = Chip::with_readings(part, crystal, unique_id, chip_readings);
+        chip.can1_mut().set_readings(can_readings);
         for (address, bytes) in image.segments() {
             let offset = address.wrapping_sub(FLASH_BASE);
             let fits = u64::from(offset) + bytes.len() as u64 <= part.flash_size().into();
@@ -221,6 +225,23 @@ impl Board {
         self.power_ups += 1;
         self.engine.scramble_ram(self.power_ups);
         self.start(ResetCause::PowerOn, self.dark);
+    }
+
+    /// Sets the supply in mV, 3,300 at first. 1,700 to 3,600 are possible; no brown-out resets the chip.
+    pub fn set_supply(&mut self, mv: u32) {
+        self.chip().set_supply(mv);
+    }
+
+    /// Stops the crystal now, as a broken joint does.
+    pub fn stop_crystal(&mut self) {
+        let now = self.now();
+        self.chip().stop_crystal(now);
+    }
+
+    /// Lets the crystal swing again, once the program has switched it on.
+    pub fn start_crystal(&mut self) {
+        let now = self.now();
+        self.chip().start_crystal(now);
     }
 
     /// What the chip drives on a pin. Panics if the part has no such pin.

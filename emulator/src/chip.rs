@@ -8,6 +8,7 @@ mod iwdg;
 mod map;
 mod part;
 mod rcc;
+mod readings;
 mod system;
 
 pub use finding::{Finding, Problem};
@@ -17,6 +18,7 @@ pub use iwdg::Iwdg;
 pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
 pub use part::Part;
 pub use rcc::{Clocks, ResetCause};
+pub use readings::Readings;
 
 use map::Block;
 use rcc::{Gate, Rcc};
@@ -52,23 +54,37 @@ pub struct Chip {
     can1: Bxcan,
     /// Its pins as it knows them.
     can1_joined: Pins,
+    readings: Readings,
     findings: Vec<Finding>,
     request: Option<Request>,
     can_written: bool,
 }
 
-/// The nominal frequency of LSI in Hz.
-const LSI_HZ: u32 = 32_000;
+/// First address of the option bytes.
+const OPTION_BYTES: u32 = 0x1FFF_C000;
 
 impl Chip {
-    /// A chip with erased flash at power-on, with `crystal` at HSE.
+    /// A nominal chip with erased flash at power-on, with `crystal` at HSE.
     pub fn new(part: Part, crystal: Clock, unique_id: [u8; 12]) -> Self {
+        Self::with_readings(part, crystal, unique_id, Readings::default())
+    }
+
+    /// A chip with erased flash at power-on, with `crystal` at HSE, that differs from the nominal one.
+    pub fn with_readings(
+        part: Part,
+        crystal: Clock,
+        unique_id: [u8; 12],
+        readings: Readings,
+    ) -> Self {
+        let mut flash = Flash::new(part);
+        flash.set_timing(readings.flash_timing);
+        flash.let_cut_words_flip(readings.cut_words_flip);
         let mut chip = Self {
             part,
-            rcc: Rcc::new(part, crystal),
+            rcc: Rcc::new(part, crystal, readings.hse_start),
             pwr: Pwr::new(part),
-            flash: Flash::new(part),
-            iwdg: Iwdg::new(LSI_HZ),
+            flash,
+            iwdg: Iwdg::new(readings.lsi_hz),
             gpio: Gpio::new(part),
             syscfg: Syscfg::default(),
             exti: Exti::default(),
@@ -76,6 +92,7 @@ impl Chip {
             factory: Factory::new(part, unique_id),
             can1: Bxcan::new(),
             can1_joined: Pins { transmit: true, receive: true },
+            readings,
             findings: Vec::new(),
             request: None,
             can_written: false,
@@ -88,6 +105,43 @@ impl Chip {
     /// Which part it is.
     pub fn part(&self) -> Part {
         self.part
+    }
+
+    /// How it differs from the nominal one.
+    pub fn readings(&self) -> Readings {
+        self.readings
+    }
+
+    /// Sets the supply in mV. It has no effect but on the voltage detector and on what is legal; a reset at too low a supply
+    /// is the board's.
+    pub fn set_supply(&mut self, mv: u32) {
+        self.pwr.set_supply(mv);
+        self.flash.set_supply(mv);
+    }
+
+    /// The crystal stops at `now`.
+    pub fn stop_crystal(&mut self, now: Time) {
+        self.rcc.stop_crystal(now);
+        self.can1.set_clock(self.clocks().pclk1);
+        if self.is_stopped() {
+            // No clock moves its pin any more; taken as recessive.
+            self.can1.reset();
+        }
+    }
+
+    /// The crystal can swing again from `now` on.
+    pub fn start_crystal(&mut self, now: Time) {
+        self.rcc.start_crystal(now);
+    }
+
+    /// Whether SYSCLK has stopped, until a reset.
+    pub fn is_stopped(&self) -> bool {
+        self.rcc.is_stopped()
+    }
+
+    /// Level of the non-maskable interrupt.
+    pub fn nmi(&self) -> bool {
+        self.rcc.nmi()
     }
 
     /// The clocks that RCC now makes.
@@ -188,12 +242,13 @@ impl Chip {
     pub fn reset(&mut self, cause: ResetCause, now: Time) {
         self.flash.reset(now);
         self.rcc.reset(cause);
-        self.pwr = Pwr::new(self.part);
+        self.pwr.reset();
         self.iwdg.reset();
         self.gpio.reset(now);
         self.syscfg = Syscfg::default();
         self.exti = Exti::default();
         if cause == ResetCause::PowerOn {
+            self.flash.power_on();
             self.dbgmcu = Dbgmcu::new(self.part);
         }
         self.can1.reset();
@@ -240,6 +295,9 @@ impl Chip {
     }
 
     fn factory_word(&self, address: u32) -> Option<u32> {
+        if let Some(offset) = address.checked_sub(OPTION_BYTES) {
+            return self.flash.option_word(offset);
+        }
         let bytes = [0, 1, 2, 3].map(|i| self.factory.byte(address + i));
         bytes
             .iter()
@@ -253,7 +311,9 @@ impl Chip {
         let (block, offset) = Block::of(address);
         let value = value & width.mask();
         if block == Block::Flash {
-            self.flash.program(offset, width, value, now);
+            if let Err(problem) = self.flash.program(offset, width, value, now) {
+                self.report(access, Some(value), problem);
+            }
             return Ok(());
         }
         if block != Block::FlashRegisters && self.flash.take_stale_data_cache() {
@@ -267,10 +327,12 @@ impl Chip {
         let shift = 8 * (address & 3);
         let word = match width {
             Width::Word => value,
-            _ if block == Block::FlashRegisters => {
+            _ if block == Block::FlashRegisters && !Flash::takes_narrow_writes(offset & !3) => {
                 self.report(access, Some(value), Problem::Width);
                 return Ok(());
             }
+            // Its bits are cleared by writing 1: not those of the other bytes.
+            _ if block == Block::FlashRegisters && offset & !3 == Flash::SR => value << shift,
             Width::Byte if block.on_apb() => value * 0x0101_0101,
             Width::Half if block.on_apb() => value * 0x0001_0001,
             _ => {
@@ -353,7 +415,7 @@ impl Chip {
         }
         self.connect_can(now);
         if self.rcc.held_in_reset(Gate::Pwr) {
-            self.pwr = Pwr::new(self.part);
+            self.pwr.reset();
         }
         if self.rcc.held_in_reset(Gate::Syscfg) {
             self.syscfg = Syscfg::default();

@@ -20,7 +20,8 @@ pub enum Halt {
 
 /// A Cortex-M4F with the memories and peripherals of a [`Chip`](crate::chip::Chip).
 ///
-/// Flash wait states cost nothing (the accelerator hides them), and DWT_CYCCNT counts through sleep.
+/// Flash wait states cost nothing (the accelerator hides them) unless the chip's
+/// [`Readings`](crate::chip::Readings) say otherwise, and DWT_CYCCNT counts through sleep.
 pub trait Engine: Send {
     /// Starts over from the vector table at `now`, after the span `hold` in which nothing runs.
     fn reset(&mut self, now: Time, hold: Time);

@@ -6,7 +6,7 @@ use emulator::{
     Time,
     board::{Board, Settings, Stop},
     can::Clock,
-    chip::{Part, Pin, PowerCut, Problem, ResetCause},
+    chip::{Part, Pin, PowerCut, Problem, Readings, ResetCause},
 };
 use programs::{Program, R0, R1, R2, R3};
 
@@ -24,6 +24,7 @@ const AIRCR: u32 = 0xE000_ED0C;
 const COUNTER: u32 = 0x2000_0100;
 
 const SYSTICK: usize = 15;
+const NMI: usize = 2;
 const HARD_FAULT: usize = 3;
 
 /// The board starts its program this long after power-on.
@@ -37,6 +38,11 @@ fn word(board: &Board, address: u32) -> u32 {
     let mut bytes = [0; 4];
     assert!(board.read_memory(address, &mut bytes), "{address:#x} is no memory");
     u32::from_le_bytes(bytes)
+}
+
+fn board_with(program: Program, chip_readings: Readings) -> Board {
+    let settings = Settings { chip_readings, ..Settings::default() };
+    Board::new(Part::Stm32f405, &program.image(), settings)
 }
 
 /// Runs through resets up to `until`.
@@ -253,6 +259,74 @@ fn nothing_at_an_address_is_a_bus_fault_that_escalates() {
         run(&mut board, Time::from_ms(2));
         assert_eq!(word(&board, COUNTER), 2);
     }
+}
+
+#[test]
+fn where_nothing_below_the_ram_faults_stores_there_are_lost() {
+    let mut program = Program::new();
+    program.store(COUNTER, 0).store(0x1FFF_FFFC, 1).load(R1, 0x1FFF_FFFC).add(R1, 7);
+    program.store_register(COUNTER, R1).stop();
+    program.handler(HARD_FAULT).store(COUNTER, 2).stop();
+    let readings = Readings { no_fault_below_ram: true, ..Readings::default() };
+    let mut board = board_with(program, readings);
+    run(&mut board, Time::from_ms(2));
+    assert_eq!(word(&board, COUNTER), 7);
+}
+
+#[test]
+fn a_slow_core_takes_two_and_three_times_as_long_and_systick_does_not() {
+    let mut program = Program::new();
+    program.store(RCC_AHB1ENR, 1 << 3).store(GPIOD, 1 << 24);
+    for _ in 0..300 {
+        program.add(R1, 1);
+    }
+    program.store(GPIOD + 0x18, 1 << 12).stop();
+    let image = program.image();
+    let [once, twice, thrice] = [1, 2, 3].map(|slowdown| {
+        let chip_readings = Readings { slowdown, ..Readings::default() };
+        let settings = Settings { chip_readings, ..Settings::default() };
+        let mut sleeper = Board::new(Part::Stm32f405, &ticker(15_999).image(), settings);
+        run(&mut sleeper, START + Time::from_s(1) + Time::from_us(50));
+        assert_eq!(word(&sleeper, COUNTER), 1_000);
+        let mut board = Board::new(Part::Stm32f405, &image, settings);
+        run(&mut board, Time::from_ms(3));
+        (board.output(Pin('D', 12)).since - START).as_ns()
+    });
+    assert!(twice.abs_diff(2 * once) < once / 20, "{once} ns, {twice} ns");
+    assert!(thrice.abs_diff(3 * once) < once / 20, "{once} ns, {thrice} ns");
+}
+
+/// Waits for the crystal, runs on it, and sleeps; the non-maskable interrupt writes 4 to `COUNTER`.
+fn on_crystal(security: u32) -> Program {
+    let mut program = Program::new();
+    program.store(COUNTER, 0).store(IWDG_KR, 0xCCCC);
+    program.store(RCC_CR, 0x0001_0083 | security).wait_for_ones(RCC_CR, 1 << 17).store(RCC_CFGR, 1);
+    program.sleep_forever();
+    program.handler(NMI).store(0x4002_380C, 1 << 23).store(COUNTER, 4).back();
+    program
+}
+
+#[test]
+fn the_clock_security_system_wakes_a_board_whose_crystal_stops() {
+    let mut board = board(on_crystal(1 << 19));
+    run(&mut board, Time::from_ms(10));
+    board.stop_crystal();
+    run(&mut board, Time::from_ms(10) + Time::from_us(10));
+    assert_eq!((word(&board, COUNTER), board.resets().len()), (4, 1));
+    assert_eq!(board.chip().clocks().hclk.hz, 16_000_000);
+}
+
+#[test]
+fn without_it_only_the_watchdog_ends_the_silence() {
+    let mut board = board(on_crystal(0));
+    run(&mut board, Time::from_ms(10));
+    board.stop_crystal();
+    run(&mut board, Time::from_ms(500));
+    assert_eq!((board.wake_time() > Time::from_ms(500), board.resets().len()), (true, 1));
+    assert_eq!(board.run_until(Time::from_s(1)), Stop::Reset(ResetCause::Watchdog));
+    board.start_crystal();
+    run(&mut board, Time::from_ms(600));
+    assert_eq!(board.chip().clocks().hclk.hz, 8_000_000);
 }
 
 #[test]

@@ -3,18 +3,21 @@
 use emulator::{
     Time,
     can::Clock,
-    chip::{Access, Chip, Part, Pin, Problem, Request, ResetCause, Width},
+    chip::{Access, Chip, Part, Pin, Problem, Readings, Request, ResetCause, Width},
 };
 
 const RCC_CR: u32 = 0x4002_3800;
 const RCC_PLLCFGR: u32 = 0x4002_3804;
 const RCC_CFGR: u32 = 0x4002_3808;
+const RCC_CIR: u32 = 0x4002_380C;
 const RCC_AHB1ENR: u32 = 0x4002_3830;
 const RCC_APB1ENR: u32 = 0x4002_3840;
 const RCC_CSR: u32 = 0x4002_3874;
 const FLASH_ACR: u32 = 0x4002_3C00;
 const GPIOA: u32 = 0x4002_0000;
 const IWDG: u32 = 0x4000_3000;
+const PWR_CR: u32 = 0x4000_7000;
+const PWR_CSR: u32 = 0x4000_7004;
 
 fn chip(part: Part) -> Chip {
     Chip::new(part, Clock { hz: 8_000_000, ppm: 20 }, *b"unique id 12")
@@ -63,6 +66,77 @@ fn oscillators_take_their_time_to_become_ready() {
     write(&mut chip, RCC_CR, 0x0001_0083, Time::ZERO);
     assert_eq!(read(&mut chip, RCC_CR, Time::from_us(10)) >> 17 & 1, 0);
     assert_eq!(read(&mut chip, RCC_CR, Time::from_ms(3)) >> 17 & 1, 1);
+}
+
+#[test]
+fn a_crystal_is_ready_after_the_time_that_its_reading_says_or_never() {
+    let ready = |hse_start: Time, after: Time| {
+        let readings = Readings { hse_start, ..Readings::default() };
+        let crystal = Clock { hz: 8_000_000, ppm: 0 };
+        let mut chip = Chip::with_readings(Part::Stm32f405, crystal, [0; 12], readings);
+        write(&mut chip, RCC_CR, 0x0001_0083, Time::ZERO);
+        read(&mut chip, RCC_CR, after) >> 17 & 1 == 1
+    };
+    for hse_start in [Time::from_us(100), Time::from_ms(10)] {
+        assert!(!ready(hse_start, hse_start - Time::from_us(1)), "{hse_start}");
+        assert!(ready(hse_start, hse_start), "{hse_start}");
+    }
+    assert!(!ready(Time::MAX, Time::from_s(100)));
+}
+
+#[test]
+fn with_clock_security_a_crystal_that_stops_leaves_hsi_and_interrupts() {
+    let mut chip = chip(Part::Stm32f405);
+    to_128_mhz(&mut chip);
+    let now = Time::from_s(1);
+    write(&mut chip, RCC_CR, 0x0109_0083, now);
+    assert!(!chip.nmi());
+    chip.stop_crystal(now);
+    assert_eq!((chip.nmi(), chip.is_stopped()), (true, false));
+    // The prescalers stay: APB1 a quarter of 16 MHz.
+    assert_eq!((chip.clocks().hclk.hz, chip.clocks().pclk1.hz), (16_000_000, 4_000_000));
+    assert_eq!(read(&mut chip, RCC_CR, now) & 0x0303_0003, 0x0000_0003);
+    assert_eq!(read(&mut chip, RCC_CIR, now), 1 << 7);
+    write(&mut chip, RCC_CIR, 1 << 23, now);
+    assert!(!chip.nmi());
+    let later = Time::from_s(2);
+    write(&mut chip, RCC_CR, 0x0009_0083, now);
+    assert_eq!(read(&mut chip, RCC_CR, later) >> 17 & 1, 0, "it does not work");
+    chip.start_crystal(later);
+    assert_eq!(read(&mut chip, RCC_CR, later + Time::from_ms(2)) >> 17 & 1, 1);
+    assert_eq!(chip.findings(), []);
+}
+
+#[test]
+fn without_clock_security_a_crystal_that_stops_stops_the_chip() {
+    let mut chip = chip(Part::Stm32f405);
+    to_128_mhz(&mut chip);
+    chip.stop_crystal(Time::from_s(1));
+    assert_eq!((chip.nmi(), chip.is_stopped()), (false, true));
+    chip.reset(ResetCause::Watchdog, Time::from_s(2));
+    assert!(!chip.is_stopped());
+}
+
+#[test]
+fn the_voltage_detector_compares_the_supply_with_the_level_that_pls_chooses() {
+    let mut chip = chip(Part::Stm32f405);
+    let low = |chip: &mut Chip| read(chip, PWR_CSR, Time::ZERO) >> 2 & 1 == 1;
+    write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
+    chip.set_supply(1_900);
+    assert!(!low(&mut chip), "it is off");
+    for (pls, mv) in [2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900].into_iter().enumerate() {
+        write(&mut chip, PWR_CR, 0x4010 | (pls as u32) << 5, Time::ZERO);
+        chip.set_supply(mv - 1);
+        assert!(low(&mut chip), "{mv} mV");
+        chip.set_supply(mv);
+        assert!(!low(&mut chip), "{mv} mV");
+    }
+    chip.set_supply(2_000);
+    chip.reset(ResetCause::Software, Time::ZERO);
+    write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
+    write(&mut chip, PWR_CR, 0x40B0, Time::ZERO);
+    assert!(low(&mut chip), "a reset does not mend the supply");
+    assert_eq!(chip.findings(), []);
 }
 
 #[test]
@@ -162,8 +236,8 @@ fn the_watchdog_runs_out_after_its_periods_of_lsi() {
     write(&mut chip, IWDG + 8, 999, start);
     assert_eq!(read(&mut chip, IWDG + 12, start), 3);
     write(&mut chip, IWDG, 0xCCCC, start);
-    // 1000 periods of 32 kHz / 32.
-    assert_eq!(chip.next_event(), start + Time::from_s(1));
+    // The first count is from 4095, at 32 kHz / 32; then 1000 periods.
+    assert_eq!(chip.next_event(), start + Time::from_ms(4096));
     write(&mut chip, IWDG, 0xAAAA, start + Time::from_ms(400));
     assert_eq!(chip.next_event(), start + Time::from_ms(1400));
     chip.advance(start + Time::from_ms(1400));

@@ -1,13 +1,19 @@
 //! The flash interface as a driver sees it, and what failures leave behind.
 
+use std::collections::BTreeSet;
+
 use emulator::{
     Time,
     can::Clock,
-    chip::{Access, BusFault, Chip, Part, PowerCut, Request, ResetCause, StuckBits, Timing, Width},
+    chip::{
+        Access, BusFault, Chip, Part, PowerCut, Readings, Request, ResetCause, StuckBits, Timing,
+        Width,
+    },
 };
 
 const ACR: u32 = 0x4002_3C00;
 const KEYR: u32 = 0x4002_3C04;
+const OPTKEYR: u32 = 0x4002_3C08;
 const SR: u32 = 0x4002_3C0C;
 const CR: u32 = 0x4002_3C10;
 const OPTCR: u32 = 0x4002_3C14;
@@ -37,9 +43,13 @@ impl Bench {
 
     fn unlocked(part: Part) -> Self {
         let mut bench = Self::new(part);
-        bench.write(KEYR, 0x4567_0123).expect("the first key");
-        bench.write(KEYR, 0xCDEF_89AB).expect("the second key");
+        bench.unlock();
         bench
+    }
+
+    fn unlock(&mut self) {
+        self.write(KEYR, 0x4567_0123).expect("the first key");
+        self.write(KEYR, 0xCDEF_89AB).expect("the second key");
     }
 
     fn store(&mut self, address: u32, width: Width, value: u32) -> Result<(), BusFault> {
@@ -314,6 +324,95 @@ fn a_power_cut_leaves_an_erased_sector_in_any_state_and_its_neighbours_whole() {
         let sector = &bytes[0x4000..0x8000];
         assert!(sector.contains(&0xFF) && sector.contains(&0x5A), "seed {seed}");
         assert!(sector.iter().any(|byte| ![0xFF, 0x5A].contains(byte)), "seed {seed}");
+    }
+}
+
+#[test]
+fn a_word_that_was_cut_reads_otherwise_at_each_power_on_until_it_is_programmed_again() {
+    let readings = Readings { cut_words_flip: true, ..Readings::default() };
+    let crystal = Clock { hz: 8_000_000, ppm: 0 };
+    let chip = Chip::with_readings(Part::Stm32f405, crystal, [0; 12], readings);
+    let mut bench = Bench { chip, now: Time::ZERO };
+    bench.unlock();
+    bench.chip.flash_mut().cut_power(PowerCut { operation: 0, seed: 100 });
+    bench.program(0x4000, 0x1234_5678);
+    let mut seen = BTreeSet::new();
+    for _ in 0..50 {
+        bench.chip.reset(ResetCause::PowerOn, bench.now);
+        let word = bench.flash(0x4000);
+        assert_eq!(word & 0x1234_5678, 0x1234_5678, "{word:#x}");
+        seen.insert(word);
+    }
+    assert!(
+        seen.len() > 10 && seen.contains(&0x1234_5678) && seen.contains(&u32::MAX),
+        "{seen:x?}"
+    );
+    bench.unlock();
+    bench.program(0x4000, 0x1234_5678);
+    bench.wait();
+    for _ in 0..20 {
+        bench.chip.reset(ResetCause::PowerOn, bench.now);
+        assert_eq!(bench.flash(0x4000), 0x1234_5678);
+    }
+}
+
+#[test]
+fn all_registers_but_the_keys_take_bytes_and_half_words() {
+    let mut bench = Bench::unlocked(Part::Stm32f405);
+    bench.set(ACR, 0x0700);
+    bench.store(ACR, Width::Byte, 5).expect("no bus error");
+    assert_eq!(bench.read(ACR), 0x0705);
+    bench.store(CR + 1, Width::Byte, 2).expect("no bus error");
+    bench.store(CR, Width::Byte, 1).expect("no bus error");
+    assert_eq!(bench.read(CR), X32 | PG);
+    // A store of a byte where PSIZE says a word.
+    bench.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
+    bench.set(CR, X32);
+    bench.set(0x0800_4000, 0);
+    assert_eq!(bench.read(SR), PGPERR | PGSERR);
+    bench.store(SR, Width::Half, PGPERR).expect("no bus error");
+    assert_eq!(bench.read(SR), PGSERR);
+    assert_eq!(bench.chip.findings(), []);
+    bench.store(KEYR, Width::Half, 0x0123).expect("no bus error");
+    assert_eq!(bench.chip.findings().len(), 1);
+}
+
+#[test]
+fn option_bytes_are_programmed_with_their_keys_and_hold_through_a_power_cycle() {
+    const BOR_OFF: u32 = 0x0FFF_AAED;
+    const BOR_LEVEL_3: u32 = 0x0FFF_AAE0;
+    let mut bench = Bench::new(Part::Stm32f405);
+    assert_eq!((bench.read(OPTCR), bench.read(0x1FFF_C000) & 0xFFFF), (BOR_OFF, 0xAAEF));
+    bench.set(OPTCR, BOR_LEVEL_3 | 2);
+    assert_eq!((bench.read(OPTCR), bench.chip.findings().len()), (BOR_OFF, 1), "locked");
+    bench.set(OPTKEYR, 0x0819_2A3B);
+    bench.set(OPTKEYR, 0x4C5D_6E7F);
+    // Write protection of sector 1, too.
+    bench.set(OPTCR, BOR_LEVEL_3 & !(1 << 17));
+    bench.set(OPTCR, BOR_LEVEL_3 & !(1 << 17) | 2);
+    assert!(bench.wait() > Time::from_ms(100));
+    bench.chip.reset(ResetCause::PowerOn, bench.now);
+    assert_eq!(bench.read(OPTCR), BOR_LEVEL_3 & !(1 << 17) | 1);
+    assert_eq!((bench.read(0x1FFF_C000) & 0xFFFF, bench.read(0x1FFF_C008)), (0xAAE3, 0xFFFF_FFFD));
+    bench.unlock();
+    bench.program(0x4000, 0);
+    assert_eq!(bench.read(SR), WRPERR);
+    assert_eq!(bench.chip.findings().len(), 1);
+}
+
+#[test]
+fn words_below_2_7_v_and_double_words_without_vpp_are_found() {
+    let finds = |mv: u32, psize: u32| {
+        let mut bench = Bench::unlocked(Part::Stm32f405);
+        bench.chip.set_supply(mv);
+        bench.set(CR, psize << 8 | PG);
+        let width = [Width::Byte, Width::Half, Width::Word, Width::Word][psize as usize];
+        bench.store(0x0800_4000, width, 0).expect("no bus error");
+        bench.chip.findings().len()
+    };
+    let cases = [(3_300, 2, 0), (2_700, 2, 0), (2_699, 2, 1), (2_699, 1, 0), (2_000, 1, 1)];
+    for (mv, psize, findings) in cases.into_iter().chain([(1_800, 0, 0), (3_300, 3, 1)]) {
+        assert_eq!(finds(mv, psize), findings, "{mv} mV, PSIZE {psize}");
     }
 }
 

@@ -2,8 +2,11 @@
 //!
 //! # The promise
 //! Whenever the power fails, the next [`Log::open`] finds the settings of the last [`Log::store`] that returned `Ok`,
-//! or those of a later one that did not return; never older ones, never a mix. It rests on four rules:
+//! or those of a later one that did not return; never older ones, never a mix. What an `open` has found holds until the
+//! next store. It rests on five rules:
 //! - a record is valid only with its CRC and with its commit word, which is written after the rest was read back;
+//! - a word that the power failed in may read otherwise at each start: `open` writes the commit word of the record that it
+//!   takes once more, and the record itself again if anything stands behind it that may turn out valid later;
 //! - space is written once after each erase, and only if it reads blank: never into what an interrupted store left;
 //! - a bank is erased only while the other one holds the newest record, and by `open`, never by `store`: an erase stops
 //!   the CPU for up to 800 ms, which a node on the bus cannot afford;
@@ -67,10 +70,10 @@ pub enum Failure {
 struct Bank {
     range: Range<u32>,
     newest: Option<Record>,
+    /// The first address after the newest record; where there is none, the start of the bank.
+    newest_end: u32,
     /// The first address after all that does not read blank.
     blank_from: u32,
-    /// Whether anything stands after the newest record.
-    is_interrupted: bool,
 }
 
 impl Bank {
@@ -159,18 +162,27 @@ impl<F: NorFlash> Log<F> {
             self.move_to(bank.range)?;
             return Ok(if is_blank { Found::Blank } else { Found::Damaged });
         };
+        let interrupted = bank.blank_from.saturating_sub(bank.newest_end) / record::LEN;
         self.newest = newest;
-        self.sequence = newest.sequence;
+        // What is written from now on is newer than what may turn out valid. And the same place gets the same sequence
+        // again: if the power failed in its first word, nothing else may be written over that.
+        self.sequence = newest.sequence.wrapping_add(interrupted);
         self.space = bank.blank_from..bank.range.end;
-        if self.space.end - self.space.start < bank_len / 4 {
+        // An interrupted move: its record, of a later sequence than the next store's, may turn out valid too.
+        let has_moved = other.newest.is_none() && !other.is_blank();
+        // The record that outranks an interrupted one takes space.
+        let least = bank_len / 4 + if interrupted > 0 { record::LEN } else { 0 };
+        if has_moved || self.space.end - self.space.start < least {
             self.move_to(other.range)?;
+        } else if interrupted > 0 || self.commit_again(bank.newest_end).is_err() {
+            self.append(self.newest.settings)?;
         }
-        Ok(if bank.is_interrupted { Found::Interrupted } else { Found::Complete })
+        Ok(if interrupted > 0 { Found::Interrupted } else { Found::Complete })
     }
 
     fn search(&mut self, range: Range<u32>) -> Result<Bank, Failure> {
-        let blank_from = range.start;
-        let mut bank = Bank { range, newest: None, blank_from, is_interrupted: false };
+        let start = range.start;
+        let mut bank = Bank { range, newest: None, newest_end: start, blank_from: start };
         // One buffer: to return each of a thousand records costs a copy, 1 ms in all.
         let mut bytes = [0; record::LEN as usize];
         for at in bank.range.clone().step_by(record::LEN as usize).rev() {
@@ -183,9 +195,9 @@ impl<F: NorFlash> Log<F> {
             }
             bank.newest = Record::from_bytes(&bytes);
             if bank.newest.is_some() {
+                bank.newest_end = at + record::LEN;
                 break;
             }
-            bank.is_interrupted = true;
         }
         Ok(bank)
     }
@@ -208,6 +220,11 @@ impl<F: NorFlash> Log<F> {
         self.write(at, &record.to_bytes())?;
         self.newest = record;
         Ok(())
+    }
+
+    /// Writes the commit word of the record that ends at `end` once more.
+    fn commit_again(&mut self, end: u32) -> Result<(), F::Error> {
+        self.flash.write(end.saturating_sub(record::COMMIT.len() as u32), &record::COMMIT)
     }
 
     fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Failure> {

@@ -1,4 +1,5 @@
-//! A NOR flash in memory: its power can fail in every program and erase step, its operations can fail, its bits can stick.
+//! A NOR flash in memory: its power can fail in every program and erase step, and then what was programmed reads otherwise at
+//! each power-on; its operations can fail, its bits can stick.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -25,9 +26,20 @@ pub enum Operation {
     Erase,
 }
 
+/// Cells between two values, because the power failed while they were programmed.
+#[derive(Clone)]
+struct Marginal {
+    at: usize,
+    before: Vec<u8>,
+    unit: Vec<u8>,
+}
+
 #[derive(Clone)]
 struct Chip {
     bytes: Vec<u8>,
+    /// What they would be if every program step had come to its end.
+    intended: Vec<u8>,
+    marginal: Vec<Marginal>,
     /// Bits that read as 0 (as 1) whatever was programmed, by address.
     stuck: Vec<(usize, u8, bool)>,
     random: Random,
@@ -49,6 +61,8 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
     pub fn with_content(bytes: Vec<u8>, seed: u64) -> Self {
         assert_eq!(bytes.len(), 2 * ERASE);
         Self(Rc::new(RefCell::new(Chip {
+            intended: bytes.clone(),
+            marginal: Vec::new(),
             bytes,
             stuck: Vec::new(),
             random: Random::from_seed(seed),
@@ -60,9 +74,17 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         })))
     }
 
-    /// Another chip with the same content.
+    /// Another chip with the same cells, and the power on.
     pub fn duplicate(&self, seed: u64) -> Self {
-        Self::with_content(self.content(), seed)
+        let duplicate = Self::with_content(self.content(), seed);
+        {
+            let (old, mut new) = (self.0.borrow(), duplicate.0.borrow_mut());
+            new.intended.clone_from(&old.intended);
+            new.marginal.clone_from(&old.marginal);
+            new.stuck.clone_from(&old.stuck);
+            new.flip();
+        }
+        duplicate
     }
 
     pub fn content(&self) -> Vec<u8> {
@@ -71,7 +93,9 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
 
     /// Changes what a cell holds behind the log's back.
     pub fn corrupt(&self, at: usize, byte: u8) {
-        self.0.borrow_mut().bytes[at] = byte;
+        let mut chip = self.0.borrow_mut();
+        chip.bytes[at] = byte;
+        chip.intended[at] = byte;
     }
 
     /// The bits `mask` of the byte at `at` read as `value` from now on, whatever is programmed.
@@ -93,6 +117,12 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         let mut chip = self.0.borrow_mut();
         chip.powered = true;
         chip.steps_until_cut = None;
+        chip.flip();
+    }
+
+    /// The power is cycled: what it once failed in reads otherwise.
+    pub fn cycle_power(&self) {
+        self.0.borrow_mut().flip();
     }
 
     /// Every operation of this kind fails from now on.
@@ -164,8 +194,12 @@ impl Chip {
     }
 
     fn program(&mut self, at: usize, unit: &[u8]) -> Result<(), NorFlashErrorKind> {
-        let is_blank = (at..at + unit.len()).all(|at| self.byte(at) == 0xFF);
-        assert!(is_blank, "address {at:#x} is programmed twice");
+        let place = at..at + unit.len();
+        let intended = &mut self.intended[place.clone()];
+        let is_blank = intended.iter().all(|&byte| byte == 0xFF);
+        assert!(is_blank || intended == unit, "address {at:#x} is programmed twice, otherwise");
+        intended.copy_from_slice(unit);
+        let before = self.bytes[place].to_vec();
         self.writes += 1;
         let succeeds = self.succeeds(Operation::Write);
         // In a power cut the step may also have come to its end, or not have begun.
@@ -179,11 +213,32 @@ impl Chip {
             };
             self.bytes[at] &= byte | left;
         }
+        if succeeds {
+            self.marginal.retain(|marginal| marginal.at != at);
+        } else if !self.powered && !self.marginal.iter().any(|marginal| marginal.at == at) {
+            self.marginal.push(Marginal { at, before, unit: unit.to_vec() });
+        }
         if succeeds { Ok(()) } else { Err(NorFlashErrorKind::Other) }
+    }
+
+    /// Lets what is between two values read as either, or as anything between.
+    fn flip(&mut self) {
+        for Marginal { at, before, unit } in &self.marginal {
+            let kind = self.random.within(0..4);
+            for ((cell, old), new) in self.bytes[*at..].iter_mut().zip(before).zip(unit) {
+                *cell = match kind {
+                    0 => *old,
+                    1 => old & new,
+                    _ => old & (new | self.random.byte()),
+                };
+            }
+        }
     }
 
     fn erase_sector(&mut self, at: usize, len: usize) -> Result<(), NorFlashErrorKind> {
         self.erases += 1;
+        self.intended[at..at + len].fill(0xFF);
+        self.marginal.retain(|marginal| !(at..at + len).contains(&marginal.at));
         if self.succeeds(Operation::Erase) {
             self.bytes[at..at + len].fill(0xFF);
             return Ok(());

@@ -1,6 +1,6 @@
 //! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask size`,
-//! `cargo xtask storm`.
+//! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
+//! `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
 mod boards;
@@ -9,8 +9,11 @@ mod emulate;
 mod explain;
 mod flash;
 mod fuzz;
+mod no_harm;
+mod parallel;
 mod power_cut;
 mod qemu;
+mod readings;
 mod record;
 mod size;
 mod storm;
@@ -43,8 +46,10 @@ enum Command {
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
     Fuzz(fuzz::Arguments),
+    NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
+    Readings(readings::Arguments),
     Size(size::Arguments),
     Storm(storm::Arguments),
 }
@@ -56,8 +61,10 @@ fn main() -> ExitCode {
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
         Command::Fuzz(arguments) => fuzz::run(&arguments),
+        Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(arguments) => qemu::run(&arguments),
+        Command::Readings(arguments) => readings::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
     };

@@ -1,12 +1,14 @@
 //! The flash interface (RM0090 chapter 3): keys, programming, erasing, their times and their faults.
 
 mod array;
+mod options;
 mod timing;
 
 use std::ops::Range;
 
 use array::Array;
 pub use array::StuckBits;
+use options::{Options, Register};
 pub use timing::Timing;
 
 use super::{BusFault, Part, Problem, Width};
@@ -14,7 +16,7 @@ use crate::Time;
 
 const ACR: u32 = 0x00;
 const KEYR: u32 = 0x04;
-const SR: u32 = 0x0C;
+const OPTKEYR: u32 = 0x08;
 const CR: u32 = 0x10;
 const OPTCR: u32 = 0x14;
 const OPTCR1: u32 = 0x18;
@@ -45,12 +47,20 @@ pub struct PowerCut {
     pub seed: u64,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Program,
+    Erase,
+    /// The programming of the option bytes, which stay as they were if it is cut off.
+    Options,
+}
+
 #[derive(Debug)]
 struct Operation {
     end: Time,
     range: Range<usize>,
     before: Vec<u8>,
-    erase: bool,
+    kind: Kind,
 }
 
 /// The flash memory and its control registers.
@@ -58,12 +68,14 @@ struct Operation {
 pub struct Flash {
     part: Part,
     array: Array,
+    options: Options,
     timing: Timing,
+    supply_mv: u32,
+    cut_words_flip: bool,
+    power_ons: u64,
     acr: u32,
     sr: u32,
     cr: u32,
-    optcr: u32,
-    optcr1: u32,
     half_unlocked: bool,
     locked_until_reset: bool,
     stale_data_cache: bool,
@@ -78,17 +90,27 @@ pub struct Flash {
 }
 
 impl Flash {
+    /// Offset of FLASH_SR.
+    pub(super) const SR: u32 = 0x0C;
+
+    /// Whether the register takes writes of bytes and half-words: all but the keys do (RM0090 3.9).
+    pub(super) fn takes_narrow_writes(offset: u32) -> bool {
+        matches!(offset, ACR | Self::SR | CR | OPTCR | OPTCR1)
+    }
+
     /// Erased flash after power-on.
     pub fn new(part: Part) -> Self {
         Self {
             part,
             array: Array::new(part),
+            options: Options::new(part),
             timing: Timing::Typical,
+            supply_mv: 3_300,
+            cut_words_flip: false,
+            power_ons: 0,
             acr: 0,
             sr: 0,
             cr: CR_LOCK,
-            optcr: 0x0FFF_AAED,
-            optcr1: 0x0FFF_0000,
             half_unlocked: false,
             locked_until_reset: false,
             stale_data_cache: false,
@@ -114,15 +136,29 @@ impl Flash {
         self.note_change(offset as usize..offset as usize + bytes.len());
     }
 
-    /// Chooses typical or guaranteed times.
+    /// Chooses typical, guaranteed or longest times.
     pub fn set_timing(&mut self, timing: Timing) {
         self.timing = timing;
     }
 
     /// Protects the sectors whose bit is 1 against programming and erasing (nWRP of the option bytes, inverted).
     pub fn protect_sectors(&mut self, sectors: u32) {
-        self.optcr = self.optcr & !0x0FFF_0000 | (!sectors & 0xFFF) << 16;
-        self.optcr1 = (!(sectors >> 12) & 0xFFF) << 16;
+        self.options.protect(sectors);
+    }
+
+    /// Sets the supply in mV, on which the possible width of programming depends.
+    pub(super) fn set_supply(&mut self, mv: u32) {
+        self.supply_mv = mv;
+    }
+
+    /// Lets words whose programming is cut off from now on read otherwise at each power-on.
+    pub fn let_cut_words_flip(&mut self, flip: bool) {
+        self.cut_words_flip = flip;
+    }
+
+    /// The word of the option bytes at `offset` from 1FFF_C000h.
+    pub(super) fn option_word(&self, offset: u32) -> Option<u32> {
+        self.options.word(offset)
     }
 
     /// Cuts the power at an operation to come.
@@ -200,8 +236,10 @@ impl Flash {
 
     /// Ends the present operation if its time has come.
     pub fn advance(&mut self, now: Time) {
-        if self.operation.as_ref().is_some_and(|operation| now >= operation.end) {
-            self.operation = None;
+        if let Some(ended) = self.operation.take_if(|operation| now >= operation.end) {
+            if ended.kind == Kind::Options {
+                self.options.program();
+            }
             self.cr &= !CR_STRT;
             // RM0090 3.9.4: EOP is set only if its interrupt is enabled.
             if self.cr & CR_EOPIE != 0 {
@@ -215,22 +253,37 @@ impl Flash {
         self.advance(now);
         if let Some(operation) = self.operation.take() {
             let seed = self.power_cut.map_or(self.operations(), |cut| cut.seed);
-            if operation.erase {
-                self.array.tear_erase(operation.range.start, &operation.before, seed);
-            } else {
-                self.array.tear_program(operation.range.start, &operation.before, seed);
+            let start = operation.range.start;
+            match operation.kind {
+                Kind::Program => {
+                    if self.cut_words_flip {
+                        self.array.add_marginal(start, &operation.before);
+                    }
+                    self.array.tear_program(start, &operation.before, seed);
+                }
+                Kind::Erase => self.array.tear_erase(start, &operation.before, seed),
+                Kind::Options => {}
             }
             self.note_change(operation.range);
         }
         if self.power_cut_at.take().is_some() {
             self.power_cut = None;
         }
+        self.options.reset();
         self.acr = 0;
         self.sr = 0;
         self.cr = CR_LOCK;
         self.half_unlocked = false;
         self.locked_until_reset = false;
         self.stale_data_cache = false;
+    }
+
+    /// The supply comes up: what was cut off may read otherwise now.
+    pub(super) fn power_on(&mut self) {
+        self.power_ons += 1;
+        for range in self.array.flip_marginal(self.power_ons) {
+            self.note_change(range);
+        }
     }
 
     fn note_change(&mut self, range: Range<usize>) {
@@ -246,11 +299,11 @@ impl Flash {
         let busy = if self.operation.is_some() { SR_BSY } else { 0 };
         match offset {
             ACR => Some(self.acr),
-            KEYR => Some(0),
-            SR => Some(self.sr | busy),
+            KEYR | OPTKEYR => Some(0),
+            Self::SR => Some(self.sr | busy),
             CR => Some(self.cr),
-            OPTCR => Some(self.optcr),
-            OPTCR1 if self.part == Part::Stm32f427 => Some(self.optcr1),
+            OPTCR => Some(self.options.read(Register::Optcr)),
+            OPTCR1 if self.part == Part::Stm32f427 => Some(self.options.read(Register::Optcr1)),
             _ => None,
         }
     }
@@ -266,8 +319,13 @@ impl Flash {
         match offset {
             ACR => return Ok(self.write_acr(value)),
             KEYR => return self.write_key(value).map(Ok),
-            SR => self.sr &= !value,
+            OPTKEYR => return self.options.write_key(value).map(Ok),
+            Self::SR => self.sr &= !value,
             CR => return Ok(self.write_cr(value, now)),
+            OPTCR => return Ok(self.write_options(Register::Optcr, value, now)),
+            OPTCR1 if self.part == Part::Stm32f427 => {
+                return Ok(self.write_options(Register::Optcr1, value, now));
+            }
             _ => return Ok(Err(Problem::Unmodelled)),
         }
         Ok(Ok(()))
@@ -330,6 +388,32 @@ impl Flash {
         Ok(())
     }
 
+    fn write_options(&mut self, register: Register, value: u32, now: Time) -> Result<(), Problem> {
+        if self.operation.is_some() {
+            return Err(Problem::Misuse("option bytes written while BSY is set"));
+        }
+        if self.options.write(register, value)? {
+            let end = now + self.timing.erase(0, 2);
+            let kind = Kind::Options;
+            self.begin(Operation { end, range: 0..1, before: Vec::new(), kind }, now);
+        }
+        Ok(())
+    }
+
+    /// Whether the supply allows the width that PSIZE chooses (RM0090 table 9).
+    fn check_parallelism(&self) -> Result<(), Problem> {
+        let least_mv = match self.cr >> 8 & 3 {
+            0 => 1_700,
+            1 => 2_100,
+            2 => 2_700,
+            _ => return Err(Problem::Misuse("x64 needs Vpp, which the board has not")),
+        };
+        if self.supply_mv < least_mv {
+            return Err(Problem::Misuse("the supply is too low for this PSIZE"));
+        }
+        Ok(())
+    }
+
     fn start_erase(&mut self, now: Time) -> Result<(), Problem> {
         let bank_size = self.part.flash_bank_size() as usize;
         let whole = self.array.bytes().len();
@@ -351,7 +435,7 @@ impl Flash {
         };
         let (first, last) =
             (self.array.sector_of(range.start as u32), self.array.sector_of(range.end as u32 - 1));
-        if (first..=last).any(|sector| self.protected(sector)) {
+        if (first..=last).any(|sector| self.options.protects(sector)) {
             self.cr &= !CR_STRT;
             self.sr |= SR_WRPERR;
             return Ok(());
@@ -366,17 +450,19 @@ impl Flash {
             self.array.tear_erase(range.start, &before, seed);
         }
         self.stale_data_cache = self.acr & ACR_DCEN != 0 || self.stale_data_cache;
-        self.begin(Operation { end: now + Time::from_ps(time), range, before, erase: true }, now);
-        Ok(())
-    }
-
-    fn protected(&self, sector: u32) -> bool {
-        let bits = if sector < 12 { self.optcr >> 16 } else { self.optcr1 >> 16 };
-        bits >> (sector % 12) & 1 == 0
+        let end = now + Time::from_ps(time);
+        self.begin(Operation { end, range, before, kind: Kind::Erase }, now);
+        self.check_parallelism()
     }
 
     /// A store of the CPU to flash address `offset`: programs it, or sets the flag that says why not.
-    pub fn program(&mut self, offset: u32, width: Width, value: u32, now: Time) {
+    pub fn program(
+        &mut self,
+        offset: u32,
+        width: Width,
+        value: u32,
+        now: Time,
+    ) -> Result<(), Problem> {
         self.advance(now);
         let now = self.operation.as_ref().map_or(now, |operation| operation.end);
         self.advance(now);
@@ -385,7 +471,7 @@ impl Flash {
             self.sr |= SR_PGSERR;
         } else if width.bytes() != size {
             self.sr |= SR_PGPERR;
-        } else if self.protected(self.array.sector_of(offset)) {
+        } else if self.options.protects(self.array.sector_of(offset)) {
             self.sr |= SR_WRPERR;
         } else {
             let range = offset as usize..offset as usize + size as usize;
@@ -398,8 +484,9 @@ impl Flash {
             }
             self.array.program(offset, &programmed.to_le_bytes()[..size as usize]);
             let end = now + self.timing.program();
-            self.begin(Operation { end, range, before, erase: false }, now);
+            self.begin(Operation { end, range, before, kind: Kind::Program }, now);
         }
+        if self.cr & CR_PG != 0 { self.check_parallelism() } else { Ok(()) }
     }
 
     fn begin(&mut self, operation: Operation, now: Time) {

@@ -52,9 +52,9 @@ impl Iwdg {
         Time::from_ps(count * 1_000_000_000_000 / u64::from(self.lsi))
     }
 
-    fn restart(&mut self, now: Time) {
+    fn count_down(&mut self, from: u32, now: Time) {
         let divider = 4u64 << self.prescaler.min(6);
-        self.deadline = Some(now + self.lsi_periods(divider * u64::from(self.reload + 1)));
+        self.deadline = Some(now + self.lsi_periods(divider * u64::from(from + 1)));
     }
 
     /// A register's value, or `None` where there is none.
@@ -76,8 +76,11 @@ impl Iwdg {
             KR => {
                 let key = value & 0xFFFF;
                 self.unlocked = key == 0x5555;
-                if key == 0xCCCC || key == 0xAAAA && self.deadline.is_some() {
-                    self.restart(now);
+                match key {
+                    // RM0090 21.3: the first count is from the reset value, whatever RLR holds.
+                    0xCCCC if !self.running() => self.count_down(0xFFF, now),
+                    0xAAAA if self.running() => self.count_down(self.reload, now),
+                    _ => {}
                 }
                 true
             }

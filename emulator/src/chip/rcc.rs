@@ -6,6 +6,7 @@ use crate::{Time, can::Clock};
 const CR: u32 = 0x00;
 const PLLCFGR: u32 = 0x04;
 const CFGR: u32 = 0x08;
+const CIR: u32 = 0x0C;
 const APB1RSTR: u32 = 0x20;
 const AHB1ENR: u32 = 0x30;
 const APB1ENR: u32 = 0x40;
@@ -14,14 +15,15 @@ const CSR: u32 = 0x74;
 
 const HSION: u32 = 1 << 0;
 const HSEON: u32 = 1 << 16;
+const CSSON: u32 = 1 << 19;
 const PLLON: u32 = 1 << 24;
 const PLLI2SON: u32 = 1 << 26;
 const PLLSAION: u32 = 1 << 28;
 const LSION: u32 = 1 << 0;
 const RMVF: u32 = 1 << 24;
+const CSSF: u32 = 1 << 7;
 
-/// Typical start-up times from the F405 data sheet: crystal, PLL lock and LSI.
-const HSE_START: Time = Time::from_ms(2);
+/// Typical start-up times from the F405 data sheet: PLL lock and LSI.
 const PLL_LOCK: Time = Time::from_us(100);
 const LSI_START: Time = Time::from_us(20);
 
@@ -95,6 +97,9 @@ impl Gate {
 pub struct Rcc {
     part: Part,
     crystal: Clock,
+    /// The crystal swings once it is switched on.
+    crystal_works: bool,
+    hse_start: Time,
     regs: [u32; 38],
     hse_ready: Time,
     pll_ready: [Time; 3],
@@ -102,11 +107,13 @@ pub struct Rcc {
 }
 
 impl Rcc {
-    /// After power-on, with `crystal` as HSE.
-    pub fn new(part: Part, crystal: Clock) -> Self {
+    /// After power-on, with `crystal` as HSE, which takes `hse_start` to become ready.
+    pub fn new(part: Part, crystal: Clock, hse_start: Time) -> Self {
         let mut rcc = Self {
             part,
             crystal,
+            crystal_works: crystal.hz > 0,
+            hse_start,
             regs: [0; 38],
             hse_ready: Time::MAX,
             pll_ready: [Time::MAX; 3],
@@ -214,6 +221,8 @@ impl Rcc {
                 }
                 value &= !0xC;
             }
+            // Flags are cleared by the upper bits, which read as 0.
+            CIR => value = value & 0x7F00 | old & 0xFF & !(value >> 16),
             CSR => {
                 if value & LSION != 0 && old & LSION == 0 {
                     self.lsi_ready = now + LSI_START;
@@ -228,14 +237,13 @@ impl Rcc {
     }
 
     fn write_cr(&mut self, old: u32, value: u32, now: Time) -> Result<(), Problem> {
-        let source = self.reg(CFGR) & 3;
-        let needs_hse = source == 1 || source == 2 && self.reg(PLLCFGR) >> 22 & 1 == 1;
-        if (source == 2 && value & PLLON == 0) || (needs_hse && value & HSEON == 0) {
+        let on_pll = self.reg(CFGR) & 3 == 2;
+        if (on_pll && value & PLLON == 0) || (self.sysclk_needs_hse() && value & HSEON == 0) {
             return Err(Problem::Misuse("a clock that SYSCLK depends on was switched off"));
         }
         let starts = |bit: u32| value & bit != 0 && old & bit == 0;
         if starts(HSEON) {
-            self.hse_ready = if self.crystal.hz > 0 { now + HSE_START } else { Time::MAX };
+            self.start_hse(now);
         }
         for (index, bit) in [PLLON, PLLI2SON, PLLSAION].into_iter().enumerate() {
             if starts(bit) {
@@ -252,6 +260,58 @@ impl Rcc {
             }
         }
         if starts(PLLON) { self.check_pll() } else { Ok(()) }
+    }
+
+    fn start_hse(&mut self, now: Time) {
+        let ready = now.as_ps().saturating_add(self.hse_start.as_ps());
+        self.hse_ready = if self.crystal_works { Time::from_ps(ready) } else { Time::MAX };
+    }
+
+    fn sysclk_needs_hse(&self) -> bool {
+        match self.reg(CFGR) & 3 {
+            1 => true,
+            2 => self.reg(PLLCFGR) >> 22 & 1 == 1,
+            _ => false,
+        }
+    }
+
+    /// The crystal stops at `now`. The clock security system, if it is on, switches to HSI and interrupts (RM0090 7.2.7).
+    pub fn stop_crystal(&mut self, now: Time) {
+        self.crystal_works = false;
+        let was_ready = now >= self.hse_ready;
+        self.hse_ready = Time::MAX;
+        let cr = self.reg(CR);
+        if !was_ready || cr & CSSON == 0 {
+            return;
+        }
+        let mut off = HSEON;
+        if self.sysclk_needs_hse() {
+            if self.reg(CFGR) & 3 == 2 {
+                off |= PLLON | PLLI2SON;
+                self.pll_ready = [Time::MAX; 3];
+            }
+            self.regs[CFGR as usize / 4] &= !3;
+        }
+        self.regs[CR as usize / 4] = cr & !off | HSION;
+        self.regs[CIR as usize / 4] |= CSSF;
+    }
+
+    /// The crystal can swing again from `now` on.
+    pub fn start_crystal(&mut self, now: Time) {
+        self.crystal_works = self.crystal.hz > 0;
+        if self.reg(CR) & HSEON != 0 {
+            self.start_hse(now);
+        }
+    }
+
+    /// Whether SYSCLK has stopped, with the crystal that it comes from.
+    pub fn is_stopped(&self) -> bool {
+        !self.crystal_works && self.sysclk_needs_hse()
+    }
+
+    /// Level of the non-maskable interrupt: the clock security system has seen the crystal fail.
+    pub fn nmi(&self) -> bool {
+        self.reg(CIR) & CSSF != 0
     }
 
     /// Starts LSI on behalf of the watchdog, which keeps it on.

@@ -2,10 +2,12 @@
 
 use super::Part;
 
-/// PWR (RM0090 chapter 5): the voltage scale and over-drive bits that clock set-up waits for, settled at once.
+/// PWR (RM0090 chapter 5): the voltage detector, and the voltage scale and over-drive bits that clock set-up waits for, all
+/// settled at once.
 #[derive(Debug)]
 pub struct Pwr {
     part: Part,
+    supply_mv: u32,
     cr: u32,
     csr: u32,
 }
@@ -13,21 +15,40 @@ pub struct Pwr {
 impl Pwr {
     const CR: u32 = 0x00;
     const CSR: u32 = 0x04;
+    const PVDE: u32 = 1 << 4;
+    const PVDO: u32 = 1 << 2;
+    /// The thresholds that PLS chooses, in mV (RM0090 5.4.1); their hysteresis is left out.
+    const THRESHOLDS_MV: [u32; 8] = [2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900];
     const VOSRDY: u32 = 1 << 14;
     /// ODEN and ODSWEN in CR, ODRDY and ODSWRDY in CSR.
     const OVERDRIVE: u32 = 1 << 16 | 1 << 17;
 
-    /// After a reset.
+    /// After a reset, with 3.3 V.
     pub fn new(part: Part) -> Self {
         let cr = if part.has_overdrive() { 0xC000 } else { 0x4000 };
-        Self { part, cr, csr: 0 }
+        Self { part, supply_mv: 3_300, cr, csr: 0 }
+    }
+
+    /// Puts all back to reset values, at the same supply.
+    pub fn reset(&mut self) {
+        *self = Self { supply_mv: self.supply_mv, ..Self::new(self.part) };
+    }
+
+    /// Sets the supply in mV.
+    pub fn set_supply(&mut self, mv: u32) {
+        self.supply_mv = mv;
+    }
+
+    fn pvdo(&self) -> u32 {
+        let threshold = Self::THRESHOLDS_MV[self.cr as usize >> 5 & 7];
+        if self.cr & Self::PVDE != 0 && self.supply_mv < threshold { Self::PVDO } else { 0 }
     }
 
     /// A register's value, or `None` where there is none.
     pub fn read(&self, offset: u32) -> Option<u32> {
         match offset {
             Self::CR => Some(self.cr),
-            Self::CSR => Some(self.csr | Self::VOSRDY | self.cr & Self::OVERDRIVE),
+            Self::CSR => Some(self.csr | Self::VOSRDY | self.cr & Self::OVERDRIVE | self.pvdo()),
             _ => None,
         }
     }

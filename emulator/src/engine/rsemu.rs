@@ -46,6 +46,8 @@ pub struct Rsemu {
     flash_busy: bool,
     /// The last instruction was a jump to itself, of so many cycles.
     spin: Option<u64>,
+    /// How many times its cycles an instruction takes.
+    slowdown: u64,
     irqs: u128,
     polls: u32,
     watcher: Option<Box<dyn Watcher>>,
@@ -60,13 +62,15 @@ impl Rsemu {
         let flash = Arc::new(RamStore::new(part.flash_size().into()));
         copy(&flash, 0, guard.flash().bytes());
         guard.flash_mut().take_changed();
+        let readings = guard.readings();
         drop(guard);
         let link = Arc::new(Link::new(clock));
         let ram = Arc::new(RamStore::new(part.ram_size().into()));
         let ccm = Arc::new(RamStore::new(part.ccm_size().into()));
         let config = Config::CORTEX_M4F.with_priority_bits(4).with_reset_vtor(FLASH_BASE);
         let cpu = ArmV7m::new(config);
-        cpu.attach_space(Arc::new(bus::address_space(&chip, &link, &flash, &ram, &ccm)));
+        let space = bus::address_space(&chip, &link, &flash, &ram, &ccm, readings);
+        cpu.attach_space(Arc::new(space));
         Self {
             cpu,
             chip,
@@ -80,6 +84,7 @@ impl Rsemu {
             stalled_until: 0,
             flash_busy: false,
             spin: None,
+            slowdown: readings.slowdown.max(1).into(),
             irqs: 0,
             polls: 0,
             watcher: None,
@@ -122,11 +127,11 @@ impl Rsemu {
             }
             self.check_sleep();
         } else if used <= 3 {
-            self.spin = Some(used);
+            self.spin = Some(used * self.slowdown);
         } else {
             return;
         }
-        let step = if asleep { 1 } else { used };
+        let step = if asleep { 1 } else { used * self.slowdown };
         let room = target.saturating_sub(self.cycles);
         let cycles = self.cycles_to_systick().map_or(room, |ticks| room.min(ticks));
         let cycles = cycles - cycles % step;
@@ -197,7 +202,15 @@ impl Rsemu {
     }
 
     /// Drives the interrupt inputs as the chip has them now.
-    fn sync_irqs(&mut self, chip_irqs: u128) {
+    fn sync_irqs(&mut self, chip: &Chip) {
+        let chip_irqs = chip.irqs();
+        if chip.nmi() {
+            self.cpu.with_sys(|sys| {
+                if !sys.is_active(Exception::NMI) {
+                    sys.set_pending(Exception::NMI, true);
+                }
+            });
+        }
         let mut changed = self.irqs ^ chip_irqs;
         while changed != 0 {
             let irq = changed.trailing_zeros();
@@ -207,16 +220,24 @@ impl Rsemu {
         self.irqs = chip_irqs;
     }
 
-    /// Follows the chip after the program wrote to it.
-    fn after_write(&mut self, until: Time) -> Option<Halt> {
-        let chip = Arc::clone(&self.chip);
-        let mut chip = lock(&chip);
-        self.sync_irqs(chip.irqs());
+    /// Follows the chip's interrupts and clock.
+    fn sync(&mut self, chip: &Chip) {
+        self.sync_irqs(chip);
         let hclk = chip.clocks().hclk;
         if hclk != self.clock.clock() {
             self.clock.change(hclk, self.cycles);
             self.link.set_clock(self.clock);
         }
+        if chip.is_stopped() {
+            self.stalled_until = u64::MAX;
+        }
+    }
+
+    /// Follows the chip after the program wrote to it.
+    fn after_write(&mut self, until: Time) -> Option<Halt> {
+        let chip = Arc::clone(&self.chip);
+        let mut chip = lock(&chip);
+        self.sync(&chip);
         self.take_flash(&mut chip);
         self.flash_busy = chip.flash().operation_end().is_some();
         if chip.take_can_written() {
@@ -265,8 +286,8 @@ impl Engine for Rsemu {
     }
 
     fn run(&mut self, until: Time) -> Halt {
-        let irqs = lock(&self.chip).irqs();
-        self.sync_irqs(irqs);
+        let chip = Arc::clone(&self.chip);
+        self.sync(&lock(&chip));
         let mut target = self.clock.cycle_at(until);
         let mut pc = self.cpu.pc();
         while self.cycles < target {
@@ -283,6 +304,9 @@ impl Engine for Rsemu {
             let step = self.observe();
             let used = self.cpu.step();
             self.cycles += used;
+            if self.slowdown > 1 && !self.cpu.is_asleep() {
+                self.skip(used * (self.slowdown - 1));
+            }
             if before & xpsr::IT_MASK != 0 {
                 self.mend_stacked_itstate(before, pc);
             }
@@ -318,16 +342,22 @@ impl Engine for Rsemu {
     }
 
     fn wake_time(&self) -> Time {
+        if self.stalled_until == u64::MAX {
+            return Time::MAX;
+        }
         if self.stalled_until > self.cycles {
             return self.clock.time_at(self.stalled_until);
         }
-        let irqs = lock(&self.chip).irqs();
+        let (irqs, nmi) = {
+            let chip = lock(&self.chip);
+            (chip.irqs(), chip.nmi())
+        };
         let interrupted = self.cpu.with_sys(|sys| {
             let enabled = |irq: u16| irqs >> irq & 1 == 1 && sys.is_enabled(Exception(16 + irq));
             sys.highest_pending().is_some() || irqs != 0 && (0..128).any(enabled)
         });
         let idle = self.spin.is_some() || self.cpu.is_asleep();
-        if interrupted || !idle {
+        if interrupted || nmi || !idle {
             return self.now();
         }
         self.cycles_to_systick()

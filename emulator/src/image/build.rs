@@ -22,10 +22,26 @@ impl Image {
     /// # Errors
     /// What `cargo` said. A missing compilation target is installed with `rustup` first.
     pub fn build(part: Part) -> Result<Self, ImageError> {
-        let mut output = cargo_build(part)?;
+        Self::build_with(part, || cargo_build(part))
+    }
+
+    /// Builds the release firmware for `part` from a copy of its sources in `directory`, and into the `target` in there.
+    ///
+    /// # Errors
+    /// Those of [`build`](Self::build).
+    pub fn build_in(directory: &Path, part: Part) -> Result<Self, ImageError> {
+        Self::build_with(part, || {
+            let mut command = cargo_build(part);
+            command.current_dir(directory).arg("--target-dir").arg(directory.join("target"));
+            command
+        })
+    }
+
+    fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Self, ImageError> {
+        let mut output = run_with_notice(&mut command(), part)?;
         if !output.status.success() && stderr(&output).contains("target may not be installed") {
             add_target()?;
-            output = cargo_build(part)?;
+            output = run_with_notice(&mut command(), part)?;
         }
         if !output.status.success() {
             return Err(ImageError::Build(format!("\n{}", stderr(&output).trim_end())));
@@ -38,7 +54,7 @@ impl Image {
     }
 }
 
-fn cargo_build(part: Part) -> Result<Output, ImageError> {
+fn cargo_build(part: Part) -> Command {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
     let mut command = Command::new(cargo);
@@ -57,13 +73,17 @@ fn cargo_build(part: Part) -> Result<Output, ImageError> {
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .env_remove("CARGO_BUILD_TARGET");
+    command
+}
+
+fn run_with_notice(command: &mut Command, part: Part) -> Result<Output, ImageError> {
     let (done, waiting) = mpsc::channel::<()>();
     let notice = thread::spawn(move || {
         if waiting.recv_timeout(PATIENCE) == Err(mpsc::RecvTimeoutError::Timeout) {
             eprintln!("building the firmware for {} ...", part.name());
         }
     });
-    let output = run(&mut command);
+    let output = run(command);
     drop(done);
     notice.join().expect("the notice does not panic");
     output

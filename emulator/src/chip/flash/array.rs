@@ -15,18 +15,28 @@ pub struct StuckBits {
     pub value: u8,
 }
 
+/// Cells between two values, because their programming was cut off.
+#[derive(Debug)]
+struct Marginal {
+    start: usize,
+    before: Vec<u8>,
+    programmed: Vec<u8>,
+}
+
 /// The cells of the whole main memory.
 #[derive(Debug)]
 pub struct Array {
     part: Part,
     bytes: Vec<u8>,
     stuck: Vec<StuckBits>,
+    marginal: Vec<Marginal>,
 }
 
 impl Array {
     /// Erased flash.
     pub fn new(part: Part) -> Self {
-        Self { part, bytes: vec![0xFF; part.flash_size() as usize], stuck: Vec::new() }
+        let bytes = vec![0xFF; part.flash_size() as usize];
+        Self { part, bytes, stuck: Vec::new(), marginal: Vec::new() }
     }
 
     /// Everything that is stored.
@@ -38,6 +48,7 @@ impl Array {
     pub fn load(&mut self, offset: u32, bytes: &[u8]) {
         let start = offset as usize;
         self.bytes[start..start + bytes.len()].copy_from_slice(bytes);
+        self.forget_marginal(&(start..start + bytes.len()));
         self.apply_stuck(start..start + bytes.len());
     }
 
@@ -88,13 +99,54 @@ impl Array {
         for (cell, byte) in self.bytes[start..].iter_mut().zip(bytes) {
             *cell &= byte;
         }
+        for marginal in &mut self.marginal {
+            for (at, &byte) in (start..).zip(bytes) {
+                if let Some(index) = at.checked_sub(marginal.start)
+                    && index < marginal.before.len()
+                {
+                    marginal.before[index] &= byte;
+                    marginal.programmed[index] &= byte;
+                }
+            }
+        }
+        self.marginal.retain(|marginal| marginal.before != marginal.programmed);
         self.apply_stuck(start..start + bytes.len());
     }
 
     /// Sets all bits of a range.
     pub fn erase(&mut self, range: Range<usize>) {
         self.bytes[range.clone()].fill(0xFF);
+        self.forget_marginal(&range);
         self.apply_stuck(range);
+    }
+
+    /// Remembers that the programming of cells, which is to be torn, leaves them between two values.
+    pub fn add_marginal(&mut self, start: usize, before: &[u8]) {
+        let programmed = self.bytes[start..start + before.len()].to_vec();
+        self.marginal.push(Marginal { start, before: before.to_vec(), programmed });
+    }
+
+    fn forget_marginal(&mut self, range: &Range<usize>) {
+        self.marginal.retain(|marginal| !range.contains(&marginal.start));
+    }
+
+    /// Lets every cell that is between two values read as either; returns where they are.
+    pub fn flip_marginal(&mut self, seed: u64) -> Vec<Range<usize>> {
+        let mut random = Random(seed);
+        let mut ranges = Vec::new();
+        for Marginal { start, before, programmed } in &self.marginal {
+            let kind = random.next() % 4;
+            for ((cell, old), new) in self.bytes[*start..].iter_mut().zip(before).zip(programmed) {
+                *cell = match kind {
+                    0 => *old,
+                    1 => *new,
+                    _ => *old & (*new | random.next() as u8),
+                };
+            }
+            ranges.push(*start..start + before.len());
+        }
+        ranges.iter().for_each(|range| self.apply_stuck(range.clone()));
+        ranges
     }
 
     /// What a program operation leaves that was cut off: each bit that was to be cleared may or may not be.

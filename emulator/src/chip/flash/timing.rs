@@ -10,6 +10,8 @@ pub enum Timing {
     Typical,
     /// The guaranteed times: 100 us a word; 500, 600 or 800 ms a 16 KB sector.
     Worst,
+    /// The longest of all: 100 us a word; 800 ms a 16 KB sector, whatever the width.
+    Slowest,
 }
 
 impl Timing {
@@ -17,12 +19,13 @@ impl Timing {
     pub const fn program(self) -> Time {
         match self {
             Self::Typical => Time::from_us(16),
-            Self::Worst => Time::from_us(100),
+            Self::Worst | Self::Slowest => Time::from_us(100),
         }
     }
 
     /// The erase of a sector, by its number and PSIZE (0 = x8, 1 = x16, 2 = x32).
     pub const fn erase(self, sector: u32, psize: u32) -> Time {
+        let psize = if matches!(self, Self::Slowest) { 0 } else { psize };
         let typical = match (sector % 12, psize) {
             (0..4, 0) => 400,
             (0..4, 1) => 300,
@@ -36,7 +39,7 @@ impl Timing {
         };
         match self {
             Self::Typical => Time::from_ms(typical),
-            Self::Worst => Time::from_ms(2 * typical),
+            Self::Worst | Self::Slowest => Time::from_ms(2 * typical),
         }
     }
 }

@@ -11,7 +11,7 @@ use rsemu::core::{
 };
 
 use crate::{
-    chip::{Access, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Width},
+    chip::{Access, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Readings, Width},
     engine::{Transfer, clock::CycleClock},
 };
 
@@ -104,6 +104,21 @@ impl MemOps for Aperture {
     }
 }
 
+/// A range of addresses where nothing is, and no fault either.
+#[derive(Debug)]
+struct Nothing;
+
+impl MemOps for Nothing {
+    fn read(&self, _: u64, dst: &mut [u8], _: MemAttrs) -> MemResult {
+        dst.fill(0);
+        Ok(())
+    }
+
+    fn write(&self, _: u64, _: &[u8], _: MemAttrs) -> MemResult {
+        Ok(())
+    }
+}
+
 /// The address map (RM0090 2.3): what is not in it is a BusFault.
 pub fn address_space(
     chip: &Arc<Mutex<Chip>>,
@@ -111,6 +126,7 @@ pub fn address_space(
     flash: &Arc<RamStore>,
     ram: &Arc<RamStore>,
     ccm: &Arc<RamStore>,
+    readings: Readings,
 ) -> AddressSpace {
     let space = AddressSpace::new("cortex-m4", 32);
     let memory = |name: &str, store: &Arc<RamStore>, base: u32, perms| {
@@ -124,7 +140,7 @@ pub fn address_space(
         memory("flash at reset", flash, 0, Perms::RX),
         memory("flash", flash, FLASH_BASE, Perms::RX),
         calls("flash programming", FLASH_BASE, flash.len(), Perms::WRITE),
-        calls("system memory", 0x1FFF_0000, 0xC000, Perms::RW),
+        calls("system memory", 0x1FFF_0000, 0xC010, Perms::RW),
         memory("sram", ram, RAM_BASE, Perms::RWX),
         calls("apb and ahb1", 0x4000_0000, 0x8_0000, Perms::RW),
         calls("ahb2", 0x5000_0000, 0x6_1000, Perms::RW),
@@ -132,6 +148,11 @@ pub fn address_space(
     ];
     if !ccm.is_empty() {
         mappings.push(memory("ccm", ccm, CCM_BASE, Perms::RW));
+    }
+    if readings.no_fault_below_ram {
+        const BASE: u32 = 0x1FFF_C010;
+        let nothing = Region::io("nothing", (RAM_BASE - BASE).into(), Arc::new(Nothing));
+        mappings.push(Mapping::new(nothing, BASE.into()).with_perms(Perms::RW));
     }
     let mut topology = space.topology();
     for mapping in mappings {

@@ -1,0 +1,162 @@
+//! `cargo xtask no-harm`: random situations on the bus, each lived through with and without bit-rate supervision.
+
+mod draw;
+mod judge;
+mod life;
+mod minimise;
+mod plain;
+mod situation;
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::{Duration, Instant},
+};
+
+use anyhow::ensure;
+use emulator::{Time, chip::Part, image::Image};
+
+use crate::{boards, parallel, support::random::Random};
+use judge::{Failure, Images, Verdict};
+use situation::{Kind, Situation};
+
+/// From one line of progress to the next.
+const PROGRESS: Duration = Duration::from_secs(5);
+/// Failing situations that are made smaller and printed: one of each kind and failure, so many at most.
+const PRINTED: usize = 6;
+
+/// See in random situations that supervision of the bit rate never costs a node
+///
+/// A situation is drawn from its seed: one to eight boards, perhaps with a wrong rate stored; a master that listens, asks or is
+/// away; switches of the bit rate that some boards miss and that the master follows late; foreign devices at other rates; shorts,
+/// broken wires, noise, bit errors and power cuts. It runs twice: with the product's image, and with the plain slave, which is
+/// the same firmware with `RESCUE = false`, built in target/no-harm. Then the master looks for all boards at one rate, asking each
+/// every 20 ms (object 1000h by SDO, 4C without a node-ID) or only listening for heartbeats.
+///
+/// Whom the plain slave answers must answer at most 100 ms later (25 frame times at slow rates; 1 s after a foreign device has
+/// left). A plain slave that has another rate than the master's is lost; the product must be found within 10 s of the first
+/// evidence, after a commanded switch 30 s later, unless others who talk share its rate.
+///
+/// The first failing situations are made smaller and printed as a list of events, with the seed that replays them.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// How many situations
+    #[arg(long, default_value_t = 50)]
+    situations: u64,
+    /// Which situations; drawn anew if it is not given
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Run only the situation of this seed, and print what happens
+    #[arg(long, value_name = "SEED", conflicts_with_all = ["situations", "seed"])]
+    replay: Option<u64>,
+    /// The chip on the boards
+    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    chip: Part,
+}
+
+/// Runs the campaign. Fails if anybody is worse off than with the plain slave, or is not found.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let part = arguments.chip;
+    let images = Images { part, plain: plain::build(part)?, product: Image::build(part)? };
+    match arguments.replay {
+        Some(seed) => replay(&images, seed),
+        None => campaign(&images, arguments),
+    }
+}
+
+fn replay(images: &Images, seed: u64) -> anyhow::Result<()> {
+    let situation = draw::situation(seed);
+    println!("{}\n{situation}", situation.kind);
+    let verdict = images.judge(&situation);
+    for line in &verdict.log {
+        println!("  {line}");
+    }
+    println!("{} rescued, worst delay {} ms", verdict.rescued, verdict.worst_delay.as_ms());
+    if let Some(failure) = verdict.failures.first() {
+        print_smaller(images, seed, situation, failure);
+    }
+    ensure!(verdict.failures.is_empty(), "the situation fails");
+    Ok(())
+}
+
+/// What the situations of a kind have shown so far.
+#[derive(Default)]
+struct Tally {
+    situations: u64,
+    worse: u64,
+    not_found: u64,
+    rescued: usize,
+    worst_delay: Time,
+}
+
+impl Tally {
+    fn add(&mut self, verdict: &Verdict) {
+        let is_not_found = |failure: &Failure| matches!(failure, Failure::NotFound { .. });
+        self.situations += 1;
+        self.worse += u64::from(verdict.failures.iter().any(|failure| !is_not_found(failure)));
+        self.not_found +=
+            verdict.failures.iter().filter(|failure| is_not_found(failure)).count() as u64;
+        self.rescued += verdict.rescued;
+        self.worst_delay = self.worst_delay.max(verdict.worst_delay);
+    }
+
+    fn text(&self) -> String {
+        let Self { situations, worse, not_found, rescued, worst_delay } = self;
+        let delay = worst_delay.as_ms();
+        format!(
+            "{situations} situations, {worse} worse than the plain slave, {rescued} rescued, \
+             {not_found} not found, worst delay {delay} ms"
+        )
+    }
+}
+
+fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
+    let seed = arguments.seed.unwrap_or_else(|| Random::new().next());
+    let mut seeds = Random::from_seed(seed);
+    let seeds: Vec<u64> = (0..arguments.situations).map(|_| seeds.next() >> 32).collect();
+    println!("--seed {seed}");
+    let begin = Instant::now();
+    let mut all = Tally::default();
+    let mut kinds: BTreeMap<Kind, Tally> = BTreeMap::new();
+    let mut failed = Vec::new();
+    let mut reported = begin;
+    let judge = |seed: &u64| images.judge(&draw::situation(*seed));
+    parallel::map(&seeds, judge, |index, verdict| {
+        let kind = draw::situation(seeds[index]).kind;
+        all.add(&verdict);
+        kinds.entry(kind).or_default().add(&verdict);
+        failed.extend(verdict.failures.first().cloned().map(|failure| (index, kind, failure)));
+        if reported.elapsed() >= PROGRESS {
+            reported = Instant::now();
+            println!("{}, {} s", all.text(), begin.elapsed().as_secs());
+        }
+    });
+    failed.sort_by_key(|(index, ..)| *index);
+    for (index, kind, failure) in &failed {
+        println!("--replay {}: {kind}: {failure}", seeds[*index]);
+    }
+    let mut printed = BTreeSet::new();
+    for (index, kind, failure) in failed {
+        if printed.len() < PRINTED && printed.insert((kind, failure.name())) {
+            print_smaller(images, seeds[index], draw::situation(seeds[index]), &failure);
+        }
+    }
+    println!();
+    for (kind, tally) in kinds {
+        println!("{kind:18} {}", tally.text());
+    }
+    println!("\n{}, {} s, seed {seed}", all.text(), begin.elapsed().as_secs());
+    ensure!(all.worse + all.not_found == 0, "supervision does harm, or does not help");
+    Ok(())
+}
+
+/// Prints the least of a situation that still fails in the same way.
+fn print_smaller(images: &Images, seed: u64, situation: Situation, failure: &Failure) {
+    let same = |other: &Failure| other.name() == failure.name();
+    let fails = |smaller: &Situation| images.judge(smaller).failures.iter().any(same);
+    let smaller = minimise::minimise(situation, fails);
+    println!("\n{} (cargo xtask no-harm --replay {seed}), made smaller:", smaller.kind);
+    println!("{smaller}");
+    for failure in images.judge(&smaller).failures {
+        println!("  {failure}");
+    }
+}

@@ -1,0 +1,326 @@
+//! Random situations: what they are about, who is on the bus, and what happens when.
+
+use emulator::network::Short;
+use lss_slave::BitRate;
+
+use super::{
+    life::SWITCH_LEAD_MS,
+    situation::{Event, Foreign, Kind, Master, Node, Probe, Situation, Traffic, What},
+};
+use crate::support::random::Random;
+
+/// The slow rates, at which a frame takes up to 13 ms, are rare.
+const RATES: [BitRate; 12] = [
+    BitRate::Kbit1000,
+    BitRate::Kbit800,
+    BitRate::Kbit500,
+    BitRate::Kbit500,
+    BitRate::Kbit250,
+    BitRate::Kbit250,
+    BitRate::Kbit125,
+    BitRate::Kbit125,
+    BitRate::Kbit125,
+    BitRate::Kbit50,
+    BitRate::Kbit20,
+    BitRate::Kbit10,
+];
+/// Node-IDs of the boards, by number.
+const NODE_IDS: [u8; 8] = [1, 2, 3, 40, 5, 64, 100, 127];
+
+/// A situation on its way.
+struct Draft {
+    random: Random,
+    home: BitRate,
+    boards: Vec<Node>,
+    events: Vec<Event>,
+}
+
+/// The situation of this seed.
+pub fn situation(seed: u64) -> Situation {
+    let mut random = Random::from_seed(seed);
+    // Of eight boards at 10 kbit/s one would hear little else than the questions to the others.
+    let home = random.pick(&RATES);
+    let most = if home.kbit_per_s() < 125 { 3 } else { 8 };
+    let count = random.pick(&[1, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 6, 8]).min(most);
+    let boards = (0..count).map(|number| Node {
+        node_id: (!random.one_in(4)).then_some(NODE_IDS[number]),
+        stored: home,
+        heartbeat_ms: random.pick(&[0, 100, 1000]),
+    });
+    let boards = boards.collect();
+    let mut draft = Draft { boards, home, events: Vec::new(), random };
+    let kind = draft.random.pick(&Kind::ALL);
+    let probe = match kind {
+        Kind::LateMaster => draft.late_master(),
+        Kind::Laptop => draft.laptop(),
+        Kind::LineFault => draft.line_fault(),
+        Kind::MissedSwitch => draft.missed_switch(),
+        Kind::WrongRate => draft.wrong_rate(),
+        Kind::PowerCut => draft.power_cut(),
+        Kind::Mixture => draft.mixture(),
+    };
+    draft.events.sort_by_key(|event| event.at);
+    Situation { kind, boards: draft.boards, events: draft.events, probe }
+}
+
+impl Draft {
+    /// 15, and a master that is at the new rate only some time later.
+    fn late_master(&mut self) -> Probe {
+        let begin = self.span(300, 1500);
+        self.master_at(0, self.home);
+        let to = self.other_rate();
+        let t0 = self.switch(begin, to);
+        let delay_ms = self.delay_of_switch();
+        if self.random.one_in(2) {
+            self.add(t0 + 20, t0 + 20, What::Master(Master::Away));
+        }
+        let late = match self.random.within(0..10) {
+            0..3 => self.random.pick(&[1, 20, 50, 200]),
+            3..8 => self.span(200, 5_000),
+            8 => self.span(5_000, 15_000),
+            _ => self.span(15_000, 30_000),
+        };
+        self.probe(t0 + delay_ms + 1 + late, to)
+    }
+
+    /// A foreign device from power-on or from later on.
+    fn laptop(&mut self) -> Probe {
+        self.any_master_at(0, self.home);
+        let begin = if self.random.one_in(2) { 0 } else { self.span(50, 2_000) };
+        let end = self.foreign(begin, self.home);
+        let wait = self.wait();
+        self.probe(end + wait, self.home)
+    }
+
+    /// Shorts, broken wires, noise and bit errors, one after the other or at once.
+    fn line_fault(&mut self) -> Probe {
+        self.any_master_at(0, self.home);
+        let mut end = self.span(0, 1_500);
+        for _ in 0..self.random.within(1..4) {
+            end = self.fault(end);
+            end += if self.random.one_in(2) { 0 } else { self.span(0, 500) };
+        }
+        self.probe(end, self.home)
+    }
+
+    /// A switch that some boards miss, or all: the master alone goes to another rate.
+    fn missed_switch(&mut self) -> Probe {
+        self.master_at(0, self.home);
+        let begin = self.span(300, 2_000);
+        let to = self.other_rate();
+        if self.random.one_in(3) {
+            let master = self.talking_master(to);
+            self.add(begin, begin, What::Master(master));
+            let wait = self.wait();
+            return self.probe(begin + wait, to);
+        }
+        let t0 = self.switch(begin, to);
+        let away = t0 + self.delay_of_switch() + self.span(10, 1_000);
+        let count = self.boards.len();
+        let missing = self.random.within(0..count as u64) as usize;
+        for board in 0..count {
+            if board == missing || self.random.one_in(5) {
+                let has_power = self.random.one_in(2);
+                let what = if has_power { What::BrokenWire(board) } else { What::NoPower(board) };
+                let from = begin - self.span(1, 200);
+                self.add(from, away, what);
+            }
+        }
+        let follows = t0 + self.delay_of_switch() + 1;
+        let master = self.talking_master(to);
+        self.add(follows, follows, What::Master(master));
+        let wait = self.wait();
+        self.probe(away + wait, to)
+    }
+
+    /// Some boards have another rate stored than the bus has.
+    fn wrong_rate(&mut self) -> Probe {
+        let count = self.boards.len();
+        let wrong = self.random.within(0..count as u64) as usize;
+        for board in 0..count {
+            if board == wrong || self.random.one_in(4) {
+                self.boards[board].stored = self.other_rate();
+            }
+        }
+        self.any_master_at(0, self.home);
+        let mut end = self.span(50, 3_000);
+        if self.random.one_in(4) {
+            end = self.fault(end);
+        }
+        self.probe(end, self.home)
+    }
+
+    /// Boards lose their power, perhaps after a switch that was not stored.
+    fn power_cut(&mut self) -> Probe {
+        self.master_at(0, self.home);
+        let mut at = self.span(100, 1_000);
+        let to = self.other_rate();
+        let mut rate = self.home;
+        if self.random.one_in(2) {
+            at = self.switch(at, to) + 2 * self.delay_of_switch() + 20;
+            rate = if self.is_stored() { to } else { self.home };
+            self.add(at, at, What::Master(Master::Idle(to)));
+        }
+        let mut end = at;
+        for board in 0..self.boards.len() {
+            let from = at + self.span(0, 500);
+            let until = from + self.span(5, 2_000);
+            self.add(from, until, What::NoPower(board));
+            end = end.max(until);
+        }
+        let back = self.span(at, end);
+        self.master_at(back, rate);
+        let wait = self.wait();
+        self.probe(end + wait, rate)
+    }
+
+    /// Anything, and a switch in the midst of it.
+    fn mixture(&mut self) -> Probe {
+        self.any_master_at(0, self.home);
+        if self.random.one_in(4) {
+            let board = self.random.within(0..self.boards.len() as u64) as usize;
+            self.boards[board].stored = self.other_rate();
+        }
+        let mut rate = self.home;
+        let mut at = self.span(0, 1_000);
+        let mut end = at;
+        for _ in 0..self.random.within(2..5) {
+            let until = match self.random.within(0..6) {
+                0 | 1 => self.foreign(at, rate),
+                2 | 3 => self.fault(at),
+                4 if at > 200 => {
+                    self.add(at - 150, at - 150, What::Master(Master::Idle(rate)));
+                    rate = self.other_rate();
+                    let follows = self.switch(at, rate) + self.delay_of_switch() + 1;
+                    let late = self.span(0, 1_000);
+                    self.master_at(follows + late, rate);
+                    follows + late
+                }
+                _ => {
+                    self.any_master_at(at, rate);
+                    at
+                }
+            };
+            end = end.max(until);
+            at = if self.random.one_in(3) {
+                at + self.span(1, 300)
+            } else {
+                until + self.span(0, 300)
+            };
+        }
+        let wait = self.wait();
+        self.probe(end.max(at) + wait, rate)
+    }
+
+    fn add(&mut self, at: u32, until: u32, what: What) {
+        self.events.push(Event { at, until, what });
+    }
+
+    fn span(&mut self, from: u32, to: u32) -> u32 {
+        self.random.within(u64::from(from)..u64::from(to.max(from + 1))) as u32
+    }
+
+    /// From the end of what disturbs to the probe.
+    fn wait(&mut self) -> u32 {
+        if self.random.one_in(2) { 0 } else { self.span(1, 2_000) }
+    }
+
+    fn other_rate(&mut self) -> BitRate {
+        loop {
+            let rate = self.random.pick(&RATES);
+            if rate != self.home {
+                return rate;
+            }
+        }
+    }
+
+    fn probe(&mut self, at: u32, rate: BitRate) -> Probe {
+        let has_heartbeat = |node: &Node| node.node_id.is_some() && node.heartbeat_ms > 0;
+        let listens = self.boards.iter().all(has_heartbeat) && self.random.one_in(4);
+        Probe { at, rate, listens }
+    }
+
+    /// A switch of all boards that hear it; returns about when its delays begin.
+    fn switch(&mut self, at: u32, to: BitRate) -> u32 {
+        let delay_ms = self.random.pick(&[0, 1, 10, 50, 100, 100, 500, 1000]);
+        let is_stored = self.random.one_in(3);
+        self.add(at, at, What::Switch { to, delay_ms, is_stored });
+        at + SWITCH_LEAD_MS
+    }
+
+    fn delay_of_switch(&self) -> u32 {
+        self.last_switch().0
+    }
+
+    fn is_stored(&self) -> bool {
+        self.last_switch().1
+    }
+
+    fn last_switch(&self) -> (u32, bool) {
+        let switch = |event: &Event| match event.what {
+            What::Switch { delay_ms, is_stored, .. } => Some((u32::from(delay_ms), is_stored)),
+            _ => None,
+        };
+        self.events.iter().rev().find_map(switch).unwrap_or_default()
+    }
+
+    /// The master is there, and takes part.
+    fn master_at(&mut self, at: u32, rate: BitRate) {
+        let master =
+            if self.random.one_in(2) { Master::Idle(rate) } else { self.talking_master(rate) };
+        self.add(at, at, What::Master(master));
+    }
+
+    fn talking_master(&mut self, rate: BitRate) -> Master {
+        let every = self.random.pick(&[10, 100, 100, 500, 1000]);
+        if self.random.one_in(2) { Master::Syncs(rate, every) } else { Master::Polls(rate, every) }
+    }
+
+    /// The master is there, listens or is away.
+    fn any_master_at(&mut self, at: u32, rate: BitRate) {
+        match self.random.within(0..4) {
+            0 => self.add(at, at, What::Master(Master::Away)),
+            1 => self.add(at, at, What::Master(Master::Listens(rate))),
+            _ => self.master_at(at, rate),
+        }
+    }
+
+    /// A foreign device at another rate than `rate`; returns when it is gone.
+    fn foreign(&mut self, at: u32, rate: BitRate) -> u32 {
+        let others = BitRate::ALL.map(|rate| u32::from(rate.kbit_per_s()) * 1000);
+        let others = others.into_iter().chain([333_000, 83_000]);
+        let others: Vec<u32> =
+            others.filter(|other| other / 1000 != u32::from(rate.kbit_per_s())).collect();
+        let load = Traffic::Load(self.random.within(50..91) as u8);
+        let foreign = Foreign {
+            bit_per_s: self.random.pick(&others),
+            traffic: self.random.pick(&[Traffic::OneASecond, Traffic::WithoutPause, load]),
+            has_companion: self.random.one_in(2),
+        };
+        let until = at + self.random.pick(&[100, 500, 1_000, 2_000, 3_000, 3_000, 5_000, 8_000]);
+        self.add(at, until, What::Foreign(foreign));
+        until
+    }
+
+    /// Something wrong with the line or the supply; returns when it is over.
+    fn fault(&mut self, at: u32) -> u32 {
+        let board = self.random.within(0..self.boards.len() as u64) as usize;
+        let span = self.random.pick(&[1, 20, 200, 200, 1_000, 1_000, 3_000, 10_000]);
+        let what = match self.random.within(0..10) {
+            0..2 => What::Short(Short::Dominant),
+            2..4 => What::Short(Short::Recessive),
+            4..6 => What::BrokenWire(board),
+            6 => What::BrokenWireOfMaster,
+            7 => What::NoPower(board),
+            8 => What::BitError(board),
+            _ => What::Noise {
+                seed: self.random.next(),
+                mean_interval_us: self.random.pick(&[200, 1_000, 10_000, 100_000]),
+                length_ns: self.random.pick(&[200, 1_000, 5_000, 50_000]),
+            },
+        };
+        let until = if matches!(what, What::BitError(_)) { at } else { at + span };
+        self.add(at, until, what);
+        until
+    }
+}

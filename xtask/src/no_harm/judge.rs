@@ -1,0 +1,179 @@
+//! What is asked of a run: no board is reached later than the plain slave, and one that is lost is found.
+
+use std::fmt;
+
+use emulator::{Time, chip::Part, image::Image};
+
+use super::{
+    life::{FRAME_BITS, Life, POLL},
+    situation::{Situation, ms},
+};
+use crate::support::bench::bit_per_s;
+
+/// How much later than the plain slave a board may be reached, unless [`LATE_FRAMES`] take longer.
+const LATE: Time = Time::from_ms(100);
+const LATE_FRAMES: u64 = 25;
+/// A foreign device may keep a board away for so long after it has left.
+const AFTER_DEPARTURE: Time = Time::from_s(1);
+/// For so long a board that was commanded to switch looks for no other rate.
+const TRUST: Time = Time::from_s(30);
+/// A board that is lost is found so long after the first evidence.
+const FOUND: Time = Time::from_s(10);
+/// One that had the evidence before the probe began is found at the first questions.
+const AT_ONCE: Time = Time::from_s(1);
+/// A plain slave that is not reached in this time counts as lost.
+const PATIENCE: Time = Time::from_s(12);
+
+/// Both images.
+pub struct Images {
+    pub part: Part,
+    pub product: Image,
+    pub plain: Image,
+}
+
+/// What both runs of a situation show.
+#[derive(Default)]
+pub struct Verdict {
+    /// Those that were not found come last.
+    pub failures: Vec<Failure>,
+    /// Boards that the plain slave shows to be lost, and that were found.
+    pub rescued: usize,
+    /// By how much later than the plain slave a board was reached at most.
+    pub worst_delay: Time,
+    /// What the boards with the product's image logged.
+    pub log: Vec<String>,
+}
+
+/// What must not be.
+#[derive(Clone, Debug)]
+pub enum Failure {
+    /// The plain slave is reached after this span, ours after that or not in time.
+    Worse { board: usize, plain: Time, ours: Option<Time>, limit: Time },
+    /// The plain slave is lost, and ours was not found in time.
+    NotFound { board: usize, ours: Option<Time>, limit: Time },
+    /// What no program may do.
+    Offence(String),
+}
+
+impl Failure {
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Worse { ours: Some(_), .. } => "reached late",
+            Self::Worse { ours: None, .. } => "not reached",
+            Self::NotFound { .. } => "not found",
+            Self::Offence(_) => "offence",
+        }
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let after = |time: &Option<Time>| match time {
+            Some(time) => format!("after {} ms", time.as_ms()),
+            None => "not at all".to_owned(),
+        };
+        match self {
+            Self::Worse { board, plain, ours, limit } => {
+                let (plain, ours, limit) = (plain.as_ms(), after(ours), limit.as_ms());
+                write!(
+                    f,
+                    "board {board} is reached {ours}, the plain slave after {plain} ms; {limit} ms are allowed"
+                )
+            }
+            Self::NotFound { board, ours, limit } => {
+                let (ours, limit) = (after(ours), limit.as_ms());
+                write!(
+                    f,
+                    "board {board} is lost to the plain slave and found {ours}; {limit} ms are allowed"
+                )
+            }
+            Self::Offence(what) => f.write_str(what),
+        }
+    }
+}
+
+impl Images {
+    /// Runs a situation with both images.
+    pub fn judge(&self, situation: &Situation) -> Verdict {
+        let mut plain = Life::up_to_the_probe(situation, &self.plain, self.part);
+        let boards = 0..situation.boards.len();
+        let homes: Vec<Option<u32>> = boards.map(|board| plain.bit_rate(board)).collect();
+        let rate = bit_per_s(situation.probe.rate);
+        let is_at_home: Vec<bool> = homes.iter().map(|home| *home == Some(rate)).collect();
+        let plain_seen = plain.probe(&is_at_home, PATIENCE);
+
+        let mut ours = Life::up_to_the_probe(situation, &self.product, self.part);
+        let limits: Vec<Option<Time>> = (0..homes.len())
+            .map(|board| match plain_seen[board].reached {
+                Some(reached) => Some(latest(situation, reached)),
+                None if is_lost_alone(situation, &homes, board) => {
+                    let switched = plain.switched(board).max(ours.switched(board));
+                    Some(latest_rescue(situation, switched))
+                }
+                None => None,
+            })
+            .collect();
+        let wanted: Vec<bool> = limits.iter().map(Option::is_some).collect();
+        // Somewhat longer, to say when a late one comes.
+        let limit = limits.iter().flatten().max().map_or(Time::ZERO, |limit| *limit + LATE * 10);
+        let seen = ours.probe(&wanted, limit);
+
+        let mut verdict = Verdict { log: ours.log().collect(), ..Verdict::default() };
+        verdict.failures.extend(ours.offences().into_iter().map(Failure::Offence));
+        for (board, limit) in limits.iter().enumerate() {
+            let (Some(limit), plain, ours) =
+                (*limit, plain_seen[board].reached, seen[board].reached)
+            else {
+                continue;
+            };
+            let is_in_time = ours.is_some_and(|ours| ours <= limit);
+            match (plain, ours) {
+                (Some(plain), Some(ours)) if is_in_time => {
+                    verdict.worst_delay = verdict.worst_delay.max(ours.saturating_sub(plain));
+                }
+                (Some(plain), ours) => {
+                    verdict.failures.push(Failure::Worse { board, plain, ours, limit });
+                }
+                (None, _) if is_in_time => verdict.rescued += 1,
+                (None, ours) => verdict.failures.push(Failure::NotFound { board, ours, limit }),
+            }
+        }
+        verdict.failures.sort_by_key(|failure| matches!(failure, Failure::NotFound { .. }));
+        verdict
+    }
+}
+
+/// When a board must have been reached that a plain slave is reached as after `plain`.
+fn latest(situation: &Situation, plain: Time) -> Time {
+    let frame =
+        Time::from_ps(FRAME_BITS * 1_000_000_000_000 / u64::from(bit_per_s(situation.probe.rate)));
+    // At slow rates a round of questions and answers takes longer than from one poll to the next.
+    let round = (frame * (2 * situation.boards.len() as u64)).saturating_sub(POLL);
+    let allowance = LATE.max(frame * LATE_FRAMES) + round;
+    let after_departure = situation.last_departure().map_or(Time::ZERO, |departure| {
+        (ms(departure) + AFTER_DEPARTURE).saturating_sub(ms(situation.probe.at))
+    });
+    plain.max(after_departure) + allowance
+}
+
+/// When a lost board must have been found that has switched at this instant.
+fn latest_rescue(situation: &Situation, switched: Option<Time>) -> Time {
+    let probe = ms(situation.probe.at);
+    let trusted = switched.map_or(Time::ZERO, |switched| switched + TRUST);
+    let evidence = ms(situation.evidence_at()).max(trusted);
+    (evidence + FOUND).max(probe + AT_ONCE) - probe
+}
+
+/// Whether a board has another rate than that of the probe, and hears no valid frame there: nobody else is at its rate, or
+/// none of those who are sends by itself.
+fn is_lost_alone(situation: &Situation, homes: &[Option<u32>], board: usize) -> bool {
+    let rate = bit_per_s(situation.probe.rate);
+    let Some(home) = homes[board].filter(|home| *home != rate && !situation.probe.listens) else {
+        return false;
+    };
+    let talks = |at: &usize| {
+        situation.boards[*at].node_id.is_some() && situation.boards[*at].heartbeat_ms > 0
+    };
+    let peers = || (0..homes.len()).filter(|at| homes[*at] == Some(home));
+    peers().count() == 1 || !peers().any(|at| talks(&at))
+}

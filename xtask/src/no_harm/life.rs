@@ -1,0 +1,405 @@
+//! One run of a situation with one image: the boards live through its events, then the master looks for them.
+
+use emulator::{
+    Time,
+    board::{self, Board},
+    can::{Adapter, Clock, Frame, Id},
+    chip::{Part, ResetCause},
+    image::Image,
+    network::{self, AdapterId, Network, Noise, Recording, Source},
+};
+use lss_slave::{BitRate, NodeId, Settings};
+
+use super::situation::{Event, Foreign, Master, Node, Situation, Traffic, What, ms};
+use crate::{
+    boards,
+    support::{
+        bench::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
+        frames,
+        random::Random,
+    },
+};
+
+/// How often a board that is looked for is asked.
+pub const POLL: Time = Time::from_ms(20);
+/// Crystals differ by so many ppm from board to board.
+const PPM: [i32; 8] = [0, 30, -40, 15, -25, 50, -10, 5];
+/// From `04 01` to `15`, in milliseconds.
+pub const SWITCH_LEAD_MS: u32 = 100;
+/// Frames of a foreign device that wait at most.
+const BACKLOG: usize = 4;
+/// Events of the trace that are kept, if boards without a node-ID are to be told from one another.
+const TRACE: usize = 1_000;
+/// A long frame with its intermission, in bits.
+pub const FRAME_BITS: u64 = 130;
+
+/// The bus and its stations at an instant.
+pub struct Life<'a> {
+    situation: &'a Situation,
+    network: Network,
+    master: AdapterId,
+    mode: Master,
+    /// Those of each event, if it is a foreign device.
+    foreign: Vec<Vec<AdapterId>>,
+    /// What is sent again and again, and when next.
+    talkers: Vec<(Talker, Time)>,
+    random: Random,
+    /// The end of the silent time of the last switch that each board took part in, since its last power-on.
+    switched: Vec<Option<Time>>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Talker {
+    Master { every: Time },
+    Foreign { event: usize, every: Time },
+}
+
+/// What is done at an instant.
+enum Step {
+    Begin(usize),
+    End(usize),
+    Send(&'static str, u8),
+    Activate(u16),
+    /// Looks who has switched, to which rate.
+    Switched(BitRate),
+}
+
+/// What became of a board from the begin of the probe on.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Seen {
+    /// The span until its first answer or heartbeat.
+    pub reached: Option<Time>,
+}
+
+impl<'a> Life<'a> {
+    /// Lets everybody live up to the probe.
+    pub fn up_to_the_probe(situation: &'a Situation, image: &Image, part: Part) -> Self {
+        let mut network = Network::new();
+        let is_unconfigured = |node: &Node| node.node_id.is_none();
+        let several = situation.boards.iter().any(is_unconfigured);
+        network.record(if several { Recording::Latest(TRACE) } else { Recording::Off });
+        for (number, &node) in situation.boards.iter().enumerate() {
+            network.add_board(board(number, node, image, part));
+        }
+        let mut closed = |bit_per_s| {
+            let id = network.add_adapter(Adapter::new(bit_per_s));
+            network.adapter_mut(id).close();
+            id
+        };
+        let master = closed(bit_per_s(situation.probe.rate));
+        let foreign = situation.events.iter().map(|event| match event.what {
+            What::Foreign(Foreign { bit_per_s, has_companion, .. }) => {
+                (0..=u8::from(has_companion)).map(|_| closed(bit_per_s)).collect()
+            }
+            _ => Vec::new(),
+        });
+        let foreign = foreign.collect();
+        let count = situation.boards.len();
+        let mut life = Self {
+            situation,
+            network,
+            master,
+            mode: Master::Away,
+            foreign,
+            talkers: Vec::new(),
+            random: Random::from_seed(count as u64),
+            switched: vec![None; count],
+        };
+        let mut steps = life.steps();
+        steps.sort_by_key(|(time, _)| *time);
+        for (time, step) in steps {
+            life.run_until(time);
+            life.take(step);
+        }
+        life.run_until(ms(situation.probe.at));
+        life
+    }
+
+    fn steps(&self) -> Vec<(Time, Step)> {
+        let probe = ms(self.situation.probe.at);
+        let mut steps = Vec::new();
+        for (index, event) in self.situation.events.iter().enumerate() {
+            let at = ms(event.at);
+            steps.push((at, Step::Begin(index)));
+            if event.until > event.at {
+                steps.push((ms(event.until), Step::End(index)));
+            }
+            if let What::Switch { to, delay_ms, is_stored } = event.what {
+                steps.push((at, Step::Send("04 01", 0)));
+                steps.push((at + Time::from_ms(20), Step::Send("13 00", to.index())));
+                if is_stored {
+                    steps.push((at + Time::from_ms(40), Step::Send("17", 0)));
+                }
+                let activate = at + ms(SWITCH_LEAD_MS);
+                steps.push((activate, Step::Activate(delay_ms)));
+                // The request itself takes up to 13 ms.
+                let looked = activate + Time::from_ms(2 * u64::from(delay_ms) + 15);
+                steps.push((looked, Step::Switched(to)));
+            }
+        }
+        steps.retain(|(time, _)| *time <= probe);
+        steps
+    }
+
+    fn take(&mut self, step: Step) {
+        match step {
+            Step::Begin(index) => self.begin(index, self.situation.events[index]),
+            Step::End(index) => self.end(index, self.situation.events[index]),
+            Step::Send(request, index) => self.send_request(&format!("{request} {index:02X}")),
+            Step::Activate(delay_ms) => {
+                let [low, high] = delay_ms.to_le_bytes();
+                self.send_request(&format!("15 {low:02X} {high:02X}"));
+            }
+            Step::Switched(to) => {
+                for board in 0..self.switched.len() {
+                    if self.bit_rate(board) == Some(bit_per_s(to)) {
+                        self.switched[board] = Some(self.network.now());
+                    }
+                }
+            }
+        }
+    }
+
+    fn begin(&mut self, index: usize, event: Event) {
+        let network = &mut self.network;
+        match event.what {
+            What::Master(master) => self.set_master(master),
+            What::Switch { .. } => {}
+            What::NoPower(board) => {
+                network.power_off(board);
+                self.switched[board] = None;
+            }
+            What::BrokenWire(board) => network.cut_wire(Source::Board(board)),
+            What::BrokenWireOfMaster => network.cut_wire(Source::Adapter(self.master)),
+            What::Short(short) => network.set_short(Some(short)),
+            What::Noise { seed, mean_interval_us, length_ns } => {
+                let mean_interval = Time::from_us(u64::from(mean_interval_us));
+                let length = Time::from_ns(u64::from(length_ns));
+                network.set_noise(Some(Noise { seed, mean_interval, length }));
+            }
+            What::BitError(board) => network.flip_bit(Source::Board(board), network.now()),
+            What::Foreign(foreign) => {
+                for &adapter in &self.foreign[index] {
+                    network.adapter_mut(adapter).open();
+                }
+                let every = pause(foreign);
+                self.talkers.push((Talker::Foreign { event: index, every }, self.network.now()));
+            }
+        }
+    }
+
+    fn end(&mut self, index: usize, event: Event) {
+        let network = &mut self.network;
+        match event.what {
+            What::Master(_) | What::Switch { .. } | What::BitError(_) => {}
+            What::NoPower(board) => network.power_on(board),
+            What::BrokenWire(board) => network.mend_wire(Source::Board(board)),
+            What::BrokenWireOfMaster => network.mend_wire(Source::Adapter(self.master)),
+            What::Short(_) => network.set_short(None),
+            What::Noise { .. } => network.set_noise(None),
+            What::Foreign(_) => {
+                for &adapter in &self.foreign[index] {
+                    network.adapter_mut(adapter).close();
+                }
+                let is_gone = |talker: &Talker| matches!(talker, Talker::Foreign { event, .. } if *event == index);
+                self.talkers.retain(|(talker, _)| !is_gone(talker));
+            }
+        }
+    }
+
+    /// Changes what the master does; one that stays at its rate does not leave the bus for it.
+    fn set_master(&mut self, master: Master) {
+        let listens = |master| matches!(master, Master::Listens(_));
+        let adapter = self.network.adapter_mut(self.master);
+        if master.bit_rate() != self.mode.bit_rate() || listens(master) != listens(self.mode) {
+            adapter.close();
+            if let Some(rate) = master.bit_rate() {
+                adapter.set_bit_rate(bit_per_s(rate));
+                if listens(master) {
+                    adapter.listen_only();
+                } else {
+                    adapter.open();
+                }
+            }
+        }
+        self.mode = master;
+        self.talkers.retain(|(talker, _)| !matches!(talker, Talker::Master { .. }));
+        if let Master::Syncs(_, every) | Master::Polls(_, every) = master {
+            let talker = Talker::Master { every: ms(every) };
+            self.talkers.push((talker, self.network.now()));
+        }
+    }
+
+    fn send_request(&mut self, request: &str) {
+        if matches!(self.mode, Master::Idle(_) | Master::Syncs(..) | Master::Polls(..)) {
+            self.network.send(self.master, on_the_wire(&frames::request(request)));
+        }
+    }
+
+    fn run_until(&mut self, until: Time) {
+        loop {
+            let due = self.talkers.iter_mut().min_by_key(|(_, next)| *next);
+            let Some((talker, next)) = due.filter(|(_, next)| *next <= until) else {
+                return self.network.run_until(until);
+            };
+            let (talker, at) = (*talker, *next);
+            let (Talker::Master { every } | Talker::Foreign { every, .. }) = talker;
+            *next += every;
+            self.network.run_until(at);
+            self.talk(talker);
+        }
+    }
+
+    fn talk(&mut self, talker: Talker) {
+        match talker {
+            Talker::Foreign { event, .. } => {
+                let adapter = self.foreign[event][0];
+                if self.network.adapter_mut(adapter).unsent() < BACKLOG {
+                    let frame = Frame::data(Id::Standard(0x181), &self.random.bytes::<8>());
+                    self.network.send(adapter, frame);
+                }
+            }
+            Talker::Master { .. } if self.network.adapter_mut(self.master).unsent() > 0 => {}
+            Talker::Master { .. } => match self.mode {
+                Master::Syncs(..) => {
+                    self.network.send(self.master, Frame::data(Id::Standard(0x080), &[]));
+                }
+                _ => self.ask(&vec![true; self.situation.boards.len()]),
+            },
+        }
+    }
+
+    /// Has the master ask all boards that are missing.
+    fn ask(&mut self, is_missing: &[bool]) {
+        let missing = self.situation.boards.iter().zip(is_missing).filter(|(_, missing)| **missing);
+        let node_ids: Vec<_> = missing.map(|(node, _)| node.node_id).collect();
+        for node_id in node_ids.iter().flatten() {
+            let request = [0x40, 0x00, 0x10, 0, 0, 0, 0, 0];
+            let id = Id::Standard(0x600 + u16::from(*node_id));
+            self.network.send(self.master, Frame::data(id, &request));
+        }
+        if node_ids.contains(&None) {
+            self.network.send(self.master, on_the_wire(&frames::request("4C")));
+        }
+    }
+
+    /// Has the master look for the boards until it has found all that are `wanted`, at most for the span `limit`.
+    pub fn probe(&mut self, wanted: &[bool], limit: Time) -> Vec<Seen> {
+        let begin = self.network.now();
+        let probe = self.situation.probe;
+        self.set_master(if probe.listens {
+            Master::Listens(probe.rate)
+        } else {
+            Master::Idle(probe.rate)
+        });
+        let mut seen = vec![Seen::default(); wanted.len()];
+        while self.network.receive(self.master).is_some() {}
+        let mut now = begin;
+        loop {
+            let is_missing: Vec<bool> = seen.iter().map(|seen| seen.reached.is_none()).collect();
+            let is_over =
+                wanted.iter().zip(&is_missing).all(|(wanted, missing)| !wanted || !missing);
+            if is_over || now >= begin + limit {
+                return seen;
+            }
+            if !probe.listens && self.network.adapter_mut(self.master).unsent() == 0 {
+                self.ask(&is_missing);
+            }
+            self.network.run_until(now + POLL);
+            for (board, time) in self.heard(now) {
+                seen[board].reached.get_or_insert(time - begin);
+            }
+            now += POLL;
+        }
+    }
+
+    /// The boards that the master has heard since `since`, and when.
+    fn heard(&mut self, since: Time) -> Vec<(usize, Time)> {
+        let cob_id = if self.situation.probe.listens { 0x700 } else { 0x580 };
+        let mut heard = Vec::new();
+        while let Some((time, frame)) = self.network.receive(self.master) {
+            let is_of = |node: &Node| {
+                node.node_id.is_some_and(|id| frame.id == Id::Standard(cob_id + u16::from(id)))
+            };
+            heard.extend(self.situation.boards.iter().position(is_of).map(|board| (board, time)));
+        }
+        let answer = Frame::data(Id::Standard(0x7E4), &[0x50, 0, 0, 0, 0, 0, 0, 0]);
+        let rate = bit_per_s(self.situation.probe.rate);
+        for event in self.network.trace().iter().rev().take_while(|event| event.time > since) {
+            if let network::What::Frame { frame, bit_rate, also, .. } = &event.what
+                && (*frame, *bit_rate) == (answer, rate)
+            {
+                let senders = also.iter().chain([&event.source]);
+                heard.extend(senders.filter_map(|sender| match sender {
+                    Source::Board(board) => Some((*board, event.time)),
+                    Source::Adapter(_) => None,
+                }));
+            }
+        }
+        heard
+    }
+
+    /// The bit rate of a board's controller in bit/s; `None` without power.
+    pub fn bit_rate(&self, board: usize) -> Option<u32> {
+        let board = self.network.board(board);
+        board.is_powered().then(|| board.chip().can1().bit_rate())
+    }
+
+    /// The end of the silent time of the last switch that a board took part in, since its last power-on.
+    pub fn switched(&self, board: usize) -> Option<Time> {
+        self.switched[board]
+    }
+
+    /// What no program may do, and resets that nobody asked for.
+    pub fn offences(&self) -> Vec<String> {
+        let mut offences = Vec::new();
+        for (number, board) in self.network.boards().iter().enumerate() {
+            offences.extend(
+                board.findings().iter().map(|finding| format!("board {number}: {finding}")),
+            );
+            offences.extend(board.lockup().map(|lockup| format!("board {number}: {lockup:?}")));
+            let is_asked_for = |cause| matches!(cause, ResetCause::PowerOn);
+            let resets = board.resets().iter().filter(|(_, cause)| !is_asked_for(*cause));
+            offences.extend(resets.map(|(time, cause)| {
+                format!("board {number}: reset at {} ms: {cause:?}", time.as_ms())
+            }));
+        }
+        offences
+    }
+
+    /// What the boards logged, in lines.
+    pub fn log(&self) -> impl Iterator<Item = String> {
+        self.network.boards().iter().enumerate().flat_map(|(number, board)| {
+            let line = move |line: &board::LogLine| {
+                format!("board {number}, {} ms: {} {}", line.time, line.level, line.text)
+            };
+            board.log().iter().map(line)
+        })
+    }
+}
+
+/// From one frame of a foreign device to the next.
+fn pause(foreign: Foreign) -> Time {
+    let frame = Time::from_ps(FRAME_BITS * 1_000_000_000_000 / u64::from(foreign.bit_per_s));
+    match foreign.traffic {
+        Traffic::OneASecond => Time::from_s(1),
+        Traffic::WithoutPause => frame,
+        Traffic::Load(percent) => Time::from_ps(frame.as_ps() * 100 / u64::from(percent)),
+    }
+}
+
+fn board(number: usize, node: Node, image: &Image, part: Part) -> Board {
+    let crystal = Clock { hz: 8_000_000, ppm: PPM[number % PPM.len()] };
+    let unique_id = boards::unique_id(number);
+    let settings = board::Settings { crystal, unique_id, ..Default::default() };
+    let mut board = Board::new(part, image, settings);
+    board.set_flash(
+        SETTINGS_OFFSET,
+        &flash_with(&[Settings {
+            node_id: node.node_id.and_then(NodeId::new),
+            bit_rate: node.stored.into(),
+            heartbeat_ms: node.heartbeat_ms,
+        }]),
+    );
+    board
+}

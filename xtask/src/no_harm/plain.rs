@@ -1,0 +1,108 @@
+//! The plain slave: the firmware with its bit-rate supervision switched off, built beside the product and without a trace in it.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, bail};
+use emulator::{chip::Part, image::Image};
+use toml::{Table, Value};
+
+/// What the firmware is built from, and the manifest.
+const SOURCES: [&str; 5] = ["Cargo.lock", "build.rs", "memory.x", "src", "examples"];
+/// The line that is changed, and where.
+const SWITCH: (&str, &str) = ("pub const RESCUE: bool = true;", "pub const RESCUE: bool = false;");
+const SWITCH_FILE: &str = "src/firmware/device.rs";
+
+/// Builds it in `target/no-harm/plain`.
+pub fn build(part: Part) -> anyhow::Result<Image> {
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
+    let copy = workspace.join("target/no-harm/plain");
+    for source in SOURCES {
+        mirror(&workspace.join(source), &copy.join(source))?;
+    }
+    let manifest = read(&workspace.join("Cargo.toml"))?;
+    write(&copy.join("Cargo.toml"), manifest_alone(&manifest)?.as_bytes())?;
+    let device = read(&workspace.join(SWITCH_FILE))?;
+    write(&copy.join(SWITCH_FILE), without_rescue(&device)?.as_bytes())?;
+    Ok(Image::build_in(&copy, part)?)
+}
+
+/// The manifest of the firmware as a workspace of its own.
+fn manifest_alone(manifest: &str) -> anyhow::Result<String> {
+    let mut table: Table = manifest.parse().context("Cargo.toml")?;
+    table.insert("workspace".to_owned(), Value::Table(Table::new()));
+    table.remove("dev-dependencies");
+    if let Some(Value::Table(profile)) = table.get_mut("profile") {
+        profile.remove("dev");
+    }
+    Ok(toml::to_string(&table)?)
+}
+
+/// `device.rs` with supervision switched off.
+fn without_rescue(device: &str) -> anyhow::Result<String> {
+    let (on, off) = SWITCH;
+    match device.matches(on).count() {
+        1 => Ok(device.replace(on, off)),
+        count => bail!(
+            "{SWITCH_FILE} has the line `{on}` {count} times, not once: the plain slave is the firmware with \
+             that line changed. If the switch has another name, change it in xtask/src/no_harm/plain.rs too"
+        ),
+    }
+}
+
+/// Copies a file or a folder, but for the file that is written otherwise.
+fn mirror(from: &Path, to: &Path) -> anyhow::Result<()> {
+    if from.is_dir() {
+        let entries = fs::read_dir(from).with_context(|| from.display().to_string())?;
+        for entry in entries {
+            let name = entry?.file_name();
+            mirror(&from.join(&name), &to.join(&name))?;
+        }
+        return Ok(());
+    }
+    if from.ends_with(SWITCH_FILE) {
+        return Ok(());
+    }
+    write(to, read(from)?.as_bytes())
+}
+
+fn read(path: &Path) -> anyhow::Result<String> {
+    fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Writes a file unless it has that content, so that nothing is built again without need.
+fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
+    if fs::read(path).is_ok_and(|present| present == content) {
+        return Ok(());
+    }
+    let folder = path.parent().map_or_else(PathBuf::new, Path::to_owned);
+    fs::create_dir_all(&folder)
+        .and_then(|()| fs::write(path, content))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_that_makes_the_plain_slave_must_be_there_once() {
+        let line = SWITCH.0;
+        assert_eq!(without_rescue(line).expect("once"), SWITCH.1);
+        for device in [String::new(), format!("{line}\n{line}")] {
+            let error = without_rescue(&device).expect_err("not once").to_string();
+            assert!(error.contains("not once"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_manifest_of_the_firmware_alone_keeps_its_profile() {
+        let manifest = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../Cargo.toml"));
+        let alone: Table =
+            manifest_alone(&manifest.expect("readable")).expect("TOML").parse().expect("TOML");
+        assert_eq!(alone["profile"]["release"]["lto"].as_str(), Some("fat"));
+        assert!(alone["workspace"].as_table().is_some_and(Table::is_empty));
+    }
+}

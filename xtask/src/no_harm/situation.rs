@@ -1,0 +1,271 @@
+//! A situation: boards and a master on one bus, and what happens there, as a list of timed events that reads as text.
+
+use std::fmt;
+
+use emulator::{Time, network::Short};
+use lss_slave::BitRate;
+
+/// Boards, events and the instant from which on the boards are looked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Situation {
+    /// What it is mostly about.
+    pub kind: Kind,
+    pub boards: Vec<Node>,
+    /// In order of their begin.
+    pub events: Vec<Event>,
+    pub probe: Probe,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    LateMaster,
+    Laptop,
+    LineFault,
+    MissedSwitch,
+    WrongRate,
+    PowerCut,
+    Mixture,
+}
+
+impl Kind {
+    pub const ALL: [Self; 7] = [
+        Self::LateMaster,
+        Self::Laptop,
+        Self::LineFault,
+        Self::MissedSwitch,
+        Self::WrongRate,
+        Self::PowerCut,
+        Self::Mixture,
+    ];
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::LateMaster => "late master",
+            Self::Laptop => "foreign device",
+            Self::LineFault => "faults of the line",
+            Self::MissedSwitch => "missed switch",
+            Self::WrongRate => "wrong stored rate",
+            Self::PowerCut => "power cuts",
+            Self::Mixture => "mixture",
+        })
+    }
+}
+
+/// What a board has stored; its number in the list is that of its unique id.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Node {
+    pub node_id: Option<u8>,
+    pub stored: BitRate,
+    pub heartbeat_ms: u16,
+}
+
+/// What happens, from when and until when in milliseconds since power-on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Event {
+    pub at: u32,
+    /// The same as `at` for what has no end.
+    pub until: u32,
+    pub what: What,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum What {
+    /// What the master does from now on.
+    Master(Master),
+    /// The master, which is to be at the boards' rate, sends `04 01`, 20 ms later `13`, 20 ms later perhaps `17`, and
+    /// 100 ms after the first of them `15`. It stays at its rate.
+    Switch {
+        to: BitRate,
+        delay_ms: u16,
+        is_stored: bool,
+    },
+    NoPower(usize),
+    BrokenWire(usize),
+    /// The master's own wire.
+    BrokenWireOfMaster,
+    Short(Short),
+    /// Pulses of so many nanoseconds at random instants.
+    Noise {
+        seed: u64,
+        mean_interval_us: u32,
+        length_ns: u32,
+    },
+    /// One sample of the board is wrong.
+    BitError(usize),
+    Foreign(Foreign),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Master {
+    Away,
+    Listens(BitRate),
+    /// Acknowledges and sends nothing.
+    Idle(BitRate),
+    /// Sends SYNC every so many milliseconds.
+    Syncs(BitRate, u32),
+    /// Asks all boards every so many milliseconds.
+    Polls(BitRate, u32),
+}
+
+impl Master {
+    pub const fn bit_rate(self) -> Option<BitRate> {
+        match self {
+            Self::Away => None,
+            Self::Listens(rate)
+            | Self::Idle(rate)
+            | Self::Syncs(rate, _)
+            | Self::Polls(rate, _) => Some(rate),
+        }
+    }
+}
+
+/// A device that is none of the network, such as a laptop's adapter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Foreign {
+    pub bit_per_s: u32,
+    pub traffic: Traffic,
+    /// A second adapter at its rate acknowledges.
+    pub has_companion: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Traffic {
+    OneASecond,
+    WithoutPause,
+    /// So many percent of the bus.
+    Load(u8),
+}
+
+/// How the boards are looked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Probe {
+    /// In milliseconds.
+    pub at: u32,
+    pub rate: BitRate,
+    /// The master only listens, and a board's heartbeat counts; else it asks each every 20 ms.
+    pub listens: bool,
+}
+
+impl Situation {
+    /// When the last foreign device is unplugged, in milliseconds.
+    pub fn last_departure(&self) -> Option<u32> {
+        let foreign = |event: &&Event| matches!(event.what, What::Foreign(_));
+        self.events.iter().filter(foreign).map(|event| event.until).max()
+    }
+
+    /// Since when the master sends at the rate of the probe and nothing else is in the way, in milliseconds.
+    pub fn evidence_at(&self) -> u32 {
+        let last_end = |event: &Event| match event.what {
+            What::Master(_) => None,
+            What::Switch { .. } => Some(event.at),
+            _ => Some(event.until),
+        };
+        let calm = self.events.iter().filter_map(last_end).max().unwrap_or(0);
+        let masters = self.events.iter().filter_map(|event| match event.what {
+            What::Master(master) => Some((event.at, master)),
+            _ => None,
+        });
+        match masters.last() {
+            Some((at, Master::Syncs(rate, _) | Master::Polls(rate, _)))
+                if rate == self.probe.rate =>
+            {
+                at.max(calm)
+            }
+            _ => self.probe.at,
+        }
+    }
+}
+
+/// A line of an event list.
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.until > self.at {
+            write!(f, "{:>6} .. {:>6} ms  {}", self.at, self.until, self.what)
+        } else {
+            write!(f, "{:>6}           ms  {}", self.at, self.what)
+        }
+    }
+}
+
+impl fmt::Display for What {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Master(master) => write!(f, "{master}"),
+            Self::Switch { to, delay_ms, is_stored } => {
+                let store = if is_stored { ", 17" } else { "" };
+                let (index, kbit_per_s) = (to.index(), to.kbit_per_s());
+                write!(
+                    f,
+                    "the master sends 04 01, 13 00 {index:02X}{store}, 15 with d = {delay_ms} ms: to {kbit_per_s} kbit/s"
+                )
+            }
+            Self::NoPower(board) => write!(f, "board {board} has no power"),
+            Self::BrokenWire(board) => write!(f, "the wire of board {board} is broken"),
+            Self::BrokenWireOfMaster => write!(f, "the wire of the master is broken"),
+            Self::Short(Short::Dominant) => write!(f, "the bus is held dominant"),
+            Self::Short(Short::Recessive) => {
+                write!(f, "CANH and CANL are shorted: the bus is recessive")
+            }
+            Self::Noise { mean_interval_us, length_ns, .. } => {
+                write!(f, "noise: pulses of {length_ns} ns, {mean_interval_us} us apart on average")
+            }
+            Self::BitError(board) => write!(f, "board {board} samples one bit wrongly"),
+            Self::Foreign(foreign) => write!(f, "{foreign}"),
+        }
+    }
+}
+
+impl fmt::Display for Master {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(rate) = self.bit_rate() else {
+            return f.write_str("the master is away");
+        };
+        write!(f, "the master is at {} kbit/s and ", rate.kbit_per_s())?;
+        match self {
+            Self::Away | Self::Idle(_) => f.write_str("sends nothing"),
+            Self::Listens(_) => f.write_str("only listens"),
+            Self::Syncs(_, every) => write!(f, "sends SYNC every {every} ms"),
+            Self::Polls(_, every) => write!(f, "asks all boards every {every} ms"),
+        }
+    }
+}
+
+impl fmt::Display for Foreign {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a foreign device at {} bit/s sends ", self.bit_per_s)?;
+        match self.traffic {
+            Traffic::OneASecond => f.write_str("a frame a second")?,
+            Traffic::WithoutPause => f.write_str("without a pause")?,
+            Traffic::Load(percent) => write!(f, "{percent} % load")?,
+        }
+        f.write_str(if self.has_companion { ", a second one acknowledges" } else { "" })
+    }
+}
+
+/// The whole list.
+impl fmt::Display for Situation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (number, board) in self.boards.iter().enumerate() {
+            let Node { node_id, stored, heartbeat_ms } = board;
+            let node_id = node_id.map_or("no node-ID".to_owned(), |id| format!("node-ID {id}"));
+            let kbit_per_s = stored.kbit_per_s();
+            writeln!(
+                f,
+                "  board {number}: {node_id}, {kbit_per_s} kbit/s stored, heartbeat {heartbeat_ms} ms"
+            )?;
+        }
+        for event in &self.events {
+            writeln!(f, "  {event}")?;
+        }
+        let Probe { at, rate, listens } = self.probe;
+        let how = if listens { "listens for heartbeats" } else { "asks each board every 20 ms" };
+        write!(f, "  {at:>6}           ms  the master {how} at {} kbit/s", rate.kbit_per_s())
+    }
+}
+
+/// A number of milliseconds as the emulation's time.
+pub fn ms(ms: u32) -> Time {
+    Time::from_ms(u64::from(ms))
+}

@@ -1,0 +1,50 @@
+//! Work that is spread over all cores.
+
+use std::{
+    num::NonZero,
+    sync::{
+        atomic::{AtomicUsize, Ordering},
+        mpsc,
+    },
+    thread,
+};
+
+/// Does `work` on each of `items`, and hands over what comes of it as it comes, with the item's place.
+pub fn map<T: Sync, R: Send>(
+    items: &[T],
+    work: impl Fn(&T) -> R + Sync,
+    mut take: impl FnMut(usize, R),
+) {
+    let workers = thread::available_parallelism().map_or(1, NonZero::get);
+    let next = AtomicUsize::new(0);
+    let (done, results) = mpsc::channel();
+    thread::scope(|scope| {
+        for _ in 0..workers {
+            let (done, next, work) = (done.clone(), &next, &work);
+            scope.spawn(move || {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(item) = items.get(index) else { return };
+                    if done.send((index, work(item))).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        drop(done);
+        for (index, result) in results {
+            take(index, result);
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn each_item_is_worked_on_once() {
+        let mut squares = [0; 100];
+        let numbers: Vec<usize> = (0..100).collect();
+        super::map(&numbers, |number| number * number, |index, square| squares[index] += square);
+        assert!(squares.iter().enumerate().all(|(number, square)| *square == number * number));
+    }
+}

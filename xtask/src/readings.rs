@@ -1,0 +1,54 @@
+//! `cargo xtask readings`: the image's sessions under each doubtful reading of the manuals.
+
+mod matrix;
+mod rig;
+mod sessions;
+
+use std::time::Instant;
+
+use anyhow::ensure;
+use emulator::{chip::Part, image::Image};
+
+use crate::{boards, parallel};
+use matrix::Reading;
+use rig::Rig;
+
+/// Run the image's sessions once under each doubtful reading of what a chip does
+///
+/// Manuals leave open, and chips were seen to do, what the emulated board does not do by default. Under each of these readings the
+/// release image must boot, be found and configured by LSS, switch the bit rate, detect it, store, bear power cuts while it stores,
+/// and recover from bus-off. The table says for each reading whether it does, or what differed first.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Leave out the sessions that take longest: power cuts, detection on a quiet bus, a rescue, three boards, more switches
+    #[arg(long)]
+    quick: bool,
+    /// The chip on the board
+    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    chip: Part,
+}
+
+/// Prints the table. Fails if a session does under any reading.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let image = Image::build(arguments.chip)?;
+    let begin = Instant::now();
+    let sessions = sessions::all(arguments.quick);
+    let readings = matrix::readings();
+    let try_out = |reading: &Reading| -> Option<String> {
+        let rig = Rig { image: &image, part: arguments.chip, settings: reading.settings };
+        sessions.iter().find_map(|(name, session)| {
+            session(&rig).err().map(|error| format!("{name}: {error:#}"))
+        })
+    };
+    let mut failed = 0;
+    parallel::map(&readings, try_out, |index, first_failure| {
+        failed += usize::from(first_failure.is_some());
+        let outcome = first_failure.as_deref().unwrap_or("passed");
+        println!("{:62} {outcome}", readings[index].name);
+    });
+    let (count, sessions) = (readings.len(), sessions.len());
+    let seconds = begin.elapsed().as_secs();
+    println!("\n{count} readings, {sessions} sessions each: {failed} failed, {seconds} s");
+    ensure!(failed == 0, "the image does not work under every reading");
+    Ok(())
+}
