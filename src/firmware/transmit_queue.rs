@@ -39,8 +39,12 @@ impl TransmitQueue {
 
     /// Forgets all frames but those of `cob_id`.
     pub fn retain(&mut self, cob_id: u16) {
+        if self.is_empty() {
+            return;
+        }
         for place in &mut self.places {
-            if place.take_if(|waiting| waiting.frame.cob_id() != cob_id).is_some() {
+            if place.as_ref().is_some_and(|waiting| waiting.frame.cob_id() != cob_id) {
+                *place = None;
                 self.len -= 1;
             }
         }

@@ -151,6 +151,10 @@ impl ImageStorm {
             self.settle_before(&actions);
             self.follow_switch(frame);
         } else {
+            if actions.iter().any(|action| matches!(action, Action::SetNodeId(_))) {
+                // Answers that have not left by then never leave.
+                self.settle_before(&actions);
+            }
             self.send(frame);
             if actions.iter().any(|action| matches!(action, Action::Store(_))) {
                 self.stores += 1;
