@@ -259,16 +259,25 @@ impl Controller {
         let status = can.esr().read();
         // SAFETY: the value that software sets, to see the next error.
         can.esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
-        // It is told once, even if the interrupt stays for as long as bus-off does.
-        can.ier().modify(|_, w| w.bofie().bit(status.boff().bit_is_clear()));
-        can.msr().write(|w| w.erri().set_bit());
         let error = match status.lec().bits() {
             STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
             FORM => Some(BusEvent::FormError),
             _ => None,
         };
+        can.ier().modify(|_, w| {
+            // Bus-off is told once, even if the interrupt stays for as long as it does.
+            w.bofie().bit(status.boff().bit_is_clear());
+            // There may be tens of thousands of errors a second. A search needs each of them.
+            w.lecie().bit(self.is_listening)
+        });
+        can.msr().write(|w| w.erri().set_bit());
         self.has_heard |= error.is_some();
         error
+    }
+
+    /// Has the next error interrupt again. To be called each millisecond.
+    pub fn watch_errors(&mut self) {
+        registers().ier().modify(|_, w| w.lecie().set_bit());
     }
 
     /// TEC and REC (RM0090, 32.7.6).

@@ -135,7 +135,7 @@ mod app {
     fn tick(mut cx: tick::Context) {
         clock::tick();
         roll_call::answer(Task::Tick);
-        cx.shared.slave.lock(Slave::act_until_nothing_is_due);
+        cx.shared.slave.lock(Slave::handle_tick);
     }
 
     /// Writes to the flash, below everything on the bus. Late, so is the answer to store configuration: 20 ms are allowed.

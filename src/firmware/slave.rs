@@ -146,6 +146,12 @@ impl Slave {
         self.indicators.step(self.node.nmt_state(), is_lss_active, self.can.bus_state())
     }
 
+    /// A millisecond has passed.
+    pub fn handle_tick(&mut self) {
+        self.can.watch_errors();
+        self.act_until_nothing_is_due();
+    }
+
     /// Time has passed, or anything has happened.
     pub fn act_until_nothing_is_due(&mut self) {
         while let Some(action) = self.node.handle_deadline(clock::now()) {
