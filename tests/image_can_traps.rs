@@ -72,6 +72,26 @@ fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
 }
 
 #[test]
+fn a_board_is_configured_under_each_other_reading() {
+    let off = Readings::default();
+    for readings in [
+        Readings { passive_errors_interrupt: true, ..off },
+        Readings { bus_off_tec_overflows: true, ..off },
+        Readings { both_fifos: true, ..off },
+        Readings { late_choice: true, ..off },
+    ] {
+        let board = board(settings(0x40, BitRate::Kbit500), readings);
+        let mut bench = Bench::new(BitRate::Kbit500, [board]);
+        bench.collect(Time::from_ms(20));
+        assert!(answers(&mut bench), "{readings:?}");
+        assert_eq!(bench.lss("11 41"), ["11 00"], "{readings:?}");
+        assert_eq!(bench.lss("17"), ["17 00"], "{readings:?}");
+        bench.power_cycle(0);
+        assert_eq!(bench.collect(Time::from_ms(20)), ["741: 00"], "{readings:?}");
+    }
+}
+
+#[test]
 fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
     let mut bench = Bench::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
     bench.network.set_short(Some(Short::Dominant));
