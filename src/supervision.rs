@@ -15,7 +15,8 @@ pub enum BusEvent {
     /// A frame of the node was sent and acknowledged.
     Acknowledged,
     /// A stuff, CRC or bit recessive error. A missing acknowledge is none, since nobody may be there. Neither is a bit
-    /// dominant error, which shows a broken wire or a short circuit.
+    /// dominant error, which shows a broken wire or a short circuit. Also traffic that keeps the controller from joining the
+    /// bus for two frame times.
     Error,
     /// A form error. To a silent listener, this is what a frame without an acknowledge looks like.
     FormError,

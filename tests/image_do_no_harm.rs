@@ -208,7 +208,8 @@ fn a_node_alone_that_missed_a_switch_finds_a_polling_master() {
             assert!(reach(&mut bench, read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
             bench.set_master_bit_rate(wrong);
             let time = reach(&mut bench, read(1), 0x581, Time::from_s(10));
-            println!("{home:?} {wrong:?} {heartbeat_ms}: {time:?}");
+            let ms = time.map_or(0, |time| time.as_ms());
+            println!("{home:?} to {wrong:?}, heartbeat {heartbeat_ms} ms: {ms} ms");
             assert!(time.is_some(), "{home:?} to {wrong:?}, heartbeat {heartbeat_ms} ms");
         }
     }

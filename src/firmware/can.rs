@@ -35,7 +35,16 @@ pub struct Controller {
     has_heard: bool,
     receives: [u16; 3],
     may_transmit: bool,
+    kept_out: KeptOut,
     queue: TransmitQueue,
+}
+
+/// How long the controller has not joined the bus, and what it has seen there.
+#[derive(Default)]
+struct KeptOut {
+    ms: u32,
+    has_seen_dominant: bool,
+    has_seen_recessive: bool,
 }
 
 /// What can be received or cannot.
@@ -70,6 +79,7 @@ impl Controller {
             has_heard: false,
             receives,
             may_transmit: true,
+            kept_out: KeptOut::default(),
             queue: TransmitQueue::new(),
         }
     }
@@ -275,9 +285,29 @@ impl Controller {
         error
     }
 
-    /// Has the next error interrupt again. To be called each millisecond.
-    pub fn watch_errors(&mut self) {
-        registers().ier().modify(|_, w| w.lecie().set_bit());
+    /// Has the next error interrupt again. Returns whether the traffic on the bus has not let the controller join for two
+    /// frame times: at a rate that is too slow it may never see 11 recessive bits, nor an error. To be called each millisecond.
+    pub fn watch(&mut self) -> bool {
+        const FRAMES: u32 = 2 * 135;
+        let can = registers();
+        can.ier().modify(|_, w| w.lecie().set_bit());
+        let status = can.msr().read();
+        if status.inak().bit_is_clear() {
+            self.kept_out = KeptOut::default();
+            return false;
+        }
+        self.kept_out.ms += 1;
+        match status.rx().bit_is_set() {
+            true => self.kept_out.has_seen_recessive = true,
+            false => self.kept_out.has_seen_dominant = true,
+        }
+        let is_kept_out = self.kept_out.has_seen_recessive
+            && self.kept_out.has_seen_dominant
+            && self.kept_out.ms > 1 + FRAMES / u32::from(self.bit_rate.kbit_per_s());
+        if is_kept_out {
+            self.kept_out = KeptOut::default();
+        }
+        is_kept_out
     }
 
     /// TEC and REC (RM0090, 32.7.6).

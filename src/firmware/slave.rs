@@ -148,7 +148,9 @@ impl Slave {
 
     /// A millisecond has passed.
     pub fn handle_tick(&mut self) {
-        self.can.watch_errors();
+        if self.can.watch() {
+            self.node.handle_bus(BusEvent::Error, clock::now());
+        }
         self.act_until_nothing_is_due();
     }
 
