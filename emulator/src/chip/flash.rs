@@ -72,7 +72,6 @@ pub struct Flash {
     timing: Timing,
     supply_mv: u32,
     cut_words_flip: bool,
-    power_ons: u64,
     acr: u32,
     sr: u32,
     cr: u32,
@@ -107,7 +106,6 @@ impl Flash {
             timing: Timing::Typical,
             supply_mv: 3_300,
             cut_words_flip: false,
-            power_ons: 0,
             acr: 0,
             sr: 0,
             cr: CR_LOCK,
@@ -257,7 +255,7 @@ impl Flash {
             match operation.kind {
                 Kind::Program => {
                     if self.cut_words_flip {
-                        self.array.add_marginal(start, &operation.before);
+                        self.array.add_marginal(start, &operation.before, seed);
                     }
                     self.array.tear_program(start, &operation.before, seed);
                 }
@@ -280,8 +278,7 @@ impl Flash {
 
     /// The supply comes up: what was cut off may read otherwise now.
     pub(super) fn power_on(&mut self) {
-        self.power_ons += 1;
-        for range in self.array.flip_marginal(self.power_ons) {
+        for range in self.array.flip_marginal() {
             self.note_change(range);
         }
     }
