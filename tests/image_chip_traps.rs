@@ -91,7 +91,7 @@ fn a_node_whose_supply_stays_low_is_on_the_bus_but_stores_nothing() {
     board.set_supply(2_500);
     let mut bench = Bench::new(RATE, [board]);
     assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
-    let low = "the supply is below 2.7 V: nothing can be stored";
+    let low = "the supply is below 2.7 V: nothing can be stored until it rises";
     assert_eq!(says(bench.network.board(0), low), 1);
     bench.lss("04 01");
     bench.lss("11 04");
@@ -186,7 +186,7 @@ fn a_stack_overflow_is_a_fault_even_where_nothing_faults_below_the_ram() {
 }
 
 #[test]
-fn what_was_found_after_a_store_that_was_cut_is_found_at_every_power_on() {
+fn what_was_found_after_a_cut_is_found_at_every_power_on() {
     let mut random = Random::new();
     let mut found_new = 0;
     for _ in 0..24 {

@@ -38,7 +38,7 @@ impl Board {
 
         let supply = Supply::watch(chip.PWR);
         if !comes_in_100_ms(|| !supply.is_low()) {
-            defmt::warn!("the supply is below 2.7 V: nothing can be stored");
+            defmt::warn!("the supply is below 2.7 V: nothing can be stored until it rises");
         }
         crystal::start(&chip.RCC);
         let mut clocks = Config::hse(Hertz::from_raw(device::CRYSTAL_HZ))
@@ -47,6 +47,7 @@ impl Board {
         if device::CRYSTAL_IS_EXTERNAL_CLOCK {
             clocks = clocks.bypass_hse_oscillator();
         }
+        // Waits for the PLL, 0.3 ms at most while the crystal runs; if it stops, an interrupt ends that too.
         let mut rcc = chip.RCC.freeze(clocks);
         let can_pins = device::can_pins(chip.GPIOB, &mut rcc);
         let indicators = device::indicator_pins(chip.GPIOD, &mut rcc);

@@ -5,7 +5,7 @@ use core::mem::MaybeUninit;
 use cortex_m::peripheral::SCB;
 use stm32f4xx_hal::pac::RCC;
 
-use crate::device::CRYSTAL_IS_EXTERNAL_CLOCK;
+use crate::{board, device::CRYSTAL_IS_EXTERNAL_CLOCK};
 
 /// Survives a reset: whether the crystal's failure was the reason for it.
 #[unsafe(link_section = ".uninit.CRYSTAL_NOTE")]
@@ -17,14 +17,14 @@ const HAS_FAILED: u32 = 0xC0FF_5709;
 /// start, the chip is reset.
 pub fn start(rcc: &RCC) {
     rcc.cr().modify(|_, w| w.hsebyp().bit(CRYSTAL_IS_EXTERNAL_CLOCK).hseon().set_bit());
-    if !super::board::comes_in_100_ms(|| rcc.cr().read().hserdy().bit_is_set()) {
+    if !board::comes_in_100_ms(|| rcc.cr().read().hserdy().bit_is_set()) {
         defmt::error!("the crystal does not start, resetting");
         SCB::sys_reset();
     }
     rcc.cr().modify(|_, w| w.csson().set_bit());
 }
 
-/// Whether the last reset is due to the failure of the crystal. Tells it once.
+/// Whether the last reset is due to the failure of the crystal. True only once after each.
 pub fn has_failed() -> bool {
     let note = (&raw mut NOTE).cast::<u32>();
     // SAFETY: a word of ours, which any value is valid for; only the non-maskable interrupt writes it too.
