@@ -203,20 +203,6 @@ fn boards_with_crystals_3000_ppm_apart_understand_each_other_at_every_bit_rate()
 }
 
 #[test]
-fn the_watchdog_resets_a_board_whose_crystal_does_not_start() {
-    let crystal = Clock { hz: 0, ppm: 0 };
-    let settings = board::Settings { crystal, ..Default::default() };
-    let mut board = Board::new(Part::Stm32f405, image(), settings);
-    while board.now() < Time::from_ms(2_100) {
-        board.run_until(Time::from_ms(2_100));
-    }
-    let causes: Vec<_> = board.resets().iter().map(|&(_, cause)| cause).collect();
-    assert_eq!(causes, [ResetCause::PowerOn, ResetCause::Watchdog]);
-    let why = "reset by the watchdog: a task hung, or the crystal did not start";
-    assert!(board.log().iter().any(|line| line.text == why), "{:?}", board.log());
-}
-
-#[test]
 fn the_images_for_all_chips_boot_answer_and_store() {
     for part in Part::ALL {
         let image = Image::build(part).unwrap_or_else(|error| panic!("{error}"));

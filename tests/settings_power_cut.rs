@@ -128,7 +128,7 @@ fn two_cuts_in_any_steps_lose_nothing_where_garbage_is_formatted_first() {
 }
 
 #[test]
-fn what_was_found_after_a_cut_in_any_step_of_a_store_is_found_at_every_power_on() {
+fn what_was_found_after_a_cut_is_found_at_every_power_on() {
     let mut random = Random::new();
     let mut found_new = 0;
     for cut in 0..8 {

@@ -9,6 +9,7 @@ mod map;
 mod part;
 mod rcc;
 mod readings;
+mod surroundings;
 mod system;
 
 pub use finding::{Finding, Problem};
@@ -110,38 +111,6 @@ impl Chip {
     /// How it differs from the nominal one.
     pub fn readings(&self) -> Readings {
         self.readings
-    }
-
-    /// Sets the supply in mV. It has no effect but on the voltage detector and on what is legal; a reset at too low a supply
-    /// is the board's.
-    pub fn set_supply(&mut self, mv: u32) {
-        self.pwr.set_supply(mv);
-        self.flash.set_supply(mv);
-    }
-
-    /// The crystal stops at `now`.
-    pub fn stop_crystal(&mut self, now: Time) {
-        self.rcc.stop_crystal(now);
-        self.can1.set_clock(self.clocks().pclk1);
-        if self.is_stopped() {
-            // No clock moves its pin any more; taken as recessive.
-            self.can1.reset();
-        }
-    }
-
-    /// The crystal can swing again from `now` on.
-    pub fn start_crystal(&mut self, now: Time) {
-        self.rcc.start_crystal(now);
-    }
-
-    /// Whether SYSCLK has stopped, until a reset.
-    pub fn is_stopped(&self) -> bool {
-        self.rcc.is_stopped()
-    }
-
-    /// Level of the non-maskable interrupt.
-    pub fn nmi(&self) -> bool {
-        self.rcc.nmi()
     }
 
     /// The clocks that RCC now makes.
@@ -433,29 +402,5 @@ impl Chip {
 
     fn clocked(&self, block: Block) -> bool {
         block.gate().is_none_or(|gate| self.rcc.enabled(gate))
-    }
-
-    /// Adds a finding, of the chip or of the engine that runs its core; `written` is the value of a store.
-    pub fn report(&mut self, access: Access, written: Option<u32>, problem: Problem) {
-        let Access { address, width, now, pc } = access;
-        let write = written.is_some();
-        let same = |f: &&mut Finding| {
-            (f.pc, f.address, f.write, f.problem) == (pc, address, write, problem)
-        };
-        if let Some(finding) = self.findings.iter_mut().find(same) {
-            finding.count += 1;
-            return;
-        }
-        let value = written.unwrap_or(0);
-        self.findings.push(Finding {
-            time: now,
-            pc,
-            address,
-            width,
-            write,
-            value,
-            problem,
-            count: 1,
-        });
     }
 }

@@ -118,7 +118,7 @@ fn without_clock_security_a_crystal_that_stops_stops_the_chip() {
 }
 
 #[test]
-fn the_voltage_detector_compares_the_supply_with_the_level_that_pls_chooses() {
+fn the_voltage_detector_compares_the_supply_with_the_chosen_level() {
     let mut chip = chip(Part::Stm32f405);
     let low = |chip: &mut Chip| read(chip, PWR_CSR, Time::ZERO) >> 2 & 1 == 1;
     write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);

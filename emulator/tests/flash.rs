@@ -328,7 +328,7 @@ fn a_power_cut_leaves_an_erased_sector_in_any_state_and_its_neighbours_whole() {
 }
 
 #[test]
-fn a_word_that_was_cut_reads_otherwise_at_each_power_on_until_it_is_programmed_again() {
+fn a_word_that_was_cut_flips_until_it_is_programmed_again() {
     let readings = Readings { cut_words_flip: true, ..Readings::default() };
     let crystal = Clock { hz: 8_000_000, ppm: 0 };
     let chip = Chip::with_readings(Part::Stm32f405, crystal, [0; 12], readings);
@@ -378,7 +378,7 @@ fn all_registers_but_the_keys_take_bytes_and_half_words() {
 }
 
 #[test]
-fn option_bytes_are_programmed_with_their_keys_and_hold_through_a_power_cycle() {
+fn option_bytes_hold_through_a_power_cycle() {
     const BOR_OFF: u32 = 0x0FFF_AAED;
     const BOR_LEVEL_3: u32 = 0x0FFF_AAE0;
     let mut bench = Bench::new(Part::Stm32f405);

@@ -9,11 +9,14 @@ use stm32f4xx_hal::{
     watchdog::IndependentWatchdog,
 };
 
-use crate::{device, flash::SettingsFlash, transmit_pin::TransmitPin};
+use crate::{crystal, device, flash::SettingsFlash, supply::Supply, transmit_pin::TransmitPin};
 
 /// The watchdog's patience in ms at 32 kHz; its oscillator has 17 to 47 kHz. The longest silence of a healthy board is the erase of
 /// a 16 KB sector: 800 ms.
 const WATCHDOG_MS: u32 = 2_000;
+
+/// Reads of a register, at the 16 MHz that the core starts with, that take 100 ms at least: five cycles each.
+const READS_IN_100_MS: u32 = 320_000;
 
 /// What the tasks need of the board.
 pub struct Board {
@@ -26,27 +29,38 @@ pub struct Board {
 }
 
 impl Board {
-    /// Sets the board up. The watchdog runs first, so that a crystal that does not start ends in a reset.
+    /// Sets the board up. The watchdog runs first, so that anything that hangs ends in a reset.
     pub fn new(chip: Peripherals) -> Self {
         log_reset_cause(&chip.RCC);
         let mut watchdog = IndependentWatchdog::new(chip.IWDG);
         watchdog.start(fugit::MillisDurationU32::from_ticks(WATCHDOG_MS));
         let_debugger_watch(&watchdog, &chip.DBGMCU);
 
+        let supply = Supply::watch(chip.PWR);
+        if !comes_in_100_ms(|| !supply.is_low()) {
+            defmt::warn!("the supply is below 2.7 V: nothing can be stored until it rises");
+        }
+        crystal::start(&chip.RCC);
         let mut clocks = Config::hse(Hertz::from_raw(device::CRYSTAL_HZ))
             .sysclk(Hertz::from_raw(device::SYSCLK_HZ))
             .pclk1(Hertz::from_raw(device::APB1_HZ));
         if device::CRYSTAL_IS_EXTERNAL_CLOCK {
             clocks = clocks.bypass_hse_oscillator();
         }
+        // Waits for the PLL, 0.3 ms at most while the crystal runs; if it stops, an interrupt ends that too.
         let mut rcc = chip.RCC.freeze(clocks);
         // Before it has its pins, so that they do not twitch.
         CAN1::enable(&mut rcc);
         let can_pins = device::can_pins(chip.GPIOB, &mut rcc);
         let indicators = device::indicator_pins(chip.GPIOD, &mut rcc);
-        let settings_flash = SettingsFlash::new(chip.FLASH);
+        let settings_flash = SettingsFlash::new(chip.FLASH, supply);
         Self { rcc, can: chip.CAN1, can_pins, indicators, settings_flash, watchdog }
     }
+}
+
+/// Waits until `it_is_there`, 100 ms at least, while the core runs at 16 MHz; false: in vain.
+pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
+    (0..READS_IN_100_MS).any(|_| it_is_there())
 }
 
 /// What the device is on the bus.
@@ -78,7 +92,9 @@ fn serial_number() -> u32 {
 fn log_reset_cause(rcc: &RCC) {
     let cause = rcc.csr().read();
     if cause.wdgrstf().bit_is_set() {
-        defmt::warn!("reset by the watchdog: a task hung, or the crystal did not start");
+        defmt::warn!("reset by the watchdog: a task hung");
+    } else if crystal::has_failed() {
+        defmt::error!("reset because the crystal failed");
     } else if cause.sftrstf().bit_is_set() {
         defmt::info!("reset by software");
     } else {

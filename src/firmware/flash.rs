@@ -6,6 +6,8 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac;
 
+use crate::supply::Supply;
+
 /// Sectors 1 and 2, which `memory.x` keeps free of code.
 const START: u32 = 0x0800_4000;
 const FIRST_SECTOR: u8 = 1;
@@ -26,6 +28,7 @@ const WRITE_PROTECTED: u32 = 1 << 4;
 /// The part of the flash that holds the settings log.
 pub struct SettingsFlash {
     registers: pac::FLASH,
+    supply: Supply,
 }
 
 /// Why an operation failed.
@@ -35,28 +38,34 @@ pub enum FlashError {
     Range(NorFlashErrorKind),
     /// It ended, or did not end, with these bits of FLASH_SR (RM0090, 3.9.5).
     Status(u32),
+    /// The supply is too low for it.
+    Supply,
 }
 
 impl NorFlashError for FlashError {
     fn kind(&self) -> NorFlashErrorKind {
         match self {
             Self::Range(kind) => *kind,
-            Self::Status(_) => NorFlashErrorKind::Other,
+            Self::Status(_) | Self::Supply => NorFlashErrorKind::Other,
         }
     }
 }
 
 impl SettingsFlash {
-    /// Takes the flash controller.
-    pub fn new(registers: pac::FLASH) -> Self {
-        Self { registers }
+    /// Takes the flash controller; `supply` says whether it may write.
+    pub fn new(registers: pac::FLASH, supply: Supply) -> Self {
+        Self { registers, supply }
     }
 
-    /// Runs `operation` with the control register unlocked and no error of an earlier one left.
+    /// Runs `operation`, if the supply bears it, with the control register unlocked and no error of an earlier one left.
     fn operate(
         &mut self,
         operation: impl FnOnce(&Self) -> Result<(), FlashError>,
     ) -> Result<(), FlashError> {
+        if self.supply.is_low() {
+            defmt::error!("flash: the supply is too low to write");
+            return Err(FlashError::Supply);
+        }
         let flash = &self.registers;
         // SAFETY: the two keys, in this order, unlock FLASH_CR (RM0090, 3.6.1); error bits are cleared by writing 1.
         unsafe {

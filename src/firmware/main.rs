@@ -6,12 +6,14 @@
 mod board;
 mod can;
 mod clock;
+mod crystal;
 mod device;
 mod fault;
 mod flash;
 mod memory;
 mod roll_call;
 mod slave;
+mod supply;
 mod transmit_pin;
 mod transmit_queue;
 
@@ -44,7 +46,7 @@ mod app {
         board::{self, Board},
         can::Controller,
         clock::{self, Interval},
-        device,
+        device, fault,
         flash::SettingsFlash,
         roll_call::{self, Task},
         slave::Slave,
@@ -64,6 +66,7 @@ mod app {
 
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
+        fault::guard_stack(&cx.core.MPU);
         let mut board = Board::new(cx.device);
         clock::start(cx.core.SYST);
 

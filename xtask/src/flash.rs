@@ -11,6 +11,8 @@ use emulator::chip::Part;
 use crate::boards;
 
 /// Write the firmware into a board, with probe-rs, and show its log
+///
+/// The board is not halted at a reset or a fault, so the log goes on through them.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip on the board

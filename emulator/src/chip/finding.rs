@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::Width;
+use super::{Access, Chip, Width};
 use crate::Time;
 
 /// One kind of trouble at one place in the program; repetitions are counted, not listed.
@@ -64,5 +64,31 @@ impl fmt::Display for Finding {
             write!(f, " ({count} times)")?;
         }
         Ok(())
+    }
+}
+
+impl Chip {
+    /// Adds a finding, of the chip or of the engine that runs its core; `written` is the value of a store.
+    pub fn report(&mut self, access: Access, written: Option<u32>, problem: Problem) {
+        let Access { address, width, now, pc } = access;
+        let write = written.is_some();
+        let same = |f: &&mut Finding| {
+            (f.pc, f.address, f.write, f.problem) == (pc, address, write, problem)
+        };
+        if let Some(finding) = self.findings.iter_mut().find(same) {
+            finding.count += 1;
+            return;
+        }
+        let value = written.unwrap_or(0);
+        self.findings.push(Finding {
+            time: now,
+            pc,
+            address,
+            width,
+            write,
+            value,
+            problem,
+            count: 1,
+        });
     }
 }

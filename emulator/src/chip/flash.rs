@@ -2,6 +2,7 @@
 
 mod array;
 mod options;
+mod staging;
 mod timing;
 
 use std::ops::Range;
@@ -9,6 +10,7 @@ use std::ops::Range;
 use array::Array;
 pub use array::StuckBits;
 use options::{Options, Register};
+pub use staging::PowerCut;
 pub use timing::Timing;
 
 use super::{BusFault, Part, Problem, Width};
@@ -38,15 +40,6 @@ const CR_STRT: u32 = 1 << 16;
 const CR_EOPIE: u32 = 1 << 24;
 const CR_LOCK: u32 = 1 << 31;
 
-/// A failure to be staged: the supply goes away in the middle of an operation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PowerCut {
-    /// Which operation (program or erase) since the board was made, counted from 0.
-    pub operation: u64,
-    /// Chooses the moment within the operation and what it leaves.
-    pub seed: u64,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Program,
@@ -72,7 +65,6 @@ pub struct Flash {
     timing: Timing,
     supply_mv: u32,
     cut_words_flip: bool,
-    power_ons: u64,
     acr: u32,
     sr: u32,
     cr: u32,
@@ -107,7 +99,6 @@ impl Flash {
             timing: Timing::Typical,
             supply_mv: 3_300,
             cut_words_flip: false,
-            power_ons: 0,
             acr: 0,
             sr: 0,
             cr: CR_LOCK,
@@ -130,67 +121,9 @@ impl Flash {
         self.array.bytes()
     }
 
-    /// Stores bytes at `offset` from the start of the flash, as a programming tool does.
-    pub fn load(&mut self, offset: u32, bytes: &[u8]) {
-        self.array.load(offset, bytes);
-        self.note_change(offset as usize..offset as usize + bytes.len());
-    }
-
-    /// Chooses typical, guaranteed or longest times.
-    pub fn set_timing(&mut self, timing: Timing) {
-        self.timing = timing;
-    }
-
-    /// Protects the sectors whose bit is 1 against programming and erasing (nWRP of the option bytes, inverted).
-    pub fn protect_sectors(&mut self, sectors: u32) {
-        self.options.protect(sectors);
-    }
-
-    /// Sets the supply in mV, on which the possible width of programming depends.
-    pub(super) fn set_supply(&mut self, mv: u32) {
-        self.supply_mv = mv;
-    }
-
-    /// Lets words whose programming is cut off from now on read otherwise at each power-on.
-    pub fn let_cut_words_flip(&mut self, flip: bool) {
-        self.cut_words_flip = flip;
-    }
-
     /// The word of the option bytes at `offset` from 1FFF_C000h.
     pub(super) fn option_word(&self, offset: u32) -> Option<u32> {
         self.options.word(offset)
-    }
-
-    /// Cuts the power at an operation to come.
-    pub fn cut_power(&mut self, cut: PowerCut) {
-        self.power_cut = Some(cut);
-    }
-
-    /// Makes bits that do not change any more.
-    pub fn add_stuck_bits(&mut self, bits: StuckBits) {
-        self.array.add_stuck(bits);
-        self.note_change(bits.offset as usize..bits.offset as usize + 1);
-    }
-
-    /// Lets the next `count` erases leave anything, made from `seed`, in the sector, without an error flag.
-    pub fn fail_erases(&mut self, count: u32, seed: u64) {
-        self.failing_erases = count;
-        self.failing_erase_seed = seed;
-    }
-
-    /// Lets each of the next `count` program operations leave a bit unprogrammed, without an error flag.
-    pub fn fail_programs(&mut self, count: u32) {
-        self.failing_programs = count;
-    }
-
-    /// How many program and erase operations were started since the board was made.
-    pub fn operations(&self) -> u64 {
-        self.operations.len() as u64
-    }
-
-    /// When each of them ran, or would have if the power had not failed.
-    pub fn operation_times(&self) -> &[Range<Time>] {
-        &self.operations
     }
 
     /// The range that changed since the last call, for whoever keeps a copy.
@@ -257,7 +190,7 @@ impl Flash {
             match operation.kind {
                 Kind::Program => {
                     if self.cut_words_flip {
-                        self.array.add_marginal(start, &operation.before);
+                        self.array.add_marginal(start, &operation.before, seed);
                     }
                     self.array.tear_program(start, &operation.before, seed);
                 }
@@ -280,8 +213,7 @@ impl Flash {
 
     /// The supply comes up: what was cut off may read otherwise now.
     pub(super) fn power_on(&mut self) {
-        self.power_ons += 1;
-        for range in self.array.flip_marginal(self.power_ons) {
+        for range in self.array.flip_marginal() {
             self.note_change(range);
         }
     }

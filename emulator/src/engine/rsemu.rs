@@ -1,6 +1,7 @@
 //! The engine: rsemu's ARMv7E-M core with the chip's memories mapped directly and its peripherals by call.
 
 mod bus;
+mod follow;
 mod watched;
 
 use std::sync::{Arc, Mutex, MutexGuard, atomic::Ordering::Relaxed};
@@ -199,54 +200,6 @@ impl Rsemu {
         let access =
             Access { address, width: Width::Word, now: self.now(), pc: self.link.pc.load(Relaxed) };
         lock(&self.chip).report(access, Some(0), problem);
-    }
-
-    /// Drives the interrupt inputs as the chip has them now.
-    fn sync_irqs(&mut self, chip: &Chip) {
-        let chip_irqs = chip.irqs();
-        if chip.nmi() {
-            self.cpu.with_sys(|sys| {
-                if !sys.is_active(Exception::NMI) {
-                    sys.set_pending(Exception::NMI, true);
-                }
-            });
-        }
-        let mut changed = self.irqs ^ chip_irqs;
-        while changed != 0 {
-            let irq = changed.trailing_zeros();
-            changed &= changed - 1;
-            self.cpu.set_irq(irq as u16, chip_irqs >> irq & 1 == 1);
-        }
-        self.irqs = chip_irqs;
-    }
-
-    /// Follows the chip's interrupts and clock.
-    fn sync(&mut self, chip: &Chip) {
-        self.sync_irqs(chip);
-        let hclk = chip.clocks().hclk;
-        if hclk != self.clock.clock() {
-            self.clock.change(hclk, self.cycles);
-            self.link.set_clock(self.clock);
-        }
-        if chip.is_stopped() {
-            self.stalled_until = u64::MAX;
-        }
-    }
-
-    /// Follows the chip after the program wrote to it.
-    fn after_write(&mut self, until: Time) -> Option<Halt> {
-        let chip = Arc::clone(&self.chip);
-        let mut chip = lock(&chip);
-        self.sync(&chip);
-        self.take_flash(&mut chip);
-        self.flash_busy = chip.flash().operation_end().is_some();
-        if chip.take_can_written() {
-            Some(Halt::CanWritten)
-        } else if chip.next_event() < until {
-            Some(Halt::ChipWritten)
-        } else {
-            None
-        }
     }
 
     /// Notes a stall if the next fetch has to wait for the flash.

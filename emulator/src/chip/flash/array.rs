@@ -21,6 +21,7 @@ struct Marginal {
     start: usize,
     before: Vec<u8>,
     programmed: Vec<u8>,
+    random: Random,
 }
 
 /// The cells of the whole main memory.
@@ -121,9 +122,10 @@ impl Array {
     }
 
     /// Remembers that the programming of cells, which is to be torn, leaves them between two values.
-    pub fn add_marginal(&mut self, start: usize, before: &[u8]) {
+    pub fn add_marginal(&mut self, start: usize, before: &[u8], seed: u64) {
         let programmed = self.bytes[start..start + before.len()].to_vec();
-        self.marginal.push(Marginal { start, before: before.to_vec(), programmed });
+        let (before, random) = (before.to_vec(), Random(!seed));
+        self.marginal.push(Marginal { start, before, programmed, random });
     }
 
     fn forget_marginal(&mut self, range: &Range<usize>) {
@@ -131,19 +133,20 @@ impl Array {
     }
 
     /// Lets every cell that is between two values read as either; returns where they are.
-    pub fn flip_marginal(&mut self, seed: u64) -> Vec<Range<usize>> {
-        let mut random = Random(seed);
+    pub fn flip_marginal(&mut self) -> Vec<Range<usize>> {
         let mut ranges = Vec::new();
-        for Marginal { start, before, programmed } in &self.marginal {
+        for Marginal { start, before, programmed, random } in &mut self.marginal {
             let kind = random.next() % 4;
-            for ((cell, old), new) in self.bytes[*start..].iter_mut().zip(before).zip(programmed) {
+            for ((cell, old), new) in
+                self.bytes[*start..].iter_mut().zip(&*before).zip(&*programmed)
+            {
                 *cell = match kind {
                     0 => *old,
                     1 => *new,
                     _ => *old & (*new | random.next() as u8),
                 };
             }
-            ranges.push(*start..start + before.len());
+            ranges.push(*start..*start + before.len());
         }
         ranges.iter().for_each(|range| self.apply_stuck(range.clone()));
         ranges

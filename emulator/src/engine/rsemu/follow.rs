@@ -1,0 +1,58 @@
+//! How the core follows what the chip does: its interrupts, its clock, its flash.
+
+use std::sync::Arc;
+
+use rsemu::cpu::arm::v7m::sys::Exception;
+
+use super::{Halt, Rsemu, lock};
+use crate::{Time, chip::Chip};
+
+impl Rsemu {
+    /// Drives the interrupt inputs as the chip has them now.
+    fn sync_irqs(&mut self, chip: &Chip) {
+        let chip_irqs = chip.irqs();
+        if chip.nmi() {
+            self.cpu.with_sys(|sys| {
+                if !sys.is_active(Exception::NMI) {
+                    sys.set_pending(Exception::NMI, true);
+                }
+            });
+        }
+        let mut changed = self.irqs ^ chip_irqs;
+        while changed != 0 {
+            let irq = changed.trailing_zeros();
+            changed &= changed - 1;
+            self.cpu.set_irq(irq as u16, chip_irqs >> irq & 1 == 1);
+        }
+        self.irqs = chip_irqs;
+    }
+
+    /// Follows the chip's interrupts and clock.
+    pub(super) fn sync(&mut self, chip: &Chip) {
+        self.sync_irqs(chip);
+        let hclk = chip.clocks().hclk;
+        if hclk != self.clock.clock() {
+            self.clock.change(hclk, self.cycles);
+            self.link.set_clock(self.clock);
+        }
+        if chip.is_stopped() {
+            self.stalled_until = u64::MAX;
+        }
+    }
+
+    /// Follows the chip after the program wrote to it.
+    pub(super) fn after_write(&mut self, until: Time) -> Option<Halt> {
+        let chip = Arc::clone(&self.chip);
+        let mut chip = lock(&chip);
+        self.sync(&chip);
+        self.take_flash(&mut chip);
+        self.flash_busy = chip.flash().operation_end().is_some();
+        if chip.take_can_written() {
+            Some(Halt::CanWritten)
+        } else if chip.next_event() < until {
+            Some(Halt::ChipWritten)
+        } else {
+            None
+        }
+    }
+}
