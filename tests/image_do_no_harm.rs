@@ -249,17 +249,3 @@ fn a_spare_part_that_was_rescued_stores_the_rate_that_works() {
     let time = answer_time(&mut bench, read(7), 0x587, patience(BitRate::Kbit125));
     assert!(time.is_some(), "at the rate that was found");
 }
-#[test]
-#[ignore]
-fn debug() {
-    let mut bench = boards(1, 1000, BitRate::Kbit50);
-    assert!(reach(&mut bench, read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
-    bench.network.record(Recording::All);
-    bench.set_master_bit_rate(BitRate::Kbit1000);
-    let time = reach(&mut bench, read(1), 0x581, Time::from_ms(3500));
-    println!("{time:?}");
-    for e in bench.network.trace() {
-        println!("{e}");
-    }
-    panic!();
-}

@@ -1,5 +1,7 @@
 //! The CAN controller: bit timing, filters, reception, transmission, and its place on the bus.
 
+use core::mem;
+
 use bxcan::{
     Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
@@ -35,16 +37,16 @@ pub struct Controller {
     has_heard: bool,
     receives: [u16; 3],
     may_transmit: bool,
-    kept_out: KeptOut,
+    traffic: Traffic,
     queue: TransmitQueue,
 }
 
-/// How long the controller has not joined the bus, and what it has seen there.
+/// What was seen on the bus, once a millisecond, since the controller last understood something.
 #[derive(Default)]
-struct KeptOut {
-    ms: u32,
-    has_seen_dominant: bool,
-    has_seen_recessive: bool,
+struct Traffic {
+    ms: u16,
+    has_dominant: bool,
+    has_recessive: bool,
 }
 
 /// What can be received or cannot.
@@ -79,7 +81,7 @@ impl Controller {
             has_heard: false,
             receives,
             may_transmit: true,
-            kept_out: KeptOut::default(),
+            traffic: Traffic::default(),
             queue: TransmitQueue::new(),
         }
     }
@@ -168,6 +170,9 @@ impl Controller {
         for _ in 0..frames {
             release(1);
         }
+        if frames > 0 {
+            self.traffic = Traffic::default();
+        }
         frames > 0
     }
 
@@ -183,6 +188,7 @@ impl Controller {
             return None;
         }
         self.has_heard = true;
+        self.traffic = Traffic::default();
         if fifo.fovr().bit_is_set() {
             registers().rfr(0).write(|w| w.fovr().set_bit());
             return Some(Received::Overrun);
@@ -222,6 +228,7 @@ impl Controller {
         // SAFETY: zeros have no effect in this register.
         registers().tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
         self.fill_mailboxes();
+        self.traffic = Traffic::default();
         status & ANY_SENT != 0
     }
 
@@ -262,6 +269,7 @@ impl Controller {
     pub fn handle_status(&mut self) -> Option<BusEvent> {
         const STUFF: u8 = 1;
         const FORM: u8 = 2;
+        const ACKNOWLEDGE: u8 = 3;
         const BIT_RECESSIVE: u8 = 4;
         const CRC: u8 = 6;
         const SET_BY_SOFTWARE: u8 = 7;
@@ -272,6 +280,10 @@ impl Controller {
         let error = match status.lec().bits() {
             STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
             FORM => Some(BusEvent::FormError),
+            ACKNOWLEDGE => {
+                self.traffic = Traffic::default();
+                None
+            }
             _ => None,
         };
         can.ier().modify(|_, w| {
@@ -285,29 +297,28 @@ impl Controller {
         error
     }
 
-    /// Has the next error interrupt again. Returns whether the traffic on the bus has not let the controller join for two
-    /// frame times: at a rate that is too slow it may never see 11 recessive bits, nor an error. To be called each millisecond.
+    /// Has the next error interrupt again. Returns whether there has been traffic for two frame times that the controller
+    /// neither understands nor finds an error in: a controller that waits for so many equal bits, to join the bus or to end
+    /// an error flag, may wait for ever at a wrong rate. To be called each millisecond.
     pub fn watch(&mut self) -> bool {
-        const FRAMES: u32 = 2 * 135;
+        const FRAMES: u16 = 2 * 135;
         let can = registers();
         can.ier().modify(|_, w| w.lecie().set_bit());
         let status = can.msr().read();
-        if status.inak().bit_is_clear() {
-            self.kept_out = KeptOut::default();
+        if status.txm().bit_is_set() {
             return false;
         }
-        self.kept_out.ms += 1;
-        match status.rx().bit_is_set() {
-            true => self.kept_out.has_seen_recessive = true,
-            false => self.kept_out.has_seen_dominant = true,
+        self.traffic.ms += 1;
+        if status.rx().bit_is_set() {
+            self.traffic.has_recessive = true;
+        } else {
+            self.traffic.has_dominant = true;
         }
-        let is_kept_out = self.kept_out.has_seen_recessive
-            && self.kept_out.has_seen_dominant
-            && self.kept_out.ms > 1 + FRAMES / u32::from(self.bit_rate.kbit_per_s());
-        if is_kept_out {
-            self.kept_out = KeptOut::default();
+        let is_over = self.traffic.ms > 1 + FRAMES / self.bit_rate.kbit_per_s();
+        is_over && {
+            let traffic = mem::take(&mut self.traffic);
+            traffic.has_dominant && traffic.has_recessive
         }
-        is_kept_out
     }
 
     /// TEC and REC (RM0090, 32.7.6).

@@ -78,9 +78,7 @@ impl Slave {
         let error = self.can.handle_status();
         let now = clock::now();
         // Frames that came before the error count before it.
-        if !self.can.is_listening() && self.can.has_heard_others() {
-            self.node.handle_bus(BusEvent::Received, now);
-        }
+        self.hear_others();
         if let Some(error) = error {
             self.node.handle_bus(error, now);
         }
@@ -146,8 +144,15 @@ impl Slave {
         self.indicators.step(self.node.nmt_state(), is_lss_active, self.can.bus_state())
     }
 
+    fn hear_others(&mut self) {
+        if self.can.has_heard_others() {
+            self.node.handle_bus(BusEvent::Received, clock::now());
+        }
+    }
+
     /// A millisecond has passed.
     pub fn handle_tick(&mut self) {
+        self.hear_others();
         if self.can.watch() {
             self.node.handle_bus(BusEvent::Error, clock::now());
         }
