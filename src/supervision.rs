@@ -44,7 +44,7 @@ const TRUST_MICROS: u32 = 30_000_000;
 const WITHHOLD_MICROS: u32 = 50_000;
 const RECOVERY_BITS: u32 = 128 * 11;
 /// Errors without a valid frame that make an unproven home rate doubtful.
-const UNPROVEN_ERRORS: u8 = 2;
+const UNPROVEN_ERRORS: u8 = 1;
 /// The same for a home rate that was proven in this power cycle, and how long they must last.
 const PROVEN_ERRORS: u8 = 3;
 const PROVEN_MICROS: u32 = 1_000_000;
@@ -57,7 +57,7 @@ const ACKNOWLEDGE_MICROS: u32 = 1_000_000;
 /// How long a look elsewhere lasts once something was heard, and how long it waits for that: a network may have no more
 /// than one heartbeat a second.
 const LOOK_MICROS: u32 = 40_000;
-const WAIT_MICROS: u32 = 1_000_000;
+const WAIT_MICROS: u32 = 1_100_000;
 /// How long home is listened to between two looks: this, and the time of two frames.
 const TURN_MICROS: u32 = 20_000;
 const TURN_BITS: u32 = 2 * 135;
@@ -116,6 +116,8 @@ struct Look {
     has_moved: bool,
     /// The next look waits for something to be heard.
     waits: bool,
+    /// A look has waited.
+    has_waited: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -352,7 +354,7 @@ impl Supervision {
                     self.open_home(look, now);
                 }
                 (Turn::HomeOpen, Error | FormError) => {
-                    let look = Look { waits: true, ..*look };
+                    let look = Look { waits: true, has_waited: true, ..*look };
                     self.look_elsewhere(look, WAIT_MICROS, now);
                 }
                 _ => {}
@@ -446,7 +448,7 @@ impl Supervision {
     fn end_turn(&mut self, look: Look, turn: Turn, now: Instant) {
         match turn {
             Turn::Elsewhere { has_heard } => {
-                let waits = look.waits && has_heard;
+                let waits = look.waits && (has_heard || !look.has_waited);
                 self.listen_at_home(Look { waits, ..look }, now);
             }
             Turn::HomeSilent { has_heard: true } => {
@@ -455,7 +457,9 @@ impl Supervision {
                 self.look_elsewhere(Look { candidate, ..look }, LOOK_MICROS, now);
             }
             Turn::HomeSilent { has_heard: false } => self.open_home(look, now),
-            Turn::HomeOpen if look.waits => self.look_elsewhere(look, WAIT_MICROS, now),
+            Turn::HomeOpen if look.waits => {
+                self.look_elsewhere(Look { has_waited: true, ..look }, WAIT_MICROS, now);
+            }
             Turn::HomeOpen => {
                 self.place = Place::HOME;
                 self.doubted_until = Some(now.plus_micros(DOUBT_MICROS));
@@ -477,14 +481,20 @@ impl Supervision {
         let slowest = BitRate::Kbit10;
         let fastest = next_rate(self.rates, slowest, Some(self.home));
         let candidate = self.previous.take().unwrap_or(fastest);
-        let waits = self.doubted_until.is_some();
-        let micros = if waits { WAIT_MICROS } else { LOOK_MICROS };
-        self.look_elsewhere(Look { candidate, has_moved: false, waits }, micros, now);
+        let waits = !self.is_proven || self.doubted_until.is_some();
+        self.look_elsewhere(
+            Look { candidate, has_moved: false, waits, has_waited: false },
+            LOOK_MICROS,
+            now,
+        );
     }
 
     fn leave_as_guest(&mut self, now: Instant) {
         let candidate = self.bit_rate();
-        self.listen_at_home(Look { candidate, has_moved: true, waits: true }, now);
+        self.listen_at_home(
+            Look { candidate, has_moved: true, waits: true, has_waited: false },
+            now,
+        );
     }
 
     fn look_elsewhere(&mut self, look: Look, micros: u32, now: Instant) {

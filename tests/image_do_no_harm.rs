@@ -5,7 +5,7 @@ mod support;
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
-    network::{AdapterId, Recording},
+    network::{AdapterId, Event, Recording, Short, What},
 };
 use lss_slave::{BitRate, Settings};
 use support::{
@@ -13,6 +13,8 @@ use support::{
     frames,
 };
 
+/// The silent bit of CAN_BTR (RM0090, 32.9.2).
+const SILM: u32 = 1 << 31;
 /// A frame with eight bytes, in bits, and how many of them a late master may wait.
 const LONG_FRAME_BITS: u64 = 135;
 const PATIENCE_FRAMES: u64 = 25;
@@ -248,4 +250,118 @@ fn a_spare_part_that_was_rescued_stores_the_rate_that_works() {
     bench.network.run_for(Time::from_ms(50));
     let time = answer_time(&mut bench, read(7), 0x587, patience(BitRate::Kbit125));
     assert!(time.is_some(), "at the rate that was found");
+}
+
+/// Whether the master, which only listens, hears a heartbeat of node 1 within `limit`, and after what time.
+fn heartbeat_time(bench: &mut Bench, limit: Time) -> Option<Time> {
+    while bench.network.receive(bench.master).is_some() {}
+    let from = bench.network.now();
+    while bench.network.now() < from + limit {
+        let left = (from + limit).saturating_sub(bench.network.now());
+        let (time, frame) = bench.network.run_until_received(bench.master, left)?;
+        if frame.id == Id::Standard(0x701) {
+            return Some(time - from);
+        }
+    }
+    None
+}
+
+#[test]
+fn a_short_circuit_costs_at_most_100_ms_more_than_it_lasts() {
+    for short in [Short::Dominant, Short::Recessive] {
+        for bit_rate in [BitRate::Kbit1000, BitRate::Kbit125, BitRate::Kbit20] {
+            for span_ms in [200, 1_000, 10_000] {
+                let mut bench = boards(1, 100, bit_rate);
+                bench.network.run_for(Time::from_ms(300));
+                bench.network.set_short(Some(short));
+                bench.network.run_for(Time::from_ms(span_ms));
+                bench.network.set_short(None);
+                let time = heartbeat_time(&mut bench, Time::from_s(2));
+                // A plain slave needs the time of a recovery, 1408 bits.
+                let plain = bench.bit_time() * 1408 + bench.bit_time() * LONG_FRAME_BITS;
+                let limit = Time::from_ms(150) + plain;
+                let what = format!("{short:?} for {span_ms} ms at {bit_rate:?}: {time:?}");
+                assert!(time.is_some_and(|time| time <= limit), "{what}");
+            }
+        }
+    }
+}
+
+/// Two others at `bit_rate`, who talk once a second or without pause.
+fn others(bench: &mut Bench, bit_rate: BitRate) -> [AdapterId; 2] {
+    [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
+}
+
+/// How long after its power-on a blank board at a wrong stored rate takes part at `found`, where a frame passes every `period`.
+fn time_until_found(
+    node_id: u8,
+    (stored, found): (BitRate, BitRate),
+    period: Time,
+    limit: Time,
+) -> Option<Time> {
+    let mut bench = Bench::new(found, [board_with(0, settings(node_id, stored))]);
+    bench.network.power_off(0);
+    bench.network.adapter_mut(bench.master).close();
+    let others = others(&mut bench, found);
+    bench.network.run_for(Time::from_ms(10));
+    bench.network.power_on(0);
+    bench.expect_reset(0, emulator::chip::ResetCause::PowerOn);
+    let on = bench.network.now();
+    bench.network.run_for(period);
+    let mut count = 0_u64;
+    while bench.network.now() < on + limit {
+        if bench.network.adapter_mut(others[0]).unsent() == 0 {
+            let heartbeat = Frame::data(Id::Standard(0x705), &[0x05]);
+            let long = Frame::data(
+                Id::Standard(0x185),
+                &count.wrapping_mul(0x9E37_79B9_7F4A_7C15).to_le_bytes(),
+            );
+            bench
+                .network
+                .send(others[0], if period < Time::from_ms(100) { long } else { heartbeat });
+            count += 1;
+        }
+        bench.network.run_for(period);
+        let frame = bench.bit_time() * LONG_FRAME_BITS;
+        bench.network.run_for(frame);
+        let takes_part = |event: &Event| match event.what {
+            What::BitTiming { btr, bit_rate } => btr & SILM == 0 && bit_rate == bit_per_s(found),
+            _ => false,
+        };
+        if let Some(event) = bench.did(0, on).find(|event| takes_part(event)) {
+            return Some(event.time - on);
+        }
+    }
+    None
+}
+
+/// Whether a node at `stored` may not notice a heartbeat at `found`: it is over before a bit is sampled twice.
+fn may_not_notice((stored, found): (BitRate, BitRate)) -> bool {
+    stored.kbit_per_s() < 50 && found.kbit_per_s() > 125
+}
+
+#[test]
+fn a_wrong_stored_rate_is_found_by_three_or_four_sparse_frames() {
+    let one_frame = Time::from_ms(1000);
+    for node_id in [1, 0xFF] {
+        for (stored, found) in pairs().filter(|&pair| !may_not_notice(pair)) {
+            let time = time_until_found(node_id, (stored, found), one_frame, Time::from_s(8));
+            let what = format!("node {node_id:02X}: {stored:?} stored, {found:?} found: {time:?}");
+            println!("{what}");
+            // The first frame comes after a second.
+            assert!(time.is_some_and(|time| time < Time::from_ms(4100)), "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_wrong_stored_rate_is_found_in_100_ms_under_load() {
+    for (stored, found) in pairs() {
+        // Nine tenths of the bus.
+        let period = Time::from_us(13_500 / u64::from(found.kbit_per_s()));
+        let time = time_until_found(0xFF, (stored, found), period, Time::from_s(2));
+        let what = format!("{stored:?} stored, {found:?} found: {time:?}");
+        println!("{what}");
+        assert!(time.is_some_and(|time| time < Time::from_ms(100)), "{what}");
+    }
 }

@@ -1,7 +1,5 @@
 //! The CAN controller: bit timing, filters, reception, transmission, and its place on the bus.
 
-use core::mem;
-
 use bxcan::{
     Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
@@ -41,12 +39,13 @@ pub struct Controller {
     queue: TransmitQueue,
 }
 
-/// What was seen on the bus, once a millisecond, since the controller last understood something.
-#[derive(Default)]
+/// Traffic since the controller last understood something, as seen once a millisecond.
+#[derive(Clone, Copy, Default)]
 struct Traffic {
     ms: u16,
-    has_dominant: bool,
-    has_recessive: bool,
+    is_recessive: bool,
+    /// For how long the level has been the same.
+    level_ms: u16,
 }
 
 /// What can be received or cannot.
@@ -112,6 +111,7 @@ impl Controller {
     /// Resets the controller and sets it up anew: of all ways to another bit rate the one that waits for nothing. It takes
     /// part in the bus by itself after 11 recessive bits, whenever they come (RM0090, 32.4.2).
     fn start(&mut self) {
+        self.traffic = Traffic::default();
         if self.is_listening {
             self.transmit_pin.rest();
         }
@@ -297,10 +297,11 @@ impl Controller {
         error
     }
 
-    /// Has the next error interrupt again. Returns whether there has been traffic for two frame times that the controller
-    /// neither understands nor finds an error in: a controller that waits for so many equal bits, to join the bus or to end
-    /// an error flag, may wait for ever at a wrong rate. To be called each millisecond.
+    /// Has the next error interrupt again. Returns whether there has been traffic for more than two frame times that the
+    /// controller neither understands nor finds an error in: a controller that waits for so many equal bits, to join the bus
+    /// or to end an error flag, may wait for ever at a wrong rate. To be called each millisecond.
     pub fn watch(&mut self) -> bool {
+        const QUIET_MS: u16 = 8;
         const FRAMES: u16 = 2 * 135;
         let can = registers();
         can.ier().modify(|_, w| w.lecie().set_bit());
@@ -308,17 +309,18 @@ impl Controller {
         if status.txm().bit_is_set() {
             return false;
         }
-        self.traffic.ms += 1;
-        if status.rx().bit_is_set() {
-            self.traffic.has_recessive = true;
-        } else {
-            self.traffic.has_dominant = true;
+        let traffic = &mut self.traffic;
+        let level = status.rx().bit_is_set();
+        if level != traffic.is_recessive {
+            *traffic = Traffic { is_recessive: level, level_ms: 0, ..*traffic };
         }
-        let is_over = self.traffic.ms > 1 + FRAMES / self.bit_rate.kbit_per_s();
-        is_over && {
-            let traffic = mem::take(&mut self.traffic);
-            traffic.has_dominant && traffic.has_recessive
+        traffic.ms += 1;
+        traffic.level_ms += 1;
+        let lasts = traffic.ms > QUIET_MS + 2 + FRAMES / self.bit_rate.kbit_per_s();
+        if lasts || traffic.level_ms >= QUIET_MS {
+            *traffic = Traffic::default();
         }
+        lasts
     }
 
     /// TEC and REC (RM0090, 32.7.6).
