@@ -294,12 +294,11 @@ impl Node {
         if !self.may_send() {
             return None;
         }
-        if let Some(request) = self.sdo_request.take()
-            && let Some(answer) = sdo::handle(request, self)
-        {
-            return self.answer_sdo(answer);
-        }
-        let action = self.store_or_answer().or_else(|| self.tell(now));
+        let sdo_request = self.sdo_request.take();
+        let action = match sdo_request.and_then(|request| sdo::handle(request, self)) {
+            Some(answer) => self.answer_sdo(answer),
+            None => self.store_or_answer().or_else(|| self.tell(now)),
+        };
         if let Some(Action::Transmit(_)) = action {
             self.supervision.note_sent(now);
         }
@@ -324,7 +323,10 @@ impl Node {
             return None;
         }
         match self.lss.handle(data)? {
-            Reaction::Answer(answer) => return Some(Action::Transmit(answer)),
+            Reaction::Answer(answer) => {
+                self.supervision.note_sent(now);
+                return Some(Action::Transmit(answer));
+            }
             Reaction::ActivateBitTiming(delay_ms) => {
                 let delay_micros = u32::from(delay_ms) * 1000;
                 self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });

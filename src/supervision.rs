@@ -219,6 +219,11 @@ impl Supervision {
         matches!(self.place, Place::Detecting { .. })
     }
 
+    /// Whether something that has happened asks for a step that has not been taken.
+    pub const fn has_step(&self) -> bool {
+        self.step.is_some()
+    }
+
     /// Whether one more valid frame makes no difference.
     pub const fn is_at_ease(&self) -> bool {
         match &self.place {
