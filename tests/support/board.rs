@@ -243,6 +243,11 @@ impl Board {
         self.actions.drain(..)
     }
 
+    /// What `take_actions` would return.
+    pub fn actions(&self) -> impl Iterator<Item = Action> {
+        self.actions.iter().map(|&(_, action)| action)
+    }
+
     /// Microseconds since the board was made.
     pub fn now(&self) -> u64 {
         self.now
