@@ -190,7 +190,7 @@ impl Board {
         self.sent_since(before)
     }
 
-    fn us_to_deadline(&self) -> Option<u64> {
+    pub fn us_to_deadline(&self) -> Option<u64> {
         Some(self.node.next_deadline()?.micros_after(self.instant()).into())
     }
 
