@@ -32,7 +32,8 @@ pub struct Device {
     pub hardware_version: &'static str,
     /// Manufacturer software version 100Ah.
     pub software_version: &'static str,
-    /// Whether a bit rate that fails on trial makes the node listen for the right one (see `docs/bit-rates.md`).
+    /// Whether the bit rate is supervised: lasting errors without a valid frame make the node look for the rate of the others
+    /// (see `docs/bit-rates.md`).
     pub rescue: bool,
     /// Whether the LSS state stays waiting while the node is NMT operational, so that nobody configures a running machine.
     pub lss_lock: bool,

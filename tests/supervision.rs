@@ -188,7 +188,9 @@ fn bus_off_restarts_the_controller_at_home_and_frames_wait_50_ms() {
 fn on_a_slow_bus_frames_wait_1408_bits_after_bus_off() {
     for (home, us) in [(BitRate::Kbit20, 70_400), (BitRate::Kbit10, 140_800)] {
         let mut board = disturbed(home, BusOff);
-        assert_eq!(board.pass_us(us - 1), SILENCE);
+        board.pass_us(1_000);
+        board.see(Error);
+        assert_eq!(board.pass_us(us - 1_001), SILENCE, "an error does not make it shorter");
         assert_eq!(board.pass_us(1), ["740: 7F"]);
     }
 }

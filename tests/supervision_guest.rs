@@ -140,6 +140,10 @@ fn activation_without_configuration_makes_the_rate_found_home() {
         board.pass_ms(100);
     }
     assert_eq!(board.timeline(), SILENCE, "a rate that was commanded is trusted");
+    board.pass_ms(10_000);
+    board.see(Error);
+    board.see(Error);
+    assert_eq!(board.timeline(), SILENCE, "and this one was proven");
 }
 
 #[test]
@@ -320,6 +324,17 @@ fn a_guest_that_is_told_to_detect_its_rate_is_no_guest_any_more() {
     assert_eq!(board.see(Received), [HOME_AGAIN]);
     assert_eq!(objects(&mut board), [1000, 1000, 1]);
     assert_eq!(board.number(0x1001, 0), 0);
+}
+
+#[test]
+fn a_detected_rate_is_not_trusted_as_a_commanded_one_is() {
+    let mut board = with_automatic(BitRate::Kbit125.into());
+    for request in ["04 01", "13 00 02", "15 00 00", "13 00 09", "15 00 00"] {
+        board.lss(request);
+    }
+    board.see(Received);
+    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+    doubt(&mut board);
 }
 
 #[test]
