@@ -333,10 +333,8 @@ impl Supervision {
                 }
                 (Turn::Elsewhere { has_heard }, Error | FormError) => {
                     look.waits = true;
-                    if !*has_heard {
-                        *has_heard = true;
-                        *until = until.earlier(now.plus_micros(LOOK_MICROS));
-                    }
+                    *has_heard = true;
+                    *until = until.earlier(now.plus_micros(LOOK_MICROS));
                     if event == Error {
                         look.has_moved = true;
                         look.candidate = next_rate(self.rates, look.candidate, Some(self.home));
