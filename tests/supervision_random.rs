@@ -208,7 +208,7 @@ impl Run {
 fn home_has_its_turns_and_is_never_lost_whatever_happens() {
     let mut random = Random::new();
     let [mut looks, mut rescues, mut switches] = [0; 3];
-    for _ in 0..300 {
+    for _ in 0..100 {
         let mut run = Run::new(&mut random);
         for _ in 0..30 {
             run.live_on(&mut random);
@@ -219,7 +219,7 @@ fn home_has_its_turns_and_is_never_lost_whatever_happens() {
         switches += run.switches;
     }
     println!("{looks} looks, {rescues} rescues, {switches} switches");
-    assert!(looks > 10_000 && rescues > 100 && switches > 100);
+    assert!(looks > 1_000 && rescues > 50 && switches > 100);
 }
 
 #[test]
@@ -231,7 +231,7 @@ fn without_supervision_a_node_stays_at_its_rate_whatever_happens() {
         let mut board =
             Board::with_device(device(ADDRESS), settings, BoardFlash::blank(0), clock_at_start);
         board.timeline();
-        for _ in 0..10_000 {
+        for _ in 0..1_000 {
             board.see(random.pick(MOODS[7]));
             board.pass_us(random.within(0..2_000_000));
         }
