@@ -32,7 +32,8 @@ pub struct Device {
     pub hardware_version: &'static str,
     /// Manufacturer software version 100Ah.
     pub software_version: &'static str,
-    /// Whether a bit rate that fails on trial makes the node listen for the right one (see `docs/bit-rates.md`).
+    /// Whether the bit rate is supervised: lasting errors without a valid frame make the node look for the rate of the others
+    /// (see `docs/bit-rates.md`).
     pub rescue: bool,
     /// Whether the LSS state stays waiting while the node is NMT operational, so that nobody configures a running machine.
     pub lss_lock: bool,
@@ -294,12 +295,11 @@ impl Node {
         if !self.may_send() {
             return None;
         }
-        if let Some(request) = self.sdo_request.take()
-            && let Some(answer) = sdo::handle(request, self)
-        {
-            return self.answer_sdo(answer);
-        }
-        let action = self.store_or_answer().or_else(|| self.tell(now));
+        let sdo_request = self.sdo_request.take();
+        let action = match sdo_request.and_then(|request| sdo::handle(request, self)) {
+            Some(answer) => self.answer_sdo(answer),
+            None => self.store_or_answer().or_else(|| self.tell(now)),
+        };
         if let Some(Action::Transmit(_)) = action {
             self.supervision.note_sent(now);
         }
@@ -324,7 +324,10 @@ impl Node {
             return None;
         }
         match self.lss.handle(data)? {
-            Reaction::Answer(answer) => return Some(Action::Transmit(answer)),
+            Reaction::Answer(answer) => {
+                self.supervision.note_sent(now);
+                return Some(Action::Transmit(answer));
+            }
             Reaction::ActivateBitTiming(delay_ms) => {
                 let delay_micros = u32::from(delay_ms) * 1000;
                 self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });

@@ -222,6 +222,11 @@ impl Supervision {
         matches!(self.place, Place::Detecting { .. })
     }
 
+    /// Whether something that has happened asks for a step that has not been taken.
+    pub const fn has_step(&self) -> bool {
+        self.step.is_some()
+    }
+
     /// Whether one more valid frame makes no difference.
     pub const fn is_at_ease(&self) -> bool {
         match &self.place {
@@ -331,10 +336,8 @@ impl Supervision {
                 }
                 (Turn::Elsewhere { has_heard }, Error | FormError) => {
                     look.waits = true;
-                    if !*has_heard {
-                        *has_heard = true;
-                        *until = until.earlier(now.plus_micros(LOOK_MICROS));
-                    }
+                    *has_heard = true;
+                    *until = until.earlier(now.plus_micros(LOOK_MICROS));
                     if event == Error {
                         look.has_moved = true;
                         look.candidate = next_rate(self.rates, look.candidate, Some(self.home));

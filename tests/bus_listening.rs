@@ -136,7 +136,7 @@ fn nothing_is_sent_while_listening_whatever_happens() {
     for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000] {
         assert_eq!(board.see(BusEvent::Error), SILENCE);
         assert_eq!(board.pass_ms(1_400), SILENCE, "no heartbeat");
-        assert_eq!(board.see(BusEvent::ReceivesErrorsOnly), SILENCE);
+        assert_eq!(board.see(BusEvent::ErrorPassive), SILENCE);
         assert_eq!(board.see(BusEvent::BusOff), SILENCE);
         assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s, "only an error leads on");
         assert_eq!(board.node.nmt_state(), State::Initialisation);
@@ -174,7 +174,7 @@ fn a_rate_once_found_is_kept_through_errors_and_bus_off() {
     let mut board = listening();
     board.see(BusEvent::Error);
     board.receive(&frames::stranger());
-    for event in [BusEvent::Error, BusEvent::ReceivesErrorsOnly, BusEvent::BusOff] {
+    for event in [BusEvent::Error, BusEvent::ErrorPassive, BusEvent::BusOff] {
         board.see(event);
         board.pass_ms(60_000);
         assert_eq!(board.bit_rate(), BitRate::Kbit800, "{event:?}");
@@ -191,6 +191,22 @@ fn each_error_leads_to_the_next_slower_rate_and_from_the_slowest_to_the_fastest(
         assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s);
         assert!(board.node.is_listening());
     }
+}
+
+#[test]
+fn a_rate_is_left_at_the_21st_form_error_which_a_lone_master_never_causes() {
+    let mut board = listening();
+    for kbit_per_s in [1000, 800] {
+        for _ in 0..20 {
+            board.see(BusEvent::FormError);
+            assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s);
+        }
+        board.see(BusEvent::FormError);
+    }
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
+    board.see(BusEvent::FormError);
+    assert_eq!(board.see(BusEvent::Received), ["740: 00"], "the master is error passive now");
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
 }
 
 #[test]

@@ -320,7 +320,7 @@ fn a_node_that_bus_off_took_out_of_operational_can_be_started_again() {
     board.nmt("01 00");
     assert_eq!(board.node.nmt_state(), State::Operational);
     // What is not a bus-off leaves it there.
-    for event in [BusEvent::Error, BusEvent::ReceivesErrorsOnly, BusEvent::Acknowledged] {
+    for event in [BusEvent::Error, BusEvent::ErrorPassive, BusEvent::Acknowledged] {
         board.see(event);
         assert_eq!(board.node.nmt_state(), State::Operational, "{event:?}");
     }
@@ -340,16 +340,15 @@ fn nothing_answers_a_node_guarding_request_which_needs_a_remote_frame() {
     assert_eq!(board.receive(&Frame::new(0x740, &[]).unwrap()), SILENCE);
 }
 
-/// A board with node-ID 40h and a heartbeat every second that has lost its bus and listens for the bit rate.
+/// A board with node-ID 40h and a heartbeat every second that detects its bit rate since an activation.
 fn listening_board() -> Board {
-    let device = Device { rescue: true, ..device(ADDRESS) };
+    let device = device(ADDRESS);
+    let device = Device { bit_rates: device.bit_rates.with_automatic(), ..device };
     let settings = Settings { heartbeat_ms: 1_000, ..defaults(0x40) };
     let mut board = Board::with_device(device, settings, BoardFlash::blank(0), 0);
-    // The first puts the bit rate, proven by the boot-up, on trial; the second makes an end of the trial.
-    for _ in 0..2 {
-        board.see(BusEvent::Error);
+    for request in ["04 01", "13 00 09", "15 00 00"] {
+        board.lss(request);
     }
-    assert_eq!(board.pass_us(0), SILENCE);
     assert!(board.node.is_listening());
     board
 }
@@ -359,9 +358,8 @@ fn a_node_that_listens_for_its_bit_rate_sends_nothing_and_then_its_heartbeat_at_
     let mut board = listening_board();
     board.node.handle_fault(Fault::Overrun);
     assert_eq!(board.pass_ms(20_000), SILENCE);
-    board.node.handle_bus(BusEvent::Received);
     let sent = ["0C0: 10 81 11 00 00 00 00 00", "0C0: 00 00 00 00 00 00 00 00", "740: 7F"];
-    assert_eq!(board.pass_us(0), sent);
+    assert_eq!(board.see(BusEvent::Received), sent);
     assert_eq!(board.pass_us(999_999), SILENCE);
     assert_eq!(board.pass_us(1), ["740: 7F"]);
 }
@@ -375,8 +373,7 @@ fn a_node_that_listened_for_hours_goes_on_with_its_heartbeat_at_once() {
             board.see(BusEvent::Error);
             assert_eq!(board.pass_ms(20_000), SILENCE);
         }
-        board.node.handle_bus(BusEvent::Received);
-        assert_eq!(board.pass_us(0), ["740: 7F"], "after {minutes} minutes");
+        assert_eq!(board.see(BusEvent::Received), ["740: 7F"], "after {minutes} minutes");
         assert_eq!(board.pass_ms(1_000), ["740: 7F"]);
     }
 }

@@ -29,6 +29,7 @@ fn the_objects_are_those_of_a_minimal_device_and_the_can_controller() {
         (0x1003, 6), (0x1003, 7), (0x1003, 8), (0x1008, 0), (0x1009, 0), (0x100A, 0), (0x1010, 0), (0x1010, 1),
         (0x1011, 0), (0x1011, 1), (0x1014, 0), (0x1017, 0), (0x1018, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3),
         (0x1018, 4), (0x1029, 0), (0x1029, 1), (0x2000, 0), (0x2000, 1), (0x2000, 2), (0x2000, 3), (0x2000, 4),
+        (0x2000, 5), (0x2000, 6), (0x2000, 7),
     ]);
 }
 
@@ -39,9 +40,9 @@ fn device_type_is_no_profile() {
 }
 
 #[test]
-fn the_can_controller_s_troubles_and_counters_can_be_read() {
+fn faults_and_error_counters_of_the_can_controller_can_be_read() {
     let mut board = Board::with_node_id(0x40);
-    assert_eq!(board.number(0x2000, 0), 4);
+    assert_eq!(board.number(0x2000, 0), 7);
     for sub_index in 1..=4 {
         assert_eq!(board.number(0x2000, sub_index), 0);
     }

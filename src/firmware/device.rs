@@ -59,8 +59,8 @@ pub const APB1_HZ: u32 = SYSCLK_HZ / 4;
 /// The bit rates that LSS may ask for. Without `with_automatic()`, index 9 (automatic detection) is refused.
 pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ).with_automatic();
 
-/// Whether a device whose bit rate turns out wrong right after power-on or after a switch falls silent and listens for
-/// the right one: docs/bit-rates.md.
+/// Whether the bit rate is supervised: a device that hears lasting errors and no valid frame looks for the rate of the
+/// others, and returns to its own: docs/bit-rates.md.
 pub const RESCUE: bool = true;
 
 /// Whether LSS configuration is refused while the node is NMT operational: docs/threat-model.md.

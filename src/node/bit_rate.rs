@@ -68,22 +68,21 @@ impl Node {
         let was_automatic = self.lss.active_bit_rate() == BitRateSetting::Automatic;
         self.lss.activate_bit_rate();
         match self.lss.active_bit_rate() {
-            BitRateSetting::Fixed(rate) => {
-                self.supervision.command(rate, until);
-                self.emergency.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
-            }
-            BitRateSetting::Automatic if !was_automatic => self.supervision.detect(),
-            BitRateSetting::Automatic => {}
+            BitRateSetting::Fixed(rate) => self.supervision.command(rate, until),
+            BitRateSetting::Automatic if was_automatic => return self.next_step(now),
+            BitRateSetting::Automatic => self.supervision.detect(),
         }
+        let rate = self.supervision.bit_rate();
+        self.emergency.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
         self.next_step(now)
     }
 
     /// What the supervision of the bit rate asks for now.
     pub(super) fn supervise(&mut self, now: Instant) -> Option<Action> {
-        if !self.is_supervised() {
-            return None;
-        }
-        let action = self.next_step(now);
+        // Within the switch that has begun it, a detection may come to its end.
+        let is_step_due = self.is_supervised() || self.supervision.has_step();
+        let action = if is_step_due { self.next_step(now) } else { None };
+        // Also before a switch: the request for it may be the frame that has shown home to be right.
         if let Some(in_use) = self.supervision.take_change() {
             self.lss.adopt_bit_rate(in_use);
             match self.supervision.home() {

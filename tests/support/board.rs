@@ -26,6 +26,8 @@ pub struct Board {
     pub flash: BoardFlash,
     /// What the search for the settings found at the last power-on.
     pub found: Found,
+    /// Whether others acknowledge the frames of the node.
+    pub is_acknowledged: bool,
     device: Device,
     defaults: Settings,
     log: Log<BoardFlash>,
@@ -112,6 +114,7 @@ impl Board {
             node,
             flash,
             found,
+            is_acknowledged: true,
             device,
             defaults,
             log,
@@ -187,7 +190,7 @@ impl Board {
         self.sent_since(before)
     }
 
-    fn us_to_deadline(&self) -> Option<u64> {
+    pub fn us_to_deadline(&self) -> Option<u64> {
         Some(self.node.next_deadline()?.micros_after(self.instant()).into())
     }
 
@@ -232,7 +235,22 @@ impl Board {
 
     /// What the node asked for since the last call of this or of `timeline`.
     pub fn take_actions(&mut self) -> Vec<Action> {
-        self.actions.drain(..).map(|(_, action)| action).collect()
+        self.take_timed_actions().map(|(_, action)| action).collect()
+    }
+
+    /// The same, each with its time: microseconds since the board was made.
+    pub fn take_timed_actions(&mut self) -> impl Iterator<Item = (u64, Action)> {
+        self.actions.drain(..)
+    }
+
+    /// What `take_actions` would return.
+    pub fn actions(&self) -> impl Iterator<Item = Action> {
+        self.actions.iter().map(|&(_, action)| action)
+    }
+
+    /// Microseconds since the board was made.
+    pub fn now(&self) -> u64 {
+        self.now
     }
 
     /// What the board did since the last call, with its time from that call on: `2 ms 704: 7F`.
@@ -282,12 +300,15 @@ impl Board {
         match action {
             Action::Transmit(_) => {
                 assert!(self.may_transmit, "nothing is sent in a silent period");
-                self.node.handle_bus(BusEvent::Acknowledged, self.instant());
+                if self.is_acknowledged {
+                    self.node.handle_bus(BusEvent::Acknowledged, self.instant());
+                }
             }
             Action::SetNodeId(id) => self.receives_for = id,
             Action::StopTransmitting => self.may_transmit = false,
             Action::SetBitRate(rate) => {
-                assert!(!self.may_transmit, "the bit rate changes in a silent period");
+                let is_silent = !self.may_transmit;
+                assert!(is_silent || rate == self.bit_rate, "it changes in a silent period");
                 self.bit_rate = rate;
             }
             Action::ResumeTransmitting => self.may_transmit = true,

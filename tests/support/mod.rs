@@ -10,3 +10,4 @@ pub mod sdo;
 pub mod settings;
 pub mod stack;
 pub mod storm;
+pub mod supervised;
