@@ -41,7 +41,8 @@ pub fn situation(seed: u64) -> Situation {
     // Of eight boards at 10 kbit/s one would hear little else than the questions to the others.
     let home = random.pick(&RATES);
     let most = if home.kbit_per_s() < 125 { 3 } else { 8 };
-    let count = random.pick(&[1, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 6, 8]).min(most);
+    let many = random.within(4..9) as usize;
+    let count = random.pick(&[1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, many]).min(most);
     let boards = (0..count).map(|number| Node {
         node_id: (!random.one_in(4)).then_some(NODE_IDS[number]),
         stored: home,
@@ -75,10 +76,9 @@ impl Draft {
             self.add(t0 + 20, t0 + 20, What::Master(Master::Away));
         }
         let late = match self.random.within(0..10) {
-            0..3 => self.random.pick(&[1, 20, 50, 200]),
-            3..8 => self.span(200, 5_000),
-            8 => self.span(5_000, 15_000),
-            _ => self.span(15_000, 30_000),
+            0..4 => self.random.pick(&[1, 20, 50, 200]),
+            4..9 => self.span(200, 4_000),
+            _ => self.span(4_000, 30_000),
         };
         self.probe(t0 + delay_ms + 1 + late, to)
     }
@@ -297,7 +297,7 @@ impl Draft {
             traffic: self.random.pick(&[Traffic::OneASecond, Traffic::WithoutPause, load]),
             has_companion: self.random.one_in(2),
         };
-        let until = at + self.random.pick(&[100, 500, 1_000, 2_000, 3_000, 3_000, 5_000, 8_000]);
+        let until = at + self.random.pick(&[100, 500, 1_000, 1_000, 2_000, 3_000, 3_000, 6_000]);
         self.add(at, until, What::Foreign(foreign));
         until
     }
@@ -305,7 +305,8 @@ impl Draft {
     /// Something wrong with the line or the supply; returns when it is over.
     fn fault(&mut self, at: u32) -> u32 {
         let board = self.random.within(0..self.boards.len() as u64) as usize;
-        let span = self.random.pick(&[1, 20, 200, 200, 1_000, 1_000, 3_000, 10_000]);
+        let span =
+            self.random.pick(&[1, 20, 20, 200, 200, 200, 500, 1_000, 1_000, 1_000, 3_000, 10_000]);
         let what = match self.random.within(0..10) {
             0..2 => What::Short(Short::Dominant),
             2..4 => What::Short(Short::Recessive),
