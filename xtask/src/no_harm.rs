@@ -124,16 +124,16 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
         let kind = draw::situation(seeds[index]).kind;
         all.add(&verdict);
         kinds.entry(kind).or_default().add(&verdict);
-        failed.extend(verdict.failures.first().cloned().map(|failure| (index, kind, failure)));
+        if let Some(failure) = verdict.failures.first() {
+            println!("--replay {}: {kind}: {failure}", seeds[index]);
+            failed.push((index, kind, failure.clone()));
+        }
         if reported.elapsed() >= PROGRESS {
             reported = Instant::now();
             println!("{}, {} s", all.text(), begin.elapsed().as_secs());
         }
     });
     failed.sort_by_key(|(index, ..)| *index);
-    for (index, kind, failure) in &failed {
-        println!("--replay {}: {kind}: {failure}", seeds[*index]);
-    }
     let mut kinds_of_failure = BTreeSet::new();
     failed.retain(|(_, kind, failure)| kinds_of_failure.insert((*kind, failure.name())));
     failed.truncate(PRINTED);
