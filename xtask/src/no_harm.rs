@@ -72,7 +72,7 @@ fn replay(images: &Images, seed: u64) -> anyhow::Result<()> {
     }
     println!("{} rescued, worst delay {} ms", verdict.rescued, verdict.worst_delay.as_ms());
     if let Some(failure) = verdict.failures.first() {
-        print_smaller(images, seed, situation, failure);
+        println!("{}", smaller(images, seed, failure));
     }
     ensure!(verdict.failures.is_empty(), "the situation fails");
     Ok(())
@@ -124,22 +124,22 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
         let kind = draw::situation(seeds[index]).kind;
         all.add(&verdict);
         kinds.entry(kind).or_default().add(&verdict);
-        failed.extend(verdict.failures.first().cloned().map(|failure| (index, kind, failure)));
+        if let Some(failure) = verdict.failures.first() {
+            println!("--replay {}: {kind}: {failure}", seeds[index]);
+            failed.push((index, kind, failure.clone()));
+        }
         if reported.elapsed() >= PROGRESS {
             reported = Instant::now();
             println!("{}, {} s", all.text(), begin.elapsed().as_secs());
         }
     });
     failed.sort_by_key(|(index, ..)| *index);
-    for (index, kind, failure) in &failed {
-        println!("--replay {}: {kind}: {failure}", seeds[*index]);
-    }
-    let mut printed = BTreeSet::new();
-    for (index, kind, failure) in failed {
-        if printed.len() < PRINTED && printed.insert((kind, failure.name())) {
-            print_smaller(images, seeds[index], draw::situation(seeds[index]), &failure);
-        }
-    }
+    let mut kinds_of_failure = BTreeSet::new();
+    failed.retain(|(_, kind, failure)| kinds_of_failure.insert((*kind, failure.name())));
+    failed.truncate(PRINTED);
+    let smaller =
+        |(index, _, failure): &(usize, Kind, Failure)| smaller(images, seeds[*index], failure);
+    parallel::map(&failed, smaller, |_, text| println!("{text}"));
     println!();
     for (kind, tally) in kinds {
         println!("{kind:18} {}", tally.text());
@@ -149,14 +149,17 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints the least of a situation that still fails in the same way.
-fn print_smaller(images: &Images, seed: u64, situation: Situation, failure: &Failure) {
+/// The least of the situation of this seed that still fails in the same way, as text.
+fn smaller(images: &Images, seed: u64, failure: &Failure) -> String {
     let same = |other: &Failure| other.name() == failure.name();
     let fails = |smaller: &Situation| images.judge(smaller).failures.iter().any(same);
-    let smaller = minimise::minimise(situation, fails);
-    println!("\n{} (cargo xtask no-harm --replay {seed}), made smaller:", smaller.kind);
-    println!("{smaller}");
+    let smaller = minimise::minimise(draw::situation(seed), fails);
+    let mut text = format!(
+        "\n{} (cargo xtask no-harm --replay {seed}), made smaller:\n{smaller}",
+        smaller.kind
+    );
     for failure in images.judge(&smaller).failures {
-        println!("  {failure}");
+        text.push_str(&format!("\n  {failure}"));
     }
+    text
 }

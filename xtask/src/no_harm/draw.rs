@@ -9,17 +9,21 @@ use super::{
 };
 use crate::support::random::Random;
 
-/// The slow rates, at which a frame takes up to 13 ms, are rare.
-const RATES: [BitRate; 12] = [
+/// Slow rates, at which a frame takes up to 13 ms, are rare; so are the fast ones, at which errors keep the emulated cores busy.
+const RATES: [BitRate; 16] = [
     BitRate::Kbit1000,
     BitRate::Kbit800,
     BitRate::Kbit500,
     BitRate::Kbit500,
     BitRate::Kbit250,
     BitRate::Kbit250,
+    BitRate::Kbit250,
     BitRate::Kbit125,
     BitRate::Kbit125,
     BitRate::Kbit125,
+    BitRate::Kbit125,
+    BitRate::Kbit125,
+    BitRate::Kbit50,
     BitRate::Kbit50,
     BitRate::Kbit20,
     BitRate::Kbit10,
@@ -41,7 +45,8 @@ pub fn situation(seed: u64) -> Situation {
     // Of eight boards at 10 kbit/s one would hear little else than the questions to the others.
     let home = random.pick(&RATES);
     let most = if home.kbit_per_s() < 125 { 3 } else { 8 };
-    let count = random.pick(&[1, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 6, 8]).min(most);
+    let many = random.within(4..9) as usize;
+    let count = random.pick(&[1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, many]).min(most);
     let boards = (0..count).map(|number| Node {
         node_id: (!random.one_in(4)).then_some(NODE_IDS[number]),
         stored: home,
@@ -66,7 +71,7 @@ pub fn situation(seed: u64) -> Situation {
 impl Draft {
     /// 15, and a master that is at the new rate only some time later.
     fn late_master(&mut self) -> Probe {
-        let begin = self.span(300, 1500);
+        let begin = self.span(100, 500);
         self.master_at(0, self.home);
         let to = self.other_rate();
         let t0 = self.switch(begin, to);
@@ -75,10 +80,10 @@ impl Draft {
             self.add(t0 + 20, t0 + 20, What::Master(Master::Away));
         }
         let late = match self.random.within(0..10) {
-            0..3 => self.random.pick(&[1, 20, 50, 200]),
-            3..8 => self.span(200, 5_000),
-            8 => self.span(5_000, 15_000),
-            _ => self.span(15_000, 30_000),
+            0..4 => self.random.pick(&[1, 20, 50, 200]),
+            4..9 => self.span(200, 2_500),
+            _ if self.boards.len() > 3 => self.span(2_500, 5_000),
+            _ => self.span(2_500, 30_000),
         };
         self.probe(t0 + delay_ms + 1 + late, to)
     }
@@ -86,7 +91,7 @@ impl Draft {
     /// A foreign device from power-on or from later on.
     fn laptop(&mut self) -> Probe {
         self.any_master_at(0, self.home);
-        let begin = if self.random.one_in(2) { 0 } else { self.span(50, 2_000) };
+        let begin = if self.random.one_in(2) { 0 } else { self.span(50, 1_000) };
         let end = self.foreign(begin, self.home);
         let wait = self.wait();
         self.probe(end + wait, self.home)
@@ -95,7 +100,7 @@ impl Draft {
     /// Shorts, broken wires, noise and bit errors, one after the other or at once.
     fn line_fault(&mut self) -> Probe {
         self.any_master_at(0, self.home);
-        let mut end = self.span(0, 1_500);
+        let mut end = self.span(0, 800);
         for _ in 0..self.random.within(1..4) {
             end = self.fault(end);
             end += if self.random.one_in(2) { 0 } else { self.span(0, 500) };
@@ -106,7 +111,7 @@ impl Draft {
     /// A switch that some boards miss, or all: the master alone goes to another rate.
     fn missed_switch(&mut self) -> Probe {
         self.master_at(0, self.home);
-        let begin = self.span(300, 2_000);
+        let begin = self.span(200, 1_000);
         let to = self.other_rate();
         if self.random.one_in(3) {
             let master = self.talking_master(to);
@@ -143,7 +148,7 @@ impl Draft {
             }
         }
         self.any_master_at(0, self.home);
-        let mut end = self.span(50, 3_000);
+        let mut end = self.span(50, 1_500);
         if self.random.one_in(4) {
             end = self.fault(end);
         }
@@ -222,7 +227,7 @@ impl Draft {
 
     /// From the end of what disturbs to the probe.
     fn wait(&mut self) -> u32 {
-        if self.random.one_in(2) { 0 } else { self.span(1, 2_000) }
+        if self.random.one_in(2) { 0 } else { self.span(1, 1_000) }
     }
 
     fn other_rate(&mut self) -> BitRate {
@@ -297,7 +302,7 @@ impl Draft {
             traffic: self.random.pick(&[Traffic::OneASecond, Traffic::WithoutPause, load]),
             has_companion: self.random.one_in(2),
         };
-        let until = at + self.random.pick(&[100, 500, 1_000, 2_000, 3_000, 3_000, 5_000, 8_000]);
+        let until = at + self.random.pick(&[100, 300, 500, 500, 1_000, 1_000, 2_000, 3_000]);
         self.add(at, until, What::Foreign(foreign));
         until
     }
@@ -305,7 +310,8 @@ impl Draft {
     /// Something wrong with the line or the supply; returns when it is over.
     fn fault(&mut self, at: u32) -> u32 {
         let board = self.random.within(0..self.boards.len() as u64) as usize;
-        let span = self.random.pick(&[1, 20, 200, 200, 1_000, 1_000, 3_000, 10_000]);
+        let span =
+            self.random.pick(&[1, 20, 20, 200, 200, 200, 200, 500, 500, 1_000, 1_000, 3_000]);
         let what = match self.random.within(0..10) {
             0..2 => What::Short(Short::Dominant),
             2..4 => What::Short(Short::Recessive),

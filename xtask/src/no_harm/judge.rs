@@ -22,7 +22,7 @@ const FOUND: Time = Time::from_s(10);
 /// One that had the evidence before the probe began is found at the first questions.
 const AT_ONCE: Time = Time::from_s(1);
 /// A plain slave that is not reached in this time counts as lost.
-const PATIENCE: Time = Time::from_s(12);
+const PATIENCE: Time = Time::from_s(3);
 
 /// Both images.
 pub struct Images {

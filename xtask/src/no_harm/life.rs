@@ -26,8 +26,8 @@ pub const POLL: Time = Time::from_ms(20);
 const PPM: [i32; 8] = [0, 30, -40, 15, -25, 50, -10, 5];
 /// From `04 01` to `15`, in milliseconds.
 pub const SWITCH_LEAD_MS: u32 = 100;
-/// Frames of a foreign device that wait at most.
-const BACKLOG: usize = 4;
+/// Frames that a foreign device sends at once, unless it sends one a second; so many more may wait.
+const BURST: usize = 4;
 /// Events of the trace that are kept, if boards without a node-ID are to be told from one another.
 const TRACE: usize = 1_000;
 /// A long frame with its intermission, in bits.
@@ -252,9 +252,13 @@ impl<'a> Life<'a> {
 
     fn talk(&mut self, talker: Talker) {
         match talker {
-            Talker::Foreign { event, .. } => {
+            Talker::Foreign { event, every } => {
                 let adapter = self.foreign[event][0];
-                if self.network.adapter_mut(adapter).unsent() < BACKLOG {
+                let burst = if every < Time::from_s(1) { BURST } else { 1 };
+                if self.network.adapter_mut(adapter).unsent() > burst {
+                    return;
+                }
+                for _ in 0..burst {
                     let frame = Frame::data(Id::Standard(0x181), &self.random.bytes::<8>());
                     self.network.send(adapter, frame);
                 }
@@ -378,13 +382,14 @@ impl<'a> Life<'a> {
     }
 }
 
-/// From one frame of a foreign device to the next.
+/// From one burst of a foreign device to the next.
 fn pause(foreign: Foreign) -> Time {
-    let frame = Time::from_ps(FRAME_BITS * 1_000_000_000_000 / u64::from(foreign.bit_per_s));
+    let frames = FRAME_BITS * BURST as u64;
+    let burst = Time::from_ps(frames * 1_000_000_000_000 / u64::from(foreign.bit_per_s));
     match foreign.traffic {
         Traffic::OneASecond => Time::from_s(1),
-        Traffic::WithoutPause => frame,
-        Traffic::Load(percent) => Time::from_ps(frame.as_ps() * 100 / u64::from(percent)),
+        Traffic::WithoutPause => burst,
+        Traffic::Load(percent) => Time::from_ps(burst.as_ps() * 100 / u64::from(percent)),
     }
 }
 

@@ -163,11 +163,11 @@ impl Situation {
             _ => Some(event.until),
         };
         let calm = self.events.iter().filter_map(last_end).max().unwrap_or(0);
-        let masters = self.events.iter().filter_map(|event| match event.what {
+        let mut masters = self.events.iter().filter_map(|event| match event.what {
             What::Master(master) => Some((event.at, master)),
             _ => None,
         });
-        match masters.last() {
+        match masters.next_back() {
             Some((at, Master::Syncs(rate, _) | Master::Polls(rate, _)))
                 if rate == self.probe.rate =>
             {

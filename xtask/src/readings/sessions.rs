@@ -22,6 +22,9 @@ const RECOVERY: Time = Time::from_s(5);
 const OTHER_RATES: [BitRate; 4] =
     [BitRate::Kbit1000, BitRate::Kbit10, BitRate::Kbit800, BitRate::Kbit250];
 
+/// From 17 to its answer.
+const STORE: Time = Time::from_ms(20);
+
 type Session = fn(&Rig) -> anyhow::Result<()>;
 
 /// The sessions by name.
@@ -208,19 +211,24 @@ fn rescue(rig: &Rig) -> anyhow::Result<()> {
 /// The power fails in each flash operation of a store; the next power-on finds what was there before or after.
 fn cut_power(rig: &Rig) -> anyhow::Result<()> {
     const SEEDS: u64 = 2;
-    let before = settings(4, BitRate::Kbit500, 0);
+    let old = settings(4, BitRate::Kbit500, 0);
     let mut operation = 0;
     loop {
         for seed in 0..SEEDS {
-            let board = rig.board(0, Some(before));
+            let board = rig.board(0, Some(old));
             let mut bus = rig.bus(BitRate::Kbit500, [board]);
             bus.hear("704: 00", AWAY)?;
-            bus.network.board(0).chip().flash_mut().cut_power(PowerCut { operation, seed });
+            // The start may have programmed something.
+            let before = bus.network.board(0).chip().flash().operation_times().len() as u64;
+            let cut = PowerCut { operation: before + operation, seed };
+            bus.network.board(0).chip().flash_mut().cut_power(cut);
             bus.send("04 01");
             bus.ask("11 05", "11 00")?;
-            let is_stored = bus.is_answered("17");
+            bus.send("17");
+            let is_stored = bus.hear("17 00", STORE).is_ok();
             if bus.network.board(0).is_powered() {
-                ensure!(is_stored && operation > 0, "17 is not answered");
+                ensure!(is_stored, "17 is not answered");
+                ensure!(operation > 0, "no flash operation in a store");
                 return bus.check();
             }
             // Twice: what was read once must be read again.
