@@ -149,6 +149,7 @@ mod app {
             return;
         };
         let outcome = cx.local.log.store(settings);
+        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
         match cx.local.log.failure() {
             None => defmt::info!("settings stored"),
             Some(failure) => defmt::error!(
@@ -156,7 +157,6 @@ mod app {
                 why(failure)
             ),
         }
-        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
     }
 
     fn report(found: Found, failure: Option<Failure>, settings: &Settings) {
