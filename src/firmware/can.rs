@@ -156,11 +156,11 @@ impl Controller {
             filters.enable_bank(0, Fifo::Fifo0, everything);
             return;
         }
-        let wanted = core::array::from_fn(|i| {
-            let cob_id = self.receives[i % self.receives.len()];
+        let [first, second, third] = self.receives.map(|cob_id| {
             ListEntry16::data_frames_with_id(StandardId::new(cob_id).unwrap_or(StandardId::ZERO))
         });
-        filters.enable_bank(0, Fifo::Fifo0, BankConfig::List16(wanted));
+        let wanted = BankConfig::List16([first, second, third, first]);
+        filters.enable_bank(0, Fifo::Fifo0, wanted);
         filters.enable_bank(1, Fifo::Fifo1, everything);
     }
 
@@ -308,7 +308,7 @@ impl Controller {
         if status.txm().bit_is_set() {
             return false;
         }
-        self.traffic.ms += 1;
+        self.traffic.ms = self.traffic.ms.saturating_add(1);
         if status.rx().bit_is_set() {
             self.traffic.has_recessive = true;
         } else {
@@ -364,7 +364,7 @@ fn put_in_mailbox(frame: &Frame) -> bool {
     let can = registers();
     const EMPTY: u32 = 1 << 26;
     let status = can.tsr().read();
-    let is_empty = |mailbox: usize| status.bits() & EMPTY << mailbox != 0;
+    let is_empty = |mailbox: usize| status.bits() & EMPTY.wrapping_shl(mailbox as u32) != 0;
     let cob_id_in = |mailbox| can.tx(mailbox).tir().read().stid().bits();
     let goes_before = |mailbox| is_empty(mailbox) || frame.cob_id() < cob_id_in(mailbox);
     if !(0..3).all(goes_before) || !(0..3).any(is_empty) {
