@@ -366,7 +366,7 @@ impl Supervision {
                 self.place = Place::HOME;
             }
             (Place::Detecting { rate, form_errors, .. }, Error | FormError) => {
-                *form_errors += 1;
+                *form_errors = form_errors.saturating_add(1);
                 if event == Error || *form_errors > FORM_ERRORS {
                     let slower = next_rate(self.rates, *rate, None);
                     self.place = Place::detecting(slower);

@@ -39,7 +39,9 @@ pub fn now() -> Instant {
         cycles_left = SYST::get_current();
     }
     let micros = ticks.wrapping_mul(MICROS_PER_TICK);
-    Instant::from_micros(micros.wrapping_add((CYCLES_PER_TICK - cycles_left) / CYCLES_PER_MICRO))
+    Instant::from_micros(
+        micros.wrapping_add(CYCLES_PER_TICK.wrapping_sub(cycles_left) / CYCLES_PER_MICRO),
+    )
 }
 
 /// A span that passes again and again.
