@@ -53,16 +53,9 @@ impl BitRate {
 
     /// The rate in kbit/s.
     pub const fn kbit_per_s(self) -> u16 {
-        match self {
-            Self::Kbit1000 => 1000,
-            Self::Kbit800 => 800,
-            Self::Kbit500 => 500,
-            Self::Kbit250 => 250,
-            Self::Kbit125 => 125,
-            Self::Kbit50 => 50,
-            Self::Kbit20 => 20,
-            Self::Kbit10 => 10,
-        }
+        // By index, with what old texts give to the reserved one: of a match each caller would get a table of its own.
+        const TABLE: [u16; 9] = [1000, 800, 500, 250, 125, 100, 50, 20, 10];
+        TABLE[self as usize]
     }
 }
 

@@ -65,7 +65,7 @@ impl Indicators {
     /// While LSS is at work (`is_lss_active`: LSS configuration state, or no node-ID) both flicker in turn.
     pub fn step(&mut self, nmt: nmt::State, is_lss_active: bool, bus: BusState) -> Lit {
         let step = self.step;
-        self.step = (step + 1) % STEPS;
+        self.step = step.wrapping_add(1) % STEPS;
         if is_lss_active {
             let run = Pattern::Flickering.is_on(step);
             return Lit { run, error: bus == BusState::BusOff || !run };

@@ -143,14 +143,15 @@ const fn row(
 /// The row of an object, or why there is none.
 #[inline(never)] // It has two callers.
 pub(crate) fn find(index: u16, sub_index: u8) -> Result<&'static Entry, Missing> {
-    let mut missing = Missing::Object;
-    for entry in TABLE.iter().filter(|entry| entry.index == index) {
-        if entry.sub_index == sub_index {
-            return Ok(entry);
-        }
-        missing = Missing::SubIndex;
+    let is_at_or_before = |entry: &Entry| (entry.index, entry.sub_index) <= (index, sub_index);
+    let last = TABLE.partition_point(is_at_or_before).wrapping_sub(1);
+    // Each object has a sub-index 0, so that this row is the object's if there is one.
+    match TABLE.get(last) {
+        Some(entry) if entry.index != index => Err(Missing::Object),
+        Some(entry) if entry.sub_index != sub_index => Err(Missing::SubIndex),
+        Some(entry) => Ok(entry),
+        None => Err(Missing::Object),
     }
-    Err(missing)
 }
 
 /// What of an address in the dictionary is not there.

@@ -43,11 +43,10 @@ const TRUST_MICROS: u32 = 30_000_000;
 /// recovery (ISO 11898-1).
 const WITHHOLD_MICROS: u32 = 50_000;
 const RECOVERY_BITS: u32 = 128 * 11;
-/// Errors without a valid frame that make an unproven home rate doubtful.
-const UNPROVEN_ERRORS: u8 = 1;
-/// The same for a home rate that was proven in this power cycle, and how long they must last.
-const PROVEN_ERRORS: u8 = 3;
-const PROVEN_MICROS: u32 = 1_000_000;
+/// How many errors without a valid frame, and for how long, make a home rate doubtful that was proven in this power cycle. One
+/// that was not is doubtful at the first: frames may be rare.
+const LASTING_ERRORS: u8 = 3;
+const LASTING_MICROS: u32 = 1_000_000;
 /// Errors further apart than this do not add up.
 const GAP_MICROS: u32 = 2_500_000;
 /// Errors without a valid frame that send a guest home.
@@ -371,7 +370,7 @@ impl Supervision {
                 self.place = Place::HOME;
             }
             (Place::Detecting { rate, form_errors, .. }, Error | FormError) => {
-                *form_errors += 1;
+                *form_errors = form_errors.saturating_add(1);
                 if event == Error || *form_errors > FORM_ERRORS {
                     let slower = next_rate(self.rates, *rate, None);
                     self.place = Place::detecting(slower);
@@ -473,12 +472,9 @@ impl Supervision {
     /// Looks elsewhere if the errors at home are reason enough.
     fn doubt(&mut self, now: Instant) {
         let Place::Home { errors, .. } = &self.place else { return };
-        let are_lasting = if self.is_proven {
-            errors.count >= PROVEN_ERRORS && errors.first.plus_micros(PROVEN_MICROS).has_come(now)
-        } else {
-            errors.count >= UNPROVEN_ERRORS
-        };
-        if !are_lasting || self.trusted_until.is_some() {
+        let are_lasting = errors.count >= LASTING_ERRORS
+            && errors.first.plus_micros(LASTING_MICROS).has_come(now);
+        if self.is_proven && !are_lasting || self.trusted_until.is_some() {
             return;
         }
         let slowest = BitRate::Kbit10;

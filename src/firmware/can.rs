@@ -156,11 +156,11 @@ impl Controller {
             filters.enable_bank(0, Fifo::Fifo0, everything);
             return;
         }
-        let wanted = core::array::from_fn(|i| {
-            let cob_id = self.receives[i % self.receives.len()];
+        let [first, second, third] = self.receives.map(|cob_id| {
             ListEntry16::data_frames_with_id(StandardId::new(cob_id).unwrap_or(StandardId::ZERO))
         });
-        filters.enable_bank(0, Fifo::Fifo0, BankConfig::List16(wanted));
+        let wanted = BankConfig::List16([first, second, third, first]);
+        filters.enable_bank(0, Fifo::Fifo0, wanted);
         filters.enable_bank(1, Fifo::Fifo1, everything);
     }
 
@@ -314,8 +314,8 @@ impl Controller {
         if level != traffic.is_recessive {
             *traffic = Traffic { is_recessive: level, level_ms: 0, ..*traffic };
         }
-        traffic.ms += 1;
-        traffic.level_ms += 1;
+        traffic.ms = traffic.ms.saturating_add(1);
+        traffic.level_ms = traffic.level_ms.saturating_add(1);
         let lasts = traffic.ms > QUIET_MS + 2 + FRAMES / self.bit_rate.kbit_per_s();
         if lasts || traffic.level_ms >= QUIET_MS {
             *traffic = Traffic::default();
@@ -366,7 +366,7 @@ fn put_in_mailbox(frame: &Frame) -> bool {
     let can = registers();
     const EMPTY: u32 = 1 << 26;
     let status = can.tsr().read();
-    let is_empty = |mailbox: usize| status.bits() & EMPTY << mailbox != 0;
+    let is_empty = |mailbox: usize| status.bits() & EMPTY.wrapping_shl(mailbox as u32) != 0;
     let cob_id_in = |mailbox| can.tx(mailbox).tir().read().stid().bits();
     let goes_before = |mailbox| is_empty(mailbox) || frame.cob_id() < cob_id_in(mailbox);
     if !(0..3).all(goes_before) || !(0..3).any(is_empty) {

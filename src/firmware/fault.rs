@@ -1,9 +1,13 @@
-//! Hard faults, where every fault, panic and stack overflow ends: a word in the log, and a reset.
+//! Where every fault, panic and stack overflow ends: a word in the log, and a reset.
 
-use core::arch::naked_asm;
+use core::{
+    arch::naked_asm,
+    panic::PanicInfo,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use cortex_m::{
-    asm,
+    asm, interrupt,
     peripheral::{MPU, SCB},
 };
 use cortex_m_rt::ExceptionFrame;
@@ -67,5 +71,26 @@ extern "C" fn faulted(frame: &ExceptionFrame) -> ! {
 
 extern "C" fn overflowed() -> ! {
     defmt::error!("stack overflow, resetting");
+    SCB::sys_reset();
+}
+
+/// Logs the place of a panic, and its message if that is one text: what a message is made of with values takes 2 KB of flash to
+/// print, and the place says enough. Only dependencies can panic.
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    static HAS_PANICKED: AtomicBool = AtomicBool::new(false);
+    interrupt::disable();
+    // The logger itself may have panicked.
+    if !HAS_PANICKED.swap(true, Ordering::Relaxed)
+        && let Some(place) = info.location()
+    {
+        let message = info.message().as_str().unwrap_or_default();
+        defmt::error!(
+            "panic at {=str}:{=u32}, resetting: {=str}",
+            place.file(),
+            place.line(),
+            message
+        );
+    }
     SCB::sys_reset();
 }

@@ -10,7 +10,7 @@ use crate::supply::Supply;
 
 /// Sectors 1 and 2, which `memory.x` keeps free of code.
 const START: u32 = 0x0800_4000;
-const FIRST_SECTOR: u8 = 1;
+const FIRST_SECTOR: u32 = 1;
 const SECTORS: u32 = 2;
 const SECTOR_LEN: u32 = 16 * 1024;
 
@@ -116,9 +116,10 @@ impl ReadNorFlash for SettingsFlash {
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
         check_read(self, offset, bytes.len()).map_err(FlashError::Range)?;
         let (words, _) = bytes.as_chunks_mut();
-        for (address, word) in (START + offset..).step_by(4).zip(words) {
+        let from = (START + offset) as *const u32;
+        for (i, word) in words.iter_mut().enumerate() {
             // SAFETY: an aligned word within the sectors; volatile, since they change behind the compiler's back.
-            *word = unsafe { (address as *const u32).read_volatile() }.to_le_bytes();
+            *word = unsafe { from.add(i).read_volatile() }.to_le_bytes();
         }
         Ok(())
     }
@@ -136,7 +137,7 @@ impl NorFlash for SettingsFlash {
         check_erase(self, from, to).map_err(FlashError::Range)?;
         self.operate(|flash| {
             for sector in from / SECTOR_LEN..to / SECTOR_LEN {
-                let number = FIRST_SECTOR + sector as u8;
+                let number = (FIRST_SECTOR + sector) as u8;
                 // SAFETY: the number of a sector that is ours; 32-bit parallelism needs 2.7 V (RM0090, table 9).
                 flash.registers.cr().write(|w| unsafe {
                     w.lock()
@@ -165,9 +166,10 @@ impl NorFlash for SettingsFlash {
                 .cr()
                 .write(|w| unsafe { w.lock().clear_bit().psize().bits(2).pg().set_bit() });
             let (words, _) = bytes.as_chunks();
-            for (address, word) in (START + offset..).step_by(4).zip(words) {
+            let to = (START + offset) as *mut u32;
+            for (i, word) in words.iter().enumerate() {
                 // SAFETY: an aligned word within the sectors; the controller programs what is stored there.
-                unsafe { (address as *mut u32).write_volatile(u32::from_le_bytes(*word)) };
+                unsafe { to.add(i).write_volatile(u32::from_le_bytes(*word)) };
                 flash.wait(WORD_READS)?;
             }
             Ok(())

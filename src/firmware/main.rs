@@ -18,7 +18,6 @@ mod transmit_pin;
 mod transmit_queue;
 
 use defmt_rtt as _;
-use panic_probe as _;
 
 const _: () = assert!(
     cfg!(feature = "stm32f405") as u8
@@ -150,6 +149,7 @@ mod app {
             return;
         };
         let outcome = cx.local.log.store(settings);
+        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
         match cx.local.log.failure() {
             None => defmt::info!("settings stored"),
             Some(failure) => defmt::error!(
@@ -157,7 +157,6 @@ mod app {
                 why(failure)
             ),
         }
-        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
     }
 
     fn report(found: Found, failure: Option<Failure>, settings: &Settings) {

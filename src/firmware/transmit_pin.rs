@@ -13,8 +13,10 @@ const ALTERNATE_FUNCTION: u32 = 0b10;
 
 /// A pin that can carry CAN1's transmit line.
 pub struct TransmitPin {
-    port: usize,
-    number: u8,
+    /// Bytes from the registers of port A to those of the pin's port.
+    port_offset: usize,
+    /// Where the pin's mode begins in GPIOx_MODER.
+    shift: u32,
 }
 
 impl<const PORT: char, const NUMBER: u8> From<Pin<PORT, NUMBER>> for TransmitPin
@@ -25,7 +27,8 @@ where
     fn from(pin: Pin<PORT, NUMBER>) -> Self {
         let pin = pin.into_push_pull_output_in_state(PinState::High);
         can1::Tx::from(pin).set_speed(Speed::High);
-        let mut pin = Self { port: PORT as usize - 'A' as usize, number: NUMBER };
+        let port_offset = const { PORT_DISTANCE * (PORT as usize - 'A' as usize) };
+        let mut pin = Self { port_offset, shift: const { 2 * NUMBER as u32 } };
         pin.rest();
         pin
     }
@@ -44,9 +47,9 @@ impl TransmitPin {
 
     fn set_mode(&mut self, mode: u32) {
         // SAFETY: the ports have equal registers at equal distances.
-        let port = unsafe { &*GPIOA::ptr().byte_add(PORT_DISTANCE * self.port) };
-        let shift = 2 * self.number;
+        let port = unsafe { &*GPIOA::ptr().byte_add(self.port_offset) };
+        let (mask, mode) = (0b11_u32.wrapping_shl(self.shift), mode.wrapping_shl(self.shift));
         // SAFETY: only the bits of this pin change, and nobody else writes the modes of pins while tasks run.
-        port.moder().modify(|r, w| unsafe { w.bits(r.bits() & !(0b11 << shift) | mode << shift) });
+        port.moder().modify(|r, w| unsafe { w.bits(r.bits() & !mask | mode) });
     }
 }

@@ -45,7 +45,7 @@ impl TransmitQueue {
         for place in &mut self.places {
             if place.as_ref().is_some_and(|waiting| waiting.frame.cob_id() != cob_id) {
                 *place = None;
-                self.len -= 1;
+                self.len = self.len.saturating_sub(1);
             }
         }
     }
@@ -62,7 +62,7 @@ impl TransmitQueue {
         };
         self.arrivals = self.arrivals.wrapping_add(1);
         *place = Some(Waiting { frame, arrival: self.arrivals });
-        self.len += 1;
+        self.len = self.len.saturating_add(1);
         true
     }
 
@@ -77,7 +77,7 @@ impl TransmitQueue {
         let is_sent = place.as_ref().is_some_and(|waiting| send(&waiting.frame));
         if is_sent {
             *place = None;
-            self.len -= 1;
+            self.len = self.len.saturating_sub(1);
         }
         is_sent
     }

@@ -172,7 +172,7 @@ impl<F: NorFlash> Log<F> {
         let has_moved = other.newest.is_none() && !other.is_blank();
         // The record that outranks an interrupted one takes space.
         let least = bank_len / 4 + if interrupted > 0 { record::LEN } else { 0 };
-        if has_moved || self.space.end - self.space.start < least {
+        if has_moved || self.space.end.saturating_sub(self.space.start) < least {
             self.move_to(other.range)?;
         } else if interrupted > 0 || self.commit_again(bank.newest_end).is_err() {
             self.append(self.newest.settings)?;
@@ -215,7 +215,7 @@ impl<F: NorFlash> Log<F> {
             return Err(Failure::Full);
         }
         self.sequence = self.sequence.wrapping_add(1);
-        self.space.start = at + record::LEN;
+        self.space.start = at.saturating_add(record::LEN);
         let record = Record { sequence: self.sequence, settings };
         self.write(at, &record.to_bytes())?;
         self.newest = record;
