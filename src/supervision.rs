@@ -43,6 +43,10 @@ const TRUST_MICROS: u32 = 30_000_000;
 /// recovery (ISO 11898-1).
 const WITHHOLD_MICROS: u32 = 50_000;
 const RECOVERY_BITS: u32 = 128 * 11;
+/// How long a frame is repeated that nobody acknowledges, and the pause that follows. Without a pause a slower node never
+/// sees the 11 recessive bits that let it join the bus.
+const REPEAT_MICROS: u32 = 100_000;
+const PAUSE_MICROS: u32 = 20_000;
 /// How many errors without a valid frame, and for how long, make a home rate doubtful that was proven in this power cycle. One
 /// that was not is doubtful at the first: frames may be rare.
 const LASTING_ERRORS: u8 = 3;
@@ -92,18 +96,31 @@ pub(crate) struct Supervision {
 
 #[derive(Clone, Debug)]
 enum Place {
-    Home { errors: Errors, withheld_until: Option<Instant> },
+    Home { errors: Errors, sending: Sending },
     Guest { rate: BitRate, errors: Errors, unacknowledged_until: Option<Instant> },
     Looking { look: Look, turn: Turn, until: Instant },
     Detecting { rate: BitRate, until: Instant, form_errors: u8 },
 }
 
 impl Place {
-    const HOME: Self = Self::Home { errors: Errors::NONE, withheld_until: None };
+    const HOME: Self = Self::Home { errors: Errors::NONE, sending: Sending::Free };
 
     const fn detecting(rate: BitRate) -> Self {
         Self::Detecting { rate, until: Instant::from_micros(0), form_errors: 0 }
     }
+}
+
+/// Whether own frames may leave while the node is at home.
+#[derive(Clone, Copy, Debug)]
+enum Sending {
+    Free,
+    /// A frame is repeated that nobody has acknowledged.
+    Unacknowledged {
+        until: Instant,
+    },
+    Withheld {
+        until: Instant,
+    },
 }
 
 /// What a search remembers from one turn to the next.
@@ -213,7 +230,7 @@ impl Supervision {
 
     /// Whether the node sends no frame although it takes part.
     pub const fn is_withholding(&self) -> bool {
-        matches!(self.place, Place::Home { withheld_until: Some(_), .. })
+        matches!(self.place, Place::Home { sending: Sending::Withheld { .. }, .. })
     }
 
     /// Whether automatic detection has not found a rate yet.
@@ -229,8 +246,8 @@ impl Supervision {
     /// Whether one more valid frame makes no difference.
     pub const fn is_at_ease(&self) -> bool {
         match &self.place {
-            Place::Home { errors, withheld_until } => {
-                self.is_proven && errors.count == 0 && withheld_until.is_none()
+            Place::Home { errors, sending } => {
+                self.is_proven && errors.count == 0 && matches!(sending, Sending::Free)
             }
             _ => false,
         }
@@ -282,8 +299,14 @@ impl Supervision {
 
     /// Records that the node has sent a frame.
     pub fn note_sent(&mut self, now: Instant) {
-        if let Place::Guest { unacknowledged_until, .. } = &mut self.place {
-            unacknowledged_until.get_or_insert(now.plus_micros(ACKNOWLEDGE_MICROS));
+        match &mut self.place {
+            Place::Home { sending: sending @ Sending::Free, .. } if self.is_enabled => {
+                *sending = Sending::Unacknowledged { until: now.plus_micros(REPEAT_MICROS) };
+            }
+            Place::Guest { unacknowledged_until, .. } => {
+                unacknowledged_until.get_or_insert(now.plus_micros(ACKNOWLEDGE_MICROS));
+            }
+            _ => {}
         }
     }
 
@@ -291,29 +314,29 @@ impl Supervision {
     pub fn handle(&mut self, event: BusEvent, now: Instant) {
         use BusEvent::*;
         match (&mut self.place, event) {
-            (Place::Home { errors, withheld_until }, Received | Acknowledged) => {
+            (Place::Home { errors, sending }, Received | Acknowledged) => {
                 *errors = Errors::NONE;
-                *withheld_until = None;
+                *sending = Sending::Free;
                 self.is_proven = true;
                 self.previous = None;
             }
-            (Place::Home { errors, withheld_until }, Error | FormError) if self.is_enabled => {
+            (Place::Home { errors, sending }, Error | FormError) if self.is_enabled => {
                 errors.add(now);
-                if let Some(until) = withheld_until {
+                if let Sending::Withheld { until } = sending {
                     *until = until.later(now.plus_micros(WITHHOLD_MICROS));
                 }
                 self.doubt(now);
             }
-            (Place::Home { withheld_until, .. }, BusOff) if self.is_enabled => {
+            (Place::Home { sending, .. }, BusOff) if self.is_enabled => {
                 let micros = WITHHOLD_MICROS.max(bits_micros(RECOVERY_BITS, self.home));
-                *withheld_until = Some(now.plus_micros(micros));
+                *sending = Sending::Withheld { until: now.plus_micros(micros) };
                 // Receiving cannot wait for the recovery: on a busy bus that takes hundreds of frames.
                 self.step = Some(Step::TakePart(self.home));
             }
-            (Place::Home { withheld_until: withheld_until @ None, .. }, ErrorPassive)
-                if self.is_enabled =>
+            (Place::Home { sending, .. }, ErrorPassive)
+                if self.is_enabled && !matches!(sending, Sending::Withheld { .. }) =>
             {
-                *withheld_until = Some(now.plus_micros(WITHHOLD_MICROS));
+                *sending = Sending::Withheld { until: now.plus_micros(WITHHOLD_MICROS) };
                 self.step = Some(Step::DropFrames);
             }
             (Place::Guest { errors, unacknowledged_until, .. }, Received | Acknowledged) => {
@@ -396,8 +419,12 @@ impl Supervision {
     /// When [`poll`](Self::poll) must be called again, if nothing else happens before.
     pub fn poll_at(&self) -> Option<Instant> {
         let of_place = match &self.place {
-            Place::Home { errors, withheld_until } => {
-                earliest(errors.are_forgotten_at(), *withheld_until)
+            Place::Home { errors, sending } => {
+                let of_sending = match *sending {
+                    Sending::Free => None,
+                    Sending::Unacknowledged { until } | Sending::Withheld { until } => Some(until),
+                };
+                earliest(errors.are_forgotten_at(), of_sending)
             }
             Place::Guest { errors, unacknowledged_until, .. } => {
                 earliest(errors.are_forgotten_at(), *unacknowledged_until)
@@ -416,12 +443,17 @@ impl Supervision {
             self.doubted_until = None;
         }
         match &mut self.place {
-            Place::Home { errors, withheld_until } => {
+            Place::Home { errors, sending } => {
                 if is_over(&errors.are_forgotten_at()) {
                     *errors = Errors::NONE;
                 }
-                if is_over(withheld_until) {
-                    *withheld_until = None;
+                match *sending {
+                    Sending::Unacknowledged { until } if until.has_come(now) => {
+                        *sending = Sending::Withheld { until: now.plus_micros(PAUSE_MICROS) };
+                        self.step = Some(Step::DropFrames);
+                    }
+                    Sending::Withheld { until } if until.has_come(now) => *sending = Sending::Free,
+                    _ => {}
                 }
             }
             Place::Guest { errors, unacknowledged_until, .. } => {

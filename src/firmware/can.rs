@@ -267,9 +267,9 @@ impl Controller {
     /// Acknowledges a status interrupt; returns the latest error (last error code, RM0090, 32.9.2), if it concerns the
     /// supervision of the bit rate.
     pub fn handle_status(&mut self) -> Option<BusEvent> {
+        const NO_ERROR: u8 = 0;
         const STUFF: u8 = 1;
         const FORM: u8 = 2;
-        const ACKNOWLEDGE: u8 = 3;
         const BIT_RECESSIVE: u8 = 4;
         const CRC: u8 = 6;
         const SET_BY_SOFTWARE: u8 = 7;
@@ -277,13 +277,13 @@ impl Controller {
         let status = can.esr().read();
         // SAFETY: the value that software sets, to see the next error.
         can.esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
-        let error = match status.lec().bits() {
+        let last_error = status.lec().bits();
+        if !matches!(last_error, NO_ERROR | SET_BY_SOFTWARE) {
+            self.traffic = Traffic::default();
+        }
+        let error = match last_error {
             STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
             FORM => Some(BusEvent::FormError),
-            ACKNOWLEDGE => {
-                self.traffic = Traffic::default();
-                None
-            }
             _ => None,
         };
         can.ier().modify(|_, w| {

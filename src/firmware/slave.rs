@@ -175,7 +175,6 @@ impl Slave {
                 self.can.set_receives(self.node.receives());
             }
             Action::StopTransmitting => {
-                defmt::info!("activate bit timing: silent for two switch delays");
                 self.can.stop_transmitting();
             }
             Action::SetBitRate(rate) => {
@@ -183,7 +182,6 @@ impl Slave {
                 self.can.set_bit_rate(rate);
             }
             Action::ResumeTransmitting => {
-                defmt::info!("sending again");
                 self.can.resume_transmitting();
             }
             Action::Listen(rate) => {
