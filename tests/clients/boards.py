@@ -52,9 +52,9 @@ class Boards:
         """What python-can calls the adapter."""
         return f"socket://{self.address}"
 
-    def connect(self, bit_rate=125_000):
-        """A python-canopen network on the bus, to be used as a context."""
-        network = canopen.Network()
+    def connect(self, bit_rate=125_000, network=None):
+        """Puts a python-canopen network on the bus, a new one by default; to be used as a context."""
+        network = network or canopen.Network()
         # The wait after opening is for an Arduino to start; there is none.
         network.connect(
             interface="slcan", channel=self.channel, bitrate=bit_rate, sleep_after_open=0

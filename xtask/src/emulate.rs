@@ -162,9 +162,14 @@ fn serve(
     let mut clients: BTreeMap<ClientId, Client> = BTreeMap::new();
     let mut unused = Vec::new();
     let mut pace = Pace::new(network.now());
+    let mut patience = TICK;
     loop {
-        let input = inputs.recv_timeout(TICK);
-        network.run_until(pace.due(network.now()));
+        let input = inputs.recv_timeout(patience);
+        // One tick at a time, so that a program does not wait until all that is late has been caught up.
+        let due = pace.due(network.now());
+        let next = due.min(network.now() + Time::from_ns(TICK.as_nanos() as u64));
+        network.run_until(next);
+        patience = if next < due { Duration::ZERO } else { TICK };
         for client in clients.values_mut() {
             client.deliver(network);
         }
