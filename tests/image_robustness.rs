@@ -31,14 +31,14 @@ fn code(symbol: &str) -> u32 {
 fn replace_until_reset(
     bench: &mut Bench,
     offset: u32,
-    instruction: [u8; 2],
+    instruction: &[u8],
     cause: ResetCause,
 ) -> Time {
     let from = bench.network.now();
-    let before = bench.network.board(0).flash()[offset as usize..][..2].to_vec();
+    let before = bench.network.board(0).flash()[offset as usize..][..instruction.len()].to_vec();
     let resets = bench.network.board(0).resets().len();
     bench.expect_reset(0, cause);
-    bench.network.board_mut(0).set_flash(offset, &instruction);
+    bench.network.board_mut(0).set_flash(offset, instruction);
     while bench.network.board(0).resets().len() == resets {
         assert!(bench.network.now() < from + Time::from_s(5), "no reset");
         bench.network.run_for(Time::from_us(20));
@@ -65,7 +65,7 @@ fn the_watchdog_resets_a_board_whose_interrupts_or_tasks_hang() {
     for handler in ["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "SysTick", "USART1"] {
         let mut bench = node_40();
         let hung = code(handler);
-        let time = replace_until_reset(&mut bench, hung, JUMP_TO_ITSELF, ResetCause::Watchdog);
+        let time = replace_until_reset(&mut bench, hung, &JUMP_TO_ITSELF, ResetCause::Watchdog);
         assert!(time < Time::from_ms(2_500), "{handler}: {time}");
         assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
         assert!(says(&bench, "reset by the watchdog"), "{handler}");
@@ -76,7 +76,7 @@ fn the_watchdog_resets_a_board_whose_interrupts_or_tasks_hang() {
 fn the_watchdog_resets_a_board_that_does_not_get_to_sleep() {
     let mut bench = node_40();
     let asleep_at = bench.network.board(0).pc() - FLASH_BASE;
-    let time = replace_until_reset(&mut bench, asleep_at, JUMP_TO_ITSELF, ResetCause::Watchdog);
+    let time = replace_until_reset(&mut bench, asleep_at, &JUMP_TO_ITSELF, ResetCause::Watchdog);
     assert!(time < Time::from_ms(2_500), "{time}");
     assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
 }
@@ -85,9 +85,32 @@ fn the_watchdog_resets_a_board_that_does_not_get_to_sleep() {
 fn a_fault_is_logged_and_ends_in_a_reset_at_once() {
     let mut bench = node_40();
     let faulty = code("CAN1_RX0");
-    let time = replace_until_reset(&mut bench, faulty, UNDEFINED, ResetCause::Software);
+    let time = replace_until_reset(&mut bench, faulty, &UNDEFINED, ResetCause::Software);
     assert!(time < Time::from_ms(300), "{time}");
     assert!(says(&bench, &format!("hard fault at {:#x}", FLASH_BASE + faulty)));
+    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+}
+
+/// A jump to `to` in the place of the instruction at `at` (B.W, ARM DDI 0403, A7.7.12).
+fn jump(at: u32, to: u32) -> [u8; 4] {
+    let distance = to.wrapping_sub(at + 4);
+    let first = 0xF000 | distance >> 31 << 10 | distance >> 12 & 0x3FF;
+    let second = 0xB800 | distance >> 1 & 0x7FF;
+    (first | second << 16).to_le_bytes()
+}
+
+#[test]
+fn a_panic_is_logged_with_its_place_and_ends_in_a_reset_at_once() {
+    let mut bench = node_40();
+    let handler = code("CAN1_RX0");
+    // To end a log line that has not begun makes the logger panic.
+    let panics = jump(handler, code("_defmt_release"));
+    let time = replace_until_reset(&mut bench, handler, &panics, ResetCause::Software);
+    assert!(time < Time::from_ms(300), "{time}");
+    let log = bench.network.board(0).log();
+    let line = log.iter().find(|line| line.text.starts_with("panic at ")).expect("a line");
+    assert!(line.text.contains("defmt-rtt"), "{}", line.text);
+    assert!(line.text.ends_with("resetting: defmt release out of context"), "{}", line.text);
     assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
 }
 

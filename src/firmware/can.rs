@@ -150,8 +150,8 @@ impl Controller {
     /// show that there are any.
     fn set_filters(&mut self) {
         let everything = BankConfig::Mask16([Mask16::accept_all(); 2]);
+        // A reset comes between listening and taking part: bank 1 is off while listening.
         let mut filters = self.can.modify_filters();
-        filters.clear();
         if self.is_listening {
             filters.enable_bank(0, Fifo::Fifo0, everything);
             return;

@@ -74,8 +74,8 @@ extern "C" fn overflowed() -> ! {
     SCB::sys_reset();
 }
 
-/// Logs the place of a panic, and its message if that is one text: what a message is made of with values takes 2 KB of flash to
-/// print, and the place says enough. Only dependencies can panic.
+/// Logs the place of a panic, and its message if that holds no values: formatting those would take 2 KB of flash. Only
+/// dependencies can panic.
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
     static HAS_PANICKED: AtomicBool = AtomicBool::new(false);
