@@ -140,10 +140,20 @@ fn activation_without_configuration_makes_the_rate_found_home() {
         board.pass_ms(100);
     }
     assert_eq!(board.timeline(), SILENCE, "a rate that was commanded is trusted");
-    board.pass_ms(10_000);
+}
+
+#[test]
+fn a_rate_found_that_is_activated_is_proven() {
+    let mut board = unproven();
     board.see(Error);
     board.see(Error);
-    assert_eq!(board.timeline(), SILENCE, "and this one was proven");
+    board.see(Received);
+    board.lss("04 01");
+    board.lss("15 00 00");
+    board.pass_ms(30_000);
+    board.see(Error);
+    board.see(Error);
+    assert!(!board.node.is_listening());
 }
 
 #[test]

@@ -126,6 +126,21 @@ fn a_look_that_has_moved_goes_on_where_it_ended() {
 }
 
 #[test]
+fn a_look_that_has_not_moved_ends_the_stay_at_its_rate() {
+    let mut board = looking();
+    board.see(Error);
+    board.pass_ms(40);
+    board.see(Error);
+    board.pass_us(TURN_US);
+    assert_eq!(board.bit_rate(), BitRate::Kbit800);
+    board.see(FormError);
+    board.pass_ms(40);
+    board.see(Error);
+    board.pass_us(TURN_US);
+    assert_eq!(board.bit_rate(), BitRate::Kbit500, "only form errors at 800 kbit/s");
+}
+
+#[test]
 fn after_errors_in_the_silent_turn_of_home_the_next_look_lasts_40_ms() {
     let mut board = looking();
     board.pass_ms(40);
