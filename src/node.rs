@@ -84,6 +84,8 @@ pub struct Node {
     device: Device,
     lss: Slave,
     supervision: Supervision,
+    /// A frame was received, and the supervision has not been told.
+    is_proof_due: bool,
     /// Frames may be sent again, and the board has not been told.
     is_resume_due: bool,
     sdo: sdo::Server,
@@ -136,6 +138,7 @@ impl Node {
         };
         Self {
             supervision: Supervision::new(bit_rate, device.bit_rates, device.rescue),
+            is_proof_due: false,
             is_resume_due: false,
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
             device,
@@ -197,7 +200,13 @@ impl Node {
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         if !self.supervision.is_at_ease() {
             let was_listening = self.is_listening();
-            self.handle_bus(BusEvent::Received, now);
+            if self.supervision.is_at_home() {
+                // The answer leaves first.
+                self.is_proof_due = true;
+                self.due = Due::Now;
+            } else {
+                self.handle_bus(BusEvent::Received, now);
+            }
             // Its sender repeats it if nobody has acknowledged it.
             if was_listening {
                 return None;
@@ -272,6 +281,9 @@ impl Node {
     }
 
     fn do_next(&mut self, now: Instant) -> Option<Action> {
+        if mem::take(&mut self.is_proof_due) {
+            self.handle_bus(BusEvent::Received, now);
+        }
         if let Some(action) = self.supervise(now) {
             return Some(action);
         }

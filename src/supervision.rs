@@ -243,6 +243,11 @@ impl Supervision {
         self.step.is_some()
     }
 
+    /// Whether the node takes part at home, and looks nowhere else.
+    pub const fn is_at_home(&self) -> bool {
+        matches!(self.place, Place::Home { .. })
+    }
+
     /// Whether one more valid frame makes no difference.
     pub const fn is_at_ease(&self) -> bool {
         match &self.place {
