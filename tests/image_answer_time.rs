@@ -21,7 +21,7 @@ use support::{
 /// What an answer may take, store configuration apart, in core cycles.
 const ANSWER_CYCLES: u64 = 450;
 /// What a boot-up may take that a request or a command leads to: the filters change with the node-ID.
-const BOOT_UP_CYCLES: u64 = 2_000;
+const BOOT_UP_CYCLES: u64 = 2_200;
 /// What a bus of 1 Mbit/s that is full of requests may take of the CPU.
 const MOST_LOAD_PERCENT: u64 = 10;
 /// A fast master waits so long.
