@@ -237,8 +237,11 @@ fn a_power_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
         bench.lss("04 01");
         bench.lss("11 04");
         let operation = bench.network.board(0).chip().flash().operations() + step;
-        let cut = PowerCut { operation, seed: random.next() };
-        bench.network.board(0).chip().flash_mut().cut_power(cut);
+        // The next start programs a word again.
+        if step < STEPS {
+            let cut = PowerCut { operation, seed: random.next() };
+            bench.network.board(0).chip().flash_mut().cut_power(cut);
+        }
         let answer = bench.lss("17");
         let is_cut = !bench.network.board(0).is_powered();
         assert_eq!(is_cut, step < STEPS);
