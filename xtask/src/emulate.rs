@@ -9,7 +9,7 @@ use std::{
     collections::BTreeMap,
     net::{SocketAddr, TcpListener},
     path::PathBuf,
-    sync::mpsc::{self, RecvTimeoutError},
+    sync::mpsc,
     time::Duration,
 };
 
@@ -162,35 +162,32 @@ fn serve(
     let mut clients: BTreeMap<ClientId, Client> = BTreeMap::new();
     let mut unused = Vec::new();
     let mut pace = Pace::new(network.now());
-    let mut patience = TICK;
     loop {
-        let input = inputs.recv_timeout(patience);
-        // One tick at a time, so that a program does not wait until all that is late has been caught up.
-        let due = pace.due(network.now());
-        let next = due.min(network.now() + Time::from_ns(TICK.as_nanos() as u64));
-        network.run_until(next);
-        patience = if next < due { Duration::ZERO } else { TICK };
+        let first = inputs.recv_timeout(TICK);
+        network.run_until(pace.due(network.now()));
         for client in clients.values_mut() {
             client.deliver(network);
         }
         memory.save(network)?;
-        match input {
-            Ok(Input::Connected(id, stream)) => {
-                let adapter = unused.pop().unwrap_or_else(|| client::new_adapter(network));
-                clients.insert(id, Client::new(stream, adapter, bit_rate, network));
-            }
-            Ok(Input::Line(id, line)) => {
-                if let Some(client) = clients.get_mut(&id) {
-                    client.execute(&line, network);
+        // All that wait: on a busy computer each run takes long.
+        for input in first.into_iter().chain(inputs.try_iter().take(client::WAITING)) {
+            match input {
+                Input::Connected(id, stream) => {
+                    let adapter = unused.pop().unwrap_or_else(|| client::new_adapter(network));
+                    clients.insert(id, Client::new(stream, adapter, bit_rate, network));
                 }
-            }
-            Ok(Input::Gone(id)) => {
-                if let Some(client) = clients.remove(&id) {
-                    unused.push(client.leave(network));
+                Input::Line(id, line) => {
+                    if let Some(client) = clients.get_mut(&id) {
+                        client.execute(&line, network);
+                    }
                 }
+                Input::Gone(id) => {
+                    if let Some(client) = clients.remove(&id) {
+                        unused.push(client.leave(network));
+                    }
+                }
+                Input::Stop => return memory.save(network),
             }
-            Ok(Input::Stop) => return memory.save(network),
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
         }
     }
 }
