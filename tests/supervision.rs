@@ -190,6 +190,24 @@ fn on_a_slow_bus_frames_wait_1408_bits_after_bus_off() {
 }
 
 #[test]
+fn a_frame_that_nobody_acknowledges_pauses_20_ms_every_100_ms() {
+    let mut board = unproven();
+    board.pass_ms(240);
+    let expected = [
+        "100 ms stop",
+        "100 ms resume",
+        "120 ms 740: 00",
+        "220 ms stop",
+        "220 ms resume",
+        "240 ms 740: 00",
+    ];
+    assert_eq!(board.timeline(), expected, "so that a slower node can join the bus");
+    board.see(Acknowledged);
+    board.pass_ms(1_000);
+    assert_eq!(board.timeline(), SILENCE);
+}
+
+#[test]
 fn a_receiver_that_is_error_passive_drops_its_frames_and_waits_50_ms() {
     for home in [BitRate::Kbit1000, BitRate::Kbit10] {
         let mut board = disturbed(home, ErrorPassive);

@@ -145,7 +145,6 @@ fn activation_without_configuration_makes_the_rate_found_home() {
 fn a_rate_found_that_is_activated_is_proven() {
     let mut board = unproven();
     board.see(Error);
-    board.see(Error);
     board.see(Received);
     board.lss("04 01");
     board.lss("15 00 00");

@@ -200,22 +200,38 @@ fn an_error_in_the_open_turn_of_home_leads_back_elsewhere() {
     }
 }
 
+/// Whether a look that hears nothing is followed by another one after the turns of home.
+fn looks_twice(board: &mut Board) -> bool {
+    board.timeline();
+    board.pass_us(40_000 + TURN_US + 150_000);
+    board.node.is_listening()
+}
+
 #[test]
-fn for_3_s_after_a_fruitless_look_the_next_one_is_followed_by_one_that_waits() {
-    for (us_later, waits) in [(1_999_999, true), (2_000_000, false)] {
+fn for_3_s_after_a_fruitless_search_a_second_look_follows_the_first() {
+    for (us_later, is_doubted) in [(1_999_999, true), (2_000_000, false)] {
         let mut board = looking();
-        board.pass_us(40_000 + TURN_US + 150_000 + us_later);
+        assert!(!looks_twice(&mut board));
+        board.pass_us(us_later);
         doubt(&mut board);
-        board.timeline();
-        board.pass_us(40_000 + TURN_US + 150_000);
-        assert_eq!(board.node.is_listening(), waits, "after home has had its turn");
+        assert_eq!(looks_twice(&mut board), is_doubted);
     }
+}
+
+#[test]
+fn at_an_unproven_home_rate_a_second_look_follows_the_first() {
+    let mut board = unproven();
+    board.see(Error);
+    assert!(looks_twice(&mut board), "frames may be rare");
+    board.timeline();
+    board.pass_ms(2_000);
+    assert_eq!(board.timeline()[0], "1100 ms listen at 125 kbit/s", "and waits for one");
+    assert!(!board.node.is_listening(), "there is no third");
 }
 
 #[test]
 fn a_boot_up_that_nobody_acknowledged_comes_again_in_an_open_turn_of_home() {
     let mut board = unproven();
-    board.see(Error);
     board.see(Error);
     board.timeline();
     board.pass_ms(70);

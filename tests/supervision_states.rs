@@ -115,8 +115,8 @@ fn wait_us(event: BusEvent) -> u64 {
 }
 
 fn time(us: u64) -> String {
-    if us.is_multiple_of(1_000_000) {
-        format!("{} s", us / 1_000_000)
+    if us >= 1_000_000 {
+        format!("{} s", us as f64 / 1_000_000.0)
     } else {
         format!("{} ms", us as f64 / 1_000.0)
     }
@@ -149,12 +149,15 @@ fn causes(from: State, to: State) -> Vec<String> {
         Home | Guest => {}
     }
     if (from, to) == (Home, Elsewhere) {
-        let (unproven, _) = errors_until_it_listens(unproven(), 100);
+        let unproven = match errors_until_it_listens(unproven(), 100) {
+            (1, _) => "an error".to_owned(),
+            (count, _) => format!("{count} errors"),
+        };
         let (proven_count, _) = errors_until_it_listens(proven(), 1_000);
         let (_, us) = errors_until_it_listens(proven(), 1);
         let (_, trust_us) = errors_until_it_listens(switched(), 1);
         let (trust, us) = (time(trust_us), time(us));
-        causes.push(format!("no valid frame, but {unproven} errors at an unproven home rate or"));
+        causes.push(format!("no valid frame, but {unproven} at an unproven home rate or"));
         causes.push(format!(
             "{proven_count} over {us} at a proven one; not for {trust} after a switch"
         ));
