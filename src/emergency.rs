@@ -39,6 +39,9 @@ const BUS_OFF_RECOVERED: u8 = 1 << 2;
 const OVERRUN: u8 = 1 << 3;
 const AWAY_FROM_HOME_RATE: u8 = 1 << 4;
 
+/// Stands for the message with error code 0.
+const END: u8 = 1 << 7;
+
 /// Those that are there until their end is reported; the others are over by the time they are known.
 const LASTING: u8 = SETTINGS_LOST | ERROR_PASSIVE | AWAY_FROM_HOME_RATE;
 
@@ -82,6 +85,8 @@ pub(crate) struct Emergency {
     unsent: u8,
     /// A fault is over since the last message with error code 0.
     is_end_unsent: bool,
+    /// What was sent since the latest acknowledge: faults, and [`END`].
+    in_flight: u8,
     lasting: u8,
     /// Bytes 3..=6 of the message of [`Fault::AwayFromHomeRate`] and of the one of its end, in kbit/s: in use, and above it
     /// home.
@@ -97,6 +102,7 @@ impl Emergency {
         Self {
             unsent: 0,
             is_end_unsent: false,
+            in_flight: 0,
             lasting: 0,
             rates: 0,
             history: [0; HISTORY_LEN as usize],
@@ -182,6 +188,21 @@ impl Emergency {
         }
     }
 
+    /// A frame of the node was acknowledged. Emergency messages leave before all frames that repeat by themselves.
+    pub const fn note_acknowledge(&mut self) {
+        if self.in_flight & END != 0 {
+            self.rates = 0;
+        }
+        self.in_flight = 0;
+    }
+
+    /// The frames that waited were dropped: what nobody has acknowledged is sent again.
+    pub const fn note_dropped(&mut self) {
+        self.unsent |= self.in_flight & !END;
+        self.is_end_unsent |= self.in_flight & END != 0;
+        self.in_flight = 0;
+    }
+
     /// The next message, if there is any to send.
     ///
     /// Error code 0 comes when nothing is wrong any more: there are masters that take it for the end of all faults, though
@@ -189,9 +210,11 @@ impl Emergency {
     pub fn next(&mut self, node: NodeId) -> Option<Frame> {
         let fault = self.unsent & self.unsent.wrapping_neg();
         self.unsent &= !fault;
+        self.in_flight |= fault;
         let (error_code, rates) = match fault {
             0 if mem::take(&mut self.is_end_unsent) && self.lasting == 0 => {
-                (0, mem::take(&mut self.rates))
+                self.in_flight |= END;
+                (0, self.rates)
             }
             0 => return None,
             AWAY_FROM_HOME_RATE => (error_code(fault), self.rates),

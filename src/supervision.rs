@@ -533,6 +533,7 @@ impl Supervision {
         );
     }
 
+    #[inline(never)] // It has several callers: 20 to 50 bytes.
     fn look_elsewhere(&mut self, look: Look, micros: u32, now: Instant) {
         self.place = Place::Looking {
             look: Look { has_moved: false, ..look },
@@ -542,6 +543,7 @@ impl Supervision {
         self.step = Some(Step::Listen(look.candidate));
     }
 
+    #[inline(never)] // It has several callers: 20 to 50 bytes.
     fn listen_at_home(&mut self, look: Look, now: Instant) {
         self.place = Place::Looking {
             look,
@@ -551,6 +553,7 @@ impl Supervision {
         self.step = Some(Step::Listen(self.home));
     }
 
+    #[inline(never)] // It has several callers: 20 to 50 bytes.
     fn open_home(&mut self, look: Look, now: Instant) {
         let until = now.plus_micros(OPEN_TURN_MICROS);
         self.place = Place::Looking { look, turn: Turn::HomeOpen, until };

@@ -182,12 +182,12 @@ fn a_board_without_a_node_id_that_sits_alone_with_the_master_is_reached_at_any_r
 }
 
 #[test]
-fn a_node_that_sits_alone_with_the_master_is_reached_though_sometimes_only_at_its_own_rate() {
-    // Its boot-up and the request that the master repeats without end can fall into step: the node never sees the 11
-    // recessive bits that let it try again, or nothing but missing acknowledges, and no error questions the rate.
+fn a_node_that_sits_alone_with_the_master_is_reached_but_at_two_pairs() {
+    // At 250 kbit/s with a master at 50, and at 20 with one at 10, its boot-up drives the master bus-off again and again before
+    // the master is error passive, and so before its request can be heard in silence.
     let count = alone_with_the_master(1, || node(1));
     println!("{count} of 56 only at their own rate");
-    assert!(count <= 8);
+    assert!(count <= 2);
 }
 
 #[test]
@@ -257,19 +257,10 @@ fn node_4_misses_the_switch(heartbeat_ms: u16) -> Bench {
 }
 
 #[test]
-fn a_node_that_missed_the_switch_and_sends_heartbeats_comes_back_by_its_bus_off() {
-    let mut bench = node_4_misses_the_switch(1000);
-    all_reached("1 of 4 missed the switch, heartbeat 1000 ms", &mut bench, nodes(4));
-}
-
-#[test]
-fn a_node_that_missed_the_switch_and_never_sends_stays_behind_until_its_power_is_cycled() {
-    let mut bench = node_4_misses_the_switch(0);
-    all_reached("1 of 4 missed the switch, no heartbeat: the others", &mut bench, nodes(3));
-    assert!(reach(&mut bench, vec![node(4)], LIMIT).is_none(), "its rate is proven");
-    bench.network.power_off(3);
-    bench.network.run_for(Time::from_ms(10));
-    power_on_at_any_rate(&mut bench, 3);
-    let scenario = "1 of 4 missed the switch, no heartbeat: after a power cycle";
-    all_reached(scenario, &mut bench, nodes(4));
+fn a_node_that_missed_the_switch_is_reached_whatever_its_heartbeat() {
+    for heartbeat_ms in [1000, 0] {
+        let mut bench = node_4_misses_the_switch(heartbeat_ms);
+        let scenario = format!("1 of 4 missed the switch, heartbeat {heartbeat_ms} ms");
+        all_reached(&scenario, &mut bench, nodes(4));
+    }
 }

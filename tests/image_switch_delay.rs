@@ -311,6 +311,8 @@ fn a_board_that_switched_alone_comes_back_to_the_bus_that_stayed_at_the_old_rate
     bench.transmit_request("04 01");
     configure(&mut bench, BitRate::Kbit500);
     activate(&mut bench, 10);
+    // For 30 s only the commanded rate counts.
+    bench.network.run_for(Time::from_s(29));
     let busy_until = bench.network.now() + Time::from_s(3);
     while bench.network.now() < busy_until {
         bench.network.send(other, Frame::data(Id::Standard(0x123), &[0; 8]));

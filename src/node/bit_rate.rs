@@ -28,7 +28,10 @@ pub(super) enum Phase {
 impl Node {
     /// Takes what the controller has observed at `now`. The same event twice does no harm.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
-        self.is_boot_up_acknowledged |= event == BusEvent::Acknowledged;
+        if event == BusEvent::Acknowledged {
+            self.is_boot_up_acknowledged = true;
+            self.emergency.note_acknowledge();
+        }
         if event == BusEvent::BusOff {
             self.handle_communication_error();
         }
@@ -98,6 +101,7 @@ impl Node {
     fn next_step(&mut self, now: Instant) -> Option<Action> {
         let step = self.supervision.poll(now)?;
         // Each step drops the frames that wait. Nobody has received a boot-up among them.
+        self.emergency.note_dropped();
         if !self.is_boot_up_acknowledged && self.nmt == nmt::State::PreOperational {
             self.nmt = nmt::State::Initialisation;
         }
