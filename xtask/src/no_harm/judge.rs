@@ -13,8 +13,10 @@ use crate::support::bench::bit_per_s;
 /// How much later than the plain slave a board may be reached, unless [`LATE_FRAMES`] take longer.
 const LATE: Time = Time::from_ms(100);
 const LATE_FRAMES: u64 = 25;
-/// A foreign device may keep a board away for so long after it has left.
+/// A foreign device may keep a board away for so long after it has left. A master that only listens shows nothing of itself: the
+/// board's next heartbeat, up to a second later, first has to find no acknowledge for a second.
 const AFTER_DEPARTURE: Time = Time::from_s(1);
+const AFTER_DEPARTURE_UNHEARD: Time = Time::from_s(2);
 /// For so long a board that was commanded to switch looks for no other rate.
 const TRUST: Time = Time::from_s(30);
 /// A board that is lost is found so long after the first evidence.
@@ -151,7 +153,8 @@ fn latest(situation: &Situation, plain: Time) -> Time {
     let round = (frame * (2 * situation.boards.len() as u64)).saturating_sub(POLL);
     let allowance = LATE.max(frame * LATE_FRAMES) + round;
     let after_departure = situation.last_departure().map_or(Time::ZERO, |departure| {
-        (ms(departure) + AFTER_DEPARTURE).saturating_sub(ms(situation.probe.at))
+        let span = if situation.probe.listens { AFTER_DEPARTURE_UNHEARD } else { AFTER_DEPARTURE };
+        (ms(departure) + span).saturating_sub(ms(situation.probe.at))
     });
     plain.max(after_departure) + allowance
 }
