@@ -182,7 +182,9 @@ impl Draft {
     /// Anything, and a switch in the midst of it.
     fn mixture(&mut self) -> Probe {
         self.any_master_at(0, self.home);
-        if self.random.one_in(4) {
+        // A board that is found would obey a switch that the plain slave does not hear.
+        let is_wrong = self.random.one_in(4);
+        if is_wrong {
             let board = self.random.within(0..self.boards.len() as u64) as usize;
             self.boards[board].stored = self.other_rate();
         }
@@ -193,7 +195,7 @@ impl Draft {
             let until = match self.random.within(0..6) {
                 0 | 1 => self.foreign(at, rate),
                 2 | 3 => self.fault(at),
-                4 if at > 200 => {
+                4 if at > 200 && !is_wrong => {
                     self.add(at - 150, at - 150, What::Master(Master::Idle(rate)));
                     rate = self.other_rate();
                     let follows = self.switch(at, rate) + self.delay_of_switch() + 1;

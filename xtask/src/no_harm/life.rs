@@ -319,11 +319,14 @@ impl<'a> Life<'a> {
 
     /// The boards that the master has heard since `since`, and when.
     fn heard(&mut self, since: Time) -> Vec<(usize, Time)> {
-        let cob_id = if self.situation.probe.listens { 0x700 } else { 0x580 };
+        // A node that is alone and error passive reports that before all else.
+        let cob_ids: &[u16] = if self.situation.probe.listens { &[0x700, 0x080] } else { &[0x580] };
         let mut heard = Vec::new();
         while let Some((time, frame)) = self.network.receive(self.master) {
             let is_of = |node: &Node| {
-                node.node_id.is_some_and(|id| frame.id == Id::Standard(cob_id + u16::from(id)))
+                node.node_id.is_some_and(|id| {
+                    cob_ids.iter().any(|cob_id| frame.id == Id::Standard(cob_id + u16::from(id)))
+                })
             };
             heard.extend(self.situation.boards.iter().position(is_of).map(|board| (board, time)));
         }
