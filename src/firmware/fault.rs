@@ -1,13 +1,9 @@
 //! Where every fault, panic and stack overflow ends: a word in the log, and a reset.
 
-use core::{
-    arch::naked_asm,
-    panic::PanicInfo,
-    sync::atomic::{AtomicBool, Ordering},
-};
+use core::arch::naked_asm;
 
 use cortex_m::{
-    asm, interrupt,
+    asm,
     peripheral::{MPU, SCB},
 };
 use cortex_m_rt::ExceptionFrame;
@@ -71,26 +67,5 @@ extern "C" fn faulted(frame: &ExceptionFrame) -> ! {
 
 extern "C" fn overflowed() -> ! {
     defmt::error!("stack overflow, resetting");
-    SCB::sys_reset();
-}
-
-/// Logs the place of a panic, and its message if that holds no values: formatting those would take 2 KB of flash. Only
-/// dependencies can panic.
-#[panic_handler]
-fn panic(info: &PanicInfo<'_>) -> ! {
-    static HAS_PANICKED: AtomicBool = AtomicBool::new(false);
-    interrupt::disable();
-    // The logger itself may have panicked.
-    if !HAS_PANICKED.swap(true, Ordering::Relaxed)
-        && let Some(place) = info.location()
-    {
-        let message = info.message().as_str().unwrap_or_default();
-        defmt::error!(
-            "panic at {=str}:{=u32}, resetting: {=str}",
-            place.file(),
-            place.line(),
-            message
-        );
-    }
     SCB::sys_reset();
 }

@@ -18,6 +18,7 @@ mod transmit_pin;
 mod transmit_queue;
 
 use defmt_rtt as _;
+use panic_probe as _;
 
 const _: () = assert!(
     cfg!(feature = "stm32f405") as u8
