@@ -143,7 +143,7 @@ enum Turn {
     /// Listens at home.
     HomeSilent { has_heard: bool },
     /// Takes part at home.
-    HomeOpen { has_sent: bool },
+    HomeOpen,
 }
 
 /// Errors since the latest valid frame.
@@ -223,7 +223,7 @@ impl Supervision {
     pub const fn is_listening(&self) -> bool {
         match self.place {
             Place::Detecting { .. } => true,
-            Place::Looking { turn, .. } => !matches!(turn, Turn::HomeOpen { .. }),
+            Place::Looking { turn, .. } => !matches!(turn, Turn::HomeOpen),
             Place::Home { .. } | Place::Guest { .. } => false,
         }
     }
@@ -311,7 +311,6 @@ impl Supervision {
             Place::Guest { unacknowledged_until, .. } => {
                 unacknowledged_until.get_or_insert(now.plus_micros(ACKNOWLEDGE_MICROS));
             }
-            Place::Looking { turn: Turn::HomeOpen { has_sent }, .. } => *has_sent = true,
             _ => {}
         }
     }
@@ -372,9 +371,8 @@ impl Supervision {
                         self.step = Some(Step::Listen(look.candidate));
                     }
                 }
-                (Turn::HomeSilent { .. }, Received)
-                | (Turn::HomeOpen { .. }, Received | Acknowledged) => {
-                    if !matches!(turn, Turn::HomeOpen { .. }) {
+                (Turn::HomeSilent { .. }, Received) | (Turn::HomeOpen, Received | Acknowledged) => {
+                    if !matches!(turn, Turn::HomeOpen) {
                         self.step = Some(Step::TakePart(self.home));
                     }
                     self.is_proven = true;
@@ -385,7 +383,7 @@ impl Supervision {
                     let look = *look;
                     self.open_home(look, now);
                 }
-                (Turn::HomeOpen { .. }, Error | FormError) => {
+                (Turn::HomeOpen, Error | FormError) => {
                     let look = Look { waits: true, has_waited: true, ..*look };
                     self.look_elsewhere(look, WAIT_MICROS, now);
                 }
@@ -498,11 +496,10 @@ impl Supervision {
                 self.look_elsewhere(Look { candidate, ..look }, LOOK_MICROS, now);
             }
             Turn::HomeSilent { has_heard: false } => self.open_home(look, now),
-            // Those at another rate would have sent error flags.
-            Turn::HomeOpen { has_sent: false } if look.waits => {
+            Turn::HomeOpen if look.waits => {
                 self.look_elsewhere(Look { has_waited: true, ..look }, WAIT_MICROS, now);
             }
-            Turn::HomeOpen { .. } => {
+            Turn::HomeOpen => {
                 self.place = Place::HOME;
                 self.doubted_until = Some(now.plus_micros(DOUBT_MICROS));
             }
@@ -559,7 +556,7 @@ impl Supervision {
     #[inline(never)] // It has several callers: 20 to 50 bytes.
     fn open_home(&mut self, look: Look, now: Instant) {
         let until = now.plus_micros(OPEN_TURN_MICROS);
-        self.place = Place::Looking { look, turn: Turn::HomeOpen { has_sent: false }, until };
+        self.place = Place::Looking { look, turn: Turn::HomeOpen, until };
         self.step = Some(Step::TakePart(self.home));
     }
 }

@@ -222,12 +222,6 @@ fn for_3_s_after_a_fruitless_search_a_second_look_follows_the_first() {
 fn at_an_unproven_home_rate_a_second_look_follows_the_first() {
     let mut board = unproven();
     board.see(Error);
-    assert!(!looks_twice(&mut board), "a boot-up at home found no error: nobody else is there");
-
-    let settings = Settings { bit_rate: BitRate::Kbit125.into(), ..defaults(0xFF) };
-    let device = Device { rescue: true, ..device(ADDRESS) };
-    let mut board = Board::with_device(device, settings, BoardFlash::blank(0), 0);
-    board.see(Error);
     assert!(looks_twice(&mut board), "frames may be rare");
     board.timeline();
     board.pass_ms(2_000);
