@@ -309,9 +309,10 @@ impl ImageStorm {
 }
 
 /// `frame` if the model tells its content and order: not heartbeats and emergencies, which depend on time, nor boot-ups, of
-/// which two that wait for a full bus become one, nor the error counters, which a change of the bit rate may leave at 1.
+/// which two that wait for a full bus become one, nor what the controller has seen: error register 1001h, error history 1003h,
+/// and 2000h.
 fn compared(frame: &lss_slave::Frame) -> Option<lss_slave::Frame> {
     let is_sdo = frame.cob_id() & !0x7F == 0x580;
-    let is_error_counter = matches!(frame.data(), [0x4F, 0x00, 0x20, 3 | 4, ..]);
-    (frame.cob_id() == 0x7E4 || is_sdo && !is_error_counter).then_some(*frame)
+    let is_of_controller = matches!(frame.data(), [_, 0x01 | 0x03, 0x10, ..] | [_, 0x00, 0x20, ..]);
+    (frame.cob_id() == 0x7E4 || is_sdo && !is_of_controller).then_some(*frame)
 }
