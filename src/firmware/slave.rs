@@ -152,6 +152,8 @@ impl Slave {
 
     /// A millisecond has passed.
     pub fn handle_tick(&mut self) {
+        // A switch delay ends on time.
+        self.act_until_nothing_is_due();
         self.hear_others();
         if self.can.watch() {
             self.node.handle_bus(BusEvent::Error, clock::now());
