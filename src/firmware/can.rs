@@ -304,7 +304,9 @@ impl Controller {
         const QUIET_MS: u16 = 8;
         const FRAMES: u16 = 2 * 135;
         let can = registers();
-        can.ier().modify(|_, w| w.lecie().set_bit());
+        if can.ier().read().lecie().bit_is_clear() {
+            can.ier().modify(|_, w| w.lecie().set_bit());
+        }
         let status = can.msr().read();
         if status.txm().bit_is_set() {
             return false;
