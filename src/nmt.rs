@@ -86,3 +86,8 @@ impl ErrorBehaviour {
 pub(crate) const fn error_control(node: NodeId, state: State) -> Frame {
     Frame::with_one_byte(ERROR_CONTROL_COB_ID + node.get() as u16, state as u8)
 }
+
+/// Whether `frame` is the boot-up of a node.
+pub(crate) fn is_boot_up(frame: &Frame) -> bool {
+    frame.cob_id() & !0x7F == ERROR_CONTROL_COB_ID && frame.data() == [State::Initialisation as u8]
+}

@@ -101,6 +101,8 @@ pub struct Node {
     heartbeat_due: Instant,
     /// The heartbeat time has been written, but not seen by a call that knows the time.
     heartbeat_is_new: bool,
+    /// Frames may have been dropped: a boot-up that was among them or a heartbeat is due beside the regular ones.
+    is_extra_heartbeat_due: bool,
     error_behaviour: ErrorBehaviour,
     switch: Option<Switch>,
     /// An NMT command that is to be carried out, after a switch that is on its way.
@@ -151,6 +153,7 @@ impl Node {
             heartbeat_ms: persistent.heartbeat_ms,
             heartbeat_due: Instant::from_micros(0),
             heartbeat_is_new: false,
+            is_extra_heartbeat_due: false,
             error_behaviour: ErrorBehaviour::EnterPreOperational,
             switch: None,
             command: None,
@@ -199,6 +202,10 @@ impl Node {
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         if !self.supervision.is_at_ease() {
+            // Its sender may be as lost as this node, and repeat its boot-up for want of an acknowledge.
+            if self.supervision.is_elsewhere() && nmt::is_boot_up(frame) {
+                return None;
+            }
             let was_listening = self.is_listening();
             if self.supervision.is_at_home() {
                 // The answer leaves first.
@@ -296,7 +303,7 @@ impl Node {
             }
         }
         if !self.is_listening() && mem::take(&mut self.is_resume_due) {
-            self.heartbeat_due = now;
+            self.is_extra_heartbeat_due = true;
             return Some(Action::ResumeTransmitting);
         }
         if let Some(command) = self.command.take()
@@ -424,10 +431,20 @@ impl Node {
         let node = self.node_id()?;
         let period = u32::from(self.heartbeat_ms) * 1000;
         let error_control = nmt::error_control(node, self.nmt);
+        if mem::take(&mut self.heartbeat_is_new) {
+            self.heartbeat_due = now.plus_micros(period);
+        }
+        let is_ahead = |instant: Instant| {
+            // What lies further ahead than a period is left over from half an hour ago.
+            !instant.has_come(now) && instant.has_come(now.plus_micros(period))
+        };
+        let is_late = !is_ahead(self.heartbeat_due);
         if self.nmt == nmt::State::Initialisation {
             self.nmt = nmt::State::PreOperational;
             self.is_boot_up_acknowledged = false;
-            self.heartbeat_due = now.plus_micros(period);
+            if !mem::take(&mut self.is_extra_heartbeat_due) || is_late {
+                self.heartbeat_due = now.plus_micros(period);
+            }
             return Some(Action::Transmit(error_control));
         }
         // It would overtake a boot-up that waits for the bus; and where nothing but errors is heard it would disturb others
@@ -439,15 +456,15 @@ impl Node {
         {
             return Some(Action::Transmit(emergency));
         }
-        if mem::take(&mut self.heartbeat_is_new) {
-            self.heartbeat_due = now.plus_micros(period);
-        }
-        if !self.produces_heartbeat() || !self.heartbeat_due.has_come(now) {
+        let is_due = mem::take(&mut self.is_extra_heartbeat_due) || is_late;
+        if !self.produces_heartbeat() || !is_due {
             return None;
         }
-        let next = self.heartbeat_due.plus_micros(period);
-        // After a long delay: one heartbeat, not all that were missed.
-        self.heartbeat_due = if next.has_come(now) { now.plus_micros(period) } else { next };
+        if is_late {
+            let next = self.heartbeat_due.plus_micros(period);
+            // After a long delay: one heartbeat, not all that were missed.
+            self.heartbeat_due = if is_ahead(next) { next } else { now.plus_micros(period) };
+        }
         Some(Action::Transmit(error_control))
     }
 

@@ -20,6 +20,8 @@ pub enum BusEvent {
     Error,
     /// A form error. To a silent listener, this is what a frame without an acknowledge looks like.
     FormError,
+    /// The bus has been dominant for longer than any frame is: a short circuit, or a station that is broken.
+    HeldDominant,
     /// The controller is error passive by what it receives: REC is above 127.
     ErrorPassive,
     /// The controller is bus-off.
@@ -87,6 +89,8 @@ pub(crate) struct Supervision {
     /// The next look waits for something to be heard.
     doubted_until: Option<Instant>,
     place: Place,
+    errors: Errors,
+    sending: Sending,
     /// Not yet taken by [`poll`](Self::poll).
     step: Option<Step>,
     /// Where the node last took part, as [`take_change`](Self::take_change) knows it.
@@ -96,21 +100,19 @@ pub(crate) struct Supervision {
 
 #[derive(Clone, Debug)]
 enum Place {
-    Home { errors: Errors, sending: Sending },
-    Guest { rate: BitRate, errors: Errors, unacknowledged_until: Option<Instant> },
+    Home,
+    Guest { rate: BitRate, unacknowledged_until: Option<Instant> },
     Looking { look: Look, turn: Turn, until: Instant },
     Detecting { rate: BitRate, until: Instant, form_errors: u8 },
 }
 
 impl Place {
-    const HOME: Self = Self::Home { errors: Errors::NONE, sending: Sending::Free };
-
     const fn detecting(rate: BitRate) -> Self {
         Self::Detecting { rate, until: Instant::from_micros(0), form_errors: 0 }
     }
 }
 
-/// Whether own frames may leave while the node is at home.
+/// Whether own frames may leave where the node takes part.
 #[derive(Clone, Copy, Debug)]
 enum Sending {
     Free,
@@ -176,7 +178,7 @@ impl Supervision {
     /// rate if the setting says so.
     pub const fn new(setting: BitRateSetting, rates: BitRates, is_enabled: bool) -> Self {
         let (home, place, step) = match setting {
-            BitRateSetting::Fixed(rate) => (rate, Place::HOME, None),
+            BitRateSetting::Fixed(rate) => (rate, Place::Home, None),
             BitRateSetting::Automatic => {
                 let rate = rates.fastest();
                 (rate, Place::detecting(rate), Some(Step::Listen(rate)))
@@ -191,6 +193,8 @@ impl Supervision {
             trusted_until: None,
             doubted_until: None,
             place,
+            errors: Errors::NONE,
+            sending: Sending::Free,
             step,
             settled: home,
             rescues: 0,
@@ -202,7 +206,7 @@ impl Supervision {
         match &self.place {
             Place::Guest { rate, .. } | Place::Detecting { rate, .. } => *rate,
             Place::Looking { look, turn: Turn::Elsewhere { .. }, .. } => look.candidate,
-            Place::Home { .. } | Place::Looking { .. } => self.home,
+            Place::Home | Place::Looking { .. } => self.home,
         }
     }
 
@@ -224,13 +228,13 @@ impl Supervision {
         match self.place {
             Place::Detecting { .. } => true,
             Place::Looking { turn, .. } => !matches!(turn, Turn::HomeOpen),
-            Place::Home { .. } | Place::Guest { .. } => false,
+            Place::Home | Place::Guest { .. } => false,
         }
     }
 
     /// Whether the node sends no frame although it takes part.
     pub const fn is_withholding(&self) -> bool {
-        matches!(self.place, Place::Home { sending: Sending::Withheld { .. }, .. })
+        matches!(self.sending, Sending::Withheld { .. })
     }
 
     /// Whether automatic detection has not found a rate yet.
@@ -245,24 +249,27 @@ impl Supervision {
 
     /// Whether the node takes part at home, and looks nowhere else.
     pub const fn is_at_home(&self) -> bool {
-        matches!(self.place, Place::Home { .. })
+        matches!(self.place, Place::Home)
+    }
+
+    /// Whether the controller listens at another rate than home.
+    pub const fn is_elsewhere(&self) -> bool {
+        matches!(self.place, Place::Looking { turn: Turn::Elsewhere { .. }, .. })
     }
 
     /// Whether one more valid frame makes no difference.
     pub const fn is_at_ease(&self) -> bool {
-        match &self.place {
-            Place::Home { errors, sending } => {
-                self.is_proven && errors.count == 0 && matches!(sending, Sending::Free)
-            }
-            _ => false,
-        }
+        self.is_at_home()
+            && self.is_proven
+            && self.errors.count == 0
+            && matches!(self.sending, Sending::Free)
     }
 
     /// A rate to take part at that is another than the last one returned, or commanded: the node has become a guest, or is
     /// home again.
     pub fn take_change(&mut self) -> Option<BitRate> {
         let rate = match self.place {
-            Place::Home { .. } => self.home,
+            Place::Home => self.home,
             Place::Guest { rate, .. } => rate,
             Place::Looking { .. } | Place::Detecting { .. } => return None,
         };
@@ -289,7 +296,7 @@ impl Supervision {
         }
         self.home = rate;
         self.settled = rate;
-        self.place = Place::HOME;
+        self.enter(Place::Home);
         self.doubted_until = None;
         self.trusted_until = Some(silent_until.plus_micros(TRUST_MICROS));
     }
@@ -297,21 +304,18 @@ impl Supervision {
     /// Begins automatic detection.
     pub fn detect(&mut self) {
         let rate = self.rates.fastest();
-        self.place = Place::detecting(rate);
+        self.enter(Place::detecting(rate));
         self.step = Some(Step::Listen(rate));
         self.trusted_until = None;
     }
 
     /// Records that the node has sent a frame.
     pub fn note_sent(&mut self, now: Instant) {
-        match &mut self.place {
-            Place::Home { sending: sending @ Sending::Free, .. } if self.is_enabled => {
-                *sending = Sending::Unacknowledged { until: now.plus_micros(REPEAT_MICROS) };
-            }
-            Place::Guest { unacknowledged_until, .. } => {
-                unacknowledged_until.get_or_insert(now.plus_micros(ACKNOWLEDGE_MICROS));
-            }
-            _ => {}
+        if self.is_enabled && matches!(self.sending, Sending::Free) {
+            self.sending = Sending::Unacknowledged { until: now.plus_micros(REPEAT_MICROS) };
+        }
+        if let Place::Guest { unacknowledged_until, .. } = &mut self.place {
+            unacknowledged_until.get_or_insert(now.plus_micros(ACKNOWLEDGE_MICROS));
         }
     }
 
@@ -319,46 +323,46 @@ impl Supervision {
     pub fn handle(&mut self, event: BusEvent, now: Instant) {
         use BusEvent::*;
         match (&mut self.place, event) {
-            (Place::Home { errors, sending }, Received | Acknowledged) => {
-                *errors = Errors::NONE;
-                *sending = Sending::Free;
+            (Place::Home, Received | Acknowledged) => {
+                self.errors = Errors::NONE;
+                self.sending = Sending::Free;
                 self.is_proven = true;
                 self.previous = None;
             }
-            (Place::Home { errors, sending }, Error | FormError) if self.is_enabled => {
-                errors.add(now);
-                if let Sending::Withheld { until } = sending {
-                    *until = until.later(now.plus_micros(WITHHOLD_MICROS));
+            (Place::Home, Error | FormError) if self.is_enabled => {
+                self.errors.add(now);
+                if self.is_withholding() {
+                    self.withhold(now);
                 }
                 self.doubt(now);
             }
-            (Place::Home { sending, .. }, BusOff) if self.is_enabled => {
+            (Place::Home, HeldDominant) => self.errors = Errors::NONE,
+            (Place::Home, BusOff) if self.is_enabled => {
                 let micros = WITHHOLD_MICROS.max(bits_micros(RECOVERY_BITS, self.home));
-                *sending = Sending::Withheld { until: now.plus_micros(micros) };
+                self.sending = Sending::Withheld { until: now.plus_micros(micros) };
                 // Receiving cannot wait for the recovery: on a busy bus that takes hundreds of frames.
                 self.step = Some(Step::TakePart(self.home));
             }
-            (Place::Home { sending, .. }, ErrorPassive)
-                if self.is_enabled && !matches!(sending, Sending::Withheld { .. }) =>
-            {
-                *sending = Sending::Withheld { until: now.plus_micros(WITHHOLD_MICROS) };
-                self.step = Some(Step::DropFrames);
+            (Place::Home, ErrorPassive) if self.is_enabled => {
+                if !self.is_withholding() {
+                    self.withhold(now);
+                }
             }
-            (Place::Guest { errors, unacknowledged_until, .. }, Received | Acknowledged) => {
-                *errors = Errors::NONE;
+            (Place::Guest { unacknowledged_until, .. }, Received | Acknowledged) => {
                 *unacknowledged_until = None;
+                self.errors = Errors::NONE;
+                self.sending = Sending::Free;
             }
-            (Place::Guest { errors, .. }, Error | FormError) => {
-                errors.add(now);
-                if errors.count >= GUEST_ERRORS {
+            (Place::Guest { .. }, Error | FormError) => {
+                self.errors.add(now);
+                if self.errors.count >= GUEST_ERRORS {
                     self.leave_as_guest(now);
                 }
             }
             (Place::Looking { look, turn, until }, event) => match (&mut *turn, event) {
                 (Turn::Elsewhere { .. }, Received) => {
                     let rate = look.candidate;
-                    self.place =
-                        Place::Guest { rate, errors: Errors::NONE, unacknowledged_until: None };
+                    self.enter(Place::Guest { rate, unacknowledged_until: None });
                     self.step = Some(Step::TakePart(rate));
                 }
                 (Turn::Elsewhere { has_heard }, Error | FormError) => {
@@ -372,20 +376,20 @@ impl Supervision {
                     }
                 }
                 (Turn::HomeSilent { .. }, Received) | (Turn::HomeOpen, Received | Acknowledged) => {
-                    if !matches!(turn, Turn::HomeOpen) {
-                        self.step = Some(Step::TakePart(self.home));
-                    }
                     self.is_proven = true;
-                    self.place = Place::HOME;
+                    self.end_look();
                 }
+                (_, HeldDominant) => self.end_look(),
                 (Turn::HomeSilent { has_heard }, Error) => *has_heard = true,
-                (Turn::HomeSilent { .. }, FormError) => {
+                (Turn::HomeSilent { has_heard: false }, FormError) => {
                     let look = *look;
                     self.open_home(look, now);
+                    self.sending = Sending::Withheld { until: now.plus_micros(WITHHOLD_MICROS) };
                 }
                 (Turn::HomeOpen, Error | FormError) => {
-                    let look = Look { waits: true, has_waited: true, ..*look };
-                    self.look_elsewhere(look, WAIT_MICROS, now);
+                    look.waits = true;
+                    *until = until.earlier(now.plus_micros(turn_micros(self.home)));
+                    self.withhold(now);
                 }
                 _ => {}
             },
@@ -395,7 +399,7 @@ impl Supervision {
                 self.is_proven = true;
                 self.previous = None;
                 self.step = Some(Step::TakePart(*rate));
-                self.place = Place::HOME;
+                self.enter(Place::Home);
             }
             (Place::Detecting { rate, form_errors, .. }, Error | FormError) => {
                 *form_errors = form_errors.saturating_add(1);
@@ -423,19 +427,16 @@ impl Supervision {
 
     /// When [`poll`](Self::poll) must be called again, if nothing else happens before.
     pub fn poll_at(&self) -> Option<Instant> {
-        let of_place = match &self.place {
-            Place::Home { errors, sending } => {
-                let of_sending = match *sending {
-                    Sending::Free => None,
-                    Sending::Unacknowledged { until } | Sending::Withheld { until } => Some(until),
-                };
-                earliest(errors.are_forgotten_at(), of_sending)
-            }
-            Place::Guest { errors, unacknowledged_until, .. } => {
-                earliest(errors.are_forgotten_at(), *unacknowledged_until)
-            }
-            Place::Looking { until, .. } | Place::Detecting { until, .. } => Some(*until),
+        let of_place = match self.place {
+            Place::Home => None,
+            Place::Guest { unacknowledged_until, .. } => unacknowledged_until,
+            Place::Looking { until, .. } | Place::Detecting { until, .. } => Some(until),
         };
+        let of_sending = match self.sending {
+            Sending::Free => None,
+            Sending::Unacknowledged { until } | Sending::Withheld { until } => Some(until),
+        };
+        let of_place = earliest(of_place, earliest(of_sending, self.errors.are_forgotten_at()));
         earliest(of_place, earliest(self.trusted_until, self.doubted_until))
     }
 
@@ -447,27 +448,20 @@ impl Supervision {
         if is_over(&self.doubted_until) {
             self.doubted_until = None;
         }
-        match &mut self.place {
-            Place::Home { errors, sending } => {
-                if is_over(&errors.are_forgotten_at()) {
-                    *errors = Errors::NONE;
-                }
-                match *sending {
-                    Sending::Unacknowledged { until } if until.has_come(now) => {
-                        *sending = Sending::Withheld { until: now.plus_micros(PAUSE_MICROS) };
-                        self.step = Some(Step::DropFrames);
-                    }
-                    Sending::Withheld { until } if until.has_come(now) => *sending = Sending::Free,
-                    _ => {}
-                }
+        if is_over(&self.errors.are_forgotten_at()) {
+            self.errors = Errors::NONE;
+        }
+        match self.sending {
+            Sending::Unacknowledged { until } if until.has_come(now) => {
+                self.sending = Sending::Withheld { until: now.plus_micros(PAUSE_MICROS) };
+                self.step = Some(Step::DropFrames);
             }
-            Place::Guest { errors, unacknowledged_until, .. } => {
-                if is_over(&errors.are_forgotten_at()) {
-                    *errors = Errors::NONE;
-                }
-                if is_over(unacknowledged_until) {
-                    self.leave_as_guest(now);
-                }
+            Sending::Withheld { until } if until.has_come(now) => self.sending = Sending::Free,
+            _ => {}
+        }
+        match &mut self.place {
+            Place::Guest { unacknowledged_until, .. } if is_over(unacknowledged_until) => {
+                self.leave_as_guest(now);
             }
             &mut Place::Looking { look, turn, until } if until.has_come(now) => {
                 self.end_turn(look, turn, now);
@@ -500,7 +494,7 @@ impl Supervision {
                 self.look_elsewhere(Look { has_waited: true, ..look }, WAIT_MICROS, now);
             }
             Turn::HomeOpen => {
-                self.place = Place::HOME;
+                self.place = Place::Home;
                 self.doubted_until = Some(now.plus_micros(DOUBT_MICROS));
             }
         }
@@ -508,9 +502,8 @@ impl Supervision {
 
     /// Looks elsewhere if the errors at home are reason enough.
     fn doubt(&mut self, now: Instant) {
-        let Place::Home { errors, .. } = &self.place else { return };
-        let are_lasting = errors.count >= LASTING_ERRORS
-            && errors.first.plus_micros(LASTING_MICROS).has_come(now);
+        let are_lasting = self.errors.count >= LASTING_ERRORS
+            && self.errors.first.plus_micros(LASTING_MICROS).has_come(now);
         if self.is_proven && !are_lasting || self.trusted_until.is_some() {
             return;
         }
@@ -535,21 +528,21 @@ impl Supervision {
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
     fn look_elsewhere(&mut self, look: Look, micros: u32, now: Instant) {
-        self.place = Place::Looking {
+        self.enter(Place::Looking {
             look: Look { has_moved: false, ..look },
             turn: Turn::Elsewhere { has_heard: false },
             until: now.plus_micros(micros),
-        };
+        });
         self.step = Some(Step::Listen(look.candidate));
     }
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
     fn listen_at_home(&mut self, look: Look, now: Instant) {
-        self.place = Place::Looking {
+        self.enter(Place::Looking {
             look,
             turn: Turn::HomeSilent { has_heard: false },
-            until: now.plus_micros(TURN_MICROS + bits_micros(TURN_BITS, self.home)),
-        };
+            until: now.plus_micros(turn_micros(self.home)),
+        });
         self.step = Some(Step::Listen(self.home));
     }
 
@@ -558,6 +551,30 @@ impl Supervision {
         let until = now.plus_micros(OPEN_TURN_MICROS);
         self.place = Place::Looking { look, turn: Turn::HomeOpen, until };
         self.step = Some(Step::TakePart(self.home));
+    }
+
+    /// Takes part at home from now on, and stays.
+    fn end_look(&mut self) {
+        if self.is_listening() {
+            self.step = Some(Step::TakePart(self.home));
+        }
+        self.enter(Place::Home);
+    }
+
+    /// Drops the frames that wait, and sends none for a while.
+    fn withhold(&mut self, now: Instant) {
+        let mut end = now.plus_micros(WITHHOLD_MICROS);
+        match self.sending {
+            Sending::Withheld { until } => end = until.later(end),
+            _ => self.step = Some(Step::DropFrames),
+        }
+        self.sending = Sending::Withheld { until: end };
+    }
+
+    fn enter(&mut self, place: Place) {
+        self.place = place;
+        self.errors = Errors::NONE;
+        self.sending = Sending::Free;
     }
 }
 
@@ -569,6 +586,10 @@ fn next_rate(rates: BitRates, rate: BitRate, except: Option<BitRate>) -> BitRate
         || BitRate::ALL.into_iter().filter(|&other| rates.contains(other) && Some(other) != except);
     let slower = candidates().find(|other| other.kbit_per_s() < rate.kbit_per_s());
     slower.or_else(|| candidates().next()).unwrap_or(rate)
+}
+
+const fn turn_micros(home: BitRate) -> u32 {
+    TURN_MICROS + bits_micros(TURN_BITS, home)
 }
 
 const fn bits_micros(bits: u32, rate: BitRate) -> u32 {

@@ -195,7 +195,7 @@ fn a_guest_goes_home_when_a_frame_finds_no_acknowledge_for_a_second() {
     for proof in [Received, Acknowledged] {
         board.see(proof);
         board.timeline();
-        board.pass_us(1_200_000);
+        board.pass_us(1_000_000);
         assert!(!board.node.is_listening(), "the second begins with the next frame: {proof:?}");
     }
     board.pass_ms(1_000);
@@ -213,7 +213,8 @@ fn an_answer_of_a_guest_that_finds_no_acknowledge_sends_it_home() {
         board.timeline();
         board.receive(&request);
         board.pass_ms(1_000);
-        assert_eq!(board.timeline()[1..], ["1000 ms listen at 125 kbit/s"], "{request:?}");
+        let expected = ["100 ms stop", "100 ms resume", "1000 ms listen at 125 kbit/s"];
+        assert_eq!(board.timeline()[1..], expected, "{request:?}");
     }
 }
 

@@ -4,14 +4,14 @@ mod support;
 
 use lss_slave::{
     BitRate, BitRates,
-    BusEvent::{Acknowledged, Error, FormError, Received},
-    Device, Settings,
+    BusEvent::{Acknowledged, Error, FormError, HeldDominant, Received},
+    Device, Frame, Settings,
 };
 use support::{
     board::{ADDRESS, Board, defaults, device},
     flash::BoardFlash,
     frames::SILENCE,
-    supervised::{TURN_US, doubt, looking, powered_on, unproven},
+    supervised::{TURN_US, doubt, looking, powered_on, proven, unproven},
 };
 
 #[test]
@@ -186,18 +186,101 @@ fn a_valid_frame_or_an_acknowledge_at_home_ends_the_search() {
 }
 
 #[test]
-fn an_error_in_the_open_turn_of_home_leads_back_elsewhere() {
+fn an_error_ends_the_open_turn_of_home_after_20_ms_and_two_frames() {
     for error in [Error, FormError] {
         let mut board = looking();
-        board.pass_us(40_000 + TURN_US + 149_999);
+        board.pass_us(40_000 + TURN_US);
         board.timeline();
         board.see(error);
-        assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"]);
+        assert_eq!(board.timeline(), ["0 ms stop", "0 ms resume"], "what waited is dropped");
+        board.pass_us(TURN_US);
+        assert_eq!(board.timeline(), ["22.16 ms listen at 1000 kbit/s"]);
         board.pass_ms(1_099);
         assert_eq!(board.timeline(), SILENCE, "it waits for something to be heard");
         board.pass_ms(1);
         assert_eq!(board.timeline(), ["1 ms listen at 125 kbit/s"], "{error:?}");
     }
+}
+
+#[test]
+fn a_master_between_errors_in_the_open_turn_of_home_is_answered() {
+    let mut board = looking();
+    board.pass_us(40_000 + TURN_US);
+    board.see(Error);
+    board.timeline();
+    board.pass_ms(20);
+    board.lss("04 01");
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    board.pass_ms(5_000);
+    assert_eq!(board.bit_rate(), BitRate::Kbit125, "the search is over");
+}
+
+#[test]
+fn a_turn_that_a_form_error_opened_begins_with_50_ms_of_silence() {
+    let mut board = unproven();
+    board.see(Error);
+    board.pass_ms(41);
+    board.timeline();
+    board.see(FormError);
+    assert_eq!(board.timeline(), ["0 ms 125 kbit/s", "0 ms resume"]);
+    board.pass_ms(60);
+    assert_eq!(board.timeline(), ["50 ms 740: 00"], "a lone master needs the bus");
+}
+
+#[test]
+fn a_form_error_after_another_error_does_not_open_home() {
+    let mut board = looking();
+    board.pass_ms(41);
+    board.see(Error);
+    board.see(FormError);
+    assert!(board.node.is_listening(), "somebody sends at another rate");
+}
+
+#[test]
+fn a_bus_that_is_held_dominant_ends_the_search_at_once() {
+    for us in [1, 40_000, 40_000 + TURN_US] {
+        let mut board = unproven();
+        board.see(Error);
+        board.pass_us(us);
+        let was_listening = board.node.is_listening();
+        board.timeline();
+        board.see(HeldDominant);
+        let acts = board.timeline();
+        assert_eq!(acts.first().map(String::as_str), was_listening.then_some("0 ms 125 kbit/s"));
+        board.pass_ms(10_000);
+        assert_eq!(board.bit_rate(), BitRate::Kbit125);
+        assert!(!board.timeline().iter().any(|act| act.contains("listen")), "{us} us");
+    }
+}
+
+#[test]
+fn errors_before_the_bus_was_held_dominant_do_not_count() {
+    let mut board = proven();
+    board.see(Error);
+    board.pass_ms(900);
+    board.see(Error);
+    board.see(HeldDominant);
+    board.pass_ms(900);
+    board.see(Error);
+    assert!(!board.node.is_listening());
+}
+
+#[test]
+fn a_boot_up_elsewhere_does_not_make_a_guest_but_a_heartbeat_does() {
+    for (state, is_guest) in [(0x00, false), (0x05, true), (0x7F, true)] {
+        let mut board = looking();
+        let frame = Frame::new(0x701, &[state]).expect("one byte");
+        board.receive(&frame);
+        assert_eq!(!board.node.is_listening(), is_guest, "{state:02X}");
+    }
+}
+
+#[test]
+fn a_boot_up_at_home_ends_the_search() {
+    let mut board = looking();
+    board.pass_ms(41);
+    board.receive(&Frame::new(0x701, &[0]).expect("one byte"));
+    assert!(!board.node.is_listening());
 }
 
 /// Whether a look that hears nothing is followed by another one after the turns of home.

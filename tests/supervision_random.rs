@@ -4,7 +4,9 @@ mod support;
 
 use lss_slave::{
     Action, BitRate, BitRates,
-    BusEvent::{self, Acknowledged, BusOff, Error, ErrorPassive, FormError, Received},
+    BusEvent::{
+        self, Acknowledged, BusOff, Error, ErrorPassive, FormError, HeldDominant, Received,
+    },
     Device, Settings,
 };
 use support::{
@@ -15,7 +17,7 @@ use support::{
 };
 
 /// What a controller reports for a while.
-const MOODS: [&[BusEvent]; 8] = [
+const MOODS: [&[BusEvent]; 9] = [
     &[Error],
     &[FormError],
     &[Error, FormError],
@@ -24,6 +26,7 @@ const MOODS: [&[BusEvent]; 8] = [
     &[Error, Error, Error, Error, Acknowledged],
     &[Received, Received, Acknowledged, FormError],
     &[Received, Acknowledged, Error, FormError, ErrorPassive, BusOff],
+    &[Error, FormError, HeldDominant],
 ];
 
 /// Microseconds between two of them, at most.

@@ -60,6 +60,7 @@ fn state(mut board: Board) -> State {
         (true, false) => Elsewhere,
         (false, true) => {
             board.see(Error);
+            board.pass_us(TURN_US);
             if board.node.is_listening() { OpenTurn } else { Home }
         }
         (false, false) => {
@@ -143,6 +144,7 @@ fn causes(from: State, to: State) -> Vec<String> {
             add(" with an error", leaves(from, || after(from, Error)));
         }
         OpenTurn => {
+            add(" after the first error", leaves(from, || after(from, Error)));
             add(" of silence", leaves(from, || board(from)));
             add(" if something was heard elsewhere", leaves(from, heard_elsewhere));
         }
@@ -218,6 +220,9 @@ fn effects(of: State) -> Vec<String> {
             ["0 ms listen at 800 kbit/s"] => format!("{name}: the next slower rate"),
             ["0 ms 125 kbit/s", "0 ms resume"] => {
                 format!("{name}: the controller restarts,|frames wait {}", time(wait_us(event)))
+            }
+            ["0 ms stop", "0 ms resume"] if of == OpenTurn => {
+                format!("{name}: frames are dropped and wait")
             }
             ["0 ms stop", "0 ms resume"] => {
                 format!("{name} by reception:|frames are dropped and wait {}", time(wait_us(event)))
@@ -329,9 +334,10 @@ fn draw_arrow(&(from, to, points, [x, y]): &Arrow) -> String {
     ) + &lines(x, y, &words)
 }
 
-const LEGEND: [&str; 3] = [
+const LEGEND: [&str; 4] = [
     "Home is the rate that was stored at power-on or activated since, here 125 kbit/s. It is proven by a valid frame or an acknowledge.",
     "An error is a stuff, form, CRC or bit recessive error. Automatic detection (index 9) is not shown.",
+    "Not shown either: a bus that is held dominant ends a search, and the boot-up of another node elsewhere makes no guest.",
     "Drawn by tests/supervision_states.rs from what the node does with each event in each state.",
 ];
 
@@ -342,8 +348,8 @@ fn draw() -> String {
             assert!(from == to || has_arrow != causes(from, to).is_empty(), "{from:?} to {to:?}");
         }
     }
-    let (width, height) = (FAR + 20, BOTTOM + HEIGHT + 76);
-    let legend_y = height - 44;
+    let (width, height) = (FAR + 20, BOTTOM + HEIGHT + 92);
+    let legend_y = height - 60;
     let (start_x, start_y) = (LEFT + 40, CENTRE + HEIGHT + 50);
     assert_eq!(state(powered_on(BitRate::Kbit125, 0)), Home);
     let legend = LEGEND.map(str::to_owned);

@@ -106,11 +106,12 @@ impl Board {
             }
             11 => self.node.handle_bus(BusEvent::Acknowledged, self.now),
             12 => {
-                let event = match what % 5 {
+                let event = match what % 6 {
                     0 => BusEvent::Received,
                     1 => BusEvent::Error,
                     2 => BusEvent::FormError,
                     3 => BusEvent::ErrorPassive,
+                    4 => BusEvent::HeldDominant,
                     _ => BusEvent::BusOff,
                 };
                 self.node.handle_bus(event, self.now);

@@ -297,20 +297,20 @@ impl Controller {
         error
     }
 
-    /// Has the next error interrupt again. Returns whether there has been traffic for more than two frame times that the
-    /// controller neither understands nor finds an error in: a controller that waits for so many equal bits, to join the bus
-    /// or to end an error flag, may wait for ever at a wrong rate. To be called each millisecond.
-    pub fn watch(&mut self) -> bool {
-        const QUIET_MS: u16 = 8;
+    /// Has the next error interrupt again, and reports what no interrupt does. To be called each millisecond.
+    ///
+    /// A bus that is dominant for longer than any frame has recessive bits apart. Else traffic for more than two frame times that the
+    /// controller neither understands nor finds an error in: one that waits for so many equal bits, to join the bus
+    /// or to end an error flag, may wait for ever at a wrong rate.
+    pub fn watch(&mut self) -> Option<BusEvent> {
+        /// After a frame at 10 kbit/s the bus is recessive for a millisecond at least.
+        const LONGEST_FRAME_MS: u16 = 16;
         const FRAMES: u16 = 2 * 135;
         let can = registers();
         if can.ier().read().lecie().bit_is_clear() {
             can.ier().modify(|_, w| w.lecie().set_bit());
         }
         let status = can.msr().read();
-        if status.txm().bit_is_set() {
-            return false;
-        }
         let traffic = &mut self.traffic;
         let level = status.rx().bit_is_set();
         if level != traffic.is_recessive {
@@ -318,11 +318,18 @@ impl Controller {
         }
         traffic.ms = traffic.ms.saturating_add(1);
         traffic.level_ms = traffic.level_ms.saturating_add(1);
-        let lasts = traffic.ms > QUIET_MS + 2 + FRAMES / self.bit_rate.kbit_per_s();
-        if lasts || traffic.level_ms >= QUIET_MS {
-            *traffic = Traffic::default();
+        let lasts = traffic.ms > LONGEST_FRAME_MS + 2 + FRAMES / self.bit_rate.kbit_per_s();
+        let is_held = traffic.level_ms >= LONGEST_FRAME_MS;
+        let is_sending = status.txm().bit_is_set();
+        if lasts || is_held || is_sending {
+            let level_ms = if is_held { 0 } else { traffic.level_ms };
+            self.traffic = Traffic { ms: 0, is_recessive: level, level_ms };
         }
-        lasts
+        match (is_held, lasts && !is_sending) {
+            (true, _) => (!level).then_some(BusEvent::HeldDominant),
+            (false, true) => Some(BusEvent::Error),
+            (false, false) => None,
+        }
     }
 
     /// TEC and REC (RM0090, 32.7.6).

@@ -155,8 +155,8 @@ impl Slave {
         // A switch delay ends on time.
         self.act_until_nothing_is_due();
         self.hear_others();
-        if self.can.watch() {
-            self.node.handle_bus(BusEvent::Error, clock::now());
+        if let Some(event) = self.can.watch() {
+            self.node.handle_bus(event, clock::now());
         }
         self.act_until_nothing_is_due();
     }

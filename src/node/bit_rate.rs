@@ -65,6 +65,7 @@ impl Node {
             Phase::NewRate => {
                 self.switch = None;
                 self.is_resume_due = true;
+                self.heartbeat_due = now;
                 return None;
             }
         }

@@ -64,6 +64,11 @@ pub fn situation(seed: u64) -> Situation {
         Kind::PowerCut => draft.power_cut(),
         Kind::Mixture => draft.mixture(),
     };
+    // Boards that a foreign device has led to its rate hear one another there. What they hear is what a network with a silent
+    // master sounds like: nothing tells them to leave.
+    let is_foreign = |event: &Event| matches!(event.what, What::Foreign(_));
+    let may_stay = draft.boards.len() > 1 && draft.events.iter().any(is_foreign);
+    let probe = Probe { listens: probe.listens && !may_stay, ..probe };
     draft.events.sort_by_key(|event| event.at);
     Situation { kind, boards: draft.boards, events: draft.events, probe }
 }
