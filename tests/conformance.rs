@@ -6,7 +6,7 @@ use std::{fs, path::Path};
 #[derive(Debug, PartialEq)]
 struct Row {
     rule: String,
-    /// `file::name`.
+    /// `binary::file::name`, or `file::name` for a file of one test.
     tests: Vec<String>,
 }
 
@@ -40,8 +40,8 @@ fn faults(text: &str, source: impl Fn(&str) -> Option<String>) -> Vec<String> {
             faults.push(format!("{rule}: names no test"));
         }
         for test in tests {
-            let is_there = test.split_once("::").is_some_and(|(file, name)| {
-                source(file).is_some_and(|source| has_test(&source, name))
+            let is_there = test.rsplit_once("::").is_some_and(|(file, name)| {
+                source(&file.replace("::", "/")).is_some_and(|source| has_test(&source, name))
             });
             if !is_there {
                 faults.push(format!("{rule}: there is no test {test}"));

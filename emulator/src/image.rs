@@ -1,7 +1,5 @@
 //! A firmware image: what an ELF file puts into flash, its symbols, and its defmt table.
 
-mod build;
-
 use std::{
     collections::HashMap,
     fmt, fs, io,
@@ -37,8 +35,6 @@ pub enum ImageError {
     Io(PathBuf, io::Error),
     /// The file is no 32-bit ELF file, or its defmt section has another format version.
     Malformed(String),
-    /// `cargo` could not be run or said no; the text is what it said and what to do.
-    Build(String),
 }
 
 impl fmt::Display for ImageError {
@@ -46,7 +42,6 @@ impl fmt::Display for ImageError {
         match self {
             Self::Io(path, error) => write!(f, "cannot read {}: {error}", path.display()),
             Self::Malformed(why) => write!(f, "not a firmware image: {why}"),
-            Self::Build(why) => write!(f, "the firmware does not build: {why}"),
         }
     }
 }

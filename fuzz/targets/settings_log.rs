@@ -2,19 +2,12 @@
 
 #![no_main]
 
-#[path = "../../tests/support/flash.rs"]
-#[expect(dead_code, reason = "what tests of the library need of it")]
-mod flash;
-#[path = "../../tests/support/random.rs"]
-#[expect(dead_code, reason = "what tests of the library need of it")]
-mod random;
-
-use flash::Flash;
 use libfuzzer_sys::fuzz_target;
 use lss_slave::{
     BitRate, NodeId, Settings,
     settings::{Found, Log},
 };
+use testkit::flash::Flash;
 
 /// Bytes of one of the two banks: four records.
 const BANK: usize = 128;

@@ -3,19 +3,16 @@
 use std::ops::Range;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use embedded_storage::nor_flash::{
-    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
-};
 use emulator::{
     board::{self, Board},
     chip::Part,
     image::Image,
 };
 use lss_slave::{Settings, lss::Address, settings::Log};
+use testkit::flash::BoardFlash;
 
 /// Sectors 1 and 2 of the flash, where the firmware keeps its settings (`memory.x`), from the start of the flash.
 const SETTINGS: Range<usize> = 0x4000..0xC000;
-const SECTOR: usize = 0x4000;
 
 /// Reads the name of a chip from the command line.
 pub fn part() -> impl TypedValueParser<Value = Part> {
@@ -45,55 +42,18 @@ pub fn serial_number(number: usize) -> u32 {
 
 /// The settings stored in a board's flash; `None` in that of a new board.
 pub fn stored_settings(flash: &[u8]) -> Option<Settings> {
-    let mut sectors = flash[SETTINGS].to_vec();
-    let (log, _) = Log::open(SettingsFlash(&mut sectors));
-    log.settings()
+    log(flash).settings()
 }
 
 /// Stores settings in a board's flash, as the firmware would.
 pub fn store_settings(flash: &mut [u8], settings: Settings) {
-    let (mut log, _) = Log::open(SettingsFlash(&mut flash[SETTINGS]));
+    let mut log = log(flash);
     log.store(settings).expect("the flash in memory works, and has room after an open");
+    flash[SETTINGS].copy_from_slice(&log.close().content());
 }
 
-/// Two sectors of flash in memory.
-struct SettingsFlash<'a>(&'a mut [u8]);
-
-impl ErrorType for SettingsFlash<'_> {
-    type Error = NorFlashErrorKind;
-}
-
-impl ReadNorFlash for SettingsFlash<'_> {
-    const READ_SIZE: usize = 1;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
-        check_read(self, offset, bytes.len())?;
-        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
-        Ok(())
-    }
-
-    fn capacity(&self) -> usize {
-        self.0.len()
-    }
-}
-
-impl NorFlash for SettingsFlash<'_> {
-    const WRITE_SIZE: usize = 4;
-    const ERASE_SIZE: usize = SECTOR;
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
-        check_erase(self, from, to)?;
-        self.0[from as usize..to as usize].fill(0xFF);
-        Ok(())
-    }
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
-        check_write(self, offset, bytes.len())?;
-        for (stored, byte) in self.0[offset as usize..].iter_mut().zip(bytes) {
-            *stored &= byte;
-        }
-        Ok(())
-    }
+fn log(flash: &[u8]) -> Log<BoardFlash> {
+    Log::open(BoardFlash::with_content(flash[SETTINGS].to_vec(), 0)).0
 }
 
 #[cfg(test)]

@@ -15,7 +15,6 @@ use emulator::{
     Time,
     can::{Frame, Id},
     chip::Part,
-    image::Image,
     network::{Event, Source, What},
 };
 use lss_slave::{
@@ -98,7 +97,7 @@ impl Arguments {
 
 /// Builds the firmware, runs the session and prints it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let image = Image::build(arguments.chip)?;
+    let image = testkit::image::build(arguments.chip)?;
     let begin = Instant::now();
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build()?;

@@ -17,7 +17,6 @@ use anyhow::{Context, ensure};
 use emulator::{
     Time,
     chip::Part,
-    image::Image,
     network::{Network, Recording},
 };
 use lss_slave::{BitRate, NodeId, Settings};
@@ -118,7 +117,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let presets = (0..usize::from(arguments.boards))
         .map(|number| arguments.preset(number))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let image = Image::build(arguments.chip)?;
+    let image = testkit::image::build(arguments.chip)?;
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);

@@ -26,7 +26,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let status = Command::new(cargo)
         .args(["run", "--release", "--target", "thumbv7em-none-eabihf"])
-        .args(["--package", "lss-slave", "--bin", "lss-slave"])
+        .args(["--package", "lss-slave-firmware", "--bin", "lss-slave"])
         .args(["--features", arguments.chip.name()])
         .env("PROBE_RS_CHIP", probe_rs_name(arguments.chip))
         .status()

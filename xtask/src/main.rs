@@ -17,8 +17,6 @@ mod readings;
 mod record;
 mod size;
 mod storm;
-#[path = "../../tests/support/mod.rs"]
-mod support;
 
 use std::{io, process::ExitCode};
 

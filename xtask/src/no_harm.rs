@@ -13,9 +13,11 @@ use std::{
 };
 
 use anyhow::ensure;
-use emulator::{Time, chip::Part, image::Image};
+use emulator::{Time, chip::Part};
 
-use crate::{boards, parallel, support::random::Random};
+use testkit::random::Random;
+
+use crate::{boards, parallel};
 use judge::{Failure, Images, Verdict};
 use situation::{Kind, Situation};
 
@@ -56,7 +58,7 @@ pub struct Arguments {
 /// Runs the campaign. Fails if anybody is worse off than with the plain slave, or is not found.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let part = arguments.chip;
-    let images = Images { part, plain: plain::build(part)?, product: Image::build(part)? };
+    let images = Images { part, plain: plain::build(part)?, product: testkit::image::build(part)? };
     match arguments.replay {
         Some(seed) => replay(&images, seed),
         None => campaign(&images, arguments),
@@ -110,9 +112,9 @@ impl Tally {
 }
 
 fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
-    let seed = arguments.seed.unwrap_or_else(|| Random::new().next());
+    let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
     let mut seeds = Random::from_seed(seed);
-    let seeds: Vec<u64> = (0..arguments.situations).map(|_| seeds.next() >> 32).collect();
+    let seeds: Vec<u64> = (0..arguments.situations).map(|_| seeds.u64() >> 32).collect();
     println!("--seed {seed}");
     let begin = Instant::now();
     let mut all = Tally::default();

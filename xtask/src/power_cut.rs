@@ -6,10 +6,12 @@ mod library;
 use std::{fmt, time::Instant};
 
 use anyhow::ensure;
-use emulator::{chip::Part, image::Image};
+use emulator::chip::Part;
 use lss_slave::Settings;
 
-use crate::{boards, support::random::Random};
+use testkit::random::Random;
+
+use crate::boards;
 
 /// Erasures that the data sheet promises for a sector (STM32F405, table "flash memory endurance").
 const ENDURANCE: u64 = 10_000;
@@ -93,8 +95,8 @@ impl fmt::Display for Named {
 /// Prints what was tried. Fails if anything was lost.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
-    let image = Image::build(arguments.chip)?;
-    let mut random = arguments.seed.map_or_else(Random::new, Random::from_seed);
+    let image = testkit::image::build(arguments.chip)?;
+    let mut random = arguments.seed.map_or_else(Random::from_environment, Random::from_seed);
     let mut losses = Vec::new();
 
     println!("\nThe settings log, cut in every one and two steps");

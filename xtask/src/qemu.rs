@@ -83,7 +83,7 @@ pub struct Arguments {
 /// Prints the session. Fails if the runs differ; on their own, in more than the times.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let version = find_qemu()?;
-    let image = Image::build(PART)?;
+    let image = testkit::image::build(PART)?;
     let plugin = build_plugin()?;
     if arguments.lock_step {
         let Arguments { instructions, stride, corrupt, .. } = *arguments;

@@ -7,7 +7,7 @@ mod sessions;
 use std::time::Instant;
 
 use anyhow::ensure;
-use emulator::{chip::Part, image::Image};
+use emulator::chip::Part;
 
 use crate::{boards, parallel};
 use matrix::Reading;
@@ -30,7 +30,7 @@ pub struct Arguments {
 
 /// Prints the table. Fails if a session does under any reading.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let image = Image::build(arguments.chip)?;
+    let image = testkit::image::build(arguments.chip)?;
     let begin = Instant::now();
     let sessions = sessions::all(arguments.quick);
     let readings = matrix::readings();

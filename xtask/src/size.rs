@@ -3,10 +3,7 @@
 use std::{collections::BTreeMap, env, fs, path::PathBuf};
 
 use anyhow::{Context, bail};
-use emulator::{
-    chip::{FLASH_BASE, Part, RAM_BASE},
-    image::Image,
-};
+use emulator::chip::{FLASH_BASE, Part, RAM_BASE};
 use object::{
     Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf, read::elf::ElfFile32,
 };
@@ -31,7 +28,7 @@ struct Section {
 
 /// Prints the sizes. Fails if they are above the budget.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    Image::build(arguments.chip)?;
+    testkit::image::build(arguments.chip)?;
     let path = elf_path()?;
     let elf = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let sections = sections(&elf).with_context(|| format!("cannot parse {}", path.display()))?;

@@ -4,13 +4,12 @@ use std::time::Instant;
 
 use emulator::{chip::Part, image::Image};
 
-use crate::{
-    boards,
-    support::{
-        random::Random,
-        storm::{image::ImageStorm, node::NodeStorm},
-    },
+use testkit::{
+    random::Random,
+    storm::{image::ImageStorm, node::NodeStorm},
 };
+
+use crate::boards;
 
 /// Lines of progress of each storm.
 const PARTS: u64 = 10;
@@ -39,8 +38,8 @@ pub struct Arguments {
 
 /// Lets both storms rage. Panics where something breaks.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let image = Image::build(arguments.chip)?;
-    let seed = arguments.seed.unwrap_or_else(|| Random::new().next());
+    let image = testkit::image::build(arguments.chip)?;
+    let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
     println!("--seed {seed}");
     rage_at_node(arguments.frames, seed);
     rage_at_image(arguments, &image, seed);

@@ -7,7 +7,7 @@ use super::{
     life::SWITCH_LEAD_MS,
     situation::{Event, Foreign, Kind, Master, Node, Probe, Situation, Traffic, What},
 };
-use crate::support::random::Random;
+use testkit::random::Random;
 
 /// Slow rates, at which a frame takes up to 13 ms, are rare; so are the fast ones, at which errors keep the emulated cores busy.
 const RATES: [BitRate; 16] = [
@@ -327,7 +327,7 @@ impl Draft {
             7 => What::NoPower(board),
             8 => What::BitError(board),
             _ => What::Noise {
-                seed: self.random.next(),
+                seed: self.random.u64(),
                 mean_interval_us: self.random.pick(&[200, 1_000, 10_000, 100_000]),
                 length_ns: self.random.pick(&[200, 1_000, 5_000, 50_000]),
             },

@@ -8,7 +8,7 @@ use super::{
     life::{FRAME_BITS, Life, POLL},
     situation::{Situation, ms},
 };
-use crate::support::bench::bit_per_s;
+use testkit::image_rig::bit_per_s;
 
 /// How much later than the plain slave a board may be reached, unless [`LATE_FRAMES`] take longer.
 const LATE: Time = Time::from_ms(100);

@@ -11,14 +11,13 @@ use emulator::{
 use lss_slave::{BitRate, NodeId, Settings};
 
 use super::situation::{Event, Foreign, Master, Node, Situation, Traffic, What, ms};
-use crate::{
-    boards,
-    support::{
-        bench::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
-        frames,
-        random::Random,
-    },
+use testkit::{
+    frames,
+    image_rig::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
+    random::Random,
 };
+
+use crate::boards;
 
 /// How often a board that is looked for is asked.
 pub const POLL: Time = Time::from_ms(20);

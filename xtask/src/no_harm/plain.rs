@@ -10,10 +10,10 @@ use emulator::{chip::Part, image::Image};
 use toml::{Table, Value};
 
 /// What the firmware is built from, and the manifest.
-const SOURCES: [&str; 5] = ["Cargo.lock", "build.rs", "memory.x", "src", "examples"];
+const SOURCES: [&str; 5] = ["Cargo.lock", "build.rs", "memory.x", "src", "lss-slave"];
 /// The line that is changed, and where.
 const SWITCH: (&str, &str) = ("pub const RESCUE: bool = true;", "pub const RESCUE: bool = false;");
-const SWITCH_FILE: &str = "src/firmware/device.rs";
+const SWITCH_FILE: &str = "src/device.rs";
 
 /// Builds it in `target/no-harm/plain`.
 pub fn build(part: Part) -> anyhow::Result<Image> {
@@ -26,7 +26,7 @@ pub fn build(part: Part) -> anyhow::Result<Image> {
     write(&copy.join("Cargo.toml"), manifest_alone(&manifest)?.as_bytes())?;
     let device = read(&workspace.join(SWITCH_FILE))?;
     write(&copy.join(SWITCH_FILE), without_rescue(&device)?.as_bytes())?;
-    Ok(Image::build_in(&copy, part)?)
+    Ok(testkit::image::build_in(&copy, part)?)
 }
 
 /// The manifest of the firmware as a workspace of its own.

@@ -19,10 +19,9 @@ use lss_slave::{
 };
 
 use super::{Expected, Named, Tally};
-use crate::{
-    boards,
-    support::{flash::BoardFlash, random::Random},
-};
+use testkit::{flash::BoardFlash, random::Random};
+
+use crate::boards;
 
 /// What the image has on a blank board: `DEFAULTS` of the firmware's `device.rs`.
 const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
@@ -69,7 +68,7 @@ impl Course {
     /// A cut in every flash operation.
     pub fn in_operations(&self, random: &mut Random) -> Vec<Cut> {
         let operations = 0..self.operations.len() as u64;
-        operations.map(|operation| Cut::In(PowerCut { operation, seed: random.next() })).collect()
+        operations.map(|operation| Cut::In(PowerCut { operation, seed: random.u64() })).collect()
     }
 
     /// A cut in every pause before, between and after the flash operations.
@@ -164,7 +163,7 @@ impl Session {
             let operations = session(part, image, &left, None, &mut expected.clone())?.operations();
             for operation in 0..operations {
                 let mut expected = expected.clone();
-                let second = PowerCut { operation, seed: random.next() };
+                let second = PowerCut { operation, seed: random.u64() };
                 let bench = session(part, image, &left, Some(Cut::In(second)), &mut expected)?;
                 tally.cuts += 1;
                 if let Err(loss) = check(part, image, &bench.settings_flash(), expected) {

@@ -8,7 +8,7 @@ use lss_slave::{
 };
 
 use super::{Expected, Named, Tally};
-use crate::support::{
+use testkit::{
     flash::{BoardFlash, Flash},
     random::Random,
 };
@@ -151,7 +151,7 @@ impl Device {
     }
 
     fn flash<const E: usize>(&self, random: &mut Random) -> Flash<4, E> {
-        Flash::with_content(self.content.clone(), random.next())
+        Flash::with_content(self.content.clone(), random.u64())
     }
 
     /// The device after one more life, or `None` if it has lost its settings.

@@ -11,13 +11,12 @@ use emulator::{
 };
 use lss_slave::{BitRate, Settings};
 
-use crate::{
-    boards,
-    support::{
-        bench::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
-        frames,
-    },
+use testkit::{
+    frames,
+    image_rig::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
 };
+
+use crate::boards;
 
 /// How long an answer may take, beside two frames.
 const PATIENCE: Time = Time::from_ms(5);

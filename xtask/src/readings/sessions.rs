@@ -9,10 +9,9 @@ use emulator::{
 use lss_slave::{BitRate, BitRateSetting, NodeId, Settings};
 
 use super::rig::{AWAY, Bus, Rig};
-use crate::{
-    boards,
-    support::{bench::bit_per_s, frames::number},
-};
+use testkit::{frames::number, image_rig::bit_per_s};
+
+use crate::boards;
 
 /// A rescue, and a detection on a bus with a frame a second.
 const SEARCH: Time = Time::from_s(10);

@@ -1,0 +1,91 @@
+//! The CAN frame that a CANopen node exchanges: 11-bit identifier, data, up to eight bytes.
+
+use core::fmt;
+
+use embedded_can::{Id, StandardId};
+
+/// A classical CAN data frame with an 11-bit identifier.
+///
+/// Remote frames, 29-bit identifiers and data length codes above 8 cannot be held: CANopen gives them no meaning for
+/// this node, and [`Frame::received`] is where they end.
+#[derive(Clone, Copy)]
+#[repr(align(4))]
+pub struct Frame {
+    /// The first `len` bytes count.
+    data: [u8; 8],
+    cob_id: u16,
+    len: u8,
+}
+
+impl Frame {
+    /// A frame with the COB-ID `cob_id` (0..=7FFh) and 0..=8 bytes of data; `None` outside of these.
+    pub fn new(cob_id: u16, data: &[u8]) -> Option<Self> {
+        let mut padded = [0; 8];
+        padded.get_mut(..data.len())?.copy_from_slice(data);
+        Self::from_padded(cob_id, data.len(), padded)
+    }
+
+    /// A frame as a controller holds it: its COB-ID (0..=7FFh), how many bytes of data it has (0..=8), and eight bytes
+    /// that begin with them. `None` outside of these.
+    pub const fn from_padded(cob_id: u16, len: usize, data: [u8; 8]) -> Option<Self> {
+        if cob_id > 0x7FF || len > 8 {
+            return None;
+        }
+        Some(Self { data, cob_id, len: len as u8 })
+    }
+
+    /// What a CAN driver received, unless it is a remote frame or has a 29-bit identifier.
+    pub fn received(frame: &impl embedded_can::Frame) -> Option<Self> {
+        match frame.id() {
+            Id::Standard(id) if !frame.is_remote_frame() => Self::new(id.as_raw(), frame.data()),
+            _ => None,
+        }
+    }
+
+    pub(crate) const fn with_eight_bytes(cob_id: u16, data: [u8; 8]) -> Self {
+        Self { data, cob_id, len: 8 }
+    }
+
+    pub(crate) const fn with_one_byte(cob_id: u16, byte: u8) -> Self {
+        Self { data: [byte, 0, 0, 0, 0, 0, 0, 0], cob_id, len: 1 }
+    }
+
+    /// The COB-ID, which is the 11-bit CAN identifier: 0..=7FFh.
+    pub const fn cob_id(&self) -> u16 {
+        self.cob_id
+    }
+
+    /// The identifier as the `embedded-can` traits name it.
+    pub fn id(&self) -> StandardId {
+        StandardId::new(self.cob_id).unwrap_or(StandardId::MAX)
+    }
+
+    /// The data: 0..=8 bytes.
+    pub fn data(&self) -> &[u8] {
+        self.data.get(..usize::from(self.len)).unwrap_or(&self.data)
+    }
+
+    /// Eight bytes that begin with the data, for a controller that takes so many; what follows has no meaning.
+    pub const fn padded_data(&self) -> [u8; 8] {
+        self.data
+    }
+
+    /// The data of a frame that has all eight bytes, as every LSS and SDO frame does.
+    pub(crate) fn eight_bytes(&self) -> Option<&[u8; 8]> {
+        (self.len == 8).then_some(&self.data)
+    }
+}
+
+impl PartialEq for Frame {
+    fn eq(&self, other: &Self) -> bool {
+        (self.cob_id, self.data()) == (other.cob_id, other.data())
+    }
+}
+
+impl Eq for Frame {}
+
+impl fmt::Debug for Frame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:03X}: {:02X?}", self.cob_id, self.data())
+    }
+}

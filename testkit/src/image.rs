@@ -1,0 +1,157 @@
+//! Builds the workspace's firmware for a part, and says what to do where that fails.
+
+use std::{
+    env, error, fmt,
+    path::Path,
+    process::{Command, Output, Stdio},
+    sync::{OnceLock, mpsc},
+    thread,
+    time::Duration,
+};
+
+use emulator::{
+    chip::Part,
+    image::{Image, ImageError},
+};
+
+const TARGET: &str = "thumbv7em-none-eabihf";
+/// A build that takes longer says that it is going on.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+/// Why there is no image of the firmware.
+#[derive(Debug)]
+pub enum BuildError {
+    /// `cargo` could not be run or failed: what it said, and what to do.
+    Cargo(String),
+    /// What `cargo` built is no image.
+    Image(ImageError),
+}
+
+impl fmt::Display for BuildError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cargo(why) => write!(f, "the firmware does not build: {why}"),
+            Self::Image(error) => error.fmt(f),
+        }
+    }
+}
+
+impl error::Error for BuildError {}
+
+/// The release image for the STM32F405, built once.
+pub fn image() -> &'static Image {
+    static IMAGE: OnceLock<Image> = OnceLock::new();
+    IMAGE.get_or_init(|| build(Part::Stm32f405).unwrap_or_else(|error| panic!("{error}")))
+}
+
+/// Builds the release firmware for `part` with the `cargo` that runs us, and loads it.
+///
+/// # Errors
+/// What `cargo` said. A missing compilation target is installed with `rustup` first.
+pub fn build(part: Part) -> Result<Image, BuildError> {
+    build_with(part, || cargo_build(part))
+}
+
+/// Builds the release firmware for `part` from a copy of its sources in `directory`, and into the `target` in there.
+///
+/// # Errors
+/// Those of [`build`].
+pub fn build_in(directory: &Path, part: Part) -> Result<Image, BuildError> {
+    build_with(part, || {
+        let mut command = cargo_build(part);
+        command.current_dir(directory).arg("--target-dir").arg(directory.join("target"));
+        command
+    })
+}
+
+fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildError> {
+    let mut output = run_with_notice(&mut command(), part)?;
+    if !output.status.success() && stderr(&output).contains("target may not be installed") {
+        add_target()?;
+        output = run_with_notice(&mut command(), part)?;
+    }
+    if !output.status.success() {
+        return Err(BuildError::Cargo(format!("\n{}", stderr(&output).trim_end())));
+    }
+    let messages = String::from_utf8_lossy(&output.stdout);
+    let path = executable(&messages).ok_or_else(|| {
+        BuildError::Cargo("cargo reported no executable for `lss-slave`".to_owned())
+    })?;
+    Image::load(path).map_err(BuildError::Image)
+}
+
+fn cargo_build(part: Part) -> Command {
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
+    let mut command = Command::new(cargo);
+    command
+        .current_dir(workspace)
+        .args(["build", "--package", "lss-slave-firmware", "--release", "--target", TARGET])
+        .args([
+            "--features",
+            part.name(),
+            "--bin",
+            "lss-slave",
+            "--message-format",
+            "json-render-diagnostics",
+        ])
+        // What the host's build was given is not meant for the firmware.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .env_remove("CARGO_BUILD_TARGET");
+    command
+}
+
+fn run_with_notice(command: &mut Command, part: Part) -> Result<Output, BuildError> {
+    let (done, waiting) = mpsc::channel::<()>();
+    let notice = thread::spawn(move || {
+        if waiting.recv_timeout(PATIENCE) == Err(mpsc::RecvTimeoutError::Timeout) {
+            eprintln!("building the firmware for {} ...", part.name());
+        }
+    });
+    let output = run(command);
+    drop(done);
+    notice.join().expect("the notice does not panic");
+    output
+}
+
+fn add_target() -> Result<(), BuildError> {
+    eprintln!("installing the compilation target {TARGET} ...");
+    let output = run(Command::new("rustup").args(["target", "add", TARGET]));
+    if output.is_ok_and(|output| output.status.success()) {
+        return Ok(());
+    }
+    Err(BuildError::Cargo(format!(
+        "the compilation target {TARGET} is missing. Install it with `rustup target add {TARGET}`"
+    )))
+}
+
+fn run(command: &mut Command) -> Result<Output, BuildError> {
+    command.stdin(Stdio::null()).output().map_err(|error| {
+        BuildError::Cargo(format!("cannot run `{}`: {error}", command.get_program().display()))
+    })
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// The path in the last `"executable":"..."` of cargo's messages.
+fn executable(messages: &str) -> Option<String> {
+    let (_, rest) = messages.rsplit_once("\"executable\":\"")?;
+    let (path, _) = rest.split_once('"')?;
+    Some(path.replace("\\\\", "\\"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_executable_is_found_in_cargos_messages() {
+        let messages =
+            "{\"executable\":null}\n{\"executable\":\"C:\\\\t\\\\lss-slave\",\"fresh\":true}";
+        assert_eq!(executable(messages).as_deref(), Some("C:\\t\\lss-slave"));
+        assert_eq!(executable("{\"executable\":null}"), None);
+    }
+}

@@ -1,0 +1,291 @@
+//! A bench for the release image: emulated boards and an LSS master on one bus, and what the boards must never do.
+
+use std::thread;
+
+use emulator::{
+    Time, board,
+    can::{Adapter, Frame, Id},
+    chip::{Part, ResetCause},
+    network::{AdapterId, Event, Network, Source, What},
+};
+use lss_slave::{BitRate, BitRateSetting, NodeId, Settings, settings::Log};
+
+use super::{
+    flash::BoardFlash,
+    frames::{self, Frames},
+    image::image,
+};
+
+/// What the image runs at on a board whose flash is blank: `DEFAULTS` of src/device.rs.
+pub const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
+/// Offset of the settings log in the flash, as memory.x has it.
+pub const SETTINGS_OFFSET: u32 = 0x4000;
+/// The core clock of the image in MHz.
+pub const CORE_MHZ: u64 = 160;
+/// How long an answer is waited for after its request, beside the time that its frame takes.
+const PATIENCE: Time = Time::from_ms(5);
+/// A board has joined the bus so long after power-on, even if its flash is slow and must be erased first.
+const BOOT: Time = Time::from_ms(600);
+/// More bits than any frame has, intermission included.
+const FRAME_BITS: u64 = 160;
+
+/// Boards with the release image, and the LSS master's adapter. When it is dropped it checks that no board did what a
+/// real chip would not have forgiven, is locked up, or was reset when no reset was expected.
+pub struct ImageRig {
+    pub network: Network,
+    pub master: AdapterId,
+    bit_rate: BitRate,
+    expected_resets: Vec<Vec<ResetCause>>,
+}
+
+/// A board with blank settings flash; boards of different `number` have different serial numbers.
+pub fn blank_board(number: u8) -> board::Board {
+    let settings = board::Settings { unique_id: [number; 12], ..Default::default() };
+    board::Board::new(Part::Stm32f405, image(), settings)
+}
+
+/// A board that has stored `settings`.
+pub fn board_with(number: u8, settings: Settings) -> board::Board {
+    let mut board = blank_board(number);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
+    board
+}
+
+/// The settings log after these stores.
+pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
+    let (mut log, _) = Log::open(BoardFlash::blank(0));
+    for &settings in stores {
+        log.store(settings).expect("the flash works");
+    }
+    log.close().content()
+}
+
+/// Settings without a heartbeat; node-ID FF: not configured.
+pub fn settings(node_id: u8, bit_rate: BitRate) -> Settings {
+    let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
+    Settings { node_id, bit_rate: bit_rate.into(), heartbeat_ms: 0 }
+}
+
+pub fn bit_per_s(bit_rate: BitRate) -> u32 {
+    u32::from(bit_rate.kbit_per_s()) * 1000
+}
+
+/// A frame of the node's library as the bus has it.
+pub fn on_the_wire(frame: &lss_slave::Frame) -> Frame {
+    Frame::data(Id::Standard(frame.cob_id()), frame.data())
+}
+
+fn from_the_wire(frame: &Frame) -> lss_slave::Frame {
+    match frame.id {
+        Id::Standard(id) if !frame.remote && frame.dlc <= 8 => {
+            lss_slave::Frame::new(id, frame.payload()).expect("at most eight bytes")
+        }
+        _ => panic!("{frame} is none that a node sends"),
+    }
+}
+
+impl ImageRig {
+    /// Switches these boards on, with the master at `bit_rate`, and lets them boot.
+    pub fn new(bit_rate: BitRate, boards: impl IntoIterator<Item = board::Board>) -> Self {
+        let mut network = Network::new();
+        let master = network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
+        let mut bench = Self { network, master, bit_rate, expected_resets: Vec::new() };
+        for board in boards {
+            bench.network.add_board(board);
+            bench.expected_resets.push(vec![ResetCause::PowerOn]);
+        }
+        for board in 0..bench.expected_resets.len() {
+            bench.boot(board, Time::ZERO);
+        }
+        bench
+    }
+
+    /// One board that was never configured.
+    pub fn blank() -> Self {
+        Self::new(DEFAULT_BIT_RATE, [blank_board(0)])
+    }
+
+    /// One board with these settings, and the master at its bit rate.
+    pub fn with(settings: Settings) -> Self {
+        let BitRateSetting::Fixed(bit_rate) = settings.bit_rate else {
+            panic!("the master needs a bit rate");
+        };
+        Self::new(bit_rate, [board_with(0, settings)])
+    }
+
+    /// Lets a board that was switched on or reset after `since` come to the bus.
+    pub fn boot(&mut self, board: usize, since: Time) {
+        let until = self.network.now() + BOOT;
+        let joined = |bench: &Self| {
+            let is_of_program = |event: &&Event| matches!(event.what, What::BitTiming { .. });
+            let mut events = bench.did(board, since).skip_while(|event| !is_of_program(event));
+            events.any(|event| event.what == What::InitializationLeft)
+        };
+        while !joined(self) {
+            assert!(self.network.now() < until, "board {board} does not come to the bus");
+            self.network.run_for(Time::from_ms(1));
+        }
+    }
+
+    /// Takes the supply of a board away for 10 ms and lets it boot.
+    pub fn power_cycle(&mut self, board: usize) {
+        self.network.power_off(board);
+        self.network.run_for(Time::from_ms(10));
+        self.power_on(board);
+    }
+
+    /// Gives the supply back to a board and lets it boot.
+    pub fn power_on(&mut self, board: usize) {
+        let since = self.network.now();
+        self.network.power_on(board);
+        self.expect_reset(board, ResetCause::PowerOn);
+        self.boot(board, since);
+    }
+
+    /// The board is to be reset once, for this cause.
+    pub fn expect_reset(&mut self, board: usize, cause: ResetCause) {
+        self.expected_resets[board].push(cause);
+    }
+
+    /// Sends a request of the LSS master; returns what the boards send within 5 ms.
+    pub fn lss(&mut self, request: &str) -> Frames {
+        self.exchange(on_the_wire(&frames::request(request)))
+    }
+
+    /// Sends an NMT command; returns what the boards send within 5 ms.
+    pub fn nmt(&mut self, command: &str) -> Frames {
+        self.exchange(on_the_wire(&frames::command(command)))
+    }
+
+    fn exchange(&mut self, frame: Frame) -> Frames {
+        self.transmit(frame);
+        let span = PATIENCE + self.bit_time() * FRAME_BITS;
+        self.collect(span)
+    }
+
+    /// Sends an NMT command and returns its end on the bus.
+    pub fn transmit_command(&mut self, command: &str) -> Time {
+        self.transmit(on_the_wire(&frames::command(command)))
+    }
+
+    /// Sends a request of the LSS master and returns its end on the bus.
+    pub fn transmit_request(&mut self, request: &str) -> Time {
+        self.transmit(on_the_wire(&frames::request(request)))
+    }
+
+    /// Sends a frame from the master and returns its end on the bus.
+    ///
+    /// # Panics
+    /// It does not get through within a second.
+    pub fn transmit(&mut self, frame: Frame) -> Time {
+        let from = self.network.now();
+        self.network.send(self.master, frame);
+        let sent = |event: &Event| matches!(event.what, What::Frame { frame: f, .. } if f == frame);
+        while self.network.now() < from + Time::from_s(1) {
+            self.network.run_for(Time::from_us(10));
+            let mut since = self.network.trace().iter().rev().take_while(|event| event.time > from);
+            if let Some(event) = since.find(|event| sent(event)) {
+                return event.time;
+            }
+        }
+        panic!("{frame} does not get through");
+    }
+
+    /// What the boards send until `span` has passed, as the master receives it.
+    pub fn collect(&mut self, span: Time) -> Frames {
+        self.network.run_for(span);
+        let mut received = Vec::new();
+        while let Some((_, frame)) = self.network.receive(self.master) {
+            received.push(from_the_wire(&frame));
+        }
+        Frames(received)
+    }
+
+    /// The next frame that the master receives within a second, and when.
+    pub fn next_frame(&mut self) -> (Time, Frames) {
+        match self.network.run_until_received(self.master, Time::from_s(1)) {
+            Some((time, frame)) => (time, Frames(vec![from_the_wire(&frame)])),
+            None => (self.network.now(), Frames(Vec::new())),
+        }
+    }
+
+    /// Adds a node at a bit rate that nobody uses; it is not on the bus.
+    pub fn add_disturber(&mut self) -> AdapterId {
+        let disturber = self.network.add_adapter(Adapter::new(333_000));
+        self.network.adapter_mut(disturber).close();
+        disturber
+    }
+
+    /// Instead of the master the disturber is on the bus for `span`, and has one more frame to send `every` so often.
+    pub fn disturb(&mut self, disturber: AdapterId, id: Id, every: Time, span: Time) {
+        self.network.adapter_mut(self.master).close();
+        self.network.adapter_mut(disturber).open();
+        let until = self.network.now() + span;
+        while self.network.now() < until {
+            self.network.send(disturber, Frame::data(id, &[0xA5; 8]));
+            self.network.run_for(every);
+        }
+        self.network.adapter_mut(disturber).close();
+        self.network.adapter_mut(self.master).open();
+    }
+
+    /// The master goes on at another bit rate.
+    pub fn set_master_bit_rate(&mut self, bit_rate: BitRate) {
+        self.bit_rate = bit_rate;
+        self.network.adapter_mut(self.master).set_bit_rate(bit_per_s(bit_rate));
+    }
+
+    /// The time of a bit at the master's rate.
+    pub fn bit_time(&self) -> Time {
+        Time::from_ps(1_000_000_000 / u64::from(self.bit_rate.kbit_per_s()))
+    }
+
+    /// What a board did from `since` on.
+    pub fn did(&self, board: usize, since: Time) -> impl Iterator<Item = &Event> {
+        let of_board =
+            move |event: &&Event| event.source == Source::Board(board) && event.time >= since;
+        self.network.trace().iter().filter(of_board)
+    }
+
+    /// When a board asked for transmissions from `since` on, and of what.
+    pub fn requested(&self, board: usize, since: Time) -> impl Iterator<Item = (Time, Frame)> {
+        self.did(board, since).filter_map(|event| match event.what {
+            What::Requested { frame, .. } => Some((event.time, frame)),
+            _ => None,
+        })
+    }
+
+    /// When a board changed its bit rate from `since` on, and to which, in bit/s.
+    pub fn bit_rates(&self, board: usize, since: Time) -> Vec<(Time, u32)> {
+        let changes = self.did(board, since).filter_map(|event| match event.what {
+            What::BitTiming { bit_rate, .. } => Some((event.time, bit_rate)),
+            _ => None,
+        });
+        changes.collect()
+    }
+
+    fn check(&self) {
+        for (number, (board, expected)) in
+            self.network.boards().iter().zip(&self.expected_resets).enumerate()
+        {
+            let findings: Vec<_> = board.findings().iter().map(ToString::to_string).collect();
+            assert!(findings.is_empty(), "board {number}: {findings:#?}");
+            assert_eq!(board.lockup(), None, "board {number}");
+            let causes: Vec<_> = board.resets().iter().map(|&(_, cause)| cause).collect();
+            assert_eq!(causes, *expected, "resets of board {number}: {:?}", board.resets());
+        }
+    }
+}
+
+impl Drop for ImageRig {
+    fn drop(&mut self) {
+        if !thread::panicking() {
+            return self.check();
+        }
+        for (number, board) in self.network.boards().iter().enumerate() {
+            for line in board.log() {
+                eprintln!("board {number}, {} ms: {} {}", line.time, line.level, line.text);
+            }
+        }
+    }
+}

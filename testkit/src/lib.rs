@@ -1,0 +1,18 @@
+//! What the tests and tools share: a node in the process, the release image on emulated boards, a flash whose power can fail,
+//! frames as text, random numbers.
+
+pub mod flash;
+pub mod frames;
+#[cfg(feature = "image")]
+pub mod image;
+#[cfg(feature = "image")]
+pub mod image_rig;
+pub mod node_rig;
+pub mod random;
+pub mod sdo;
+pub mod settings;
+#[cfg(feature = "image")]
+pub mod stack;
+#[cfg(feature = "image")]
+pub mod storm;
+pub mod supervised;

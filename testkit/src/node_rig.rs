@@ -1,0 +1,336 @@
+//! A board in the process: drives a [`Node`] as its documentation prescribes, in virtual time, with its settings in a flash.
+
+use lss_slave::{
+    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId, Settings,
+    lss::{Address, StoreError},
+    settings::{Found, Log},
+};
+
+use super::{
+    flash::BoardFlash,
+    frames::{self, Frames},
+};
+
+/// The LSS address of a board that does not say otherwise: no byte occurs twice, the serial number has its top bit set.
+pub const ADDRESS: Address = Address {
+    vendor_id: 0x1122_3344,
+    product_code: 0x5566_7788,
+    revision_number: 0x0001_0203,
+    serial_number: 0xDEAD_BEEF,
+};
+
+/// A board with a node on it.
+pub struct NodeRig {
+    pub node: Node,
+    /// The chip that holds the settings: a handle to it.
+    pub flash: BoardFlash,
+    /// What the search for the settings found at the last power-on.
+    pub found: Found,
+    /// Whether others acknowledge the frames of the node.
+    pub is_acknowledged: bool,
+    device: Device,
+    defaults: Settings,
+    log: Log<BoardFlash>,
+    /// Microseconds since the board was made.
+    now: u64,
+    /// What the node's clock said then.
+    clock_at_start: u32,
+    /// The controller.
+    bit_rate: BitRate,
+    may_transmit: bool,
+    receives_for: Option<NodeId>,
+    /// The store that is being carried out, if stores take time.
+    running_store: Option<Settings>,
+    stores_take_time: bool,
+    actions: Vec<(u64, Action)>,
+    /// When `timeline` was called last.
+    timeline_from: u64,
+}
+
+/// A device with all eight bit rates.
+pub const fn device(address: Address) -> Device {
+    Device {
+        address,
+        bit_rates: BitRates::possible(40_000_000),
+        heartbeat_ms: 0,
+        name: "Test board",
+        hardware_version: "A",
+        software_version: "1.2.3",
+        rescue: false,
+        lss_lock: false,
+    }
+}
+
+/// The defaults of a board as it leaves the factory: 1 Mbit/s, no heartbeat.
+pub fn defaults(node_id: u8) -> Settings {
+    let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
+    Settings { node_id, bit_rate: BitRate::Kbit1000.into(), heartbeat_ms: 0 }
+}
+
+impl NodeRig {
+    /// A new board that leaves the factory without a node-ID, just powered on.
+    pub fn unconfigured() -> Self {
+        Self::with_defaults(defaults(0xFF))
+    }
+
+    /// A new board whose default is this node-ID, just powered on.
+    pub fn with_node_id(node_id: u8) -> Self {
+        Self::with_defaults(defaults(node_id))
+    }
+
+    pub fn with_heartbeat(node_id: u8, heartbeat_ms: u16) -> Self {
+        Self::with_defaults(Settings { heartbeat_ms, ..defaults(node_id) })
+    }
+
+    pub fn with_defaults(defaults: Settings) -> Self {
+        Self::new(ADDRESS, defaults, BoardFlash::blank(0), 0)
+    }
+
+    pub fn with_address(address: Address) -> Self {
+        Self::new(address, defaults(0xFF), BoardFlash::blank(0), 0)
+    }
+
+    /// A board that is powered on when its clock says `clock_at_start` microseconds.
+    pub fn new(
+        address: Address,
+        defaults: Settings,
+        flash: BoardFlash,
+        clock_at_start: u32,
+    ) -> Self {
+        Self::with_device(device(address), defaults, flash, clock_at_start)
+    }
+
+    pub fn with_device(
+        device: Device,
+        defaults: Settings,
+        flash: BoardFlash,
+        clock_at_start: u32,
+    ) -> Self {
+        let (log, found) = Log::open(flash.clone());
+        let node = Node::new(device, log.settings().unwrap_or(defaults));
+        let mut board = Self {
+            bit_rate: node.bit_rate(),
+            receives_for: node.node_id(),
+            node,
+            flash,
+            found,
+            is_acknowledged: true,
+            device,
+            defaults,
+            log,
+            now: 0,
+            clock_at_start,
+            may_transmit: true,
+            running_store: None,
+            stores_take_time: false,
+            actions: Vec::new(),
+            timeline_from: 0,
+        };
+        board.run();
+        board
+    }
+
+    /// Sends the node a request of the LSS master; returns what the node sends at once.
+    pub fn lss(&mut self, request: &str) -> Frames {
+        self.receive(&frames::request(request))
+    }
+
+    /// Sends the node an NMT command; returns what the node sends at once.
+    pub fn nmt(&mut self, command: &str) -> Frames {
+        self.receive(&frames::command(command))
+    }
+
+    pub fn receive(&mut self, frame: &Frame) -> Frames {
+        let before = self.actions.len();
+        let action = self.node.handle_frame(frame, self.instant());
+        self.carry_out(action);
+        self.run();
+        self.sent_since(before)
+    }
+
+    /// The controller reports an event; returns what the node sends at once.
+    pub fn see(&mut self, event: BusEvent) -> Frames {
+        self.node.handle_bus(event, self.instant());
+        self.pass_us(0)
+    }
+
+    /// The node-ID that the node says it has; `None` in LSS waiting state, where it does not say.
+    pub fn inquired_node_id(&mut self) -> Option<u8> {
+        self.lss("5E").0.first().map(|answer| answer.data()[1])
+    }
+
+    pub fn is_in_configuration_state(&mut self) -> bool {
+        self.inquired_node_id().is_some()
+    }
+
+    /// Lets time pass, with a call at each deadline; returns what the node sends.
+    pub fn pass_ms(&mut self, ms: u64) -> Frames {
+        self.pass_us(ms * 1000)
+    }
+
+    pub fn pass_us(&mut self, us: u64) -> Frames {
+        let before = self.actions.len();
+        let end = self.now + us;
+        while let Some(us) = self.us_to_deadline()
+            && self.now + us < end
+        {
+            self.now += us;
+            self.run();
+        }
+        self.now = end;
+        self.run();
+        self.sent_since(before)
+    }
+
+    /// Lets time pass without a call until its end, as on a board that is busy.
+    pub fn be_late_ms(&mut self, ms: u64) -> Frames {
+        let before = self.actions.len();
+        self.now += ms * 1000;
+        self.run();
+        self.sent_since(before)
+    }
+
+    pub fn us_to_deadline(&self) -> Option<u64> {
+        Some(self.node.next_deadline()?.micros_after(self.instant()).into())
+    }
+
+    /// Cuts the power and brings it back; returns what the node sends then.
+    pub fn power_cycle(&mut self) -> Frames {
+        let before = self.actions.len();
+        self.restart();
+        self.run();
+        self.sent_since(before)
+    }
+
+    /// From now on a store lasts until [`finish_store`](Self::finish_store).
+    pub fn let_stores_take_time(&mut self) {
+        self.stores_take_time = true;
+    }
+
+    /// Carries out the store that is running; returns what the node sends then.
+    pub fn finish_store(&mut self) -> Frames {
+        let settings = self.running_store.take().expect("a store is running");
+        let outcome = self.log.store(settings);
+        self.end_store(outcome)
+    }
+
+    /// Ends the store that is running with an outcome of the test's choice; returns what the node sends then.
+    pub fn end_store(&mut self, outcome: Result<(), StoreError>) -> Frames {
+        let before = self.actions.len();
+        self.running_store = None;
+        self.node.handle_stored(outcome);
+        self.run();
+        self.sent_since(before)
+    }
+
+    /// The settings that are persistent.
+    pub fn stored(&self) -> Option<Settings> {
+        self.log.settings()
+    }
+
+    /// What the controller runs at.
+    pub fn bit_rate(&self) -> BitRate {
+        self.bit_rate
+    }
+
+    /// What the node asked for since the last call of this or of `timeline`.
+    pub fn take_actions(&mut self) -> Vec<Action> {
+        self.take_timed_actions().map(|(_, action)| action).collect()
+    }
+
+    /// The same, each with its time: microseconds since the board was made.
+    pub fn take_timed_actions(&mut self) -> impl Iterator<Item = (u64, Action)> {
+        self.actions.drain(..)
+    }
+
+    /// What `take_actions` would return.
+    pub fn actions(&self) -> impl Iterator<Item = Action> {
+        self.actions.iter().map(|&(_, action)| action)
+    }
+
+    /// Microseconds since the board was made.
+    pub fn now(&self) -> u64 {
+        self.now
+    }
+
+    /// What the board did since the last call, with its time from that call on: `2 ms 704: 7F`.
+    pub fn timeline(&mut self) -> Vec<String> {
+        let from = self.timeline_from;
+        self.timeline_from = self.now;
+        let line = |(at, action): (u64, Action)| {
+            let what = match action {
+                Action::Transmit(frame) => frames::text(&frame),
+                Action::SetNodeId(id) => format!("node-ID {:02X}", NodeId::to_lss(id)),
+                Action::StopTransmitting => "stop".into(),
+                Action::SetBitRate(rate) => format!("{} kbit/s", rate.kbit_per_s()),
+                Action::ResumeTransmitting => "resume".into(),
+                Action::Store(_) => "store".into(),
+                Action::ResetDevice => "reset".into(),
+                Action::Listen(rate) => format!("listen at {} kbit/s", rate.kbit_per_s()),
+            };
+            format!("{} ms {what}", (at - from) as f64 / 1000.0)
+        };
+        self.actions.drain(..).map(line).collect()
+    }
+
+    fn instant(&self) -> Instant {
+        Instant::from_micros(self.clock_at_start).plus_micros(self.now as u32)
+    }
+
+    fn sent_since(&self, index: usize) -> Frames {
+        let frame = |(_, action): &(u64, Action)| match action {
+            Action::Transmit(frame) => Some(*frame),
+            _ => None,
+        };
+        Frames(self.actions[index..].iter().filter_map(frame).collect())
+    }
+
+    fn run(&mut self) {
+        while let Some(action) = self.node.handle_deadline(self.instant()) {
+            self.carry_out(Some(action));
+        }
+        assert_eq!(self.receives_for, self.node.node_id(), "the board knows the node-ID");
+        assert_eq!(self.bit_rate, self.node.bit_rate(), "the board runs at the active bit rate");
+        assert_ne!(self.us_to_deadline(), Some(0), "what was due has been done");
+    }
+
+    fn carry_out(&mut self, action: Option<Action>) {
+        let Some(action) = action else { return };
+        self.actions.push((self.now, action));
+        match action {
+            Action::Transmit(_) => {
+                assert!(self.may_transmit, "nothing is sent in a silent period");
+                if self.is_acknowledged {
+                    self.node.handle_bus(BusEvent::Acknowledged, self.instant());
+                }
+            }
+            Action::SetNodeId(id) => self.receives_for = id,
+            Action::StopTransmitting => self.may_transmit = false,
+            Action::SetBitRate(rate) => {
+                let is_silent = !self.may_transmit;
+                assert!(is_silent || rate == self.bit_rate, "it changes in a silent period");
+                self.bit_rate = rate;
+            }
+            Action::ResumeTransmitting => self.may_transmit = true,
+            Action::Store(settings) if self.stores_take_time => {
+                assert!(self.running_store.is_none(), "one store at a time");
+                self.running_store = Some(settings);
+            }
+            Action::Store(settings) => self.node.handle_stored(self.log.store(settings)),
+            Action::ResetDevice => self.restart(),
+            Action::Listen(rate) => {
+                self.may_transmit = false;
+                self.bit_rate = rate;
+            }
+        }
+    }
+
+    fn restart(&mut self) {
+        (self.log, self.found) = Log::open(self.flash.clone());
+        self.node = Node::new(self.device, self.log.settings().unwrap_or(self.defaults));
+        self.bit_rate = self.node.bit_rate();
+        self.receives_for = self.node.node_id();
+        self.may_transmit = true;
+        self.running_store = None;
+    }
+}

@@ -1,0 +1,318 @@
+//! A storm of random frames against the release image, back to back at 1 Mbit/s, and what the node in the process makes of
+//! the same frames: both must send the same and leave the same in their flash.
+
+use emulator::{
+    Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
+};
+use lss_slave::{Action, BitRate, Device, lss::Address};
+
+use super::{RATE, Target, delivered, frame, lss_data};
+use crate::{
+    flash::BoardFlash,
+    frames::{self, Frames},
+    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
+    node_rig::{self as model, NodeRig},
+    random::Random,
+    stack,
+};
+
+/// Frames without a pause at most; then answers and flash are compared.
+const BURST: usize = 200;
+/// Frames that are sent into a silent period.
+const FRAMES_IN_SILENCE: u64 = 6;
+/// The longest time from a request to its answer, a store's.
+const PATIENCE: Time = Time::from_ms(3);
+/// Frames of a burst, in the report of one that went wrong.
+const LAST_FRAMES: usize = 12;
+
+/// An emulated board with the release image, the node in the process as its model, and the frames that come to both.
+pub struct ImageStorm {
+    bench: ImageRig,
+    model: NodeRig,
+    random: Random,
+    address: [u32; 4],
+    /// What the model has sent and the board has to.
+    expected: Vec<lss_slave::Frame>,
+    burst: Vec<Frame>,
+    rate: BitRate,
+    /// Frames so far.
+    pub frames: u64,
+    /// Stores, resets and switches of the bit rate so far.
+    pub stores: u64,
+    pub resets: u64,
+    pub switches: u64,
+}
+
+impl ImageStorm {
+    /// A board with stored settings: no node-ID, 1 Mbit/s.
+    pub fn new(mut board: Emulated, image: &Image, seed: u64) -> Self {
+        let content = flash_with(&[settings(0xFF, RATE)]);
+        board.set_flash(SETTINGS_OFFSET, &content);
+        stack::paint(&mut board, image);
+        let mut bench = ImageRig::new(RATE, [board]);
+        bench.network.record(Recording::Latest(2_000));
+        bench.lss("04 01");
+        let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
+            let answer = bench.lss(inquiry);
+            u32::from_le_bytes(*answer.0[0].data()[1..].first_chunk().expect("eight bytes"))
+        });
+        bench.lss("04 00");
+        let [vendor_id, product_code, revision_number, serial_number] = address;
+        let device = Device {
+            // What `device.rs` of the firmware says.
+            heartbeat_ms: 1000,
+            name: "LSS slave",
+            hardware_version: "1.0",
+            software_version: "0.1.0",
+            ..model::device(Address { vendor_id, product_code, revision_number, serial_number })
+        };
+        let flash = BoardFlash::with_content(content, 0);
+        let mut model = NodeRig::with_device(device, settings(0xFF, RATE), flash, 0);
+        model.take_actions();
+        Self {
+            bench,
+            model,
+            random: Random::from_seed(seed),
+            address,
+            expected: Vec::new(),
+            burst: Vec::new(),
+            rate: RATE,
+            frames: 0,
+            stores: 0,
+            resets: 0,
+            switches: 0,
+        }
+    }
+
+    /// So many more frames.
+    ///
+    /// # Panics
+    /// The board sends or stores something else than the model, or does not answer any more.
+    pub fn rage(&mut self, frames: u64) {
+        let until = self.frames + frames;
+        while self.frames < until {
+            let frame = self.next_frame();
+            self.put(frame);
+            if self.burst.len() >= BURST {
+                self.settle();
+            }
+        }
+        self.settle();
+        self.put_request("04 01");
+        self.put_request("5A");
+        self.settle();
+        assert_eq!(self.bench.network.board(0).lockup(), None);
+        let findings = self.bench.network.board(0).findings();
+        assert!(findings.is_empty(), "{findings:?}");
+    }
+
+    /// The stack that was used since power-on, in bytes.
+    pub fn stack_depth(&self, image: &Image) -> usize {
+        stack::deepest(self.bench.network.board(0), image)
+    }
+
+    /// Virtual time since power-on.
+    pub fn now(&self) -> Time {
+        self.bench.network.now()
+    }
+
+    fn next_frame(&mut self) -> Frame {
+        let node_id = self.model.node.node_id().map_or(0, |id| id.get());
+        let target = Target { address: self.address, node_id };
+        let mut frame = frame(&mut self.random, &target);
+        if let Some(data) = lss_data(&frame) {
+            match data[0] {
+                // The model has no bit rate detection.
+                0x13 if data[1..3] == [0, 9] => frame.data[2] = 10,
+                // Long enough for the master to follow to another bit rate.
+                0x15 => {
+                    let stays = self.model.node.lss().pending_bit_rate() == self.rate.into();
+                    let shortest = if stays { 0 } else { 2 };
+                    frame.data[1] = self.random.pick(&[shortest, 2, 3]);
+                    frame.data[2] = 0;
+                }
+                _ => {}
+            }
+        }
+        frame
+    }
+
+    fn put_request(&mut self, text: &str) {
+        self.put(on_the_wire(&frames::request(text)));
+    }
+
+    /// Gives a frame to the model and to the board, and waits for the board where what follows depends on when.
+    fn put(&mut self, frame: Frame) {
+        let actions = self.feed_model(&frame);
+        if actions.contains(&Action::ResetDevice) {
+            self.settle_before(&actions);
+            self.follow_reset(frame);
+        } else if actions.contains(&Action::StopTransmitting) {
+            self.settle_before(&actions);
+            self.follow_switch(frame);
+        } else {
+            if actions.iter().any(|action| matches!(action, Action::SetNodeId(_))) {
+                // Answers that have not left by then never leave.
+                self.settle_before(&actions);
+            }
+            self.send(frame);
+            if actions.iter().any(|action| matches!(action, Action::Store(_))) {
+                self.stores += 1;
+                self.settle();
+            }
+        }
+    }
+
+    fn feed_model(&mut self, frame: &Frame) -> Vec<Action> {
+        if let Some(delivered) = delivered(frame) {
+            self.model.receive(&delivered);
+        }
+        self.take_actions()
+    }
+
+    fn take_actions(&mut self) -> Vec<Action> {
+        let actions = self.model.take_actions();
+        self.expected.extend(actions.iter().filter_map(|action| match action {
+            Action::Transmit(frame) => compared(frame),
+            _ => None,
+        }));
+        actions
+    }
+
+    fn send(&mut self, frame: Frame) {
+        self.bench.network.send(self.bench.master, frame);
+        self.burst.push(frame);
+        self.frames += 1;
+    }
+
+    /// Settles what came before the frame that made the model do `actions`.
+    fn settle_before(&mut self, actions: &[Action]) {
+        let own = actions.iter().filter(|action| match action {
+            Action::Transmit(frame) => compared(frame).is_some(),
+            _ => false,
+        });
+        let later = self.expected.split_off(self.expected.len() - own.count());
+        self.settle_with(None);
+        self.expected = later;
+    }
+
+    /// Waits until everything is sent and answered, and compares.
+    fn settle(&mut self) {
+        let content = self.model.flash.content();
+        self.settle_with(Some(content));
+    }
+
+    fn settle_with(&mut self, content: Option<Vec<u8>>) {
+        self.wait_until_sent();
+        let patience = PATIENCE + self.bench.bit_time() * (160 * (self.expected.len() as u64 + 4));
+        let until = self.bench.network.now() + patience;
+        let mut sent = Vec::new();
+        let mut is_quiet = false;
+        // One look more after the last answer: there must not be another.
+        while !is_quiet && self.bench.network.now() < until {
+            is_quiet = sent.len() >= self.expected.len();
+            let received = self.bench.collect(Time::from_ms(1));
+            sent.extend(received.0.iter().filter_map(compared));
+        }
+        let by_cob_id = |mut frames: Vec<lss_slave::Frame>| {
+            frames.sort_by_key(|frame| frame.cob_id());
+            Frames(frames)
+        };
+        let last = self.burst.len().saturating_sub(LAST_FRAMES);
+        let last: Vec<_> = self.burst[last..].iter().map(ToString::to_string).collect();
+        let context = format!("frame {}, after {last:#?}", self.frames);
+        let expected = by_cob_id(std::mem::take(&mut self.expected));
+        assert!(
+            by_cob_id(sent.clone()) == expected,
+            "{:?}\nnot {expected:?}\n{}",
+            by_cob_id(sent),
+            context
+        );
+        if let Some(content) = content {
+            let flash = self.bench.network.board(0).flash();
+            let stored = &flash[SETTINGS_OFFSET as usize..][..content.len()];
+            assert!(stored == content, "the settings in flash differ; {}", context);
+        }
+        self.burst.clear();
+    }
+
+    fn wait_until_sent(&mut self) {
+        while self.bench.network.adapter_mut(self.bench.master).unsent() > 0 {
+            self.bench.network.run_for(Time::from_us(200));
+        }
+    }
+
+    fn follow_reset(&mut self, frame: Frame) {
+        let since = self.bench.network.now();
+        self.bench.expect_reset(0, ResetCause::Software);
+        self.send(frame);
+        self.wait_until_sent();
+        self.boot(since);
+    }
+
+    /// The board is about to be reset.
+    fn boot(&mut self, since: Time) {
+        self.resets += 1;
+        self.set_rate();
+        self.bench.boot(0, since);
+        self.settle();
+        self.return_to_the_rate_of_the_storm();
+    }
+
+    /// A switch of the bit rate: frames into the silence, the master follows, and both are back.
+    fn follow_switch(&mut self, frame: Frame) {
+        self.switches += 1;
+        let delay = Time::from_ms(u64::from(u16::from_le_bytes([frame.data[1], frame.data[2]])));
+        self.send(frame);
+        self.wait_until_sent();
+        let t0 = self.bench.network.now();
+        if delay > Time::ZERO && self.rate == RATE {
+            for _ in 0..self.random.within(0..FRAMES_IN_SILENCE) {
+                let frame = self.next_frame();
+                self.feed_model(&frame);
+                self.send(frame);
+            }
+            self.wait_until_sent();
+        }
+        let us = delay.as_ps() / 1_000_000;
+        self.model.pass_us(us + us / 2);
+        self.bench.network.run_until(t0 + Time::from_us(us + us / 2));
+        self.set_rate();
+        self.model.pass_us(us / 2 + 1_000);
+        let actions = self.take_actions();
+        if actions.contains(&Action::ResetDevice) {
+            // It was kept until the end of the silence.
+            self.bench.expect_reset(0, ResetCause::Software);
+            self.bench.network.run_until(t0 + Time::from_us(2 * us + 500));
+            return self.boot(t0);
+        }
+        self.bench.network.run_until(t0 + Time::from_us(2 * us + 1_000));
+        self.settle();
+        self.return_to_the_rate_of_the_storm();
+    }
+
+    /// The master goes to the bit rate of the model.
+    fn set_rate(&mut self) {
+        if self.model.bit_rate() != self.rate {
+            self.rate = self.model.bit_rate();
+            self.bench.set_master_bit_rate(self.rate);
+        }
+    }
+
+    fn return_to_the_rate_of_the_storm(&mut self) {
+        if self.rate != RATE {
+            for request in ["04 01", "13 00 00", "15 02 00"] {
+                self.put_request(request);
+            }
+        }
+    }
+}
+
+/// `frame` if the model tells its content and order: not heartbeats and emergencies, which depend on time, nor boot-ups, of
+/// which two that wait for a full bus become one, nor what the controller has seen: error register 1001h, error history 1003h,
+/// and 2000h.
+fn compared(frame: &lss_slave::Frame) -> Option<lss_slave::Frame> {
+    let is_sdo = frame.cob_id() & !0x7F == 0x580;
+    let is_of_controller = matches!(frame.data(), [_, 0x01 | 0x03, 0x10, ..] | [_, 0x00, 0x20, ..]);
+    (frame.cob_id() == 0x7E4 || is_sdo && !is_of_controller).then_some(*frame)
+}

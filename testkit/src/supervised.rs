@@ -1,0 +1,76 @@
+//! Boards whose bit rate is supervised, in the states that its tests begin with.
+
+use lss_slave::{
+    BitRate,
+    BusEvent::{Error, Received},
+    Device, Settings,
+};
+
+use super::{
+    flash::BoardFlash,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+/// A board with node-ID 40h at `home`, supervised, just powered on.
+pub fn powered_on(home: BitRate, heartbeat_ms: u16) -> NodeRig {
+    let settings = Settings { bit_rate: home.into(), heartbeat_ms, ..defaults(0x40) };
+    let device = Device { rescue: true, ..device(ADDRESS) };
+    NodeRig::with_device(device, settings, BoardFlash::blank(0), 0)
+}
+
+/// A board at 125 kbit/s that has heard nothing and whose boot-up nobody has acknowledged, with an empty timeline.
+pub fn unproven() -> NodeRig {
+    let mut board = powered_on(BitRate::Kbit125, 0);
+    board.is_acknowledged = false;
+    board.power_cycle();
+    board.timeline();
+    board
+}
+
+/// A board at 125 kbit/s whose boot-up was acknowledged, with an empty timeline.
+pub fn proven() -> NodeRig {
+    let mut board = powered_on(BitRate::Kbit125, 0);
+    board.timeline();
+    board
+}
+
+/// A board that has gone from 250 to 50 kbit/s, is in configuration state and has an empty timeline: `15` is 20 ms ago.
+pub fn switched() -> NodeRig {
+    let mut board = powered_on(BitRate::Kbit250, 0);
+    for request in ["04 01", "13 00 06", "15 0A 00"] {
+        board.lss(request);
+    }
+    board.pass_ms(20);
+    assert_eq!(board.bit_rate(), BitRate::Kbit50);
+    board.timeline();
+    board
+}
+
+/// A board that has just begun to listen at 1000 kbit/s because of errors at 125 kbit/s, which is proven.
+pub fn looking() -> NodeRig {
+    let mut board = proven();
+    doubt(&mut board);
+    board.timeline();
+    board
+}
+
+/// Lets a proven home rate look wrong.
+pub fn doubt(board: &mut NodeRig) {
+    for ms in [500, 500, 0] {
+        assert!(!board.node.is_listening());
+        board.see(Error);
+        board.pass_ms(ms);
+    }
+    assert!(board.node.is_listening());
+}
+
+/// The silent turn of home at 125 kbit/s, in microseconds: 20 ms and 270 bits.
+pub const TURN_US: u64 = 22_160;
+
+/// A board whose home rate is 125 kbit/s and that has become a guest at 1000 kbit/s, with an empty timeline.
+pub fn guest() -> NodeRig {
+    let mut board = looking();
+    board.see(Received);
+    board.timeline();
+    board
+}

@@ -1,0 +1,151 @@
+//! A release image on chips whose CAN controller does what the manual does not say: it joins, and harms nobody.
+
+use emulator::{
+    Time,
+    board::{self, Board},
+    can::{
+        Adapter, Frame, Id,
+        bxcan::{Acknowledge, Readings, TransmitLock},
+    },
+    chip::{Part, Pin},
+    network::{Event, Short, What},
+};
+use lss_slave::{BitRate, BitRateSetting, Settings};
+use testkit::{
+    frames,
+    image::image,
+    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
+};
+
+/// The line to the transceiver, as device.rs has it.
+const TRANSMIT: Pin = Pin('B', 9);
+
+fn board(settings: Settings, can_readings: Readings) -> Board {
+    let of_board = board::Settings { can_readings, ..Default::default() };
+    let mut board = Board::new(Part::Stm32f405, image(), of_board);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
+    board
+}
+
+fn listener() -> Settings {
+    Settings { bit_rate: BitRateSetting::Automatic, ..settings(0x40, BitRate::Kbit125) }
+}
+
+/// Whether node 40 answers the master, once it is in configuration state.
+fn answers(bench: &mut ImageRig) -> bool {
+    bench.lss("04 01");
+    bench.lss("5E").0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
+}
+
+/// Where the others find no error without the board, they find none with it.
+#[test]
+fn a_listener_whose_transmit_pin_is_locked_never_holds_the_bus_dominant() {
+    for (every, frame) in [(1, 1), (1, 3), (2, 1), (3, 2)] {
+        let transmit_lock = Some(TransmitLock { every, frame });
+        let readings = Readings { transmit_lock, ..Readings::default() };
+        let mut bench = ImageRig::new(BitRate::Kbit250, [board(listener(), readings)]);
+        let other = bench.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
+        for _ in 0..150 {
+            bench.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
+            bench.network.run_for(Time::from_ms(20));
+        }
+        assert_eq!(bench.network.adapter_mut(other).unsent(), 0);
+        bench.collect(Time::from_ms(200));
+        assert!(answers(&mut bench), "{every} {frame}");
+        let is_error = |event: &&Event| matches!(event.what, What::Error { .. });
+        let errors: Vec<_> = bench.network.trace().iter().filter(is_error).collect();
+        assert!(errors.is_empty(), "{every} {frame}: {errors:#?}");
+    }
+}
+
+#[test]
+fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
+    let lost = [2, 3, 4].map(|every| Acknowledge::Lost { every });
+    for acknowledge in lost.into_iter().chain([1, 11].map(Acknowledge::Late)) {
+        let readings = Readings { acknowledge, ..Readings::default() };
+        let board = board(settings(0x40, BitRate::Kbit500), readings);
+        let mut bench = ImageRig::new(BitRate::Kbit500, [board]);
+        bench.collect(Time::from_ms(100));
+        assert!(answers(&mut bench), "{acknowledge:?}");
+    }
+}
+
+#[test]
+fn a_board_is_configured_under_each_other_reading() {
+    let off = Readings::default();
+    for readings in [
+        Readings { passive_errors_interrupt: true, ..off },
+        Readings { bus_off_tec_overflows: true, ..off },
+        Readings { both_fifos: true, ..off },
+        Readings { late_choice: true, ..off },
+    ] {
+        let board = board(settings(0x40, BitRate::Kbit500), readings);
+        let mut bench = ImageRig::new(BitRate::Kbit500, [board]);
+        bench.collect(Time::from_ms(20));
+        assert!(answers(&mut bench), "{readings:?}");
+        assert_eq!(bench.lss("11 41"), ["11 00"], "{readings:?}");
+        assert_eq!(bench.lss("17"), ["17 00"], "{readings:?}");
+        bench.power_cycle(0);
+        assert_eq!(bench.collect(Time::from_ms(20)), ["741: 00"], "{readings:?}");
+    }
+}
+
+#[test]
+fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
+    let mut bench = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
+    bench.network.set_short(Some(Short::Dominant));
+    let since = bench.network.now();
+    bench.network.run_for(Time::from_s(3));
+    let resets = bench.did(0, since).filter(|event| event.what == What::InitializationEntered);
+    let count = resets.count();
+    assert!((8..=13).contains(&count), "four times a second at most: {count} in 3 s");
+    bench.network.set_short(None);
+    let other = bench.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
+    for _ in 0..150 {
+        bench.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
+        bench.network.run_for(Time::from_ms(20));
+    }
+    bench.collect(Time::from_ms(200));
+    assert!(answers(&mut bench));
+}
+
+/// The interrupt of bus-off stays for as long as bus-off does: it must not keep everything else from its turn.
+#[test]
+fn a_board_in_bus_off_for_long_is_not_starved_by_its_interrupt() {
+    let readings = Readings { bus_off_holds_interrupt: true, ..Readings::default() };
+    let heartbeats = Settings { heartbeat_ms: 100, ..settings(0x40, BitRate::Kbit250) };
+    let mut bench = ImageRig::new(BitRate::Kbit250, [board(heartbeats, readings)]);
+    bench.collect(Time::from_ms(100));
+    assert!(answers(&mut bench));
+    bench.network.set_short(Some(Short::Recessive));
+    let since = bench.network.now();
+    while !bench.did(0, since).any(|event| event.what == What::BusOff) {
+        bench.network.run_for(Time::from_us(100));
+        assert!(bench.network.now() < since + Time::from_s(1));
+    }
+    bench.network.set_short(Some(Short::Dominant));
+    bench.network.run_for(Time::from_s(6));
+    bench.network.set_short(None);
+    bench.collect(Time::from_s(2));
+    assert!(answers(&mut bench));
+    let (cycles, busy) = bench.network.board(0).cycles();
+    assert!(busy < cycles / 20, "{busy} of {cycles} cycles");
+}
+
+/// The board's line is recessive in every mode but that in which it takes part.
+#[test]
+fn a_listener_gives_the_line_back_to_the_controller_when_it_takes_part() {
+    let mut bench = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
+    bench.network.run_for(Time::from_ms(10));
+    let is_alternate = |bench: &ImageRig| {
+        bench.network.board(0).chip().gpio().alternate_function(TRANSMIT).is_some()
+    };
+    assert!(!is_alternate(&bench));
+    assert_eq!(bench.network.board(0).output(TRANSMIT).level, Some(true));
+    let other = bench.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
+    for _ in 0..150 {
+        bench.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
+        bench.network.run_for(Time::from_ms(20));
+    }
+    assert!(is_alternate(&bench));
+}

@@ -1,0 +1,364 @@
+//! Supervision on the release image: a correct node is reached as soon as one without supervision, a lost one is found.
+
+use emulator::{
+    Time,
+    can::{Adapter, Frame, Id},
+    network::{AdapterId, Event, Recording, Short, What},
+};
+use lss_slave::{BitRate, Settings};
+use testkit::{
+    frames,
+    image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
+};
+
+/// The silent bit of CAN_BTR (RM0090, 32.9.2).
+const SILM: u32 = 1 << 31;
+/// A frame with eight bytes, in bits, and how many of them a late master may wait.
+const LONG_FRAME_BITS: u64 = 135;
+const PATIENCE_FRAMES: u64 = 25;
+
+/// 20 ms or 25 frame times at `bit_rate`, whichever is longer.
+fn patience(bit_rate: BitRate) -> Time {
+    let bits = LONG_FRAME_BITS * PATIENCE_FRAMES;
+    Time::from_ms(20).max(Time::from_us(bits * 1000 / u64::from(bit_rate.kbit_per_s())))
+}
+
+fn pairs() -> impl Iterator<Item = (BitRate, BitRate)> {
+    let all = || BitRate::ALL.into_iter();
+    all().flat_map(move |from| all().map(move |to| (from, to))).filter(|(from, to)| from != to)
+}
+
+fn boards(count: u8, heartbeat_ms: u16, bit_rate: BitRate) -> ImageRig {
+    let with = |number| board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) });
+    let mut bench = ImageRig::new(bit_rate, (1..=count).map(with));
+    bench.network.record(Recording::Off);
+    bench
+}
+
+/// Has the master send `request` once; returns how long after its start the answer `id` comes, if it does within `limit`.
+fn answer_time(bench: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Option<Time> {
+    while bench.network.receive(bench.master).is_some() {}
+    let from = bench.network.now();
+    bench.network.send(bench.master, request);
+    while bench.network.now() < from + limit {
+        let left = (from + limit).saturating_sub(bench.network.now());
+        let (time, frame) = bench.network.run_until_received(bench.master, left)?;
+        if frame.id == Id::Standard(id) {
+            return Some(time - from);
+        }
+    }
+    None
+}
+
+/// Has the master send `request` every 20 ms until the answer `id` comes; returns how long that takes.
+fn reach(bench: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Option<Time> {
+    let from = bench.network.now();
+    while bench.network.now() < from + limit {
+        if bench.network.adapter_mut(bench.master).unsent() == 0 {
+            bench.network.send(bench.master, request);
+        }
+        if bench
+            .network
+            .run_until_received(bench.master, Time::from_ms(20))
+            .is_some_and(|(_, frame)| frame.id == Id::Standard(id))
+        {
+            return Some(bench.network.now() - from);
+        }
+    }
+    None
+}
+
+fn inquire_node_id() -> Frame {
+    on_the_wire(&frames::request("5E"))
+}
+
+/// Reads the device type of node `id`.
+fn read(id: u8) -> Frame {
+    Frame::data(Id::Standard(0x600 + u16::from(id)), &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0])
+}
+
+/// All boards are told to switch; the master stays at the old rate.
+fn activate(bench: &mut ImageRig, to: BitRate, delay_ms: u16) {
+    bench.network.send(bench.master, on_the_wire(&frames::request("04 01")));
+    let configure = frames::request(&format!("13 00 {:02X}", to.index()));
+    bench.network.send(bench.master, on_the_wire(&configure));
+    bench.network.run_for(Time::from_ms(50));
+    let [low, high] = delay_ms.to_le_bytes();
+    let activate = frames::request(&format!("15 {low:02X} {high:02X}"));
+    bench.network.send(bench.master, on_the_wire(&activate));
+    // A heartbeat at the new rate may destroy the end of the frame for the master, which then repeats it.
+    let frame = bench.bit_time() * LONG_FRAME_BITS;
+    bench.network.run_for(frame);
+}
+
+fn assert_answers_a_late_master(
+    (from, to): (BitRate, BitRate),
+    count: u8,
+    heartbeat_ms: u16,
+    delay_ms: u16,
+    late: Time,
+) {
+    let mut bench = boards(count, heartbeat_ms, from);
+    activate(&mut bench, to, delay_ms);
+    bench.network.run_for(Time::from_ms(2 * u64::from(delay_ms)) + late);
+    bench.set_master_bit_rate(to);
+    let what = format!("{from:?} to {to:?}, {count} boards, heartbeat {heartbeat_ms} ms, {late}");
+    let limit = patience(to);
+    for id in 1..=count {
+        let time = answer_time(&mut bench, read(id), 0x580 + u16::from(id), limit);
+        assert!(time.is_some(), "node {id} does not answer in time: {what}");
+    }
+}
+
+#[test]
+fn a_late_masters_first_request_is_answered_at_every_pair_of_rates() {
+    for (number, pair) in pairs().enumerate() {
+        for late_ms in [20, 200, 2000] {
+            let heartbeat_ms = [1000, 0][number % 2];
+            assert_answers_a_late_master(pair, 1, heartbeat_ms, 50, Time::from_ms(late_ms));
+        }
+    }
+}
+
+#[test]
+fn a_master_that_follows_a_switch_without_delay_50_ms_late_is_answered() {
+    for pair in pairs() {
+        assert_answers_a_late_master(pair, 1, 1000, 0, Time::from_ms(50));
+    }
+}
+
+#[test]
+fn several_boards_answer_a_master_that_is_up_to_30_s_late() {
+    let pair = (BitRate::Kbit125, BitRate::Kbit500);
+    for (count, late_ms) in [(2, 300), (4, 29_900), (8, 5_000)] {
+        assert_answers_a_late_master(pair, count, 1000, 100, Time::from_ms(late_ms));
+    }
+}
+
+/// The master goes on at the old rate, with a SYNC each 100 ms, and follows `late_ms` after the switch.
+fn assert_waits_for_a_master_that_goes_on(
+    (from, to): (BitRate, BitRate),
+    id: u8,
+    heartbeat_ms: u16,
+    late_ms: u64,
+) {
+    let board = board_with(id, Settings { heartbeat_ms, ..settings(id, from) });
+    let mut bench = ImageRig::new(from, [board]);
+    bench.network.record(Recording::Off);
+    activate(&mut bench, to, 100);
+    let until = bench.network.now() + Time::from_ms(200 + late_ms);
+    while bench.network.now() < until {
+        bench.network.send(bench.master, Frame::data(Id::Standard(0x080), &[]));
+        bench.network.run_for(Time::from_ms(100));
+    }
+    bench.set_master_bit_rate(to);
+    let what =
+        format!("{from:?} to {to:?}, node {id}, heartbeat {heartbeat_ms} ms, {late_ms} ms late");
+    let time = answer_time(&mut bench, inquire_node_id(), 0x7E4, patience(to));
+    assert!(time.is_some(), "no answer in time: {what}");
+}
+
+#[test]
+fn a_master_that_goes_on_at_the_old_rate_loses_nobody() {
+    for (number, pair) in pairs().enumerate() {
+        let id = [1, 5, 16, 32, 64, 100, 127][number % 7];
+        let (heartbeat_ms, late_ms) = [(1000, 300), (0, 300), (1000, 3_000)][number % 3];
+        assert_waits_for_a_master_that_goes_on(pair, id, heartbeat_ms, late_ms);
+    }
+    let pair = (BitRate::Kbit125, BitRate::Kbit500);
+    for (heartbeat_ms, late_ms) in [(0, 300), (0, 3_000), (1000, 3_000), (1000, 29_000)] {
+        assert_waits_for_a_master_that_goes_on(pair, 5, heartbeat_ms, late_ms);
+    }
+}
+
+/// A laptop at another rate, which repeats a frame or sends one now and then.
+fn plug_in_laptop(bench: &mut ImageRig, bit_rate: BitRate) -> AdapterId {
+    bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate)))
+}
+
+#[test]
+fn a_laptop_at_a_wrong_rate_at_power_on_leaves_the_stored_rate() {
+    for (number, (home, wrong)) in pairs().enumerate() {
+        let heartbeat_ms = [1000, 0][number % 2];
+        let mut bench = boards(1, heartbeat_ms, home);
+        bench.network.adapter_mut(bench.master).close();
+        bench.network.power_off(0);
+        let laptop = plug_in_laptop(&mut bench, wrong);
+        bench.network.run_for(Time::from_ms(10));
+        bench.network.power_on(0);
+        bench.expect_reset(0, emulator::chip::ResetCause::PowerOn);
+        for _ in 0..30 {
+            bench.network.send(laptop, Frame::data(Id::Standard(0x123), &[0x55; 8]));
+            bench.network.run_for(Time::from_ms(100));
+        }
+        bench.network.adapter_mut(laptop).close();
+        bench.network.adapter_mut(bench.master).open();
+        let time = reach(&mut bench, read(1), 0x581, Time::from_s(2));
+        let limit = Time::from_ms(100) + patience(home);
+        assert!(time.is_some_and(|time| time <= limit), "{home:?}, laptop {wrong:?}: {time:?}");
+    }
+}
+
+#[test]
+fn a_node_alone_that_missed_a_switch_finds_a_polling_master() {
+    for (home, wrong) in pairs() {
+        for heartbeat_ms in [1000, 0] {
+            let mut bench = boards(1, heartbeat_ms, home);
+            assert!(reach(&mut bench, read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
+            bench.set_master_bit_rate(wrong);
+            let time = reach(&mut bench, read(1), 0x581, Time::from_s(10));
+            let ms = time.map_or(0, |time| time.as_ms());
+            println!("{home:?} to {wrong:?}, heartbeat {heartbeat_ms} ms: {ms} ms");
+            assert!(time.is_some(), "{home:?} to {wrong:?}, heartbeat {heartbeat_ms} ms");
+        }
+    }
+}
+
+/// A board whose stored rate nobody uses, found by a polling master at another one.
+fn rescued(home: BitRate, found: BitRate) -> ImageRig {
+    let mut bench = boards(1, 0, home);
+    bench.set_master_bit_rate(found);
+    assert!(reach(&mut bench, read(1), 0x581, Time::from_s(10)).is_some());
+    bench
+}
+
+#[test]
+fn activation_without_configuration_after_a_rescue_keeps_the_rate_in_use() {
+    let mut bench = rescued(BitRate::Kbit500, BitRate::Kbit125);
+    for request in ["04 01", "15 0A 00"] {
+        bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+        bench.network.run_for(Time::from_ms(100));
+    }
+    let time = answer_time(&mut bench, inquire_node_id(), 0x7E4, patience(BitRate::Kbit125));
+    assert!(time.is_some());
+}
+
+#[test]
+fn a_spare_part_that_was_rescued_stores_the_rate_that_works() {
+    let mut bench = rescued(BitRate::Kbit500, BitRate::Kbit125);
+    for request in ["04 01", "11 07", "17"] {
+        bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+        bench.network.run_for(Time::from_ms(50));
+    }
+    bench.network.power_off(0);
+    bench.network.run_for(Time::from_ms(10));
+    bench.network.power_on(0);
+    bench.expect_reset(0, emulator::chip::ResetCause::PowerOn);
+    bench.network.run_for(Time::from_ms(50));
+    let time = answer_time(&mut bench, read(7), 0x587, patience(BitRate::Kbit125));
+    assert!(time.is_some(), "at the rate that was found");
+}
+
+/// Whether the master, which only listens, hears a heartbeat of node 1 within `limit`, and after what time.
+fn heartbeat_time(bench: &mut ImageRig, limit: Time) -> Option<Time> {
+    while bench.network.receive(bench.master).is_some() {}
+    let from = bench.network.now();
+    while bench.network.now() < from + limit {
+        let left = (from + limit).saturating_sub(bench.network.now());
+        let (time, frame) = bench.network.run_until_received(bench.master, left)?;
+        if frame.id == Id::Standard(0x701) {
+            return Some(time - from);
+        }
+    }
+    None
+}
+
+#[test]
+fn a_short_circuit_costs_at_most_100_ms_more_than_it_lasts() {
+    for short in [Short::Dominant, Short::Recessive] {
+        for bit_rate in [BitRate::Kbit1000, BitRate::Kbit125, BitRate::Kbit20] {
+            for span_ms in [200, 1_000, 10_000] {
+                let mut bench = boards(1, 100, bit_rate);
+                bench.network.run_for(Time::from_ms(300));
+                bench.network.set_short(Some(short));
+                bench.network.run_for(Time::from_ms(span_ms));
+                bench.network.set_short(None);
+                let time = heartbeat_time(&mut bench, Time::from_s(2));
+                // A plain slave needs the time of a recovery, 1408 bits.
+                let plain = bench.bit_time() * 1408 + bench.bit_time() * LONG_FRAME_BITS;
+                let limit = Time::from_ms(150) + plain;
+                let what = format!("{short:?} for {span_ms} ms at {bit_rate:?}: {time:?}");
+                assert!(time.is_some_and(|time| time <= limit), "{what}");
+            }
+        }
+    }
+}
+
+/// Two others at `bit_rate`, who talk once a second or without pause.
+fn others(bench: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
+    [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
+}
+
+/// How long after its power-on a blank board at a wrong stored rate takes part at `found`, where a frame passes every `period`.
+fn time_until_found(
+    node_id: u8,
+    (stored, found): (BitRate, BitRate),
+    period: Time,
+    limit: Time,
+) -> Option<Time> {
+    let mut bench = ImageRig::new(found, [board_with(0, settings(node_id, stored))]);
+    bench.network.power_off(0);
+    bench.network.adapter_mut(bench.master).close();
+    let others = others(&mut bench, found);
+    bench.network.run_for(Time::from_ms(10));
+    bench.network.power_on(0);
+    bench.expect_reset(0, emulator::chip::ResetCause::PowerOn);
+    let on = bench.network.now();
+    bench.network.run_for(period);
+    let mut count = 0_u64;
+    while bench.network.now() < on + limit {
+        if bench.network.adapter_mut(others[0]).unsent() == 0 {
+            let heartbeat = Frame::data(Id::Standard(0x705), &[0x05]);
+            let long = Frame::data(
+                Id::Standard(0x185),
+                &count.wrapping_mul(0x9E37_79B9_7F4A_7C15).to_le_bytes(),
+            );
+            bench
+                .network
+                .send(others[0], if period < Time::from_ms(100) { long } else { heartbeat });
+            count += 1;
+        }
+        bench.network.run_for(period);
+        let frame = bench.bit_time() * LONG_FRAME_BITS;
+        bench.network.run_for(frame);
+        let takes_part = |event: &Event| match event.what {
+            What::BitTiming { btr, bit_rate } => btr & SILM == 0 && bit_rate == bit_per_s(found),
+            _ => false,
+        };
+        if let Some(event) = bench.did(0, on).find(|event| takes_part(event)) {
+            return Some(event.time - on);
+        }
+    }
+    None
+}
+
+/// Whether a node at `stored` may not notice a heartbeat at `found`: it is over before a bit is sampled twice.
+fn may_not_notice((stored, found): (BitRate, BitRate)) -> bool {
+    stored.kbit_per_s() < 50 && found.kbit_per_s() > 125
+}
+
+#[test]
+fn a_wrong_stored_rate_is_found_by_three_or_four_sparse_frames() {
+    let one_frame = Time::from_ms(1000);
+    for node_id in [1, 0xFF] {
+        for (stored, found) in pairs().filter(|&pair| !may_not_notice(pair)) {
+            let time = time_until_found(node_id, (stored, found), one_frame, Time::from_s(8));
+            let what = format!("node {node_id:02X}: {stored:?} stored, {found:?} found: {time:?}");
+            println!("{what}");
+            // The first frame comes after a second.
+            assert!(time.is_some_and(|time| time < Time::from_ms(4100)), "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_wrong_stored_rate_is_found_in_100_ms_under_load() {
+    for (stored, found) in pairs() {
+        // Nine tenths of the bus.
+        let period = Time::from_us(13_500 / u64::from(found.kbit_per_s()));
+        let time = time_until_found(0xFF, (stored, found), period, Time::from_s(2));
+        let what = format!("{stored:?} stored, {found:?} found: {time:?}");
+        println!("{what}");
+        assert!(time.is_some_and(|time| time < Time::from_ms(100)), "{what}");
+    }
+}

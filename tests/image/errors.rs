@@ -1,0 +1,93 @@
+//! The release image on a bus that fails: its emergencies (CiA 301) and its NMT state.
+
+use emulator::{
+    Time,
+    network::{Short, What},
+};
+use lss_slave::{BitRate, Settings};
+use testkit::{
+    frames::{self, Frames},
+    image_rig::{ImageRig, on_the_wire, settings},
+    sdo,
+};
+
+const ERROR_PASSIVE: &str = "0C0: 20 81 11 00 00 00 00 00";
+const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
+
+fn node_40() -> ImageRig {
+    ImageRig::with(Settings { heartbeat_ms: 100, ..settings(0x40, BitRate::Kbit500) })
+}
+
+/// Nobody but the board is on the bus for `span`; returns what it sends in the two seconds after.
+fn alone_for(bench: &mut ImageRig, span: Time) -> Vec<String> {
+    bench.network.adapter_mut(bench.master).close();
+    bench.network.run_for(span);
+    bench.network.adapter_mut(bench.master).open();
+    texts(&bench.collect(Time::from_s(2)))
+}
+
+fn texts(frames: &Frames) -> Vec<String> {
+    frames.0.iter().map(frames::text).collect()
+}
+
+fn emergencies(texts: &[String]) -> Vec<&str> {
+    texts.iter().map(String::as_str).filter(|text| text.starts_with("0C0")).collect()
+}
+
+#[test]
+fn a_board_that_was_left_alone_reports_error_passive_and_its_end_once() {
+    let mut bench = node_40();
+    bench.collect(Time::from_ms(50));
+    for span in [Time::from_ms(300), Time::from_s(5)] {
+        let sent = alone_for(&mut bench, span);
+        assert_eq!(emergencies(&sent), [ERROR_PASSIVE, NO_ERROR], "{sent:?}");
+    }
+}
+
+#[test]
+fn a_board_that_boots_alone_sends_its_boot_up_before_it_reports_that() {
+    let mut bench = node_40();
+    bench.collect(Time::from_ms(50));
+    bench.network.power_off(0);
+    bench.network.adapter_mut(bench.master).close();
+    bench.network.run_for(Time::from_ms(10));
+    bench.power_on(0);
+    let sent = alone_for(&mut bench, Time::from_s(3));
+    assert_eq!(sent[0], "740: 00", "{sent:?}");
+    assert_eq!(sent.iter().filter(|text| *text == "740: 00").count(), 1);
+    assert_eq!(emergencies(&sent), [ERROR_PASSIVE, NO_ERROR], "{sent:?}");
+}
+
+/// Drives the board, which is operational, bus-off; returns the last heartbeat of the four seconds after.
+fn last_heartbeat_after_bus_off(bench: &mut ImageRig) -> String {
+    bench.transmit_command("01 00");
+    let from = bench.network.now();
+    bench.network.set_short(Some(Short::Recessive));
+    bench.network.run_for(Time::from_s(1));
+    bench.network.set_short(None);
+    assert!(bench.did(0, from).any(|event| event.what == What::BusOff));
+    let sent = texts(&bench.collect(Time::from_s(4)));
+    sent.into_iter().rfind(|text| text.starts_with("740")).expect("a heartbeat")
+}
+
+#[test]
+fn a_board_that_was_bus_off_in_operational_is_pre_operational() {
+    let mut bench = node_40();
+    assert_eq!(last_heartbeat_after_bus_off(&mut bench), "740: 7F");
+    let mut history = Vec::new();
+    for sub_index in 1..=8 {
+        let request = sdo::request(0x40, &format!("40 03 10 {sub_index:02X}"));
+        bench.network.send(bench.master, on_the_wire(&request));
+        history.extend(texts(&bench.collect(Time::from_ms(5))));
+    }
+    let is_bus_off =
+        |text: &String| text.starts_with("5C0: 43 03 10") && text.ends_with("40 81 00 00");
+    assert!(history.iter().any(is_bus_off), "{history:?}");
+}
+
+#[test]
+fn a_board_with_error_behaviour_1_stays_operational_through_bus_off() {
+    let mut bench = node_40();
+    bench.transmit(on_the_wire(&sdo::request(0x40, "2F 29 10 01 01")));
+    assert_eq!(last_heartbeat_after_bus_off(&mut bench), "740: 05");
+}

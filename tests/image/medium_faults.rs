@@ -1,0 +1,169 @@
+//! The release image on a flash that fails: the store is refused, the old settings stay, the node goes on, the log says why.
+
+use emulator::{
+    Time,
+    chip::{Flash, StuckBits},
+};
+use lss_slave::{BitRate, Settings};
+use testkit::{
+    frames::{Frames, SILENCE},
+    image_rig::{
+        DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, blank_board, flash_with, on_the_wire, settings,
+    },
+};
+
+/// Sectors 1 and 2, which hold the settings.
+const SECTORS: u32 = 0b110;
+/// Where the next record goes, behind that of the formatting and that of the settings of `node_40`.
+const NEXT_RECORD: u32 = SETTINGS_OFFSET + 2 * 32;
+/// Where a record has its node-ID and its commit word.
+const NODE_ID: u32 = 5;
+const COMMIT_WORD: u32 = 28;
+const HEARTBEAT: Time = Time::from_ms(30);
+/// Why a store failed, in the words of the log.
+const REPORTS_AN_ERROR: &str = "the flash reports an error";
+const IS_NOT_BLANK: &str = "the flash is not blank where it was erased";
+const READS_BACK_OTHERWISE: &str = "the flash reads back otherwise than written";
+
+/// Node 40 with a heartbeat, in LSS configuration state and about to store node-ID 4.
+fn node_40() -> ImageRig {
+    let mut bench =
+        ImageRig::with(Settings { heartbeat_ms: 30, ..settings(0x40, BitRate::Kbit1000) });
+    bench.collect(Time::from_ms(20));
+    configure(&mut bench);
+    bench
+}
+
+fn configure(bench: &mut ImageRig) {
+    bench.lss("04 01");
+    assert_eq!(lss(bench, "11 04"), ["11 00"]);
+}
+
+/// What is answered to a request of the LSS master; heartbeats are not told.
+fn lss(bench: &mut ImageRig, request: &str) -> Frames {
+    let answers = bench.lss(request).0;
+    Frames(answers.into_iter().filter(|frame| frame.cob_id() == 0x7E4).collect())
+}
+
+fn flash(bench: &ImageRig, change: impl FnOnce(&mut Flash)) {
+    change(bench.network.board(0).chip().flash_mut());
+}
+
+/// Whether the board has logged an error, in these words.
+fn says(bench: &ImageRig, text: &str) -> bool {
+    let lines = bench.network.board(0).log();
+    lines.iter().any(|line| line.level == "error" && line.text == text)
+}
+
+/// LSS, SDO and heartbeat of node 40 are as ever.
+fn assert_node_40_goes_on(bench: &mut ImageRig) {
+    assert_eq!(lss(bench, "5E"), ["5E 40"]);
+    let read = lss_slave::Frame::new(0x640, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]).expect("a frame");
+    bench.transmit(on_the_wire(&read));
+    let frames = bench.collect(HEARTBEAT + Time::from_ms(5)).0;
+    let has = |frame: [&str; 1]| frames.iter().any(|sent| Frames(vec![*sent]) == frame);
+    assert!(has(["5C0: 4B 17 10 00 1E 00 00 00"]), "{:?}", Frames(frames));
+    assert!(has(["740: 7F"]), "{:?}", Frames(frames));
+}
+
+/// A store fails for the reason `why`; nothing else changes, now and after a power cycle.
+fn assert_refuses(bench: &mut ImageRig, why: &str) {
+    assert_eq!(lss(bench, "17"), ["17 02"], "{why}");
+    let line = format!("the settings are not stored, the old ones are kept: {why}");
+    assert!(says(bench, &line), "{:#?}", bench.network.board(0).log());
+    assert_node_40_goes_on(bench);
+    bench.power_cycle(0);
+    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "{why}");
+    bench.lss("04 01");
+    assert_node_40_goes_on(bench);
+}
+
+fn assert_stores(bench: &mut ImageRig) {
+    configure(bench);
+    assert_eq!(lss(bench, "17"), ["17 00"]);
+    bench.power_cycle(0);
+    assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"]);
+}
+
+#[test]
+fn a_write_protected_flash_refuses_until_the_protection_is_gone() {
+    let mut bench = node_40();
+    flash(&bench, |flash| flash.protect_sectors(SECTORS));
+    assert_refuses(&mut bench, REPORTS_AN_ERROR);
+    assert!(says(&bench, "flash: the sector is write-protected"));
+    flash(&bench, |flash| flash.protect_sectors(0));
+    assert_stores(&mut bench);
+}
+
+#[test]
+fn a_bit_that_sticks_costs_one_store_and_the_next_one_uses_other_cells() {
+    let cases = [
+        (0, 0b0000_0001, 0, IS_NOT_BLANK),
+        (NODE_ID, 0b0000_0010, 0, IS_NOT_BLANK),
+        (NODE_ID, 0b0000_0001, 1, READS_BACK_OTHERWISE),
+        (COMMIT_WORD, 0b0000_0001, 0, IS_NOT_BLANK),
+        (COMMIT_WORD, 0b1000_0000, 0x80, READS_BACK_OTHERWISE),
+    ];
+    for (byte, mask, value, why) in cases {
+        let mut bench = node_40();
+        let stuck = StuckBits { offset: NEXT_RECORD + byte, mask, value };
+        flash(&bench, |flash| flash.add_stuck_bits(stuck));
+        assert_refuses(&mut bench, why);
+        assert_stores(&mut bench);
+    }
+}
+
+#[test]
+fn what_reads_back_otherwise_than_written_is_not_confirmed() {
+    for words in [1, 7] {
+        let mut bench = node_40();
+        flash(&bench, |flash| flash.fail_programs(words));
+        assert_refuses(&mut bench, READS_BACK_OTHERWISE);
+        flash(&bench, |flash| flash.fail_programs(0));
+        assert_stores(&mut bench);
+    }
+}
+
+#[test]
+fn a_new_board_whose_flash_cannot_be_erased_is_reached_and_refuses_to_store() {
+    let mut board = blank_board(0);
+    board.chip().flash_mut().protect_sectors(SECTORS);
+    board.set_flash(SETTINGS_OFFSET, &[0x5A; 0x8000]);
+    let mut bench = ImageRig::new(DEFAULT_BIT_RATE, [board]);
+    for _ in 0..2 {
+        assert!(says(&bench, "flash: the sector is write-protected"));
+        assert!(says(&bench, "the flash fails; nothing can be stored"));
+        assert!(says(&bench, &format!("the flash could not be made ready: {REPORTS_AN_ERROR}")));
+        assert_eq!(bench.lss("4C"), ["50"]);
+        configure(&mut bench);
+        assert_eq!(bench.lss("17"), ["17 02"]);
+        assert_eq!(bench.lss("04 00"), ["704: 00"], "it takes the node-ID until the power fails");
+        bench.power_cycle(0);
+        assert_eq!(bench.collect(Time::from_ms(20)), SILENCE);
+    }
+}
+
+/// Nothing but the read-back shows such an erase: the controller reports no error.
+#[test]
+fn an_erase_that_leaves_anything_costs_no_settings_and_is_tried_again_at_the_next_power_on() {
+    let last = settings(0x40, BitRate::Kbit1000);
+    let mut stores: Vec<_> =
+        (1..=0x7F).cycle().take(384).map(|id| settings(id, BitRate::Kbit1000)).collect();
+    stores.push(last);
+    let nearly_full = flash_with(&stores);
+    let mut not_ready = 0;
+    for seed in 0..8 {
+        let mut board = blank_board(0);
+        board.set_flash(SETTINGS_OFFSET, &nearly_full);
+        board.set_flash(SETTINGS_OFFSET + 0x4000, &[0x5A; 0x4000]);
+        board.chip().flash_mut().fail_erases(1, seed);
+        let mut bench = ImageRig::new(BitRate::Kbit1000, [board]);
+        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "seed {seed}");
+        let line = format!("the flash could not be made ready: {IS_NOT_BLANK}");
+        not_ready += u32::from(says(&bench, &line));
+        bench.power_cycle(0);
+        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "seed {seed}");
+        assert_stores(&mut bench);
+    }
+    assert!((1..8).contains(&not_ready), "the first record's place was blank or was not");
+}

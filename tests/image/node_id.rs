@@ -1,0 +1,96 @@
+//! The release image when its node-ID changes or ends: frames of the old one leave no more.
+
+use emulator::{
+    Time,
+    can::{Frame, Id},
+    network::{Event, Source, What},
+};
+use lss_slave::{BitRate, Settings};
+use testkit::{
+    frames::{self, SILENCE},
+    image_rig::{ImageRig, on_the_wire, settings},
+    sdo,
+};
+
+/// Node 5, operational, with a heartbeat.
+fn node_5(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
+    let mut bench = ImageRig::with(Settings { heartbeat_ms, ..settings(5, bit_rate) });
+    bench.transmit_command("01 05");
+    bench
+}
+
+/// The frames that the board began to send from `since` on.
+fn frames_of_board(bench: &ImageRig, since: Time) -> Vec<String> {
+    let frame = |event: &Event| match event.what {
+        What::Frame { frame, start, .. } if start >= since => {
+            (event.source == Source::Board(0)).then(|| frame.to_string())
+        }
+        _ => None,
+    };
+    bench.network.trace().iter().filter_map(frame).collect()
+}
+
+/// Whether a frame was taken out of its mailbox by the command that ended at `end`. A board has it one bit earlier.
+fn has_dropped(bench: &ImageRig, end: Time) -> bool {
+    bench.did(0, end - bench.bit_time() * 2).any(|event| matches!(event.what, What::Aborted { .. }))
+}
+
+#[test]
+fn on_a_loaded_bus_a_boot_up_with_a_new_node_id_ends_the_old_one() {
+    let mut bench = node_5(BitRate::Kbit500, 50);
+    bench.transmit_request("04 01");
+    bench.transmit_request("11 04");
+    bench.collect(Time::from_ms(10));
+    // Behind urgent frames come to wait: an answer of LSS and one of SDO in mailboxes, heartbeats in the queue.
+    let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
+    let inquire = on_the_wire(&frames::request("5E"));
+    let read = on_the_wire(&sdo::request(5, "40 17 10 00"));
+    let reset = on_the_wire(&frames::command("82 00"));
+    let load = [urgent; 250].into_iter();
+    let frames = load.clone().chain([inquire, read]).chain(load).chain([reset]).chain([urgent; 8]);
+    frames.for_each(|frame| bench.network.send(bench.master, frame));
+    while bench.network.adapter_mut(bench.master).unsent() > 0 {
+        bench.network.run_for(Time::from_us(100));
+    }
+    let is_reset =
+        |event: &&Event| matches!(event.what, What::Frame { frame, .. } if frame == reset);
+    let end = bench.network.trace().iter().find(is_reset).expect("the reset").time;
+    assert!(has_dropped(&bench, end));
+    bench.network.run_for(Time::from_ms(49));
+    let answer = "7E4#5E05000000000000";
+    assert_eq!(frames_of_board(&bench, end), ["704#00", answer, "704#7F"]);
+}
+
+/// Has node 5 configured, and resets communication at each point of its heartbeat period; calls `check` with the frames
+/// that the board begins to send after the reset.
+fn reset_with_pending(node_id: &str, check: impl Fn(&[String])) {
+    const HEARTBEAT_MS: u16 = 40;
+    let mut bench = node_5(BitRate::Kbit10, HEARTBEAT_MS);
+    let mut dropped = 0;
+    for phase in 0..HEARTBEAT_MS {
+        bench.transmit_request("04 01");
+        bench.transmit_request(&format!("11 {node_id}"));
+        bench.collect(Time::from_ms(100));
+        bench.network.run_until_received(bench.master, Time::from_ms(100)).expect("a heartbeat");
+        bench.network.run_for(Time::from_ms(phase.into()));
+        let end = bench.transmit_command("82 00");
+        bench.collect(Time::from_ms(200));
+        check(&frames_of_board(&bench, end));
+        dropped += u32::from(has_dropped(&bench, end));
+        bench.power_cycle(0);
+    }
+    assert!(dropped > 0, "no heartbeat fell due while the command was on the bus");
+}
+
+#[test]
+fn a_node_that_loses_its_node_id_at_10_kbit_per_s_sends_nothing_more() {
+    reset_with_pending("FF", |sent| assert_eq!(sent, SILENCE));
+}
+
+#[test]
+fn a_node_that_changes_its_node_id_at_10_kbit_per_s_sends_as_the_new_one() {
+    reset_with_pending("04", |sent| {
+        assert_eq!(sent[0], "704#00");
+        assert!(sent[1..].iter().all(|frame| frame == "704#7F"), "{sent:?}");
+    });
+}

@@ -1,0 +1,217 @@
+//! The release image when there is too much of everything: a full bus, errors without end, interrupts without end, tasks that
+//! do nothing.
+
+use emulator::{
+    Time,
+    can::{Frame, Id},
+    chip::{FLASH_BASE, ResetCause, Timing},
+    network::{Event, Source, What},
+};
+use lss_slave::{BitRate, BitRateSetting, Settings};
+use testkit::{
+    frames::{self, SILENCE},
+    image::image,
+    image_rig::{ImageRig, board_with, on_the_wire, settings},
+    sdo,
+};
+
+/// Longer than the patience of the watchdog.
+const LONG: Time = Time::from_s(4);
+/// From the end of a frame to the start of the next that waits, at most: three bits at 1 Mbit/s, and the bits of two nodes
+/// are not in step.
+const INTERMISSION: Time = Time::from_us(4);
+
+fn node_40(heartbeat_ms: u16) -> ImageRig {
+    let mut bench = ImageRig::with(Settings { heartbeat_ms, ..settings(0x40, BitRate::Kbit1000) });
+    bench.collect(Time::from_ms(20));
+    bench
+}
+
+fn send(bench: &mut ImageRig, request: &str) {
+    bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+}
+
+/// The frames on the bus from `since` on: who sent them, when they began and ended.
+fn frames_on_the_bus(bench: &ImageRig, since: Time) -> Vec<(Source, Frame, Time, Time)> {
+    let frame = |event: &Event| match event.what {
+        What::Frame { frame, start, .. } if start >= since => {
+            Some((event.source, frame, start, event.time))
+        }
+        _ => None,
+    };
+    bench.network.trace().iter().filter_map(frame).collect()
+}
+
+fn logs(bench: &ImageRig, text: &str) -> bool {
+    bench.network.board(0).log().iter().any(|line| line.text.starts_with(text))
+}
+
+#[test]
+fn answers_wait_while_the_bus_is_full_of_urgent_frames_and_leave_in_order_right_behind_them() {
+    let mut bench = node_40(500);
+    bench.lss("04 01");
+    bench.lss("11 04");
+    let since = bench.network.now();
+    send(&mut bench, "17");
+    send(&mut bench, "5E");
+    let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
+    let read = on_the_wire(&sdo::request(0x40, "40 17 10 00"));
+    // Frames of eight bytes last 0.11 ms at least.
+    let count = LONG.as_ps() / Time::from_us(110).as_ps();
+    for number in 0..count {
+        let frame = if number == 5 { read } else { urgent };
+        bench.network.send(bench.master, frame);
+    }
+    while bench.network.adapter_mut(bench.master).unsent() > 0 {
+        bench.network.run_for(Time::from_ms(10));
+    }
+    bench.collect(Time::from_ms(5));
+    let frames = frames_on_the_bus(&bench, since);
+    for pair in frames.windows(2) {
+        let ((.., end), (_, frame, start, _)) = (pair[0], pair[1]);
+        let is_heartbeat_of_later = start - end > INTERMISSION && frame.id == Id::Standard(0x740);
+        assert!(
+            start - end <= INTERMISSION || is_heartbeat_of_later,
+            "{frame} {} ms after the one before",
+            start - end
+        );
+    }
+    let behind = frames.iter().rposition(|&(_, frame, ..)| frame == urgent).expect("the flood") + 1;
+    let is_of_board =
+        |(source, ..): &(Source, Frame, Time, Time)| matches!(source, Source::Board(_));
+    assert!(!frames[..behind].iter().any(is_of_board), "nothing comes through the flood");
+    let told: Vec<_> = frames[behind..].iter().map(|(_, frame, ..)| frame.to_string()).collect();
+    // By their priority; the two of LSS in the order in which the board had them.
+    let answers =
+        ["5C0#4B171000F4010000", "740#7F", "7E4#5E40000000000000", "7E4#1700000000000000"];
+    assert_eq!(told, answers);
+}
+
+#[test]
+fn the_shortest_frames_of_a_full_bus_are_not_lost_while_the_slowest_flash_is_written() {
+    let mut bench = node_40(0);
+    bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+    send(&mut bench, "04 01");
+    let shortest = Frame::data(Id::Standard(0x7E5), &[]);
+    const STORES: usize = 20;
+    for node_id in 1..=STORES {
+        send(&mut bench, &format!("11 {node_id:02X}"));
+        send(&mut bench, "17");
+        (0..40).for_each(|_| bench.network.send(bench.master, shortest));
+    }
+    while bench.network.adapter_mut(bench.master).unsent() > 0 {
+        bench.network.run_for(Time::from_ms(1));
+    }
+    let answers = bench.collect(Time::from_ms(5)).0;
+    let count = |text: &str| {
+        let is_one = |frame: &&lss_slave::Frame| frames::text(frame).starts_with(text);
+        answers.iter().filter(is_one).count()
+    };
+    assert_eq!([count("7E4: 11 00"), count("7E4: 17 00")], [STORES; 2]);
+    assert!(!logs(&bench, "CAN: overrun"));
+}
+
+/// The others see nothing but errors, for long.
+fn disturb(bench: &mut ImageRig) {
+    let disturber = bench.add_disturber();
+    bench.disturb(disturber, Id::Standard(0), Time::from_us(300), LONG);
+}
+
+fn errors(bench: &ImageRig, since: Time) -> usize {
+    bench.did(0, since).filter(|event| matches!(event.what, What::Error { .. })).count()
+}
+
+#[test]
+fn a_bus_of_error_frames_only_does_not_keep_the_board_from_answering_once_it_is_over() {
+    let mut bench = node_40(20);
+    bench.lss("04 01");
+    let since = bench.network.now();
+    disturb(&mut bench);
+    assert!(errors(&bench, since) > 1_000, "{} errors", errors(&bench, since));
+    bench.collect(Time::from_s(1));
+    let answers = bench.lss("5E").0;
+    assert!(
+        answers.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40")),
+        "{answers:?}"
+    );
+}
+
+#[test]
+fn noise_without_end_does_not_end_the_search_for_the_bit_rate() {
+    let automatic =
+        Settings { bit_rate: BitRateSetting::Automatic, ..settings(0x40, BitRate::Kbit1000) };
+    let mut bench = ImageRig::new(BitRate::Kbit500, [board_with(0, automatic)]);
+    let since = bench.network.now();
+    disturb(&mut bench);
+    let tried = bench.bit_rates(0, since).len();
+    assert!(tried > 10, "{tried} bit rates are tried");
+    for _ in 0..100 {
+        send(&mut bench, "4C");
+        bench.network.run_for(Time::from_ms(20));
+    }
+    bench.collect(Time::from_ms(100));
+    bench.lss("04 01");
+    assert_eq!(bench.lss("5E"), ["5E 40"]);
+}
+
+#[test]
+fn an_interrupt_every_50_us_without_end_starves_no_task() {
+    let mut bench = node_40(5);
+    bench.lss("04 01");
+    // No frame that passes the filters is shorter.
+    let shortest = Frame::data(Id::Standard(0x7E5), &[]);
+    let since = bench.network.now();
+    let (cycles, busy) = bench.network.board(0).cycles();
+    let mut answers = Vec::new();
+    for node_id in 1..=8 {
+        for request in [format!("11 {node_id:02X}").as_str(), "17"] {
+            send(&mut bench, request);
+            (0..LONG.as_ps() / Time::from_us(16 * 50).as_ps())
+                .for_each(|_| bench.network.send(bench.master, shortest));
+            while bench.network.adapter_mut(bench.master).unsent() > 0 {
+                answers.extend(bench.collect(Time::from_ms(10)).0);
+            }
+        }
+    }
+    let span = bench.network.now() - since;
+    let (cycles, busy) =
+        (bench.network.board(0).cycles().0 - cycles, bench.network.board(0).cycles().1 - busy);
+    println!("{} ms, busy for {} % of them", span, 100 * busy / cycles);
+    assert!(span > Time::from_s(3) && 100 * busy / cycles > 3, "it is busy");
+    let count =
+        |text: &str| answers.iter().filter(|frame| frames::text(frame).starts_with(text)).count();
+    // The tasks of interrupts, of flash, and of deadlines; the watchdog would tell of others.
+    assert_eq!([count("7E4: 11 00"), count("7E4: 17 00")], [8; 2]);
+    let due = (span.as_ps() / Time::from_ms(5).as_ps()) as usize;
+    assert!(
+        (due - 2..=due + 2).contains(&count("740: 7F")),
+        "{} of {due} heartbeats",
+        count("740: 7F")
+    );
+    assert!(!logs(&bench, "CAN: overrun"));
+}
+
+/// `bx lr`: back at once.
+const RETURN: [u8; 2] = [0x70, 0x47];
+
+#[test]
+fn the_watchdog_resets_a_board_whose_tasks_are_not_hung_but_do_nothing_any_more() {
+    // The last is the task that stores.
+    for handler in ["CAN1_TX", "CAN1_SCE", "SysTick", "USART1"] {
+        let mut bench = node_40(0);
+        let code = (image().symbol(handler).expect("a handler") & !1) - FLASH_BASE;
+        let before = bench.network.board(0).flash()[code as usize..][..2].to_vec();
+        bench.expect_reset(0, ResetCause::Watchdog);
+        let from = bench.network.now();
+        bench.network.board_mut(0).set_flash(code, &RETURN);
+        while bench.network.board(0).resets().len() == 1 {
+            assert!(bench.network.now() < from + Time::from_ms(2_600), "{handler}: no reset");
+            bench.network.run_for(Time::from_us(20));
+        }
+        bench.network.board_mut(0).set_flash(code, &before);
+        let (reset_at, _) = bench.network.board(0).resets()[1];
+        bench.boot(0, reset_at);
+        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
+        assert_eq!(bench.lss("5E"), SILENCE, "in waiting state");
+    }
+}

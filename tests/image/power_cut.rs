@@ -1,0 +1,131 @@
+//! The release image when the power fails in any flash operation of a commissioning: reachable afterwards, with the old
+//! settings or the new ones.
+
+use emulator::{
+    Time,
+    chip::{PowerCut, ResetCause},
+};
+use lss_slave::BitRate;
+use testkit::{
+    image_rig::{DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
+    random::Random,
+};
+
+/// Node-ID and bit rate; FF: none.
+type Shown = (u8, BitRate);
+
+const OLD: Shown = (0x21, BitRate::Kbit250);
+const NEW: Shown = (0x42, BitRate::Kbit1000);
+
+/// Flash operations: an erase and a record of eight words; a record.
+const FORMAT_STEPS: u64 = 9;
+const STORE_STEPS: u64 = 8;
+
+/// Power is back; returns what the board has. It is in LSS configuration state then.
+fn power_on(bench: &mut ImageRig) -> Shown {
+    // The master takes no part until it knows the bit rate: its errors would make the board search for another.
+    bench.network.adapter_mut(bench.master).close();
+    let since = bench.network.now();
+    bench.power_on(0);
+    let (_, first) = bench.bit_rates(0, since)[0];
+    let rate = BitRate::ALL.into_iter().find(|&rate| bit_per_s(rate) == first).expect("a bit rate");
+    bench.set_master_bit_rate(rate);
+    bench.network.adapter_mut(bench.master).open();
+    bench.collect(Time::from_ms(20));
+    bench.lss("04 01");
+    let answers = bench.lss("5E");
+    let [answer] = answers.0.as_slice() else { panic!("one answer, not {answers:?}") };
+    (answer.data()[1], rate)
+}
+
+fn power_cycle(bench: &mut ImageRig) -> Shown {
+    bench.network.power_off(0);
+    power_on(bench)
+}
+
+/// Another content of the settings' flash, and a power-on that fails in the flash operation after the next `steps`.
+fn power_on_in_vain(bench: &mut ImageRig, content: &[u8], steps: u64, random: &mut Random) {
+    bench.network.power_off(0);
+    bench.network.board_mut(0).set_flash(SETTINGS_OFFSET, content);
+    cut_power_after(bench, steps, random);
+    bench.network.power_on(0);
+    bench.expect_reset(0, ResetCause::PowerOn);
+    bench.collect(Time::from_ms(300));
+    assert!(!bench.network.board(0).is_powered(), "step {steps}");
+}
+
+/// Configures and stores; whether the store was confirmed.
+fn commission(bench: &mut ImageRig, (node_id, rate): Shown) -> bool {
+    bench.lss("04 01");
+    bench.lss(&format!("11 {node_id:02X}"));
+    bench.lss(&format!("13 00 {:02X}", rate.index()));
+    bench.lss("17") == ["17 00"]
+}
+
+/// The power fails in the flash operation after the next `steps`.
+fn cut_power_after(bench: &ImageRig, steps: u64, random: &mut Random) {
+    let board = bench.network.board(0);
+    let operation = board.chip().flash().operations() + steps;
+    board.chip().flash_mut().cut_power(PowerCut { operation, seed: random.u64() });
+}
+
+#[test]
+fn a_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
+    let mut random = Random::from_environment();
+    let mut kept = 0;
+    for step in 0..STORE_STEPS {
+        for _ in 0..3 {
+            let mut bench = ImageRig::with(settings(OLD.0, OLD.1));
+            cut_power_after(&bench, step, &mut random);
+            assert!(!commission(&mut bench, NEW), "confirmed without power, step {step}");
+            assert!(!bench.network.board(0).is_powered(), "step {step}");
+            let found = power_on(&mut bench);
+            // The last of the words makes a record valid.
+            let may_be_new = step == STORE_STEPS - 1;
+            assert!(found == OLD || may_be_new && found == NEW, "{found:02X?} after step {step}");
+            kept += u32::from(found == OLD);
+            assert!(commission(&mut bench, NEW), "step {step}");
+            assert_eq!(power_cycle(&mut bench), NEW);
+        }
+    }
+    println!("{kept} of {} kept the old settings", 3 * STORE_STEPS);
+}
+
+#[test]
+fn a_cut_behind_the_last_step_of_a_store_leaves_the_new_settings() {
+    let mut bench = ImageRig::with(settings(OLD.0, OLD.1));
+    assert!(commission(&mut bench, NEW));
+    assert_eq!(power_cycle(&mut bench), NEW);
+}
+
+#[test]
+fn cuts_in_any_step_of_formatting_and_then_of_the_first_store_leave_the_defaults_or_the_new() {
+    let mut random = Random::from_environment();
+    let defaults = (0xFF, DEFAULT_BIT_RATE);
+    for step in 0..FORMAT_STEPS {
+        let mut bench = ImageRig::blank();
+        power_on_in_vain(&mut bench, &[0xFF; 0x8000], step, &mut random);
+        assert_eq!(power_on(&mut bench), defaults, "step {step}");
+        let second = random.within(0..STORE_STEPS);
+        cut_power_after(&bench, second, &mut random);
+        assert!(!commission(&mut bench, NEW), "confirmed without power, steps {step}, {second}");
+        let found = power_on(&mut bench);
+        assert!(found == defaults || found == NEW, "{found:02X?} after steps {step}, {second}");
+    }
+}
+
+#[test]
+fn a_cut_in_any_step_of_the_move_to_the_other_sector_leaves_the_settings() {
+    let mut random = Random::from_environment();
+    // Less than a quarter of the sector is left: the next power-on erases the other one.
+    let stores: Vec<_> = (0..385).map(|n| settings(n as u8 % 100 + 1, OLD.1)).collect();
+    let content = flash_with(&stores);
+    let last = (384_u16 as u8 % 100 + 1, OLD.1);
+    for step in 0..FORMAT_STEPS {
+        let mut bench = ImageRig::with(settings(OLD.0, OLD.1));
+        power_on_in_vain(&mut bench, &content, step, &mut random);
+        assert_eq!(power_on(&mut bench), last, "step {step}");
+        assert!(commission(&mut bench, NEW), "step {step}");
+        assert_eq!(power_cycle(&mut bench), NEW);
+    }
+}

@@ -1,0 +1,206 @@
+//! How long a release image that detects the bit rate takes to find it, and that it drives nothing dominant before.
+
+use emulator::{
+    Time,
+    can::{Adapter, Frame, Id},
+    chip::ResetCause,
+    network::{AdapterId, Event, Source, What},
+};
+use lss_slave::{BitRate, BitRateSetting, Settings};
+use testkit::{
+    frames,
+    image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
+};
+
+/// The silent bit of CAN_BTR (RM0090, 32.9.2).
+const SILM: u32 = 1 << 31;
+/// A frame with eight bytes, stuff bits and intermission, in bits.
+const LONG_FRAME_BITS: u64 = 122;
+
+/// Two nodes that talk to each other.
+struct Traffic {
+    others: [AdapterId; 2],
+    frame: fn(usize) -> Frame,
+    period: Time,
+    next: Time,
+    count: usize,
+}
+
+impl Traffic {
+    /// One heartbeat a second.
+    fn sparse(bench: &mut ImageRig, bit_rate: BitRate) -> Self {
+        let heartbeat = |_| Frame::data(Id::Standard(0x701), &[0x05]);
+        Self::new(bench, bit_rate, heartbeat, Time::from_s(1))
+    }
+
+    /// Nine tenths of the bus.
+    fn dense(bench: &mut ImageRig, bit_rate: BitRate) -> Self {
+        let frame = |count: usize| {
+            let data = (count as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            Frame::data(Id::Standard(0x181 + count as u16 % 2), &data.to_le_bytes())
+        };
+        let period = bench.bit_time() * LONG_FRAME_BITS * 10;
+        Self::new(bench, bit_rate, frame, Time::from_ps(period.as_ps() / 9))
+    }
+
+    fn new(
+        bench: &mut ImageRig,
+        bit_rate: BitRate,
+        frame: fn(usize) -> Frame,
+        period: Time,
+    ) -> Self {
+        let others = [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))));
+        Self { others, frame, period, next: bench.network.now(), count: 0 }
+    }
+
+    fn run_for(&mut self, bench: &mut ImageRig, span: Time) {
+        let until = bench.network.now() + span;
+        while bench.network.now() < until {
+            if self.next <= bench.network.now() {
+                let frame = (self.frame)(self.count);
+                bench.network.send(self.others[self.count % 2], frame);
+                self.count += 1;
+                self.next += self.period;
+            }
+            bench.network.run_until(self.next.min(until));
+        }
+    }
+}
+
+/// A board that detects the bit rate, without power, on a bus at `bit_rate`.
+fn bench(bit_rate: BitRate, node_id: u8) -> ImageRig {
+    let automatic = BitRateSetting::Automatic;
+    let settings = Settings { bit_rate: automatic, ..settings(node_id, bit_rate) };
+    let mut bench = ImageRig::new(bit_rate, [board_with(0, settings)]);
+    bench.network.power_off(0);
+    bench
+}
+
+/// Gives the board its supply while the bus lives; returns when.
+fn switch_on(bench: &mut ImageRig) -> Time {
+    bench.network.power_on(0);
+    bench.expect_reset(0, ResetCause::PowerOn);
+    bench.network.now()
+}
+
+/// When the board knew the bit rate.
+fn found(bench: &ImageRig, on: Time) -> Option<(Time, u32)> {
+    let timings = bench.did(0, on).filter_map(|event| match event.what {
+        What::BitTiming { btr, bit_rate } => Some((event.time, btr & SILM != 0, bit_rate)),
+        _ => None,
+    });
+    let mut since_silent = timings.skip_while(|(_, is_silent, _)| !is_silent);
+    let (time, _, bit_rate) = since_silent.find(|(_, is_silent, _)| !is_silent)?;
+    Some((time, bit_rate))
+}
+
+/// Before `until` the board asked for no transmission, raised no error frame, and never ran other than silently, so that it
+/// did not acknowledge either.
+fn assert_silent(bench: &ImageRig, on: Time, until: Time) {
+    let is_loud = |event: &&Event| match event.what {
+        What::Requested { .. } | What::Error { .. } | What::Frame { .. } => true,
+        What::BitTiming { btr, .. } => btr & SILM == 0,
+        _ => false,
+    };
+    let loud: Vec<_> =
+        bench.did(0, on).filter(|event| event.time < until).filter(is_loud).collect();
+    assert!(loud.is_empty(), "{loud:#?}");
+}
+
+/// Lets the board find the rate; returns how long it took from power-on.
+fn detect(bench: &mut ImageRig, traffic: &mut Traffic, bit_rate: BitRate) -> Time {
+    let on = switch_on(bench);
+    let (time, found_rate) = loop {
+        traffic.run_for(bench, Time::from_ms(10));
+        if let Some(found) = found(bench, on) {
+            break found;
+        }
+        assert!(bench.network.now() < on + Time::from_s(30), "{bit_rate:?} is not found");
+    };
+    assert_eq!(found_rate, bit_per_s(bit_rate));
+    assert_silent(bench, on, time);
+    bench.network.power_off(0);
+    time - on
+}
+
+#[test]
+fn every_rate_is_found_in_sparse_and_dense_traffic_without_a_dominant_bit() {
+    println!("time from power-on until the bit rate is known, shortest..longest in ms");
+    println!("{:>7}  {:>19}  {:>19}", "kbit/s", "a heartbeat/s", "90 % load");
+    for bit_rate in BitRate::ALL {
+        let mut spans = Vec::new();
+        for (make, phases, bound) in [
+            (Traffic::sparse as fn(&mut ImageRig, BitRate) -> Traffic, 4, SPARSE_BOUND),
+            (Traffic::dense, 4, DENSE_BOUND),
+        ] {
+            let mut bench = bench(bit_rate, 0x40);
+            let mut traffic = make(&mut bench, bit_rate);
+            let times: Vec<Time> = (0..phases)
+                .map(|phase| {
+                    traffic.run_for(&mut bench, Time::from_us(10_000 + phase * 236_770));
+                    detect(&mut bench, &mut traffic, bit_rate)
+                })
+                .collect();
+            let shortest = times.iter().min().expect("phases");
+            let longest = times.iter().max().expect("phases");
+            assert!(*longest < bound, "{bit_rate:?}: {longest} ms");
+            spans.push(format!("{}..{}", shortest.as_ms(), longest.as_ms()));
+        }
+        println!("{:>7}  {:>19}  {:>19}", bit_rate.kbit_per_s(), spans[0], spans[1]);
+    }
+}
+
+const SPARSE_BOUND: Time = Time::from_s(9);
+const DENSE_BOUND: Time = Time::from_s(1);
+
+#[test]
+fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
+    println!("time from power-on until a master that is alone is acknowledged, in ms");
+    for bit_rate in BitRate::ALL {
+        let mut bench = bench(bit_rate, 0x40);
+        bench.network.send(bench.master, on_the_wire(&frames::request("04 01")));
+        bench.network.run_for(Time::from_ms(5));
+        let on = switch_on(&mut bench);
+        while bench.network.adapter_mut(bench.master).unsent() > 0 {
+            assert!(bench.network.now() < on + Time::from_s(30), "{bit_rate:?} is not found");
+            bench.network.run_for(Time::from_ms(1));
+        }
+        let (time, found_rate) = found(&bench, on).expect("who else acknowledges");
+        assert_eq!(found_rate, bit_per_s(bit_rate));
+        assert_silent(&bench, on, time);
+        let master = Source::Adapter(bench.master);
+        let is_frame =
+            |event: &&Event| event.source == master && matches!(event.what, What::Frame { .. });
+        let sent = bench.network.trace().iter().find(is_frame).expect("it was sent").time;
+        assert!(sent > time, "acknowledged at {sent}, known at {time}");
+        println!("{:>7} kbit/s  {:>6}", bit_rate.kbit_per_s(), (sent - on).as_ms());
+    }
+}
+
+#[test]
+fn on_a_silent_bus_a_board_listens_on_and_finds_the_rate_when_somebody_comes() {
+    let bit_rate = BitRate::Kbit20;
+    let mut bench = bench(bit_rate, 0x40);
+    let on = switch_on(&mut bench);
+    bench.network.run_for(Time::from_s(40));
+    assert_silent(&bench, on, Time::MAX);
+    assert_eq!(found(&bench, on), None);
+    let mut traffic = Traffic::dense(&mut bench, bit_rate);
+    traffic.run_for(&mut bench, Time::from_s(3));
+    assert_eq!(found(&bench, on).expect("somebody came").1, bit_per_s(bit_rate));
+}
+
+#[test]
+fn a_board_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
+    for bit_rate in BitRate::ALL {
+        let mut bench = bench(bit_rate, 0xFF);
+        let mut traffic = Traffic::dense(&mut bench, bit_rate);
+        traffic.run_for(&mut bench, Time::from_ms(5));
+        let on = switch_on(&mut bench);
+        traffic.run_for(&mut bench, Time::from_s(1));
+        let (time, _) = found(&bench, on).expect("dense traffic");
+        assert_silent(&bench, on, time);
+        bench.collect(Time::from_ms(50));
+        assert_eq!(bench.lss("4C"), ["50"], "{bit_rate:?}");
+    }
+}

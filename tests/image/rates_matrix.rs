@@ -1,0 +1,310 @@
+//! Switches between all bit rates, with delays, load, slow neighbours and bad crystals: nobody who is on time is lost.
+
+use emulator::{
+    Time, board,
+    can::{Adapter, BitTiming, Clock, Frame, Id},
+    chip::Part,
+    network::{AdapterId, Network, What},
+};
+use lss_slave::{BitRate, Settings};
+use testkit::{
+    frames,
+    image::image,
+    image_rig::{
+        ImageRig, SETTINGS_OFFSET, bit_per_s, board_with, flash_with, on_the_wire, settings,
+    },
+};
+
+/// How exactly boards keep the switch delay.
+const ACCURACY: Time = Time::from_ms(1);
+/// A frame with eight bytes, stuff bits and intermission, in bits.
+const LONG_FRAME_BITS: u64 = 122;
+/// The clock of the board's CAN controller.
+const APB1_HZ: u32 = 40_000_000;
+/// How long the bus is loaded before and after each switch, in such frames.
+const LOAD_FRAMES: u64 = 10;
+
+/// Nodes 1 and 2 in configuration state, and an adapter that loads the bus.
+struct Site {
+    bench: ImageRig,
+    load: AdapterId,
+    bit_rate: BitRate,
+    is_loaded: bool,
+}
+
+impl Site {
+    fn new(bit_rate: BitRate, is_loaded: bool) -> Self {
+        let boards = [1, 2].map(|number| board_with(number, settings(number, bit_rate)));
+        let mut bench = ImageRig::new(bit_rate, boards);
+        let load = bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
+        bench.transmit_request("04 01");
+        bench.network.run_for(Time::from_ms(3));
+        bench.collect(Time::ZERO);
+        Self { bench, load, bit_rate, is_loaded }
+    }
+
+    /// Loads the bus to nine tenths, and has the master say something in the middle of it.
+    fn load_while(&mut self, request: Option<Frame>) {
+        let period = self.bench.bit_time() * LONG_FRAME_BITS * 10;
+        let period = Time::from_ps(period.as_ps() / 9);
+        for count in 0..LOAD_FRAMES {
+            if self.is_loaded {
+                let data = count.wrapping_mul(0x9E37_79B9_7F4A_7C15).to_le_bytes();
+                self.bench.network.send(self.load, Frame::data(Id::Standard(0x181), &data));
+            }
+            if count == LOAD_FRAMES / 2
+                && let Some(request) = request
+            {
+                self.bench.network.send(self.bench.master, request);
+            }
+            if self.is_loaded || request.is_some() {
+                self.bench.network.run_for(period);
+            }
+        }
+        while self.bench.network.adapter_mut(self.bench.master).unsent() > 0 {
+            self.bench.network.run_for(self.bench.bit_time() * 10);
+        }
+    }
+
+    /// Everybody goes to another rate; the load pauses from the request to the end of the delays.
+    fn switch(&mut self, to: BitRate, delay_ms: u16) {
+        let configure = frames::request(&format!("13 00 {:02X}", to.index()));
+        self.load_while(Some(on_the_wire(&configure)));
+        let patience = ACCURACY + self.bench.bit_time() * LONG_FRAME_BITS * 2;
+        assert_eq!(self.bench_answers(patience), ["13 00"]);
+
+        let [low, high] = delay_ms.to_le_bytes();
+        let end = self.bench.transmit_request(&format!("15 {low:02X} {high:02X}"));
+        let delay = Time::from_ms(delay_ms.into());
+        self.bench.network.run_until(end + delay);
+        self.bench.set_master_bit_rate(to);
+        self.bench.network.adapter_mut(self.load).set_bit_rate(bit_per_s(to));
+        self.bit_rate = to;
+        self.bench.network.run_until(end + delay * 2 + ACCURACY);
+
+        self.load_while(None);
+        self.bench_answers(patience);
+    }
+
+    /// What the nodes have sent, without the load.
+    fn bench_answers(&mut self, span: Time) -> frames::Frames {
+        let mut frames = self.bench.collect(span + self.bench.bit_time() * LONG_FRAME_BITS);
+        frames.0.retain(|frame| frame.cob_id() != 0x181);
+        frames
+    }
+
+    /// Each node answers the master.
+    fn assert_all_reached(&mut self, what: &str) {
+        for (id, address) in [(1, 0x581), (2, 0x582)] {
+            let request = Frame::data(Id::Standard(0x600 + id), &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+            self.bench.transmit(request);
+            let answers = self.bench_answers(ACCURACY);
+            let is_there = answers.0.iter().any(|frame| frame.cob_id() == address);
+            assert!(is_there, "node {id} is lost, {what}");
+        }
+    }
+}
+
+fn assert_no_error_frame(network: &Network, what: &str) {
+    let errors: Vec<_> = network
+        .trace()
+        .iter()
+        .filter(|event| matches!(event.what, What::Error { .. }))
+        .map(ToString::to_string)
+        .collect();
+    assert!(errors.is_empty(), "{what}: {errors:#?}");
+}
+
+/// A closed walk through all ordered pairs.
+fn walk() -> Vec<BitRate> {
+    let mut walk = vec![BitRate::ALL[0]];
+    for (index, &from) in BitRate::ALL.iter().enumerate() {
+        walk.extend((index > 0).then_some(from));
+        walk.extend(BitRate::ALL[index + 1..].iter().flat_map(|&to| [to, from]));
+    }
+    walk
+}
+
+#[test]
+fn the_walk_goes_through_all_56_pairs() {
+    let mut pairs: Vec<_> = walk().windows(2).map(|pair| (pair[0], pair[1])).collect();
+    pairs.sort();
+    pairs.dedup();
+    assert_eq!(pairs.iter().filter(|(from, to)| from != to).count(), 56);
+}
+
+fn all_pairs(delay_ms: u16, is_loaded: bool) {
+    let walk = walk();
+    let mut site = Site::new(walk[0], is_loaded);
+    for pair in walk.windows(2) {
+        let what = format!("{} to {} kbit/s", pair[0].kbit_per_s(), pair[1].kbit_per_s());
+        site.switch(pair[1], delay_ms);
+        site.assert_all_reached(&what);
+        assert_no_error_frame(&site.bench.network, &what);
+    }
+}
+
+#[test]
+fn all_pairs_without_delay_on_an_idle_bus() {
+    all_pairs(0, false);
+}
+
+#[test]
+fn all_pairs_without_delay_under_load() {
+    all_pairs(0, true);
+}
+
+#[test]
+fn all_pairs_with_a_delay_of_1_ms_on_an_idle_bus() {
+    all_pairs(1, false);
+}
+
+#[test]
+fn all_pairs_with_a_delay_of_1_ms_under_load() {
+    all_pairs(1, true);
+}
+
+#[test]
+fn all_pairs_with_a_delay_of_50_ms_on_an_idle_bus() {
+    all_pairs(50, false);
+}
+
+#[test]
+fn all_pairs_with_a_delay_of_50_ms_under_load() {
+    all_pairs(50, true);
+}
+
+#[test]
+fn all_pairs_with_a_delay_of_1000_ms_on_an_idle_bus() {
+    all_pairs(1000, false);
+}
+
+#[test]
+fn all_pairs_with_a_delay_of_1000_ms_under_load() {
+    all_pairs(1000, true);
+}
+
+#[test]
+fn a_neighbour_that_takes_40_ms_to_obey_is_not_disturbed_with_a_delay_of_50_ms() {
+    for (from, to) in [
+        (BitRate::Kbit125, BitRate::Kbit1000),
+        (BitRate::Kbit1000, BitRate::Kbit125),
+        (BitRate::Kbit500, BitRate::Kbit50),
+    ] {
+        let (processing, delay) = (Time::from_ms(40), Time::from_ms(50));
+        let boards = [1, 2].map(|number| {
+            board_with(number, Settings { heartbeat_ms: 5, ..settings(number, from) })
+        });
+        let mut bench = ImageRig::new(from, boards);
+        let slow = bench.network.add_adapter(Adapter::new(bit_per_s(from)));
+        bench.transmit_request("04 01");
+        bench.transmit_request(&format!("13 00 {:02X}", to.index()));
+        bench.network.run_for(Time::from_ms(5));
+        let frame = Frame::data(Id::Standard(0x183), &[0x5A; 8]);
+        let end = bench.transmit_request("15 32 00");
+        // It goes on as before until it has understood, and counts both delays from then on.
+        while bench.network.now() + Time::from_ms(3) < end + processing {
+            bench.network.send(slow, frame);
+            bench.network.run_for(Time::from_ms(3));
+            assert_eq!(bench.network.adapter_mut(slow).unsent(), 0, "it is acknowledged");
+        }
+        bench.network.run_until(end + delay);
+        bench.set_master_bit_rate(to);
+        bench.network.run_until(end + processing + delay);
+        bench.network.adapter_mut(slow).set_bit_rate(bit_per_s(to));
+        bench.network.run_until(end + processing + delay * 2);
+        for _ in 0..10 {
+            bench.network.send(slow, frame);
+            bench.network.run_for(Time::from_ms(3));
+        }
+        bench.network.run_for(Time::from_ms(20));
+        assert_eq!(bench.network.adapter_mut(slow).unsent(), 0, "it is acknowledged");
+        assert_no_error_frame(&bench.network, "a slow neighbour");
+        bench.collect(Time::ZERO);
+        let heartbeats = bench.collect(Time::from_ms(12));
+        for cob_id in [0x701, 0x702] {
+            assert!(heartbeats.0.iter().any(|frame| frame.cob_id() == cob_id), "{cob_id:03X}");
+        }
+    }
+}
+
+/// The bit timing of the firmware.
+fn bit_timing(bit_rate: BitRate) -> lss_slave::bit_rate::BitTiming {
+    lss_slave::bit_rate::BitTiming::solve(bit_rate, APB1_HZ).expect("every rate is possible")
+}
+
+/// Whether a board and a master of the same bit timing, whose crystals are so much fast, understand each other without an
+/// error frame.
+fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> bool {
+    let crystal = Clock { hz: 8_000_000, ppm: board_ppm };
+    let settings_of_board = board::Settings { crystal, unique_id: [1; 12], ..Default::default() };
+    let mut board = board::Board::new(Part::Stm32f405, image(), settings_of_board);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(1, bit_rate)]));
+    let mut network = Network::new();
+    network.add_board(board);
+    let timing = bit_timing(bit_rate);
+    let master = network.add_adapter(Adapter::with_timing(
+        Clock { hz: APB1_HZ, ppm: master_ppm },
+        BitTiming {
+            prescaler: timing.prescaler,
+            segment_1: timing.segment1,
+            segment_2: timing.segment2,
+            jump_width: timing.sync_jump_width,
+        },
+    ));
+    let frame_time = Time::from_ps(1_000_000_000_000 / u64::from(bit_per_s(bit_rate))) * 160;
+    network.run_for(Time::from_ms(20) + frame_time);
+    // The longest runs of equal bits, and stuff bits everywhere.
+    for data in [[0x00; 8], [0xFF; 8], [0x0F; 8], [0x5A; 8]] {
+        network.send(master, Frame::data(Id::Standard(0x400), &data));
+        network.send(master, Frame::data(Id::Standard(0x601), &[0x40, 0, 0x10, 0, 0, 0, 0, 0]));
+        network.send(master, on_the_wire(&frames::request("04 01")));
+        network.send(master, on_the_wire(&frames::request("5A")));
+        network.run_for(Time::from_ms(2) + frame_time * 7);
+    }
+    let received = core::iter::from_fn(|| network.receive(master)).count();
+    let is_undisturbed =
+        network.trace().iter().all(|event| !matches!(event.what, What::Error { .. }));
+    is_undisturbed && received == 9
+}
+
+#[test]
+fn crystals_that_are_half_a_per_cent_off_on_both_ends_work_at_every_rate() {
+    for bit_rate in BitRate::ALL {
+        for board in [-5_000, 0, 5_000] {
+            for master in [-5_000, 0, 5_000] {
+                let is_understood = understand_each_other(bit_rate, board, master);
+                assert!(is_understood, "{bit_rate:?}: board {board} ppm, master {master} ppm");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_limit_of_each_rate_is_where_the_bit_timing_puts_it() {
+    println!("by how much both crystals may be off, in opposite directions, in ppm");
+    for bit_rate in BitRate::ALL {
+        let theory = bit_timing(bit_rate).crystal_tolerance_ppm() as i32;
+        let limit = [-1, 1].map(|sign| {
+            let (mut good, mut bad) = (0, 20_000);
+            while bad - good > 250 {
+                let middle = (good + bad) / 2;
+                if understand_each_other(bit_rate, sign * middle, -sign * middle) {
+                    good = middle;
+                } else {
+                    bad = middle;
+                }
+            }
+            good
+        });
+        // The theory leaves out that an edge is seen with the resolution of a quantum.
+        assert!((5_000..=theory * 12 / 10).contains(&limit[0]), "{limit:?}");
+        assert!(limit[1] >= theory, "{limit:?}");
+        println!(
+            "{:>7} kbit/s  theory {theory}  slow board {}, fast board {}",
+            bit_rate.kbit_per_s(),
+            limit[0],
+            limit[1]
+        );
+    }
+}

@@ -1,0 +1,264 @@
+//! Networks of release images where somebody has the wrong bit rate: how long until the master reaches every node again.
+
+use emulator::{
+    Time,
+    can::{Frame, Id},
+    chip::ResetCause,
+    network::Recording,
+};
+use lss_slave::{BitRate, Settings};
+use testkit::{
+    frames,
+    image_rig::{ImageRig, board_with, on_the_wire, settings},
+};
+
+/// How often the master asks a node that it misses.
+const POLL: Time = Time::from_ms(100);
+/// Nobody may be away for longer: the 30 s after which a node on a silent bus tries its own rate again, and a search.
+const LIMIT: Time = Time::from_s(40);
+
+/// How the master sees that a node is there: what it sends, and where the answer comes from.
+struct Probe {
+    request: Frame,
+    answer: Id,
+}
+
+/// Asks node `id` for its device type.
+fn node(id: u8) -> Probe {
+    let sdo = |cob_id: u16| Id::Standard(cob_id + u16::from(id));
+    let request = Frame::data(sdo(0x600), &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]);
+    Probe { request, answer: sdo(0x580) }
+}
+
+/// Asks whether there is anybody without a node-ID.
+fn unconfigured() -> Probe {
+    Probe { request: on_the_wire(&frames::request("4C")), answer: Id::Standard(0x7E4) }
+}
+
+fn nodes(count: u8) -> Vec<Probe> {
+    (1..=count).map(node).collect()
+}
+
+/// Has the master ask all of them in turn until each has answered; returns the span, `None` if it is over the limit.
+fn reach(bench: &mut ImageRig, mut missing: Vec<Probe>, limit: Time) -> Option<Time> {
+    let since = bench.network.now();
+    while bench.network.receive(bench.master).is_some() {}
+    for turn in 0.. {
+        if missing.is_empty() {
+            break;
+        }
+        if bench.network.now() > since + limit {
+            return None;
+        }
+        if bench.network.adapter_mut(bench.master).unsent() == 0 {
+            let probe = &missing[turn % missing.len()];
+            bench.network.send(bench.master, probe.request);
+        }
+        bench.network.run_for(POLL);
+        while let Some((_, frame)) = bench.network.receive(bench.master) {
+            missing.retain(|probe| probe.answer != frame.id);
+        }
+    }
+    Some(bench.network.now() - since)
+}
+
+/// Prints how long it takes until the master has reached all of them.
+fn all_reached(scenario: &str, bench: &mut ImageRig, missing: Vec<Probe>) {
+    let span = reach(bench, missing, LIMIT);
+    match span {
+        Some(span) => println!("{scenario:<62} {:>6.1} s", span.as_ms() as f64 / 1000.0),
+        None => panic!("{scenario}: somebody is stranded"),
+    }
+}
+
+/// Nodes 1 to 4, all at this rate, each with a heartbeat.
+fn four(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
+    let with = |number| board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) });
+    ImageRig::new(bit_rate, (1..=4).map(with))
+}
+
+/// The master takes all that are in configuration state, and itself, to another rate.
+fn switch_over(bench: &mut ImageRig, to: BitRate, is_to_be_stored: bool) {
+    const DELAY_MS: u64 = 50;
+    bench.transmit_request(&format!("13 00 {:02X}", to.index()));
+    bench.network.run_for(Time::from_ms(20));
+    if is_to_be_stored {
+        bench.transmit_request("17");
+        bench.network.run_for(Time::from_ms(50));
+    }
+    let end = bench.transmit_request(&format!("15 {DELAY_MS:02X} 00"));
+    bench.network.run_until(end + Time::from_ms(DELAY_MS));
+    bench.set_master_bit_rate(to);
+    bench.network.run_until(end + Time::from_ms(2 * DELAY_MS + 1));
+}
+
+/// Puts only nodes 1 to 3 into configuration state: node 4 was switched back alone.
+fn leave_node_4_out(bench: &mut ImageRig) {
+    bench.network.power_off(3);
+    bench.transmit_request("04 01");
+    bench.network.run_for(Time::from_ms(20));
+}
+
+fn power_on_at_any_rate(bench: &mut ImageRig, board: usize) {
+    bench.network.power_on(board);
+    bench.expect_reset(board, ResetCause::PowerOn);
+}
+
+#[test]
+fn a_node_without_power_during_the_switch_is_reached_after_it() {
+    for (from, to) in [
+        (BitRate::Kbit125, BitRate::Kbit1000),
+        (BitRate::Kbit1000, BitRate::Kbit125),
+        (BitRate::Kbit500, BitRate::Kbit20),
+        (BitRate::Kbit50, BitRate::Kbit250),
+    ] {
+        let mut bench = four(from, 1000);
+        leave_node_4_out(&mut bench);
+        switch_over(&mut bench, to, true);
+        power_on_at_any_rate(&mut bench, 3);
+        let (from, to) = (from.kbit_per_s(), to.kbit_per_s());
+        let scenario = format!("1 of 4 without power while {from} became {to} kbit/s");
+        all_reached(&scenario, &mut bench, nodes(4));
+    }
+}
+
+#[test]
+fn a_node_with_another_rate_stored_is_reached() {
+    for (stored, bus) in [
+        (BitRate::Kbit1000, BitRate::Kbit10),
+        (BitRate::Kbit1000, BitRate::Kbit800),
+        (BitRate::Kbit800, BitRate::Kbit1000),
+        (BitRate::Kbit250, BitRate::Kbit125),
+        (BitRate::Kbit125, BitRate::Kbit250),
+        (BitRate::Kbit125, BitRate::Kbit1000),
+        (BitRate::Kbit10, BitRate::Kbit1000),
+    ] {
+        for heartbeat_ms in [1000, 0] {
+            let with = |number| {
+                let bit_rate = if number == 2 { stored } else { bus };
+                board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) })
+            };
+            let mut bench = ImageRig::new(bus, (1..=4).map(with));
+            let (stored, bus) = (stored.kbit_per_s(), bus.kbit_per_s());
+            let scenario =
+                format!("1 of 4 has {stored}, not {bus} kbit/s, heartbeat {heartbeat_ms} ms");
+            all_reached(&scenario, &mut bench, nodes(4));
+        }
+    }
+}
+
+/// A board alone with a master at another rate, for all pairs of rates: the times until it is reached, as a table. For a
+/// board that is not reached soon the master goes to the board's rate, and is to reach it there. Returns their number.
+fn alone_with_the_master(node_id: u8, probe: fn() -> Probe) -> usize {
+    const SOON: Time = Time::from_s(5);
+    let mut count = 0;
+    for board in BitRate::ALL {
+        print!("{:>5} kbit/s, master at", board.kbit_per_s());
+        for master in BitRate::ALL.into_iter().filter(|&master| master != board) {
+            let mut bench = ImageRig::new(master, [board_with(0, settings(node_id, board))]);
+            bench.network.record(Recording::Latest(10));
+            print!(" {}:", master.kbit_per_s());
+            match reach(&mut bench, vec![probe()], SOON) {
+                Some(span) => print!(" {:.1} s", span.as_ms() as f64 / 1000.0),
+                None => {
+                    count += 1;
+                    bench.set_master_bit_rate(board);
+                    let span = reach(&mut bench, vec![probe()], LIMIT);
+                    assert!(span.is_some(), "{board:?} with a master at {master:?} is stranded");
+                    print!(" at its own");
+                }
+            }
+        }
+        println!();
+    }
+    count
+}
+
+#[test]
+fn a_board_without_a_node_id_that_sits_alone_with_the_master_is_reached_at_any_rate() {
+    assert_eq!(alone_with_the_master(0xFF, unconfigured), 0);
+}
+
+#[test]
+fn a_node_that_sits_alone_with_the_master_is_reached_but_at_two_pairs() {
+    // At 250 kbit/s with a master at 50, and at 20 with one at 10, its boot-up drives the master bus-off again and again before
+    // the master is error passive, and so before its request can be heard in silence.
+    let count = alone_with_the_master(1, || node(1));
+    println!("{count} of 56 only at their own rate");
+    assert!(count <= 2);
+}
+
+#[test]
+fn a_node_that_nobody_acknowledges_stays_at_its_rate_and_is_reached_at_once() {
+    let bit_rate = BitRate::Kbit125;
+    let board = board_with(1, Settings { heartbeat_ms: 100, ..settings(1, bit_rate) });
+    let mut bench = ImageRig::new(bit_rate, [board]);
+    bench.network.adapter_mut(bench.master).close();
+    let since = bench.network.now();
+    bench.network.run_for(Time::from_s(60));
+    assert_eq!(bench.bit_rates(0, since), [], "missing acknowledges are no reason to listen");
+    bench.network.adapter_mut(bench.master).open();
+    all_reached("1 node without a neighbour for a minute", &mut bench, nodes(1));
+}
+
+#[test]
+fn a_network_that_was_without_power_comes_back_at_its_rate() {
+    let mut bench = four(BitRate::Kbit125, 1000);
+    (0..4).for_each(|board| bench.network.power_off(board));
+    bench.network.run_for(Time::from_s(2));
+    (0..4).for_each(|board| power_on_at_any_rate(&mut bench, board));
+    let since = bench.network.now();
+    all_reached("4 nodes whose power failed", &mut bench, nodes(4));
+    for board in 0..4 {
+        let rates = bench.bit_rates(board, since);
+        assert!(matches!(rates[..], [(_, 125_000)]), "set once: {rates:?}");
+    }
+}
+
+#[test]
+fn a_switch_that_was_not_stored_ends_with_the_power_and_the_master_finds_all_at_the_old_rate() {
+    let mut bench = four(BitRate::Kbit125, 1000);
+    bench.transmit_request("04 01");
+    switch_over(&mut bench, BitRate::Kbit500, false);
+    all_reached("4 nodes after a switch", &mut bench, nodes(4));
+    (0..4).for_each(|board| bench.network.power_off(board));
+    bench.set_master_bit_rate(BitRate::Kbit125);
+    (0..4).for_each(|board| power_on_at_any_rate(&mut bench, board));
+    all_reached("4 nodes whose power failed before 17", &mut bench, nodes(4));
+}
+
+#[test]
+fn a_node_that_switched_alone_comes_back() {
+    for heartbeat_ms in [1000, 0] {
+        let mut bench = four(BitRate::Kbit250, heartbeat_ms);
+        (0..3).for_each(|board| bench.network.power_off(board));
+        bench.transmit_request("04 01");
+        bench.transmit_request("13 00 00");
+        bench.network.run_for(Time::from_ms(5));
+        bench.transmit_request("15 0A 00");
+        (0..3).for_each(|board| power_on_at_any_rate(&mut bench, board));
+        let scenario = format!("1 of 4 switched alone, heartbeat {heartbeat_ms} ms");
+        all_reached(&scenario, &mut bench, nodes(4));
+    }
+}
+
+/// Nodes 1 to 3 switch from 125 to 500 kbit/s; node 4 has proven 125 kbit/s and is left in waiting state.
+fn node_4_misses_the_switch(heartbeat_ms: u16) -> ImageRig {
+    let mut bench = four(BitRate::Kbit125, heartbeat_ms);
+    all_reached("4 nodes before a switch", &mut bench, nodes(4));
+    bench.network.power_off(3);
+    bench.transmit_request("04 01");
+    bench.power_on(3);
+    assert!(reach(&mut bench, nodes(4), LIMIT).is_some());
+    switch_over(&mut bench, BitRate::Kbit500, true);
+    bench
+}
+
+#[test]
+fn a_node_that_missed_the_switch_is_reached_whatever_its_heartbeat() {
+    for heartbeat_ms in [1000, 0] {
+        let mut bench = node_4_misses_the_switch(heartbeat_ms);
+        let scenario = format!("1 of 4 missed the switch, heartbeat {heartbeat_ms} ms");
+        all_reached(&scenario, &mut bench, nodes(4));
+    }
+}

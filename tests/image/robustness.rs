@@ -1,0 +1,261 @@
+//! What the release image comes through: hung tasks, faults, power cycles, a full log, bad crystals; and on every chip.
+
+use emulator::{
+    Time,
+    board::{self, Board},
+    can::Clock,
+    chip::{FLASH_BASE, Part, PowerCut, ResetCause, Timing},
+    network::{Event, What},
+};
+use lss_slave::{BitRate, Settings};
+use testkit::{
+    frames::SILENCE,
+    image::image,
+    image_rig::{ImageRig, SETTINGS_OFFSET, blank_board, board_with, flash_with, settings},
+    random::Random,
+};
+
+/// Thumb instructions: a jump to itself, and one that is undefined for good.
+const JUMP_TO_ITSELF: [u8; 2] = [0xFE, 0xE7];
+const UNDEFINED: [u8; 2] = [0x00, 0xDE];
+
+/// Offset in the flash of the code at a symbol.
+fn code(symbol: &str) -> u32 {
+    let address = image().symbol(symbol).unwrap_or_else(|| panic!("no {symbol} in the image"));
+    (address & !1) - FLASH_BASE
+}
+
+/// Replaces an instruction until the board is reset for `cause`; returns how long that took.
+fn replace_until_reset(
+    bench: &mut ImageRig,
+    offset: u32,
+    instruction: &[u8],
+    cause: ResetCause,
+) -> Time {
+    let from = bench.network.now();
+    let before = bench.network.board(0).flash()[offset as usize..][..instruction.len()].to_vec();
+    let resets = bench.network.board(0).resets().len();
+    bench.expect_reset(0, cause);
+    bench.network.board_mut(0).set_flash(offset, instruction);
+    while bench.network.board(0).resets().len() == resets {
+        assert!(bench.network.now() < from + Time::from_s(5), "no reset");
+        bench.network.run_for(Time::from_us(20));
+    }
+    bench.network.board_mut(0).set_flash(offset, &before);
+    let (reset_at, _) = bench.network.board(0).resets()[resets];
+    bench.boot(0, reset_at);
+    reset_at - from
+}
+
+fn node_40() -> ImageRig {
+    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+    bench
+}
+
+fn says(bench: &ImageRig, text: &str) -> bool {
+    bench.network.board(0).log().iter().any(|line| line.text.starts_with(text))
+}
+
+#[test]
+fn the_watchdog_resets_a_board_whose_interrupts_or_tasks_hang() {
+    // The last one is the task that stores.
+    for handler in ["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "SysTick", "USART1"] {
+        let mut bench = node_40();
+        let hung = code(handler);
+        let time = replace_until_reset(&mut bench, hung, &JUMP_TO_ITSELF, ResetCause::Watchdog);
+        assert!(time < Time::from_ms(2_500), "{handler}: {time}");
+        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
+        assert!(says(&bench, "reset by the watchdog"), "{handler}");
+    }
+}
+
+#[test]
+fn the_watchdog_resets_a_board_that_does_not_get_to_sleep() {
+    let mut bench = node_40();
+    let asleep_at = bench.network.board(0).pc() - FLASH_BASE;
+    let time = replace_until_reset(&mut bench, asleep_at, &JUMP_TO_ITSELF, ResetCause::Watchdog);
+    assert!(time < Time::from_ms(2_500), "{time}");
+    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+}
+
+#[test]
+fn a_fault_is_logged_and_ends_in_a_reset_at_once() {
+    let mut bench = node_40();
+    let faulty = code("CAN1_RX0");
+    let time = replace_until_reset(&mut bench, faulty, &UNDEFINED, ResetCause::Software);
+    assert!(time < Time::from_ms(300), "{time}");
+    assert!(says(&bench, &format!("hard fault at {:#x}", FLASH_BASE + faulty)));
+    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+}
+
+/// A jump to `to` in the place of the instruction at `at` (B.W, ARM DDI 0403, A7.7.12).
+fn jump(at: u32, to: u32) -> [u8; 4] {
+    let distance = to.wrapping_sub(at + 4);
+    let first = 0xF000 | distance >> 31 << 10 | distance >> 12 & 0x3FF;
+    let second = 0xB800 | distance >> 1 & 0x7FF;
+    (first | second << 16).to_le_bytes()
+}
+
+#[test]
+fn a_panic_ends_in_a_logged_hard_fault_and_a_reset_at_once() {
+    let mut bench = node_40();
+    let handler = code("CAN1_RX0");
+    // To end a log line that has not begun makes the logger panic.
+    let panics = jump(handler, code("_defmt_release"));
+    let time = replace_until_reset(&mut bench, handler, &panics, ResetCause::Software);
+    assert!(time < Time::from_ms(300), "{time}");
+    let log = bench.network.board(0).log();
+    assert!(log.iter().any(|line| line.text.starts_with("hard fault at ")));
+    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+}
+
+#[test]
+fn the_fastest_watchdog_clock_bears_the_slowest_flash() {
+    // LSI may run at 47 kHz instead of 32, and an erase may take 500 ms.
+    let mut board = blank_board(0);
+    board.set_flash(SETTINGS_OFFSET, &[0; 0x8000]);
+    board.chip().iwdg_mut().set_lsi(47_000);
+    board.chip().flash_mut().set_timing(Timing::Worst);
+    let mut bench = ImageRig::new(BitRate::Kbit125, [board]);
+    assert_eq!(bench.collect(Time::from_s(30)), SILENCE);
+    assert_eq!(bench.lss("4C"), ["50"]);
+}
+
+#[test]
+fn settings_survive_power_cycles_and_resets() {
+    let mut random = Random::from_environment();
+    let mut bench = node_40();
+    for _ in 0..20 {
+        let node_id = random.within(1..128);
+        let bit_rate = random.pick(&BitRate::ALL[..5]);
+        bench.lss("04 01");
+        assert_eq!(bench.lss(&format!("11 {node_id:02X}")), ["11 00"]);
+        assert_eq!(bench.lss(&format!("13 00 {:02X}", bit_rate.index())), ["13 00"]);
+        assert_eq!(bench.lss("17"), ["17 00"]);
+        bench.network.power_off(0);
+        bench.set_master_bit_rate(bit_rate);
+        bench.power_on(0);
+        let boot_up = format!("{:03X}: 00", 0x700 + node_id);
+        assert_eq!(bench.collect(Time::from_ms(20)), [boot_up.as_str()]);
+        bench.expect_reset(0, ResetCause::Pin);
+        bench.network.board_mut(0).reset(ResetCause::Pin);
+        assert_eq!(bench.collect(Time::from_ms(20)), [boot_up.as_str()]);
+    }
+}
+
+#[test]
+fn a_full_log_refuses_with_17_02_until_the_next_power_on_makes_room() {
+    let rate = BitRate::Kbit1000;
+    let stores: Vec<Settings> = (0..380).map(|n| settings((n % 127) as u8 + 1, rate)).collect();
+    let mut board = blank_board(0);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&stores));
+    let mut bench = ImageRig::new(rate, [board]);
+    bench.lss("04 01");
+    let store = |bench: &mut ImageRig, n: usize| {
+        bench.lss(&format!("11 {:02X}", n % 127 + 1));
+        bench.lss("17")
+    };
+    let stored = (0..200).take_while(|&n| store(&mut bench, n) == ["17 00"]).count();
+    assert!((100..=132).contains(&stored), "{stored} stores");
+    assert_eq!(store(&mut bench, stored), ["17 02"]);
+    bench.power_cycle(0);
+    bench.collect(Time::from_ms(20));
+    bench.lss("04 01");
+    assert_eq!(bench.lss("5E"), [format!("5E {:02X}", (stored - 1) % 127 + 1).as_str()]);
+    assert_eq!(store(&mut bench, 0x4F), ["17 00"]);
+    bench.power_cycle(0);
+    assert_eq!(bench.collect(Time::from_ms(20)), ["750: 00"]);
+}
+
+#[test]
+fn a_power_cut_while_the_log_is_formatted_leaves_a_board_that_formats_it_again() {
+    let mut random = Random::from_environment();
+    for step in 0..=8 {
+        let mut bench = ImageRig::blank();
+        bench.network.board_mut(0).set_flash(SETTINGS_OFFSET, &[0x5A; 0x8000]);
+        let operation = bench.network.board(0).chip().flash().operations() + step;
+        let cut = PowerCut { operation, seed: random.u64() };
+        bench.network.board(0).chip().flash_mut().cut_power(cut);
+        bench.network.power_off(0);
+        bench.network.power_on(0);
+        bench.expect_reset(0, ResetCause::PowerOn);
+        bench.collect(Time::from_ms(300));
+        assert!(!bench.network.board(0).is_powered(), "step {step}");
+        bench.power_on(0);
+        assert_eq!(bench.lss("4C"), ["50"]);
+        bench.lss("04 01");
+        bench.lss("11 04");
+        assert_eq!(bench.lss("17"), ["17 00"]);
+        bench.power_cycle(0);
+        assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"]);
+    }
+}
+
+#[test]
+fn boards_with_crystals_3000_ppm_apart_understand_each_other_at_every_bit_rate() {
+    for bit_rate in BitRate::ALL {
+        let stored = flash_with(&[settings(0xFF, bit_rate)]);
+        let boards = [1500, -1500].map(|ppm| {
+            let crystal = Clock { hz: 8_000_000, ppm };
+            let settings = board::Settings { crystal, ..Default::default() };
+            let mut board = Board::new(Part::Stm32f405, image(), settings);
+            board.set_flash(SETTINGS_OFFSET, &stored);
+            board
+        });
+        let mut bench = ImageRig::new(bit_rate, boards);
+        bench.lss("04 01");
+        let from = bench.network.now();
+        for _ in 0..5 {
+            for (request, answer) in [("11 FF", "11 00"), ("13 00 05", "13 01"), ("5E", "5E FF")] {
+                // One after the other, or the same bits at once.
+                let answers = bench.lss(request);
+                assert!(answers == [answer] || answers == [answer; 2], "{request}: {answers:?}");
+            }
+        }
+        for board in [0, 1] {
+            assert_eq!(bench.requested(board, from).count(), 15, "{bit_rate:?}");
+        }
+        let is_error = |event: &Event| matches!(event.what, What::Error { .. });
+        assert!(!bench.network.trace().iter().any(is_error), "{bit_rate:?}");
+    }
+}
+
+#[test]
+fn the_images_for_all_chips_boot_answer_and_store() {
+    for part in Part::ALL {
+        let image = testkit::image::build(part).unwrap_or_else(|error| panic!("{error}"));
+        let board = Board::new(part, &image, board::Settings::default());
+        let mut bench = ImageRig::new(BitRate::Kbit125, [board]);
+        assert_eq!(bench.lss("4C"), ["50"], "{}", part.name());
+        bench.lss("04 01");
+        bench.lss("11 04");
+        bench.lss("13 00 00");
+        assert_eq!(bench.lss("17"), ["17 00"], "{}", part.name());
+        bench.set_master_bit_rate(BitRate::Kbit1000);
+        bench.power_cycle(0);
+        assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"], "{}", part.name());
+    }
+}
+
+#[test]
+fn the_same_session_has_the_same_trace_twice() {
+    let live = || {
+        let boards = [1, 2, 3].map(|number| {
+            let heartbeat_ms = 10 * u16::from(number);
+            board_with(number, Settings { heartbeat_ms, ..settings(number, BitRate::Kbit1000) })
+        });
+        let mut bench = ImageRig::new(BitRate::Kbit1000, boards);
+        for request in ["04 01", "5A", "11 04", "13 00 02", "17", "5E"] {
+            bench.lss(request);
+        }
+        bench.power_cycle(1);
+        bench.nmt("01 00");
+        bench.lss("15 32 00");
+        bench.collect(Time::from_ms(300));
+        let logs: Vec<_> = bench.network.boards().iter().map(|b| b.log().to_vec()).collect();
+        let cycles: Vec<_> = bench.network.boards().iter().map(Board::cycles).collect();
+        (bench.network.trace().to_vec(), logs, cycles)
+    };
+    assert!(live() == live());
+}

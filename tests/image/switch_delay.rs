@@ -1,0 +1,350 @@
+//! Activate bit timing (CiA 305) with the release image: when boards fall silent, switch and speak again.
+
+use emulator::{
+    Time,
+    can::{Adapter, Frame, Id},
+    network::{Event, Source, What},
+};
+use lss_slave::{BitRate, Settings};
+use testkit::{
+    frames::{self, SILENCE},
+    image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
+};
+
+/// An answer to a request is due so long after its end, and so is everything else that it has the board do.
+const PROCESSING: Time = Time::from_us(100);
+/// How exactly the switch delay is kept.
+const ACCURACY: Time = Time::from_ms(1);
+
+/// Nodes 1 and 2 at `bit_rate`, in configuration state.
+fn two_boards(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
+    let boards = [1, 2]
+        .map(|number| board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) }));
+    let mut bench = ImageRig::new(bit_rate, boards);
+    bench.transmit_request("04 01");
+    bench
+}
+
+fn configure(bench: &mut ImageRig, to: BitRate) {
+    bench.transmit_request(&format!("13 00 {:02X}", to.index()));
+    bench.network.run_for(Time::from_ms(2) + bench.bit_time() * 160);
+}
+
+/// Asks for the switch; returns the end of the request.
+fn activate(bench: &mut ImageRig, delay_ms: u16) -> Time {
+    let [low, high] = delay_ms.to_le_bytes();
+    bench.transmit_request(&format!("15 {low:02X} {high:02X}"))
+}
+
+/// Lets the bus live to the time when the boards switch, and the master switch with them.
+fn switch_master(bench: &mut ImageRig, at: Time, to: BitRate) {
+    bench.network.run_until(at);
+    bench.set_master_bit_rate(to);
+}
+
+fn frames_of_boards(bench: &ImageRig, from: Time, until: Time) -> Vec<&Event> {
+    let is_of_board = |event: &&Event| match event.what {
+        What::Frame { start, .. } => {
+            matches!(event.source, Source::Board(_)) && from <= start && start < until
+        }
+        _ => false,
+    };
+    bench.network.trace().iter().filter(is_of_board).collect()
+}
+
+fn request_bit_time(bench: &ImageRig, t0: Time) -> Time {
+    let rate = bench.network.trace().iter().find_map(|event| match event.what {
+        What::Frame { bit_rate, .. } if event.time == t0 => Some(bit_rate),
+        _ => None,
+    });
+    Time::from_ps(1_000_000_000_000 / u64::from(rate.expect("the request")))
+}
+
+/// Checks the silence from `t0` on, the end of the request, and the switch of all boards.
+fn assert_switched(bench: &ImageRig, t0: Time, delay: Time, to: BitRate) {
+    // A board counts from the last but one bit of the request.
+    let two_bits = request_bit_time(bench, t0) * 2;
+    let end = (t0 + delay * 2).saturating_sub(two_bits);
+    let silence = frames_of_boards(bench, t0 + PROCESSING, end);
+    assert!(silence.is_empty(), "{silence:#?}");
+    for board in 0..bench.network.boards().len() {
+        let rates = bench.bit_rates(board, t0);
+        let [(time, bit_rate)] = rates.as_slice() else { panic!("one switch, not {rates:?}") };
+        assert_eq!(*bit_rate, bit_per_s(to));
+        assert!(*time + two_bits > t0 + delay, "{time} is {} early", t0 + delay - *time);
+        let late = time.saturating_sub(t0 + delay);
+        assert!(late < ACCURACY, "{time} is {late} late");
+    }
+}
+
+/// Both boards are in configuration state and at the master's bit rate.
+fn assert_both_answer(bench: &mut ImageRig) {
+    let request = bench.transmit_request("11 80");
+    bench.collect(Time::from_ms(1) + bench.bit_time() * 160);
+    let refusal = on_the_wire(&frames::request("11 01")).data;
+    for board in [0, 1] {
+        let answers =
+            bench.did(board, request).chain(bench.did(1 - board, request)).any(
+                |event| match &event.what {
+                    What::Frame { frame, also, .. } => {
+                        let senders = [&[event.source], also.as_slice()].concat();
+                        frame.data == refusal && senders.contains(&Source::Board(board))
+                    }
+                    _ => false,
+                },
+            );
+        assert!(answers, "board {board} does not answer");
+    }
+}
+
+#[test]
+fn boards_are_silent_from_the_request_on_switch_after_the_delay_and_speak_after_two() {
+    let mut bench = two_boards(BitRate::Kbit125, 10);
+    configure(&mut bench, BitRate::Kbit500);
+    let t0 = activate(&mut bench, 50);
+    let delay = Time::from_ms(50);
+    switch_master(&mut bench, t0 + delay, BitRate::Kbit500);
+    bench.network.run_until(t0 + delay * 4);
+    assert_switched(&bench, t0, delay, BitRate::Kbit500);
+    let heartbeats = frames_of_boards(&bench, t0 + delay * 2, Time::MAX);
+    let first_two: Vec<_> = heartbeats.iter().take(2).map(|event| event.source).collect();
+    assert!(first_two.contains(&Source::Board(0)) && first_two.contains(&Source::Board(1)));
+    let second = heartbeats[1].time;
+    assert!(second < t0 + delay * 2 + ACCURACY * 2, "a heartbeat at once: {second}");
+    for board in [0, 1] {
+        let times: Vec<_> = bench.requested(board, t0).map(|(time, _)| time).collect();
+        assert!(times.windows(2).all(|pair| pair[1] - pair[0] > Time::from_ms(8)), "no burst");
+    }
+}
+
+#[test]
+fn every_bit_rate_is_reached_from_every_other() {
+    let mut bench = two_boards(BitRate::ALL[0], 0);
+    const DELAY_MS: u16 = 10;
+    let delay = Time::from_ms(DELAY_MS.into());
+    let mut go_to = |to| {
+        configure(&mut bench, to);
+        let t0 = activate(&mut bench, DELAY_MS);
+        switch_master(&mut bench, t0 + delay, to);
+        bench.network.run_until(t0 + delay * 2 + ACCURACY);
+        assert_switched(&bench, t0, delay, to);
+        bench.collect(Time::ZERO);
+        assert_both_answer(&mut bench);
+    };
+    for (index, &from) in BitRate::ALL.iter().enumerate() {
+        if index > 0 {
+            go_to(from);
+        }
+        for &to in &BitRate::ALL[index + 1..] {
+            go_to(to);
+            go_to(from);
+        }
+    }
+    assert!(bench.network.trace().iter().all(|event| !matches!(event.what, What::Error { .. })));
+}
+
+#[test]
+fn without_a_delay_boards_switch_and_speak_at_once() {
+    let mut bench = two_boards(BitRate::Kbit1000, 20);
+    for to in [BitRate::Kbit250, BitRate::Kbit1000, BitRate::Kbit500] {
+        configure(&mut bench, to);
+        let t0 = activate(&mut bench, 0);
+        bench.set_master_bit_rate(to);
+        bench.network.run_for(Time::from_ms(3));
+        assert_switched(&bench, t0, Time::ZERO, to);
+        for board in [0, 1] {
+            let (time, heartbeat) = bench.requested(board, t0).next().expect("a heartbeat");
+            assert!(time < t0 + ACCURACY && heartbeat.payload() == [0x7F], "{heartbeat} at {time}");
+        }
+        assert_both_answer(&mut bench);
+    }
+}
+
+#[test]
+fn the_longest_delay_is_kept_to_the_millisecond_and_the_watchdog_is_quiet() {
+    let mut bench = two_boards(BitRate::Kbit1000, 100);
+    configure(&mut bench, BitRate::Kbit20);
+    let t0 = activate(&mut bench, 0xFFFF);
+    let delay = Time::from_ms(0xFFFF);
+    switch_master(&mut bench, t0 + delay, BitRate::Kbit20);
+    bench.network.run_until(t0 + delay * 2 + Time::from_ms(20));
+    assert_switched(&bench, t0, delay, BitRate::Kbit20);
+    for board in [0, 1] {
+        let (time, _) = bench.requested(board, t0 + PROCESSING).next().expect("a heartbeat");
+        assert!(time < t0 + delay * 2 + ACCURACY, "{time}");
+    }
+}
+
+#[test]
+fn both_silent_periods_are_kept_though_the_rate_stays() {
+    let mut bench = two_boards(BitRate::Kbit250, 5);
+    let t0 = activate(&mut bench, 30);
+    let delay = Time::from_ms(30);
+    bench.network.run_until(t0 + delay * 3);
+    assert!(frames_of_boards(&bench, t0 + PROCESSING, t0 + delay * 2).is_empty());
+    assert!(!frames_of_boards(&bench, t0 + delay * 2, t0 + delay * 2 + ACCURACY * 2).is_empty());
+    assert_eq!(bench.bit_rates(0, t0), []);
+}
+
+#[test]
+fn requests_within_the_silence_are_never_answered_and_change_nothing() {
+    let mut bench = two_boards(BitRate::Kbit250, 0);
+    configure(&mut bench, BitRate::Kbit1000);
+    bench.collect(Time::ZERO);
+    let t0 = activate(&mut bench, 30);
+    let delay = Time::from_ms(30);
+    for request in ["11 05", "5A", "17", "13 00 00", "04 00", "15 00 00"] {
+        bench.transmit_request(request);
+    }
+    switch_master(&mut bench, t0 + delay, BitRate::Kbit1000);
+    bench.network.run_for(ACCURACY);
+    for request in ["11 05", "5A", "17", "13 00 02", "04 00", "15 00 00"] {
+        bench.transmit_request(request);
+    }
+    assert!(bench.network.now() < t0 + delay * 2);
+    bench.network.run_until(t0 + delay * 4);
+    assert_switched(&bench, t0, delay, BitRate::Kbit1000);
+    assert_eq!(bench.collect(Time::ZERO), SILENCE);
+    assert_both_answer(&mut bench);
+    bench.network.power_off(1);
+    assert_eq!(bench.lss("5E"), ["5E 01"]);
+    bench.lss("04 00");
+    assert_eq!(bench.nmt("82 00"), ["701: 00"], "11 05 was ignored");
+}
+
+#[test]
+fn an_nmt_command_within_the_silence_is_carried_out_at_its_end() {
+    for (commands, at_the_end) in [
+        (&["01 00"][..], "701: 05"),
+        (&["01 00", "02 01"], "701: 04"),
+        (&["82 00", "01 00"], "701: 00"),
+        (&["01 00", "02 00", "82 01"], "701: 00"),
+    ] {
+        let mut bench = two_boards(BitRate::Kbit250, 10);
+        configure(&mut bench, BitRate::Kbit1000);
+        let t0 = activate(&mut bench, 20);
+        let delay = Time::from_ms(20);
+        bench.transmit_command(commands[0]);
+        switch_master(&mut bench, t0 + delay, BitRate::Kbit1000);
+        bench.network.run_for(ACCURACY);
+        bench.collect(Time::ZERO);
+        for command in &commands[1..] {
+            bench.transmit_command(command);
+        }
+        assert_eq!(bench.collect(t0 + delay * 2 - bench.network.now()), SILENCE);
+        let first = bench.collect(Time::from_ms(2)).0;
+        let of_board_0 = first.into_iter().find(|frame| frame.cob_id() == 0x701);
+        let expected = frames::text(&of_board_0.expect("a frame of node 1"));
+        assert_eq!(expected, at_the_end, "after {commands:?}");
+        assert_switched(&bench, t0, delay, BitRate::Kbit1000);
+    }
+}
+
+#[test]
+fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
+    // In bits: a heartbeat is due every 100 and takes less than 60, the request takes more than 100.
+    let rate = BitRate::Kbit10;
+    let mut bench = ImageRig::with(Settings { heartbeat_ms: 10, ..settings(1, rate) });
+    let other = bench.network.add_adapter(Adapter::new(bit_per_s(rate)));
+    bench.transmit_request("04 01");
+    configure(&mut bench, BitRate::Kbit1000);
+    bench.collect(Time::from_ms(200));
+    bench.next_frame();
+    let bits = |bits| Time::from_us(100) * bits;
+    bench.network.run_for(bits(5));
+    let request = on_the_wire(&frames::request("15 32 00"));
+    bench.network.send(bench.master, request);
+    bench.network.run_for(bits(50));
+    let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
+    (0..3).for_each(|_| bench.network.send(other, urgent));
+    bench.network.run_for(bits(100));
+    let is_request =
+        |event: &&Event| matches!(event.what, What::Frame { frame, .. } if frame == request);
+    let t0 = bench.network.trace().iter().find(is_request).expect("the request").time;
+
+    let delay = Time::from_ms(50);
+    switch_master(&mut bench, t0 + delay, BitRate::Kbit1000);
+    bench.network.adapter_mut(other).set_bit_rate(1_000_000);
+    bench.network.run_until(t0 + delay * 3 + Time::from_ms(5));
+    assert_switched(&bench, t0, delay, BitRate::Kbit1000);
+    assert!(frames_of_boards(&bench, t0, t0 + delay).is_empty());
+    let (requested, heartbeat) =
+        bench.requested(0, Time::ZERO).filter(|(time, _)| *time < t0).last().expect("a heartbeat");
+    assert!(requested > t0 - bits(100), "it waited");
+    let aborted = bench.did(0, requested).find_map(|event| match event.what {
+        What::Aborted { frame, .. } => Some((event.time, frame)),
+        _ => None,
+    });
+    assert!(aborted.is_some_and(|(time, frame)| time < t0 + PROCESSING && frame == heartbeat));
+    let sent_later = frames_of_boards(&bench, t0, Time::MAX).len();
+    assert_eq!(sent_later, bench.requested(0, t0).count(), "nothing but what was asked for later");
+}
+
+#[test]
+fn an_answer_that_did_not_leave_before_the_request_for_silence_never_leaves() {
+    let mut bench = two_boards(BitRate::Kbit1000, 0);
+    configure(&mut bench, BitRate::Kbit250);
+    let from = bench.network.now();
+    for request in ["5A", "5B", "5C", "15 14 00"] {
+        let request = on_the_wire(&frames::request(request));
+        bench.network.send(bench.master, request);
+    }
+    bench.network.run_for(Time::from_ms(5));
+    let last = bench.network.trace().iter().rfind(|event| {
+        event.source == Source::Adapter(bench.master) && matches!(event.what, What::Frame { .. })
+    });
+    let t0 = last.expect("the requests").time;
+    let delay = Time::from_ms(20);
+    switch_master(&mut bench, t0 + delay, BitRate::Kbit250);
+    bench.network.run_until(t0 + delay * 4);
+    assert!(frames_of_boards(&bench, from, t0).len() >= 2);
+    assert!(frames_of_boards(&bench, t0 + PROCESSING, Time::MAX).is_empty());
+}
+
+#[test]
+fn a_board_that_switched_alone_comes_back_to_the_bus_that_stayed_at_the_old_rate() {
+    let rate = BitRate::Kbit125;
+    let mut bench = ImageRig::with(Settings { heartbeat_ms: 50, ..settings(1, rate) });
+    let other = bench.network.add_adapter(Adapter::new(bit_per_s(rate)));
+    bench.transmit_request("04 01");
+    configure(&mut bench, BitRate::Kbit500);
+    activate(&mut bench, 10);
+    // For 30 s only the commanded rate counts.
+    bench.network.run_for(Time::from_s(29));
+    let busy_until = bench.network.now() + Time::from_s(3);
+    while bench.network.now() < busy_until {
+        bench.network.send(other, Frame::data(Id::Standard(0x123), &[0; 8]));
+        bench.network.run_for(Time::from_us(1_500));
+    }
+    assert!(bench.network.trace().iter().any(|event| matches!(event.what, What::Error { .. })));
+    bench.collect(Time::from_ms(10));
+    let answers = bench.lss("5E");
+    assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 01")));
+}
+
+/// The watchdog, which resets a board after 2 s in which a task hangs, is a witness: the bench expects no reset.
+#[test]
+fn a_board_whose_new_rate_finds_no_idle_bus_lives_on_and_takes_part_when_there_is_one() {
+    let mut bench = ImageRig::with(settings(1, BitRate::Kbit500));
+    let other = bench.network.add_adapter(Adapter::new(500_000));
+    bench.transmit_request("04 01");
+    configure(&mut bench, BitRate::Kbit10);
+    let t0 = activate(&mut bench, 10);
+    let delay = Time::from_ms(10);
+    while bench.network.now() < t0 + Time::from_ms(2_500) {
+        while bench.network.adapter_mut(other).unsent() < 8 {
+            bench.network.send(other, Frame::data(Id::Standard(0x001), &[0; 8]));
+        }
+        bench.network.run_for(Time::from_ms(1));
+    }
+    assert_switched(&bench, t0, delay, BitRate::Kbit10);
+    let has_joined = |bench: &ImageRig| {
+        bench.did(0, t0 + delay).any(|event| event.what == What::InitializationLeft)
+    };
+    assert!(!has_joined(&bench), "eleven recessive bits never came");
+    bench.network.adapter_mut(other).close();
+    bench.set_master_bit_rate(BitRate::Kbit10);
+    bench.collect(Time::from_ms(5));
+    assert!(has_joined(&bench));
+    assert_eq!(bench.lss("5E"), ["5E 01"]);
+}

@@ -1,0 +1,290 @@
+//! The solver from a bit rate and a clock to bxCAN bit timing, against an exhaustive search, over the clocks of an STM32F4.
+
+use std::{cmp::Reverse, collections::BTreeSet};
+
+use lss_slave::{BitRate, BitRateSetting, BitRates, bit_rate::BitTiming};
+use testkit::random::Random;
+
+const MHZ: u32 = 1_000_000;
+/// The fastest APB1 of any STM32F4 (RM0390: 45 MHz; RM0090: 42 MHz).
+const MAX_APB1: u32 = 45 * MHZ;
+
+fn rate_hz(rate: BitRate) -> u64 {
+    u64::from(rate.kbit_per_s()) * 1000
+}
+
+/// How wrong the rate is: an exact fraction, numerator and denominator.
+fn rate_error(timing: BitTiming, rate: BitRate, clock_hz: u32) -> (u64, u64) {
+    let exact = rate_hz(rate) * u64::from(timing.prescaler) * u64::from(timing.quanta());
+    (exact.abs_diff(clock_hz.into()), exact)
+}
+
+/// What both crystals may be off in opposite directions, in ppm, with the widest jump: the two conditions of ISO 11898-1.
+fn crystal_tolerance(timing: BitTiming) -> u32 {
+    let [quanta, segment1, segment2] =
+        [timing.quanta(), timing.segment1.into(), timing.segment2.into()].map(f64::from);
+    let jump = segment2.min(4.0) / (20.0 * quanta);
+    let phase = segment1.min(segment2) / (2.0 * (13.0 * quanta - segment2));
+    (jump.min(phase) * 1e6) as u32
+}
+
+/// The sample point in 1/1000 as it is, without rounding: at or between `from` and `to`.
+fn is_sampled_between(timing: BitTiming, from: u32, to: u32) -> bool {
+    let sampled = 1000 * (1 + u32::from(timing.segment1));
+    (from * timing.quanta()..=to * timing.quanta()).contains(&sampled)
+}
+
+/// Whether CiA 301 and the registers allow `timing`; a bit has 8..=25 quanta (ISO 11898-1).
+fn is_allowed(timing: BitTiming, rate: BitRate, clock_hz: u32) -> bool {
+    let (error, exact) = rate_error(timing, rate, clock_hz);
+    let from = if rate_hz(rate) >= 800_000 { 750 } else { 850 };
+    (1..=1024).contains(&timing.prescaler)
+        && (1..=16).contains(&timing.segment1)
+        && (1..=8).contains(&timing.segment2)
+        && (8..=25).contains(&timing.quanta())
+        && error * 1000 <= exact
+        && is_sampled_between(timing, from, 900)
+}
+
+/// Everything that is allowed, found by looking at every combination of the registers.
+fn all_allowed(rate: BitRate, clock_hz: u32) -> Vec<BitTiming> {
+    let mut all = Vec::new();
+    for prescaler in 1..=1024 {
+        // The segments matter only if 8..=25 quanta can come near the rate at all.
+        let quanta = u64::from(clock_hz) / (rate_hz(rate) * u64::from(prescaler));
+        if !(7..=25).contains(&quanta) {
+            continue;
+        }
+        for segment1 in 1..=16 {
+            for segment2 in 1..=8 {
+                let timing = BitTiming { prescaler, segment1, segment2, sync_jump_width: 1 };
+                if is_allowed(timing, rate, clock_hz) {
+                    all.push(timing);
+                }
+            }
+        }
+    }
+    all
+}
+
+/// The APB1 clocks that crystals of usual frequencies give, directly and through the PLL (RM0090, 7.3.2): VCO input
+/// 1..=2 MHz, VCO 100..=432 MHz, SYSCLK at most 180 MHz.
+fn reachable_clocks() -> BTreeSet<u32> {
+    const CRYSTALS: [u32; 9] = [
+        4_000_000, 7_372_800, 8_000_000, 11_059_200, 12_000_000, 14_745_600, 16_000_000,
+        25_000_000, 26_000_000,
+    ];
+    let mut clocks = BTreeSet::new();
+    for crystal in CRYSTALS {
+        clocks.extend([1, 2, 4].map(|apb1| crystal / apb1));
+        for m in crystal.div_ceil(2 * MHZ)..=crystal / MHZ {
+            for n in (50..=432).step_by(7) {
+                let vco = u64::from(crystal) * n / u64::from(m);
+                if !(100_000_000..=432_000_000).contains(&vco) {
+                    continue;
+                }
+                for p in [2, 4, 8] {
+                    let sysclk = (vco / p) as u32;
+                    clocks.extend([4, 16].map(|apb1| sysclk / apb1));
+                }
+            }
+        }
+    }
+    clocks.retain(|&clock| clock <= MAX_APB1);
+    clocks
+}
+
+fn whole_mhz() -> impl Iterator<Item = u32> {
+    (1..=45).map(|mhz| mhz * MHZ)
+}
+
+#[test]
+fn a_solution_is_allowed_by_cia_301_and_by_the_registers() {
+    let mut random = Random::from_environment();
+    let any = (0..5_000).map(|_| random.within(1..MAX_APB1.into()) as u32);
+    let mut solutions = 0;
+    for clock_hz in whole_mhz().chain(reachable_clocks()).chain(any) {
+        for rate in BitRate::ALL {
+            if let Some(timing) = BitTiming::solve(rate, clock_hz) {
+                assert!(is_allowed(timing, rate, clock_hz), "{rate:?} {clock_hz} Hz: {timing:?}");
+                let widest = timing.segment2.min(4);
+                assert_eq!(timing.sync_jump_width, widest, "{rate:?} {clock_hz} Hz");
+                solutions += 1;
+            }
+        }
+    }
+    assert!(solutions > 10_000, "{solutions}");
+}
+
+#[test]
+fn there_is_no_solution_only_where_the_exhaustive_search_finds_none() {
+    let odd: Vec<_> = reachable_clocks().into_iter().step_by(23).collect();
+    for clock_hz in whole_mhz().chain(odd) {
+        for rate in BitRate::ALL {
+            let is_possible = !all_allowed(rate, clock_hz).is_empty();
+            assert_eq!(
+                BitTiming::solve(rate, clock_hz).is_some(),
+                is_possible,
+                "{rate:?} {clock_hz} Hz"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_solution_is_the_best_in_rate_then_crystals_then_sample_point_then_quanta() {
+    let odd: Vec<_> = reachable_clocks().into_iter().step_by(7).collect();
+    for clock_hz in whole_mhz().chain(odd) {
+        for rate in BitRate::ALL {
+            let badness = |timing: &BitTiming| {
+                let (error, exact) = rate_error(*timing, rate, clock_hz);
+                let sample_point = timing.sample_point().abs_diff(875);
+                (
+                    error * 1_000_000 / exact,
+                    5_000_u32.saturating_sub(crystal_tolerance(*timing)),
+                    sample_point,
+                    timing.sample_point() > 875,
+                    Reverse(timing.quanta()),
+                )
+            };
+            let best = all_allowed(rate, clock_hz).into_iter().map(|timing| badness(&timing)).min();
+            let solved = BitTiming::solve(rate, clock_hz).map(|timing| badness(&timing));
+            assert_eq!(solved, best, "{rate:?} {clock_hz} Hz");
+        }
+    }
+}
+
+#[test]
+fn a_rate_0_1_percent_off_is_the_last_that_is_allowed() {
+    // 20 quanta of one cycle each at 1 Mbit/s: 20 MHz, and 0.1 % on either side.
+    assert!(BitTiming::solve(BitRate::Kbit1000, 20_020_000).is_some());
+    assert_eq!(BitTiming::solve(BitRate::Kbit1000, 20_020_001), None);
+    assert!(BitTiming::solve(BitRate::Kbit1000, 19_980_000).is_some());
+    assert_eq!(BitTiming::solve(BitRate::Kbit1000, 19_979_999), None);
+}
+
+#[test]
+fn the_clock_of_the_board_gives_all_rates_exactly_with_these_registers() {
+    for (rate, btr) in [
+        (BitRate::Kbit1000, 0x022F_0001),
+        (BitRate::Kbit800, 0x0116_0004),
+        (BitRate::Kbit500, 0x022F_0003),
+        (BitRate::Kbit250, 0x022F_0007),
+        (BitRate::Kbit125, 0x022F_000F),
+        (BitRate::Kbit50, 0x022F_0027),
+        (BitRate::Kbit20, 0x022F_0063),
+        (BitRate::Kbit10, 0x022F_00C7),
+    ] {
+        let timing = BitTiming::solve(rate, 40 * MHZ).unwrap();
+        assert_eq!(timing.btr(), btr, "{rate:?}");
+        let (sample_point, tolerance) =
+            if rate == BitRate::Kbit800 { (800, 7_812) } else { (850, 5_836) };
+        assert_eq!(timing.sample_point(), sample_point, "{rate:?}");
+        assert_eq!(timing.crystal_tolerance_ppm(), tolerance, "{rate:?}");
+        assert_eq!(u64::from(timing.bit_per_s(40 * MHZ)), rate_hz(rate));
+    }
+}
+
+#[test]
+fn crystals_are_limited_by_the_jump_width_or_by_the_shorter_segment() {
+    for (segment1, segment2, sync_jump_width, ppm) in [
+        (16, 3, 3, 3_000_000 / (2 * (13 * 20 - 3))),
+        (12, 7, 4, 4_000_000 / (20 * 20)),
+        (12, 7, 1, 1_000_000 / (20 * 20)),
+        (3, 8, 4, 3_000_000 / (2 * (13 * 12 - 8))),
+    ] {
+        let timing = BitTiming { prescaler: 1, segment1, segment2, sync_jump_width };
+        assert_eq!(timing.crystal_tolerance_ppm(), ppm, "{timing:?}");
+    }
+}
+
+#[test]
+fn the_register_holds_each_field_less_one_at_its_place() {
+    for (timing, btr) in [
+        ([1, 1, 1, 1], 0x0000_0000),
+        ([1024, 1, 1, 1], 0x0000_03FF),
+        ([1, 16, 1, 1], 0x000F_0000),
+        ([1, 1, 8, 1], 0x0070_0000),
+        ([1, 1, 1, 4], 0x0300_0000),
+        ([1024, 16, 8, 4], 0x037F_03FF),
+    ] {
+        let [prescaler, segment1, segment2, sync_jump_width] = timing;
+        let timing = BitTiming {
+            prescaler,
+            segment1: segment1 as u8,
+            segment2: segment2 as u8,
+            sync_jump_width: sync_jump_width as u8,
+        };
+        assert_eq!(timing.btr(), btr, "{timing:?}");
+    }
+}
+
+#[test]
+fn the_timing_in_a_register_says_its_rate_and_sample_point() {
+    let timing = BitTiming { prescaler: 2, segment1: 13, segment2: 2, sync_jump_width: 1 };
+    assert_eq!(timing.quanta(), 16);
+    assert_eq!(timing.sample_point(), 875);
+    assert_eq!(timing.bit_per_s(32 * MHZ), 1_000_000);
+}
+
+#[test]
+fn the_sample_point_limits_are_those_of_cia_301() {
+    for rate in BitRate::ALL {
+        let from = if rate.kbit_per_s() >= 800 { 750 } else { 850 };
+        assert_eq!(BitTiming::sample_point_range(rate), from..=900);
+    }
+}
+
+#[test]
+fn the_rates_that_are_possible_are_those_with_a_solution() {
+    for clock_hz in whole_mhz() {
+        let possible = BitRates::possible(clock_hz);
+        for rate in BitRate::ALL {
+            let is_solved = BitTiming::solve(rate, clock_hz).is_some();
+            assert_eq!(possible.contains(rate), is_solved, "{rate:?} {clock_hz} Hz");
+        }
+    }
+    assert!(BitRate::ALL.iter().all(|&rate| BitRates::possible(32 * MHZ).contains(rate)));
+    assert!(!BitRates::possible(42 * MHZ).contains(BitRate::Kbit800), "0.96 % off");
+}
+
+#[test]
+fn automatic_detection_is_offered_by_nobody_who_does_not_ask_for_it_and_asking_twice_changes_nothing()
+ {
+    let rates = BitRates::possible(40 * MHZ);
+    assert!(!rates.offers(BitRateSetting::Automatic));
+    assert!(rates.with_automatic().offers(BitRateSetting::Automatic));
+    assert_eq!(rates.with_automatic().with_automatic(), rates.with_automatic());
+}
+
+#[test]
+fn a_setting_is_written_with_its_unit() {
+    assert_eq!(BitRateSetting::Fixed(BitRate::Kbit125).to_string(), "125 kbit/s");
+    assert_eq!(BitRateSetting::Automatic.to_string(), "automatic");
+}
+
+#[test]
+fn no_clock_is_too_slow_too_fast_or_too_odd_to_get_an_answer() {
+    for clock_hz in [0, 1, 999, 79_999, 80_000, u32::MAX] {
+        for rate in BitRate::ALL {
+            if let Some(timing) = BitTiming::solve(rate, clock_hz) {
+                assert!(is_allowed(timing, rate, clock_hz), "{rate:?} {clock_hz} Hz");
+            }
+        }
+    }
+    assert!(BitTiming::solve(BitRate::Kbit10, 80_000).is_some(), "8 quanta, prescaler 1");
+}
+
+#[test]
+fn the_table_of_cia_301_has_these_rates_at_these_indices() {
+    let rates = BitRate::ALL.map(|rate| (rate.index(), rate.kbit_per_s()));
+    let table = [(0, 1000), (1, 800), (2, 500), (3, 250), (4, 125), (6, 50), (7, 20), (8, 10)];
+    assert_eq!(rates, table);
+    for index in 0..=0xFF {
+        let row = rates.iter().find(|row| row.0 == index).map(|row| row.1);
+        assert_eq!(BitRate::from_table(0, index).map(BitRate::kbit_per_s), row, "{index}");
+        for table in 1..=0xFF {
+            assert_eq!(BitRate::from_table(table, index), None, "table {table}");
+        }
+    }
+}

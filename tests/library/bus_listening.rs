@@ -1,0 +1,253 @@
+//! Automatic bit-rate detection (CiA 305, table 0, index 9): how a node listens, and that it is silent until it knows.
+
+use lss_slave::{BitRate, BitRateSetting, BitRates, BusEvent, Device, Settings, nmt::State};
+use testkit::{
+    flash::BoardFlash,
+    frames::{self, SILENCE},
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+const KBIT_PER_S: [u16; 8] = [1000, 800, 500, 250, 125, 50, 20, 10];
+
+fn with_automatic(device: Device) -> Device {
+    Device { bit_rates: device.bit_rates.with_automatic(), ..device }
+}
+
+/// A board that starts at 1 Mbit/s and offers automatic detection.
+fn fixed() -> NodeRig {
+    NodeRig::with_device(with_automatic(device(ADDRESS)), defaults(0x40), BoardFlash::blank(0), 0)
+}
+
+fn listening_with(device: Device, settings: Settings, clock_at_start: u32) -> NodeRig {
+    let settings = Settings { bit_rate: BitRateSetting::Automatic, ..settings };
+    NodeRig::with_device(with_automatic(device), settings, BoardFlash::blank(0), clock_at_start)
+}
+
+/// A board that detects the bit rate from power-on, with an empty timeline.
+fn listening() -> NodeRig {
+    let mut board = listening_with(device(ADDRESS), defaults(0x40), 0);
+    assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"]);
+    board
+}
+
+#[test]
+fn index_9_is_accepted_only_by_a_device_that_offers_it() {
+    let mut board = fixed();
+    board.lss("04 01");
+    assert_eq!(board.lss("13 00 09"), ["13 00"]);
+    assert_eq!(board.lss("13 01 09"), ["13 01"], "another table");
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    assert_eq!(board.lss("13 00 09"), ["13 01"]);
+}
+
+#[test]
+fn automatic_detection_is_kept_by_17_and_begins_at_the_next_power_on() {
+    let mut board = fixed();
+    board.lss("04 01");
+    board.lss("13 00 09");
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert!(!board.node.is_listening(), "it is only stored");
+    board.timeline();
+    assert_eq!(board.power_cycle(), SILENCE);
+    assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"]);
+    assert_eq!(board.stored().map(|s| s.bit_rate), Some(BitRateSetting::Automatic));
+}
+
+#[test]
+fn a_pending_index_9_that_was_not_stored_is_forgotten_at_power_off() {
+    let mut board = fixed();
+    board.lss("04 01");
+    board.lss("13 00 09");
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+    assert!(!board.node.is_listening());
+}
+
+#[test]
+fn activation_begins_to_listen_after_the_delay_and_speaks_after_two_at_the_earliest() {
+    for (heard_at_ms, expected) in [
+        (150, &["100 ms listen at 1000 kbit/s", "150 ms 1000 kbit/s", "200 ms resume"]),
+        (300, &["100 ms listen at 1000 kbit/s", "300 ms 1000 kbit/s", "300 ms resume"]),
+    ] {
+        let mut board = fixed();
+        board.lss("04 01");
+        board.lss("13 00 09");
+        board.timeline();
+        board.lss("15 64 00");
+        board.pass_ms(heard_at_ms);
+        assert_eq!(board.receive(&frames::stranger()), SILENCE);
+        board.pass_ms(1000 - heard_at_ms);
+        assert_eq!(board.timeline(), [&["0 ms stop"][..], expected].concat());
+        assert_eq!(board.lss("5E"), ["5E 40"], "still in configuration state");
+    }
+}
+
+#[test]
+fn within_the_second_delay_of_an_activation_the_search_goes_on_from_the_top_after_each_silence() {
+    let mut board = fixed();
+    board.lss("04 01");
+    board.lss("13 00 09");
+    board.timeline();
+    board.lss("15 88 13");
+    board.pass_ms(6_000);
+    board.see(BusEvent::Error);
+    board.pass_ms(6_000);
+    let expected = [
+        "0 ms stop",
+        "5000 ms listen at 1000 kbit/s",
+        "6000 ms listen at 800 kbit/s",
+        "7500 ms listen at 1000 kbit/s",
+    ];
+    assert_eq!(board.timeline(), expected);
+}
+
+#[test]
+fn an_activation_of_automatic_detection_that_is_active_keeps_the_rate_that_was_found() {
+    let mut board = listening();
+    board.see(BusEvent::Error);
+    board.receive(&frames::stranger());
+    board.lss("04 01");
+    board.timeline();
+    board.lss("15 0A 00");
+    board.pass_ms(100);
+    assert_eq!(board.timeline(), ["0 ms stop", "20 ms resume"]);
+    assert_eq!(board.bit_rate(), BitRate::Kbit800);
+}
+
+#[test]
+fn a_fixed_rate_ends_automatic_detection() {
+    let mut board = listening();
+    board.receive(&frames::stranger());
+    board.lss("04 01");
+    board.lss("13 00 04");
+    board.lss("17");
+    board.lss("15 00 00");
+    assert_eq!(board.bit_rate(), BitRate::Kbit125);
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+    assert_eq!(board.bit_rate(), BitRate::Kbit125);
+}
+
+#[test]
+fn nothing_is_sent_while_listening_whatever_happens() {
+    let mut board =
+        listening_with(device(ADDRESS), Settings { heartbeat_ms: 100, ..defaults(0x40) }, 0);
+    for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000] {
+        assert_eq!(board.see(BusEvent::Error), SILENCE);
+        assert_eq!(board.pass_ms(1_400), SILENCE, "no heartbeat");
+        assert_eq!(board.see(BusEvent::ErrorPassive), SILENCE);
+        assert_eq!(board.see(BusEvent::BusOff), SILENCE);
+        assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s, "only an error leads on");
+        assert_eq!(board.node.nmt_state(), State::Initialisation);
+    }
+    assert!(board.timeline().iter().all(|line| line.contains("listen")));
+}
+
+#[test]
+fn the_first_valid_frame_decides_and_is_not_obeyed() {
+    for (steps, kbit_per_s) in KBIT_PER_S.into_iter().enumerate() {
+        for first in [frames::stranger(), frames::request("04 01"), frames::command("01 00")] {
+            let mut board = listening();
+            for _ in 0..steps {
+                board.see(BusEvent::Error);
+            }
+            board.timeline();
+            assert_eq!(board.receive(&first), ["740: 00"], "the boot-up");
+            let rate = format!("0 ms {kbit_per_s} kbit/s");
+            assert_eq!(board.timeline(), [&rate, "0 ms resume", "0 ms 740: 00"]);
+            assert!(!board.is_in_configuration_state());
+            assert_eq!(board.node.nmt_state(), State::PreOperational);
+        }
+    }
+}
+
+#[test]
+fn a_frame_that_no_canopen_node_wants_decides_too() {
+    let mut board = listening();
+    assert_eq!(board.see(BusEvent::Received), ["740: 00"]);
+    assert!(!board.node.is_listening());
+}
+
+#[test]
+fn a_rate_once_found_is_kept_through_errors_and_bus_off() {
+    let mut board = listening();
+    board.see(BusEvent::Error);
+    board.receive(&frames::stranger());
+    for event in [BusEvent::Error, BusEvent::ErrorPassive, BusEvent::BusOff] {
+        board.see(event);
+        board.pass_ms(60_000);
+        assert_eq!(board.bit_rate(), BitRate::Kbit800, "{event:?}");
+        assert!(!board.node.is_listening(), "{event:?}");
+    }
+}
+
+#[test]
+fn each_error_leads_to_the_next_slower_rate_and_from_the_slowest_to_the_fastest() {
+    let mut board = listening();
+    for kbit_per_s in KBIT_PER_S.into_iter().cycle().skip(1).take(24) {
+        board.pass_ms(1);
+        board.see(BusEvent::Error);
+        assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s);
+        assert!(board.node.is_listening());
+    }
+}
+
+#[test]
+fn a_rate_is_left_at_the_21st_form_error_which_a_lone_master_never_causes() {
+    let mut board = listening();
+    for kbit_per_s in [1000, 800] {
+        for _ in 0..20 {
+            board.see(BusEvent::FormError);
+            assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s);
+        }
+        board.see(BusEvent::FormError);
+    }
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
+    board.see(BusEvent::FormError);
+    assert_eq!(board.see(BusEvent::Received), ["740: 00"], "the master is error passive now");
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
+}
+
+#[test]
+fn rates_that_the_clock_cannot_produce_are_left_out() {
+    let device = Device { bit_rates: BitRates::possible(42_000_000), ..device(ADDRESS) };
+    assert!(!device.bit_rates.contains(BitRate::Kbit800));
+    let mut board = listening_with(device, defaults(0x40), 0);
+    board.see(BusEvent::Error);
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
+}
+
+#[test]
+fn after_a_second_and_a_half_without_anything_heard_listening_starts_again_at_the_fastest() {
+    let mut board = listening();
+    for _ in 0..3 {
+        board.see(BusEvent::Error);
+    }
+    board.pass_us(1_499_999);
+    assert_eq!(board.bit_rate(), BitRate::Kbit250);
+    board.pass_us(1);
+    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+    board.pass_ms(100);
+    board.see(BusEvent::Error);
+    board.pass_us(1_499_999);
+    assert_eq!(board.bit_rate(), BitRate::Kbit800, "the error began the time anew");
+}
+
+#[test]
+fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_for_ever() {
+    for clock_at_start in [0, u32::MAX - 40_000_000] {
+        let mut board = listening_with(device(ADDRESS), defaults(0x40), clock_at_start);
+        board.timeline();
+        assert_eq!(board.pass_ms(10 * 60_000), SILENCE);
+        assert_eq!(board.timeline(), SILENCE, "nor does it touch the controller");
+        assert_eq!(board.receive(&frames::stranger()), ["740: 00"]);
+    }
+}
+
+#[test]
+fn a_node_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
+    let mut board = listening_with(device(ADDRESS), defaults(0xFF), 0);
+    board.see(BusEvent::Error);
+    assert_eq!(board.receive(&frames::request("4C")), SILENCE, "it was deaf to this one");
+    assert_eq!(board.bit_rate(), BitRate::Kbit800);
+    assert_eq!(board.lss("4C"), ["50"]);
+}

@@ -1,0 +1,267 @@
+//! Emergency messages (CiA 301, 7.2.7): which frames each fault sends, when, and what the error register 1001h says.
+
+use lss_slave::{BitRate, BitRateSetting, BusEvent, Settings, emergency::Fault};
+use testkit::{
+    flash::{BoardFlash, Operation},
+    frames::{Frames, SILENCE},
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+const BUS_OFF_RECOVERED: &str = "0C0: 40 81 11 00 00 00 00 00";
+const OVERRUN: &str = "0C0: 10 81 11 00 00 00 00 00";
+const SETTINGS_LOST: &str = "0C0: 10 63 01 00 00 00 00 00";
+const ERROR_PASSIVE: &str = "0C0: 20 81 11 00 00 00 00 00";
+const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
+
+/// The board sees a trouble; returns what the node sends at once.
+fn report(board: &mut NodeRig, fault: Fault) -> Frames {
+    board.node.handle_fault(fault);
+    board.pass_us(0)
+}
+
+#[test]
+fn a_bus_off_that_is_over_is_8140_and_then_no_error() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(report(&mut board, Fault::BusOffRecovered), [BUS_OFF_RECOVERED, NO_ERROR]);
+    assert_eq!(board.number(0x1001, 0), 0);
+    assert_eq!(board.pass_ms(10_000), SILENCE, "once");
+}
+
+#[test]
+fn an_overrun_is_8110_and_then_no_error() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN, NO_ERROR]);
+    assert_eq!(board.number(0x1001, 0), 0);
+    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN, NO_ERROR], "each time");
+}
+
+#[test]
+fn lost_settings_are_6310_and_an_error_until_something_is_stored() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(report(&mut board, Fault::SettingsLost), [SETTINGS_LOST]);
+    assert_eq!(board.sdo("40 01 10 00"), ["5C0: 4F 01 10 00 01 00 00 00"]);
+    assert_eq!(board.pass_ms(10_000), SILENCE);
+    board.lss("04 01");
+    assert_eq!(board.lss("17"), ["17 00", NO_ERROR]);
+    assert_eq!(board.sdo("40 01 10 00"), ["5C0: 4F 01 10 00 00 00 00 00"]);
+    assert_eq!(board.lss("17"), ["17 00"], "no error is said once");
+}
+
+#[test]
+fn a_store_by_sdo_makes_up_for_lost_settings_too_and_one_that_fails_does_not() {
+    let mut board = NodeRig::with_node_id(0x40);
+    report(&mut board, Fault::SettingsLost);
+    board.flash.fail(Operation::Write);
+    assert_eq!(board.sdo("23 10 10 01 73 61 76 65"), ["5C0: 80 10 10 01 00 00 06 06"]);
+    assert_eq!(board.number(0x1001, 0), 1);
+    board.flash.repair();
+    board.power_cycle();
+    report(&mut board, Fault::SettingsLost);
+    let answers = board.sdo("23 10 10 01 73 61 76 65");
+    assert_eq!(answers, ["5C0: 60 10 10 01 00 00 00 00", NO_ERROR]);
+    assert_eq!(board.number(0x1001, 0), 0);
+}
+
+#[test]
+fn while_settings_are_lost_the_end_of_another_trouble_is_not_the_end_of_all() {
+    let mut board = NodeRig::with_node_id(0x40);
+    report(&mut board, Fault::SettingsLost);
+    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN]);
+    assert_eq!(board.number(0x1001, 0), 1);
+    assert_eq!(report(&mut board, Fault::BusOffRecovered), [BUS_OFF_RECOVERED]);
+    board.lss("04 01");
+    assert_eq!(board.lss("17"), ["17 00", NO_ERROR]);
+}
+
+#[test]
+fn troubles_that_come_together_are_each_told_once_and_the_end_of_them_last() {
+    let mut board = NodeRig::with_node_id(0x40);
+    for fault in [Fault::Overrun, Fault::BusOffRecovered, Fault::Overrun] {
+        board.node.handle_fault(fault);
+    }
+    assert_eq!(board.pass_us(0), [BUS_OFF_RECOVERED, OVERRUN, NO_ERROR]);
+}
+
+#[test]
+fn the_cob_id_is_80h_plus_the_node_id() {
+    for node_id in 1..=127 {
+        let mut board = NodeRig::with_node_id(node_id);
+        let cob_id = 0x080 + u16::from(node_id);
+        let frames = [
+            format!("{cob_id:03X}: 10 81 11 00 00 00 00 00"),
+            format!("{cob_id:03X}: 00 00 00 00 00 00 00 00"),
+        ];
+        assert_eq!(report(&mut board, Fault::Overrun), frames.each_ref().map(String::as_str));
+    }
+}
+
+#[test]
+fn emergencies_are_sent_in_pre_operational_and_operational_and_wait_in_stopped() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.nmt("01 00");
+    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN, NO_ERROR]);
+    board.nmt("02 00");
+    assert_eq!(report(&mut board, Fault::Overrun), SILENCE);
+    assert_eq!(board.pass_ms(1_000), SILENCE);
+    assert_eq!(board.nmt("80 00"), [OVERRUN, NO_ERROR]);
+}
+
+#[test]
+fn a_trouble_of_a_node_without_a_node_id_is_told_after_its_boot_up() {
+    let mut board = NodeRig::unconfigured();
+    assert_eq!(report(&mut board, Fault::SettingsLost), SILENCE);
+    board.lss("04 01");
+    board.lss("11 40");
+    assert_eq!(board.lss("04 00"), ["740: 00", SETTINGS_LOST]);
+}
+
+#[test]
+fn settings_that_were_lost_and_stored_before_the_node_had_a_node_id_are_told_and_over() {
+    let mut board = NodeRig::unconfigured();
+    report(&mut board, Fault::SettingsLost);
+    board.lss("04 01");
+    board.lss("11 40");
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.lss("04 00"), ["740: 00", SETTINGS_LOST, NO_ERROR]);
+}
+
+#[test]
+fn an_emergency_waits_for_the_end_of_a_switch_delay() {
+    let mut board = NodeRig::with_heartbeat(0x40, 1_000);
+    board.lss("04 01");
+    board.lss("13 00 02");
+    board.lss("15 0A 00");
+    assert_eq!(report(&mut board, Fault::BusOffRecovered), SILENCE);
+    assert_eq!(board.pass_us(19_999), SILENCE);
+    assert_eq!(board.pass_us(1), [BUS_OFF_RECOVERED, NO_ERROR, "740: 7F"]);
+}
+
+#[test]
+fn reset_communication_leaves_a_lasting_error_in_the_register_and_does_not_tell_it_again() {
+    let mut board = NodeRig::with_node_id(0x40);
+    report(&mut board, Fault::SettingsLost);
+    assert_eq!(board.nmt("82 00"), ["740: 00"]);
+    assert_eq!(board.number(0x1001, 0), 1);
+}
+
+#[test]
+fn an_emergency_goes_before_a_heartbeat_that_is_due_at_the_same_time() {
+    let mut board = NodeRig::with_heartbeat(0x40, 100);
+    board.node.handle_fault(Fault::Overrun);
+    assert_eq!(board.be_late_ms(100), [OVERRUN, NO_ERROR, "740: 7F"]);
+}
+
+/// The controller's error counters are these; returns what the node sends at once.
+fn count(board: &mut NodeRig, transmit: u8, receive: u8) -> Frames {
+    board.node.note_error_counters(transmit, receive);
+    board.pass_us(0)
+}
+
+#[test]
+fn error_passive_is_8120_and_its_end_is_no_error() {
+    for transmit in [128, 255] {
+        let mut board = NodeRig::with_node_id(0x40);
+        assert_eq!(count(&mut board, 127, 127), SILENCE, "error active");
+        assert_eq!(count(&mut board, transmit, 0), [ERROR_PASSIVE]);
+        assert_eq!(board.number(0x1001, 0), 0x11);
+        assert_eq!(count(&mut board, transmit, 127), SILENCE, "once");
+        assert_eq!(count(&mut board, 127, 95), [NO_ERROR]);
+        assert_eq!(board.number(0x1001, 0), 0);
+        assert_eq!(count(&mut board, 0, 0), SILENCE, "no error is said once");
+    }
+}
+
+#[test]
+fn a_receiver_that_hears_errors_and_frames_in_turn_reports_error_passive_once() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(count(&mut board, 0, 135), SILENCE);
+    assert_eq!(count(&mut board, 0, 127), [ERROR_PASSIVE]);
+    for _ in 0..1_000 {
+        assert_eq!(count(&mut board, 0, 128), SILENCE);
+        assert_eq!(count(&mut board, 0, 119), SILENCE);
+    }
+    assert_eq!(board.number(0x1003, 0), 1);
+    assert_eq!(count(&mut board, 0, 95), [NO_ERROR]);
+}
+
+#[test]
+fn emergencies_wait_while_nothing_but_errors_is_heard() {
+    let mut board = NodeRig::with_heartbeat(0x40, 1_000);
+    for receive in [128, 135, 255] {
+        assert_eq!(count(&mut board, 0, receive), SILENCE);
+        assert_eq!(report(&mut board, Fault::Overrun), SILENCE);
+        assert_eq!(board.pass_ms(1_000), ["740: 7F"]);
+    }
+    assert_eq!(count(&mut board, 0, 119), [ERROR_PASSIVE, "0C0: 10 81 11 00 00 00 00 00"]);
+    assert_eq!(count(&mut board, 0, 95), [NO_ERROR]);
+}
+
+#[test]
+fn error_passive_that_lasts_goes_with_the_messages_of_other_faults() {
+    let mut board = NodeRig::with_node_id(0x40);
+    count(&mut board, 128, 0);
+    assert_eq!(report(&mut board, Fault::Overrun), ["0C0: 10 81 11 00 00 00 00 00"]);
+    assert_eq!(report(&mut board, Fault::SettingsLost), ["0C0: 10 63 11 00 00 00 00 00"]);
+    assert_eq!(count(&mut board, 0, 0), SILENCE, "the settings are still lost");
+    assert_eq!(board.number(0x1001, 0), 0x01);
+}
+
+#[test]
+fn a_node_that_only_listens_is_not_error_passive() {
+    let automatic = Settings { bit_rate: BitRateSetting::Automatic, ..defaults(0x40) };
+    let mut board = NodeRig::with_device(device(ADDRESS), automatic, BoardFlash::blank(0), 0);
+    assert!(board.node.is_listening());
+    assert_eq!(count(&mut board, 0, 200), SILENCE);
+    board.see(BusEvent::Received);
+    assert_eq!(board.pass_us(0), SILENCE);
+    assert_eq!(board.number(0x1003, 0), 0);
+}
+
+#[test]
+fn another_bit_rate_than_the_home_rate_is_ff10_with_both_in_kbit_per_s() {
+    let mut board = NodeRig::with_node_id(0x40);
+    let away = Fault::AwayFromHomeRate { in_use: BitRate::Kbit500, home: BitRate::Kbit125 };
+    assert_eq!(report(&mut board, away), ["0C0: 10 FF 11 F4 01 7D 00 00"]);
+    assert_eq!(board.number(0x1001, 0), 0x11);
+    assert_eq!(board.number(0x1003, 1), 0x01F4_FF10);
+    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN], "its own bytes only");
+    let away = Fault::AwayFromHomeRate { in_use: BitRate::Kbit10, home: BitRate::Kbit1000 };
+    assert_eq!(report(&mut board, away), ["0C0: 10 FF 11 0A 00 E8 03 00"], "each change");
+}
+
+#[test]
+fn the_error_history_knows_faults_when_they_arise_and_each_message_once() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.nmt("02 00");
+    board.node.handle_fault(Fault::Overrun);
+    board.node.note_error_counters(128, 0);
+    board.node.handle_fault(Fault::Overrun);
+    board.nmt("80 00");
+    let errors = [1, 2].map(|sub_index| board.number(0x1003, sub_index));
+    assert_eq!((board.number(0x1003, 0), errors), (2, [0x8120, 0x8110]));
+}
+
+#[test]
+fn reset_communication_keeps_the_error_history_and_adds_nothing_to_it() {
+    let mut board = NodeRig::with_node_id(0x40);
+    report(&mut board, Fault::SettingsLost);
+    count(&mut board, 128, 0);
+    assert_eq!(board.nmt("82 00"), ["740: 00"]);
+    let errors = [1, 2].map(|sub_index| board.number(0x1003, sub_index));
+    assert_eq!((board.number(0x1003, 0), errors), (2, [0x8120, 0x6310]));
+    board.nmt("81 00");
+    assert_eq!(board.number(0x1003, 0), 0, "reset node forgets it");
+}
+
+#[test]
+fn a_boot_up_that_is_sent_again_does_not_enter_its_errors_again() {
+    let mut board = NodeRig::unconfigured();
+    report(&mut board, Fault::SettingsLost);
+    board.lss("04 01");
+    board.lss("11 40");
+    assert_eq!(board.lss("04 00"), ["740: 00", SETTINGS_LOST]);
+    for _ in 0..3 {
+        assert_eq!(board.nmt("82 00"), ["740: 00"]);
+    }
+    assert_eq!(board.number(0x1003, 0), 1);
+}

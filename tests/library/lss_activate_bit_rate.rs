@@ -1,0 +1,345 @@
+//! The activation of a bit rate, with its two silent periods (CiA 305, activate bit timing parameters).
+
+use lss_slave::{BitRate, Frame, Settings, nmt::State};
+use testkit::{
+    flash::BoardFlash,
+    frames::{Frames, SILENCE},
+    node_rig::{ADDRESS, NodeRig, defaults},
+    random::Random,
+};
+
+/// A board in LSS configuration state that has just answered `13 00 02` (500 kbit/s), with an empty timeline.
+fn ready_to_switch(heartbeat_ms: u16) -> NodeRig {
+    in_configuration(NodeRig::with_heartbeat(0x40, heartbeat_ms))
+}
+
+fn in_configuration(mut board: NodeRig) -> NodeRig {
+    board.lss("04 01");
+    assert_eq!(board.lss("13 00 02"), ["13 00"]);
+    board.timeline();
+    board
+}
+
+#[test]
+fn activation_is_silent_at_once_switches_after_the_delay_and_speaks_after_two() {
+    let mut board = ready_to_switch(0);
+    assert_eq!(board.lss("15 64 00"), SILENCE);
+    assert_eq!(board.pass_ms(1000), SILENCE);
+    assert_eq!(board.timeline(), ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"]);
+}
+
+#[test]
+fn the_delay_is_little_endian() {
+    let mut board = ready_to_switch(0);
+    board.lss("15 01 02");
+    board.pass_ms(2000);
+    assert_eq!(board.timeline(), ["0 ms stop", "513 ms 500 kbit/s", "1026 ms resume"]);
+}
+
+#[test]
+fn delay_0_switches_and_speaks_at_once_and_does_not_close_can_for_good() {
+    let mut board = ready_to_switch(100);
+    assert_eq!(board.lss("15 00 00"), ["740: 7F"]);
+    let timeline = ["0 ms stop", "0 ms 500 kbit/s", "0 ms resume", "0 ms 740: 7F"];
+    assert_eq!(board.timeline(), timeline);
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    assert_eq!(board.pass_ms(100), ["740: 7F"]);
+}
+
+#[test]
+fn delay_ffff_lasts_65535_ms_twice() {
+    let mut board = ready_to_switch(1000);
+    board.lss("15 FF FF");
+    assert_eq!(board.pass_us(131_069_999), SILENCE);
+    assert_eq!(board.pass_us(1), ["740: 7F"]);
+    let timeline = ["0 ms stop", "65535 ms 500 kbit/s", "131070 ms resume", "131070 ms 740: 7F"];
+    assert_eq!(board.timeline(), timeline);
+}
+
+#[test]
+fn the_node_is_as_before_after_an_activation() {
+    for (command, heartbeat) in [("80 00", "740: 7F"), ("01 00", "740: 05"), ("02 00", "740: 04")] {
+        let mut board = ready_to_switch(10_000);
+        board.nmt(command);
+        board.lss("15 64 00");
+        assert_eq!(board.pass_ms(200), [heartbeat], "no boot-up, but a heartbeat at once");
+        assert_eq!(board.lss("5E"), ["5E 40"], "still LSS configuration state");
+        assert_eq!(board.pass_ms(9_999), SILENCE);
+        assert_eq!(board.pass_ms(1), [heartbeat], "the period counts from there");
+    }
+}
+
+#[test]
+fn a_node_without_a_node_id_stays_without_a_word_after_an_activation() {
+    let mut board = in_configuration(NodeRig::with_heartbeat(0xFF, 100));
+    board.lss("15 64 00");
+    assert_eq!(board.pass_ms(1000), SILENCE);
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
+    assert_eq!(board.node.nmt_state(), State::Initialisation);
+    assert_eq!(board.lss("5E"), ["5E FF"]);
+}
+
+#[test]
+fn an_activation_that_changes_nothing_keeps_both_silent_periods() {
+    let mut board = NodeRig::with_heartbeat(0x40, 50);
+    board.lss("04 01");
+    board.lss("15 64 00");
+    assert_eq!(board.pass_us(199_999), SILENCE, "without a 13 before");
+    assert_eq!(board.pass_us(1), ["740: 7F"]);
+    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+    board.lss("13 00 00");
+    board.lss("15 64 00");
+    assert_eq!(board.pass_us(199_999), SILENCE, "with the rate that is active");
+    assert_eq!(board.pass_us(1), ["740: 7F"]);
+    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+}
+
+#[test]
+fn lss_requests_in_the_silent_periods_are_ignored_and_those_at_their_end_are_served() {
+    let requests = ["04 00", "11 05", "13 00 03", "15 00 00", "17", "5E", "51 00 00 00 00 80"];
+    for request in requests {
+        for at_us in [0, 1, 99_999, 100_000, 100_001, 199_999] {
+            let mut board = ready_to_switch(0);
+            board.lss("15 64 00");
+            board.pass_us(at_us);
+            assert_eq!(board.lss(request), SILENCE, "{request} after {at_us} us");
+            board.pass_us(200_000 - at_us);
+            let timeline = ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"];
+            assert_eq!(board.timeline(), timeline, "{request} after {at_us} us");
+            assert_eq!(board.lss("5E"), ["5E 40"], "{request} after {at_us} us");
+            assert_eq!(board.nmt("82 00"), ["740: 00"], "{request} after {at_us} us");
+            board.lss("04 01");
+            board.lss("15 00 00");
+            assert_eq!(board.bit_rate(), BitRate::Kbit500, "{request} after {at_us} us");
+        }
+    }
+}
+
+#[test]
+fn select_and_identify_do_not_see_frames_of_the_silent_periods() {
+    let mut board = ready_to_switch(0);
+    let identify =
+        ["46 44 33 22 11", "47 88 77 66 55", "48", "49 FF FF FF FF", "4A", "4B FF FF FF FF"];
+    board.lss("15 64 00");
+    for request in identify {
+        assert_eq!(board.lss(request), SILENCE);
+    }
+    board.pass_ms(200);
+    for request in &identify[1..] {
+        assert_eq!(board.lss(request), SILENCE);
+    }
+}
+
+#[test]
+fn a_second_activation_begins_anew_when_the_first_has_ended() {
+    let mut board = ready_to_switch(0);
+    board.lss("15 64 00");
+    board.pass_ms(150);
+    board.lss("15 E8 03");
+    board.pass_ms(50);
+    board.lss("13 00 03");
+    board.lss("15 0A 00");
+    board.pass_ms(100);
+    let timeline = [
+        "0 ms stop",
+        "100 ms 500 kbit/s",
+        "200 ms resume",
+        "200 ms 7E4: 13 00 00 00 00 00 00 00",
+        "200 ms stop",
+        "210 ms 250 kbit/s",
+        "220 ms resume",
+    ];
+    assert_eq!(board.timeline(), timeline);
+}
+
+#[test]
+fn heartbeats_of_the_silent_periods_are_not_sent_late_in_a_burst() {
+    let mut board = ready_to_switch(10);
+    board.lss("15 64 00");
+    assert_eq!(board.pass_ms(199), SILENCE);
+    assert_eq!(board.pass_ms(10), ["740: 7F"]);
+    assert_eq!(board.pass_ms(1), ["740: 7F"], "200 ms and 210 ms");
+}
+
+#[test]
+fn nmt_commands_of_the_silent_periods_are_carried_out_at_their_end_and_the_last_counts() {
+    for at_ms in [0, 50, 100, 199] {
+        let mut board = ready_to_switch(10_000);
+        board.lss("15 64 00");
+        board.pass_ms(at_ms);
+        board.nmt("01 00");
+        assert_eq!(board.node.nmt_state(), State::PreOperational, "not yet");
+        assert_eq!(board.pass_ms(200 - at_ms), ["740: 05"]);
+        let mut board = ready_to_switch(10_000);
+        board.lss("15 64 00");
+        board.nmt("01 00");
+        board.pass_ms(at_ms);
+        board.nmt("02 40");
+        board.nmt("01 41");
+        assert_eq!(board.pass_ms(200 - at_ms), ["740: 04"], "41 is somebody else");
+        assert_eq!(board.pass_ms(10_000), ["740: 04"], "once");
+    }
+}
+
+#[test]
+fn a_reset_of_the_silent_periods_wins_whatever_comes_after_or_before() {
+    for (commands, last) in
+        [(["82 00", "01 00"], "200 ms 740: 00"), (["01 00", "82 00"], "200 ms 740: 00")]
+    {
+        let mut board = ready_to_switch(0);
+        board.lss("15 64 00");
+        for command in commands {
+            assert_eq!(board.nmt(command), SILENCE);
+        }
+        board.pass_ms(300);
+        let timeline = board.timeline();
+        assert_eq!(timeline[..3], ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"]);
+        assert_eq!(timeline.last().unwrap(), last, "{commands:?}");
+        assert!(!timeline.contains(&"200 ms reset".into()), "{commands:?}");
+        assert_eq!(board.node.nmt_state(), State::PreOperational);
+        assert!(!board.is_in_configuration_state());
+    }
+    for commands in [["81 00", "01 00"], ["02 00", "81 00"], ["82 00", "81 00"], ["81 00", "82 00"]]
+    {
+        let mut board = ready_to_switch(0);
+        board.lss("15 64 00");
+        for command in commands {
+            assert_eq!(board.nmt(command), SILENCE);
+        }
+        board.pass_ms(300);
+        let last = ["200 ms reset", "200 ms 740: 00"];
+        assert_eq!(board.timeline()[3..], last, "{commands:?}");
+        assert_eq!(board.bit_rate(), BitRate::Kbit1000, "the persistent one");
+    }
+}
+
+#[test]
+fn a_reset_of_the_silent_periods_reaches_a_node_without_a_node_id() {
+    let mut board = in_configuration(NodeRig::unconfigured());
+    board.lss("11 04");
+    board.lss("15 64 00");
+    board.nmt("82 00");
+    assert_eq!(board.pass_ms(199), SILENCE);
+    assert_eq!(board.pass_ms(1), ["704: 00"]);
+}
+
+#[test]
+fn a_store_that_ends_in_the_silent_periods_is_answered_at_their_end() {
+    let mut board = ready_to_switch(0);
+    board.let_stores_take_time();
+    board.lss("17");
+    board.lss("15 64 00");
+    board.pass_ms(50);
+    assert_eq!(board.finish_store(), SILENCE);
+    assert_eq!(board.pass_ms(149), SILENCE);
+    assert_eq!(board.pass_ms(1), ["17 00"]);
+    assert_eq!(board.pass_ms(1000), SILENCE);
+}
+
+#[test]
+fn a_late_call_does_what_is_due_in_order_and_does_not_shift_what_is_still_to_come() {
+    let mut board = ready_to_switch(10);
+    board.lss("15 64 00");
+    assert_eq!(board.be_late_ms(150), SILENCE);
+    board.pass_us(50_000);
+    assert_eq!(
+        board.timeline(),
+        ["0 ms stop", "150 ms 500 kbit/s", "200 ms resume", "200 ms 740: 7F"]
+    );
+    board.lss("15 64 00");
+    assert_eq!(board.be_late_ms(300), ["740: 7F"]);
+    assert_eq!(board.timeline(), ["0 ms stop", "300 ms resume", "300 ms 740: 7F"]);
+}
+
+#[test]
+fn sdo_requests_of_the_silent_periods_are_not_answered_late() {
+    let read_heartbeat_time =
+        Frame::new(0x640, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]).expect("a frame");
+    let mut board = ready_to_switch(10_000);
+    board.lss("15 64 00");
+    for _ in 0..20 {
+        assert_eq!(board.receive(&read_heartbeat_time), SILENCE);
+        board.pass_ms(10);
+    }
+    assert_eq!(board.timeline().last().unwrap(), "200 ms 740: 7F");
+    assert_eq!(board.receive(&read_heartbeat_time), ["5C0: 4B 17 10 00 10 27 00 00"]);
+}
+
+/// Requests, resets, activations and heartbeats, with time passing in pieces of `step_us`.
+fn session(clock_at_start: u32, step_us: u64) -> Vec<String> {
+    let defaults = Settings { heartbeat_ms: 300, ..defaults(0x40) };
+    let mut board = NodeRig::new(ADDRESS, defaults, BoardFlash::blank(0), clock_at_start);
+    let pass_ms = |board: &mut NodeRig, ms: u64| {
+        let mut us = ms * 1000;
+        while us > 0 {
+            board.pass_us(us.min(step_us));
+            us -= us.min(step_us);
+        }
+    };
+    pass_ms(&mut board, 1_000);
+    board.lss("04 01");
+    for request in ["13 00 02", "15 F4 01"] {
+        board.lss(request);
+        pass_ms(&mut board, 250);
+    }
+    board.nmt("01 00");
+    pass_ms(&mut board, 1_000);
+    board.nmt("82 00");
+    pass_ms(&mut board, 700);
+    board.timeline()
+}
+
+#[test]
+fn calls_without_need_change_nothing() {
+    assert_eq!(session(0, 777), session(0, u64::MAX));
+}
+
+#[test]
+fn the_wrap_of_the_clock_changes_nothing_wherever_it_falls() {
+    let expected = session(0, u64::MAX);
+    assert!(expected.len() > 12, "{expected:?}");
+    let mut random = Random::from_environment();
+    for before_wrap_us in (0..=3_200_000).step_by(100_000) {
+        let before_wrap_us = before_wrap_us + random.pick(&[0, 0, 1, 1_000, 12_345]);
+        let timeline = session(0u32.wrapping_sub(before_wrap_us), u64::MAX);
+        assert_eq!(timeline, expected, "wrap after {before_wrap_us} us");
+    }
+    for half in [1 << 31, (1 << 31) - 1_500_000] {
+        assert_eq!(session(half, u64::MAX), expected);
+    }
+}
+
+#[test]
+fn a_long_activation_survives_the_wrap_of_the_clock() {
+    for before_wrap_us in [1, 65_535_000, 65_535_001, 131_070_000] {
+        let clock_at_start = 0u32.wrapping_sub(before_wrap_us);
+        let board = NodeRig::new(ADDRESS, defaults(0x40), BoardFlash::blank(0), clock_at_start);
+        let mut board = in_configuration(board);
+        board.lss("15 FF FF");
+        board.pass_ms(200_000);
+        assert_eq!(board.timeline(), ["0 ms stop", "65535 ms 500 kbit/s", "131070 ms resume"]);
+    }
+}
+
+#[test]
+fn answers_before_an_activation_are_handed_over_before_the_silence() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.timeline();
+    let requests = ["04 01", "5E", "13 00 02", "15 64 00"];
+    let sent = requests.iter().flat_map(|request| board.lss(request).0).collect();
+    assert_eq!(Frames(sent), ["5E 40", "13 00"]);
+    assert_eq!(board.timeline().last().unwrap(), "0 ms stop");
+}
+
+#[test]
+fn the_answer_to_a_store_by_sdo_that_ends_within_the_silent_periods_is_not_sent_late() {
+    let save = Frame::new(0x640, &[0x23, 0x10, 0x10, 1, b's', b'a', b'v', b'e']).expect("a frame");
+    let mut board = NodeRig::with_heartbeat(0x40, 0);
+    board.lss("04 01");
+    board.let_stores_take_time();
+    assert_eq!(board.receive(&save), SILENCE);
+    board.lss("15 64 00");
+    board.pass_ms(50);
+    assert_eq!(board.finish_store(), SILENCE);
+    assert_eq!(board.pass_ms(1000), SILENCE);
+}

@@ -1,0 +1,217 @@
+//! Any input at all: frames that are none of ours, random frames, random order; no panic, no act without a cause.
+
+use embedded_can::{ExtendedId, Id, StandardId};
+use lss_slave::{Action, Frame, Instant, lss::Request};
+use testkit::{
+    frames::{SILENCE, bytes},
+    node_rig::{NodeRig, defaults},
+    random::Random,
+};
+
+/// A frame as a CAN driver may deliver it, well-formed or not.
+struct Received {
+    id: Id,
+    is_remote: bool,
+    data: Vec<u8>,
+}
+
+impl embedded_can::Frame for Received {
+    fn new(id: impl Into<Id>, data: &[u8]) -> Option<Self> {
+        Some(Self { id: id.into(), is_remote: false, data: data.to_vec() })
+    }
+
+    fn new_remote(id: impl Into<Id>, dlc: usize) -> Option<Self> {
+        Some(Self { id: id.into(), is_remote: true, data: vec![0; dlc] })
+    }
+
+    fn is_extended(&self) -> bool {
+        matches!(self.id, Id::Extended(_))
+    }
+
+    fn is_remote_frame(&self) -> bool {
+        self.is_remote
+    }
+
+    fn id(&self) -> Id {
+        self.id
+    }
+
+    fn dlc(&self) -> usize {
+        self.data.len()
+    }
+
+    fn data(&self) -> &[u8] {
+        &self.data
+    }
+}
+
+fn received(id: impl Into<Id>, is_remote: bool, data: &[u8]) -> Option<Frame> {
+    Frame::received(&Received { id: id.into(), is_remote, data: data.to_vec() })
+}
+
+#[test]
+fn a_data_frame_with_an_11_bit_id_arrives_as_it_is() {
+    for id in 0..=0x7FF {
+        let data = bytes("01 02 03 04 05 06 07 08");
+        for len in 0..=8 {
+            let frame = received(StandardId::new(id).unwrap(), false, &data[..len]).unwrap();
+            assert_eq!((frame.cob_id(), frame.data()), (id, &data[..len]));
+            assert_eq!(frame.id(), StandardId::new(id).unwrap());
+        }
+    }
+}
+
+#[test]
+fn a_frame_with_a_29_bit_id_ends_here_even_with_the_number_of_an_11_bit_one() {
+    let request = bytes("4C 00 00 00 00 00 00 00");
+    for id in [0x7E5, 0x000, 0x7E5 << 18, 0x1FFF_FFFF] {
+        assert_eq!(received(ExtendedId::new(id).unwrap(), false, &request), None, "{id:08X}");
+        assert_eq!(received(ExtendedId::new(id).unwrap(), true, &[]), None, "{id:08X}");
+    }
+}
+
+#[test]
+fn a_remote_frame_ends_here() {
+    for id in [0x7E5, 0x000, 0x740] {
+        let id = StandardId::new(id).unwrap();
+        assert_eq!(received(id, true, &[]), None);
+        assert_eq!(received(id, true, &[0x4C, 0, 0, 0, 0, 0, 0, 0]), None);
+    }
+}
+
+#[test]
+fn a_frame_cannot_hold_more_than_eight_bytes_or_more_than_eleven_bits_of_cob_id() {
+    let id = StandardId::new(0x7E5).unwrap();
+    for len in 9..=64 {
+        assert_eq!(received(id, false, &vec![0; len]), None, "{len} bytes");
+        assert_eq!(Frame::new(0x7E5, &vec![0; len]), None, "{len} bytes");
+    }
+    for cob_id in 0x800..=u16::MAX {
+        assert_eq!(Frame::new(cob_id, &[]), None, "{cob_id:04X}");
+    }
+}
+
+#[test]
+fn every_frame_of_an_lss_master_means_one_thing_and_is_written_as_it_is_read() {
+    let mut random = Random::from_environment();
+    for command in 0..=0xFF {
+        for _ in 0..200 {
+            let mut data: [u8; 8] = random.bytes();
+            data[0] = command;
+            if random.one_in(2) {
+                data[1] %= 3;
+            }
+            if let Some(request) = Request::from_bytes(&data) {
+                let written = request.to_bytes();
+                assert_eq!(written[0], command);
+                assert_eq!(Request::from_bytes(&written), Some(request), "{data:02X?}");
+            }
+        }
+    }
+}
+
+/// A frame that means something more often than chance would have it.
+fn any_frame(random: &mut Random) -> Frame {
+    const COMMANDS: [u8; 25] = [
+        0x04, 0x04, 0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x44, 0x46, 0x47, 0x48,
+        0x49, 0x4A, 0x4B, 0x4C, 0x4F, 0x50, 0x51, 0x51, 0x5A, 0x5E,
+    ];
+    let cob_id = match random.within(0..8) {
+        0 => 0x000,
+        1 => random.within(0..0x800) as u16,
+        _ => 0x7E5,
+    };
+    let mut data: [u8; 8] = random.bytes();
+    if random.one_in(2) {
+        data = data.map(|byte| byte & 0x83);
+    }
+    if cob_id == 0x000 && random.one_in(2) {
+        data[0] = random.pick(&[1, 2, 0x80, 0x81, 0x82]);
+        data[1] &= 1;
+    } else if !random.one_in(8) {
+        data[0] = random.pick(&COMMANDS);
+    }
+    // Short delays, else most of the frames would fall into silent periods.
+    if cob_id == 0x7E5 && data[0] == 0x15 {
+        data[1] %= 4;
+        data[2] = if random.one_in(50) { data[2] } else { 0 };
+    }
+    let len = match (cob_id, random.one_in(8)) {
+        (_, true) => random.within(0..9) as usize,
+        (0x000, _) => 2,
+        _ => 8,
+    };
+    Frame::new(cob_id, &data[..len]).unwrap()
+}
+
+/// The board checks by itself that nothing is sent in a silent period, and that it knows bit rate and node-ID.
+#[test]
+fn random_frames_do_no_harm_and_store_nothing_without_configuration_and_17() {
+    let mut random = Random::from_environment();
+    let mut stores = 0;
+    for _ in 0..40 {
+        let mut board = NodeRig::with_heartbeat(random.pick(&[0x40, 0xFF]), random.pick(&[0, 5]));
+        for _ in 0..300 {
+            let frame = any_frame(&mut random);
+            let stored = board.stored();
+            let is_store = frame.cob_id() == 0x7E5
+                && frame.data().len() == 8
+                && frame.data()[0] == 0x17
+                && board.node.lss().state() == lss_slave::lss::State::Configuration;
+            board.timeline();
+            board.receive(&frame);
+            let has_stored = board.timeline().iter().any(|line| line.ends_with("store"));
+            assert!(is_store || !has_stored, "{}", testkit::frames::text(&frame));
+            if !is_store {
+                assert_eq!(board.stored(), stored);
+            }
+            stores += usize::from(has_stored);
+            if random.one_in(4) {
+                board.pass_us(random.within(0..20_000));
+            }
+        }
+        board.pass_ms(150_000);
+        board.nmt("81 00");
+        board.lss("04 01");
+        assert!(board.is_in_configuration_state(), "it still works");
+    }
+    assert!(stores > 20, "the frames reach a store: {stores} times");
+}
+
+/// Calls that the contract does not foresee: any order, no time order, outcomes of stores that nobody asked for.
+#[test]
+fn no_order_of_calls_makes_the_node_panic_or_answer_without_end() {
+    let mut random = Random::from_environment();
+    for _ in 0..200 {
+        let mut node = NodeRig::with_defaults(defaults(random.pick(&[0x40, 0xFF]))).node;
+        for _ in 0..300 {
+            let now = Instant::from_micros(random.u32());
+            match random.within(0..4) {
+                0 => node.handle_stored(Ok(())),
+                1 => {
+                    let calls = std::iter::from_fn(|| node.handle_deadline(now)).take(1_000);
+                    assert!(calls.count() < 1_000, "handle_deadline comes to an end");
+                }
+                _ => {
+                    let action = node.handle_frame(&any_frame(&mut random), now);
+                    assert!(!matches!(action, Some(Action::Store(_))), "only after the answers");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn random_frames_with_other_cob_ids_are_not_even_noticed() {
+    let mut random = Random::from_environment();
+    let mut board = NodeRig::unconfigured();
+    board.timeline();
+    for _ in 0..20_000 {
+        let cob_id = random.within(1..0x800) as u16;
+        if cob_id != 0x7E5 {
+            let frame = Frame::new(cob_id, &random.bytes::<8>()).unwrap();
+            assert_eq!(board.receive(&frame), SILENCE);
+        }
+    }
+    assert_eq!(board.timeline(), SILENCE);
+}

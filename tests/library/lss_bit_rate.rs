@@ -1,0 +1,116 @@
+//! The bit rate, persistent, pending and active (CiA 305, configure bit timing parameters).
+
+use lss_slave::{BitRate, BitRates, Device, Node, Settings};
+use testkit::{
+    flash::BoardFlash,
+    frames::Frames,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+const TABLE: [(u8, u16); 8] =
+    [(0, 1000), (1, 800), (2, 500), (3, 250), (4, 125), (6, 50), (7, 20), (8, 10)];
+
+/// A board that has just answered `13 00 02` (500 kbit/s).
+fn with_500_pending() -> NodeRig {
+    with_500_pending_on(NodeRig::with_node_id(0x40))
+}
+
+fn with_500_pending_on(mut board: NodeRig) -> NodeRig {
+    board.lss("04 01");
+    assert_eq!(board.lss("13 00 02"), ["13 00"]);
+    board
+}
+
+/// The bit rate that is pending, shown by activating it.
+fn pending(board: &mut NodeRig) -> u16 {
+    board.lss("15 00 00");
+    board.bit_rate().kbit_per_s()
+}
+
+#[test]
+fn each_index_of_table_0_selects_the_bit_rate_of_cia_301() {
+    for (index, kbit_per_s) in TABLE {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.lss("04 01");
+        assert_eq!(board.lss(&format!("13 00 {index:02X}")), ["13 00"], "{kbit_per_s}");
+        assert_eq!(board.bit_rate().kbit_per_s(), 1000, "it is only pending");
+        assert_eq!(pending(&mut board), kbit_per_s);
+    }
+}
+
+#[test]
+fn any_other_index_or_table_is_refused_and_leaves_the_pending_rate_alone() {
+    for index in (0..=0xFF).filter(|index| TABLE.iter().all(|row| row.0 != *index)) {
+        let mut board = with_500_pending();
+        assert_eq!(board.lss(&format!("13 00 {index:02X}")), ["13 01"], "index {index:02X}");
+        assert_eq!(pending(&mut board), 500);
+    }
+    let mut board = with_500_pending();
+    for table in 1..=0xFF {
+        assert_eq!(board.lss(&format!("13 {table:02X} 03")), ["13 01"], "table {table:02X}");
+    }
+    assert_eq!(pending(&mut board), 500);
+}
+
+#[test]
+fn a_rate_that_the_clock_cannot_produce_is_refused_and_leaves_the_pending_rate_alone() {
+    let device = Device { bit_rates: BitRates::possible(42_000_000), ..device(ADDRESS) };
+    let board = NodeRig::with_device(device, defaults(0x40), BoardFlash::blank(0), 0);
+    let mut board = with_500_pending_on(board);
+    assert_eq!(board.lss("13 00 01"), ["13 01"], "800 kbit/s is not possible from 42 MHz");
+    assert_eq!(pending(&mut board), 500);
+}
+
+#[test]
+fn the_pending_rate_is_stored_by_17_and_active_after_power_on_and_reset_node() {
+    let restarts: [fn(&mut NodeRig) -> Frames; 2] =
+        [NodeRig::power_cycle, |board| board.nmt("81 00")];
+    for restart in restarts {
+        let mut board = with_500_pending();
+        restart(&mut board);
+        assert_eq!(board.bit_rate(), BitRate::Kbit1000, "13 alone is forgotten");
+        board.lss("04 01");
+        assert_eq!(pending(&mut board), 1000, "13 alone is forgotten");
+        board.lss("13 00 02");
+        board.lss("17");
+        assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+        board.lss("13 00 03");
+        restart(&mut board);
+        assert_eq!(board.bit_rate(), BitRate::Kbit500);
+        board.lss("04 01");
+        assert_eq!(pending(&mut board), 500);
+    }
+}
+
+#[test]
+fn activation_stores_nothing() {
+    let mut board = with_500_pending();
+    board.lss("15 00 00");
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
+    board.power_cycle();
+    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+}
+
+#[test]
+fn reset_communication_touches_neither_the_active_nor_the_pending_rate() {
+    let mut board = with_500_pending();
+    board.nmt("82 00");
+    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+    board.lss("04 01");
+    assert_eq!(pending(&mut board), 500);
+    board.lss("13 00 03");
+    board.nmt("82 00");
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
+    board.lss("04 01");
+    assert_eq!(pending(&mut board), 250);
+}
+
+#[test]
+fn a_stored_bit_rate_that_the_device_does_not_offer_is_looked_for_by_listening() {
+    let device = Device { bit_rates: BitRates::possible(42_000_000), ..device(ADDRESS) };
+    assert!(!device.bit_rates.contains(BitRate::Kbit800), "{:?}", device.bit_rates);
+    let settings = Settings { bit_rate: BitRate::Kbit800.into(), ..defaults(0x40) };
+    let node = Node::new(device, settings);
+    assert!(node.is_listening());
+    assert!(device.bit_rates.contains(node.bit_rate()));
+}

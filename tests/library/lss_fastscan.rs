@@ -1,0 +1,326 @@
+//! Fastscan (CiA 305): each rule of a step, and whole scans by a master that finds slaves of which it knows little.
+
+use lss_slave::lss::Address;
+use testkit::{
+    frames::{SILENCE, number},
+    node_rig::{ADDRESS, NodeRig},
+    random::Random,
+};
+
+const BEGIN: &str = "51 00 00 00 00 80";
+
+fn parts(address: &Address) -> [u32; 4] {
+    let Address { vendor_id, product_code, revision_number, serial_number } = *address;
+    [vendor_id, product_code, revision_number, serial_number]
+}
+
+fn address([vendor_id, product_code, revision_number, serial_number]: [u32; 4]) -> Address {
+    Address { vendor_id, product_code, revision_number, serial_number }
+}
+
+fn step(id_number: u32, bit_check: u8, sub: u8, next: u8) -> String {
+    format!("51 {} {bit_check:02X} {sub:02X} {next:02X}", number(id_number))
+}
+
+/// A slave that has answered the beginning of a scan.
+fn begun() -> NodeRig {
+    let mut board = NodeRig::unconfigured();
+    assert_eq!(board.lss(BEGIN), ["4F"]);
+    board
+}
+
+/// The bus with slaves on it, as the master sees it: whether at least one answers.
+fn is_answered(slaves: &mut [NodeRig], request: &str) -> bool {
+    let answers: Vec<_> = slaves.iter_mut().map(|slave| slave.lss(request)).collect();
+    for frames in &answers {
+        assert!(*frames == SILENCE || *frames == ["4F"], "answers at once are identical");
+    }
+    answers.iter().any(|frames| *frames == ["4F"])
+}
+
+/// A scan by a master that knows the parts that are `Some`; returns the address of the slave that is now in LSS
+/// configuration state.
+fn scan(slaves: &mut [NodeRig], known: [Option<u32>; 4]) -> Option<Address> {
+    if !is_answered(slaves, BEGIN) {
+        return None;
+    }
+    let mut found = [0; 4];
+    for sub in 0..4 {
+        let next = (sub + 1) % 4;
+        found[usize::from(sub)] = match known[usize::from(sub)] {
+            Some(part) => part,
+            None => {
+                let mut part = 0;
+                for bit in (0..32).rev() {
+                    if !is_answered(slaves, &step(part, bit, sub, sub)) {
+                        part |= 1 << bit;
+                    }
+                }
+                part
+            }
+        };
+        if !is_answered(slaves, &step(found[usize::from(sub)], 0, sub, next)) {
+            return None;
+        }
+    }
+    Some(address(found))
+}
+
+#[test]
+fn the_beginning_is_answered_by_every_unconfigured_slave_in_waiting_whatever_else_it_says() {
+    let mut board = NodeRig::unconfigured();
+    assert_eq!(board.lss("51 00 00 00 00 80 00 00"), ["4F 00 00 00 00 00 00 00"]);
+    assert_eq!(board.lss("51 FF FF FF FF 80 FF FF"), ["4F"]);
+}
+
+#[test]
+fn fastscan_is_ignored_in_configuration() {
+    let mut board = begun();
+    board.lss("04 01");
+    assert_eq!(board.lss(BEGIN), SILENCE);
+    assert_eq!(board.lss(&step(0, 31, 0, 0)), SILENCE);
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), SILENCE);
+}
+
+#[test]
+fn fastscan_is_ignored_unless_active_and_pending_node_id_are_ff() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.lss(BEGIN), SILENCE);
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), SILENCE);
+    board.lss("04 01");
+    board.lss("11 FF");
+    board.lss("04 00");
+    assert_eq!(board.lss(BEGIN), SILENCE, "active 40, pending FF");
+    board.nmt("82 00");
+    assert_eq!(board.lss(BEGIN), ["4F"]);
+    board.lss("04 01");
+    board.lss("11 05");
+    board.lss("04 00");
+    assert_eq!(board.lss(BEGIN), SILENCE, "active 05, pending 05");
+}
+
+#[test]
+fn a_step_with_a_field_out_of_range_is_ignored_and_does_not_end_the_scan() {
+    let mut board = begun();
+    let vendor_id = ADDRESS.vendor_id;
+    for value in 0..=0xFF {
+        if value > 0x1F && value != 0x80 {
+            assert_eq!(board.lss(&step(vendor_id, value, 0, 1)), SILENCE, "BitCheck {value:02X}");
+        }
+        if value > 3 {
+            assert_eq!(board.lss(&step(vendor_id, 0, value, 0)), SILENCE, "Sub {value:02X}");
+            assert_eq!(board.lss(&step(vendor_id, 0, 0, value)), SILENCE, "Next {value:02X}");
+        }
+    }
+    assert!(!board.is_in_configuration_state());
+    assert_eq!(board.lss(&step(vendor_id, 0, 0, 1)), ["4F"]);
+}
+
+#[test]
+fn a_step_for_another_part_than_the_one_awaited_is_ignored() {
+    let parts = parts(&ADDRESS);
+    for awaited in 0..4 {
+        for sub in 0..4 {
+            let mut board = begun();
+            assert_eq!(board.lss(&step(parts[0], 0, 0, awaited)), ["4F"]);
+            let answers = board.lss(&step(parts[usize::from(sub)], 0, sub, sub));
+            let expected: &[&str] = if sub == awaited { &["4F"] } else { &[] };
+            assert_eq!(answers, expected, "awaited {awaited}, sub {sub}");
+        }
+    }
+}
+
+#[test]
+fn the_bits_from_bit_check_upwards_are_compared_and_no_others() {
+    for bit_check in 0..32 {
+        for wrong_bit in 0..32 {
+            let mut board = begun();
+            let id_number = ADDRESS.vendor_id ^ 1 << wrong_bit;
+            let answers = board.lss(&step(id_number, bit_check, 0, 0));
+            let expected: &[&str] = if wrong_bit < bit_check { &["4F"] } else { &[] };
+            assert_eq!(answers, expected, "BitCheck {bit_check}, bit {wrong_bit} wrong");
+        }
+    }
+}
+
+#[test]
+fn a_step_that_does_not_match_leaves_the_part_awaited_alone() {
+    let mut board = begun();
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
+    assert_eq!(board.lss(&step(!ADDRESS.product_code, 0, 1, 2)), SILENCE);
+    assert_eq!(board.lss(&step(ADDRESS.product_code, 0, 1, 2)), ["4F"]);
+}
+
+#[test]
+fn a_step_that_matches_awaits_next_even_if_not_all_bits_were_compared() {
+    let mut board = begun();
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 31, 0, 2)), ["4F"]);
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), SILENCE);
+    assert_eq!(board.lss(&step(ADDRESS.revision_number, 0, 2, 2)), ["4F"]);
+}
+
+#[test]
+fn a_slave_is_selected_by_a_full_match_that_goes_back_to_an_earlier_part_and_only_by_that() {
+    let parts = parts(&ADDRESS);
+    for sub in 0..4 {
+        for next in 0..4 {
+            for bit_check in [0, 1, 31] {
+                let mut board = begun();
+                assert_eq!(board.lss(&step(parts[0], 0, 0, sub)), ["4F"]);
+                let last = step(parts[usize::from(sub)], bit_check, sub, next);
+                assert_eq!(board.lss(&last), ["4F"]);
+                let is_selected = bit_check == 0 && next < sub;
+                assert_eq!(board.is_in_configuration_state(), is_selected, "{last}");
+            }
+        }
+    }
+}
+
+#[test]
+fn each_accepted_04_and_each_reset_awaits_the_first_part_again() {
+    for (event, is_reset) in [
+        ("04 00", true),
+        ("04 02", false),
+        ("81 00", true),
+        ("82 00", true),
+        ("01 00", false),
+        ("82 05", false),
+    ] {
+        let mut board = begun();
+        assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
+        if event.starts_with("04") {
+            board.lss(event)
+        } else {
+            board.nmt(event)
+        };
+        let first = board.lss(&step(ADDRESS.vendor_id, 0, 0, 0));
+        assert_eq!(first, if is_reset { &["4F"][..] } else { &[][..] }, "{event}");
+    }
+}
+
+#[test]
+fn the_first_part_is_awaited_after_power_on() {
+    let mut board = NodeRig::unconfigured();
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
+}
+
+#[test]
+fn the_beginning_awaits_the_first_part_again() {
+    let mut board = begun();
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
+    assert_eq!(board.lss(BEGIN), ["4F"]);
+    assert_eq!(board.lss(&step(ADDRESS.product_code, 0, 1, 2)), SILENCE);
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
+}
+
+#[test]
+fn a_slave_selected_by_fastscan_awaits_the_first_part_after_it_was_switched_back() {
+    let mut slaves = [NodeRig::unconfigured()];
+    assert_eq!(scan(&mut slaves, [None; 4]), Some(ADDRESS));
+    let [board] = &mut slaves;
+    board.lss("04 00");
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
+}
+
+#[test]
+fn the_three_frames_that_crash_other_slaves_do_no_harm() {
+    let mut board = NodeRig::unconfigured();
+    assert_eq!(board.lss("51 00 00 00 00 80 00 00"), ["4F"]);
+    assert_eq!(board.lss("51 44 33 22 11 00 00 09"), SILENCE);
+    assert_eq!(board.lss("51 44 33 22 11 00 09 00"), SILENCE);
+    assert_eq!(scan(&mut [board], [None; 4]), Some(ADDRESS));
+}
+
+#[test]
+fn frames_of_another_family_do_not_disturb_a_scan() {
+    let others = ["40 44 33 22 11", "46 44 33 22 11", "4B", "4C", "5A", "11 05", "FF", "4F", "44"];
+    for other in others {
+        let mut board = begun();
+        board.lss(&step(ADDRESS.vendor_id, 0, 0, 1));
+        board.lss(other);
+        assert_eq!(board.lss(&step(ADDRESS.product_code, 0, 1, 2)), ["4F"], "{other}");
+    }
+}
+
+/// Addresses that share parts and differ in single bits, with the extremes.
+fn neighbours(random: &mut Random) -> Vec<Address> {
+    let mut all = vec![[0; 4], [u32::MAX; 4], parts(&ADDRESS)];
+    while all.len() < 8 {
+        let mut parts = random.pick(&all);
+        let part = random.within(0..4) as usize;
+        parts[part] =
+            if random.one_in(2) { parts[part] ^ 1 << random.within(0..32) } else { random.u32() };
+        if !all.contains(&parts) {
+            all.push(parts);
+        }
+    }
+    all.into_iter().map(address).collect()
+}
+
+#[test]
+fn a_master_that_knows_nothing_finds_all_slaves_one_by_one() {
+    let mut random = Random::from_environment();
+    for _ in 0..5 {
+        let addresses = neighbours(&mut random);
+        let mut slaves: Vec<_> = addresses.iter().copied().map(NodeRig::with_address).collect();
+        let mut found = Vec::new();
+        for node_id in 1..=slaves.len() as u8 {
+            let address = scan(&mut slaves, [None; 4]).expect("one more slave is unconfigured");
+            let mut selected: Vec<_> =
+                slaves.iter_mut().filter_map(|s| s.inquired_node_id().map(|_| s)).collect();
+            assert_eq!(selected.len(), 1, "one slave is in LSS configuration state");
+            assert_eq!(selected[0].node.lss().address(), address);
+            assert_eq!(selected[0].lss(&format!("11 {node_id:02X}")), ["11 00"]);
+            for slave in &mut slaves {
+                slave.lss("04 00");
+            }
+            found.push(parts(&address));
+        }
+        assert_eq!(scan(&mut slaves, [None; 4]), None, "none is left");
+        found.sort_unstable();
+        let mut expected: Vec<_> = addresses.iter().map(parts).collect();
+        expected.sort_unstable();
+        assert_eq!(found, expected);
+    }
+}
+
+#[test]
+fn a_master_that_knows_parts_confirms_them_in_one_step_each() {
+    let own = parts(&ADDRESS);
+    for known in 0..16 {
+        let known = std::array::from_fn(|part| (known >> part & 1 == 1).then_some(own[part]));
+        // A scan asks for 0 bits first, so it leads to the lower of two slaves.
+        let other = address([u32::MAX; 4]);
+        let mut slaves = [NodeRig::unconfigured(), NodeRig::with_address(other)];
+        assert_eq!(scan(&mut slaves, known), Some(ADDRESS), "{known:?}");
+        assert!(slaves[0].is_in_configuration_state());
+        assert!(!slaves[1].is_in_configuration_state());
+    }
+}
+
+#[test]
+fn a_master_that_knows_the_last_parts_may_skip_them() {
+    let mut board = begun();
+    for bit in (0..32).rev() {
+        board.lss(&step(ADDRESS.vendor_id, bit, 0, 0));
+    }
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
+    assert_eq!(board.lss(&step(ADDRESS.product_code, 0, 1, 0)), ["4F"]);
+    assert!(board.is_in_configuration_state());
+}
+
+#[test]
+fn a_master_that_knows_parts_in_the_middle_may_skip_them() {
+    let mut board = begun();
+    assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 3)), ["4F"]);
+    assert!(!board.is_in_configuration_state());
+    assert_eq!(board.lss(&step(ADDRESS.serial_number, 0, 3, 0)), ["4F"]);
+    assert!(board.is_in_configuration_state());
+}
+
+#[test]
+fn a_scan_for_a_slave_that_is_not_there_selects_none() {
+    let mut slaves = [NodeRig::unconfigured()];
+    assert_eq!(scan(&mut slaves, [Some(7), None, None, None]), None);
+    assert!(!slaves[0].is_in_configuration_state());
+}

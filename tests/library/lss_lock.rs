@@ -1,0 +1,87 @@
+//! The LSS lock, a choice of the device: in NMT operational the LSS state stays waiting.
+
+use lss_slave::Device;
+use testkit::{
+    flash::BoardFlash,
+    frames::{Frames, SILENCE, number},
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+fn board(lss_lock: bool, node_id: u8) -> NodeRig {
+    let device = Device { lss_lock, ..device(ADDRESS) };
+    NodeRig::with_device(device, defaults(node_id), BoardFlash::blank(0), 0)
+}
+
+/// Selects the board by its address.
+fn select(board: &mut NodeRig) -> Frames {
+    for (command, part) in
+        [("40", ADDRESS.vendor_id), ("41", ADDRESS.product_code), ("42", ADDRESS.revision_number)]
+    {
+        board.lss(&format!("{command} {}", number(part)));
+    }
+    board.lss(&format!("43 {}", number(ADDRESS.serial_number)))
+}
+
+#[test]
+fn without_it_lss_configuration_state_is_entered_in_nmt_operational() {
+    let mut board = board(false, 0x40);
+    board.nmt("01 40");
+    assert_eq!(select(&mut board), ["44"]);
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+}
+
+#[test]
+fn with_it_neither_switch_state_leads_to_configuration_in_nmt_operational() {
+    let mut board = board(true, 0x40);
+    board.nmt("01 40");
+    assert_eq!(select(&mut board), SILENCE);
+    assert_eq!(board.lss("04 01"), SILENCE);
+    for request in ["11 05", "13 00 02", "17", "5A", "5E"] {
+        assert_eq!(board.lss(request), SILENCE, "{request}");
+    }
+    assert_eq!(board.stored(), None);
+}
+
+#[test]
+fn with_it_a_node_in_nmt_operational_is_still_identified() {
+    let mut board = board(true, 0x40);
+    board.nmt("01 40");
+    let revision = ADDRESS.revision_number;
+    for (command, part) in [
+        ("46", ADDRESS.vendor_id),
+        ("47", ADDRESS.product_code),
+        ("48", revision),
+        ("49", revision),
+        ("4A", 0),
+    ] {
+        assert_eq!(board.lss(&format!("{command} {}", number(part))), SILENCE);
+    }
+    assert_eq!(board.lss("4B FF FF FF FF"), ["4F"]);
+}
+
+#[test]
+fn with_it_configuration_ends_where_nmt_operational_begins_and_is_free_again_behind_it() {
+    for leave in ["02 40", "80 40"] {
+        let mut board = board(true, 0x40);
+        board.lss("04 01");
+        assert_eq!(board.lss("11 05"), ["11 00"]);
+        board.nmt("01 40");
+        assert_eq!(board.lss("5E"), SILENCE);
+        board.nmt(leave);
+        assert_eq!(board.lss("5E"), SILENCE, "in waiting state");
+        board.lss("04 01");
+        assert_eq!(board.lss("5E"), ["5E 40"]);
+        assert_eq!(board.lss("17"), ["17 00"], "what was pending still is");
+        assert_eq!(board.stored().and_then(|s| s.node_id).map(|id| id.get()), Some(5));
+    }
+}
+
+#[test]
+fn with_it_a_blank_node_is_configured_whatever_nmt_commands_are_sent_to_all() {
+    let mut board = board(true, 0xFF);
+    board.nmt("01 00");
+    board.lss("04 01");
+    board.nmt("01 00");
+    assert_eq!(board.lss("11 05"), ["11 00"]);
+    assert_eq!(board.lss("04 00"), ["705: 00"]);
+}

@@ -1,0 +1,362 @@
+//! The node-ID, persistent, pending and active: which event moves it from where to where (CiA 305, configure node-ID).
+
+use lss_slave::{Frame, NodeId, Settings, lss::StoreError, nmt::State};
+use testkit::{
+    flash::{BoardFlash, Operation},
+    frames::SILENCE,
+    node_rig::{ADDRESS, NodeRig, defaults},
+};
+
+/// The node-ID that is pending, shown by what NMT reset communication makes active.
+fn pending(board: &mut NodeRig) -> Option<u8> {
+    board.nmt("82 00");
+    board.lss("04 01");
+    board.inquired_node_id()
+}
+
+/// What the node stored, as LSS writes it.
+fn stored(board: &NodeRig) -> Option<u8> {
+    board.stored().map(|settings| NodeId::to_lss(settings.node_id))
+}
+
+#[test]
+fn configure_node_id_takes_01_to_7f_and_ff_and_refuses_the_rest() {
+    for byte in 0..=0xFF {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.lss("04 01");
+        let is_valid = matches!(byte, 0x01..=0x7F | 0xFF);
+        let answers = board.lss(&format!("11 {byte:02X}"));
+        assert_eq!(answers, if is_valid { ["11 00"] } else { ["11 01"] }, "{byte:02X}");
+        assert_eq!(pending(&mut board), Some(if is_valid { byte } else { 0x40 }));
+    }
+}
+
+#[test]
+fn a_refused_node_id_leaves_the_pending_one_alone() {
+    for byte in ["00", "80", "FE"] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.lss("04 01");
+        board.lss("11 05");
+        assert_eq!(board.lss(&format!("11 {byte}")), ["11 01"]);
+        assert_eq!(pending(&mut board), Some(0x05));
+    }
+}
+
+#[test]
+fn configure_node_id_changes_nothing_but_the_pending_node_id() {
+    for id in ["05", "FF"] {
+        let mut board = NodeRig::with_heartbeat(0x40, 100);
+        board.nmt("01 00");
+        board.lss("04 01");
+        board.timeline();
+        assert_eq!(board.lss(&format!("11 {id}")), ["11 00"]);
+        assert_eq!(board.timeline(), ["0 ms 7E4: 11 00 00 00 00 00 00 00"]);
+        assert_eq!(board.lss("5E"), ["5E 40"]);
+        assert_eq!(board.pass_ms(100), ["740: 05"]);
+        assert_eq!(stored(&board), None);
+    }
+}
+
+#[test]
+fn inquire_node_id_answers_the_active_one_whatever_is_pending() {
+    let mut board = NodeRig::unconfigured();
+    board.lss("04 01");
+    assert_eq!(board.lss("5E"), ["5E FF"]);
+    board.lss("11 05");
+    assert_eq!(board.lss("5E"), ["5E FF"]);
+    board.lss("04 00");
+    board.lss("04 01");
+    assert_eq!(board.lss("5E"), ["5E 05"]);
+    board.lss("11 FF");
+    assert_eq!(board.lss("5E"), ["5E 05"]);
+    board.lss("17");
+    assert_eq!(board.lss("5E"), ["5E 05"]);
+}
+
+#[test]
+fn power_on_with_nothing_stored_brings_the_default_of_the_device() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+    board.lss("04 01");
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    let mut board = NodeRig::unconfigured();
+    assert_eq!(board.power_cycle(), SILENCE);
+    board.lss("04 01");
+    assert_eq!(board.lss("5E"), ["5E FF"]);
+}
+
+#[test]
+fn power_on_with_nothing_usable_stored_brings_the_default_of_the_device() {
+    let garbage = BoardFlash::with_content(vec![0x5A; 0x8000], 0);
+    let mut board = NodeRig::new(ADDRESS, defaults(0x40), garbage, 0);
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+}
+
+#[test]
+fn power_on_brings_the_stored_node_id() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 05");
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.power_cycle(), ["705: 00"]);
+}
+
+#[test]
+fn reset_node_makes_the_persistent_node_id_pending_and_active_and_forgets_one_that_was_not_stored()
+{
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 05");
+    board.lss("17");
+    board.lss("11 06");
+    assert_eq!(board.nmt("81 40"), ["705: 00"]);
+    assert_eq!(pending(&mut board), Some(0x05));
+}
+
+#[test]
+fn reset_communication_makes_the_pending_node_id_active_stored_or_not() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 05");
+    assert_eq!(board.nmt("82 40"), ["705: 00"]);
+    assert!(!board.is_in_configuration_state());
+    board.lss("04 01");
+    assert_eq!(board.lss("5E"), ["5E 05"]);
+    assert_eq!(board.power_cycle(), ["740: 00"], "it was not stored");
+}
+
+#[test]
+fn cob_ids_follow_the_node_id() {
+    let mut board = NodeRig::with_heartbeat(0x40, 100);
+    board.lss("04 01");
+    board.lss("11 04");
+    board.timeline();
+    assert_eq!(board.nmt("82 40"), ["704: 00"]);
+    assert_eq!(board.timeline(), ["0 ms node-ID 04", "0 ms 704: 00"], "the board is told first");
+    assert_eq!(board.pass_ms(100), ["704: 7F"]);
+    assert_eq!(board.nmt("82 40"), SILENCE, "40 is somebody else now");
+    assert_eq!(board.nmt("82 04"), ["704: 00"]);
+}
+
+#[test]
+fn a_node_without_a_node_id_sends_nothing_and_stays_in_initialisation() {
+    let mut board = NodeRig::with_heartbeat(0xFF, 100);
+    assert_eq!(board.pass_ms(1000), SILENCE);
+    assert_eq!(board.node.nmt_state(), State::Initialisation);
+    for command in ["01 00", "02 00", "80 00", "01 FF", "01 7F"] {
+        assert_eq!(board.nmt(command), SILENCE);
+        assert_eq!(board.node.nmt_state(), State::Initialisation, "{command}");
+    }
+    assert_eq!(board.pass_ms(1000), SILENCE);
+    for cob_id in 0x580..=0x680 {
+        let request = Frame::new(cob_id, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]).unwrap();
+        assert_eq!(board.receive(&request), SILENCE, "no SDO: {cob_id:03X}");
+    }
+    assert_eq!(board.lss("4C"), ["50"]);
+}
+
+#[test]
+fn a_node_without_a_node_id_obeys_the_resets_to_all() {
+    for command in ["81 00", "82 00"] {
+        let mut board = NodeRig::unconfigured();
+        board.lss("04 01");
+        board.nmt(command);
+        assert!(!board.is_in_configuration_state(), "{command}");
+    }
+    for command in ["81 FF", "82 FF", "81 7F", "82 01"] {
+        let mut board = NodeRig::unconfigured();
+        board.lss("04 01");
+        board.nmt(command);
+        assert!(board.is_in_configuration_state(), "{command} is for somebody else");
+    }
+}
+
+#[test]
+fn reset_communication_with_ff_pending_ends_communication() {
+    let mut board = NodeRig::with_heartbeat(0x40, 100);
+    board.nmt("01 00");
+    board.lss("04 01");
+    board.lss("11 FF");
+    board.timeline();
+    assert_eq!(board.nmt("82 00"), SILENCE);
+    assert_eq!(board.timeline(), ["0 ms node-ID FF"]);
+    assert_eq!(board.node.nmt_state(), State::Initialisation);
+    assert_eq!(board.pass_ms(1000), SILENCE);
+    assert_eq!(board.lss("4C"), ["50"]);
+    board.lss("04 01");
+    assert_eq!(board.lss("5E"), ["5E FF"]);
+}
+
+#[test]
+fn leaving_configuration_with_a_first_node_id_starts_communication_by_itself() {
+    let mut board = NodeRig::with_heartbeat(0xFF, 100);
+    board.lss("04 01");
+    assert_eq!(board.lss("11 04"), ["11 00"]);
+    assert_eq!(board.pass_ms(1000), SILENCE, "not before the end of configuration");
+    board.timeline();
+    assert_eq!(board.lss("04 00"), ["704: 00"]);
+    assert_eq!(board.timeline(), ["0 ms node-ID 04", "0 ms 704: 00"]);
+    assert_eq!(board.node.nmt_state(), State::PreOperational);
+    assert!(!board.is_in_configuration_state());
+    assert_eq!(board.pass_ms(200), ["704: 7F", "704: 7F"]);
+    assert_eq!(board.lss("04 00"), SILENCE, "once");
+}
+
+#[test]
+fn nothing_else_starts_communication_by_itself() {
+    let mut board = NodeRig::unconfigured();
+    board.timeline();
+    board.lss("04 01");
+    board.lss("04 00");
+    assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending");
+    assert_eq!(board.timeline(), SILENCE, "not even a reset that is not seen");
+    board.lss("04 01");
+    board.lss("11 04");
+    board.lss("04 01");
+    board.lss("04 02");
+    board.lss("17");
+    board.lss("15 0A 00");
+    assert_eq!(board.pass_ms(1000), SILENCE, "it was not 04 00");
+    board.lss("11 FF");
+    board.lss("04 00");
+    assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending any more");
+}
+
+#[test]
+fn leaving_configuration_with_an_active_node_id_does_nothing_until_the_next_nmt_reset() {
+    for (id, boot_up) in [("05", &["705: 00"][..]), ("FF", &[])] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.nmt("01 00");
+        board.lss("04 01");
+        board.lss(&format!("11 {id}"));
+        assert_eq!(board.lss("04 00"), SILENCE);
+        assert_eq!(board.pass_ms(1000), SILENCE);
+        assert_eq!(board.node.nmt_state(), State::Operational);
+        board.lss("04 01");
+        assert_eq!(board.lss("5E"), ["5E 40"]);
+        assert_eq!(board.nmt("82 00"), boot_up);
+    }
+}
+
+#[test]
+fn a_node_id_given_to_an_unconfigured_node_is_stored_only_by_17() {
+    let mut board = NodeRig::unconfigured();
+    board.lss("04 01");
+    board.lss("11 04");
+    assert_eq!(board.lss("04 00"), ["704: 00"]);
+    assert_eq!(board.power_cycle(), SILENCE);
+    assert_eq!(board.lss("4C"), ["50"]);
+}
+
+#[test]
+fn store_makes_the_pending_values_persistent_and_leaves_the_active_ones() {
+    let mut board = NodeRig::with_heartbeat(0x40, 1000);
+    board.lss("04 01");
+    board.lss("11 05");
+    board.lss("13 00 03");
+    assert_eq!(board.lss("17"), ["17 00"]);
+    let heartbeat_ms = 1000;
+    let bit_rate = lss_slave::BitRate::Kbit250.into();
+    assert_eq!(board.stored(), Some(Settings { node_id: NodeId::new(5), bit_rate, heartbeat_ms }));
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    assert_eq!(board.bit_rate().kbit_per_s(), 1000);
+    assert_eq!(board.power_cycle(), ["705: 00"]);
+    assert_eq!(board.bit_rate().kbit_per_s(), 250);
+    assert_eq!(board.pass_ms(1000), ["705: 7F"]);
+}
+
+#[test]
+fn ff_is_storable_and_unconfigures_the_node() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 FF");
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    assert_eq!(board.power_cycle(), SILENCE);
+    assert_eq!(board.lss("4C"), ["50"]);
+}
+
+#[test]
+fn store_is_answered_only_after_it_was_done() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.lss("04 01");
+    board.lss("11 05");
+    assert_eq!(board.lss("17"), SILENCE);
+    assert_eq!(board.pass_ms(10), SILENCE);
+    assert_eq!(stored(&board), None);
+    assert_eq!(board.finish_store(), ["17 00"]);
+    assert_eq!(stored(&board), Some(0x05));
+    assert_eq!(board.pass_ms(10), SILENCE, "it is answered once");
+}
+
+#[test]
+fn a_store_that_fails_is_answered_with_its_error_code() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.lss("04 01");
+    board.lss("17");
+    assert_eq!(board.end_store(Err(StoreError::NotSupported)), ["17 01"]);
+    board.lss("17");
+    assert_eq!(board.end_store(Err(StoreError::MediumAccess)), ["17 02"]);
+}
+
+#[test]
+fn a_store_that_the_medium_refuses_is_answered_17_02_and_the_old_values_stay() {
+    for operation in [Operation::Write, Operation::Read] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.lss("04 01");
+        board.lss("11 05");
+        board.lss("17");
+        board.lss("11 06");
+        board.flash.fail(operation);
+        assert_eq!(board.lss("17"), ["17 02"], "{operation:?}");
+        assert_eq!(stored(&board), Some(0x05));
+        board.flash.repair();
+        assert_eq!(board.power_cycle(), ["705: 00"], "{operation:?}");
+    }
+}
+
+#[test]
+fn a_store_that_reads_back_otherwise_than_written_is_answered_17_02_and_the_old_values_stay() {
+    // The node-ID in the records that the first two stores write, behind the one of the formatting.
+    const NODE_ID_AT: [usize; 2] = [32 + 5, 64 + 5];
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 05");
+    board.flash.stick(NODE_ID_AT[1], 0x01, true);
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.flash.content()[NODE_ID_AT[0]], 0x05);
+    board.lss("11 04");
+    assert_eq!(board.lss("17"), ["17 02"]);
+    assert_eq!(board.power_cycle(), ["705: 00"]);
+}
+
+#[test]
+fn a_store_of_values_that_are_stored_already_writes_nothing() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 05");
+    board.lss("17");
+    let writes = board.flash.writes();
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.flash.writes(), writes);
+    board.power_cycle();
+    // The start has programmed the commit word again.
+    let writes = board.flash.writes();
+    board.lss("04 01");
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.flash.writes(), writes);
+}
+
+#[test]
+fn a_store_that_is_running_survives_reset_communication_and_is_still_answered() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.lss("04 01");
+    board.lss("11 05");
+    board.lss("17");
+    assert_eq!(board.nmt("82 00"), ["705: 00"]);
+    assert_eq!(board.finish_store(), ["17 00"]);
+    assert_eq!(board.power_cycle(), ["705: 00"]);
+}

@@ -1,0 +1,37 @@
+//! Tests of the library through its public surface: frames in, frames out, time passed in.
+
+mod bit_rate_solver;
+mod bus_listening;
+mod eds;
+mod emergency;
+mod frame;
+mod indicator;
+mod instant;
+mod late_calls;
+mod lss_activate_bit_rate;
+mod lss_address;
+mod lss_bad_input;
+mod lss_bit_rate;
+mod lss_fastscan;
+mod lss_lock;
+mod lss_model;
+mod lss_node_id;
+mod lss_select;
+mod lss_services;
+mod lss_states;
+mod lss_tutorial_session;
+mod nmt;
+mod nmt_states;
+mod object_dictionary;
+mod sdo;
+mod sdo_abort;
+mod sdo_fuzz;
+mod sdo_store;
+mod settings_faults;
+mod settings_log;
+mod settings_power_cut;
+mod supervision;
+mod supervision_guest;
+mod supervision_look;
+mod supervision_random;
+mod supervision_states;

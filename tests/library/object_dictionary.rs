@@ -1,0 +1,314 @@
+//! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): what each object reads as and what writing to it does.
+
+use lss_slave::{
+    Device,
+    emergency::Fault,
+    lss::Address,
+    object_dictionary::{Access, DataType, Entry, Object, TABLE},
+};
+use testkit::{
+    flash::BoardFlash,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+    random::Random,
+};
+
+const DOES_NOT_EXIST: u32 = 0x0602_0000;
+const NO_SUB_INDEX: u32 = 0x0609_0011;
+const READ_ONLY: u32 = 0x0601_0002;
+const INVALID_VALUE: u32 = 0x0609_0030;
+const NO_DATA: u32 = 0x0800_0024;
+
+#[test]
+fn the_objects_are_those_of_a_minimal_device_and_the_can_controller() {
+    let addresses: Vec<_> = TABLE.iter().map(|entry| (entry.index, entry.sub_index)).collect();
+    #[rustfmt::skip]
+    assert_eq!(addresses, [
+        (0x1000, 0), (0x1001, 0), (0x1003, 0), (0x1003, 1), (0x1003, 2), (0x1003, 3), (0x1003, 4), (0x1003, 5),
+        (0x1003, 6), (0x1003, 7), (0x1003, 8), (0x1008, 0), (0x1009, 0), (0x100A, 0), (0x1010, 0), (0x1010, 1),
+        (0x1011, 0), (0x1011, 1), (0x1014, 0), (0x1017, 0), (0x1018, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3),
+        (0x1018, 4), (0x1029, 0), (0x1029, 1), (0x2000, 0), (0x2000, 1), (0x2000, 2), (0x2000, 3), (0x2000, 4),
+        (0x2000, 5), (0x2000, 6), (0x2000, 7),
+    ]);
+}
+
+#[test]
+fn device_type_is_no_profile() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.sdo("40 00 10 00"), ["5C0: 43 00 10 00 00 00 00 00"]);
+}
+
+#[test]
+fn faults_and_error_counters_of_the_can_controller_can_be_read() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.number(0x2000, 0), 7);
+    for sub_index in 1..=4 {
+        assert_eq!(board.number(0x2000, sub_index), 0);
+    }
+    for fault in [Fault::BusOffRecovered, Fault::Overrun, Fault::Overrun] {
+        board.node.handle_fault(fault);
+    }
+    board.node.note_error_counters(136, 9);
+    board.pass_us(0);
+    let read = [1, 2, 3, 4].map(|sub_index| board.number(0x2000, sub_index));
+    assert_eq!(read, [1, 2, 136, 9]);
+}
+
+/// The error history, after as many overruns and recoveries from bus-off, in turn.
+fn history_of(faults: usize) -> (NodeRig, Vec<Vec<u8>>) {
+    let mut board = NodeRig::with_node_id(0x40);
+    for fault in [Fault::Overrun, Fault::BusOffRecovered].into_iter().cycle().take(faults) {
+        board.node.handle_fault(fault);
+        board.pass_us(0);
+    }
+    let number = board.number(0x1003, 0) as u8;
+    let history = (1..=number).map(|sub_index| board.upload(0x1003, sub_index).unwrap()).collect();
+    (board, history)
+}
+
+#[test]
+fn the_error_history_of_a_healthy_node_is_empty() {
+    let (mut board, history) = history_of(0);
+    assert_eq!(board.sdo("40 03 10 00"), ["5C0: 4F 03 10 00 00 00 00 00"]);
+    assert!(history.is_empty());
+}
+
+#[test]
+fn the_error_history_holds_the_last_eight_errors_the_newest_first() {
+    const OVERRUN: [u8; 4] = [0x10, 0x81, 0, 0];
+    const RECOVERED: [u8; 4] = [0x40, 0x81, 0, 0];
+    for faults in 0..20 {
+        let (_, history) = history_of(faults);
+        let newest_first = (0..faults).rev();
+        let expected: Vec<_> = newest_first
+            .map(|n| if n.is_multiple_of(2) { OVERRUN } else { RECOVERED })
+            .take(8)
+            .collect();
+        assert_eq!(history, expected, "{faults}");
+    }
+}
+
+#[test]
+fn an_error_field_beyond_the_number_of_errors_has_no_data() {
+    for faults in 0..=8 {
+        let (mut board, _) = history_of(faults);
+        for sub_index in faults as u8 + 1..=8 {
+            assert_eq!(board.upload(0x1003, sub_index), Err(NO_DATA), "{faults}, {sub_index}");
+        }
+        assert_eq!(board.upload(0x1003, 9), Err(NO_SUB_INDEX));
+    }
+}
+
+#[test]
+fn writing_0_clears_the_error_history_and_any_other_number_is_refused() {
+    let (mut board, _) = history_of(3);
+    for number in 1..=u8::MAX {
+        assert_eq!(board.download(0x1003, 0, &[number]), Err(INVALID_VALUE));
+    }
+    assert_eq!(board.number(0x1003, 0), 3);
+    // Without its size, what is behind the byte does not count.
+    assert_eq!(board.sdo("22 03 10 00 00 FF FF FF"), ["5C0: 60 03 10 00 00 00 00 00"]);
+    assert_eq!(board.number(0x1003, 0), 0);
+    assert_eq!(board.upload(0x1003, 1), Err(NO_DATA));
+    board.node.handle_fault(Fault::Overrun);
+    board.pass_us(0);
+    assert_eq!(board.number(0x1003, 0), 1, "it goes on");
+}
+
+#[test]
+fn the_error_behaviour_takes_0_1_and_2_and_refuses_the_rest() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.number(0x1029, 0), 1);
+    assert_eq!(board.number(0x1029, 1), 0, "the default");
+    for value in [1, 2, 0, 2] {
+        board.download(0x1029, 1, &[value]).unwrap();
+        assert_eq!(board.number(0x1029, 1), u32::from(value));
+    }
+    for value in 3..=u8::MAX {
+        assert_eq!(board.download(0x1029, 1, &[value]), Err(INVALID_VALUE));
+    }
+    assert_eq!(board.number(0x1029, 1), 2);
+    assert_eq!(board.sdo("22 29 10 01 01 FF FF FF"), ["5C0: 60 29 10 01 00 00 00 00"]);
+    assert_eq!(board.number(0x1029, 1), 1);
+}
+
+#[test]
+fn the_error_behaviour_is_not_stored() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.download(0x1029, 1, &[2]).unwrap();
+    board.download(0x1010, 1, b"save").unwrap();
+    assert_eq!(board.number(0x1029, 1), 2);
+    board.nmt("82 00");
+    assert_eq!(board.number(0x1029, 1), 0);
+    board.download(0x1029, 1, &[1]).unwrap();
+    board.power_cycle();
+    assert_eq!(board.number(0x1029, 1), 0);
+}
+
+#[test]
+fn the_error_register_of_a_healthy_node_is_0() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.sdo("40 01 10 00"), ["5C0: 4F 01 10 00 00 00 00 00"]);
+}
+
+#[test]
+fn the_names_are_the_devices() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");
+    assert_eq!(board.upload(0x1009, 0).unwrap(), b"A");
+    assert_eq!(board.upload(0x100A, 0).unwrap(), b"1.2.3");
+}
+
+#[test]
+fn store_and_restore_say_that_they_act_on_command_and_not_by_themselves() {
+    let mut board = NodeRig::with_node_id(0x40);
+    for index in ["10", "11"] {
+        let highest_sub_index = format!("5C0: 4F {index} 10 00 01 00 00 00");
+        assert_eq!(board.sdo(&format!("40 {index} 10 00")), [highest_sub_index.as_str()]);
+        let on_command = format!("5C0: 43 {index} 10 01 01 00 00 00");
+        assert_eq!(board.sdo(&format!("40 {index} 10 01")), [on_command.as_str()]);
+    }
+}
+
+#[test]
+fn the_cob_id_of_emergencies_is_80h_plus_the_node_id() {
+    for node_id in 1..=127 {
+        let mut board = NodeRig::with_node_id(node_id);
+        assert_eq!(board.number(0x1014, 0), 0x80 + u32::from(node_id));
+    }
+}
+
+#[test]
+fn the_producer_heartbeat_time_is_what_was_written_from_0_to_65535() {
+    let mut board = NodeRig::with_heartbeat(0x40, 500);
+    assert_eq!(board.number(0x1017, 0), 500);
+    for ms in [0, 1, 255, 256, 1000, 0x8000, u16::MAX] {
+        board.download(0x1017, 0, &ms.to_le_bytes()).unwrap();
+        assert_eq!(board.number(0x1017, 0), u32::from(ms));
+    }
+}
+
+#[test]
+fn a_heartbeat_time_that_is_written_counts_from_the_write() {
+    let mut board = NodeRig::with_heartbeat(0x40, 100);
+    board.pass_ms(60);
+    board.download(0x1017, 0, &[50, 0]).unwrap();
+    assert_eq!(board.pass_us(49_999), []);
+    assert_eq!(board.pass_us(1), ["740: 7F"]);
+    assert_eq!(board.pass_ms(50), ["740: 7F"]);
+    board.download(0x1017, 0, &[0, 0]).unwrap();
+    assert_eq!(board.pass_ms(100_000), [], "0: no heartbeat");
+    board.download(0x1017, 0, &[10, 0]).unwrap();
+    assert_eq!(board.pass_ms(9), []);
+    assert_eq!(board.pass_ms(1), ["740: 7F"]);
+}
+
+#[test]
+fn a_heartbeat_that_is_switched_on_after_hours_of_none_begins_on_time() {
+    // 35.8 minutes and more after the boot-up, half a turn of the clock, the past looks like the future.
+    for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.be_late_ms(hours_ms);
+        board.download(0x1017, 0, &[0xE8, 0x03]).unwrap();
+        assert_eq!(board.pass_ms(999), []);
+        assert_eq!(board.pass_ms(1), ["740: 7F"]);
+    }
+}
+
+#[test]
+fn the_identity_object_is_the_lss_address() {
+    let mut random = Random::from_environment();
+    for _ in 0..100 {
+        let address = Address {
+            vendor_id: random.u32(),
+            product_code: random.u32(),
+            revision_number: random.u32(),
+            serial_number: random.u32(),
+        };
+        let mut board = NodeRig::new(address, defaults(0x40), BoardFlash::blank(0), 0);
+        board.lss("04 01");
+        assert_eq!(board.number(0x1018, 0), 4);
+        for (inquire, sub_index) in [("5A", 1), ("5B", 2), ("5C", 3), ("5D", 4)] {
+            let by_sdo = board.upload(0x1018, sub_index).unwrap();
+            assert_eq!(by_sdo, board.lss(inquire).0[0].data()[1..5], "sub-index {sub_index}");
+        }
+        assert_eq!(board.number(0x1018, 1), address.vendor_id);
+        assert_eq!(board.number(0x1018, 4), address.serial_number);
+    }
+}
+
+#[test]
+fn every_object_is_as_long_as_its_data_type() {
+    let (mut board, _) = history_of(8);
+    for entry in TABLE {
+        let len = board.upload(entry.index, entry.sub_index).unwrap().len();
+        match entry.data_type {
+            DataType::Unsigned8 => assert_eq!(len, 1),
+            DataType::Unsigned16 => assert_eq!(len, 2),
+            DataType::Unsigned32 => assert_eq!(len, 4),
+            DataType::VisibleString => assert_ne!(len, 0),
+        }
+    }
+}
+
+#[test]
+fn every_object_that_is_not_read_write_refuses_every_length_and_keeps_its_value() {
+    let mut board = NodeRig::with_node_id(0x40);
+    for entry in TABLE.iter().filter(|entry| entry.access != Access::ReadWrite) {
+        let before = board.upload(entry.index, entry.sub_index);
+        for len in 1..=4 {
+            let outcome = board.download(entry.index, entry.sub_index, &[0x55; 4][..len]);
+            assert_eq!(outcome, Err(READ_ONLY), "{entry:?}");
+        }
+        assert_eq!(board.upload(entry.index, entry.sub_index), before);
+    }
+}
+
+#[test]
+fn every_other_index_does_not_exist() {
+    let mut board = NodeRig::with_node_id(0x40);
+    for index in 0..=u16::MAX {
+        if TABLE.iter().all(|entry| entry.index != index) {
+            assert_eq!(board.upload(index, 0), Err(DOES_NOT_EXIST), "{index:04X}");
+        }
+    }
+}
+
+#[test]
+fn every_other_sub_index_of_an_object_does_not_exist() {
+    let mut board = NodeRig::with_node_id(0x40);
+    for Entry { index, .. } in TABLE {
+        for sub_index in 0..=u8::MAX {
+            let is_there = |e: &Entry| e.index == *index && e.sub_index == sub_index;
+            if !TABLE.iter().any(is_there) {
+                assert_eq!(board.upload(*index, sub_index), Err(NO_SUB_INDEX));
+                assert_eq!(board.download(*index, sub_index, &[0]), Err(NO_SUB_INDEX));
+            }
+        }
+    }
+}
+
+#[test]
+fn the_table_is_sorted_and_its_highest_sub_indices_are_true() {
+    assert!(TABLE.is_sorted_by_key(|entry| (entry.index, entry.sub_index)));
+    for entry in TABLE {
+        let of_the_same: Vec<_> = TABLE.iter().filter(|e| e.index == entry.index).collect();
+        match entry.object {
+            Object::HighestSubIndex(highest) => {
+                assert_eq!(entry.sub_index, 0);
+                assert_eq!(of_the_same.len(), usize::from(highest) + 1);
+            }
+            // CiA 301 lets this one count the errors there are.
+            Object::NumberOfErrors => assert_eq!(of_the_same.len(), 8 + 1),
+            Object::ErrorField(sub_index) => assert_eq!(entry.sub_index, sub_index),
+            _ if entry.sub_index == 0 => assert_eq!(of_the_same.len(), 1, "{entry:?}"),
+            _ => assert!(matches!(of_the_same[0].object, Object::HighestSubIndex(_))),
+        }
+    }
+}
+
+#[test]
+fn a_device_without_names_can_be_read() {
+    let nameless = Device { name: "", ..device(ADDRESS) };
+    let mut board = NodeRig::with_device(nameless, defaults(0x40), BoardFlash::blank(0), 0);
+    assert_eq!(board.upload(0x1008, 0), Ok(Vec::new()));
+}

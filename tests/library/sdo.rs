@@ -1,0 +1,199 @@
+//! The SDO server (CiA 301, 7.2.4) on the wire: the transfers it offers, and when it serves them.
+
+use lss_slave::{Device, Frame};
+use testkit::{
+    flash::BoardFlash,
+    frames::SILENCE,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo,
+};
+
+/// A board with node-ID 40h and these names.
+fn board_named(name: &'static str, hardware: &'static str, software: &'static str) -> NodeRig {
+    let names =
+        Device { name, hardware_version: hardware, software_version: software, ..device(ADDRESS) };
+    NodeRig::with_device(names, defaults(0x40), BoardFlash::blank(0), 0)
+}
+
+#[test]
+fn an_expedited_upload_says_how_many_bytes_the_object_has() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
+    assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 00 00 00 00"]);
+    assert_eq!(board.sdo("40 18 10 04"), ["5C0: 43 18 10 04 EF BE AD DE"]);
+}
+
+#[test]
+fn reserved_bits_and_bytes_of_a_request_are_not_looked_at() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.sdo("5F 18 10 04 FF FF FF FF"), ["5C0: 43 18 10 04 EF BE AD DE"]);
+    assert_eq!(board.sdo("3B 17 10 00 E8 03 FF FF"), ["5C0: 60 17 10 00 00 00 00 00"]);
+    assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 E8 03 00 00"]);
+    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
+    assert_eq!(board.sdo("6F FF FF FF FF FF FF FF"), ["5C0: 00 54 65 73 74 20 62 6F"]);
+}
+
+#[test]
+fn a_text_is_uploaded_in_segments_of_seven_bytes() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
+    assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"], "Test bo");
+    assert_eq!(board.sdo("70"), ["5C0: 19 61 72 64 00 00 00 00"], "ard");
+}
+
+#[test]
+fn a_text_of_a_whole_number_of_segments_ends_with_a_full_one() {
+    let mut board = board_named("7 bytes", "", "");
+    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 07 00 00 00"]);
+    assert_eq!(board.sdo("60"), ["5C0: 01 37 20 62 79 74 65 73"]);
+    let mut board = board_named("fourteen bytes", "", "");
+    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0E 00 00 00"]);
+    assert_eq!(board.sdo("60"), ["5C0: 00 66 6F 75 72 74 65 65"]);
+    assert_eq!(board.sdo("70"), ["5C0: 11 6E 20 62 79 74 65 73"]);
+}
+
+#[test]
+fn an_empty_text_is_one_segment_without_a_byte() {
+    let mut board = board_named("", "", "");
+    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 00 00 00 00"]);
+    assert_eq!(board.sdo("60"), ["5C0: 0F 00 00 00 00 00 00 00"]);
+}
+
+#[test]
+fn a_text_of_any_length_arrives_whole() {
+    const TEXT: &str = "A name that needs several segments, the last of which is not full.";
+    for len in 0..=TEXT.len() {
+        let mut board = board_named(&TEXT[..len], &TEXT[len..], TEXT);
+        assert_eq!(board.upload(0x1008, 0).unwrap(), &TEXT.as_bytes()[..len]);
+        assert_eq!(board.upload(0x1009, 0).unwrap(), &TEXT.as_bytes()[len..]);
+        assert_eq!(board.upload(0x100A, 0).unwrap(), TEXT.as_bytes());
+    }
+}
+
+#[test]
+fn an_expedited_download_is_confirmed_and_read_back() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.sdo("2B 17 10 00 34 12"), ["5C0: 60 17 10 00 00 00 00 00"]);
+    assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 34 12 00 00"]);
+}
+
+#[test]
+fn an_expedited_download_without_a_size_takes_as_many_bytes_as_the_object_has() {
+    let mut board = NodeRig::with_node_id(0x40);
+    // The bits that would tell unused bytes mean nothing then.
+    for command in ["22", "26", "2A", "2E"] {
+        let request = format!("{command} 17 10 00 34 12 FF FF");
+        assert_eq!(board.sdo(&request), ["5C0: 60 17 10 00 00 00 00 00"]);
+        assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 34 12 00 00"]);
+    }
+}
+
+#[test]
+fn requests_to_other_nodes_and_answers_of_others_are_not_noticed() {
+    let mut board = NodeRig::with_node_id(0x40);
+    for node_id in (1..=127).filter(|&node_id| node_id != 0x40) {
+        assert_eq!(board.receive(&sdo::request(node_id, "40 18 10 01")), SILENCE);
+    }
+    let answer = Frame::new(0x5C0, &[0x43, 0x18, 0x10, 1, 0, 0, 0, 0]).unwrap();
+    assert_eq!(board.receive(&answer), SILENCE);
+}
+
+#[test]
+fn a_request_that_is_not_eight_bytes_long_is_ignored() {
+    let mut board = NodeRig::with_node_id(0x40);
+    for len in 0..8 {
+        let request = Frame::new(0x640, &[0x40, 0x18, 0x10, 1, 0, 0, 0, 0][..len]).unwrap();
+        assert_eq!(board.receive(&request), SILENCE, "DLC {len}");
+    }
+    // And it does not disturb the transfer on its way.
+    board.sdo("40 08 10 00");
+    assert_eq!(board.receive(&Frame::new(0x640, &[0x80]).unwrap()), SILENCE);
+    assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"]);
+}
+
+#[test]
+fn every_node_id_has_its_own_pair_of_cob_ids() {
+    for node_id in 1..=127 {
+        let mut board = NodeRig::with_node_id(node_id);
+        assert_eq!(board.node.receives()[2], 0x600 + u16::from(node_id));
+        let answer = format!("{:03X}: 4F 18 10 00 04 00 00 00", 0x580 + u16::from(node_id));
+        let request = sdo::request(node_id, "40 18 10 00");
+        assert_eq!(board.receive(&request), [answer.as_str()]);
+    }
+}
+
+#[test]
+fn sdo_follows_the_node_id_after_reset_communication_and_not_before() {
+    let (old, new) = (sdo::request(0x40, "40 18 10 00"), sdo::request(0x04, "40 18 10 00"));
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 04");
+    board.lss("04 00");
+    assert_eq!(board.receive(&old), ["5C0: 4F 18 10 00 04 00 00 00"]);
+    assert_eq!(board.receive(&new), SILENCE);
+    assert_eq!(board.nmt("82 00"), ["704: 00"]);
+    assert_eq!(board.receive(&old), SILENCE);
+    assert_eq!(board.receive(&new), ["584: 4F 18 10 00 04 00 00 00"]);
+    assert_eq!(board.number(0x1014, 0), 0x84);
+}
+
+#[test]
+fn a_node_without_a_node_id_serves_no_sdo_until_lss_gives_it_one() {
+    let mut board = NodeRig::unconfigured();
+    board.lss("04 01");
+    board.lss("11 04");
+    for node_id in 0..=127 {
+        assert_eq!(board.receive(&sdo::request(node_id, "40 18 10 00")), SILENCE);
+    }
+    assert_eq!(board.receive(&Frame::new(0x6FF, &[0x40, 0x18, 0x10, 0, 0, 0, 0, 0]).unwrap()), []);
+    assert_eq!(board.lss("04 00"), ["704: 00"]);
+    assert_eq!(board.receive(&sdo::request(4, "40 18 10 00")), ["584: 4F 18 10 00 04 00 00 00"]);
+}
+
+#[test]
+fn a_node_that_loses_its_node_id_serves_no_sdo() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 FF");
+    assert_eq!(board.nmt("82 00"), SILENCE);
+    for node_id in 0..=127 {
+        assert_eq!(board.receive(&sdo::request(node_id, "40 18 10 00")), SILENCE);
+    }
+}
+
+#[test]
+fn nothing_is_served_during_a_switch_delay_and_all_after_it() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("13 00 02");
+    assert_eq!(board.lss("15 0A 00"), SILENCE);
+    for _ in 0..19 {
+        assert_eq!(board.sdo("40 18 10 00"), SILENCE);
+        assert_eq!(board.sdo("2B 17 10 00 E8 03"), SILENCE);
+        assert_eq!(board.pass_ms(1), SILENCE);
+    }
+    assert_eq!(board.pass_ms(1), SILENCE, "and nothing is answered late");
+    assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
+    assert_eq!(board.number(0x1017, 0), 0, "what was not served has not been written");
+}
+
+#[test]
+fn sdo_is_served_whatever_the_lss_state() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
+    board.sdo("40 08 10 00");
+    assert_eq!(board.lss("5E"), ["5E 40"], "LSS in the middle of a transfer");
+    assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"]);
+}
+
+#[test]
+fn a_switch_of_the_bit_rate_ends_an_upload_without_a_word() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
+    board.lss("04 01");
+    board.lss("13 00 02");
+    assert_eq!(board.lss("15 0A 00"), SILENCE);
+    assert_eq!(board.pass_ms(20), SILENCE);
+    assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"]);
+}

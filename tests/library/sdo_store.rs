@@ -1,0 +1,238 @@
+//! Store parameters 1010h and restore default parameters 1011h (CiA 301), which share the settings log with LSS store.
+
+use lss_slave::{BitRate, Device, Settings, lss::StoreError};
+use testkit::{
+    flash::{BoardFlash, Operation},
+    frames::SILENCE,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+const SAVE: &str = "23 10 10 01 73 61 76 65";
+const SAVED: &str = "5C0: 60 10 10 01 00 00 00 00";
+const LOAD: &str = "23 11 10 01 6C 6F 61 64";
+const LOADED: &str = "5C0: 60 11 10 01 00 00 00 00";
+const HEARTBEAT_1000: &str = "2B 17 10 00 E8 03";
+
+/// A board with node-ID 40h whose heartbeat time is 500 ms as it leaves the factory.
+fn board_with_default_500() -> NodeRig {
+    let device = Device { heartbeat_ms: 500, ..device(ADDRESS) };
+    let defaults = Settings { heartbeat_ms: 500, ..defaults(0x40) };
+    NodeRig::with_device(device, defaults, BoardFlash::blank(0), 0)
+}
+
+#[test]
+fn a_heartbeat_time_that_was_saved_survives_a_power_cycle_and_reset_node() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.sdo(HEARTBEAT_1000);
+    assert_eq!(board.sdo(SAVE), [SAVED]);
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+    assert_eq!(board.number(0x1017, 0), 1000);
+    assert_eq!(board.pass_ms(1000), ["740: 7F"]);
+    board.nmt("81 00");
+    assert_eq!(board.number(0x1017, 0), 1000);
+}
+
+#[test]
+fn a_heartbeat_time_that_was_not_saved_is_gone_after_a_power_cycle_and_reset_node() {
+    let mut board = board_with_default_500();
+    board.sdo(HEARTBEAT_1000);
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+    assert_eq!(board.number(0x1017, 0), 500);
+    board.sdo(HEARTBEAT_1000);
+    board.nmt("81 00");
+    assert_eq!(board.number(0x1017, 0), 500);
+}
+
+#[test]
+fn saving_what_is_saved_already_writes_nothing() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.sdo(HEARTBEAT_1000);
+    board.sdo(SAVE);
+    let writes = board.flash.writes();
+    assert_eq!(board.sdo(SAVE), [SAVED]);
+    assert_eq!(board.flash.writes(), writes);
+}
+
+#[test]
+fn save_leaves_the_pending_node_id_and_bit_rate_to_lss() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 04");
+    board.lss("13 00 02");
+    board.sdo(HEARTBEAT_1000);
+    assert_eq!(board.sdo(SAVE), [SAVED]);
+    assert_eq!(board.stored(), Some(Settings { heartbeat_ms: 1000, ..defaults(0x40) }));
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+}
+
+#[test]
+fn lss_store_leaves_the_saved_heartbeat_time_and_does_not_save_a_new_one() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.sdo(HEARTBEAT_1000);
+    board.sdo(SAVE);
+    board.sdo("2B 17 10 00 D0 07");
+    board.lss("04 01");
+    board.lss("11 04");
+    board.lss("13 00 02");
+    assert_eq!(board.lss("17"), ["17 00"]);
+    let expected =
+        Settings { bit_rate: BitRate::Kbit500.into(), heartbeat_ms: 1000, ..defaults(0x04) };
+    assert_eq!(board.stored(), Some(expected));
+    assert_eq!(board.power_cycle(), ["704: 00"]);
+    assert_eq!(board.number(0x1017, 0), 1000);
+}
+
+#[test]
+fn save_after_lss_store_keeps_what_lss_stored() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.lss("04 01");
+    board.lss("11 04");
+    board.lss("13 00 02");
+    board.lss("17");
+    board.sdo(HEARTBEAT_1000);
+    assert_eq!(board.sdo(SAVE), [SAVED]);
+    let expected =
+        Settings { bit_rate: BitRate::Kbit500.into(), heartbeat_ms: 1000, ..defaults(0x04) };
+    assert_eq!(board.stored(), Some(expected));
+}
+
+#[test]
+fn load_restores_the_devices_heartbeat_time_with_the_next_reset_and_not_before() {
+    let mut board = board_with_default_500();
+    board.sdo(HEARTBEAT_1000);
+    board.sdo(SAVE);
+    assert_eq!(board.sdo(LOAD), [LOADED]);
+    assert_eq!(board.number(0x1017, 0), 1000);
+    board.nmt("81 00");
+    assert_eq!(board.number(0x1017, 0), 500);
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+    assert_eq!(board.number(0x1017, 0), 500);
+}
+
+#[test]
+fn load_leaves_what_lss_stored() {
+    let mut board = board_with_default_500();
+    board.lss("04 01");
+    board.lss("11 04");
+    board.lss("17");
+    board.sdo(HEARTBEAT_1000);
+    board.sdo(SAVE);
+    assert_eq!(board.sdo(LOAD), [LOADED]);
+    assert_eq!(board.stored(), Some(Settings { heartbeat_ms: 500, ..defaults(0x04) }));
+}
+
+#[test]
+fn a_store_that_fails_is_0606_0000_and_the_old_settings_stay() {
+    let mut board = board_with_default_500();
+    board.sdo(HEARTBEAT_1000);
+    board.sdo(SAVE);
+    board.sdo("2B 17 10 00 D0 07");
+    board.flash.fail(Operation::Write);
+    assert_eq!(board.sdo(SAVE), ["5C0: 80 10 10 01 00 00 06 06"]);
+    assert_eq!(board.sdo(LOAD), ["5C0: 80 11 10 01 00 00 06 06"]);
+    board.flash.repair();
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+    assert_eq!(board.number(0x1017, 0), 1000);
+}
+
+#[test]
+fn a_device_that_cannot_store_answers_0606_0000_too() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.sdo(SAVE);
+    let answer = board.end_store(Err(StoreError::NotSupported));
+    assert_eq!(answer, ["5C0: 80 10 10 01 00 00 06 06"]);
+}
+
+#[test]
+fn save_is_confirmed_only_when_it_is_done_and_all_else_is_served_meanwhile() {
+    let mut board = NodeRig::with_heartbeat(0x40, 100);
+    board.let_stores_take_time();
+    assert_eq!(board.sdo(SAVE), SILENCE);
+    assert_eq!(board.pass_ms(100), ["740: 7F"]);
+    assert_eq!(board.lss("04 01"), SILENCE);
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    assert_eq!(board.number(0x1018, 4), 0xDEAD_BEEF);
+    assert_eq!(board.finish_store(), [SAVED]);
+    assert_eq!(board.pass_ms(100), ["740: 7F"], "and only once");
+}
+
+#[test]
+fn what_is_saved_is_the_heartbeat_time_of_the_request_not_a_later_one() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.sdo(HEARTBEAT_1000);
+    board.lss("04 01");
+    assert_eq!(board.lss("17"), SILENCE);
+    assert_eq!(board.sdo(SAVE), SILENCE, "it waits for the other store");
+    board.sdo("2B 17 10 00 D0 07");
+    board.finish_store();
+    board.finish_store();
+    assert_eq!(board.stored().unwrap().heartbeat_ms, 1000);
+    assert_eq!(board.number(0x1017, 0), 2000);
+}
+
+#[test]
+fn lss_store_and_save_at_the_same_time_are_both_done_and_both_answered() {
+    let expected = Settings { heartbeat_ms: 1000, ..defaults(0x04) };
+    for lss_is_first in [true, false] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.let_stores_take_time();
+        board.sdo(HEARTBEAT_1000);
+        board.lss("04 01");
+        board.lss("11 04");
+        let answers = if lss_is_first {
+            board.lss("17");
+            board.sdo(SAVE);
+            ["17 00", SAVED]
+        } else {
+            board.sdo(SAVE);
+            board.lss("17");
+            [SAVED, "17 00"]
+        };
+        assert_eq!(board.finish_store(), [answers[0]]);
+        assert_eq!(board.finish_store(), [answers[1]]);
+        assert_eq!(board.stored(), Some(expected));
+    }
+}
+
+#[test]
+fn a_store_that_is_asked_for_while_one_waits_is_0800_0021() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.lss("04 01");
+    board.lss("17");
+    assert_eq!(board.sdo(SAVE), SILENCE);
+    assert_eq!(board.sdo(SAVE), ["5C0: 80 10 10 01 21 00 00 08"]);
+    assert_eq!(board.sdo(LOAD), ["5C0: 80 11 10 01 21 00 00 08"]);
+    assert_eq!(board.finish_store(), ["17 00"]);
+    assert_eq!(board.finish_store(), [SAVED]);
+}
+
+#[test]
+fn after_reset_communication_a_store_ends_without_an_answer() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.sdo(HEARTBEAT_1000);
+    board.sdo(SAVE);
+    assert_eq!(board.nmt("82 00"), ["740: 00"]);
+    assert_eq!(board.finish_store(), SILENCE);
+    assert_eq!(board.stored().unwrap().heartbeat_ms, 1000);
+    board.sdo(SAVE);
+    assert_eq!(board.finish_store(), [SAVED], "and the next one is answered");
+}
+
+#[test]
+fn a_save_that_still_waits_is_forgotten_by_reset_communication() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.lss("04 01");
+    board.lss("17");
+    board.sdo(HEARTBEAT_1000);
+    board.sdo(SAVE);
+    assert_eq!(board.nmt("82 00"), ["740: 00"]);
+    assert_eq!(board.finish_store(), ["17 00"], "LSS goes on");
+    assert_eq!(board.stored(), Some(defaults(0x40)));
+    let stores = board.timeline().into_iter().filter(|line| line.ends_with("store"));
+    assert_eq!(stores.count(), 1, "no other one has begun");
+}

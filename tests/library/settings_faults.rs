@@ -1,0 +1,196 @@
+//! The settings log in a flash that fails: reads, writes and erases with errors, bits that stick.
+
+use lss_slave::{
+    NodeId, Settings,
+    lss::StoreError::MediumAccess,
+    settings::{Failure, Found, Log},
+};
+use testkit::{
+    flash::{BoardFlash, Flash, Operation},
+    settings::{flash_with, open, record, settings},
+};
+
+/// A log of eight records a bank that holds `settings(1)`.
+fn with_settings_1() -> (Log<Flash<4, 256>>, Flash<4, 256>) {
+    let flash = Flash::blank(7);
+    let (mut log, _) = Log::open(flash.clone());
+    log.store(settings(1)).unwrap();
+    (log, flash)
+}
+
+#[test]
+fn a_flash_that_cannot_be_written_or_read_refuses_and_the_old_settings_stay() {
+    for operation in [Operation::Write, Operation::Read] {
+        let (mut log, flash) = with_settings_1();
+        flash.fail(operation);
+        for n in 2..5 {
+            assert_eq!(log.store(settings(n)), Err(MediumAccess), "{operation:?}");
+            assert_eq!(log.settings(), Some(settings(1)));
+        }
+        flash.repair();
+        assert_eq!(open(&flash.duplicate(0)).0, Some(settings(1)), "{operation:?}");
+        assert_eq!(log.store(settings(5)), Ok(()), "the flash works again");
+        assert_eq!(open(&flash).0, Some(settings(5)));
+    }
+}
+
+#[test]
+fn a_store_that_failed_at_any_operation_leaves_the_old_settings_and_the_next_one_works() {
+    for operation in [Operation::Write, Operation::Read] {
+        for others in 0.. {
+            let (mut log, flash) = with_settings_1();
+            flash.fail_once(operation, others);
+            let outcome = log.store(settings(2));
+            if flash.is_faulty() {
+                break;
+            }
+            let left = if outcome.is_ok() { settings(2) } else { settings(1) };
+            assert_eq!(log.settings(), Some(left));
+            let found = open(&flash.duplicate(0)).0;
+            assert_eq!(found, Some(left), "{operation:?} {others}: {outcome:?}");
+            assert_eq!(log.store(settings(3)), Ok(()));
+            assert_eq!(open(&flash).0, Some(settings(3)), "{operation:?} {others}");
+        }
+    }
+}
+
+#[test]
+fn settings_that_are_stored_again_after_a_store_that_failed_are_found() {
+    for operation in [Operation::Write, Operation::Read] {
+        for others in 0.. {
+            let (mut log, flash) = with_settings_1();
+            flash.fail_once(operation, others);
+            let _ = log.store(settings(2));
+            if flash.is_faulty() {
+                break;
+            }
+            assert_eq!(log.store(settings(1)), Ok(()));
+            assert_eq!(open(&flash).0, Some(settings(1)), "{operation:?} {others}");
+        }
+    }
+}
+
+#[test]
+fn settings_that_are_stored_again_after_a_flash_failed_for_a_while_are_found() {
+    for operation in [Operation::Write, Operation::Read] {
+        for others in 0..10 {
+            let (mut log, flash) = with_settings_1();
+            flash.fail_after(operation, others);
+            let left = if log.store(settings(2)).is_ok() { settings(2) } else { settings(1) };
+            flash.repair();
+            assert_eq!(log.store(left), Ok(()));
+            assert_eq!(open(&flash).0, Some(left), "{operation:?} {others}");
+        }
+    }
+}
+
+#[test]
+fn a_blank_flash_that_fails_is_reported_and_refuses() {
+    for operation in [Operation::Read, Operation::Write, Operation::Erase] {
+        let flash = BoardFlash::blank(0);
+        flash.fail(operation);
+        let (mut log, found) = Log::open(flash.clone());
+        assert_eq!((log.settings(), found), (None, Found::MediumFailed), "{operation:?}");
+        assert_eq!(log.store(settings(1)), Err(MediumAccess), "{operation:?}");
+    }
+}
+
+#[test]
+fn the_log_knows_why_it_failed_until_it_succeeds() {
+    let why = |fault: fn(&Flash<4, 256>)| {
+        let (mut log, flash) = with_settings_1();
+        assert_eq!(log.failure(), None);
+        fault(&flash);
+        let outcome = (2..9).map(|n| log.store(settings(n))).find(Result::is_err);
+        assert_eq!(outcome, Some(Err(MediumAccess)));
+        let failure = log.failure();
+        flash.repair();
+        let (mut log, _) = Log::open(flash);
+        assert_eq!((log.failure(), log.store(settings(9)), log.failure()), (None, Ok(()), None));
+        failure
+    };
+    assert_eq!(why(|flash| flash.fail(Operation::Write)), Some(Failure::Refused));
+    assert_eq!(why(|flash| flash.stick(64, 1, false)), Some(Failure::NotBlank));
+    assert_eq!(why(|flash| flash.stick(64, 4, true)), Some(Failure::NotAsWritten));
+    assert_eq!(why(|_| ()), Some(Failure::Full));
+    let flash = Flash::<4, 256>::blank(7);
+    flash.fail(Operation::Erase);
+    assert_eq!(Log::open(flash).0.failure(), Some(Failure::Refused));
+}
+
+/// A flash whose bank `bank` is full but for one record, so that open moves to the other; it holds `settings(7)`.
+fn about_to_move(bank: usize) -> Flash<4, 256> {
+    let records: Vec<_> = (1..=7)
+        .map(|n| {
+            let Settings { node_id, bit_rate, heartbeat_ms } = settings(n);
+            let node_id = NodeId::to_lss(node_id);
+            let sequence = u32::from(n);
+            let at = usize::from(n) - 1;
+            (bank, at, record(sequence, 1, node_id, bit_rate.index(), heartbeat_ms))
+        })
+        .collect();
+    flash_with(&records)
+}
+
+#[test]
+fn an_open_that_fails_at_any_operation_loses_nothing() {
+    for bank in [0, 1] {
+        for operation in [Operation::Read, Operation::Write, Operation::Erase] {
+            for others in 0.. {
+                let flash = about_to_move(bank);
+                flash.fail_once(operation, others);
+                let (mut log, found) = Log::open(flash.clone());
+                if flash.is_faulty() {
+                    assert_ne!(flash.erases(), 0, "it has moved");
+                    break;
+                }
+                let case = format!("bank {bank}, {operation:?} {others}: {found:?}");
+                let last = if log.store(settings(8)).is_ok() { settings(8) } else { settings(7) };
+                let (mut log, _) = Log::open(flash.clone());
+                assert_eq!(log.settings(), Some(last), "{case}");
+                assert_eq!(log.store(settings(9)), Ok(()), "{case}");
+                assert_eq!(open(&flash).0, Some(settings(9)), "{case}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_bit_that_sticks_costs_a_record_but_no_settings() {
+    for at in 64..96 {
+        for bit in 0..8 {
+            for value in [false, true] {
+                let (mut log, flash) = with_settings_1();
+                flash.stick(at, 1 << bit, value);
+                let outcome = log.store(settings(2));
+                let left = if outcome.is_ok() { settings(2) } else { settings(1) };
+                let has_commit_word = flash.content()[92..96] != [0xFF; 4];
+                assert!(
+                    outcome.is_ok() || at >= 92 || !has_commit_word,
+                    "byte {at}, bit {bit} is {value}: the commit word comes after a read-back"
+                );
+                assert_eq!(log.settings(), Some(left), "byte {at}, bit {bit} is {value}");
+                let found = open(&flash.duplicate(0)).0;
+                assert_eq!(found, Some(left), "byte {at}, bit {bit} is {value}");
+                assert_eq!(log.store(settings(3)), Ok(()));
+                assert_eq!(open(&flash).0, Some(settings(3)));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_bit_that_sticks_in_the_other_bank_loses_nothing() {
+    for at in 256..288 {
+        for bit in 0..8 {
+            for value in [false, true] {
+                let flash = about_to_move(0);
+                flash.stick(at, 1 << bit, value);
+                let (mut log, _) = Log::open(flash.clone());
+                assert_eq!(log.settings(), Some(settings(7)));
+                assert_eq!(log.store(settings(8)), Ok(()), "there was still room");
+                assert_eq!(open(&flash).0, Some(settings(8)), "byte {at}, bit {bit} is {value}");
+            }
+        }
+    }
+}

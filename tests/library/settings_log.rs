@@ -1,0 +1,276 @@
+//! The settings log in a flash that works: what is found, what is written, what is refused.
+
+use lss_slave::{
+    BitRate, NodeId, Settings,
+    lss::StoreError::MediumAccess,
+    settings::{Found, Log},
+};
+use testkit::{
+    flash::{BoardFlash, Flash},
+    random::Random,
+    settings::{flash_with, open, record, sealed, settings},
+};
+
+/// Records that a bank of 16 KB has room for.
+const RECORDS: u16 = 512;
+
+#[test]
+fn a_new_device_is_blank_once_and_has_no_settings() {
+    let flash = BoardFlash::blank(0);
+    assert_eq!(open(&flash), (None, Found::Blank));
+    assert_eq!(open(&flash), (None, Found::Complete));
+}
+
+#[test]
+fn what_was_stored_is_found_at_the_next_open() {
+    let flash = BoardFlash::blank(0);
+    for node_id in [1, 2, 0x40, 0x7E, 0x7F, 0xFF] {
+        for bit_rate in BitRate::ALL {
+            for heartbeat_ms in [0, 1, 0xFF, 0x100, u16::MAX] {
+                let node_id = NodeId::from_lss(node_id).unwrap();
+                let settings = Settings { node_id, bit_rate: bit_rate.into(), heartbeat_ms };
+                let (mut log, _) = Log::open(flash.clone());
+                assert_eq!(log.store(settings), Ok(()));
+                assert_eq!(log.settings(), Some(settings));
+                assert_eq!(open(&flash), (Some(settings), Found::Complete));
+            }
+        }
+    }
+}
+
+#[test]
+fn the_record_in_flash_is_the_documented_one() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    assert_eq!(flash.content()[..32], record(1, 0, 0xFF, 0xFF, 0xFFFF));
+    log.store(Settings {
+        node_id: NodeId::new(5),
+        bit_rate: BitRate::Kbit500.into(),
+        heartbeat_ms: 1000,
+    })
+    .unwrap();
+    assert_eq!(flash.content()[32..64], record(2, 1, 5, 2, 1000));
+    log.store(Settings { node_id: None, bit_rate: BitRate::Kbit10.into(), heartbeat_ms: 0 })
+        .unwrap();
+    assert_eq!(flash.content()[64..96], record(3, 1, 0xFF, 8, 0));
+}
+
+#[test]
+fn settings_that_are_stored_already_are_not_written() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    log.store(settings(1)).unwrap();
+    let content = flash.content();
+    let writes = flash.writes();
+    assert_eq!(log.store(settings(1)), Ok(()));
+    assert_eq!(flash.writes(), writes);
+    let (mut log, _) = Log::open(flash.clone());
+    assert_eq!(flash.writes(), writes + 1, "open writes the commit word once more");
+    assert_eq!(log.store(settings(1)), Ok(()));
+    assert_eq!((flash.writes(), flash.content()), (writes + 1, content));
+    log.store(settings(2)).unwrap();
+    log.store(settings(1)).unwrap();
+    assert_eq!(open(&flash).0, Some(settings(1)), "not stored already: 2 was in between");
+}
+
+#[test]
+fn a_full_bank_refuses_keeps_the_old_settings_and_the_next_open_makes_room() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    for _ in 0..3 {
+        let erases = flash.erases();
+        for n in 1..RECORDS {
+            assert_eq!(log.store(settings(n)), Ok(()), "{n}");
+        }
+        assert_eq!(log.store(settings(RECORDS)), Err(MediumAccess));
+        assert_eq!(log.settings(), Some(settings(RECORDS - 1)));
+        assert_eq!(log.store(settings(RECORDS - 1)), Ok(()), "which is stored already");
+        assert_eq!(flash.erases(), erases, "store never erases");
+        let found;
+        (log, found) = Log::open(flash.clone());
+        assert_eq!((log.settings(), found), (Some(settings(RECORDS - 1)), Found::Complete));
+        assert_eq!(flash.erases(), erases + 1);
+    }
+}
+
+#[test]
+fn open_erases_only_when_less_than_a_quarter_is_left() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    let erases = flash.erases();
+    for n in 1..RECORDS * 3 / 4 {
+        log.store(settings(n)).unwrap();
+    }
+    let content = flash.content();
+    (log, _) = Log::open(flash.clone());
+    assert_eq!((flash.erases(), flash.content()), (erases, content), "a quarter is left");
+    log.store(settings(0)).unwrap();
+    (log, _) = Log::open(flash.clone());
+    assert_eq!(flash.erases(), erases + 1);
+    assert_eq!(log.settings(), Some(settings(0)));
+    Log::open(flash.clone());
+    assert_eq!(flash.erases(), erases + 1, "once");
+}
+
+#[test]
+fn stores_and_power_cycles_in_any_number_find_the_last_settings() {
+    let mut random = Random::from_environment();
+    let flash = Flash::<1, 128>::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    let mut stored = None;
+    for _ in 0..5_000 {
+        if random.one_in(2) {
+            let settings = settings(random.within(0..4) as u16);
+            if log.store(settings).is_ok() {
+                stored = Some(settings);
+            }
+        } else {
+            (log, _) = Log::open(flash.clone());
+        }
+        assert_eq!(log.settings(), stored);
+    }
+    assert!(flash.erases() > 100, "it moved often");
+}
+
+#[test]
+fn the_newer_bank_counts_even_where_the_sequence_wraps() {
+    for older in [1, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFE, 0xFFFF_FFFF] {
+        for newer_by in [1u32, 2, 600] {
+            for bank in [0, 1] {
+                let flash = flash_with::<4, 0x4000>(&[
+                    (1 - bank, 100, record(older, 1, 5, 2, 5)),
+                    (bank, 0, record(older.wrapping_add(newer_by), 1, 6, 2, 6)),
+                ]);
+                let (mut log, _) = Log::open(flash.clone());
+                assert_eq!(log.settings().unwrap().heartbeat_ms, 6, "{older:#x} + {newer_by}");
+                for n in 10..1_000 {
+                    if log.store(settings(n)).is_err() {
+                        (log, _) = Log::open(flash.clone());
+                        log.store(settings(n)).unwrap();
+                    }
+                }
+                assert_eq!(open(&flash).0, Some(settings(999)));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_record_with_any_bit_wrong_does_not_count_and_the_one_before_does() {
+    let old = record(8, 1, 4, 3, 4);
+    for byte in 0..32 {
+        for bit in 0..8 {
+            let mut new = record(9, 1, 5, 2, 5);
+            new[byte] ^= 1 << bit;
+            let flash = flash_with::<4, 128>(&[(0, 0, old), (0, 1, new)]);
+            let (mut log, found) = Log::open(flash.clone());
+            assert_eq!(found, Found::Interrupted, "byte {byte}, bit {bit}");
+            assert_eq!(log.settings().unwrap().heartbeat_ms, 4);
+            assert_eq!(log.store(settings(6)), Ok(()), "after it, not over it");
+            assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
+        }
+    }
+}
+
+#[test]
+fn a_record_of_settings_that_cannot_be_does_not_count() {
+    for wrong in [
+        record(9, 1, 0x00, 2, 5),
+        record(9, 1, 0x80, 2, 5),
+        record(9, 1, 0xFE, 2, 5),
+        record(9, 1, 5, 5, 5),
+        record(9, 1, 5, 10, 5),
+        record(9, 1, 5, 0xFF, 5),
+        record(9, 2, 5, 2, 5),
+        record(9, 0xFF, 5, 2, 5),
+    ] {
+        let flash = flash_with::<4, 128>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, wrong)]);
+        assert_eq!(open(&flash).0.unwrap().heartbeat_ms, 4, "{wrong:02X?}");
+    }
+}
+
+#[test]
+fn a_record_of_a_kind_that_a_later_version_wrote_is_passed_over_and_left_as_it_is() {
+    let later = record(9, 2, 5, 2, 5);
+    let flash = flash_with::<4, 256>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, later)]);
+    let (mut log, found) = Log::open(flash.clone());
+    assert_eq!((log.settings().unwrap().heartbeat_ms, found), (4, Found::Interrupted));
+    assert_eq!(log.store(settings(6)), Ok(()));
+    assert_eq!(flash.content()[32..64], later);
+    assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
+    assert_eq!(open(&flash_with::<4, 256>(&[(0, 0, later)])), (None, Found::Damaged));
+}
+
+#[test]
+fn bytes_of_a_record_that_are_unused_may_hold_anything() {
+    let mut later = record(9, 1, 5, 2, 5);
+    later[7] = 0x00;
+    later[10..24].fill(0x5A);
+    let flash = flash_with::<4, 256>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, sealed(later))]);
+    let (settings, found) = open(&flash);
+    assert_eq!((settings.unwrap().heartbeat_ms, found), (5, Found::Complete));
+}
+
+#[test]
+fn garbage_means_defaults_and_is_formatted() {
+    let mut random = Random::from_environment();
+    let mut contents = vec![vec![0; 0x8000], vec![0x5A; 0x8000]];
+    // Another program's data in one bank, the other blank.
+    contents.push([vec![0x11; 0x4000], vec![0xFF; 0x4000]].concat());
+    contents.push([vec![0xFF; 0x7FFF], vec![0xFE]].concat());
+    contents.push((0..0x8000).map(|_| random.byte()).collect());
+    for content in contents {
+        let flash = BoardFlash::with_content(content, 0);
+        let (mut log, found) = Log::open(flash.clone());
+        assert_eq!((log.settings(), found), (None, Found::Damaged));
+        assert_eq!(log.store(settings(1)), Ok(()));
+        assert_eq!(open(&flash), (Some(settings(1)), Found::Complete));
+    }
+}
+
+/// What a flash may hold at worst: true records, true records with errors, and noise, in any place.
+fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
+    let mut content = Vec::new();
+    let any = random.u32();
+    let first = random.pick(&[0, 1, 0x7FFF_FFFF, 0x8000_0000, u32::MAX, any]);
+    while content.len() < 2 * E {
+        let sequence = first.wrapping_add(random.within(0..1_000) as u32);
+        let mut record = record(
+            sequence,
+            random.byte() % 3,
+            random.byte(),
+            random.byte() % 10,
+            random.u64() as u16,
+        );
+        match random.within(0..4) {
+            0 => record = [0xFF; 32],
+            1 => record = random.bytes(),
+            2 => record[random.within(0..32) as usize] ^= random.byte(),
+            _ => {}
+        }
+        content.extend(record);
+    }
+    content
+}
+
+#[test]
+fn whatever_the_flash_holds_open_ends_and_what_is_stored_then_is_found() {
+    let mut random = Random::from_environment();
+    for _ in 0..5_000 {
+        let flash = Flash::<4, 128>::with_content(any_content::<128>(&mut random), random.u64());
+        let (mut log, found) = Log::open(flash.clone());
+        assert_ne!(found, Found::MediumFailed);
+        assert_eq!(log.settings(), open(&flash.duplicate(0)).0, "what is found stays");
+        let settings = settings(random.u64() as u16);
+        assert_eq!(log.store(settings), Ok(()), "open has made room");
+        assert_eq!(open(&flash).0, Some(settings));
+    }
+}
+
+#[test]
+fn a_flash_with_room_for_one_record_a_bank_is_of_no_use_but_does_no_harm() {
+    let flash = Flash::<4, 32>::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    assert_eq!(log.store(settings(1)), Err(MediumAccess));
+    assert_eq!(open(&flash).0, None);
+}

@@ -1,0 +1,261 @@
+//! Bit-rate supervision at the home rate: what makes a node look for another one, and when it withholds its frames.
+
+use lss_slave::{
+    BitRate,
+    BusEvent::{self, Acknowledged, BusOff, Error, ErrorPassive, FormError, Received},
+    Device, Settings,
+};
+use testkit::{
+    flash::BoardFlash,
+    frames::SILENCE,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+    supervised::{doubt, powered_on, proven, switched, unproven},
+};
+
+#[test]
+fn an_unproven_home_rate_is_doubted_at_the_first_error() {
+    for error in [Error, FormError] {
+        let mut board = unproven();
+        board.see(error);
+        assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"], "{error:?}");
+    }
+}
+
+#[test]
+fn a_proven_home_rate_is_doubted_at_the_third_error_after_a_second() {
+    for proof in [Received, Acknowledged] {
+        let mut board = unproven();
+        board.see(proof);
+        board.see(Error);
+        board.pass_ms(1_000);
+        board.see(Error);
+        assert!(!board.node.is_listening(), "two are not enough: {proof:?}");
+        board.see(Error);
+        assert!(board.node.is_listening(), "three are: {proof:?}");
+    }
+    let mut board = proven();
+    for _ in 0..100 {
+        board.see(Error);
+    }
+    board.pass_us(999_999);
+    board.see(Error);
+    assert_eq!(board.timeline(), SILENCE, "many in less than a second are not enough");
+    board.pass_us(1);
+    board.see(FormError);
+    assert_eq!(board.timeline(), ["0.001 ms listen at 1000 kbit/s"]);
+}
+
+#[test]
+fn errors_two_and_a_half_seconds_apart_do_not_add_up() {
+    let mut board = proven();
+    for _ in 0..20 {
+        board.see(Error);
+        board.pass_us(2_500_000);
+    }
+    assert_eq!(board.timeline(), SILENCE);
+    for _ in 0..3 {
+        board.see(Error);
+        board.pass_us(2_499_999);
+    }
+    assert!(!board.timeline().is_empty(), "a little closer they do");
+}
+
+#[test]
+fn a_valid_frame_or_an_acknowledge_clears_the_errors() {
+    for proof in [Received, Acknowledged] {
+        let mut board = unproven();
+        board.see(proof);
+        for _ in 0..100 {
+            board.see(Error);
+            board.pass_ms(600);
+            board.see(Error);
+            board.see(Error);
+            board.pass_ms(600);
+            board.see(proof);
+        }
+        assert_eq!(board.timeline(), SILENCE, "{proof:?}");
+    }
+}
+
+#[test]
+fn bus_off_and_error_passive_are_no_evidence_of_another_rate() {
+    let mut board = unproven();
+    for _ in 0..100 {
+        board.see(BusOff);
+        board.see(ErrorPassive);
+        board.pass_ms(100);
+        assert!(!board.node.is_listening());
+    }
+}
+
+#[test]
+fn for_30_s_after_a_switch_the_new_rate_counts_alone() {
+    let mut board = switched();
+    for _ in 0..300 {
+        board.see(Error);
+        board.see(FormError);
+        board.pass_us(99_999);
+        board.see(Error);
+        assert_eq!(board.timeline(), SILENCE);
+        board.pass_us(1);
+    }
+    board.see(Error);
+    assert!(board.node.is_listening(), "after them it may be wrong");
+}
+
+#[test]
+fn the_30_s_begin_at_the_end_of_the_second_switch_delay() {
+    for d_ms in [0_u16, 1_000, 65_535] {
+        let mut board = powered_on(BitRate::Kbit250, 0);
+        board.lss("04 01");
+        board.lss("13 00 06");
+        let [low, high] = d_ms.to_le_bytes();
+        board.lss(&format!("15 {low:02X} {high:02X}"));
+        board.pass_ms(2 * u64::from(d_ms) + 29_999);
+        for _ in 0..9 {
+            board.see(Error);
+        }
+        assert!(!board.node.is_listening(), "{d_ms} ms");
+        board.pass_ms(1);
+        board.see(Error);
+        assert!(board.node.is_listening(), "{d_ms} ms");
+    }
+}
+
+#[test]
+fn after_a_switch_the_rate_before_it_is_listened_to_first() {
+    let mut board = switched();
+    board.pass_ms(30_000);
+    board.see(Error);
+    assert_eq!(board.timeline(), ["30000 ms listen at 250 kbit/s"]);
+    board.pass_ms(10_000);
+    board.timeline();
+    board.see(Error);
+    assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"], "once");
+
+    let mut board = switched();
+    board.see(Received);
+    board.pass_ms(30_000);
+    board.timeline();
+    doubt(&mut board);
+    assert_eq!(board.timeline(), ["1000 ms listen at 1000 kbit/s"], "not if the new one works");
+}
+
+#[test]
+fn in_the_switch_delays_neither_errors_nor_bus_off_count() {
+    for event in [Error, FormError, ErrorPassive, BusOff] {
+        let mut board = powered_on(BitRate::Kbit1000, 0);
+        board.lss("04 01");
+        board.lss("13 00 04");
+        board.timeline();
+        board.lss("15 64 00");
+        for _ in 0..19 {
+            board.see(event);
+            board.pass_ms(10);
+        }
+        board.pass_ms(10);
+        let expected = ["0 ms stop", "100 ms 125 kbit/s", "200 ms resume"];
+        assert_eq!(board.timeline(), expected, "{event:?}");
+    }
+}
+
+/// A board at `home` that sends a heartbeat every 10 ms, which nobody acknowledges any more, and has just been disturbed.
+fn disturbed(home: BitRate, by: BusEvent) -> NodeRig {
+    let mut board = powered_on(home, 10);
+    board.is_acknowledged = false;
+    board.timeline();
+    board.see(by);
+    board
+}
+
+#[test]
+fn bus_off_restarts_the_controller_at_home_and_frames_wait_50_ms() {
+    let mut board = disturbed(BitRate::Kbit125, BusOff);
+    board.pass_ms(60);
+    let expected = ["0 ms 125 kbit/s", "0 ms resume", "50 ms 740: 7F", "60 ms 740: 7F"];
+    assert_eq!(board.timeline(), expected);
+}
+
+#[test]
+fn on_a_slow_bus_frames_wait_1408_bits_after_bus_off() {
+    for (home, us) in [(BitRate::Kbit20, 70_400), (BitRate::Kbit10, 140_800)] {
+        let mut board = disturbed(home, BusOff);
+        board.pass_us(1_000);
+        board.see(Error);
+        assert_eq!(board.pass_us(us - 1_001), SILENCE, "an error does not make it shorter");
+        assert_eq!(board.pass_us(1), ["740: 7F"]);
+    }
+}
+
+#[test]
+fn a_frame_that_nobody_acknowledges_pauses_20_ms_every_100_ms() {
+    let mut board = unproven();
+    board.pass_ms(240);
+    let expected = [
+        "100 ms stop",
+        "100 ms resume",
+        "120 ms 740: 00",
+        "220 ms stop",
+        "220 ms resume",
+        "240 ms 740: 00",
+    ];
+    assert_eq!(board.timeline(), expected, "so that a slower node can join the bus");
+    board.see(Acknowledged);
+    board.pass_ms(1_000);
+    assert_eq!(board.timeline(), SILENCE);
+}
+
+#[test]
+fn a_receiver_that_is_error_passive_drops_its_frames_and_waits_50_ms() {
+    for home in [BitRate::Kbit1000, BitRate::Kbit10] {
+        let mut board = disturbed(home, ErrorPassive);
+        board.pass_ms(20);
+        board.see(ErrorPassive);
+        board.pass_ms(30);
+        assert_eq!(board.timeline(), ["0 ms stop", "0 ms resume", "50 ms 740: 7F"]);
+    }
+}
+
+#[test]
+fn frames_wait_50_ms_after_the_latest_error() {
+    for (by, error) in [(BusOff, Error), (ErrorPassive, FormError)] {
+        let mut board = disturbed(BitRate::Kbit125, by);
+        board.see(Received);
+        board.see(by);
+        for _ in 0..20 {
+            assert_eq!(board.pass_us(40_000), SILENCE);
+            board.see(error);
+        }
+        assert_eq!(board.pass_us(49_999), SILENCE, "{by:?}");
+        assert_eq!(board.pass_us(1), ["740: 7F"], "{by:?}");
+    }
+}
+
+#[test]
+fn a_valid_frame_or_an_acknowledge_ends_the_wait() {
+    for by in [BusOff, ErrorPassive] {
+        for proof in [Received, Acknowledged] {
+            let mut board = disturbed(BitRate::Kbit125, by);
+            assert_eq!(board.pass_ms(1), SILENCE);
+            assert_eq!(board.see(proof), ["740: 7F"], "{by:?}, {proof:?}");
+        }
+        let mut board = disturbed(BitRate::Kbit125, by);
+        board.lss("04 01");
+        assert_eq!(board.lss("5E"), ["5E 40"], "a request is answered at once");
+    }
+}
+
+#[test]
+fn a_node_without_supervision_never_looks_elsewhere_nor_waits() {
+    let settings = Settings { heartbeat_ms: 100, ..defaults(0x40) };
+    let device = Device { rescue: false, ..device(ADDRESS) };
+    let mut board = NodeRig::with_device(device, settings, BoardFlash::blank(0), 0);
+    board.is_acknowledged = false;
+    for _ in 0..1_000 {
+        for event in [BusOff, Error, FormError, ErrorPassive, Error] {
+            board.see(event);
+        }
+        assert_eq!(board.pass_ms(100), ["740: 7F"]);
+    }
+    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+}
