@@ -78,7 +78,21 @@ impl Fault {
     }
 }
 
-/// What is still to be sent, what is still wrong, and what has been.
+/// A controller with an error counter from here on is error passive (ISO 11898-1).
+const ERROR_PASSIVE_LIMIT: u8 = 128;
+/// The error warning limit (ISO 11898-1).
+const WARNING_LIMIT: u8 = 96;
+
+/// The controller's error counters (ISO 11898-1).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ErrorCounters {
+    /// TEC.
+    pub transmit: u8,
+    /// REC.
+    pub receive: u8,
+}
+
+/// The faults that are still to be reported, those that last, and the history.
 #[derive(Clone, Debug)]
 pub(crate) struct Emergency {
     /// Faults whose message has not been sent.
@@ -95,6 +109,8 @@ pub(crate) struct Emergency {
     history: [u32; HISTORY_LEN as usize],
     bus_offs: u16,
     overruns: u16,
+    /// As last seen.
+    error_counters: ErrorCounters,
 }
 
 impl Emergency {
@@ -108,6 +124,7 @@ impl Emergency {
             history: [0; HISTORY_LEN as usize],
             bus_offs: 0,
             overruns: 0,
+            error_counters: ErrorCounters { transmit: 0, receive: 0 },
         }
     }
 
@@ -136,6 +153,24 @@ impl Emergency {
         }
     }
 
+    /// Takes the controller's error counters. A controller that only listens takes no part in the bus: it is not reported.
+    pub fn handle_error_counters(&mut self, counters: ErrorCounters, is_listening: bool) {
+        let ErrorCounters { transmit, receive } = counters;
+        self.error_counters = counters;
+        let is_passive = transmit >= ERROR_PASSIVE_LIMIT || receive >= ERROR_PASSIVE_LIMIT;
+        // One valid frame takes a receiver that is error passive to 119..=127 and the next error back: that is no end.
+        if !is_passive && receive < WARNING_LIMIT {
+            self.end(Fault::ErrorPassive);
+        } else if is_passive && !self.has(Fault::ErrorPassive) && !is_listening {
+            self.report(Fault::ErrorPassive);
+        }
+    }
+
+    /// The controller's error counters.
+    pub const fn error_counters(&self) -> ErrorCounters {
+        self.error_counters
+    }
+
     /// A fault that lasted is over; nothing if it is not there.
     pub const fn end(&mut self, fault: Fault) {
         let bit = fault.bit();
@@ -145,7 +180,7 @@ impl Emergency {
         }
     }
 
-    pub const fn has(&self, fault: Fault) -> bool {
+    const fn has(&self, fault: Fault) -> bool {
         self.lasting & fault.bit() != 0
     }
 
@@ -203,11 +238,15 @@ impl Emergency {
         self.in_flight = 0;
     }
 
-    /// The next message, if there is any to send.
+    /// The next message, if there is any to send. Where nothing but errors is heard none is sent: it would disturb others who
+    /// may run at another bit rate.
     ///
     /// Error code 0 comes when nothing is wrong any more: there are masters that take it for the end of all faults, though
     /// CiA 301 allows it at the end of each.
     pub fn next(&mut self, node: NodeId) -> Option<Frame> {
+        if self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
+            return None;
+        }
         let fault = self.unsent & self.unsent.wrapping_neg();
         self.unsent &= !fault;
         self.in_flight |= fault;

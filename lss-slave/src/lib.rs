@@ -57,6 +57,7 @@ pub mod settings;
 struct Readme;
 
 mod can;
+mod device;
 mod node;
 mod node_id;
 mod supervision;
@@ -64,7 +65,8 @@ mod time;
 
 pub use bit_rate::{BitRate, BitRateSetting, BitRates};
 pub use can::Frame;
-pub use node::{Action, Device, Node};
+pub use device::Device;
+pub use node::{Action, Node};
 pub use node_id::{InvalidNodeId, NodeId};
 pub use settings::Settings;
 pub use supervision::BusEvent;

@@ -93,8 +93,8 @@ pub(crate) struct Supervision {
     sending: Sending,
     /// Not yet taken by [`poll`](Self::poll).
     step: Option<Step>,
-    /// Where the node last took part, as [`take_change`](Self::take_change) knows it.
-    settled: BitRate,
+    /// The rate at which the node last took part, as [`take_change`](Self::take_change) knows it.
+    active: BitRate,
     rescues: u16,
 }
 
@@ -196,7 +196,7 @@ impl Supervision {
             errors: Errors::NONE,
             sending: Sending::Free,
             step,
-            settled: home,
+            active: home,
             rescues: 0,
         }
     }
@@ -208,6 +208,11 @@ impl Supervision {
             Place::Looking { look, turn: Turn::Elsewhere { .. }, .. } => look.candidate,
             Place::Home | Place::Looking { .. } => self.home,
         }
+    }
+
+    /// The active rate: the one commanded, or at which the node has found others.
+    pub const fn active(&self) -> BitRate {
+        self.active
     }
 
     /// The home rate; `None` until it has been detected.
@@ -273,10 +278,10 @@ impl Supervision {
             Place::Guest { rate, .. } => rate,
             Place::Looking { .. } | Place::Detecting { .. } => return None,
         };
-        if rate == self.settled {
+        if rate == self.active {
             return None;
         }
-        self.settled = rate;
+        self.active = rate;
         if rate != self.home {
             self.rescues = self.rescues.saturating_add(1);
         }
@@ -295,7 +300,7 @@ impl Supervision {
             self.step = Some(Step::TakePart(rate));
         }
         self.home = rate;
-        self.settled = rate;
+        self.active = rate;
         self.enter(Place::Home);
         self.doubted_until = None;
         self.trusted_until = Some(silent_until.plus_micros(TRUST_MICROS));
@@ -395,7 +400,7 @@ impl Supervision {
             },
             (Place::Detecting { rate, .. }, Received) => {
                 self.home = *rate;
-                self.settled = *rate;
+                self.active = *rate;
                 self.is_proven = true;
                 self.previous = None;
                 self.step = Some(Step::TakePart(*rate));
@@ -436,8 +441,11 @@ impl Supervision {
             Sending::Free => None,
             Sending::Unacknowledged { until } | Sending::Withheld { until } => Some(until),
         };
-        let of_place = earliest(of_place, earliest(of_sending, self.errors.are_forgotten_at()));
-        earliest(of_place, earliest(self.trusted_until, self.doubted_until))
+        let of_place = Instant::earliest(
+            of_place,
+            Instant::earliest(of_sending, self.errors.are_forgotten_at()),
+        );
+        Instant::earliest(of_place, Instant::earliest(self.trusted_until, self.doubted_until))
     }
 
     fn end_what_is_over(&mut self, now: Instant) {
@@ -594,11 +602,4 @@ const fn turn_micros(home: BitRate) -> u32 {
 
 const fn bits_micros(bits: u32, rate: BitRate) -> u32 {
     bits * 1000 / rate.kbit_per_s() as u32
-}
-
-fn earliest(a: Option<Instant>, b: Option<Instant>) -> Option<Instant> {
-    match (a, b) {
-        (Some(a), Some(b)) => Some(a.earlier(b)),
-        _ => a.or(b),
-    }
 }

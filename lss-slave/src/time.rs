@@ -35,6 +35,14 @@ impl Instant {
         if self.has_come(other) { self } else { other }
     }
 
+    /// The earliest of two deadlines, each of which there may not be.
+    pub(crate) fn earliest(a: Option<Self>, b: Option<Self>) -> Option<Self> {
+        match (a, b) {
+            (Some(a), Some(b)) => Some(a.earlier(b)),
+            _ => a.or(b),
+        }
+    }
+
     /// The one of the two that comes last.
     pub(crate) const fn later(self, other: Self) -> Self {
         if self.has_come(other) { other } else { self }

@@ -18,8 +18,8 @@ const HOME_AGAIN: &str = "0C0: 00 00 00 E8 03 7D 00 00";
 
 /// The active and the pending bit rate of LSS, in kbit/s.
 fn lss_rates(board: &NodeRig) -> [u16; 2] {
-    let lss = board.node.lss();
-    [lss.active_bit_rate(), lss.pending_bit_rate()].map(|setting| match setting {
+    let node = &board.node;
+    [node.active_bit_rate(), node.lss().pending_bit_rate()].map(|setting| match setting {
         BitRateSetting::Fixed(rate) => rate.kbit_per_s(),
         BitRateSetting::Automatic => 0,
     })
