@@ -45,8 +45,8 @@ impl Slave {
             match received {
                 Received::Frame(frame) => {
                     let now = clock::now();
-                    // What was due before the frame came is done before.
-                    if self.node.is_due(now) {
+                    // What was due before the frame came is done before; but a frame that a look has found counts where it was found.
+                    if self.node.is_due(now) && !self.can.is_listening() {
                         self.act_until_nothing_is_due();
                     }
                     if let Some(action) = self.node.handle_frame(&frame, now) {

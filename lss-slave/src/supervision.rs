@@ -68,6 +68,10 @@ const TURN_MICROS: u32 = 20_000;
 const TURN_BITS: u32 = 2 * 135;
 /// How long the node takes part at home between two looks while the bus is quiet.
 const OPEN_TURN_MICROS: u32 = 150_000;
+/// Errors this close to one another belong to one episode: no look is longer that hears anything.
+const EPISODE_GAP_MICROS: u32 = 60_000;
+/// The time of two frames at 10 kbit/s.
+const FRAME_MICROS: u32 = 30_000;
 /// How soon new errors must follow a fruitless look for the next one to wait.
 const DOUBT_MICROS: u32 = 3_000_000;
 /// Form errors at one rate until detection leaves it. A lone master is error passive after 16 attempts, and then heard.
@@ -136,6 +140,27 @@ struct Look {
     waits: bool,
     /// A look has waited.
     has_waited: bool,
+    /// The latest errors that followed one another closely.
+    episode: Errors,
+}
+
+impl Look {
+    const fn at(candidate: BitRate) -> Self {
+        let (has_moved, waits, has_waited) = (false, false, false);
+        Self { candidate, has_moved, waits, has_waited, episode: Errors::NONE }
+    }
+
+    fn add_error(&mut self, now: Instant) {
+        if self.episode.latest.plus_micros(EPISODE_GAP_MICROS).has_come(now) {
+            self.episode = Errors::NONE;
+        }
+        self.episode.add(now);
+    }
+
+    /// Whether what was heard lasted longer than one frame that its sender repeats: a look need not wait for the next frame.
+    fn is_dense(&self) -> bool {
+        self.episode.first.plus_micros(FRAME_MICROS).has_come(self.episode.latest)
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -302,6 +327,7 @@ impl Supervision {
         self.home = rate;
         self.active = rate;
         self.enter(Place::Home);
+        self.sending = Sending::Free;
         self.doubted_until = None;
         self.trusted_until = Some(silent_until.plus_micros(TRUST_MICROS));
     }
@@ -310,6 +336,7 @@ impl Supervision {
     pub fn detect(&mut self) {
         let rate = self.rates.fastest();
         self.enter(Place::detecting(rate));
+        self.sending = Sending::Free;
         self.step = Some(Step::Listen(rate));
         self.trusted_until = None;
     }
@@ -327,6 +354,19 @@ impl Supervision {
     /// Takes what the controller has observed.
     pub fn handle(&mut self, event: BusEvent, now: Instant) {
         use BusEvent::*;
+        if event == BusOff && self.is_enabled {
+            let rate = self.bit_rate();
+            let micros = WITHHOLD_MICROS.max(bits_micros(RECOVERY_BITS, rate));
+            self.sending = Sending::Withheld { until: now.plus_micros(micros) };
+            if !self.is_listening() {
+                // Receiving cannot wait for the recovery: on a busy bus that takes hundreds of frames.
+                self.step = Some(Step::TakePart(rate));
+            }
+            return;
+        }
+        if let (Place::Looking { look, .. }, Error | FormError) = (&mut self.place, event) {
+            look.add_error(now);
+        }
         match (&mut self.place, event) {
             (Place::Home, Received | Acknowledged) => {
                 self.errors = Errors::NONE;
@@ -341,12 +381,14 @@ impl Supervision {
                 }
                 self.doubt(now);
             }
-            (Place::Home, HeldDominant) => self.errors = Errors::NONE,
-            (Place::Home, BusOff) if self.is_enabled => {
-                let micros = WITHHOLD_MICROS.max(bits_micros(RECOVERY_BITS, self.home));
-                self.sending = Sending::Withheld { until: now.plus_micros(micros) };
-                // Receiving cannot wait for the recovery: on a busy bus that takes hundreds of frames.
-                self.step = Some(Step::TakePart(self.home));
+            (Place::Home, HeldDominant) => {
+                self.errors = Errors::NONE;
+                // Nobody can use the bus: neither a pause nor the end of one has a purpose.
+                match &mut self.sending {
+                    Sending::Free => {}
+                    Sending::Unacknowledged { until } => *until = now.plus_micros(REPEAT_MICROS),
+                    Sending::Withheld { .. } => self.withhold(now),
+                }
             }
             (Place::Home, ErrorPassive)
                 if self.is_enabled && !matches!(self.sending, Sending::Withheld { .. }) =>
@@ -368,6 +410,7 @@ impl Supervision {
                 (Turn::Elsewhere { .. }, Received) => {
                     let rate = look.candidate;
                     self.enter(Place::Guest { rate, unacknowledged_until: None });
+                    self.sending = Sending::Free;
                     self.step = Some(Step::TakePart(rate));
                 }
                 (Turn::Elsewhere { has_heard }, Error | FormError) => {
@@ -383,13 +426,15 @@ impl Supervision {
                 (Turn::HomeSilent { .. }, Received) | (Turn::HomeOpen, Received | Acknowledged) => {
                     self.is_proven = true;
                     self.end_look();
+                    self.sending = Sending::Free;
                 }
                 (_, HeldDominant) => self.end_look(),
                 (Turn::HomeSilent { has_heard }, Error) => *has_heard = true,
                 (Turn::HomeSilent { has_heard: false }, FormError) => {
                     let look = *look;
                     self.open_home(look, now);
-                    self.sending = Sending::Withheld { until: now.plus_micros(WITHHOLD_MICROS) };
+                    self.withhold(now);
+                    self.step = Some(Step::TakePart(self.home));
                 }
                 (Turn::HomeOpen, Error | FormError) => {
                     look.waits = true;
@@ -499,7 +544,8 @@ impl Supervision {
             }
             Turn::HomeSilent { has_heard: false } => self.open_home(look, now),
             Turn::HomeOpen if look.waits => {
-                self.look_elsewhere(Look { has_waited: true, ..look }, WAIT_MICROS, now);
+                let micros = if look.is_dense() { LOOK_MICROS } else { WAIT_MICROS };
+                self.look_elsewhere(Look { has_waited: true, ..look }, micros, now);
             }
             Turn::HomeOpen => {
                 self.place = Place::Home;
@@ -519,19 +565,14 @@ impl Supervision {
         let fastest = next_rate(self.rates, slowest, Some(self.home));
         let candidate = self.previous.take().unwrap_or(fastest);
         let waits = !self.is_proven || self.doubted_until.is_some();
-        self.look_elsewhere(
-            Look { candidate, has_moved: false, waits, has_waited: false },
-            LOOK_MICROS,
-            now,
-        );
+        let mut look = Look { waits, ..Look::at(candidate) };
+        look.add_error(now);
+        self.look_elsewhere(look, LOOK_MICROS, now);
     }
 
     fn leave_as_guest(&mut self, now: Instant) {
         let candidate = self.bit_rate();
-        self.listen_at_home(
-            Look { candidate, has_moved: true, waits: true, has_waited: false },
-            now,
-        );
+        self.listen_at_home(Look { has_moved: true, waits: true, ..Look::at(candidate) }, now);
     }
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
@@ -582,7 +623,10 @@ impl Supervision {
     fn enter(&mut self, place: Place) {
         self.place = place;
         self.errors = Errors::NONE;
-        self.sending = Sending::Free;
+        // A bus-off is to be recovered from anywhere.
+        if !self.is_withholding() {
+            self.sending = Sending::Free;
+        }
     }
 }
 

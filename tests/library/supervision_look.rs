@@ -2,7 +2,7 @@
 
 use lss_slave::{
     BitRate, BitRates,
-    BusEvent::{Acknowledged, Error, FormError, HeldDominant, Received},
+    BusEvent::{Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
     Device, Frame, Settings,
 };
 use testkit::{
@@ -286,6 +286,39 @@ fn looks_twice(board: &mut NodeRig) -> bool {
     board.timeline();
     board.pass_us(40_000 + TURN_US + 150_000);
     board.node.is_listening()
+}
+
+#[test]
+fn after_a_disturbance_of_30_ms_no_look_waits() {
+    for (ms, waits) in [(29, true), (30, false)] {
+        let mut board = unproven();
+        for _ in 0..ms {
+            board.see(FormError);
+            board.pass_ms(1);
+        }
+        board.see(FormError);
+        board.pass_us(40_000 + TURN_US + 150_000);
+        assert!(board.node.is_listening());
+        board.pass_ms(60);
+        assert_eq!(board.bit_rate() != BitRate::Kbit125, waits, "{ms} ms");
+    }
+}
+
+#[test]
+fn bus_off_is_recovered_from_also_while_the_node_looks() {
+    let mut board = unproven();
+    board.see(Error);
+    board.see(BusOff);
+    for _ in 0..10 {
+        board.pass_ms(16);
+        board.see(HeldDominant);
+    }
+    assert_eq!(board.bit_rate(), BitRate::Kbit125);
+    board.timeline();
+    board.pass_ms(49);
+    assert_eq!(board.timeline(), SILENCE, "the bus was short-circuited all the time");
+    board.pass_ms(1);
+    assert_eq!(board.timeline(), ["1 ms 740: 00"]);
 }
 
 #[test]

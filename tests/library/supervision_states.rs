@@ -216,7 +216,7 @@ fn effects(of: State) -> Vec<String> {
             [] if (of, event) == (Elsewhere, FormError) => format!("{name}: the rate stays"),
             [] => return None,
             ["0 ms listen at 800 kbit/s"] => format!("{name}: the next slower rate"),
-            ["0 ms 125 kbit/s", "0 ms resume"] => {
+            ["0 ms 125 kbit/s" | "0 ms 1000 kbit/s", "0 ms resume"] => {
                 format!("{name}: the controller restarts,|frames wait {}", time(wait_us(event)))
             }
             ["0 ms stop", "0 ms resume"] if of == OpenTurn => {

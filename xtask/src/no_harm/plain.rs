@@ -1,6 +1,7 @@
 //! The plain slave: the firmware with its bit-rate supervision switched off, built beside the product and without a trace in it.
 
 use std::{
+    ffi::OsString,
     fs,
     path::{Path, PathBuf},
 };
@@ -52,13 +53,14 @@ fn without_rescue(device: &str) -> anyhow::Result<String> {
     }
 }
 
-/// Copies a file or a folder, but for the file that is written otherwise.
+/// Makes a file or a folder a copy of another, but for the file that is written otherwise.
 fn mirror(from: &Path, to: &Path) -> anyhow::Result<()> {
     if from.is_dir() {
-        let entries = fs::read_dir(from).with_context(|| from.display().to_string())?;
-        for entry in entries {
-            let name = entry?.file_name();
+        for name in names(from)? {
             mirror(&from.join(&name), &to.join(&name))?;
+        }
+        for name in names(to)?.iter().filter(|name| !from.join(name).exists()) {
+            remove(&to.join(name))?;
         }
         return Ok(());
     }
@@ -66,6 +68,16 @@ fn mirror(from: &Path, to: &Path) -> anyhow::Result<()> {
         return Ok(());
     }
     write(to, read(from)?.as_bytes())
+}
+
+fn names(folder: &Path) -> anyhow::Result<Vec<OsString>> {
+    let entries = fs::read_dir(folder).with_context(|| folder.display().to_string())?;
+    Ok(entries.map(|entry| entry.map(|entry| entry.file_name())).collect::<Result<_, _>>()?)
+}
+
+fn remove(path: &Path) -> anyhow::Result<()> {
+    let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    removed.with_context(|| format!("cannot remove {}", path.display()))
 }
 
 fn read(path: &Path) -> anyhow::Result<String> {
