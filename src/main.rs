@@ -35,7 +35,8 @@ mod app {
         BitRateSetting, Node, NodeId, Settings,
         emergency::Fault,
         indicator,
-        settings::{Failure, Found, Log},
+        lss::StoreError,
+        settings::{Error, Found, Log},
     };
     use stm32f4xx_hal::{
         gpio::{ErasedPin, Output},
@@ -72,7 +73,7 @@ mod app {
 
         let (log, found) = Log::open(board.settings_flash);
         let settings = log.settings().unwrap_or(device::DEFAULTS);
-        report(found, log.failure(), &settings);
+        report(found, &settings);
 
         let node = Node::new(board::device(), settings);
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
@@ -150,17 +151,17 @@ mod app {
             return;
         };
         let outcome = cx.local.log.store(settings);
-        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
-        match cx.local.log.failure() {
-            None => defmt::info!("settings stored"),
-            Some(failure) => defmt::error!(
+        cx.shared.slave.lock(|slave| slave.handle_stored(outcome.map_err(StoreError::from)));
+        match outcome {
+            Ok(()) => defmt::info!("settings stored"),
+            Err(error) => defmt::error!(
                 "the settings are not stored, the old ones are kept: {=istr}",
-                why(failure)
+                why(error)
             ),
         }
     }
 
-    fn report(found: Found, failure: Option<Failure>, settings: &Settings) {
+    fn report(found: Found, settings: &Settings) {
         match found {
             Found::Complete => {}
             Found::Interrupted => {
@@ -172,10 +173,9 @@ mod app {
             Found::Damaged => {
                 defmt::error!("the settings in flash are damaged; using the defaults")
             }
-            Found::MediumFailed => defmt::error!("the flash fails; nothing can be stored"),
-        }
-        if let Some(failure) = failure {
-            defmt::error!("the flash could not be made ready: {=istr}", why(failure));
+            Found::MediumFailed(error) => {
+                defmt::error!("the flash fails, nothing can be stored: {=istr}", why(error));
+            }
         }
         let node_id = NodeId::to_lss(settings.node_id);
         match settings.bit_rate {
@@ -189,12 +189,13 @@ mod app {
         }
     }
 
-    fn why(failure: Failure) -> defmt::Str {
-        match failure {
-            Failure::Refused => defmt::intern!("the flash reports an error"),
-            Failure::NotBlank => defmt::intern!("the flash is not blank where it was erased"),
-            Failure::NotAsWritten => defmt::intern!("the flash reads back otherwise than written"),
-            Failure::Full => defmt::intern!("the flash is full until the next power-on"),
+    fn why(error: Error) -> defmt::Str {
+        match error {
+            Error::Refused => defmt::intern!("the flash reports an error"),
+            Error::NotBlank => defmt::intern!("the flash is not blank where it was erased"),
+            Error::NotAsWritten => defmt::intern!("the flash reads back otherwise than written"),
+            Error::Full => defmt::intern!("the flash is full until the next power-on"),
+            _ => defmt::intern!("unknown"),
         }
     }
 }

@@ -3,7 +3,7 @@
 mod log;
 mod record;
 
-pub use log::{Failure, Found, Log};
+pub use log::{Error, Found, Log};
 
 use crate::{BitRateSetting, NodeId};
 

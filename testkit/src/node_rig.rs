@@ -210,7 +210,7 @@ impl NodeRig {
     /// Carries out the store that is running; returns what the node sends then.
     pub fn finish_store(&mut self) -> Frames {
         let settings = self.running_store.take().expect("a store is running");
-        let outcome = self.log.store(settings);
+        let outcome = self.log.store(settings).map_err(StoreError::from);
         self.end_store(outcome)
     }
 
@@ -316,7 +316,10 @@ impl NodeRig {
                 assert!(self.running_store.is_none(), "one store at a time");
                 self.running_store = Some(settings);
             }
-            Action::Store(settings) => self.node.handle_stored(self.log.store(settings)),
+            Action::Store(settings) => {
+                let outcome = self.log.store(settings);
+                self.node.handle_stored(outcome.map_err(StoreError::from));
+            }
             Action::ResetDevice => self.restart(),
             Action::Listen(rate) => {
                 self.may_transmit = false;

@@ -1,7 +1,7 @@
 //! LSS messages: the eight bytes of a frame to and from the values they may legally hold (CiA 305, protocols).
 
 use super::{AddressPart, RESPONSE_COB_ID};
-use crate::{Frame, NodeId};
+use crate::{Frame, NodeId, settings};
 
 /// What an LSS master asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,6 +128,12 @@ pub enum StoreError {
     NotSupported = 1,
     /// 2: the medium failed or is full; what was stored before is still stored.
     MediumAccess = 2,
+}
+
+impl From<settings::Error> for StoreError {
+    fn from(_: settings::Error) -> Self {
+        Self::MediumAccess
+    }
 }
 
 const SWITCH_GLOBAL: u8 = 0x04;

@@ -62,7 +62,7 @@ fn live<const W: usize, const E: usize>(
         return Ok(next);
     }
     let before = expected.clone();
-    if !expected.admits(log.settings()) || found == Found::MediumFailed {
+    if !expected.admits(log.settings()) || matches!(found, Found::MediumFailed(_)) {
         let Expected { known, attempted } = before;
         return Err(format!(
             "{found:?}: {}, not {} or {}",
