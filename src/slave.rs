@@ -163,7 +163,7 @@ impl Slave {
 
     /// Time has passed, or anything has happened.
     pub fn act_until_nothing_is_due(&mut self) {
-        while let Some(action) = self.node.handle_deadline(clock::now()) {
+        while let Some(action) = self.node.poll(clock::now()) {
             self.act(action);
         }
     }

@@ -71,7 +71,7 @@ impl Board {
 
     fn act_until_nothing_is_due(&mut self) {
         for _ in 0..MOST_ACTIONS {
-            match self.node.handle_deadline(self.now) {
+            match self.node.poll(self.now) {
                 Some(action) => self.act(action),
                 None => return,
             }

@@ -30,12 +30,12 @@ fuzz_target!(|requests: Vec<[u8; 8]>| {
     let mut node = node();
     let mut answers = 0;
     let mut stores = 0;
-    let boot_up = node.handle_deadline(NOW);
+    let boot_up = node.poll(NOW);
     assert!(matches!(boot_up, Some(Action::Transmit(frame)) if frame.cob_id() == 0x705));
     for request in &requests {
         let frame = Frame::new(0x605, request).expect("eight bytes");
         let at_once = node.handle_frame(&frame, NOW);
-        let mut action = at_once.or_else(|| node.handle_deadline(NOW));
+        let mut action = at_once.or_else(|| node.poll(NOW));
         while let Some(now) = action {
             match now {
                 Action::Transmit(answer) if answer.cob_id() == 0x585 => {
@@ -51,7 +51,7 @@ fuzz_target!(|requests: Vec<[u8; 8]>| {
                 }
                 other => panic!("{other:?} by SDO"),
             }
-            action = node.handle_deadline(NOW);
+            action = node.poll(NOW);
         }
     }
     assert!(answers <= requests.len());

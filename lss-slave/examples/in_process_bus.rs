@@ -43,7 +43,7 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
     let now = || Instant::from_micros(start.elapsed().as_micros() as u32);
     let mut first = None;
     loop {
-        while let Some(action) = first.take().or_else(|| node.handle_deadline(now())) {
+        while let Some(action) = first.take().or_else(|| node.poll(now())) {
             match action {
                 Action::Transmit(frame) => {
                     transmitted.send(frame).unwrap();
@@ -53,7 +53,7 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
                 other => println!("  {other:?}"),
             }
         }
-        let wait = node.next_deadline().map_or(u32::MAX, |at| at.micros_after(now()));
+        let wait = node.poll_at().map_or(u32::MAX, |at| at.micros_after(now()));
         let frame = received.recv_timeout(Duration::from_micros(wait.into())).ok();
         first = frame.and_then(|frame| node.handle_frame(&frame, now()));
     }

@@ -20,7 +20,7 @@
 //! let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 1000 };
 //! let mut node = Node::new(device, settings);
 //! let now = Instant::from_micros(0);
-//! assert_eq!(node.handle_deadline(now), None, "no boot-up without a node-ID");
+//! assert_eq!(node.poll(now), None, "no boot-up without a node-ID");
 //!
 //! let is_anyone_unconfigured = Frame::new(0x7E5, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
 //! let Some(Action::Transmit(answer)) = node.handle_frame(&is_anyone_unconfigured, now) else { panic!() };

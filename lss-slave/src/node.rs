@@ -52,8 +52,8 @@ pub enum Action {
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
 /// - [`handle_fault`](Self::handle_fault) with a fault of the board, [`note_error_counters`](Self::note_error_counters)
 ///   with those of the controller;
-/// - [`handle_deadline`](Self::handle_deadline) first of all, after each of the others, and when the
-///   [`next_deadline`](Self::next_deadline) has come: again and again until it returns `None`. A deadline that has come
+/// - [`poll`](Self::poll) first of all, after each of the others, and when the
+///   [`poll_at`](Self::poll_at) has come: again and again until it returns `None`. A deadline that has come
 ///   goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether there is any need.
 ///
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
@@ -70,7 +70,7 @@ pub struct Node {
     due: Due,
 }
 
-/// When [`Node::handle_deadline`] has something to do.
+/// When [`Node::poll`] has something to do.
 #[derive(Clone, Copy, Debug)]
 enum Due {
     /// Whatever has happened may have made something due.
@@ -140,7 +140,7 @@ impl Node {
     }
 
     /// Takes a received frame; returns the answer to a request of LSS that has one at once. All else comes from
-    /// [`handle_deadline`](Self::handle_deadline).
+    /// [`poll`](Self::poll).
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         if !self.bit_rate.is_at_ease() {
@@ -205,7 +205,7 @@ impl Node {
         }
     }
 
-    /// Whether [`handle_deadline`](Self::handle_deadline) may have something to do at `now`: a cheap question.
+    /// Whether [`poll`](Self::poll) may have something to do at `now`: a cheap question.
     pub const fn is_due(&self, now: Instant) -> bool {
         match self.due {
             Due::Now => true,
@@ -216,7 +216,7 @@ impl Node {
 
     /// Does the next thing that is due at `now`; returns `None` when nothing is.
     #[must_use = "an action that is not carried out is lost"]
-    pub fn handle_deadline(&mut self, now: Instant) -> Option<Action> {
+    pub fn poll(&mut self, now: Instant) -> Option<Action> {
         if !self.is_due(now) {
             return None;
         }
@@ -227,8 +227,8 @@ impl Node {
         action
     }
 
-    /// When [`handle_deadline`](Self::handle_deadline) must be called again, if no other call comes before.
-    pub fn next_deadline(&self) -> Option<Instant> {
+    /// When [`poll`](Self::poll) must be called again, if no other call comes before.
+    pub fn poll_at(&self) -> Option<Instant> {
         match self.due {
             Due::Now => self.find_deadline(),
             Due::At(instant) => Some(instant),

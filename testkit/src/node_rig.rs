@@ -191,7 +191,7 @@ impl NodeRig {
     }
 
     pub fn us_to_deadline(&self) -> Option<u64> {
-        Some(self.node.next_deadline()?.micros_after(self.instant()).into())
+        Some(self.node.poll_at()?.micros_after(self.instant()).into())
     }
 
     /// Cuts the power and brings it back; returns what the node sends then.
@@ -286,7 +286,7 @@ impl NodeRig {
     }
 
     fn run(&mut self) {
-        while let Some(action) = self.node.handle_deadline(self.instant()) {
+        while let Some(action) = self.node.poll(self.instant()) {
             self.carry_out(Some(action));
         }
         assert_eq!(self.receives_for, self.node.node_id(), "the board knows the node-ID");

@@ -47,12 +47,12 @@ extern "C" fn receive() {
     if node.is_due(now) {
         act_until_nothing_is_due(node, now);
     }
-    TIMER.write(node.next_deadline().map_or(0, |deadline| deadline.as_micros() | 1));
+    TIMER.write(node.poll_at().map_or(0, |deadline| deadline.as_micros() | 1));
 }
 
 #[inline(never)]
 fn act_until_nothing_is_due(node: &mut Node, now: Instant) {
-    while let Some(action) = node.handle_deadline(now) {
+    while let Some(action) = node.poll(now) {
         act(node, action);
     }
 }

@@ -132,10 +132,10 @@ fn run_node() {
     black_box(&mut *node).handle_fault(any(Fault::Overrun));
     black_box(&mut *node).handle_bus(any(BusEvent::Error), any_instant());
     black_box(&mut *node).note_error_counters(any(0), any(0));
-    black_box(black_box(&mut *node).handle_deadline(any_instant()));
+    black_box(black_box(&mut *node).poll(any_instant()));
     let node = &*black_box(node);
     black_box(node.is_due(any_instant()));
-    black_box((node.next_deadline(), node.receives(), node.nmt_state(), node.node_id()));
+    black_box((node.poll_at(), node.receives(), node.nmt_state(), node.node_id()));
     black_box((node.bit_rate(), node.is_listening(), node.lss().state()));
 }
 
