@@ -16,8 +16,6 @@ pub struct Arguments {
     /// From one frame to the next, and from the last to the end.
     pub interval: Time,
     pub frames: Vec<Frame>,
-    /// There is no chip and no bus: a debugger drives the program.
-    pub lock_step: bool,
 }
 
 impl Arguments {
@@ -32,7 +30,6 @@ impl Arguments {
             start: Time::from_s(1),
             interval: Time::from_ms(50),
             frames: Vec::new(),
-            lock_step: false,
         };
         for argument in arguments {
             let (key, value) = argument.split_once('=').unwrap_or((argument, ""));
@@ -44,7 +41,6 @@ impl Arguments {
                 "start" => set(&mut parsed.start, milliseconds(value)),
                 "interval" => set(&mut parsed.interval, milliseconds(value)),
                 "send" => frame(value).map(|frame| parsed.frames.push(frame)),
-                "lock-step" => set(&mut parsed.lock_step, lock_step(value)),
                 _ => None,
             };
             understood.ok_or_else(|| format!("`{argument}` is not understood"))?;
@@ -56,11 +52,6 @@ impl Arguments {
 fn set<T>(place: &mut T, value: Option<T>) -> Option<()> {
     *place = value?;
     Some(())
-}
-
-/// QEMU makes `lock-step=on` of a bare `lock-step`.
-fn lock_step(value: &str) -> Option<bool> {
-    matches!(value, "" | "on").then_some(true)
 }
 
 fn milliseconds(text: &str) -> Option<Time> {

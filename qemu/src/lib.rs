@@ -7,8 +7,7 @@
 //! - `bit-rate=125000`: of the adapter, in bit/s;
 //! - `unique-id=000102030405060708090a0b`: of the chip;
 //! - `start=1000`, `interval=50`: when the first frame is queued and how long after it the next is, in ms;
-//! - `send=7E5#0401`, once for each frame: identifier and data;
-//! - `lock-step`, in place of all others: a debugger gives what peripherals would, see `mirror.rs`.
+//! - `send=7E5#0401`, once for each frame: identifier and data.
 //!
 //! Works with QEMU 7.2 to 10.0 where it exports its symbols, as Debian builds it; the dynamic linker names one that is
 //! missing.
@@ -16,7 +15,6 @@
 
 mod arguments;
 mod board;
-mod mirror;
 mod sys;
 
 use std::{
@@ -94,9 +92,6 @@ pub unsafe extern "C" fn qemu_plugin_install(
 
 extern "C" fn machine_ready(_: *mut c_void, _: *mut c_void) {
     let arguments = ARGUMENTS.get().expect("the plugin is installed before the machine is made");
-    if arguments.lock_step {
-        return mirror::install();
-    }
     let machine = Machine::find(tick);
     BOARD.get_or_init(|| Mutex::new(Board::new(arguments, machine)));
     for (name, base, length) in RANGES {

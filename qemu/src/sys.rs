@@ -121,11 +121,6 @@ unsafe extern "C" {
         ambiguous: *mut bool,
     ) -> *mut c_void;
     fn qdev_get_gpio_in(device: *mut c_void, number: c_int) -> *mut c_void;
-    fn qdev_get_gpio_in_named(
-        device: *mut c_void,
-        name: *const c_char,
-        number: c_int,
-    ) -> *mut c_void;
     fn qemu_set_irq(line: *mut c_void, level: c_int);
     fn clock_set(clock: *mut c_void, period: u64) -> bool;
     fn clock_propagate(clock: *mut c_void);
@@ -180,28 +175,6 @@ pub fn request_shutdown() {
 pub fn map(name: &CStr, base: u32, length: u64, ops: &'static MemoryRegionOps) {
     // SAFETY: there is a machine whenever there is something to map.
     let memory = unsafe { get_system_memory() };
-    map_over(memory, name, base, length, ops);
-}
-
-/// The same in the core, above its own peripherals.
-///
-/// # Panics
-/// It is not a machine with one Cortex-M, as netduinoplus2 is.
-pub fn map_in_core(name: &CStr, base: u32, length: u64, ops: &'static MemoryRegionOps) {
-    let path = c"armv7m-container[0]".as_ptr();
-    // SAFETY: the path is a string, and what it names is a MemoryRegion.
-    let memory = unsafe { object_resolve_path(path, ptr::null_mut()) };
-    assert!(!memory.is_null(), "the machine must be netduinoplus2");
-    map_over(memory, name, base, length, ops);
-}
-
-fn map_over(
-    memory: *mut c_void,
-    name: &CStr,
-    base: u32,
-    length: u64,
-    ops: &'static MemoryRegionOps,
-) {
     let region = Opaque::leak();
     let opaque = ptr::without_provenance_mut(base as usize);
     // SAFETY: region and operations live for ever, the name is copied, and the region is larger than a MemoryRegion.
@@ -211,50 +184,9 @@ fn map_over(
     }
 }
 
-/// The inputs of QEMU's interrupt controller.
-pub struct Interrupts {
-    core: *mut c_void,
-    systick: *mut c_void,
-}
-
-// SAFETY: QEMU's threads use its objects in turn, under the big lock, which every callback holds.
-unsafe impl Send for Interrupts {}
-
-impl Interrupts {
-    /// Looks them up in a complete machine.
-    ///
-    /// # Panics
-    /// It is not a machine with one Cortex-M, as netduinoplus2 is.
-    pub fn find() -> Self {
-        let of_type = |name: &CStr| {
-            // SAFETY: both are strings.
-            let object =
-                unsafe { object_resolve_path_type(c"".as_ptr(), name.as_ptr(), ptr::null_mut()) };
-            assert!(!object.is_null(), "the machine must be netduinoplus2");
-            object
-        };
-        let (core, nvic) = (of_type(c"armv7m"), of_type(c"armv7m_nvic"));
-        // SAFETY: an NVIC has such an input for each of its two security states; that of a core with one is number 0.
-        let systick = unsafe { qdev_get_gpio_in_named(nvic, c"systick-trigger".as_ptr(), 0) };
-        Self { core, systick }
-    }
-
-    /// Drives interrupt line `number`.
-    pub fn set_irq(&self, number: u32, level: bool) {
-        // SAFETY: the core is an ARMv7M with 96 lines, and the chip has fewer.
-        unsafe { qemu_set_irq(qdev_get_gpio_in(self.core, number as c_int), level.into()) }
-    }
-
-    /// Makes SysTick pending.
-    pub fn pend_systick(&self) {
-        // SAFETY: the line is that of the NVIC.
-        unsafe { qemu_set_irq(self.systick, 1) }
-    }
-}
-
 /// What the chip drives in QEMU: the core's interrupt lines, its clock, and a timer for itself.
 pub struct Machine {
-    interrupts: Interrupts,
+    core: *mut c_void,
     clock: *mut c_void,
     timer: *mut c_void,
     timer_at: Time,
@@ -262,7 +194,7 @@ pub struct Machine {
     stalled: Time,
 }
 
-// SAFETY: as for `Interrupts`.
+// SAFETY: QEMU's threads use its objects in turn, under the big lock, which every callback holds.
 unsafe impl Send for Machine {}
 
 impl Machine {
@@ -273,19 +205,16 @@ impl Machine {
     pub fn find(tick: Callback) -> Self {
         let timer = Opaque::leak();
         let null = ptr::null_mut();
-        // SAFETY: the paths are strings, the timer lives for ever and is larger than a QEMUTimer.
-        let clock = unsafe {
+        // SAFETY: the paths and names are strings, the timer lives for ever and is larger than a QEMUTimer.
+        let (clock, core) = unsafe {
             timer_init_full(timer, null, QEMU_CLOCK_VIRTUAL, 1, 0, tick, null);
-            object_resolve_path(c"/machine/SYSCLK".as_ptr(), ptr::null_mut())
+            (
+                object_resolve_path(c"/machine/SYSCLK".as_ptr(), ptr::null_mut()),
+                object_resolve_path_type(c"".as_ptr(), c"armv7m".as_ptr(), ptr::null_mut()),
+            )
         };
-        assert!(!clock.is_null(), "the machine must be netduinoplus2");
-        Self {
-            interrupts: Interrupts::find(),
-            clock,
-            timer,
-            timer_at: Time::MAX,
-            stalled: Time::ZERO,
-        }
+        assert!(!clock.is_null() && !core.is_null(), "the machine must be netduinoplus2");
+        Self { core, clock, timer, timer_at: Time::MAX, stalled: Time::ZERO }
     }
 
     /// The time of the board.
@@ -302,7 +231,8 @@ impl Machine {
 
     /// Drives interrupt line `number`.
     pub fn set_irq(&self, number: u32, level: bool) {
-        self.interrupts.set_irq(number, level);
+        // SAFETY: the core is an ARMv7M with 96 lines, and the chip has fewer.
+        unsafe { qemu_set_irq(qdev_get_gpio_in(self.core, number as c_int), level.into()) }
     }
 
     /// Sets the frequency of the core and of SysTick.

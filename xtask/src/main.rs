@@ -61,7 +61,7 @@ fn main() -> ExitCode {
         Command::Fuzz(arguments) => fuzz::run(&arguments),
         Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
-        Command::Qemu(arguments) => qemu::run(&arguments),
+        Command::Qemu(_) => qemu::run(),
         Command::Readings(arguments) => readings::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),

@@ -1,11 +1,7 @@
 //! `cargo xtask qemu`: the same session with QEMU's CPU and with ours, and whether they agree.
 
-mod gdb;
-mod lock_step;
-
 use std::{
     env, io,
-    num::NonZeroUsize,
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
@@ -54,49 +50,15 @@ impl Seen {
 
 /// Run a session with QEMU's CPU and with the emulator's, and show that they agree
 ///
-/// On their own: QEMU with the emulator's peripherals, the emulator, and the same frames must come from both. In lock-step:
-/// all registers must be the same after every instruction, and so every access to peripherals and what RAM holds; the first
-/// difference is shown.
+/// QEMU runs the release image with the emulator's peripherals and bus as a plugin. The same frames must come from both.
 #[derive(clap::Args)]
-pub struct Arguments {
-    /// Compare instruction by instruction
-    #[arg(long)]
-    lock_step: bool,
-    /// End after so many instructions; else with the session
-    #[arg(long, value_name = "NUMBER", requires = "lock_step", default_value_t = u64::MAX, hide_default_value = true)]
-    instructions: u64,
-    /// Compare once in so many instructions, and wherever the core meets what is outside of it: faster, but the first
-    /// difference is not told to the instruction
-    #[arg(long, value_name = "INSTRUCTIONS", requires = "lock_step", default_value = "1")]
-    stride: NonZeroUsize,
-    /// Spoil r0..r12 of QEMU's before this instruction, to see that it is found
-    #[arg(
-        long,
-        value_name = "INSTRUCTION",
-        requires = "lock_step",
-        conflicts_with = "stride",
-        hide = true
-    )]
-    corrupt: Option<u64>,
-}
+pub struct Arguments;
 
-/// Prints the session. Fails if the runs differ; on their own, in more than the times.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+/// Prints the session. Fails if the runs differ in more than the times.
+pub fn run() -> anyhow::Result<()> {
     let version = find_qemu()?;
     let image = testkit::image::build(PART)?;
     let plugin = build_plugin()?;
-    if arguments.lock_step {
-        let Arguments { instructions, stride, corrupt, .. } = *arguments;
-        let stride = stride.get();
-        let mut qemu = qemu(&format!("{},lock-step=on", plugin.display()))?;
-        qemu.args(["-S", "-gdb", "stdio"]);
-        println!("QEMU is {version}.");
-        return lock_step::run(
-            &mut qemu,
-            &image,
-            lock_step::Limits { instructions, stride, corrupt },
-        );
-    }
     let output = run_qemu(&plugin)?;
     let ours = run_emulator(&image)?;
 

@@ -1,26 +1,6 @@
-//! The tables: all slaves side by side, those measured elsewhere quoted as such, and this project's targets.
+//! The tables: all slaves side by side.
 
-use super::{Measured, machine::Cost, programs::Program, session::Costs};
-
-/// The other slaves whose figures are quoted.
-const QUOTED: [(&str, [&str; 11]); 4] = [
-    (
-        "CANopenNode",
-        ["164 (131)", "504", "170", "190/129", "22535", "none", "", "954", "155", "4676", "108"],
-    ),
-    (
-        "embedded-office",
-        ["318 (286)", "951", "181", "430/384", "53634", "2002", "", "1666", "16", "10752", "112"],
-    ),
-    (
-        "Lely",
-        ["336 (284)", "1358", "306", "596/550", "76934", "2077", "", "1834", "88", "18004", "216"],
-    ),
-    (
-        "CanFestival",
-        ["136 (109)", "400", "96", "131/74", "14949", "534", "26", "1640", "68", "12581", "200"],
-    ),
-];
+use super::{Measured, machine::Cost, session::Costs};
 
 const HEADS: [[&str; 2]; 11] = [
     ["inquire", "(answer)"],
@@ -35,7 +15,7 @@ const HEADS: [[&str; 2]; 11] = [
     ["node", "B"],
     ["stack", "B"],
 ];
-/// So many of them are costs of the CPU.
+/// The number of columns that are costs of the CPU.
 const COSTS: usize = 7;
 
 /// Prints all tables.
@@ -48,29 +28,10 @@ pub fn print(measured: &[Measured]) {
     for slave in measured {
         row(slave.program.title(), &cells(slave, |cost| cost.instructions));
     }
-    println!(
-        "Not of this run: C at -O2 and -Os in a longer harness, in which canopen-rs LssSlave alone \
-         took 58 (38) to inquire"
-    );
-    for (title, cells) in &QUOTED {
-        row(title, cells);
-    }
     println!("\nCycles of the same, with a flash without wait states");
     head(COSTS);
     for slave in measured {
         row(slave.program.title(), &cells(slave, |cost| cost.cycles)[..COSTS]);
-    }
-    let [node, alone] = [Program::Node, Program::Slave].map(|program| {
-        measured.iter().find(|slave| slave.program == program).expect("both are measured")
-    });
-    println!("\nTargets of this project{:11}most{:>12}{:>16}", "", "node", "Slave alone");
-    for Target { title, limit, of } in TARGETS {
-        let [node, alone] = [node, alone].map(|slave| match of(slave) {
-            Some(number) if number <= limit => format!("{number} met"),
-            Some(number) => format!("{number} missed"),
-            None => String::new(),
-        });
-        println!("{title:26}{limit:>12}{node:>16}{alone:>16}");
     }
 }
 
@@ -108,34 +69,4 @@ fn cells(slave: &Measured, unit: fn(Cost) -> u64) -> [String; HEADS.len()] {
 
 fn number(number: Option<u64>) -> String {
     number.map_or_else(String::new, |number| number.to_string())
-}
-
-/// What this project wants of itself.
-struct Target {
-    title: &'static str,
-    limit: u64,
-    of: fn(&Measured) -> Option<u64>,
-}
-
-const TARGETS: [Target; 12] = [
-    target("inquire vendor", 85, |slave| instructions(slave.costs.inquire)),
-    target("  to the answer", 60, |slave| instructions(slave.costs.inquire_answered)),
-    target("selective x4", 170, |slave| instructions(slave.costs.selective)),
-    target("fastscan match", 85, |slave| instructions(slave.costs.fastscan_match)),
-    target("fastscan no match", 50, |slave| instructions(slave.costs.fastscan_no_match)),
-    target("full scan x133", 9_000, |slave| instructions(slave.costs.full_scan)),
-    target("identify x6", 270, |slave| slave.costs.identify.and_then(instructions)),
-    target("foreign frame", 14, |slave| instructions(slave.costs.foreign)),
-    target("LSS module, bytes", 950, |slave| slave.sizes.module),
-    target("LSS state, bytes", 32, |slave| slave.sizes.state),
-    target("smallest node, bytes", 4_600, |slave| slave.sizes.program),
-    target("stack, bytes", 100, |slave| Some(slave.costs.stack.into())),
-];
-
-const fn target(title: &'static str, limit: u64, of: fn(&Measured) -> Option<u64>) -> Target {
-    Target { title, limit, of }
-}
-
-fn instructions(cost: Cost) -> Option<u64> {
-    Some(cost.instructions)
 }
