@@ -72,10 +72,10 @@ mod app {
         clock::start(cx.core.SYST);
 
         let (log, found) = Log::open(board.settings_flash);
-        let settings = log.settings().unwrap_or(device::DEFAULTS);
-        report(found, &settings);
+        let stored = log.settings();
+        report(found, &stored.unwrap_or(device::DEFAULTS));
 
-        let node = Node::new(board::device(), settings);
+        let node = Node::new(board::device(), stored);
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
         let mut slave = Slave::new(node, can);
         if found == Found::Damaged {

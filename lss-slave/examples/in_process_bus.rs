@@ -27,18 +27,11 @@ fn main() {
 
 /// The board: carries out what the node asks for, for as long as the process lives.
 fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
-    let device = Device {
-        address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-        bit_rates: BitRates::possible(40_000_000),
-        heartbeat_ms: 0,
-        name: "Example",
-        hardware_version: "1",
-        software_version: "1",
-        rescue: false,
-        lss_lock: false,
-    };
-    let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 0 };
-    let mut node = Node::new(device, settings);
+    let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
+    let device = Device::new(address, BitRates::possible(40_000_000))
+        .with_defaults(Settings::new(BitRate::Kbit125.into()))
+        .with_name("Example");
+    let mut node = Node::new(device, None);
     let start = std::time::Instant::now();
     let now = || Instant::from_micros(start.elapsed().as_micros() as u32);
     let mut first = None;

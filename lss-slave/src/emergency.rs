@@ -12,15 +12,17 @@ pub const HISTORY_LEN: u8 = 8;
 
 /// A fault that an emergency message reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Fault {
     /// 6310h: the stored settings were damaged and the defaults are in use. Lasts until something is stored.
     SettingsLost,
-    /// 8120h: the controller is error passive (ISO 11898-1). The node sees it by itself, and its end, in what
-    /// [`Node::note_error_counters`](crate::Node::note_error_counters) is given.
+    /// 8120h: the controller is error passive (ISO 11898-1). The node sees it by itself, and its end, in
+    /// [`BusEvent::ErrorCounters`](crate::BusEvent::ErrorCounters).
     ErrorPassive,
-    /// 8140h: the controller was bus-off and takes part in the bus again.
+    /// 8140h: the controller was bus-off and takes part in the bus again; of
+    /// [`BusEvent::BusOffRecovered`](crate::BusEvent::BusOffRecovered).
     BusOffRecovered,
-    /// 8110h: the controller received frames faster than they were taken.
+    /// 8110h: the controller received frames faster than they were taken; of [`BusEvent::Overrun`](crate::BusEvent::Overrun).
     Overrun,
     /// FF10h: the node takes part in the bus at another bit rate than its home rate. Bytes 3..=6 of the message, and of the
     /// one that reports the end, are the two rates in kbit/s, 16 bits each, little endian. The node sees both by itself.

@@ -7,18 +7,11 @@
 //! ```
 //! use lss_slave::{Action, BitRate, BitRates, Device, Frame, Instant, Node, Settings, lss::Address};
 //!
-//! let device = Device {
-//!     address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-//!     bit_rates: BitRates::possible(40_000_000),
-//!     heartbeat_ms: 1000,
-//!     name: "Example",
-//!     hardware_version: "1",
-//!     software_version: "1",
-//!     rescue: false,
-//!     lss_lock: false,
-//! };
-//! let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 1000 };
-//! let mut node = Node::new(device, settings);
+//! let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
+//! let device = Device::new(address, BitRates::possible(40_000_000))
+//!     .with_defaults(Settings::new(BitRate::Kbit125.into()))
+//!     .with_name("Example");
+//! let mut node = Node::new(device, None);
 //! let now = Instant::from_micros(0);
 //! assert_eq!(node.poll(now), None, "no boot-up without a node-ID");
 //!
@@ -56,6 +49,7 @@ pub mod settings;
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+mod bus_event;
 mod can;
 mod device;
 mod node;
@@ -64,10 +58,10 @@ mod supervision;
 mod time;
 
 pub use bit_rate::{BitRate, BitRateSetting, BitRates};
+pub use bus_event::BusEvent;
 pub use can::Frame;
 pub use device::Device;
 pub use node::{Action, Node};
 pub use node_id::{InvalidNodeId, NodeId};
 pub use settings::Settings;
-pub use supervision::BusEvent;
 pub use time::Instant;

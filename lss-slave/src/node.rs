@@ -6,12 +6,12 @@ mod objects;
 mod storing;
 
 use crate::{
-    BitRate, BitRateSetting, Device, Frame, Instant, NodeId, Settings,
+    BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     emergency::{Emergency, ErrorCounters, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
     sdo,
-    supervision::{BusEvent, Step},
+    supervision::Step,
 };
 use bit_rate_control::BitRateControl;
 use nmt_slave::NmtSlave;
@@ -48,13 +48,12 @@ pub enum Action {
 ///
 /// It is driven by these calls:
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
-/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with what else the controller tells;
+/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the other events of the controller;
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
-/// - [`handle_fault`](Self::handle_fault) with a fault of the board, [`note_error_counters`](Self::note_error_counters)
-///   with those of the controller;
-/// - [`poll`](Self::poll) first of all, after each of the others, and when the
-///   [`poll_at`](Self::poll_at) has come: again and again until it returns `None`. A deadline that has come
-///   goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether there is any need.
+/// - [`handle_fault`](Self::handle_fault) with a fault of the board;
+/// - [`poll`](Self::poll) first of all, after each of the others, and at [`poll_at`](Self::poll_at): again and again until it
+///   returns `None`. What is due goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether
+///   there is any need.
 ///
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
 /// A call that comes late or without need does no harm.
@@ -80,8 +79,12 @@ enum Due {
 }
 
 impl Node {
-    /// A node after power-on with its persistent settings.
-    pub const fn new(device: Device, persistent: Settings) -> Self {
+    /// A node after power-on, with the settings that were stored, or the device's defaults.
+    pub const fn new(device: Device, stored: Option<Settings>) -> Self {
+        let persistent = match stored {
+            Some(settings) => settings,
+            None => device.defaults,
+        };
         // Another image, with other clocks, may have stored a rate that this one has not.
         let bit_rate = match persistent.bit_rate {
             BitRateSetting::Fixed(rate) if !device.bit_rates.contains(rate) => {
@@ -164,23 +167,25 @@ impl Node {
         None
     }
 
-    /// Takes note of a fault that the board has seen: an emergency message reports it, and the history 1003h keeps it.
+    /// Records a fault of the board, such as [`Fault::SettingsLost`], and queues an emergency message; the history 1003h keeps
+    /// it.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report(fault);
         self.due = Due::Now;
     }
 
-    /// Takes note of the controller's error counters, TEC and REC: for object 2000h, and to report when the controller is
-    /// error passive. To be called when it has become so and a few times a second; more often does no harm.
-    pub fn note_error_counters(&mut self, transmit: u8, receive: u8) {
-        let is_listening = self.is_listening();
-        self.emergency.handle_error_counters(ErrorCounters { transmit, receive }, is_listening);
-        self.due = Due::Now;
-    }
-
-    /// Takes what the controller has observed at `now`. The same event twice does no harm.
+    /// Takes an event of the controller at `now`. A repeated one does no harm, but [`BusEvent::Overrun`] and
+    /// [`BusEvent::BusOffRecovered`] are counted.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
+        self.due = Due::Now;
         match event {
+            BusEvent::ErrorCounters { transmit, receive } => {
+                let counters = ErrorCounters { transmit, receive };
+                self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
+                return;
+            }
+            BusEvent::Overrun => return self.emergency.report(Fault::Overrun),
+            BusEvent::BusOffRecovered => return self.emergency.report(Fault::BusOffRecovered),
             BusEvent::Acknowledged => {
                 self.nmt.note_acknowledge();
                 self.emergency.note_acknowledge();
@@ -189,10 +194,13 @@ impl Node {
                 self.nmt.handle_communication_error();
                 self.lock_lss();
             }
-            _ => {}
+            BusEvent::Received
+            | BusEvent::Error
+            | BusEvent::FormError
+            | BusEvent::HeldDominant
+            | BusEvent::ErrorPassive => {}
         }
         self.bit_rate.handle_bus(event, now);
-        self.due = Due::Now;
     }
 
     /// Takes the outcome of the last [`Action::Store`].

@@ -5,28 +5,7 @@
 //! the other rates, in slices that are short enough for a master at the home rate to be answered within 100 ms. A valid frame
 //! at another rate makes the node a *guest* there, until errors or a missing acknowledge send it home.
 
-use crate::{BitRate, BitRateSetting, BitRates, Instant};
-
-/// What the CAN controller has observed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BusEvent {
-    /// A valid frame was received, whether the node wants it or not.
-    Received,
-    /// A frame of the node was sent and acknowledged.
-    Acknowledged,
-    /// A stuff, CRC or bit recessive error. A missing acknowledge is none, since nobody may be there. Neither is a bit
-    /// dominant error, which shows a broken wire or a short circuit. Also traffic that keeps the controller from joining the
-    /// bus for two frame times.
-    Error,
-    /// A form error. To a silent listener, this is what a frame without an acknowledge looks like.
-    FormError,
-    /// The bus has been dominant for longer than any frame is: a short circuit, or a station that is broken.
-    HeldDominant,
-    /// The controller is error passive by what it receives: REC is above 127.
-    ErrorPassive,
-    /// The controller is bus-off.
-    BusOff,
-}
+use crate::{BitRate, BitRateSetting, BitRates, BusEvent, Instant};
 
 /// What the node does next about its bit rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use emulator::{
     Time,
     chip::{Flash, StuckBits},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames::{Frames, SILENCE},
     image_rig::{
@@ -27,8 +27,7 @@ const READS_BACK_OTHERWISE: &str = "the flash reads back otherwise than written"
 
 /// Node 40 with a heartbeat, in LSS configuration state and about to store node-ID 4.
 fn node_40() -> ImageRig {
-    let mut bench =
-        ImageRig::with(Settings { heartbeat_ms: 30, ..settings(0x40, BitRate::Kbit1000) });
+    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(30));
     bench.collect(Time::from_ms(20));
     configure(&mut bench);
     bench

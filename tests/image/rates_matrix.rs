@@ -6,7 +6,7 @@ use emulator::{
     chip::Part,
     network::{AdapterId, Network, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames,
     image::image,
@@ -192,9 +192,8 @@ fn a_neighbour_that_takes_40_ms_to_obey_is_not_disturbed_with_a_delay_of_50_ms()
         (BitRate::Kbit500, BitRate::Kbit50),
     ] {
         let (processing, delay) = (Time::from_ms(40), Time::from_ms(50));
-        let boards = [1, 2].map(|number| {
-            board_with(number, Settings { heartbeat_ms: 5, ..settings(number, from) })
-        });
+        let boards =
+            [1, 2].map(|number| board_with(number, settings(number, from).with_heartbeat_ms(5)));
         let mut bench = ImageRig::new(from, boards);
         let slow = bench.network.add_adapter(Adapter::new(bit_per_s(from)));
         bench.transmit_request("04 01");

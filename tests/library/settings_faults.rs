@@ -116,7 +116,7 @@ fn a_store_that_fails_says_why() {
 fn about_to_move(bank: usize) -> Flash<4, 256> {
     let records: Vec<_> = (1..=7)
         .map(|n| {
-            let Settings { node_id, bit_rate, heartbeat_ms } = settings(n);
+            let Settings { node_id, bit_rate, heartbeat_ms, .. } = settings(n);
             let node_id = NodeId::to_lss(node_id);
             let sequence = u32::from(n);
             let at = usize::from(n) - 1;

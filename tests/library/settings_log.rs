@@ -27,7 +27,9 @@ fn what_was_stored_is_found_at_the_next_open() {
         for bit_rate in BitRate::ALL {
             for heartbeat_ms in [0, 1, 0xFF, 0x100, u16::MAX] {
                 let node_id = NodeId::from_lss(node_id).unwrap();
-                let settings = Settings { node_id, bit_rate: bit_rate.into(), heartbeat_ms };
+                let settings = Settings::new(bit_rate.into())
+                    .with_node_id(node_id)
+                    .with_heartbeat_ms(heartbeat_ms);
                 let (mut log, _) = Log::open(flash.clone());
                 assert_eq!(log.store(settings), Ok(()));
                 assert_eq!(log.settings(), Some(settings));
@@ -42,15 +44,12 @@ fn the_record_in_flash_is_the_documented_one() {
     let flash = BoardFlash::blank(0);
     let (mut log, _) = Log::open(flash.clone());
     assert_eq!(flash.content()[..32], record(1, 0, 0xFF, 0xFF, 0xFFFF));
-    log.store(Settings {
-        node_id: NodeId::new(5),
-        bit_rate: BitRate::Kbit500.into(),
-        heartbeat_ms: 1000,
-    })
+    log.store(
+        Settings::new(BitRate::Kbit500.into()).with_node_id(NodeId::new(5)).with_heartbeat_ms(1000),
+    )
     .unwrap();
     assert_eq!(flash.content()[32..64], record(2, 1, 5, 2, 1000));
-    log.store(Settings { node_id: None, bit_rate: BitRate::Kbit10.into(), heartbeat_ms: 0 })
-        .unwrap();
+    log.store(Settings::new(BitRate::Kbit10.into())).unwrap();
     assert_eq!(flash.content()[64..96], record(3, 1, 0xFF, 8, 0));
 }
 

@@ -3,8 +3,8 @@
 use core::mem;
 
 use crate::{
-    BitRate, BitRateSetting, BitRates, Frame, Instant, nmt,
-    supervision::{BusEvent, Step, Supervision},
+    BitRate, BitRateSetting, BitRates, BusEvent, Frame, Instant, nmt,
+    supervision::{Step, Supervision},
 };
 
 /// The bit rate of the node: in use, active, home; and the switch to another.

@@ -82,7 +82,7 @@ impl Objects for Parts<'_> {
             }
             (Object::StoreParameters, SAVE) => self.request_store(entry, self.nmt.heartbeat_ms()),
             (Object::RestoreDefaultParameters, LOAD) => {
-                self.request_store(entry, self.device.heartbeat_ms)
+                self.request_store(entry, self.device.defaults.heartbeat_ms)
             }
             (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
                 Err(Abort::NotStored)

@@ -402,11 +402,9 @@ fn board(number: usize, node: Node, image: &Image, part: Part) -> Board {
     let mut board = Board::new(part, image, settings);
     board.set_flash(
         SETTINGS_OFFSET,
-        &flash_with(&[Settings {
-            node_id: node.node_id.and_then(NodeId::new),
-            bit_rate: node.stored.into(),
-            heartbeat_ms: node.heartbeat_ms,
-        }]),
+        &flash_with(&[Settings::new(node.stored.into())
+            .with_node_id(node.node_id.and_then(NodeId::new))
+            .with_heartbeat_ms(node.heartbeat_ms)]),
     );
     board
 }

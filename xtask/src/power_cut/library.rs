@@ -43,11 +43,9 @@ impl fmt::Display for Histories {
 
 /// Settings that differ for each `number`.
 fn settings(number: u8) -> Settings {
-    Settings {
-        node_id: NodeId::new(number % 128),
-        bit_rate: BitRate::ALL[usize::from(number % 8)].into(),
-        heartbeat_ms: number.into(),
-    }
+    Settings::new(BitRate::ALL[usize::from(number % 8)].into())
+        .with_node_id(NodeId::new(number % 128))
+        .with_heartbeat_ms(number.into())
 }
 
 /// One life: power-on and so many stores, until the power fails. Returns what was lost, if anything.
