@@ -5,6 +5,8 @@
 //! the other rates, in slices that are short enough for a master at the home rate to be answered within 100 ms. A valid frame
 //! at another rate makes the node a *guest* there, until errors or a missing acknowledge send it home.
 
+use core::mem;
+
 use crate::{BitRate, BitRateSetting, BitRates, BusEvent, Instant};
 
 /// What the node does next about its bit rate.
@@ -66,6 +68,8 @@ pub(crate) struct Supervision {
     home: BitRate,
     /// Something was received or acknowledged at home, since power-on or the latest switch.
     is_proven: bool,
+    /// A frame was repeated at home for [`REPEAT_MICROS`], and nothing but an acknowledge was missing: nobody takes part.
+    is_alone: bool,
     /// The rate before the latest switch, until it has been looked at.
     previous: Option<BitRate>,
     trusted_until: Option<Instant>,
@@ -193,6 +197,7 @@ impl Supervision {
             is_enabled,
             home,
             is_proven: false,
+            is_alone: false,
             previous: None,
             trusted_until: None,
             doubted_until: None,
@@ -303,6 +308,7 @@ impl Supervision {
             self.previous = Some(before);
             self.step = Some(Step::TakePart(rate));
         }
+        self.is_alone = false;
         self.home = rate;
         self.active = rate;
         self.enter(Place::Home);
@@ -487,6 +493,7 @@ impl Supervision {
             Sending::Unacknowledged { until } if until.has_come(now) => {
                 self.sending = Sending::Withheld { until: now.plus_micros(PAUSE_MICROS) };
                 self.step = Some(Step::DropFrames);
+                self.is_alone = self.is_at_home();
             }
             Sending::Withheld { until } if until.has_come(now) => self.sending = Sending::Free,
             _ => {}
@@ -543,7 +550,8 @@ impl Supervision {
         let slowest = BitRate::Kbit10;
         let fastest = next_rate(self.rates, slowest, Some(self.home));
         let candidate = self.previous.take().unwrap_or(fastest);
-        let waits = !self.is_proven || self.doubted_until.is_some();
+        let is_alone = mem::take(&mut self.is_alone);
+        let waits = !self.is_proven && !is_alone || self.doubted_until.is_some();
         let mut look = Look { waits, ..Look::at(candidate) };
         look.add_error(now);
         self.look_elsewhere(look, LOOK_MICROS, now);

@@ -289,6 +289,16 @@ fn looks_twice(board: &mut NodeRig) -> bool {
 }
 
 #[test]
+fn a_node_that_found_itself_alone_does_not_wait_after_one_error() {
+    for (ms, waits) in [(99, true), (100, false)] {
+        let mut board = unproven();
+        board.pass_ms(ms);
+        board.see(Error);
+        assert_eq!(looks_twice(&mut board), waits, "alone for {ms} ms");
+    }
+}
+
+#[test]
 fn after_a_disturbance_of_30_ms_no_look_waits() {
     for (ms, waits) in [(29, true), (30, false)] {
         let mut board = unproven();
