@@ -36,7 +36,7 @@ mod app {
         emergency::Fault,
         indicator,
         lss::StoreError,
-        settings::{Error, Found, Log},
+        settings::{Found, Log},
     };
     use stm32f4xx_hal::{
         gpio::{ErasedPin, Output},
@@ -154,10 +154,9 @@ mod app {
         cx.shared.slave.lock(|slave| slave.handle_stored(outcome.map_err(StoreError::from)));
         match outcome {
             Ok(()) => defmt::info!("settings stored"),
-            Err(error) => defmt::error!(
-                "the settings are not stored, the old ones are kept: {=istr}",
-                why(error)
-            ),
+            Err(error) => {
+                defmt::error!("the settings are not stored, the old ones are kept: {}", error);
+            }
         }
     }
 
@@ -174,7 +173,7 @@ mod app {
                 defmt::error!("the settings in flash are damaged; using the defaults")
             }
             Found::MediumFailed(error) => {
-                defmt::error!("the flash fails, nothing can be stored: {=istr}", why(error));
+                defmt::error!("the flash fails, nothing can be stored: {}", error);
             }
         }
         let node_id = NodeId::to_lss(settings.node_id);
@@ -186,16 +185,6 @@ mod app {
             BitRateSetting::Automatic => {
                 defmt::info!("node-ID {=u8} (255 is none), listens for the bit rate", node_id);
             }
-        }
-    }
-
-    fn why(error: Error) -> defmt::Str {
-        match error {
-            Error::Refused => defmt::intern!("the flash reports an error"),
-            Error::NotBlank => defmt::intern!("the flash is not blank where it was erased"),
-            Error::NotAsWritten => defmt::intern!("the flash reads back otherwise than written"),
-            Error::Full => defmt::intern!("the flash is full until the next power-on"),
-            _ => defmt::intern!("unknown"),
         }
     }
 }

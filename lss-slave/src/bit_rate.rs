@@ -4,6 +4,7 @@ use core::fmt;
 
 /// A bit rate of CiA 301; the value is its index in the table that configure bit timing selects with 0 (CiA 305).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum BitRate {
@@ -61,6 +62,7 @@ impl BitRate {
 
 /// What configure bit timing can choose from table 0 (CiA 305): a bit rate, or that the node finds it by listening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BitRateSetting {
     /// Index 0..=4, 6..=8.
     Fixed(BitRate),
@@ -109,6 +111,7 @@ impl From<BitRate> for BitRateSetting {
 
 /// A set of bit rate settings: those that a device offers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BitRates(u16);
 
 impl BitRates {
@@ -157,6 +160,7 @@ impl BitRates {
 
 /// The bit timing of a bxCAN (RM0090, 32.7.7): prescaler and segments, in time quanta.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BitTiming {
     /// APB1 clock cycles a time quantum: 1..=1024.
     pub prescaler: u16,

@@ -2,6 +2,7 @@
 
 /// An event of the CAN controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum BusEvent {
     /// A valid frame was received, whether the node wants it or not.

@@ -15,6 +15,7 @@ use crate::{BitRateSetting, BitRates, Settings, lss};
 /// # let _ = device;
 /// ```
 #[derive(Clone, Copy, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct Device {
     /// The LSS address, which is the identity object 1018h.

@@ -12,6 +12,7 @@ pub const HISTORY_LEN: u8 = 8;
 
 /// A fault that an emergency message reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Fault {
     /// 6310h: the stored settings were damaged and the defaults are in use. Lasts until something is stored.

@@ -20,6 +20,7 @@ use storing::Storing;
 
 /// What the board has to do now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action {
     /// Send this frame. Frames of equal COB-ID leave in the order of their actions.

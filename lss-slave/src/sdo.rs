@@ -1,5 +1,7 @@
 //! The SDO server (CiA 301, 7.2.4): expedited transfers both ways, segmented upload for the names.
 
+use core::{error, fmt};
+
 use crate::object_dictionary::{self, Access, Entry, Missing, Object};
 
 /// Requests to a node have this COB-ID plus its node-ID.
@@ -9,6 +11,8 @@ pub const RESPONSE_COB_ID: u16 = 0x580;
 
 /// Why a transfer is aborted, with the code that goes to the client (CiA 301, table 22).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 #[repr(u32)]
 pub enum Abort {
     /// A segment with the toggle bit of the one before.
@@ -36,6 +40,28 @@ pub enum Abort {
     /// The object is there, but holds nothing now.
     NoData = 0x0800_0024,
 }
+
+impl fmt::Display for Abort {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let reason = match self {
+            Self::Toggle => "the toggle bit has not changed",
+            Self::Command => "unknown command",
+            Self::ReadOnly => "the object can only be read",
+            Self::NoObject => "no such object",
+            Self::Hardware => "the settings could not be written",
+            Self::TooLong => "too much data",
+            Self::TooShort => "too little data",
+            Self::NoSubIndex => "no such sub-index",
+            Self::InvalidValue => "invalid value",
+            Self::NotStored => "wrong signature",
+            Self::Busy => "another store is under way",
+            Self::NoData => "no data available",
+        };
+        write!(f, "{reason} ({:08X}h)", *self as u32)
+    }
+}
+
+impl error::Error for Abort {}
 
 /// The value of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -9,6 +9,7 @@ use crate::{BitRateSetting, NodeId};
 
 /// The persistent settings of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct Settings {
     /// The node-ID; `None`: not configured.

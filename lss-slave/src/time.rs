@@ -5,6 +5,7 @@
 /// Two instants are compared as if they were less than half a turn (35.8 minutes) apart; the longest time the node
 /// ever waits is 131.07 s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Instant(u32);
 
 impl Instant {

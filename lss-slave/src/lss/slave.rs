@@ -10,6 +10,7 @@ use crate::{BitRate, BitRateSetting, BitRates, Frame, NodeId};
 
 /// The LSS state, which is independent of the NMT state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum State {
     /// LSS waiting state: only the services that find or select a slave are served.
     Waiting,
@@ -19,6 +20,7 @@ pub enum State {
 
 /// What a request asks of the node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Reaction {
     /// Send this answer.

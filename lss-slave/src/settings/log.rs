@@ -23,6 +23,7 @@ use super::{
 
 /// What [`Log::open`] found, for the node's log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Found {
     /// The newest record, and nothing after it.
     Complete,
@@ -77,6 +78,18 @@ impl fmt::Display for Error {
 }
 
 impl error::Error for Error {}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Error {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        match self {
+            Self::Refused => defmt::write!(f, "the flash reports an error"),
+            Self::NotBlank => defmt::write!(f, "the flash is not blank where it was erased"),
+            Self::NotAsWritten => defmt::write!(f, "the flash reads back otherwise than written"),
+            Self::Full => defmt::write!(f, "the flash is full until the next power-on"),
+        }
+    }
+}
 
 /// What the search of one bank showed.
 struct Bank {
