@@ -2,7 +2,7 @@
 
 use emulator::{
     Time, board,
-    can::{Adapter, BitTiming, Clock, Frame, Id},
+    can::{Adapter, BitSegments, Clock, Frame, Id},
     chip::Part,
     network::{AdapterId, Network, What},
 };
@@ -228,8 +228,8 @@ fn a_neighbour_that_takes_40_ms_to_obey_is_not_disturbed_with_a_delay_of_50_ms()
 }
 
 /// The bit timing of the firmware.
-fn bit_timing(bit_rate: BitRate) -> lss_slave::bit_rate::BitTiming {
-    lss_slave::bit_rate::BitTiming::solve(bit_rate, APB1_HZ).expect("every rate is possible")
+fn bit_timing(bit_rate: BitRate) -> BitTiming {
+    BitTiming::solve(bit_rate, APB1_HZ).expect("every rate is possible")
 }
 
 /// Whether a board and a master of the same bit timing, whose crystals are so much fast, understand each other without an
@@ -244,7 +244,7 @@ fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> 
     let timing = bit_timing(bit_rate);
     let master = network.add_adapter(Adapter::with_timing(
         Clock { hz: APB1_HZ, ppm: master_ppm },
-        BitTiming {
+        BitSegments {
             prescaler: timing.prescaler,
             segment_1: timing.segment1,
             segment_2: timing.segment2,

@@ -3,7 +3,7 @@
 use emulator::{
     Time,
     can::{
-        Adapter, BitTiming, Clock, Level,
+        Adapter, BitSegments, Clock, Level,
         bxcan::{Acknowledge, Note, Readings, TransmitLock},
     },
 };
@@ -44,7 +44,7 @@ fn initialisation_is_not_left_while_the_bus_is_busy_and_the_wish_can_be_taken_ba
     let mut bench = Bench::running(0);
     let mut noise = Adapter::with_timing(
         Clock { hz: 16_000_000, ppm: 0 },
-        BitTiming { prescaler: 1, segment_1: 13, segment_2: 2, jump_width: 2 },
+        BitSegments { prescaler: 1, segment_1: 13, segment_2: 2, jump_width: 2 },
     );
     // Alone with the noise at 1 Mbit/s, so that it is never acknowledged and never pauses for 11
     // bits of 10 kbit/s.

@@ -17,18 +17,18 @@ use crate::{
 };
 
 /// The node and its controller.
-pub struct Slave {
+pub struct Runner {
     node: Node,
     can: Controller,
     /// As last seen.
     bus_state: BusState,
     was_passive: bool,
     indicators: Indicators,
-    /// A store that has not begun; its outcome comes back by [`Slave::handle_stored`].
+    /// A store that has not begun; its outcome comes back by [`Runner::handle_stored`].
     store: Option<Settings>,
 }
 
-impl Slave {
+impl Runner {
     /// A node that has just been switched on, and its controller, which takes part in the bus from now on, unless the node
     /// wants to listen first.
     pub fn new(node: Node, mut can: Controller) -> Self {
