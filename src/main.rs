@@ -3,6 +3,7 @@
 #![no_std]
 #![no_main]
 
+mod bit_timing;
 mod board;
 mod can;
 mod clock;

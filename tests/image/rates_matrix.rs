@@ -6,7 +6,7 @@ use emulator::{
     chip::Part,
     network::{AdapterId, Network, What},
 };
-use lss_slave::BitRate;
+use lss_slave::{BitRate, bit_rate::BitTiming};
 use testkit::{
     frames,
     image::image,
@@ -230,6 +230,27 @@ fn a_neighbour_that_takes_40_ms_to_obey_is_not_disturbed_with_a_delay_of_50_ms()
 /// The bit timing of the firmware.
 fn bit_timing(bit_rate: BitRate) -> BitTiming {
     BitTiming::solve(bit_rate, APB1_HZ).expect("every rate is possible")
+}
+
+#[test]
+fn each_bit_rate_has_its_value_in_can_btr() {
+    for (bit_rate, btr) in [
+        (BitRate::Kbit1000, 0x022F_0001),
+        (BitRate::Kbit800, 0x0116_0004),
+        (BitRate::Kbit500, 0x022F_0003),
+        (BitRate::Kbit250, 0x022F_0007),
+        (BitRate::Kbit125, 0x022F_000F),
+        (BitRate::Kbit50, 0x022F_0027),
+        (BitRate::Kbit20, 0x022F_0063),
+        (BitRate::Kbit10, 0x022F_00C7),
+    ] {
+        let bench = ImageRig::with(settings(0x40, bit_rate));
+        let written = bench.did(0, Time::ZERO).filter_map(|event| match event.what {
+            What::BitTiming { btr, .. } => Some(btr),
+            _ => None,
+        });
+        assert_eq!(written.last(), Some(btr), "{bit_rate:?}");
+    }
 }
 
 /// Whether a board and a master of the same bit timing, whose crystals are so much fast, understand each other without an
