@@ -322,8 +322,7 @@ impl Controller {
         let is_held = traffic.level_ms >= LONGEST_FRAME_MS;
         let is_sending = status.txm().bit_is_set();
         if lasts || is_held || is_sending {
-            let level_ms = if is_held { 0 } else { traffic.level_ms };
-            self.traffic = Traffic { ms: 0, is_recessive: level, level_ms };
+            traffic.ms = 0;
         }
         match (is_held, lasts && !is_sending) {
             (true, _) => (!level).then_some(BusEvent::HeldDominant),

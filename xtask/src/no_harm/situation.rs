@@ -149,10 +149,26 @@ pub struct Probe {
 }
 
 impl Situation {
-    /// When the last foreign device is unplugged, in milliseconds.
+    /// When the last foreign device leaves, in milliseconds. A master at another rate than that of the probe is one, unless it
+    /// has commanded a switch, which is trusted until the power fails.
     pub fn last_departure(&self) -> Option<u32> {
-        let foreign = |event: &&Event| matches!(event.what, What::Foreign(_));
-        self.events.iter().filter(foreign).map(|event| event.until).max()
+        let is_of_trust =
+            |event: &&Event| matches!(event.what, What::Switch { .. } | What::NoPower(_));
+        let latest = self.events.iter().rfind(is_of_trust);
+        let is_trusted = latest.is_some_and(|event| matches!(event.what, What::Switch { .. }));
+        let departures =
+            self.events.iter().enumerate().filter_map(|(index, event)| match event.what {
+                What::Foreign(_) => Some(event.until),
+                What::Master(master) if !is_trusted => {
+                    let rate =
+                        master.bit_rate().filter(|_| !matches!(master, Master::Listens(_)))?;
+                    let is_master = |event: &&Event| matches!(event.what, What::Master(_));
+                    let next = self.events[index + 1..].iter().find(is_master);
+                    (rate != self.probe.rate).then(|| next.map_or(self.probe.at, |event| event.at))
+                }
+                _ => None,
+            });
+        departures.max()
     }
 
     /// Since when the master sends at the rate of the probe and nothing else is in the way, in milliseconds.
