@@ -1,8 +1,8 @@
-//! A CANopen LSS slave (CiA 305) and the small node around it, as a pure function of frames and time.
+//! A CANopen LSS slave (CiA 305) and the small node around it: deterministic, without I/O.
 //!
-//! The library does no I/O, reads no clock, allocates nothing, knows no chip and cannot panic. Frames and the
-//! present time go in, [`Action`]s come out; a board is whatever carries them out. Here a master asks whether any slave
-//! has no node-ID:
+//! The library reads no clock, allocates nothing, knows no chip and cannot panic. Frames and the present time go in,
+//! [`Action`]s come out, and the same calls always bring the same actions. A board is whatever carries them out. Here a
+//! master asks whether any slave has no node-ID:
 //!
 //! ```
 //! use lss_slave::{Action, BitRate, BitRates, Device, Frame, Instant, Node, Settings, lss::Address};
@@ -29,8 +29,11 @@
 //! # Where to begin
 //! - [`Node`] says which calls drive it, and in which order; [`Action`] says what each answer asks of the board.
 //! - [`Device`] is what the device is, [`Settings`] how it is set; [`settings::Log`] keeps the settings in flash.
-//! - [`BitRates`] says which bit rates a clock can make, [`bit_rate::BitTiming`] the bxCAN's registers for them.
+//! - [`BitRates`] says which bit rates a clock can make, [`bit_rate::BitTiming`] the segments for them.
 //! - [`lss::Slave`] is the state machine of CiA 305 alone, for a node that has its own NMT and SDO.
+//!
+//! # Features
+//! - `defmt`: `defmt::Format` for the public types.
 
 #![no_std]
 #![forbid(unsafe_code)]

@@ -1,4 +1,4 @@
-//! The node: joins LSS, NMT, SDO and emergency; frames, time and what the board sees in, actions out.
+//! The node: joins LSS, bit rate control, NMT, SDO, emergency and storing. Inputs are `handle_*` and `poll`, outputs actions.
 
 mod bit_rate_control;
 mod nmt_slave;
@@ -41,7 +41,7 @@ pub enum Action {
     Listen(BitRate),
     /// Make these settings persistent, then call [`Node::handle_stored`].
     Store(Settings),
-    /// Reset the device as if the power had been cut; the node begins anew with the persistent settings.
+    /// Reset the device as if the power had been cut; the node begins again with the persistent settings.
     ResetDevice,
 }
 

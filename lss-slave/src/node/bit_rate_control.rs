@@ -222,3 +222,77 @@ impl BitRateControl {
         self.switch.is_none() || self.supervision.is_detecting()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HOME: BitRateSetting = BitRateSetting::Fixed(BitRate::Kbit125);
+
+    fn at(ms: u32) -> Instant {
+        Instant::from_micros(ms * 1000)
+    }
+
+    fn control(is_supervised: bool) -> BitRateControl {
+        BitRateControl::new(HOME, BitRates::possible(40_000_000), is_supervised)
+    }
+
+    #[test]
+    fn a_switch_is_silent_for_both_delays_and_activates_between_them() {
+        let mut control = control(false);
+        control.switch(10, at(0));
+        assert_eq!(control.poll(at(0)), Some(Next::StopTransmitting));
+        assert_eq!(
+            (control.poll(at(9)), control.poll_at()),
+            (Some(Next::KeepSilent), Some(at(10)))
+        );
+        assert_eq!(control.poll(at(10)), Some(Next::Activate { silent_until: at(20) }));
+        control.activate(BitRate::Kbit500.into(), at(20));
+        assert_eq!(control.poll(at(10)), Some(Next::Step(Step::TakePart(BitRate::Kbit500))));
+        assert_eq!(control.poll(at(19)), Some(Next::KeepSilent));
+        assert_eq!(control.poll(at(20)), Some(Next::EndSwitch));
+        assert_eq!(control.poll(at(20)), Some(Next::ResumeTransmitting));
+        assert_eq!((control.poll(at(20)), control.is_switching()), (None, false));
+        assert_eq!(
+            (control.in_use(), control.active()),
+            (BitRate::Kbit500, BitRate::Kbit500.into())
+        );
+    }
+
+    #[test]
+    fn errors_within_a_switch_do_not_count() {
+        let mut control = control(true);
+        control.switch(10, at(0));
+        for _ in 0..100 {
+            control.handle_bus(BusEvent::Error, at(1));
+        }
+        assert_eq!(control.poll(at(1)), Some(Next::StopTransmitting));
+        assert_eq!(control.poll(at(9)), Some(Next::KeepSilent));
+        assert!(!control.is_listening());
+    }
+
+    #[test]
+    fn the_active_rate_follows_what_was_found_and_automatic_stays() {
+        let mut control = control(true);
+        control.handle_bus(BusEvent::Error, at(0));
+        assert_eq!(control.poll(at(0)), Some(Next::Step(Step::Listen(BitRate::Kbit1000))));
+        assert!(control.is_listening() && !control.may_send());
+        control.handle_bus(BusEvent::Received, at(1));
+        assert_eq!(control.take_change(), Some(BitRate::Kbit1000));
+        assert_eq!(control.active(), BitRate::Kbit1000.into());
+        assert_eq!(control.home(), Some(BitRate::Kbit125));
+        control.activate(BitRateSetting::Automatic, at(2));
+        control.handle_bus(BusEvent::Received, at(3));
+        assert_eq!(control.active(), BitRateSetting::Automatic);
+        assert_eq!(control.home(), Some(BitRate::Kbit1000));
+    }
+
+    #[test]
+    fn a_frame_heard_in_silence_is_not_served_for_its_sender_repeats_it() {
+        let frame = Frame::new(0x7E5, &[0; 8]).expect("a frame");
+        assert!(control(true).handle_frame(&frame, at(0)));
+        let mut listening =
+            BitRateControl::new(BitRateSetting::Automatic, BitRates::possible(40_000_000), true);
+        assert!(!listening.handle_frame(&frame, at(0)));
+    }
+}

@@ -218,3 +218,80 @@ impl Heartbeat {
         true
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: Instant = Instant::from_micros(0);
+
+    fn node() -> NodeId {
+        NodeId::new(5).expect("a node-ID")
+    }
+
+    /// A slave whose boot-up has been sent.
+    fn booted(heartbeat_ms: u16) -> NmtSlave {
+        let mut slave = NmtSlave::new(heartbeat_ms);
+        let boot_up = slave.next_boot_up(node(), NOW);
+        assert_eq!(boot_up, Frame::new(0x705, &[0]));
+        slave
+    }
+
+    #[test]
+    fn a_boot_up_is_sent_once() {
+        assert_eq!(NmtSlave::new(0).state(), State::Initialisation);
+        let mut slave = booted(0);
+        assert_eq!(slave.state(), State::PreOperational);
+        assert_eq!(slave.next_boot_up(node(), NOW), None);
+    }
+
+    #[test]
+    fn a_boot_up_that_was_dropped_is_due_again_until_it_is_acknowledged() {
+        let mut slave = booted(0);
+        slave.note_dropped();
+        assert_eq!(slave.state(), State::Initialisation);
+        assert!(slave.next_boot_up(node(), NOW).is_some());
+        slave.note_acknowledge();
+        slave.note_dropped();
+        assert_eq!(slave.state(), State::PreOperational);
+    }
+
+    #[test]
+    fn emergencies_wait_for_the_acknowledge_of_the_boot_up() {
+        let mut slave = booted(0);
+        assert!(!slave.allows_emergencies());
+        slave.note_acknowledge();
+        assert!(slave.allows_emergencies());
+        slave.enter(State::Stopped);
+        assert!(!slave.allows_emergencies());
+    }
+
+    #[test]
+    fn a_heartbeat_comes_each_period_and_once_after_a_long_delay() {
+        let mut slave = booted(10);
+        let at = |ms: u32| NOW.plus_micros(ms * 1000);
+        assert_eq!(slave.poll_at(), Some(at(10)));
+        for (ms, is_sent) in
+            [(9, false), (10, true), (11, false), (20, true), (75, true), (84, false)]
+        {
+            assert_eq!(slave.next_heartbeat(node(), at(ms)).is_some(), is_sent, "{ms} ms");
+        }
+        assert_eq!(slave.poll_at(), Some(at(85)));
+    }
+
+    #[test]
+    fn of_commands_that_wait_the_latest_counts_but_resets_go_first() {
+        use Command::*;
+        for (commands, expected) in [
+            (&[Start, Stop][..], Stop),
+            (&[ResetCommunication, Start], ResetCommunication),
+            (&[ResetCommunication, ResetNode], ResetNode),
+            (&[ResetNode, ResetCommunication], ResetNode),
+        ] {
+            let mut slave = booted(0);
+            commands.iter().for_each(|&command| slave.handle(command));
+            assert_eq!(slave.take_command(), Some(expected), "{commands:?}");
+            assert_eq!(slave.take_command(), None);
+        }
+    }
+}

@@ -130,3 +130,60 @@ impl Storing {
         Some(Next::Store(settings))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BitRate;
+
+    const SETTINGS: Settings = Settings::new(BitRateSetting::Automatic);
+    const SAVE: Download = Download { index: 0x1010, sub_index: 1 };
+    const PENDING: BitRateSetting = BitRateSetting::Fixed(BitRate::Kbit500);
+
+    fn poll(storing: &mut Storing) -> Option<Next> {
+        storing.poll(NodeId::new(5), PENDING)
+    }
+
+    #[test]
+    fn stores_of_lss_and_sdo_run_one_after_another() {
+        let mut storing = Storing::new(SETTINGS);
+        assert!(storing.request_by_sdo(SAVE, 1000).is_ok());
+        storing.request_by_lss();
+        let of_lss = SETTINGS.with_node_id(NodeId::new(5)).with_bit_rate(PENDING);
+        assert_eq!(poll(&mut storing), Some(Next::Store(of_lss)));
+        assert_eq!(poll(&mut storing), None, "it runs");
+        assert!(storing.handle_stored(Ok(())));
+        assert_eq!(poll(&mut storing), Some(Next::AnswerLss(Ok(()))));
+        let both = of_lss.with_heartbeat_ms(1000);
+        assert_eq!(poll(&mut storing), Some(Next::Store(both)));
+        assert!(storing.handle_stored(Ok(())));
+        assert_eq!(poll(&mut storing), Some(Next::AnswerSdo(SAVE, Ok(()))));
+        assert_eq!((poll(&mut storing), *storing.persistent()), (None, both));
+    }
+
+    #[test]
+    fn a_store_that_fails_leaves_the_persistent_settings() {
+        let mut storing = Storing::new(SETTINGS);
+        storing.request_by_lss();
+        let _ = poll(&mut storing);
+        assert!(storing.handle_stored(Err(StoreError::MediumAccess)));
+        let answer = Next::AnswerLss(Err(StoreError::MediumAccess));
+        assert_eq!((poll(&mut storing), *storing.persistent()), (Some(answer), SETTINGS));
+    }
+
+    #[test]
+    fn a_client_that_was_forgotten_is_not_answered() {
+        let mut storing = Storing::new(SETTINGS);
+        assert!(storing.request_by_sdo(SAVE, 1000).is_ok());
+        let _ = poll(&mut storing);
+        storing.forget_sdo();
+        assert!(storing.handle_stored(Ok(())));
+        assert_eq!(poll(&mut storing), None);
+        assert_eq!(storing.persistent().heartbeat_ms, 1000);
+    }
+
+    #[test]
+    fn an_outcome_without_a_store_is_ignored() {
+        assert!(!Storing::new(SETTINGS).handle_stored(Ok(())));
+    }
+}
