@@ -114,7 +114,7 @@ impl Images {
 
         let mut ours = Life::up_to_the_probe(situation, &self.product, self.part);
         let limits: Vec<Option<Time>> = (0..homes.len())
-            .map(|board| match plain_seen[board].answered.or(plain_seen[board].reached) {
+            .map(|board| match plain_seen[board].sign_of_life(situation.boards[board]) {
                 Some(reached) => Some(latest(situation, &homes, reached)),
                 None if is_lost_alone(situation, &homes, board) => {
                     let switched = plain.switched(board).max(ours.switched(board));

@@ -72,6 +72,15 @@ pub struct Seen {
     pub answered: Option<Time>,
 }
 
+impl Seen {
+    /// When a board like this one must show itself, if this is what became of it: a pending emergency message is chance, the next heartbeat
+    /// is not.
+    pub fn sign_of_life(&self, node: Node) -> Option<Time> {
+        let period = ms(node.heartbeat_ms.into());
+        self.answered.or_else(|| self.reached.map(|reached| reached.max(period)))
+    }
+}
+
 impl<'a> Life<'a> {
     /// Lets everybody live up to the probe.
     pub fn up_to_the_probe(situation: &'a Situation, image: &Image, part: Part) -> Self {
