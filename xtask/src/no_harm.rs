@@ -35,7 +35,7 @@ const PRINTED: usize = 6;
 /// every 20 ms (object 1000h by SDO, 4C without a node-ID) or only listening for heartbeats.
 ///
 /// Whom the plain slave answers must answer at most 100 ms later (25 frame times at slow rates; 1 s after a foreign device has
-/// left). A plain slave that has another rate than the master's is lost; the product must be found within 10 s of the first
+/// left; 500 ms where a board at another rate disturbs). A plain slave that has another rate than the master's is lost; the product must be found within 10 s of the first
 /// evidence, after a commanded switch 30 s later, unless others who talk share its rate.
 ///
 /// The first failing situations are made smaller and printed as a list of events, with the seed that replays them.
