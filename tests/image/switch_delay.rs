@@ -74,7 +74,8 @@ fn assert_switched(bench: &ImageRig, t0: Time, delay: Time, to: BitRate) {
         assert_eq!(*bit_rate, bit_per_s(to));
         assert!(*time + two_bits > t0 + delay, "{time} is {} early", t0 + delay - *time);
         let late = time.saturating_sub(t0 + delay);
-        assert!(late < ACCURACY, "{time} is {late} late");
+        // The tick that ends the delay may be a millisecond away, and the switch itself takes its time.
+        assert!(late < ACCURACY + PROCESSING, "{time} is {late} late");
     }
 }
 
