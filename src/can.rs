@@ -1,11 +1,13 @@
 //! The CAN controller: bit timing, filters, reception, transmission, and its place on the bus.
 
+use core::mem;
+
 use bxcan::{
     Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
 };
 use cortex_m::peripheral::SCB;
-use lss_slave::{BitRate, BusEvent, Frame, bit_rate::BitTiming, indicator::BusState};
+use lss_slave::{BitRate, BusEvent, Frame, Instant, bit_rate::BitTiming, indicator::BusState};
 use stm32f4xx_hal::{
     can::Can,
     gpio::{PinPull, Pull, alt::can1},
@@ -13,7 +15,7 @@ use stm32f4xx_hal::{
     rcc::Reset,
 };
 
-use crate::{device::APB1_HZ, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
+use crate::{clock, device::APB1_HZ, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
 
 /// Reads of CAN_MSR after which the controller counts as not answering. Out of a reset it enters initialisation mode
 /// within a few clock cycles, or 11 of the bits that CAN_BTR then makes: 88 cycles of APB1.
@@ -25,6 +27,9 @@ const RESETS: u32 = 4;
 /// Reads of CAN_RF0R until a released FIFO shows its next frame: two APB1 cycles.
 const RELEASE_READS: u32 = 16;
 
+/// From one sample of the bus level to the next, and from an error to when the next one interrupts.
+const WATCH_MICROS: u32 = 1_000;
+
 /// CAN1 as the node uses it.
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
@@ -35,17 +40,21 @@ pub struct Controller {
     has_heard: bool,
     receives: [u16; 3],
     may_transmit: bool,
-    traffic: Traffic,
+    /// Whether a frame was received, or sent and acknowledged, since the last [`look`](Self::look).
+    has_understood: bool,
+    /// While the controller may be lost.
+    samples: Option<Samples>,
+    watch_at: Option<Instant>,
     queue: TransmitQueue,
 }
 
-/// Traffic since the controller last understood something, as seen once a millisecond.
+/// Samples of the bus level, one a millisecond, since the controller last understood something.
 #[derive(Clone, Copy, Default)]
-struct Traffic {
-    ms: u16,
+struct Samples {
+    count: u16,
     is_recessive: bool,
-    /// For how long the level has been the same.
-    level_ms: u16,
+    /// How many show the same level as the latest one.
+    equal: u16,
 }
 
 /// What can be received or cannot.
@@ -80,7 +89,9 @@ impl Controller {
             has_heard: false,
             receives,
             may_transmit: true,
-            traffic: Traffic::default(),
+            has_understood: false,
+            samples: None,
+            watch_at: None,
             queue: TransmitQueue::new(),
         }
     }
@@ -111,7 +122,7 @@ impl Controller {
     /// Resets the controller and sets it up anew: of all ways to another bit rate the one that waits for nothing. It takes
     /// part in the bus by itself after 11 recessive bits, whenever they come (RM0090, 32.4.2).
     fn start(&mut self) {
-        self.traffic = Traffic::default();
+        self.sample();
         if self.is_listening {
             self.transmit_pin.rest();
         }
@@ -171,7 +182,7 @@ impl Controller {
             release(1);
         }
         if frames > 0 {
-            self.traffic = Traffic::default();
+            self.note_understood();
         }
         frames > 0
     }
@@ -188,7 +199,7 @@ impl Controller {
             return None;
         }
         self.has_heard = true;
-        self.traffic = Traffic::default();
+        self.note_understood();
         if fifo.fovr().bit_is_set() {
             registers().rfr(0).write(|w| w.fovr().set_bit());
             return Some(Received::Overrun);
@@ -228,8 +239,11 @@ impl Controller {
         // SAFETY: zeros have no effect in this register.
         registers().tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
         self.fill_mailboxes();
-        self.traffic = Traffic::default();
-        status & ANY_SENT != 0
+        let is_sent = status & ANY_SENT != 0;
+        if is_sent {
+            self.note_understood();
+        }
+        is_sent
     }
 
     fn fill_mailboxes(&mut self) {
@@ -278,8 +292,9 @@ impl Controller {
         // SAFETY: the value that software sets, to see the next error.
         can.esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
         let last_error = status.lec().bits();
-        if !matches!(last_error, NO_ERROR | SET_BY_SOFTWARE) {
-            self.traffic = Traffic::default();
+        let is_error = !matches!(last_error, NO_ERROR | SET_BY_SOFTWARE);
+        if is_error {
+            self.sample();
         }
         let error = match last_error {
             STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
@@ -290,46 +305,79 @@ impl Controller {
             // Bus-off is told once, even if the interrupt stays for as long as it does.
             w.bofie().bit(status.boff().bit_is_clear());
             // There may be tens of thousands of errors a second. A search needs each of them.
-            w.lecie().bit(self.is_listening)
+            w.lecie().bit(self.is_listening || !is_error)
         });
         can.msr().write(|w| w.erri().set_bit());
         self.has_heard |= error.is_some();
         error
     }
 
-    /// Has the next error interrupt again, and reports what no interrupt does. To be called each millisecond.
+    /// Notes that the controller is not lost.
+    fn note_understood(&mut self) {
+        self.has_understood = true;
+        self.samples = None;
+    }
+
+    /// Begins to sample the bus, and to count.
+    fn sample(&mut self) {
+        self.samples = Some(Samples::default());
+        self.watch_at.get_or_insert(clock::now().plus_micros(WATCH_MICROS));
+    }
+
+    /// Has the bus sampled if it is dominant and nothing was understood since the last call. To be called a few times a
+    /// second.
+    pub fn look(&mut self) {
+        let has_understood = mem::take(&mut self.has_understood);
+        let is_dominant = registers().msr().read().rx().bit_is_clear();
+        if is_dominant && !has_understood && self.samples.is_none() {
+            self.sample();
+        }
+    }
+
+    /// When [`watch`](Self::watch) has something to do, if it has.
+    pub fn watch_at(&self) -> Option<Instant> {
+        self.watch_at
+    }
+
+    /// If it is time to, has the next error interrupt again, samples the bus, and reports what no interrupt does.
     ///
-    /// A bus that is dominant for longer than any frame has recessive bits apart. Else traffic for more than two frame times that the
-    /// controller neither understands nor finds an error in: one that waits for so many equal bits, to join the bus
-    /// or to end an error flag, may wait for ever at a wrong rate.
-    pub fn watch(&mut self) -> Option<BusEvent> {
+    /// The bus is sampled from a start, an error or a [`look`](Self::look) on until a frame is understood, or no frame comes.
+    pub fn watch(&mut self, now: Instant) -> Option<BusEvent> {
+        self.watch_at.take_if(|at| at.has_come(now))?;
+        registers().ier().modify(|_, w| w.lecie().set_bit());
+        let event = self.take_sample();
+        self.watch_at = self.samples.is_some().then(|| now.plus_micros(WATCH_MICROS));
+        event
+    }
+
+    /// Reports a bus that is dominant for longer than any frame has recessive bits apart. Else traffic for more than two
+    /// frame times that the controller neither understands nor finds an error in: one that waits for a number of equal bits,
+    /// to join the bus or to end an error flag, may wait for ever at a wrong rate.
+    fn take_sample(&mut self) -> Option<BusEvent> {
         /// After a frame at 10 kbit/s the bus is recessive for a millisecond at least.
-        const LONGEST_FRAME_MS: u16 = 16;
-        const FRAMES: u16 = 2 * 135;
-        let can = registers();
-        if can.ier().read().lecie().bit_is_clear() {
-            can.ier().modify(|_, w| w.lecie().set_bit());
+        const LONGEST_FRAME: u16 = 16;
+        const TWO_FRAMES_BITS: u16 = 2 * 135;
+        let samples = self.samples.as_mut()?;
+        let status = registers().msr().read();
+        let is_recessive = status.rx().bit_is_set();
+        if samples.is_recessive != is_recessive {
+            (samples.is_recessive, samples.equal) = (is_recessive, 0);
         }
-        let status = can.msr().read();
-        let traffic = &mut self.traffic;
-        let level = status.rx().bit_is_set();
-        if level != traffic.is_recessive {
-            *traffic = Traffic { is_recessive: level, level_ms: 0, ..*traffic };
+        samples.equal = samples.equal.saturating_add(1);
+        samples.count = samples.count.saturating_add(1);
+        if samples.equal >= LONGEST_FRAME {
+            self.samples = (!is_recessive).then(Samples::default);
+            return (!is_recessive).then_some(BusEvent::HeldDominant);
         }
-        traffic.ms = traffic.ms.saturating_add(1);
-        traffic.level_ms = traffic.level_ms.saturating_add(1);
-        let lasts = traffic.ms > LONGEST_FRAME_MS + 2 + FRAMES / self.bit_rate.kbit_per_s();
-        let is_held = traffic.level_ms >= LONGEST_FRAME_MS;
-        let is_sending = status.txm().bit_is_set();
-        if lasts || is_held || is_sending {
-            let level_ms = if is_held { 0 } else { traffic.level_ms };
-            self.traffic = Traffic { ms: 0, is_recessive: level, level_ms };
+        if status.txm().bit_is_set() {
+            samples.count = 0;
         }
-        match (is_held, lasts && !is_sending) {
-            (true, _) => (!level).then_some(BusEvent::HeldDominant),
-            (false, true) => Some(BusEvent::Error),
-            (false, false) => None,
+        let most = LONGEST_FRAME + 2 + TWO_FRAMES_BITS / self.bit_rate.kbit_per_s();
+        if samples.count <= most {
+            return None;
         }
+        samples.count = 0;
+        Some(BusEvent::Error)
     }
 
     /// TEC and REC (RM0090, 32.7.6).
