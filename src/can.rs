@@ -11,7 +11,7 @@ use lss_slave::{BitRate, BusEvent, Frame, Instant, bit_rate::BitTiming, indicato
 use stm32f4xx_hal::{
     can::Can,
     gpio::{PinPull, Pull, alt::can1},
-    pac::{self, CAN1, RCC},
+    pac::{CAN1, RCC},
     rcc::Reset,
 };
 
@@ -33,6 +33,8 @@ const WATCH_MICROS: u32 = 1_000;
 /// CAN1 as the node uses it.
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
+    /// The same registers, for what `bxcan` does not offer.
+    registers: CAN1,
     transmit_pin: TransmitPin,
     bit_rate: BitRate,
     is_listening: bool,
@@ -78,11 +80,14 @@ impl Controller {
         receives: [u16; 3],
     ) -> Self {
         let can = Can::rx(can, receive_pin.internal_resistor(Pull::Up), rcc);
-        if !enter_initialization() {
+        // SAFETY: both handles belong to one owner, and `bxcan` keeps nothing of what the registers hold.
+        let registers = unsafe { CAN1::steal() };
+        if !enter_initialization(&registers) {
             SCB::sys_reset();
         }
         Self {
             can: bxcan::Can::builder(can).leave_disabled(),
+            registers,
             transmit_pin,
             bit_rate: BitRate::Kbit10,
             is_listening: false,
@@ -126,29 +131,28 @@ impl Controller {
         if self.is_listening {
             self.transmit_pin.rest();
         }
-        if !enter_initialization() {
+        if !enter_initialization(&self.registers) {
             return;
         }
-        let can = registers();
         // SAFETY: a value for the whole register.
-        can.btr().write(|w| unsafe {
+        self.registers.btr().write(|w| unsafe {
             w.bits(BTR[usize::from(self.bit_rate.index())]).silm().bit(self.is_listening)
         });
         self.set_filters();
-        can.ier().write(|w| {
+        self.registers.ier().write(|w| {
             w.fmpie0().set_bit().tmeie().set_bit();
             w.errie().set_bit().epvie().set_bit().bofie().set_bit().lecie().set_bit()
         });
         if !self.is_listening {
             self.transmit_pin.connect();
         }
-        can.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
+        self.registers.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
     }
 
     /// Tries again what [`start`](Self::start) could not do, and resets a listener that hears nothing of a dominant bus.
     /// To be called a few times a second.
     pub fn supervise(&mut self) {
-        let can = registers();
+        let can = &self.registers;
         let is_bus_dominant = can.msr().read().rx().bit_is_clear();
         let is_deaf = self.is_listening && is_bus_dominant && !self.has_heard;
         self.has_heard = false;
@@ -177,9 +181,9 @@ impl Controller {
 
     /// Whether any valid frame that the node does not want has been received since the last call.
     pub fn has_heard_others(&mut self) -> bool {
-        let frames = registers().rfr(1).read().fmp().bits();
+        let frames = self.registers.rfr(1).read().fmp().bits();
         for _ in 0..frames {
-            release(1);
+            release(&self.registers, 1);
         }
         if frames > 0 {
             self.note_understood();
@@ -194,21 +198,21 @@ impl Controller {
 
     /// The next frame from the receive FIFO, or that frames were lost.
     pub fn receive(&mut self) -> Option<Received> {
-        let fifo = registers().rfr(0).read();
+        let fifo = self.registers.rfr(0).read();
         if fifo.fmp().bits() == 0 {
             return None;
         }
         self.has_heard = true;
         self.note_understood();
         if fifo.fovr().bit_is_set() {
-            registers().rfr(0).write(|w| w.fovr().set_bit());
+            self.registers.rfr(0).write(|w| w.fovr().set_bit());
             return Some(Received::Overrun);
         }
-        let mailbox = registers().rx(0);
+        let mailbox = self.registers.rx(0);
         let identifier = mailbox.rir().read();
         let len = mailbox.rdtr().read().dlc().bits().into();
         let (low, high) = (mailbox.rdlr().read().bits(), mailbox.rdhr().read().bits());
-        release(0);
+        release(&self.registers, 0);
         if identifier.ide().bit_is_set() || identifier.rtr().bit_is_set() {
             return Some(Received::Other);
         }
@@ -221,7 +225,7 @@ impl Controller {
 
     /// Sends `frame` as soon as the bus allows it, unless transmitting is stopped.
     pub fn transmit(&mut self, frame: Frame) {
-        if !self.may_transmit || self.queue.is_empty() && put_in_mailbox(&frame) {
+        if !self.may_transmit || self.queue.is_empty() && put_in_mailbox(&self.registers, &frame) {
             return;
         }
         if !self.queue.push(frame) {
@@ -234,10 +238,10 @@ impl Controller {
     pub fn handle_transmitted(&mut self) -> bool {
         const COMPLETED: u32 = 1 << 0 | 1 << 8 | 1 << 16;
         const ANY_SENT: u32 = 1 << 1 | 1 << 9 | 1 << 17;
-        let status = registers().tsr().read().bits();
+        let status = self.registers.tsr().read().bits();
         // Only what has been seen: what completes from now on interrupts again.
         // SAFETY: zeros have no effect in this register.
-        registers().tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
+        self.registers.tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
         self.fill_mailboxes();
         let is_sent = status & ANY_SENT != 0;
         if is_sent {
@@ -247,7 +251,8 @@ impl Controller {
     }
 
     fn fill_mailboxes(&mut self) {
-        while !self.queue.is_empty() && self.queue.pop_if(put_in_mailbox) {}
+        let can = &self.registers;
+        while !self.queue.is_empty() && self.queue.pop_if(|frame| put_in_mailbox(can, frame)) {}
     }
 
     /// Sends nothing until [`resume_transmitting`](Self::resume_transmitting), except for a frame that is on the bus now.
@@ -256,7 +261,7 @@ impl Controller {
         self.may_transmit = false;
         self.queue.clear();
         // SAFETY: zeros have no effect in this register.
-        registers().tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
+        self.registers.tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
     }
 
     /// Forgets the frames that wait but those of `cob_id`; one that is on the bus now goes on.
@@ -265,12 +270,12 @@ impl Controller {
         self.queue.retain(cob_id);
         let mut aborts = 0;
         for mailbox in 0..3 {
-            if registers().tx(mailbox).tir().read().stid().bits() != cob_id {
+            if self.registers.tx(mailbox).tir().read().stid().bits() != cob_id {
                 aborts |= ABORT << (8 * mailbox);
             }
         }
         // SAFETY: zeros, and the abort of an empty mailbox, have no effect in this register.
-        registers().tsr().write(|w| unsafe { w.bits(aborts) });
+        self.registers.tsr().write(|w| unsafe { w.bits(aborts) });
     }
 
     /// Ends [`stop_transmitting`](Self::stop_transmitting).
@@ -287,15 +292,12 @@ impl Controller {
         const BIT_RECESSIVE: u8 = 4;
         const CRC: u8 = 6;
         const SET_BY_SOFTWARE: u8 = 7;
-        let can = registers();
+        let can = &self.registers;
         let status = can.esr().read();
         // SAFETY: the value that software sets, to see the next error.
         can.esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
         let last_error = status.lec().bits();
         let is_error = !matches!(last_error, NO_ERROR | SET_BY_SOFTWARE);
-        if is_error {
-            self.sample();
-        }
         let error = match last_error {
             STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
             FORM => Some(BusEvent::FormError),
@@ -308,6 +310,9 @@ impl Controller {
             w.lecie().bit(self.is_listening || !is_error)
         });
         can.msr().write(|w| w.erri().set_bit());
+        if is_error {
+            self.sample();
+        }
         self.has_heard |= error.is_some();
         error
     }
@@ -328,7 +333,7 @@ impl Controller {
     /// second.
     pub fn look(&mut self) {
         let has_understood = mem::take(&mut self.has_understood);
-        let is_dominant = registers().msr().read().rx().bit_is_clear();
+        let is_dominant = self.registers.msr().read().rx().bit_is_clear();
         if is_dominant && !has_understood && self.samples.is_none() {
             self.sample();
         }
@@ -344,7 +349,7 @@ impl Controller {
     /// The bus is sampled from a start, an error or a [`look`](Self::look) on until a frame is understood, or no frame comes.
     pub fn watch(&mut self, now: Instant) -> Option<BusEvent> {
         self.watch_at.take_if(|at| at.has_come(now))?;
-        registers().ier().modify(|_, w| w.lecie().set_bit());
+        self.registers.ier().modify(|_, w| w.lecie().set_bit());
         let event = self.take_sample();
         self.watch_at = self.samples.is_some().then(|| now.plus_micros(WATCH_MICROS));
         event
@@ -358,7 +363,7 @@ impl Controller {
         const LONGEST_FRAME: u16 = 16;
         const TWO_FRAMES_BITS: u16 = 2 * 135;
         let samples = self.samples.as_mut()?;
-        let status = registers().msr().read();
+        let status = self.registers.msr().read();
         let is_recessive = status.rx().bit_is_set();
         if samples.is_recessive != is_recessive {
             (samples.is_recessive, samples.equal) = (is_recessive, 0);
@@ -382,7 +387,7 @@ impl Controller {
 
     /// TEC and REC (RM0090, 32.7.6).
     pub fn error_counters(&self) -> (u8, u8) {
-        let status = registers().esr().read();
+        let status = self.registers.esr().read();
         (status.tec().bits(), status.rec().bits())
     }
 
@@ -393,7 +398,7 @@ impl Controller {
 
     /// The controller's place on the bus (RM0090, 32.7.6).
     pub fn bus_state(&self) -> BusState {
-        let status = registers().esr().read();
+        let status = self.registers.esr().read();
         match (status.boff().bit_is_set(), status.ewgf().bit_is_set()) {
             (true, _) => BusState::BusOff,
             (_, true) => BusState::Warning,
@@ -403,8 +408,7 @@ impl Controller {
 }
 
 /// Resets the controller, again if need be, and has it enter initialisation mode; returns whether it does.
-fn enter_initialization() -> bool {
-    let can = registers();
+fn enter_initialization(can: &CAN1) -> bool {
     let is_there = (0..RESETS).any(|_| {
         // SAFETY: the reset bit of CAN1 in RCC belongs to its owner.
         unsafe { CAN1::reset_unchecked() };
@@ -419,8 +423,7 @@ fn enter_initialization() -> bool {
 
 /// Hands a frame to the controller; `false`: it has to wait. Only a frame that is more urgent than all that are in mailboxes
 /// is put beside them: of two with one COB-ID the controller would not send the older one first (RM0090, 32.7.1).
-fn put_in_mailbox(frame: &Frame) -> bool {
-    let can = registers();
+fn put_in_mailbox(can: &CAN1, frame: &Frame) -> bool {
     const EMPTY: u32 = 1 << 26;
     let status = can.tsr().read();
     let is_empty = |mailbox: usize| status.bits() & EMPTY.wrapping_shl(mailbox as u32) != 0;
@@ -442,8 +445,8 @@ fn put_in_mailbox(frame: &Frame) -> bool {
 }
 
 /// Gives up the oldest frame of a receive FIFO.
-fn release(fifo: usize) {
-    let fifo = registers().rfr(fifo);
+fn release(can: &CAN1, fifo: usize) {
+    let fifo = can.rfr(fifo);
     fifo.write(|w| w.rfom().set_bit());
     let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
 }
@@ -461,9 +464,3 @@ const BTR: [u32; 10] = {
     }
     values
 };
-
-/// The registers themselves: `bxcan` sets the filters, but copies each frame twice on its way.
-fn registers() -> &'static pac::can1::RegisterBlock {
-    // SAFETY: all accesses to CAN1 come from its one owner, the `Controller`.
-    unsafe { &*CAN1::ptr() }
-}
