@@ -12,7 +12,7 @@ from boards import WORKSPACE, Boards
 SCRIPT = Path(__file__).with_name("commission.py")
 EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
 # How many boards, and how long the master takes silence for a no: longer where one computer runs more of them.
-BUSES = [(1, 0.1), (8, 0.1)]
+BUSES = [(1, 0.1), (32, 0.15)]
 
 
 def serial_numbers_by_sdo(network, count):

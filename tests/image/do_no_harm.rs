@@ -290,7 +290,7 @@ fn others(bench: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
     [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
 }
 
-/// How long after its power-on a blank board at a wrong stored rate takes part at `found`, where a frame passes every `period`.
+/// How long after it came to the bus a board at a wrong stored rate takes part at `found`, where a frame passes every `period`.
 fn time_until_found(
     node_id: u8,
     (stored, found): (BitRate, BitRate),
@@ -327,7 +327,8 @@ fn time_until_found(
             _ => false,
         };
         if let Some(event) = bench.did(0, on).find(|event| takes_part(event)) {
-            return Some(event.time - on);
+            let came = bench.did(0, on).find(|event| matches!(event.what, What::BitTiming { .. }));
+            return came.map(|came| event.time - came.time);
         }
     }
     None

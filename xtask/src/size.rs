@@ -62,7 +62,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// What a function belongs to, by what its name contains; the first that fits counts. What the compiler has put into its
 /// caller counts there.
 const PARTS: [(&str, &[&str]); 11] = [
-    ("tasks", &["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "SysTick", "USART1", "lss_slave::app::idle"]),
+    ("tasks", &["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "TIM2", "USART1", "lss_slave::app::idle"]),
     (
         "start and clocks",
         &["lss_slave::app", "lss_slave::board", "lss_slave::clock", "lss_slave::__"],
