@@ -1,4 +1,4 @@
-//! Boards that run small programs, written here instruction by instruction.
+//! Boards that run small programs, assembled instruction by instruction.
 
 mod programs;
 
@@ -27,7 +27,7 @@ const SYSTICK: usize = 15;
 const NMI: usize = 2;
 const HARD_FAULT: usize = 3;
 
-/// The board starts its program this long after power-on.
+/// The time from power-on to the start of the board's program.
 const START: Time = Time::from_us(1_500);
 
 fn board(program: Program) -> Board {
@@ -250,7 +250,7 @@ fn a_store_to_locked_flash_does_nothing() {
 
 #[test]
 fn nothing_at_an_address_is_a_bus_fault_that_escalates() {
-    // The second is right below the RAM: where a stack at its start overflows to.
+    // The second address is right below the RAM, where the stack of a program overflows to.
     for address in [0x6000_0000, 0x1FFF_FFFC] {
         let mut program = Program::new();
         program.store(COUNTER, 0).store(address, 1).stop();

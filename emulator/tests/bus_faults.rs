@@ -1,4 +1,4 @@
-//! Shorts, broken wires, noise and injected bit errors: who sees what, and that all recover.
+//! Shorts, broken wires, noise and injected bit errors: their effect on each station, and the recovery.
 
 use emulator::{
     Time,
@@ -20,7 +20,7 @@ fn adapters<const N: usize>() -> (Network, [AdapterId; N]) {
     (network, adapters)
 }
 
-/// What the trace says of a station's errors, and when it was.
+/// The time and kind of a station's errors in the trace.
 fn errors(network: &Network, of: AdapterId) -> Vec<(Time, ErrorKind)> {
     let error = |event: &Event| match event.what {
         What::Error { kind, .. } if event.source == Source::Adapter(of) => Some((event.time, kind)),

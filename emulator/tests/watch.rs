@@ -60,7 +60,7 @@ fn each_step_begins_where_the_one_before_it_ended() {
 }
 
 #[test]
-fn loads_and_stores_of_peripherals_are_told_with_the_instruction_that_makes_them() {
+fn loads_and_stores_of_peripherals_are_reported_with_their_instruction() {
     let mut program = Program::new();
     program.store(RCC_AHB1ENR, 1 << 3).load(R0, RCC_AHB1ENR).stop();
     let diary = watch(&program);

@@ -138,7 +138,7 @@ fn an_answer_takes_as_long_in_every_nmt_state() {
 }
 
 #[test]
-fn a_store_delays_an_answer_by_no_more_than_two_words_of_the_slowest_flash() {
+fn a_store_delays_an_answer_by_at_most_two_words_of_the_slowest_flash() {
     const WORD_US: u64 = 100;
     let mut worst = 0;
     for node_id in 1..=20 {
@@ -180,7 +180,7 @@ fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
 }
 
 #[test]
-fn six_requests_back_to_back_are_answered_in_their_order_on_a_bus_that_is_full_of_urgent_frames() {
+fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
     let mut random = Random::from_environment();
     let mut bench =
         ImageRig::with(Settings { heartbeat_ms: 7, ..settings(0x40, BitRate::Kbit1000) });
@@ -262,7 +262,7 @@ fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
 }
 
 #[test]
-fn a_node_boots_up_within_5_ms_of_a_reset_also_behind_a_full_bank_of_settings() {
+fn a_node_boots_up_within_5_ms_even_with_a_full_bank_of_settings() {
     // As many records as fit before the log moves to its other bank.
     let stores: Vec<_> =
         (0..383_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();

@@ -211,7 +211,7 @@ fn a_damaged_flash_boots_the_default_settings_and_the_board_says_why() {
 }
 
 #[test]
-fn after_a_torn_last_record_the_settings_before_it_are_used_and_the_board_says_so() {
+fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
     let old = settings(0x40, BitRate::Kbit1000);
     let mut flash = flash_with(&[old, settings(0x04, BitRate::Kbit1000)]);
     let last = flash.chunks(32).rposition(|record| record != [0xFF; 32]).expect("a record");
@@ -277,7 +277,7 @@ fn a_board_alone_on_the_bus_waits_and_is_there_when_somebody_comes() {
 }
 
 #[test]
-fn a_board_that_is_driven_bus_off_recovers_and_tells_it() {
+fn a_board_that_is_driven_bus_off_recovers_and_reports_it() {
     let settings = Settings { heartbeat_ms: 20, ..settings(0x40, BitRate::Kbit500) };
     let mut bench = ImageRig::with(settings);
     bench.lss("04 01");

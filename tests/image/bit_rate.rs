@@ -52,7 +52,7 @@ fn answers(bench: &mut ImageRig) -> bool {
 }
 
 #[test]
-fn a_board_that_detects_the_bit_rate_finds_each_of_them_without_an_error_frame() {
+fn a_board_detects_each_bit_rate_without_an_error_frame() {
     for bit_rate in BitRate::ALL {
         let mut bench = ImageRig::new(bit_rate, [board_with(0, automatic())]);
         let others = others(&mut bench, bit_rate);
@@ -101,7 +101,7 @@ fn automatic_detection_can_be_configured_stored_and_taken_back() {
 }
 
 #[test]
-fn a_configured_board_that_is_put_into_a_busy_network_of_another_rate_joins_it() {
+fn a_configured_board_joins_a_busy_network_of_another_rate() {
     for (own, theirs) in [
         (BitRate::Kbit1000, BitRate::Kbit125),
         (BitRate::Kbit500, BitRate::Kbit10),

@@ -133,7 +133,7 @@ fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
 }
 
 #[test]
-fn a_crystal_that_does_not_start_ends_each_100_ms_in_a_reset_and_a_log_line() {
+fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_each_100_ms() {
     let mut board = board_with(Readings { hse_start: Time::MAX, ..Readings::default() }, &[]);
     run(&mut board, Time::from_ms(1_000));
     let resets = board.resets();
@@ -185,7 +185,7 @@ fn a_stack_overflow_is_a_fault_even_where_nothing_faults_below_the_ram() {
 }
 
 #[test]
-fn what_was_found_after_a_cut_is_found_at_every_power_on() {
+fn settings_found_after_a_cut_are_found_at_every_power_on() {
     let mut random = Random::from_environment();
     let mut found_new = 0;
     for _ in 0..24 {

@@ -139,7 +139,7 @@ fn boards() -> u8 {
 }
 
 #[test]
-fn blank_boards_of_which_only_the_serial_number_is_unknown_are_named_at_the_limit_of_the_bus() {
+fn blank_boards_with_unknown_serial_numbers_are_commissioned_at_bus_speed() {
     let mut master = Master::new(boards());
     master.tell("04 01");
     let mut part = |request: &str| {
@@ -154,6 +154,6 @@ fn blank_boards_of_which_only_the_serial_number_is_unknown_are_named_at_the_limi
 }
 
 #[test]
-fn blank_boards_of_which_nothing_is_known_are_named_at_the_limit_of_the_bus() {
+fn unknown_blank_boards_are_commissioned_at_bus_speed() {
     Master::new(boards()).commission(boards(), "nothing known", [None; 4], 36.4);
 }

@@ -114,7 +114,7 @@ fn a_bit_that_sticks_costs_one_store_and_the_next_one_uses_other_cells() {
 }
 
 #[test]
-fn what_reads_back_otherwise_than_written_is_not_confirmed() {
+fn a_store_that_reads_back_differently_is_not_confirmed() {
     for words in [1, 7] {
         let mut bench = node_40();
         flash(&bench, |flash| flash.fail_programs(words));
@@ -125,7 +125,7 @@ fn what_reads_back_otherwise_than_written_is_not_confirmed() {
 }
 
 #[test]
-fn a_new_board_whose_flash_cannot_be_erased_is_reached_and_refuses_to_store() {
+fn a_new_board_whose_flash_cannot_be_erased_answers_and_refuses_to_store() {
     let mut board = blank_board(0);
     board.chip().flash_mut().protect_sectors(SECTORS);
     board.set_flash(SETTINGS_OFFSET, &[0x5A; 0x8000]);
@@ -145,7 +145,7 @@ fn a_new_board_whose_flash_cannot_be_erased_is_reached_and_refuses_to_store() {
 
 /// Nothing but the read-back shows such an erase: the controller reports no error.
 #[test]
-fn an_erase_that_leaves_anything_costs_no_settings_and_is_tried_again_at_the_next_power_on() {
+fn an_incomplete_erase_loses_no_settings_and_is_repeated_at_power_on() {
     let last = settings(0x40, BitRate::Kbit1000);
     let mut stores: Vec<_> =
         (1..=0x7F).cycle().take(384).map(|id| settings(id, BitRate::Kbit1000)).collect();

@@ -47,7 +47,7 @@ fn logs(bench: &ImageRig, text: &str) -> bool {
 }
 
 #[test]
-fn answers_wait_while_the_bus_is_full_of_urgent_frames_and_leave_in_order_right_behind_them() {
+fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
     let mut bench = node_40(500);
     bench.lss("04 01");
     bench.lss("11 04");
@@ -88,7 +88,7 @@ fn answers_wait_while_the_bus_is_full_of_urgent_frames_and_leave_in_order_right_
 }
 
 #[test]
-fn the_shortest_frames_of_a_full_bus_are_not_lost_while_the_slowest_flash_is_written() {
+fn a_full_bus_of_the_shortest_frames_loses_none_during_a_slow_flash_write() {
     let mut bench = node_40(0);
     bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
     send(&mut bench, "04 01");
@@ -122,7 +122,7 @@ fn errors(bench: &ImageRig, since: Time) -> usize {
 }
 
 #[test]
-fn a_bus_of_error_frames_only_does_not_keep_the_board_from_answering_once_it_is_over() {
+fn after_a_bus_of_error_frames_only_the_board_answers_again() {
     let mut bench = node_40(20);
     bench.lss("04 01");
     let since = bench.network.now();
@@ -195,7 +195,7 @@ fn an_interrupt_every_50_us_without_end_starves_no_task() {
 const RETURN: [u8; 2] = [0x70, 0x47];
 
 #[test]
-fn the_watchdog_resets_a_board_whose_tasks_are_not_hung_but_do_nothing_any_more() {
+fn the_watchdog_resets_a_board_whose_tasks_run_but_do_nothing() {
     // The last is the task that stores.
     for handler in ["CAN1_TX", "CAN1_SCE", "SysTick", "USART1"] {
         let mut bench = node_40(0);

@@ -99,7 +99,7 @@ fn a_cut_behind_the_last_step_of_a_store_leaves_the_new_settings() {
 }
 
 #[test]
-fn cuts_in_any_step_of_formatting_and_then_of_the_first_store_leave_the_defaults_or_the_new() {
+fn cuts_in_formatting_and_the_first_store_leave_defaults_or_new_settings() {
     let mut random = Random::from_environment();
     let defaults = (0xFF, DEFAULT_BIT_RATE);
     for step in 0..FORMAT_STEPS {

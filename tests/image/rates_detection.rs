@@ -178,7 +178,7 @@ fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
 }
 
 #[test]
-fn on_a_silent_bus_a_board_listens_on_and_finds_the_rate_when_somebody_comes() {
+fn on_a_silent_bus_a_board_listens_until_a_frame_gives_the_rate() {
     let bit_rate = BitRate::Kbit20;
     let mut bench = bench(bit_rate, 0x40);
     let on = switch_on(&mut bench);

@@ -185,7 +185,7 @@ fn all_pairs_with_a_delay_of_1000_ms_under_load() {
 }
 
 #[test]
-fn a_neighbour_that_takes_40_ms_to_obey_is_not_disturbed_with_a_delay_of_50_ms() {
+fn a_delay_of_50_ms_does_not_disturb_a_neighbour_that_needs_40_ms() {
     for (from, to) in [
         (BitRate::Kbit125, BitRate::Kbit1000),
         (BitRate::Kbit1000, BitRate::Kbit125),

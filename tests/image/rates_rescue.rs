@@ -175,7 +175,7 @@ fn alone_with_the_master(node_id: u8, probe: fn() -> Probe) -> usize {
 }
 
 #[test]
-fn a_board_without_a_node_id_that_sits_alone_with_the_master_is_reached_at_any_rate() {
+fn a_lone_board_without_a_node_id_is_reached_at_any_rate() {
     assert_eq!(alone_with_the_master(0xFF, unconfigured), 0);
 }
 
@@ -189,7 +189,7 @@ fn a_node_that_sits_alone_with_the_master_is_reached_but_at_two_pairs() {
 }
 
 #[test]
-fn a_node_that_nobody_acknowledges_stays_at_its_rate_and_is_reached_at_once() {
+fn a_node_without_acknowledges_stays_at_its_rate_and_answers_at_once() {
     let bit_rate = BitRate::Kbit125;
     let board = board_with(1, Settings { heartbeat_ms: 100, ..settings(1, bit_rate) });
     let mut bench = ImageRig::new(bit_rate, [board]);
@@ -216,7 +216,7 @@ fn a_network_that_was_without_power_comes_back_at_its_rate() {
 }
 
 #[test]
-fn a_switch_that_was_not_stored_ends_with_the_power_and_the_master_finds_all_at_the_old_rate() {
+fn an_unstored_switch_ends_at_power_off_and_all_are_at_the_old_rate() {
     let mut bench = four(BitRate::Kbit125, 1000);
     bench.transmit_request("04 01");
     switch_over(&mut bench, BitRate::Kbit500, false);

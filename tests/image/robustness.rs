@@ -169,7 +169,7 @@ fn a_full_log_refuses_with_17_02_until_the_next_power_on_makes_room() {
 }
 
 #[test]
-fn a_power_cut_while_the_log_is_formatted_leaves_a_board_that_formats_it_again() {
+fn after_a_power_cut_during_formatting_the_board_formats_again() {
     let mut random = Random::from_environment();
     for step in 0..=8 {
         let mut bench = ImageRig::blank();
@@ -193,7 +193,7 @@ fn a_power_cut_while_the_log_is_formatted_leaves_a_board_that_formats_it_again()
 }
 
 #[test]
-fn boards_with_crystals_3000_ppm_apart_understand_each_other_at_every_bit_rate() {
+fn boards_with_crystals_3000_ppm_apart_communicate_at_every_bit_rate() {
     for bit_rate in BitRate::ALL {
         let stored = flash_with(&[settings(0xFF, bit_rate)]);
         let boards = [1500, -1500].map(|ppm| {

@@ -157,7 +157,7 @@ fn select_and_identify_find_the_board_by_its_address_and_only_by_that() {
 }
 
 #[test]
-fn three_new_boards_on_one_bus_are_found_by_fastscan_and_get_a_node_id_each() {
+fn fastscan_finds_three_new_boards_and_each_gets_a_node_id() {
     let mut bench = ImageRig::new(
         BitRate::Kbit1000,
         [1, 2, 3].map(|number| board_with(number, settings(0xFF, BitRate::Kbit1000))),

@@ -98,7 +98,7 @@ fn assert_both_answer(bench: &mut ImageRig) {
 }
 
 #[test]
-fn boards_are_silent_from_the_request_on_switch_after_the_delay_and_speak_after_two() {
+fn boards_are_silent_at_once_switch_after_one_delay_and_send_after_two() {
     let mut bench = two_boards(BitRate::Kbit125, 10);
     configure(&mut bench, BitRate::Kbit500);
     let t0 = activate(&mut bench, 50);
@@ -144,7 +144,7 @@ fn every_bit_rate_is_reached_from_every_other() {
 }
 
 #[test]
-fn without_a_delay_boards_switch_and_speak_at_once() {
+fn without_a_delay_boards_switch_and_send_at_once() {
     let mut bench = two_boards(BitRate::Kbit1000, 20);
     for to in [BitRate::Kbit250, BitRate::Kbit1000, BitRate::Kbit500] {
         configure(&mut bench, to);
@@ -281,7 +281,7 @@ fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
 }
 
 #[test]
-fn an_answer_that_did_not_leave_before_the_request_for_silence_never_leaves() {
+fn an_answer_not_sent_before_the_request_for_silence_is_dropped() {
     let mut bench = two_boards(BitRate::Kbit1000, 0);
     configure(&mut bench, BitRate::Kbit250);
     let from = bench.network.now();
@@ -302,7 +302,7 @@ fn an_answer_that_did_not_leave_before_the_request_for_silence_never_leaves() {
 }
 
 #[test]
-fn a_board_that_switched_alone_comes_back_to_the_bus_that_stayed_at_the_old_rate() {
+fn a_board_that_switched_alone_returns_to_the_bus_at_the_old_rate() {
     let rate = BitRate::Kbit125;
     let mut bench = ImageRig::with(Settings { heartbeat_ms: 50, ..settings(1, rate) });
     let other = bench.network.add_adapter(Adapter::new(bit_per_s(rate)));
@@ -324,7 +324,7 @@ fn a_board_that_switched_alone_comes_back_to_the_bus_that_stayed_at_the_old_rate
 
 /// The watchdog, which resets a board after 2 s in which a task hangs, is a witness: the bench expects no reset.
 #[test]
-fn a_board_whose_new_rate_finds_no_idle_bus_lives_on_and_takes_part_when_there_is_one() {
+fn a_board_without_an_idle_bus_at_the_new_rate_joins_when_there_is_one() {
     let mut bench = ImageRig::with(settings(1, BitRate::Kbit500));
     let other = bench.network.add_adapter(Adapter::new(500_000));
     bench.transmit_request("04 01");

@@ -132,7 +132,7 @@ fn there_is_no_solution_only_where_the_exhaustive_search_finds_none() {
 }
 
 #[test]
-fn the_solution_is_the_best_in_rate_then_crystals_then_sample_point_then_quanta() {
+fn the_solution_is_best_in_rate_crystals_sample_point_and_quanta_in_order() {
     let odd: Vec<_> = reachable_clocks().into_iter().step_by(7).collect();
     for clock_hz in whole_mhz().chain(odd) {
         for rate in BitRate::ALL {
@@ -249,8 +249,7 @@ fn the_rates_that_are_possible_are_those_with_a_solution() {
 }
 
 #[test]
-fn automatic_detection_is_offered_by_nobody_who_does_not_ask_for_it_and_asking_twice_changes_nothing()
- {
+fn automatic_detection_is_offered_only_on_request_and_twice_is_once() {
     let rates = BitRates::possible(40 * MHZ);
     assert!(!rates.offers(BitRateSetting::Automatic));
     assert!(rates.with_automatic().offers(BitRateSetting::Automatic));

@@ -64,7 +64,7 @@ fn a_pending_index_9_that_was_not_stored_is_forgotten_at_power_off() {
 }
 
 #[test]
-fn activation_begins_to_listen_after_the_delay_and_speaks_after_two_at_the_earliest() {
+fn activation_listens_after_one_delay_and_sends_after_two_at_the_earliest() {
     for (heard_at_ms, expected) in [
         (150, &["100 ms listen at 1000 kbit/s", "150 ms 1000 kbit/s", "200 ms resume"]),
         (300, &["100 ms listen at 1000 kbit/s", "300 ms 1000 kbit/s", "300 ms resume"]),
@@ -83,7 +83,7 @@ fn activation_begins_to_listen_after_the_delay_and_speaks_after_two_at_the_earli
 }
 
 #[test]
-fn within_the_second_delay_of_an_activation_the_search_goes_on_from_the_top_after_each_silence() {
+fn in_the_second_delay_the_search_restarts_at_the_fastest_after_silence() {
     let mut board = fixed();
     board.lss("04 01");
     board.lss("13 00 09");
@@ -102,7 +102,7 @@ fn within_the_second_delay_of_an_activation_the_search_goes_on_from_the_top_afte
 }
 
 #[test]
-fn an_activation_of_automatic_detection_that_is_active_keeps_the_rate_that_was_found() {
+fn activating_automatic_detection_again_keeps_the_rate_found() {
     let mut board = listening();
     board.see(BusEvent::Error);
     board.receive(&frames::stranger());
@@ -181,7 +181,7 @@ fn a_rate_once_found_is_kept_through_errors_and_bus_off() {
 }
 
 #[test]
-fn each_error_leads_to_the_next_slower_rate_and_from_the_slowest_to_the_fastest() {
+fn each_error_leads_to_the_next_slower_rate_and_at_last_to_the_fastest() {
     let mut board = listening();
     for kbit_per_s in KBIT_PER_S.into_iter().cycle().skip(1).take(24) {
         board.pass_ms(1);
@@ -217,7 +217,7 @@ fn rates_that_the_clock_cannot_produce_are_left_out() {
 }
 
 #[test]
-fn after_a_second_and_a_half_without_anything_heard_listening_starts_again_at_the_fastest() {
+fn after_1500_ms_of_silence_listening_starts_again_at_the_fastest_rate() {
     let mut board = listening();
     for _ in 0..3 {
         board.see(BusEvent::Error);

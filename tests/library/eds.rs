@@ -151,7 +151,7 @@ fn each_object_has_a_section_with_its_data_type_and_access() {
 }
 
 #[test]
-fn an_object_with_sub_indices_says_how_many_and_whether_it_is_an_array_or_a_record() {
+fn an_object_with_sub_indices_gives_their_number_and_array_or_record() {
     let sections = sections();
     for entry in TABLE.iter().filter(|entry| section_of(entry).ends_with("sub0")) {
         let name = format!("{:04X}", entry.index);

@@ -21,7 +21,7 @@ fn in_configuration(mut board: NodeRig) -> NodeRig {
 }
 
 #[test]
-fn activation_is_silent_at_once_switches_after_the_delay_and_speaks_after_two() {
+fn activation_is_silent_switches_after_one_delay_and_sends_after_two() {
     let mut board = ready_to_switch(0);
     assert_eq!(board.lss("15 64 00"), SILENCE);
     assert_eq!(board.pass_ms(1000), SILENCE);
@@ -37,7 +37,7 @@ fn the_delay_is_little_endian() {
 }
 
 #[test]
-fn delay_0_switches_and_speaks_at_once_and_does_not_close_can_for_good() {
+fn delay_0_switches_and_sends_at_once_and_does_not_close_can_for_good() {
     let mut board = ready_to_switch(100);
     assert_eq!(board.lss("15 00 00"), ["740: 7F"]);
     let timeline = ["0 ms stop", "0 ms 500 kbit/s", "0 ms resume", "0 ms 740: 7F"];
@@ -95,7 +95,7 @@ fn an_activation_that_changes_nothing_keeps_both_silent_periods() {
 }
 
 #[test]
-fn lss_requests_in_the_silent_periods_are_ignored_and_those_at_their_end_are_served() {
+fn lss_requests_are_ignored_in_the_silent_periods_and_served_at_their_end() {
     let requests = ["04 00", "11 05", "13 00 03", "15 00 00", "17", "5E", "51 00 00 00 00 80"];
     for request in requests {
         for at_us in [0, 1, 99_999, 100_000, 100_001, 199_999] {
@@ -131,7 +131,7 @@ fn select_and_identify_do_not_see_frames_of_the_silent_periods() {
 }
 
 #[test]
-fn a_second_activation_begins_anew_when_the_first_has_ended() {
+fn a_second_activation_starts_again_when_the_first_has_ended() {
     let mut board = ready_to_switch(0);
     board.lss("15 64 00");
     board.pass_ms(150);
@@ -162,7 +162,7 @@ fn heartbeats_of_the_silent_periods_are_not_sent_late_in_a_burst() {
 }
 
 #[test]
-fn nmt_commands_of_the_silent_periods_are_carried_out_at_their_end_and_the_last_counts() {
+fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end() {
     for at_ms in [0, 50, 100, 199] {
         let mut board = ready_to_switch(10_000);
         board.lss("15 64 00");
@@ -237,7 +237,7 @@ fn a_store_that_ends_in_the_silent_periods_is_answered_at_their_end() {
 }
 
 #[test]
-fn a_late_call_does_what_is_due_in_order_and_does_not_shift_what_is_still_to_come() {
+fn a_late_call_runs_due_actions_in_order_and_does_not_shift_later_ones() {
     let mut board = ready_to_switch(10);
     board.lss("15 64 00");
     assert_eq!(board.be_late_ms(150), SILENCE);
@@ -332,7 +332,7 @@ fn answers_before_an_activation_are_handed_over_before_the_silence() {
 }
 
 #[test]
-fn the_answer_to_a_store_by_sdo_that_ends_within_the_silent_periods_is_not_sent_late() {
+fn an_sdo_store_that_ends_in_the_silent_periods_is_not_answered_late() {
     let save = Frame::new(0x640, &[0x23, 0x10, 0x10, 1, b's', b'a', b'v', b'e']).expect("a frame");
     let mut board = NodeRig::with_heartbeat(0x40, 0);
     board.lss("04 01");

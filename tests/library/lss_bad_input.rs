@@ -62,7 +62,7 @@ fn a_data_frame_with_an_11_bit_id_arrives_as_it_is() {
 }
 
 #[test]
-fn a_frame_with_a_29_bit_id_ends_here_even_with_the_number_of_an_11_bit_one() {
+fn a_frame_with_a_29_bit_id_is_rejected_even_with_an_11_bit_number() {
     let request = bytes("4C 00 00 00 00 00 00 00");
     for id in [0x7E5, 0x000, 0x7E5 << 18, 0x1FFF_FFFF] {
         assert_eq!(received(ExtendedId::new(id).unwrap(), false, &request), None, "{id:08X}");
@@ -71,7 +71,7 @@ fn a_frame_with_a_29_bit_id_ends_here_even_with_the_number_of_an_11_bit_one() {
 }
 
 #[test]
-fn a_remote_frame_ends_here() {
+fn a_remote_frame_is_rejected() {
     for id in [0x7E5, 0x000, 0x740] {
         let id = StandardId::new(id).unwrap();
         assert_eq!(received(id, true, &[]), None);
@@ -80,7 +80,7 @@ fn a_remote_frame_ends_here() {
 }
 
 #[test]
-fn a_frame_cannot_hold_more_than_eight_bytes_or_more_than_eleven_bits_of_cob_id() {
+fn a_frame_holds_at_most_eight_bytes_and_eleven_bits_of_cob_id() {
     let id = StandardId::new(0x7E5).unwrap();
     for len in 9..=64 {
         assert_eq!(received(id, false, &vec![0; len]), None, "{len} bytes");
@@ -92,7 +92,7 @@ fn a_frame_cannot_hold_more_than_eight_bytes_or_more_than_eleven_bits_of_cob_id(
 }
 
 #[test]
-fn every_frame_of_an_lss_master_means_one_thing_and_is_written_as_it_is_read() {
+fn every_frame_of_an_lss_master_has_one_meaning_and_is_written_as_read() {
     let mut random = Random::from_environment();
     for command in 0..=0xFF {
         for _ in 0..200 {
@@ -146,7 +146,7 @@ fn any_frame(random: &mut Random) -> Frame {
 
 /// The board checks by itself that nothing is sent in a silent period, and that it knows bit rate and node-ID.
 #[test]
-fn random_frames_do_no_harm_and_store_nothing_without_configuration_and_17() {
+fn random_frames_store_nothing_without_configuration_and_17() {
     let mut random = Random::from_environment();
     let mut stores = 0;
     for _ in 0..40 {

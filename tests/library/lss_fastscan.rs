@@ -67,7 +67,7 @@ fn scan(slaves: &mut [NodeRig], known: [Option<u32>; 4]) -> Option<Address> {
 }
 
 #[test]
-fn the_beginning_is_answered_by_every_unconfigured_slave_in_waiting_whatever_else_it_says() {
+fn every_unconfigured_slave_in_waiting_answers_the_start_of_a_scan() {
     let mut board = NodeRig::unconfigured();
     assert_eq!(board.lss("51 00 00 00 00 80 00 00"), ["4F 00 00 00 00 00 00 00"]);
     assert_eq!(board.lss("51 FF FF FF FF 80 FF FF"), ["4F"]);
@@ -160,7 +160,7 @@ fn a_step_that_matches_awaits_next_even_if_not_all_bits_were_compared() {
 }
 
 #[test]
-fn a_slave_is_selected_by_a_full_match_that_goes_back_to_an_earlier_part_and_only_by_that() {
+fn only_a_full_match_that_returns_to_an_earlier_part_selects_a_slave() {
     let parts = parts(&ADDRESS);
     for sub in 0..4 {
         for next in 0..4 {
@@ -214,7 +214,7 @@ fn the_beginning_awaits_the_first_part_again() {
 }
 
 #[test]
-fn a_slave_selected_by_fastscan_awaits_the_first_part_after_it_was_switched_back() {
+fn a_slave_selected_by_fastscan_and_switched_back_awaits_the_first_part() {
     let mut slaves = [NodeRig::unconfigured()];
     assert_eq!(scan(&mut slaves, [None; 4]), Some(ADDRESS));
     let [board] = &mut slaves;

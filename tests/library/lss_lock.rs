@@ -60,7 +60,7 @@ fn with_it_a_node_in_nmt_operational_is_still_identified() {
 }
 
 #[test]
-fn with_it_configuration_ends_where_nmt_operational_begins_and_is_free_again_behind_it() {
+fn with_the_lock_configuration_ends_in_operational_and_is_free_afterwards() {
     for leave in ["02 40", "80 40"] {
         let mut board = board(true, 0x40);
         board.lss("04 01");
@@ -77,7 +77,7 @@ fn with_it_configuration_ends_where_nmt_operational_begins_and_is_free_again_beh
 }
 
 #[test]
-fn with_it_a_blank_node_is_configured_whatever_nmt_commands_are_sent_to_all() {
+fn with_the_lock_a_blank_node_is_configured_despite_nmt_commands_to_all() {
     let mut board = board(true, 0xFF);
     board.nmt("01 00");
     board.lss("04 01");

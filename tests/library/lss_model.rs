@@ -280,7 +280,7 @@ const ALPHABET: &str = "04 00, 04 01, 04 02, 11 05, 11 7F, 11 00, 11 80, 11 FF, 
     51 44 00 00 00 00 03 00, 51 00 00 00 00 1F 03 03, 51 00 00 00 00 20 00 00";
 
 #[test]
-fn no_sequence_of_any_length_from_a_small_alphabet_tells_the_slave_from_the_model() {
+fn no_sequence_from_a_small_alphabet_distinguishes_slave_and_model() {
     let mut alphabet = vec![Event::Activated, Event::ResetCommunication];
     for request in ALPHABET.split(',') {
         let mut data = bytes(request);
@@ -362,7 +362,7 @@ fn procedure(random: &mut Random, model: &Model) -> Vec<[u8; 8]> {
 }
 
 #[test]
-fn long_random_sequences_do_not_tell_the_slave_from_the_model() {
+fn long_random_sequences_do_not_distinguish_slave_and_model() {
     let mut random = Random::from_environment();
     let (mut frames, mut configured) = (0, 0);
     for _ in 0..200 {

@@ -102,8 +102,7 @@ fn power_on_brings_the_stored_node_id() {
 }
 
 #[test]
-fn reset_node_makes_the_persistent_node_id_pending_and_active_and_forgets_one_that_was_not_stored()
-{
+fn reset_node_makes_the_persistent_node_id_pending_and_active() {
     let mut board = NodeRig::with_node_id(0x40);
     board.lss("04 01");
     board.lss("11 05");
@@ -188,7 +187,7 @@ fn reset_communication_with_ff_pending_ends_communication() {
 }
 
 #[test]
-fn leaving_configuration_with_a_first_node_id_starts_communication_by_itself() {
+fn leaving_configuration_with_a_first_node_id_starts_communication() {
     let mut board = NodeRig::with_heartbeat(0xFF, 100);
     board.lss("04 01");
     assert_eq!(board.lss("11 04"), ["11 00"]);
@@ -223,7 +222,7 @@ fn nothing_else_starts_communication_by_itself() {
 }
 
 #[test]
-fn leaving_configuration_with_an_active_node_id_does_nothing_until_the_next_nmt_reset() {
+fn leaving_configuration_with_an_active_node_id_waits_for_an_nmt_reset() {
     for (id, boot_up) in [("05", &["705: 00"][..]), ("FF", &[])] {
         let mut board = NodeRig::with_node_id(0x40);
         board.nmt("01 00");
@@ -302,7 +301,7 @@ fn a_store_that_fails_is_answered_with_its_error_code() {
 }
 
 #[test]
-fn a_store_that_the_medium_refuses_is_answered_17_02_and_the_old_values_stay() {
+fn a_store_refused_by_the_medium_is_answered_17_02_and_changes_nothing() {
     for operation in [Operation::Write, Operation::Read] {
         let mut board = NodeRig::with_node_id(0x40);
         board.lss("04 01");
@@ -318,7 +317,7 @@ fn a_store_that_the_medium_refuses_is_answered_17_02_and_the_old_values_stay() {
 }
 
 #[test]
-fn a_store_that_reads_back_otherwise_than_written_is_answered_17_02_and_the_old_values_stay() {
+fn a_store_that_reads_back_differently_is_answered_17_02() {
     // The node-ID in the records that the first two stores write, behind the one of the formatting.
     const NODE_ID_AT: [usize; 2] = [32 + 5, 64 + 5];
     let mut board = NodeRig::with_node_id(0x40);
@@ -350,7 +349,7 @@ fn a_store_of_values_that_are_stored_already_writes_nothing() {
 }
 
 #[test]
-fn a_store_that_is_running_survives_reset_communication_and_is_still_answered() {
+fn a_running_store_survives_reset_communication_and_is_answered() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
     board.lss("04 01");

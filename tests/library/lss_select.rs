@@ -116,7 +116,7 @@ fn a_select_in_configuration_is_ignored_and_makes_no_progress() {
 }
 
 #[test]
-fn a_matching_identify_is_answered_4f_in_both_states_by_configured_and_unconfigured_slaves() {
+fn a_matching_identify_is_answered_4f_with_or_without_a_node_id() {
     for mut board in [NodeRig::unconfigured(), NodeRig::with_node_id(0x40)] {
         for state in ["04 00", "04 01"] {
             board.lss(state);
@@ -210,7 +210,7 @@ fn each_accepted_04_and_each_reset_ends_an_identify_that_has_begun() {
 }
 
 #[test]
-fn the_own_reset_after_a_node_id_was_given_ends_an_identify_that_has_begun() {
+fn the_reset_after_a_first_node_id_ends_an_identify_in_progress() {
     let mut board = NodeRig::unconfigured();
     board.lss("04 01");
     board.lss("11 05");

@@ -307,7 +307,7 @@ fn power_on() -> &'static str {
 }
 
 #[test]
-fn the_diagram_shows_what_the_node_does() {
+fn the_diagram_shows_the_states_of_the_node() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/lss-states.svg");
     let drawn = draw();
     if env::var_os("WRITE_DIAGRAM").is_some() {

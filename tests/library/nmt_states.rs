@@ -65,7 +65,7 @@ fn stopped_serves_nmt_and_lss_and_sends_only_heartbeats() {
 }
 
 #[test]
-fn what_was_asked_in_stopped_is_not_answered_later() {
+fn a_request_in_stopped_is_not_answered_later() {
     let mut board = NodeRig::with_node_id(0x40);
     board.nmt("02 00");
     board.sdo("40 18 10 04");
@@ -89,7 +89,7 @@ fn a_store_that_ends_in_stopped_is_not_answered_by_sdo_but_by_lss() {
 }
 
 #[test]
-fn the_next_heartbeat_tells_a_new_state_and_comes_when_it_is_due() {
+fn the_next_heartbeat_reports_a_new_state_and_is_sent_when_due() {
     for (from, ..) in STATES {
         for (to, _, heartbeat) in STATES {
             let mut board = NodeRig::with_heartbeat(0x40, 100);
@@ -103,7 +103,7 @@ fn the_next_heartbeat_tells_a_new_state_and_comes_when_it_is_due() {
 }
 
 #[test]
-fn every_reset_from_every_state_sends_one_boot_up_and_never_starts_by_itself() {
+fn every_reset_from_every_state_sends_one_boot_up_and_does_not_start() {
     for (command, ..) in STATES {
         for reset in RESETS {
             let mut board = NodeRig::with_heartbeat(0x40, 100);
@@ -209,7 +209,7 @@ fn a_pending_node_id_is_not_an_addressee_until_reset_communication() {
 }
 
 #[test]
-fn a_command_in_a_switch_delay_is_obeyed_at_its_end_and_the_last_one_counts() {
+fn the_last_command_in_a_switch_delay_is_obeyed_at_its_end() {
     for (command, state, _) in STATES {
         let mut board = NodeRig::with_node_id(0x40);
         board.nmt("01 00");
@@ -352,7 +352,7 @@ fn listening_board() -> NodeRig {
 }
 
 #[test]
-fn a_node_that_listens_for_its_bit_rate_sends_nothing_and_then_its_heartbeat_at_once() {
+fn a_node_that_detects_its_bit_rate_is_silent_then_sends_its_heartbeat() {
     let mut board = listening_board();
     board.node.handle_fault(Fault::Overrun);
     assert_eq!(board.pass_ms(20_000), SILENCE);

@@ -178,7 +178,7 @@ fn the_cob_id_of_emergencies_is_80h_plus_the_node_id() {
 }
 
 #[test]
-fn the_producer_heartbeat_time_is_what_was_written_from_0_to_65535() {
+fn the_producer_heartbeat_time_takes_every_value_from_0_to_65535() {
     let mut board = NodeRig::with_heartbeat(0x40, 500);
     assert_eq!(board.number(0x1017, 0), 500);
     for ms in [0, 1, 255, 256, 1000, 0x8000, u16::MAX] {
@@ -251,7 +251,7 @@ fn every_object_is_as_long_as_its_data_type() {
 }
 
 #[test]
-fn every_object_that_is_not_read_write_refuses_every_length_and_keeps_its_value() {
+fn every_object_that_is_not_read_write_refuses_downloads_of_any_length() {
     let mut board = NodeRig::with_node_id(0x40);
     for entry in TABLE.iter().filter(|entry| entry.access != Access::ReadWrite) {
         let before = board.upload(entry.index, entry.sub_index);

@@ -24,7 +24,7 @@ fn an_expedited_upload_says_how_many_bytes_the_object_has() {
 }
 
 #[test]
-fn reserved_bits_and_bytes_of_a_request_are_not_looked_at() {
+fn reserved_bits_and_bytes_of_a_request_are_ignored() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("5F 18 10 04 FF FF FF FF"), ["5C0: 43 18 10 04 EF BE AD DE"]);
     assert_eq!(board.sdo("3B 17 10 00 E8 03 FF FF"), ["5C0: 60 17 10 00 00 00 00 00"]);
@@ -78,7 +78,7 @@ fn an_expedited_download_is_confirmed_and_read_back() {
 }
 
 #[test]
-fn an_expedited_download_without_a_size_takes_as_many_bytes_as_the_object_has() {
+fn an_expedited_download_without_a_size_takes_the_size_of_the_object() {
     let mut board = NodeRig::with_node_id(0x40);
     // The bits that would tell unused bytes mean nothing then.
     for command in ["22", "26", "2A", "2E"] {

@@ -75,7 +75,7 @@ fn assert_answers(answers: &Frames, request: &Frame) {
 }
 
 #[test]
-fn random_sdo_requests_get_one_answer_of_the_right_form_each_and_never_block_lss() {
+fn each_random_sdo_request_gets_one_valid_answer_and_never_blocks_lss() {
     let mut random = Random::from_environment();
     let mut board = NodeRig::with_node_id(0x40);
     for n in 0..FRAMES {

@@ -33,7 +33,7 @@ fn a_heartbeat_time_that_was_saved_survives_a_power_cycle_and_reset_node() {
 }
 
 #[test]
-fn a_heartbeat_time_that_was_not_saved_is_gone_after_a_power_cycle_and_reset_node() {
+fn an_unsaved_heartbeat_time_is_lost_at_power_cycle_and_reset_node() {
     let mut board = board_with_default_500();
     board.sdo(HEARTBEAT_1000);
     assert_eq!(board.power_cycle(), ["740: 00"]);
@@ -44,7 +44,7 @@ fn a_heartbeat_time_that_was_not_saved_is_gone_after_a_power_cycle_and_reset_nod
 }
 
 #[test]
-fn saving_what_is_saved_already_writes_nothing() {
+fn saving_unchanged_values_writes_nothing() {
     let mut board = NodeRig::with_node_id(0x40);
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
@@ -97,7 +97,7 @@ fn save_after_lss_store_keeps_what_lss_stored() {
 }
 
 #[test]
-fn load_restores_the_devices_heartbeat_time_with_the_next_reset_and_not_before() {
+fn load_restores_the_default_heartbeat_time_only_at_the_next_reset() {
     let mut board = board_with_default_500();
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
@@ -145,7 +145,7 @@ fn a_device_that_cannot_store_answers_0606_0000_too() {
 }
 
 #[test]
-fn save_is_confirmed_only_when_it_is_done_and_all_else_is_served_meanwhile() {
+fn save_is_confirmed_only_when_done_and_others_are_served_meanwhile() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.let_stores_take_time();
     assert_eq!(board.sdo(SAVE), SILENCE);
@@ -158,7 +158,7 @@ fn save_is_confirmed_only_when_it_is_done_and_all_else_is_served_meanwhile() {
 }
 
 #[test]
-fn what_is_saved_is_the_heartbeat_time_of_the_request_not_a_later_one() {
+fn the_heartbeat_time_of_the_request_is_saved_not_a_later_one() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
     board.sdo(HEARTBEAT_1000);

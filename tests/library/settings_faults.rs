@@ -19,7 +19,7 @@ fn with_settings_1() -> (Log<Flash<4, 256>>, Flash<4, 256>) {
 }
 
 #[test]
-fn a_flash_that_cannot_be_written_or_read_refuses_and_the_old_settings_stay() {
+fn a_flash_that_fails_refuses_stores_and_the_old_settings_stay() {
     for operation in [Operation::Write, Operation::Read] {
         let (mut log, flash) = with_settings_1();
         flash.fail(operation);
@@ -35,7 +35,7 @@ fn a_flash_that_cannot_be_written_or_read_refuses_and_the_old_settings_stay() {
 }
 
 #[test]
-fn a_store_that_failed_at_any_operation_leaves_the_old_settings_and_the_next_one_works() {
+fn after_a_failed_operation_old_settings_stay_and_the_next_store_works() {
     for operation in [Operation::Write, Operation::Read] {
         for others in 0.. {
             let (mut log, flash) = with_settings_1();
@@ -71,7 +71,7 @@ fn settings_that_are_stored_again_after_a_store_that_failed_are_found() {
 }
 
 #[test]
-fn settings_that_are_stored_again_after_a_flash_failed_for_a_while_are_found() {
+fn settings_stored_again_after_a_temporary_flash_failure_are_found() {
     for operation in [Operation::Write, Operation::Read] {
         for others in 0..10 {
             let (mut log, flash) = with_settings_1();

@@ -22,7 +22,7 @@ fn a_new_device_is_blank_once_and_has_no_settings() {
 }
 
 #[test]
-fn what_was_stored_is_found_at_the_next_open() {
+fn stored_settings_are_found_at_the_next_open() {
     let flash = BoardFlash::blank(0);
     for node_id in [1, 2, 0x40, 0x7E, 0x7F, 0xFF] {
         for bit_rate in BitRate::ALL {
@@ -74,7 +74,7 @@ fn settings_that_are_stored_already_are_not_written() {
 }
 
 #[test]
-fn a_full_bank_refuses_keeps_the_old_settings_and_the_next_open_makes_room() {
+fn a_full_bank_refuses_a_store_and_the_next_open_makes_room() {
     let flash = BoardFlash::blank(0);
     let (mut log, _) = Log::open(flash.clone());
     for _ in 0..3 {
@@ -190,7 +190,7 @@ fn a_record_of_settings_that_cannot_be_does_not_count() {
 }
 
 #[test]
-fn a_record_of_a_kind_that_a_later_version_wrote_is_passed_over_and_left_as_it_is() {
+fn a_record_of_a_later_versions_kind_is_skipped_and_left_unchanged() {
     let later = record(9, 2, 5, 2, 5);
     let flash = flash_with::<4, 256>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, later)]);
     let (mut log, found) = Log::open(flash.clone());
@@ -254,7 +254,7 @@ fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
 }
 
 #[test]
-fn whatever_the_flash_holds_open_ends_and_what_is_stored_then_is_found() {
+fn with_any_flash_content_open_ends_and_settings_stored_then_are_found() {
     let mut random = Random::from_environment();
     for _ in 0..5_000 {
         let flash = Flash::<4, 128>::with_content(any_content::<128>(&mut random), random.u64());

@@ -126,7 +126,7 @@ fn two_cuts_in_any_steps_lose_nothing_where_garbage_is_formatted_first() {
 }
 
 #[test]
-fn what_was_found_after_a_cut_is_found_at_every_power_on() {
+fn settings_found_after_a_cut_are_found_at_every_power_on() {
     let mut random = Random::from_environment();
     let mut found_new = 0;
     for cut in 0..8 {
@@ -186,7 +186,7 @@ fn cuts_in_banks_of_16_kb_that_are_nearly_full_lose_nothing() {
 }
 
 #[test]
-fn a_cut_in_a_store_leaves_the_old_settings_or_the_new_ones_and_after_the_last_step_the_new() {
+fn a_cut_in_a_store_leaves_old_or_new_settings_and_at_the_end_the_new() {
     let mut random = Random::from_environment();
     for cut in 0..=8 {
         for _ in 0..100 {

@@ -322,7 +322,7 @@ fn with_automatic(bit_rate: BitRateSetting) -> NodeRig {
 }
 
 #[test]
-fn a_guest_that_is_told_to_detect_its_rate_is_no_guest_any_more() {
+fn a_guest_commanded_to_detect_its_rate_is_no_longer_a_guest() {
     let mut board = with_automatic(BitRate::Kbit125.into());
     rescue(&mut board);
     for request in ["04 01", "13 00 09", "15 00 00"] {

@@ -33,7 +33,7 @@ fn the_silent_turn_of_home_lasts_20_ms_and_the_time_of_two_frames() {
 }
 
 #[test]
-fn a_look_ends_40_ms_after_the_first_thing_heard() {
+fn a_look_ends_40_ms_after_the_first_event() {
     // The first look ends by itself after 40 ms, those after something was heard wait 1.1 s for it.
     for (heard_at_ms, end_ms) in [(1, 41), (500, 540), (1_080, 1_100)] {
         let mut board = looking();

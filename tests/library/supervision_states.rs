@@ -370,7 +370,7 @@ fn draw() -> String {
 }
 
 #[test]
-fn the_diagram_shows_what_the_supervision_does() {
+fn the_diagram_shows_the_states_of_the_supervision() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/bit-rate-supervision.svg");
     let drawn = draw();
     if env::var_os("WRITE_DIAGRAM").is_some() {

@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_possible_now_is_refused() {
+    fn a_command_that_is_not_possible_now_is_refused() {
         let mut program = Program::connect(served_bus());
         program.send("t1230\rX\rO\rO\rL\rS4\rC\rC\rt1230\rS4\r");
         program.expect("\x07\x07\r\x07\x07\x07\r\r\x07\r");
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_floods_the_emulation_does_not_keep_others_from_being_answered() {
+    fn a_program_that_floods_the_emulation_does_not_block_others() {
         let address = served_bus();
         let mut flood = Program::connect(address);
         thread::spawn(move || while flood.0.write_all(&[b'\r'; 4096]).is_ok() {});

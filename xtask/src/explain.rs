@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn the_steps_of_a_fastscan_are_told_apart() {
+    fn the_steps_of_a_fastscan_are_distinguished() {
         let cases: [([u8; 3], &str); 6] = [
             ([0x80, 0, 0], "LSS Fastscan: is anyone not configured?"),
             ([31, 0, 0], "LSS Fastscan: vendor-ID, bit 31 of 12345678?"),

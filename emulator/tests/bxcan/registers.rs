@@ -1,4 +1,4 @@
-//! Reset values, and what a write may not do.
+//! Reset values, and the restrictions on writes.
 
 use emulator::{Time, can::bxcan::Note};
 

@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_data_length_code_above_eight_is_told_as_eight() {
+    fn a_data_length_code_above_eight_is_reported_as_eight() {
         let frame = Frame::data(STANDARD, &[0; 8]).with_dlc(15);
         assert_eq!(received(&frame, None), "t7E580000000000000000\r");
     }

@@ -1,4 +1,4 @@
-//! What a watcher is told.
+//! Reports to a watcher.
 
 use rsemu::cpu::arm::v7m::sys::Exception;
 
@@ -8,7 +8,7 @@ use super::{
 };
 
 impl Rsemu {
-    /// What there is to tell of a step before it is made, if anybody listens.
+    /// The state before a step, if there is a watcher.
     pub(super) fn observe(&self) -> Option<Step> {
         self.watcher.as_ref()?;
         let (systick, systick_pending) = self.cpu.with_sys(|sys| {
@@ -26,7 +26,7 @@ impl Rsemu {
         })
     }
 
-    /// Tells of a step that has been made; sleep is none.
+    /// Reports a step that has been made. Sleep is not a step.
     pub(super) fn tell_of(&mut self, mut step: Step) {
         if self.cpu.is_asleep() && step.before == self.registers() {
             return;
