@@ -75,8 +75,8 @@ fn a_board_answers_an_adapter() {
     let (time, answer) = network.run_until_received(adapter, Time::from_ms(5)).expect("an answer");
     assert_eq!(answer, reply(&[1, 2, 3]));
 
-    // The request starts at the next bit boundary. The answer follows some 40 instructions after the last bit but one of
-    // EOF, but not before the end of intermission. It is valid 1.125 bits before its own end.
+    // The request starts at the next bit boundary. The answer follows some 40 instructions after the last bit but one
+    // of EOF, but not before the end of intermission. It is valid 1.125 bits before its own end.
     let bits = u64::from(request.wire_bits() + 3 + answer.wire_bits());
     let span = time - READY;
     let expected = Time::from_us(4 * bits) - Time::from_ns(4_500);

@@ -34,7 +34,7 @@ impl Watcher for Diary {
     fn ram_changed(&mut self, _: u32, _: &[u8], _: &dyn Engine) {}
 }
 
-/// What a watcher is told of the first 2 ms, of which the board runs for half a millisecond.
+/// The steps reported to a watcher in the first 2 ms, of which the board runs for half a millisecond.
 fn watch(program: &Program) -> Vec<(Step, Registers)> {
     let diary = Diary::default();
     let mut board = Board::new(Part::Stm32f405, &program.image(), Settings::default());

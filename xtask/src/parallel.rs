@@ -1,4 +1,4 @@
-//! Work that is spread over all cores.
+//! Work spread over all cores.
 
 use std::{
     num::NonZero,
@@ -9,7 +9,7 @@ use std::{
     thread,
 };
 
-/// Does `work` on each of `items`, and hands over what comes of it as it comes, with the item's place.
+/// Applies `work` to each of `items`, and passes on each result, with the item's index, as it arrives.
 pub fn map<T: Sync, R: Send>(
     items: &[T],
     work: impl Fn(&T) -> R + Sync,

@@ -27,7 +27,8 @@ fn alone_the_transmit_error_counter_stops_at_128_and_the_frame_repeats() {
     assert_eq!(a.tec(), 128);
     assert!(a.errors().len() > 150);
     assert!(a.errors().iter().all(|error| *error == (ErrorKind::Acknowledgement, true)));
-    // Error passive: frame up to the ACK slot, six bits of flag, eight of delimiter, three and eight until the next frame.
+    // Error passive: frame up to the ACK slot, six bits of flag, eight of delimiter, three and eight until the next
+    // frame.
     let starts: Vec<Time> =
         a.log.iter().filter(|(_, event)| *event == Event::Started).map(|(time, _)| *time).collect();
     let last = starts[starts.len() - 1] - starts[starts.len() - 2];
