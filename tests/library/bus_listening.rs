@@ -1,4 +1,5 @@
-//! Automatic bit-rate detection (CiA 305, table 0, index 9): how a node listens, and that it is silent until it knows.
+//! Automatic bit-rate detection (CiA 305, table 0, index 9): how a node listens, and its silence until it knows the
+//! rate.
 
 use lss_slave::{BitRate, BitRateSetting, BitRates, BusEvent, Device, Settings, nmt::State};
 use testkit::{
@@ -229,7 +230,7 @@ fn after_1500_ms_of_silence_listening_starts_again_at_the_fastest_rate() {
     board.pass_ms(100);
     board.see(BusEvent::Error);
     board.pass_us(1_499_999);
-    assert_eq!(board.bit_rate(), BitRate::Kbit800, "the error began the time anew");
+    assert_eq!(board.bit_rate(), BitRate::Kbit800, "the error restarted the time");
 }
 
 #[test]
@@ -238,7 +239,7 @@ fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_for_ever() {
         let mut board = listening_with(device(ADDRESS), defaults(0x40), clock_at_start);
         board.timeline();
         assert_eq!(board.pass_ms(10 * 60_000), SILENCE);
-        assert_eq!(board.timeline(), SILENCE, "nor does it touch the controller");
+        assert_eq!(board.timeline(), SILENCE, "nor does it change the controller");
         assert_eq!(board.receive(&frames::stranger()), ["740: 00"]);
     }
 }
@@ -247,7 +248,7 @@ fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_for_ever() {
 fn a_node_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
     let mut board = listening_with(device(ADDRESS), defaults(0xFF), 0);
     board.see(BusEvent::Error);
-    assert_eq!(board.receive(&frames::request("4C")), SILENCE, "it was deaf to this one");
+    assert_eq!(board.receive(&frames::request("4C")), SILENCE, "it did not receive this one");
     assert_eq!(board.bit_rate(), BitRate::Kbit800);
     assert_eq!(board.lss("4C"), ["50"]);
 }

@@ -1,4 +1,4 @@
-//! Emergency messages (CiA 301, 7.2.7): which frames each fault sends, when, and what the error register 1001h says.
+//! Emergency messages (CiA 301, 7.2.7): the frames and times for each fault, and the error register 1001h.
 
 use lss_slave::{BitRate, BitRateSetting, BusEvent, Settings, emergency::Fault};
 use testkit::{
@@ -13,7 +13,7 @@ const SETTINGS_LOST: &str = "0C0: 10 63 01 00 00 00 00 00";
 const ERROR_PASSIVE: &str = "0C0: 20 81 11 00 00 00 00 00";
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
 
-/// The board sees a trouble; returns what the node sends at once.
+/// Reports a fault to the node; returns the frames that it sends at once.
 fn report(board: &mut NodeRig, fault: Fault) -> Frames {
     board.node.handle_fault(fault);
     board.pass_us(0)
@@ -44,7 +44,7 @@ fn lost_settings_are_6310_and_an_error_until_something_is_stored() {
     board.lss("04 01");
     assert_eq!(board.lss("17"), ["17 00", NO_ERROR]);
     assert_eq!(board.sdo("40 01 10 00"), ["5C0: 4F 01 10 00 00 00 00 00"]);
-    assert_eq!(board.lss("17"), ["17 00"], "no error is said once");
+    assert_eq!(board.lss("17"), ["17 00"], "no error is reported once");
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn an_emergency_goes_before_a_heartbeat_that_is_due_at_the_same_time() {
     assert_eq!(board.be_late_ms(100), [OVERRUN, NO_ERROR, "740: 7F"]);
 }
 
-/// The controller's error counters are these; returns what the node sends at once.
+/// Sets the controller's error counters; returns the frames that the node sends at once.
 fn count(board: &mut NodeRig, transmit: u8, receive: u8) -> Frames {
     board.node.note_error_counters(transmit, receive);
     board.pass_us(0)
@@ -167,7 +167,7 @@ fn error_passive_is_8120_and_its_end_is_no_error() {
         assert_eq!(count(&mut board, transmit, 127), SILENCE, "once");
         assert_eq!(count(&mut board, 127, 95), [NO_ERROR]);
         assert_eq!(board.number(0x1001, 0), 0);
-        assert_eq!(count(&mut board, 0, 0), SILENCE, "no error is said once");
+        assert_eq!(count(&mut board, 0, 0), SILENCE, "no error is reported once");
     }
 }
 
@@ -250,7 +250,7 @@ fn reset_communication_keeps_the_error_history_and_adds_nothing_to_it() {
     let errors = [1, 2].map(|sub_index| board.number(0x1003, sub_index));
     assert_eq!((board.number(0x1003, 0), errors), (2, [0x8120, 0x6310]));
     board.nmt("81 00");
-    assert_eq!(board.number(0x1003, 0), 0, "reset node forgets it");
+    assert_eq!(board.number(0x1003, 0), 0, "reset node clears it");
 }
 
 #[test]

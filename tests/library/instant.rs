@@ -1,4 +1,4 @@
-//! Instants: microseconds of a count that wraps.
+//! Instants: microseconds of a counter that wraps.
 
 use lss_slave::Instant;
 

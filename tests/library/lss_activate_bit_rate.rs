@@ -89,7 +89,7 @@ fn an_activation_that_changes_nothing_keeps_both_silent_periods() {
     assert_eq!(board.bit_rate(), BitRate::Kbit1000);
     board.lss("13 00 00");
     board.lss("15 64 00");
-    assert_eq!(board.pass_us(199_999), SILENCE, "with the rate that is active");
+    assert_eq!(board.pass_us(199_999), SILENCE, "with the active rate");
     assert_eq!(board.pass_us(1), ["740: 7F"]);
     assert_eq!(board.bit_rate(), BitRate::Kbit1000);
 }
@@ -176,7 +176,7 @@ fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end() {
         board.pass_ms(at_ms);
         board.nmt("02 40");
         board.nmt("01 41");
-        assert_eq!(board.pass_ms(200 - at_ms), ["740: 04"], "41 is somebody else");
+        assert_eq!(board.pass_ms(200 - at_ms), ["740: 04"], "41 is another node");
         assert_eq!(board.pass_ms(10_000), ["740: 04"], "once");
     }
 }
@@ -265,7 +265,7 @@ fn sdo_requests_of_the_silent_periods_are_not_answered_late() {
     assert_eq!(board.receive(&read_heartbeat_time), ["5C0: 4B 17 10 00 10 27 00 00"]);
 }
 
-/// Requests, resets, activations and heartbeats, with time passing in pieces of `step_us`.
+/// Requests, resets, activations and heartbeats, with time passing in steps of `step_us`.
 fn session(clock_at_start: u32, step_us: u64) -> Vec<String> {
     let defaults = Settings { heartbeat_ms: 300, ..defaults(0x40) };
     let mut board = NodeRig::new(ADDRESS, defaults, BoardFlash::blank(0), clock_at_start);

@@ -21,7 +21,7 @@ fn with_500_pending_on(mut board: NodeRig) -> NodeRig {
     board
 }
 
-/// The bit rate that is pending, shown by activating it.
+/// The pending bit rate, determined by activating it.
 fn pending(board: &mut NodeRig) -> u16 {
     board.lss("15 00 00");
     board.bit_rate().kbit_per_s()
@@ -68,9 +68,9 @@ fn a_rate_stored_by_17_is_active_after_power_on_and_reset_node() {
     for restart in restarts {
         let mut board = with_500_pending();
         restart(&mut board);
-        assert_eq!(board.bit_rate(), BitRate::Kbit1000, "13 alone is forgotten");
+        assert_eq!(board.bit_rate(), BitRate::Kbit1000, "13 alone is not kept");
         board.lss("04 01");
-        assert_eq!(pending(&mut board), 1000, "13 alone is forgotten");
+        assert_eq!(pending(&mut board), 1000, "13 alone is not kept");
         board.lss("13 00 02");
         board.lss("17");
         assert_eq!(board.bit_rate(), BitRate::Kbit1000);

@@ -1,4 +1,4 @@
-//! The LSS lock, a choice of the device: in NMT operational the LSS state stays waiting.
+//! The LSS lock, an option of the device: in NMT operational the LSS state stays waiting.
 
 use lss_slave::Device;
 use testkit::{
@@ -71,7 +71,7 @@ fn with_the_lock_configuration_ends_in_operational_and_is_free_afterwards() {
         assert_eq!(board.lss("5E"), SILENCE, "in waiting state");
         board.lss("04 01");
         assert_eq!(board.lss("5E"), ["5E 40"]);
-        assert_eq!(board.lss("17"), ["17 00"], "what was pending still is");
+        assert_eq!(board.lss("17"), ["17 00"], "the pending values still are");
         assert_eq!(board.stored().and_then(|s| s.node_id).map(|id| id.get()), Some(5));
     }
 }

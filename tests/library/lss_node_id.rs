@@ -1,4 +1,4 @@
-//! The node-ID, persistent, pending and active: which event moves it from where to where (CiA 305, configure node-ID).
+//! The node-ID, persistent, pending and active: the events that move it (CiA 305, configure node-ID).
 
 use lss_slave::{Frame, NodeId, Settings, lss::StoreError, nmt::State};
 use testkit::{
@@ -7,14 +7,14 @@ use testkit::{
     node_rig::{ADDRESS, NodeRig, defaults},
 };
 
-/// The node-ID that is pending, shown by what NMT reset communication makes active.
+/// The pending node-ID, determined by NMT reset communication.
 fn pending(board: &mut NodeRig) -> Option<u8> {
     board.nmt("82 00");
     board.lss("04 01");
     board.inquired_node_id()
 }
 
-/// What the node stored, as LSS writes it.
+/// The stored node-ID, as LSS encodes it.
 fn stored(board: &NodeRig) -> Option<u8> {
     board.stored().map(|settings| NodeId::to_lss(settings.node_id))
 }
@@ -133,7 +133,7 @@ fn cob_ids_follow_the_node_id() {
     assert_eq!(board.nmt("82 40"), ["704: 00"]);
     assert_eq!(board.timeline(), ["0 ms node-ID 04", "0 ms 704: 00"], "the board is told first");
     assert_eq!(board.pass_ms(100), ["704: 7F"]);
-    assert_eq!(board.nmt("82 40"), SILENCE, "40 is somebody else now");
+    assert_eq!(board.nmt("82 40"), SILENCE, "40 is another node now");
     assert_eq!(board.nmt("82 04"), ["704: 00"]);
 }
 
@@ -166,7 +166,7 @@ fn a_node_without_a_node_id_obeys_the_resets_to_all() {
         let mut board = NodeRig::unconfigured();
         board.lss("04 01");
         board.nmt(command);
-        assert!(board.is_in_configuration_state(), "{command} is for somebody else");
+        assert!(board.is_in_configuration_state(), "{command} is for another node");
     }
 }
 
@@ -208,7 +208,7 @@ fn nothing_else_starts_communication_by_itself() {
     board.lss("04 01");
     board.lss("04 00");
     assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending");
-    assert_eq!(board.timeline(), SILENCE, "not even a reset that is not seen");
+    assert_eq!(board.timeline(), SILENCE, "not even an invisible reset");
     board.lss("04 01");
     board.lss("11 04");
     board.lss("04 01");
@@ -218,7 +218,7 @@ fn nothing_else_starts_communication_by_itself() {
     assert_eq!(board.pass_ms(1000), SILENCE, "it was not 04 00");
     board.lss("11 FF");
     board.lss("04 00");
-    assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending any more");
+    assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending any longer");
 }
 
 #[test]
@@ -318,7 +318,7 @@ fn a_store_refused_by_the_medium_is_answered_17_02_and_changes_nothing() {
 
 #[test]
 fn a_store_that_reads_back_differently_is_answered_17_02() {
-    // The node-ID in the records that the first two stores write, behind the one of the formatting.
+    // The node-ID in the records of the first two stores, behind the record written by formatting.
     const NODE_ID_AT: [usize; 2] = [32 + 5, 64 + 5];
     let mut board = NodeRig::with_node_id(0x40);
     board.lss("04 01");

@@ -1,4 +1,4 @@
-//! Switch state selective and identify remote slave (CiA 305): their four and six steps, which need all to match in order.
+//! Switch state selective and identify remote slave (CiA 305): all of their four and six steps must match in order.
 
 use lss_slave::lss::Address;
 use testkit::{
@@ -14,7 +14,7 @@ const SERIAL: &str = "43 EF BE AD DE";
 /// The steps of a select that matches.
 const SELECT: [&str; 4] = [VENDOR, PRODUCT, REVISION, SERIAL];
 
-/// The steps of an identify that matches exactly this slave.
+/// The steps of an identify that exactly matches this slave.
 const IDENTIFY: [&str; 6] = [
     "46 44 33 22 11",
     "47 88 77 66 55",
@@ -64,7 +64,7 @@ fn a_select_with_any_bit_wrong_in_any_step_is_not_answered() {
                 assert_eq!(board.lss(&format!("{command:02X} {}", number(part))), SILENCE);
             }
             assert!(!board.is_in_configuration_state(), "bit {bit} of part {wrong}");
-            assert_eq!(board.lss(SERIAL), SILENCE, "the wrong step made it begin again");
+            assert_eq!(board.lss(SERIAL), SILENCE, "the wrong step cleared the progress");
         }
     }
 }
@@ -91,7 +91,7 @@ fn steps_of_an_earlier_attempt_do_not_count() {
     send_all(&mut board, &[VENDOR, PRODUCT, REVISION, VENDOR, SERIAL]);
     send_all(&mut board, &[VENDOR, PRODUCT, REVISION, REVISION, SERIAL]);
     send_all(&mut board, &[VENDOR, PRODUCT, REVISION, VENDOR, PRODUCT, REVISION]);
-    assert_eq!(board.lss(SERIAL), ["44"], "40 begins anew");
+    assert_eq!(board.lss(SERIAL), ["44"], "40 starts again");
 }
 
 #[test]
@@ -287,7 +287,7 @@ fn exactly_a_complete_ascending_run_is_answered_whatever_came_before() {
         for _ in 0..200 {
             let family = random.within(0..2) as usize;
             let steps = [&SELECT[..], &IDENTIFY[..]][family];
-            // Mostly the step that is next, else the run would never come to its end.
+            // Mostly the next step, otherwise the sequence would never be completed.
             let step = if random.one_in(8) {
                 random.within(0..steps.len() as u64) as usize
             } else {
@@ -295,7 +295,7 @@ fn exactly_a_complete_ascending_run_is_answered_whatever_came_before() {
             };
             let is_wrong = random.one_in(10);
             let request = if is_wrong {
-                // Not the own number, and outside of the range on the side where the bound is compared.
+                // Not the slave's number, and outside of the range on the side where the bound is compared.
                 let value = if steps[step].starts_with("48") || steps[step].starts_with("4A") {
                     "FF FF FF FF"
                 } else {

@@ -1,4 +1,4 @@
-//! Frames and LSS states (CiA 305): which request is answered in which state, byte for byte.
+//! Frames and LSS states (CiA 305): the answer to each request in each state, byte for byte.
 
 use lss_slave::{Frame, nmt::State};
 use testkit::{
@@ -6,8 +6,8 @@ use testkit::{
     node_rig::{ADDRESS, NodeRig},
 };
 
-/// A request of each command specifier that is one, and the states in which the slave that gets it, a new one without
-/// a node-ID, answers it: waiting, configuration.
+/// A request for each valid command specifier, and the answers of a new slave without a node-ID in the states waiting
+/// and configuration.
 const REQUESTS: [(&str, &[&str], &[&str]); 22] = [
     ("04", &[], &[]),
     ("04 01", &[], &[]),
@@ -242,7 +242,7 @@ fn lss_is_served_in_every_nmt_state() {
         assert_eq!(board.lss("11 05"), ["11 00"], "{state:?}");
         assert_eq!(board.lss("5E"), ["5E 40"], "{state:?}");
         assert_eq!(board.lss("17"), ["17 00"], "{state:?}");
-        assert_eq!(board.node.nmt_state(), state, "LSS leaves the NMT state alone");
+        assert_eq!(board.node.nmt_state(), state, "LSS does not change the NMT state");
     }
     let mut board = NodeRig::unconfigured();
     assert_eq!(board.node.nmt_state(), State::Initialisation);

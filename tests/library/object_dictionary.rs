@@ -1,4 +1,4 @@
-//! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): what each object reads as and what writing to it does.
+//! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): the value of each object, and the effect of writes.
 
 use lss_slave::{
     Device,
@@ -53,7 +53,7 @@ fn faults_and_error_counters_of_the_can_controller_can_be_read() {
     assert_eq!(read, [1, 2, 136, 9]);
 }
 
-/// The error history, after as many overruns and recoveries from bus-off, in turn.
+/// The error history after this number of overruns and recoveries from bus-off, in turn.
 fn history_of(faults: usize) -> (NodeRig, Vec<Vec<u8>>) {
     let mut board = NodeRig::with_node_id(0x40);
     for fault in [Fault::Overrun, Fault::BusOffRecovered].into_iter().cycle().take(faults) {
@@ -105,13 +105,13 @@ fn writing_0_clears_the_error_history_and_any_other_number_is_refused() {
         assert_eq!(board.download(0x1003, 0, &[number]), Err(INVALID_VALUE));
     }
     assert_eq!(board.number(0x1003, 0), 3);
-    // Without its size, what is behind the byte does not count.
+    // Without its size, the data behind the byte does not count.
     assert_eq!(board.sdo("22 03 10 00 00 FF FF FF"), ["5C0: 60 03 10 00 00 00 00 00"]);
     assert_eq!(board.number(0x1003, 0), 0);
     assert_eq!(board.upload(0x1003, 1), Err(NO_DATA));
     board.node.handle_fault(Fault::Overrun);
     board.pass_us(0);
-    assert_eq!(board.number(0x1003, 0), 1, "it goes on");
+    assert_eq!(board.number(0x1003, 0), 1, "it continues");
 }
 
 #[test]
@@ -204,7 +204,7 @@ fn a_heartbeat_time_that_is_written_counts_from_the_write() {
 
 #[test]
 fn a_heartbeat_that_is_switched_on_after_hours_of_none_begins_on_time() {
-    // 35.8 minutes and more after the boot-up, half a turn of the clock, the past looks like the future.
+    // 35.8 minutes or more after the boot-up, half a turn of the clock, past instants look like future ones.
     for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
         let mut board = NodeRig::with_node_id(0x40);
         board.be_late_ms(hours_ms);
@@ -297,7 +297,7 @@ fn the_table_is_sorted_and_its_highest_sub_indices_are_true() {
                 assert_eq!(entry.sub_index, 0);
                 assert_eq!(of_the_same.len(), usize::from(highest) + 1);
             }
-            // CiA 301 lets this one count the errors there are.
+            // CiA 301 lets this one count the existing errors.
             Object::NumberOfErrors => assert_eq!(of_the_same.len(), 8 + 1),
             Object::ErrorField(sub_index) => assert_eq!(entry.sub_index, sub_index),
             _ if entry.sub_index == 0 => assert_eq!(of_the_same.len(), 1, "{entry:?}"),

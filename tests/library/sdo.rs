@@ -1,4 +1,4 @@
-//! The SDO server (CiA 301, 7.2.4) on the wire: the transfers it offers, and when it serves them.
+//! The SDO server (CiA 301, 7.2.4) on the wire: its transfers, and the states in which it serves them.
 
 use lss_slave::{Device, Frame};
 use testkit::{
@@ -80,7 +80,7 @@ fn an_expedited_download_is_confirmed_and_read_back() {
 #[test]
 fn an_expedited_download_without_a_size_takes_the_size_of_the_object() {
     let mut board = NodeRig::with_node_id(0x40);
-    // The bits that would tell unused bytes mean nothing then.
+    // The bits for the number of unused bytes have no meaning then.
     for command in ["22", "26", "2A", "2E"] {
         let request = format!("{command} 17 10 00 34 12 FF FF");
         assert_eq!(board.sdo(&request), ["5C0: 60 17 10 00 00 00 00 00"]);
@@ -105,7 +105,7 @@ fn a_request_that_is_not_eight_bytes_long_is_ignored() {
         let request = Frame::new(0x640, &[0x40, 0x18, 0x10, 1, 0, 0, 0, 0][..len]).unwrap();
         assert_eq!(board.receive(&request), SILENCE, "DLC {len}");
     }
-    // And it does not disturb the transfer on its way.
+    // It does not disturb the transfer under way either.
     board.sdo("40 08 10 00");
     assert_eq!(board.receive(&Frame::new(0x640, &[0x80]).unwrap()), SILENCE);
     assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"]);
@@ -174,7 +174,7 @@ fn nothing_is_served_during_a_switch_delay_and_all_after_it() {
     }
     assert_eq!(board.pass_ms(1), SILENCE, "and nothing is answered late");
     assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
-    assert_eq!(board.number(0x1017, 0), 0, "what was not served has not been written");
+    assert_eq!(board.number(0x1017, 0), 0, "the ignored request has written nothing");
 }
 
 #[test]

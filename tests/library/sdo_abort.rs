@@ -1,8 +1,8 @@
-//! What the SDO server refuses, with which abort code (CiA 301, table 22), and that no client blocks it.
+//! Requests that the SDO server refuses, with their abort codes (CiA 301, table 22); no client blocks it.
 
 use testkit::{frames::SILENCE, node_rig::NodeRig};
 
-/// NodeRig, with node-ID 40h, whose next transfer works as the first one does.
+/// A board with node-ID 40h; checks that the next transfer works like the first.
 fn assert_serves(board: &mut NodeRig) {
     assert_eq!(board.number(0x1018, 4), 0xDEAD_BEEF);
     assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");

@@ -13,7 +13,7 @@ const LOAD: &str = "23 11 10 01 6C 6F 61 64";
 const LOADED: &str = "5C0: 60 11 10 01 00 00 00 00";
 const HEARTBEAT_1000: &str = "2B 17 10 00 E8 03";
 
-/// A board with node-ID 40h whose heartbeat time is 500 ms as it leaves the factory.
+/// A board with node-ID 40h and a factory heartbeat time of 500 ms.
 fn board_with_default_500() -> NodeRig {
     let device = Device { heartbeat_ms: 500, ..device(ADDRESS) };
     let defaults = Settings { heartbeat_ms: 500, ..defaults(0x40) };
@@ -231,7 +231,7 @@ fn a_save_that_still_waits_is_forgotten_by_reset_communication() {
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
     assert_eq!(board.nmt("82 00"), ["740: 00"]);
-    assert_eq!(board.finish_store(), ["17 00"], "LSS goes on");
+    assert_eq!(board.finish_store(), ["17 00"], "LSS continues");
     assert_eq!(board.stored(), Some(defaults(0x40)));
     let stores = board.timeline().into_iter().filter(|line| line.ends_with("store"));
     assert_eq!(stores.count(), 1, "no other one has begun");

@@ -1,4 +1,4 @@
-//! The settings log in a flash that fails: reads, writes and erases with errors, bits that stick.
+//! The settings log in a failing flash: reads, writes and erases with errors, stuck bits.
 
 use lss_slave::{
     NodeId, Settings,
@@ -118,7 +118,7 @@ fn the_log_knows_why_it_failed_until_it_succeeds() {
     assert_eq!(Log::open(flash).0.failure(), Some(Failure::Refused));
 }
 
-/// A flash whose bank `bank` is full but for one record, so that open moves to the other; it holds `settings(7)`.
+/// A flash whose bank `bank` is full except for one record, so that open moves to the other; it holds `settings(7)`.
 fn about_to_move(bank: usize) -> Flash<4, 256> {
     let records: Vec<_> = (1..=7)
         .map(|n| {

@@ -1,4 +1,4 @@
-//! The settings log in a flash that works: what is found, what is written, what is refused.
+//! The settings log in a working flash: results of open, written records, refused stores.
 
 use lss_slave::{
     BitRate, NodeId, Settings,
@@ -11,7 +11,7 @@ use testkit::{
     settings::{flash_with, open, record, sealed, settings},
 };
 
-/// Records that a bank of 16 KB has room for.
+/// The number of records in a bank of 16 KB.
 const RECORDS: u16 = 512;
 
 #[test]
@@ -70,7 +70,7 @@ fn settings_that_are_stored_already_are_not_written() {
     assert_eq!((flash.writes(), flash.content()), (writes + 1, content));
     log.store(settings(2)).unwrap();
     log.store(settings(1)).unwrap();
-    assert_eq!(open(&flash).0, Some(settings(1)), "not stored already: 2 was in between");
+    assert_eq!(open(&flash).0, Some(settings(1)), "not unchanged: 2 was in between");
 }
 
 #[test]
@@ -84,7 +84,7 @@ fn a_full_bank_refuses_a_store_and_the_next_open_makes_room() {
         }
         assert_eq!(log.store(settings(RECORDS)), Err(MediumAccess));
         assert_eq!(log.settings(), Some(settings(RECORDS - 1)));
-        assert_eq!(log.store(settings(RECORDS - 1)), Ok(()), "which is stored already");
+        assert_eq!(log.store(settings(RECORDS - 1)), Ok(()), "which are unchanged");
         assert_eq!(flash.erases(), erases, "store never erases");
         let found;
         (log, found) = Log::open(flash.clone());
@@ -103,7 +103,7 @@ fn open_erases_only_when_less_than_a_quarter_is_left() {
     }
     let content = flash.content();
     (log, _) = Log::open(flash.clone());
-    assert_eq!((flash.erases(), flash.content()), (erases, content), "a quarter is left");
+    assert_eq!((flash.erases(), flash.content()), (erases, content), "a quarter is free");
     log.store(settings(0)).unwrap();
     (log, _) = Log::open(flash.clone());
     assert_eq!(flash.erases(), erases + 1);
@@ -228,7 +228,7 @@ fn garbage_means_defaults_and_is_formatted() {
     }
 }
 
-/// What a flash may hold at worst: true records, true records with errors, and noise, in any place.
+/// Difficult flash contents: valid records, records with errors, and noise, in any place.
 fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
     let mut content = Vec::new();
     let any = random.u32();
@@ -260,7 +260,7 @@ fn with_any_flash_content_open_ends_and_settings_stored_then_are_found() {
         let flash = Flash::<4, 128>::with_content(any_content::<128>(&mut random), random.u64());
         let (mut log, found) = Log::open(flash.clone());
         assert_ne!(found, Found::MediumFailed);
-        assert_eq!(log.settings(), open(&flash.duplicate(0)).0, "what is found stays");
+        assert_eq!(log.settings(), open(&flash.duplicate(0)).0, "the result stays the same");
         let settings = settings(random.u64() as u16);
         assert_eq!(log.store(settings), Ok(()), "open has made room");
         assert_eq!(open(&flash).0, Some(settings));

@@ -1,4 +1,5 @@
-//! Bit-rate supervision at the home rate: what makes a node look for another one, and when it withholds its frames.
+//! Bit-rate supervision at the home rate: the evidence for a look, and the times in which the node withholds its
+//! frames.
 
 use lss_slave::{
     BitRate,
@@ -159,7 +160,7 @@ fn in_the_switch_delays_neither_errors_nor_bus_off_count() {
     }
 }
 
-/// A board at `home` that sends a heartbeat every 10 ms, which nobody acknowledges any more, and has just been disturbed.
+/// A board at `home` that sends a heartbeat every 10 ms, no longer acknowledged, and has just been disturbed.
 fn disturbed(home: BitRate, by: BusEvent) -> NodeRig {
     let mut board = powered_on(home, 10);
     board.is_acknowledged = false;

@@ -1,4 +1,4 @@
-//! Random events and times against what holds for the bit-rate supervision whatever happens.
+//! Random events and times, checked against the invariants of the bit-rate supervision.
 
 use lss_slave::{
     Action, BitRate, BitRates,
@@ -14,7 +14,7 @@ use testkit::{
     random::Random,
 };
 
-/// What a controller reports for a while.
+/// Sequences of events that a controller reports for a while.
 const MOODS: [&[BusEvent]; 9] = [
     &[Error],
     &[FormError],
@@ -27,10 +27,10 @@ const MOODS: [&[BusEvent]; 9] = [
     &[Error, FormError, HeldDominant],
 ];
 
-/// Microseconds between two of them, at most.
+/// The greatest interval between two events in microseconds.
 const GAPS_US: [u64; 6] = [2, 500, 20_000, 200_000, 900_000, 4_000_000];
 
-/// A node, and what must be known of it from outside.
+/// A node, and the knowledge about it from outside.
 struct Run {
     board: NodeRig,
     default: BitRate,
@@ -38,7 +38,7 @@ struct Run {
     /// Configured by `13` and not activated.
     configured: Option<BitRate>,
     trusted_until: u64,
-    /// Since when the node listens at other rates than home.
+    /// The time since which the node listens at other rates than home.
     away_since: Option<u64>,
     looks: u32,
     rescues: u32,
@@ -68,7 +68,7 @@ impl Run {
         }
     }
 
-    /// What the node did since the last call was allowed.
+    /// Checks the node's actions since the last call.
     fn check(&mut self) {
         for (at, action) in self.board.take_timed_actions().collect::<Vec<_>>() {
             match action {
@@ -174,7 +174,7 @@ impl Run {
             10 => {
                 let ms = random.within(0..40_000);
                 self.board.be_late_ms(ms);
-                // Late calls are late for home too.
+                // After late calls the turn at home is late too.
                 self.away_since = None;
                 self.board.take_actions();
             }
@@ -186,7 +186,7 @@ impl Run {
         self.check();
     }
 
-    /// A quiet bus, and errors where nobody else is, bring the node home, and it knows which rate that is.
+    /// A quiet bus, and errors where nobody else is, bring the node home, and it knows its home rate.
     fn come_home(&mut self) {
         self.board.is_acknowledged = true;
         self.board.pass_ms(5_000);
