@@ -17,7 +17,7 @@ fn build(arguments: &[&str]) -> Output {
         .arg("--target-dir")
         .arg(target_dir)
         .args(arguments)
-        // What the test's own build was given is not meant for the chip.
+        // The flags of the test's own build do not apply to the chip.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .env_remove("CARGO_BUILD_TARGET")

@@ -1,4 +1,4 @@
-//! The release image on a flash that fails: the store is refused, the old settings stay, the node goes on, the log says why.
+//! The release image on a failing flash: the store is refused, the old settings stay, the node continues, and logs why.
 
 use emulator::{
     Time,
@@ -14,13 +14,13 @@ use testkit::{
 
 /// Sectors 1 and 2, which hold the settings.
 const SECTORS: u32 = 0b110;
-/// Where the next record goes, behind that of the formatting and that of the settings of `node_40`.
+/// The place of the next record, behind that of the formatting and that of the settings of `node_40`.
 const NEXT_RECORD: u32 = SETTINGS_OFFSET + 2 * 32;
-/// Where a record has its node-ID and its commit word.
+/// The places of a record's node-ID and commit word.
 const NODE_ID: u32 = 5;
 const COMMIT_WORD: u32 = 28;
 const HEARTBEAT: Time = Time::from_ms(30);
-/// Why a store failed, in the words of the log.
+/// The reasons for a failed store, as logged.
 const REPORTS_AN_ERROR: &str = "the flash reports an error";
 const IS_NOT_BLANK: &str = "the flash is not blank where it was erased";
 const READS_BACK_OTHERWISE: &str = "the flash reads back otherwise than written";
@@ -39,7 +39,7 @@ fn configure(bench: &mut ImageRig) {
     assert_eq!(lss(bench, "11 04"), ["11 00"]);
 }
 
-/// What is answered to a request of the LSS master; heartbeats are not told.
+/// The answer to a request of the LSS master, without heartbeats.
 fn lss(bench: &mut ImageRig, request: &str) -> Frames {
     let answers = bench.lss(request).0;
     Frames(answers.into_iter().filter(|frame| frame.cob_id() == 0x7E4).collect())
@@ -49,13 +49,13 @@ fn flash(bench: &ImageRig, change: impl FnOnce(&mut Flash)) {
     change(bench.network.board(0).chip().flash_mut());
 }
 
-/// Whether the board has logged an error, in these words.
+/// Whether the board has logged an error with this text.
 fn says(bench: &ImageRig, text: &str) -> bool {
     let lines = bench.network.board(0).log();
     lines.iter().any(|line| line.level == "error" && line.text == text)
 }
 
-/// LSS, SDO and heartbeat of node 40 are as ever.
+/// Checks that LSS, SDO and heartbeat of node 40 still work.
 fn assert_node_40_goes_on(bench: &mut ImageRig) {
     assert_eq!(lss(bench, "5E"), ["5E 40"]);
     let read = lss_slave::Frame::new(0x640, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]).expect("a frame");
@@ -66,7 +66,7 @@ fn assert_node_40_goes_on(bench: &mut ImageRig) {
     assert!(has(["740: 7F"]), "{:?}", Frames(frames));
 }
 
-/// A store fails for the reason `why`; nothing else changes, now and after a power cycle.
+/// Checks that a store fails for the reason `why` and nothing else changes, now and after a power cycle.
 fn assert_refuses(bench: &mut ImageRig, why: &str) {
     assert_eq!(lss(bench, "17"), ["17 02"], "{why}");
     let line = format!("the settings are not stored, the old ones are kept: {why}");
@@ -137,7 +137,7 @@ fn a_new_board_whose_flash_cannot_be_erased_answers_and_refuses_to_store() {
         assert_eq!(bench.lss("4C"), ["50"]);
         configure(&mut bench);
         assert_eq!(bench.lss("17"), ["17 02"]);
-        assert_eq!(bench.lss("04 00"), ["704: 00"], "it takes the node-ID until the power fails");
+        assert_eq!(bench.lss("04 00"), ["704: 00"], "it keeps the node-ID until the power fails");
         bench.power_cycle(0);
         assert_eq!(bench.collect(Time::from_ms(20)), SILENCE);
     }

@@ -1,4 +1,4 @@
-//! Activate bit timing (CiA 305) with the release image: when boards fall silent, switch and speak again.
+//! Activate bit timing (CiA 305) with the release image: the times at which boards fall silent, switch and send again.
 
 use emulator::{
     Time,
@@ -11,9 +11,9 @@ use testkit::{
     image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
 };
 
-/// An answer to a request is due so long after its end, and so is everything else that it has the board do.
+/// The time in which a board handles a request.
 const PROCESSING: Time = Time::from_us(100);
-/// How exactly the switch delay is kept.
+/// The accuracy of the switch delay.
 const ACCURACY: Time = Time::from_ms(1);
 
 /// Nodes 1 and 2 at `bit_rate`, in configuration state.
@@ -30,13 +30,13 @@ fn configure(bench: &mut ImageRig, to: BitRate) {
     bench.network.run_for(Time::from_ms(2) + bench.bit_time() * 160);
 }
 
-/// Asks for the switch; returns the end of the request.
+/// Requests the switch; returns the end of the request.
 fn activate(bench: &mut ImageRig, delay_ms: u16) -> Time {
     let [low, high] = delay_ms.to_le_bytes();
     bench.transmit_request(&format!("15 {low:02X} {high:02X}"))
 }
 
-/// Lets the bus live to the time when the boards switch, and the master switch with them.
+/// Runs the bus until the boards switch, and switches the master with them.
 fn switch_master(bench: &mut ImageRig, at: Time, to: BitRate) {
     bench.network.run_until(at);
     bench.set_master_bit_rate(to);
@@ -62,7 +62,7 @@ fn request_bit_time(bench: &ImageRig, t0: Time) -> Time {
 
 /// Checks the silence from `t0` on, the end of the request, and the switch of all boards.
 fn assert_switched(bench: &ImageRig, t0: Time, delay: Time, to: BitRate) {
-    // A board counts from the last but one bit of the request.
+    // A board counts from the last bit but one of the request.
     let two_bits = request_bit_time(bench, t0) * 2;
     let end = (t0 + delay * 2).saturating_sub(two_bits);
     let silence = frames_of_boards(bench, t0 + PROCESSING, end);
@@ -277,7 +277,7 @@ fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
     });
     assert!(aborted.is_some_and(|(time, frame)| time < t0 + PROCESSING && frame == heartbeat));
     let sent_later = frames_of_boards(&bench, t0, Time::MAX).len();
-    assert_eq!(sent_later, bench.requested(0, t0).count(), "nothing but what was asked for later");
+    assert_eq!(sent_later, bench.requested(0, t0).count(), "only frames requested later");
 }
 
 #[test]
@@ -322,7 +322,7 @@ fn a_board_that_switched_alone_returns_to_the_bus_at_the_old_rate() {
     assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 01")));
 }
 
-/// The watchdog, which resets a board after 2 s in which a task hangs, is a witness: the bench expects no reset.
+/// The watchdog, which resets a board after 2 s in which a task hangs, checks too: the bench expects no reset.
 #[test]
 fn a_board_without_an_idle_bus_at_the_new_rate_joins_when_there_is_one() {
     let mut bench = ImageRig::with(settings(1, BitRate::Kbit500));

@@ -1,5 +1,6 @@
-//! The release image after long uptimes: the count of milliseconds in its RAM is set while it boots, so that the 32 bits of
-//! the node's microseconds (71.6 minutes) and of milliseconds (49.7 days) wrap soon after. No count is longer.
+//! The release image after long uptimes: the count of milliseconds in its RAM is set while it boots, so that the
+//! 32 bits of the node's microseconds (71.6 minutes) and of milliseconds (49.7 days) wrap soon after. No count is
+//! longer.
 
 use emulator::{
     Time,
@@ -30,7 +31,7 @@ fn count(bench: &ImageRig) -> u32 {
     u32::from_le_bytes(bytes)
 }
 
-/// Node 40 with a heartbeat on a board that has counted so many milliseconds when it boots.
+/// Node 40 with a heartbeat on a board that has counted a number of milliseconds when it boots.
 fn booted_at(count_ms: u32) -> ImageRig {
     let stored = Settings { heartbeat_ms: 30, ..settings(0x40, BitRate::Kbit1000) };
     let mut board = board_with(0, stored);
@@ -39,7 +40,7 @@ fn booted_at(count_ms: u32) -> ImageRig {
     ImageRig::new(BitRate::Kbit1000, [board])
 }
 
-/// Requests, a store, a switch of the bit rate whose delays last over the middle, heartbeats; and all that happened.
+/// Requests, a store, a switch of the bit rate whose delays last over the middle, heartbeats; returns all events.
 fn session(count_ms: u32) -> Vec<Event> {
     let mut bench = booted_at(count_ms);
     for request in ["04 01", "5A", "11 04", "17"] {
@@ -79,7 +80,7 @@ fn a_wrap_of_any_count_of_time_changes_nothing_that_the_board_does() {
     }
 }
 
-/// Whether it is the same but for the time.
+/// Whether two events are the same except for the time.
 fn same(a: &What, b: &What) -> bool {
     match (a, b) {
         (What::Frame { frame: a, .. }, What::Frame { frame: b, .. }) => a == b,
