@@ -288,10 +288,10 @@ fn a_board_that_is_driven_bus_off_recovers_and_reports_it() {
     assert!(bench.did(0, from).any(|event| event.what == What::BusOff));
     bench.network.set_short(None);
     let frames = bench.collect(Time::from_s(1));
-    let told = |text: &str| frames.0.iter().any(|frame| frames::text(frame).starts_with(text));
-    assert!(told("740: 7F"), "{frames:?}");
-    assert!(told("0C0: 40 81 11"), "{frames:?}");
-    assert!(told("0C0: 00 00 00"), "{frames:?}");
+    let reported = |text: &str| frames.0.iter().any(|frame| frames::text(frame).starts_with(text));
+    assert!(reported("740: 7F"), "{frames:?}");
+    assert!(reported("0C0: 40 81 11"), "{frames:?}");
+    assert!(reported("0C0: 00 00 00"), "{frames:?}");
     let answers = bench.lss("5E");
     assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40")));
     let log = bench.network.board(0).log();

@@ -59,7 +59,7 @@ impl Master {
     }
 
     /// Sends a request that has no answer.
-    fn tell(&mut self, request: &str) {
+    fn send(&mut self, request: &str) {
         let request = on_the_wire(&frames::request(request));
         let span = self.bits(&request);
         self.bench.network.send(self.bench.master, request);
@@ -141,7 +141,7 @@ fn boards() -> u8 {
 #[test]
 fn blank_boards_with_unknown_serial_numbers_are_commissioned_at_bus_speed() {
     let mut master = Master::new(boards());
-    master.tell("04 01");
+    master.send("04 01");
     let mut part = |request: &str| {
         let answer = master.ask(request, request, ANSWER_TIME).expect("an answer");
         let mut number = [0; 4];
@@ -149,7 +149,7 @@ fn blank_boards_with_unknown_serial_numbers_are_commissioned_at_bus_speed() {
         Some(u32::from_le_bytes(number))
     };
     let known = [part("5A"), part("5B"), part("5C"), None];
-    master.tell("04 00");
+    master.send("04 00");
     master.commission(boards(), "serial number unknown", known, 10.5);
 }
 

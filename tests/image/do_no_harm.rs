@@ -1,4 +1,4 @@
-//! Supervision on the release image: a node at the right rate is reached as soon as without supervision, a lost one is found.
+//! Supervision on the release image: a right rate is kept at no loss of time, and a lost node is found.
 
 use emulator::{
     Time,

@@ -79,11 +79,11 @@ fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
     let is_of_board =
         |(source, ..): &(Source, Frame, Time, Time)| matches!(source, Source::Board(_));
     assert!(!frames[..behind].iter().any(is_of_board), "no frame of the board during the flood");
-    let told: Vec<_> = frames[behind..].iter().map(|(_, frame, ..)| frame.to_string()).collect();
+    let sent: Vec<_> = frames[behind..].iter().map(|(_, frame, ..)| frame.to_string()).collect();
     // By priority; the two of LSS in the order of the board.
     let answers =
         ["5C0#4B171000F4010000", "740#7F", "7E4#5E40000000000000", "7E4#1700000000000000"];
-    assert_eq!(told, answers);
+    assert_eq!(sent, answers);
 }
 
 #[test]

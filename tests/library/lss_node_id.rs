@@ -131,7 +131,7 @@ fn cob_ids_follow_the_node_id() {
     board.lss("11 04");
     board.timeline();
     assert_eq!(board.nmt("82 40"), ["704: 00"]);
-    assert_eq!(board.timeline(), ["0 ms node-ID 04", "0 ms 704: 00"], "the board is told first");
+    assert_eq!(board.timeline(), ["0 ms node-ID 04", "0 ms 704: 00"], "the board gets it first");
     assert_eq!(board.pass_ms(100), ["704: 7F"]);
     assert_eq!(board.nmt("82 40"), SILENCE, "40 is another node now");
     assert_eq!(board.nmt("82 04"), ["704: 00"]);

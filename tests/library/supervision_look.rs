@@ -231,7 +231,7 @@ fn a_form_error_after_another_error_does_not_open_home() {
     board.pass_ms(41);
     board.see(Error);
     board.see(FormError);
-    assert!(board.node.is_listening(), "somebody sends at another rate");
+    assert!(board.node.is_listening(), "a node sends at another rate");
 }
 
 #[test]

@@ -186,7 +186,7 @@ impl Run {
         self.check();
     }
 
-    /// A quiet bus, and errors where nobody else is, bring the node home, and it knows its home rate.
+    /// A quiet bus, and errors at an unused rate, bring the node home, and it knows its home rate.
     fn come_home(&mut self) {
         self.board.is_acknowledged = true;
         self.board.pass_ms(5_000);

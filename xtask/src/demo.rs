@@ -137,7 +137,7 @@ async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
     screen.chapter("The master finds it by Fastscan: 128 bits of LSS address, one by one")?;
     let found = master.fast_scan(FASTSCAN_TIMEOUT).await;
     let LssIdentity { vendor_id, product_code, revision, serial } =
-        found.context("Fastscan found nobody")?;
+        found.context("Fastscan found no board")?;
     screen.show(&bench.events())?;
     screen.remark(&format!(
         "found: vendor-ID {vendor_id:08X}, product code {product_code:08X}, revision number \

@@ -71,7 +71,7 @@ static STATE: NodeState<'static> = NodeState::new(&[], &[]);
 static QUEUE: PriorityQueue<4, CanMessage> = PriorityQueue::new();
 static mut SDO_BUFFER: [u8; SDO_BUFFER_SIZE] = [0; SDO_BUFFER_SIZE];
 static MAILBOX: NodeMbox =
-    // SAFETY: nobody else refers to the buffer.
+    // SAFETY: there is no other reference to the buffer.
     NodeMbox::new(&[], &[], &QUEUE, unsafe { &mut *addr_of_mut!(SDO_BUFFER) });
 static NODE: Place<Node<'static>> = Place::empty();
 

@@ -178,7 +178,7 @@ impl Rsemu {
         if let Some(range) = chip.flash_mut().take_changed() {
             let bytes = &chip.flash().bytes()[range.clone()];
             copy(&self.flash, range.start, bytes);
-            self.tell(|watcher, core| watcher.flash_changed(range.start, bytes, core));
+            self.notify(|watcher, core| watcher.flash_changed(range.start, bytes, core));
         }
     }
 
@@ -264,7 +264,7 @@ impl Engine for Rsemu {
                 self.mend_stacked_itstate(before, pc);
             }
             if let Some(step) = step {
-                self.tell_of(step);
+                self.notify_step(step);
             }
             let next = self.cpu.pc();
             if self.link.written.load(Relaxed) {
@@ -333,7 +333,7 @@ impl Engine for Rsemu {
     fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
         let written = self.write_ram(address, bytes);
         if written {
-            self.tell(|watcher, core| watcher.ram_changed(address, bytes, core));
+            self.notify(|watcher, core| watcher.ram_changed(address, bytes, core));
         }
         written
     }

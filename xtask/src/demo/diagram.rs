@@ -64,7 +64,7 @@ pub fn draw(events: &[Event]) -> anyhow::Result<String> {
             r#"<rect x="{from:.1}" y="{TOP}" width="{span:.1}" height="{height}" fill="{fill}"/>
 <text x="{middle:.1}" y="56" text-anchor="middle">{name} = {} ms</text>
 <text x="{middle:.1}" y="{above}" text-anchor="middle">{rule}:</text>
-<text x="{middle:.1}" y="{below}" text-anchor="middle">nobody starts a frame</text>"#,
+<text x="{middle:.1}" y="{below}" text-anchor="middle">no frame is started</text>"#,
             delay.as_ms()
         )?;
     }

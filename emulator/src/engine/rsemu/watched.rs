@@ -27,16 +27,16 @@ impl Rsemu {
     }
 
     /// Reports a step that has been made. Sleep is not a step.
-    pub(super) fn tell_of(&mut self, mut step: Step) {
+    pub(super) fn notify_step(&mut self, mut step: Step) {
         if self.cpu.is_asleep() && step.before == self.registers() {
             return;
         }
         step.requests_reset = self.cpu.reset_requested();
         step.transfers = self.link.take_transfers();
-        self.tell(|watcher, core| watcher.stepped(&step, core));
+        self.notify(|watcher, core| watcher.stepped(&step, core));
     }
 
-    pub(super) fn tell(&mut self, what: impl FnOnce(&mut dyn Watcher, &dyn Engine)) {
+    pub(super) fn notify(&mut self, what: impl FnOnce(&mut dyn Watcher, &dyn Engine)) {
         if let Some(mut watcher) = self.watcher.take() {
             what(watcher.as_mut(), self);
             self.watcher = Some(watcher);
