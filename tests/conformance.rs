@@ -64,7 +64,7 @@ fn every_test_that_the_conformance_table_names_exists() {
 }
 
 #[test]
-fn a_row_that_is_wrong_is_noticed() {
+fn a_wrong_row_is_detected() {
     const SOURCE: &str =
         "#[test]\nfn one() {}\n\n#[test]\n#[ignore]\nfn two() {}\n\nfn three() {}\n";
     let fault = |cell: &str| {

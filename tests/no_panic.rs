@@ -32,7 +32,7 @@ fn no_call_of_the_node_the_settings_log_or_the_indicators_can_panic() {
 }
 
 #[test]
-fn a_panic_would_be_noticed() {
+fn a_panic_is_detected() {
     let output = build(&["--features", "panic"]);
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success(), "it links with a panic");

@@ -80,7 +80,7 @@ fn a_chip_acknowledges_only_by_a_pin_in_its_alternate_function() {
 }
 
 #[test]
-fn nobody_joins_the_bus_without_a_pin_to_receive() {
+fn no_chip_joins_the_bus_without_a_receive_pin() {
     let mut bench = Bench::new(0b1000 << 16, BTR);
     assert!(!bench.is_heard());
     bench.write(GPIOB, BOTH);

@@ -69,7 +69,7 @@ fn oscillators_take_their_time_to_become_ready() {
 }
 
 #[test]
-fn a_crystal_is_ready_after_the_time_that_its_reading_says_or_never() {
+fn a_crystal_is_ready_after_the_time_of_its_reading_or_never() {
     let ready = |hse_start: Time, after: Time| {
         let readings = Readings { hse_start, ..Readings::default() };
         let crystal = Clock { hz: 8_000_000, ppm: 0 };
@@ -135,7 +135,7 @@ fn the_voltage_detector_compares_the_supply_with_the_chosen_level() {
     chip.reset(ResetCause::Software, Time::ZERO);
     write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
     write(&mut chip, PWR_CR, 0x40B0, Time::ZERO);
-    assert!(low(&mut chip), "a reset does not mend the supply");
+    assert!(low(&mut chip), "a reset does not change the supply");
     assert_eq!(chip.findings(), []);
 }
 

@@ -10,9 +10,9 @@ use emulator::{
 };
 
 const FLASH: u32 = 0x0800_0000;
-/// Behind the vectors of the system exceptions.
+/// The code's address, behind the vectors of the system exceptions.
 const CODE: u32 = FLASH + 4 * 16;
-/// Where the program stores the PC that SysTick interrupted, r5 and r6.
+/// The place where the program stores the PC that SysTick interrupted, r5 and r6.
 const RESULT: u32 = 0x2000_0100;
 const SYSTICK: usize = 15;
 const SYST_CSR: u32 = 0xE000_E010;

@@ -143,7 +143,7 @@ fn equal_answers_of_many_boards_are_one_frame() {
 }
 
 #[test]
-fn the_same_network_lives_the_same_life_twice() {
+fn two_runs_of_the_same_network_are_identical() {
     let run = || {
         let mut network = Network::new();
         (0..4).for_each(|n| _ = network.add_board(board(7 * n - 10)));

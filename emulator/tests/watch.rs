@@ -1,4 +1,4 @@
-//! What a watcher is told of a program.
+//! The reports that a watcher gets of a program.
 
 #[expect(dead_code, reason = "what other tests need of the assembler")]
 mod programs;

@@ -185,7 +185,7 @@ fn random_requests_are_answered_as_the_library_answers_them() {
 }
 
 #[test]
-fn a_damaged_flash_boots_the_default_settings_and_the_board_says_why() {
+fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
     let mut random = Random::from_environment();
     for fill in [0x00, 0x55, 0xA5] {
         let mut board = blank_board(0);
@@ -262,7 +262,7 @@ fn a_power_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
 }
 
 #[test]
-fn a_board_alone_on_the_bus_waits_and_is_there_when_somebody_comes() {
+fn a_board_alone_on_the_bus_waits_and_answers_a_master_that_joins() {
     let mut bench =
         ImageRig::with(Settings { heartbeat_ms: 500, ..settings(0x40, BitRate::Kbit1000) });
     let from = bench.network.now();

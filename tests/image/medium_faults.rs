@@ -96,7 +96,7 @@ fn a_write_protected_flash_refuses_until_the_protection_is_gone() {
 }
 
 #[test]
-fn a_bit_that_sticks_costs_one_store_and_the_next_one_uses_other_cells() {
+fn a_stuck_bit_costs_one_store_and_the_next_one_uses_other_cells() {
     let cases = [
         (0, 0b0000_0001, 0, IS_NOT_BLANK),
         (NODE_ID, 0b0000_0010, 0, IS_NOT_BLANK),
@@ -143,7 +143,7 @@ fn a_new_board_whose_flash_cannot_be_erased_answers_and_refuses_to_store() {
     }
 }
 
-/// Nothing but the read-back shows such an erase: the controller reports no error.
+/// Only the read-back reveals such an erase: the controller reports no error.
 #[test]
 fn an_incomplete_erase_loses_no_settings_and_is_repeated_at_power_on() {
     let last = settings(0x40, BitRate::Kbit1000);

@@ -66,7 +66,7 @@ fn a_board_that_was_bus_off_before_the_switch_switches_like_others() {
 }
 
 #[test]
-fn a_board_does_not_go_bus_off_in_the_switch_delays_whatever_it_hears() {
+fn a_board_never_goes_bus_off_in_the_switch_delays() {
     let (mut bench, foreign) = about_to_switch();
     bench.transmit_request("15 E8 03");
     let t0 = bench.network.now();

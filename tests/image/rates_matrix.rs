@@ -281,7 +281,7 @@ fn crystals_that_are_half_a_per_cent_off_on_both_ends_work_at_every_rate() {
 }
 
 #[test]
-fn the_limit_of_each_rate_is_where_the_bit_timing_puts_it() {
+fn the_limit_of_each_rate_follows_from_its_bit_timing() {
     println!("tolerance of both crystals in opposite directions, in ppm");
     for bit_rate in BitRate::ALL {
         let theory = bit_timing(bit_rate).crystal_tolerance_ppm() as i32;

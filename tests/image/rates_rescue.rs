@@ -256,7 +256,7 @@ fn node_4_misses_the_switch(heartbeat_ms: u16) -> ImageRig {
 }
 
 #[test]
-fn a_node_that_missed_the_switch_is_reached_whatever_its_heartbeat() {
+fn a_node_that_missed_the_switch_is_reached_with_any_heartbeat() {
     for heartbeat_ms in [1000, 0] {
         let mut bench = node_4_misses_the_switch(heartbeat_ms);
         let scenario = format!("1 of 4 missed the switch, heartbeat {heartbeat_ms} ms");

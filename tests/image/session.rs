@@ -193,7 +193,7 @@ fn equal_answers_of_several_boards_are_one_frame() {
 }
 
 #[test]
-fn values_out_of_range_are_refused_and_the_ones_before_stay() {
+fn values_out_of_range_are_refused_and_the_old_ones_stay() {
     let mut bench = ImageRig::blank();
     bench.lss("04 01");
     assert_eq!(bench.lss("11 05"), ["11 00"]);

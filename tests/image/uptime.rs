@@ -12,13 +12,13 @@ use testkit::{
     image_rig::{ImageRig, board_with, settings},
 };
 
-/// After power-on the program waits for its crystal: its variables are set up, its clock does not run yet.
+/// The time after power-on at which the program waits for its crystal: its variables are set up, its clock is stopped.
 const WAITS_FOR_CRYSTAL: Time = Time::from_us(1_800);
-/// From power-on to the end of the session; all that can wrap does so in the middle of it.
+/// The middle of the session, where every counter that can wrap does so.
 const MIDDLE_MS: u64 = 1_000;
 const MINUTES_71: u64 = (1 << 32) / 1000;
 const DAYS_49: u64 = 1 << 32;
-/// 4290 wraps of the milliseconds later.
+/// The uptime after 4290 wraps of the milliseconds.
 const YEARS_584: u64 = 584 * 8766 * 3_600_000;
 
 fn count_address() -> u32 {

@@ -221,7 +221,7 @@ fn the_register_holds_each_field_less_one_at_its_place() {
 }
 
 #[test]
-fn the_timing_in_a_register_says_its_rate_and_sample_point() {
+fn the_timing_in_a_register_gives_its_rate_and_sample_point() {
     let timing = BitTiming { prescaler: 2, segment1: 13, segment2: 2, sync_jump_width: 1 };
     assert_eq!(timing.quanta(), 16);
     assert_eq!(timing.sample_point(), 875);

@@ -129,7 +129,7 @@ fn a_fixed_rate_ends_automatic_detection() {
 }
 
 #[test]
-fn nothing_is_sent_while_listening_whatever_happens() {
+fn nothing_is_ever_sent_while_listening() {
     let mut board =
         listening_with(device(ADDRESS), Settings { heartbeat_ms: 100, ..defaults(0x40) }, 0);
     for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000] {
@@ -234,7 +234,7 @@ fn after_1500_ms_of_silence_listening_starts_again_at_the_fastest_rate() {
 }
 
 #[test]
-fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_for_ever() {
+fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_forever() {
     for clock_at_start in [0, u32::MAX - 40_000_000] {
         let mut board = listening_with(device(ADDRESS), defaults(0x40), clock_at_start);
         board.timeline();

@@ -186,7 +186,7 @@ fn no_section_is_left_over() {
 }
 
 #[test]
-fn each_default_value_is_what_a_new_device_answers_by_sdo() {
+fn each_default_value_is_the_answer_of_a_new_device_by_sdo() {
     let sections = sections();
     let mut board = board_of_device_rs();
     for entry in TABLE {
@@ -212,7 +212,7 @@ fn each_default_value_is_what_a_new_device_answers_by_sdo() {
 }
 
 #[test]
-fn a_tool_that_writes_a_configuration_leaves_out_what_a_write_sets_off() {
+fn tools_leave_out_objects_whose_write_triggers_an_action() {
     const REFUSE_WRITE_ON_DOWNLOAD: &str = "1";
     let sections = sections();
     for entry in TABLE {

@@ -145,7 +145,7 @@ fn reset_communication_keeps_a_lasting_error_and_does_not_report_it_again() {
 }
 
 #[test]
-fn an_emergency_goes_before_a_heartbeat_that_is_due_at_the_same_time() {
+fn an_emergency_is_sent_before_a_heartbeat_due_at_the_same_time() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.node.handle_fault(Fault::Overrun);
     assert_eq!(board.be_late_ms(100), [OVERRUN, NO_ERROR, "740: 7F"]);

@@ -54,7 +54,7 @@ fn run_shows_the_nmt_state() {
 }
 
 #[test]
-fn error_shows_the_state_of_the_bus_whatever_run_shows() {
+fn err_shows_the_state_of_the_bus_independently_of_run() {
     let runs = [OFF, BLINKING, ON, SINGLE_FLASH];
     for (nmt, run) in NMT_STATES.into_iter().zip(runs) {
         assert_shows(nmt, false, BusState::Good, run, OFF);

@@ -24,7 +24,7 @@ fn done(board: &mut NodeRig) -> (Vec<Action>, usize) {
 }
 
 #[test]
-fn late_or_punctual_calls_lead_to_the_same_acts_in_the_same_order() {
+fn late_or_punctual_calls_lead_to_the_same_actions_in_the_same_order() {
     let mut random = Random::from_environment();
     let (mut acts, mut missed) = (0, 0);
     for _ in 0..50 {

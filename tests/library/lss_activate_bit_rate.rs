@@ -70,7 +70,7 @@ fn the_node_is_as_before_after_an_activation() {
 }
 
 #[test]
-fn a_node_without_a_node_id_stays_without_a_word_after_an_activation() {
+fn a_node_without_a_node_id_stays_silent_after_an_activation() {
     let mut board = in_configuration(NodeRig::with_heartbeat(0xFF, 100));
     board.lss("15 64 00");
     assert_eq!(board.pass_ms(1000), SILENCE);
@@ -182,7 +182,7 @@ fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end() {
 }
 
 #[test]
-fn a_reset_of_the_silent_periods_wins_whatever_comes_after_or_before() {
+fn a_reset_in_the_silent_periods_wins_over_commands_before_and_after() {
     for (commands, last) in
         [(["82 00", "01 00"], "200 ms 740: 00"), (["01 00", "82 00"], "200 ms 740: 00")]
     {
@@ -295,7 +295,7 @@ fn calls_without_need_change_nothing() {
 }
 
 #[test]
-fn the_wrap_of_the_clock_changes_nothing_wherever_it_falls() {
+fn the_wrap_of_the_clock_changes_nothing_at_any_time() {
     let expected = session(0, u64::MAX);
     assert!(expected.len() > 12, "{expected:?}");
     let mut random = Random::from_environment();

@@ -23,7 +23,7 @@ fn select(board: &mut NodeRig) -> Frames {
 }
 
 #[test]
-fn without_it_lss_configuration_state_is_entered_in_nmt_operational() {
+fn without_the_lock_configuration_is_entered_in_nmt_operational() {
     let mut board = board(false, 0x40);
     board.nmt("01 40");
     assert_eq!(select(&mut board), ["44"]);
@@ -31,7 +31,7 @@ fn without_it_lss_configuration_state_is_entered_in_nmt_operational() {
 }
 
 #[test]
-fn with_it_neither_switch_state_leads_to_configuration_in_nmt_operational() {
+fn with_the_lock_no_switch_state_leads_to_configuration_in_operational() {
     let mut board = board(true, 0x40);
     board.nmt("01 40");
     assert_eq!(select(&mut board), SILENCE);
@@ -43,7 +43,7 @@ fn with_it_neither_switch_state_leads_to_configuration_in_nmt_operational() {
 }
 
 #[test]
-fn with_it_a_node_in_nmt_operational_is_still_identified() {
+fn with_the_lock_a_node_in_nmt_operational_is_still_identified() {
     let mut board = board(true, 0x40);
     board.nmt("01 40");
     let revision = ADDRESS.revision_number;

@@ -58,7 +58,7 @@ fn configure_node_id_changes_nothing_but_the_pending_node_id() {
 }
 
 #[test]
-fn inquire_node_id_answers_the_active_one_whatever_is_pending() {
+fn inquire_node_id_answers_the_active_one_not_the_pending_one() {
     let mut board = NodeRig::unconfigured();
     board.lss("04 01");
     assert_eq!(board.lss("5E"), ["5E FF"]);

@@ -278,7 +278,7 @@ fn frames_of_another_family_leave_an_identify_alone() {
 /// Both families mixed at random, with and without wrong values: a 43 (4B) is answered if and only if it is the last of
 /// four (six) right and ascending frames of its family.
 #[test]
-fn exactly_a_complete_ascending_run_is_answered_whatever_came_before() {
+fn only_a_complete_ascending_sequence_is_answered() {
     let mut random = Random::from_environment();
     let mut answers = [0, 0];
     for _ in 0..300 {

@@ -322,7 +322,7 @@ fn the_diagram_shows_the_states_of_the_node() {
 }
 
 #[test]
-fn no_other_command_specifier_does_anything() {
+fn other_command_specifiers_have_no_effect() {
     for state in [State::Waiting, State::Configuration] {
         for &kind in kinds(state) {
             for command in 0..=0xFF {

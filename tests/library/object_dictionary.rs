@@ -203,7 +203,7 @@ fn a_heartbeat_time_that_is_written_counts_from_the_write() {
 }
 
 #[test]
-fn a_heartbeat_that_is_switched_on_after_hours_of_none_begins_on_time() {
+fn a_heartbeat_switched_on_after_hours_begins_on_time() {
     // 35.8 minutes or more after the boot-up, half a turn of the clock, past instants look like future ones.
     for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
         let mut board = NodeRig::with_node_id(0x40);
@@ -288,7 +288,7 @@ fn every_other_sub_index_of_an_object_does_not_exist() {
 }
 
 #[test]
-fn the_table_is_sorted_and_its_highest_sub_indices_are_true() {
+fn the_table_is_sorted_and_its_highest_sub_indices_are_right() {
     assert!(TABLE.is_sorted_by_key(|entry| (entry.index, entry.sub_index)));
     for entry in TABLE {
         let of_the_same: Vec<_> = TABLE.iter().filter(|e| e.index == entry.index).collect();

@@ -16,7 +16,7 @@ fn board_named(name: &'static str, hardware: &'static str, software: &'static st
 }
 
 #[test]
-fn an_expedited_upload_says_how_many_bytes_the_object_has() {
+fn an_expedited_upload_gives_the_number_of_bytes() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
     assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 00 00 00 00"]);
@@ -60,7 +60,7 @@ fn an_empty_text_is_one_segment_without_a_byte() {
 }
 
 #[test]
-fn a_text_of_any_length_arrives_whole() {
+fn a_text_of_any_length_is_uploaded_completely() {
     const TEXT: &str = "A name that needs several segments, the last of which is not full.";
     for len in 0..=TEXT.len() {
         let mut board = board_named(&TEXT[..len], &TEXT[len..], TEXT);
@@ -178,7 +178,7 @@ fn nothing_is_served_during_a_switch_delay_and_all_after_it() {
 }
 
 #[test]
-fn sdo_is_served_whatever_the_lss_state() {
+fn sdo_is_served_in_every_lss_state() {
     let mut board = NodeRig::with_node_id(0x40);
     board.lss("04 01");
     assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
@@ -188,7 +188,7 @@ fn sdo_is_served_whatever_the_lss_state() {
 }
 
 #[test]
-fn a_switch_of_the_bit_rate_ends_an_upload_without_a_word() {
+fn a_switch_of_the_bit_rate_ends_an_upload_without_an_abort() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
     board.lss("04 01");

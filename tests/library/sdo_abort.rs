@@ -18,7 +18,7 @@ fn an_object_that_does_not_exist_is_0602_0000() {
 }
 
 #[test]
-fn a_sub_index_that_does_not_exist_is_0609_0011() {
+fn a_missing_sub_index_is_0609_0011() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("40 18 10 05"), ["5C0: 80 18 10 05 11 00 09 06"]);
     assert_eq!(board.sdo("40 00 10 01"), ["5C0: 80 00 10 01 11 00 09 06"]);

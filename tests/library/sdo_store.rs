@@ -83,7 +83,7 @@ fn lss_store_leaves_the_saved_heartbeat_time_and_does_not_save_a_new_one() {
 }
 
 #[test]
-fn save_after_lss_store_keeps_what_lss_stored() {
+fn save_after_lss_store_keeps_the_values_stored_by_lss() {
     let mut board = NodeRig::with_node_id(0x40);
     board.lss("04 01");
     board.lss("11 04");
@@ -110,7 +110,7 @@ fn load_restores_the_default_heartbeat_time_only_at_the_next_reset() {
 }
 
 #[test]
-fn load_leaves_what_lss_stored() {
+fn load_keeps_the_values_stored_by_lss() {
     let mut board = board_with_default_500();
     board.lss("04 01");
     board.lss("11 04");

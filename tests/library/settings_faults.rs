@@ -156,7 +156,7 @@ fn an_open_that_fails_at_any_operation_loses_nothing() {
 }
 
 #[test]
-fn a_bit_that_sticks_costs_a_record_but_no_settings() {
+fn a_stuck_bit_costs_a_record_but_no_settings() {
     for at in 64..96 {
         for bit in 0..8 {
             for value in [false, true] {
@@ -180,7 +180,7 @@ fn a_bit_that_sticks_costs_a_record_but_no_settings() {
 }
 
 #[test]
-fn a_bit_that_sticks_in_the_other_bank_loses_nothing() {
+fn a_stuck_bit_in_the_other_bank_loses_nothing() {
     for at in 256..288 {
         for bit in 0..8 {
             for value in [false, true] {

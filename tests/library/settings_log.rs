@@ -173,7 +173,7 @@ fn a_record_with_any_bit_wrong_does_not_count_and_the_one_before_does() {
 }
 
 #[test]
-fn a_record_of_settings_that_cannot_be_does_not_count() {
+fn a_record_of_illegal_settings_does_not_count() {
     for wrong in [
         record(9, 1, 0x00, 2, 5),
         record(9, 1, 0x80, 2, 5),
@@ -202,7 +202,7 @@ fn a_record_of_a_later_versions_kind_is_skipped_and_left_unchanged() {
 }
 
 #[test]
-fn bytes_of_a_record_that_are_unused_may_hold_anything() {
+fn unused_bytes_of_a_record_may_have_any_value() {
     let mut later = record(9, 1, 5, 2, 5);
     later[7] = 0x00;
     later[10..24].fill(0x5A);

@@ -189,7 +189,7 @@ fn on_a_slow_bus_frames_wait_1408_bits_after_bus_off() {
 }
 
 #[test]
-fn a_frame_that_nobody_acknowledges_pauses_20_ms_every_100_ms() {
+fn an_unacknowledged_frame_pauses_20_ms_every_100_ms() {
     let mut board = unproven();
     board.pass_ms(240);
     let expected = [

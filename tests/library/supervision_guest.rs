@@ -77,7 +77,7 @@ fn a_frame_that_no_canopen_node_wants_makes_a_guest_too() {
 }
 
 #[test]
-fn a_guest_that_nobody_knows_boots_up() {
+fn a_guest_without_an_acknowledged_boot_up_boots_up() {
     let mut board = unproven();
     board.is_acknowledged = true;
     board.see(Error);

@@ -354,7 +354,7 @@ fn at_an_unproven_home_rate_a_second_look_follows_the_first() {
 }
 
 #[test]
-fn a_boot_up_that_nobody_acknowledged_comes_again_in_an_open_turn_of_home() {
+fn an_unacknowledged_boot_up_is_repeated_in_an_open_turn_at_home() {
     let mut board = unproven();
     board.see(Error);
     board.timeline();

@@ -206,7 +206,7 @@ impl Run {
 }
 
 #[test]
-fn home_has_its_turns_and_is_never_lost_whatever_happens() {
+fn home_always_has_its_turns_and_is_never_lost() {
     let mut random = Random::from_environment();
     let [mut looks, mut rescues, mut switches] = [0; 3];
     for _ in 0..100 {
@@ -224,7 +224,7 @@ fn home_has_its_turns_and_is_never_lost_whatever_happens() {
 }
 
 #[test]
-fn without_supervision_a_node_stays_at_its_rate_whatever_happens() {
+fn without_supervision_a_node_always_stays_at_its_rate() {
     let mut random = Random::from_environment();
     for rate in BitRate::ALL {
         let settings = Settings { bit_rate: rate.into(), ..defaults(0x40) };

@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_say_why() {
+    fn refusals_give_the_reason() {
         let cases: [([u8; 8], &str); 5] = [
             ([0x11, 1, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: refused: out of range"),
             ([0x13, 1, 0, 0, 0, 0, 0, 0], "LSS configure bit timing: refused: not supported"),

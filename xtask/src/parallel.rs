@@ -41,7 +41,7 @@ pub fn map<T: Sync, R: Send>(
 #[cfg(test)]
 mod tests {
     #[test]
-    fn each_item_is_worked_on_once() {
+    fn each_item_is_processed_once() {
         let mut squares = [0; 100];
         let numbers: Vec<usize> = (0..100).collect();
         super::map(&numbers, |number| number * number, |index, square| squares[index] += square);

@@ -45,9 +45,9 @@ pub enum Event {
     Transmitted {
         /// The frame.
         frame: Frame,
-        /// When its SOF began.
+        /// The start of its SOF.
         start: Time,
-        /// When its last EOF bit ends.
+        /// The end of its last EOF bit.
         end: Time,
     },
     /// Another station sends a frame of higher priority; the controller receives it.

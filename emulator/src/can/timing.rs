@@ -50,7 +50,7 @@ impl BitTiming {
 pub(super) struct Spans {
     /// A time quantum in picoseconds.
     pub quantum: u64,
-    /// From the start of the bit to its sample point.
+    /// The time from the start of the bit to its sample point.
     pub sample: Time,
     /// The whole bit.
     pub bit: Time,

@@ -38,7 +38,7 @@ fn a_quiet_node_at_another_rate_destroys_the_frames_of_others() {
 }
 
 #[test]
-fn a_silent_node_at_another_rate_disturbs_nobody() {
+fn a_silent_node_at_another_rate_disturbs_no_node() {
     let (mut bus, mut a, mut b) = (Bus::new(), Node::new(0, MEGABIT), Node::new(0, MEGABIT));
     let mut odd = Node::stopped(0, at(500));
     odd.controller.configure(at(500), Mode { silent: true, loopback: false });

@@ -135,7 +135,7 @@ impl Program {
         program
     }
 
-    /// What goes into the flash.
+    /// The content for the flash.
     pub fn image(&self) -> Image {
         let mut bytes: Vec<u8> = self.vectors.iter().flat_map(|word| word.to_le_bytes()).collect();
         bytes.extend(self.code.iter().flat_map(|half| half.to_le_bytes()));

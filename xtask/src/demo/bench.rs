@@ -59,12 +59,12 @@ impl Bench {
         self.now_inner().network.now()
     }
 
-    /// Everything that has happened.
+    /// All events so far.
     pub fn events(&self) -> Vec<Event> {
         self.now_inner().network.trace().to_vec()
     }
 
-    /// What the boards' firmware did wrong.
+    /// The findings about the boards' firmware.
     pub fn findings(&self) -> Vec<Finding> {
         self.now_inner().network.boards().iter().flat_map(Board::findings).collect()
     }
@@ -82,7 +82,7 @@ impl Bench {
         }
     }
 
-    /// The next frame that the adapter receives, within `timeout`.
+    /// The adapter's next received frame; `None` after `timeout`.
     pub async fn receive(&self, timeout: Duration) -> Option<Frame> {
         let next = async {
             loop {

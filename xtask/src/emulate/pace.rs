@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn time_that_was_lost_is_not_caught_up() {
+    fn lost_time_is_not_caught_up() {
         let mut pace = Pace::new(Time::ZERO);
         pace.since -= Duration::from_secs(10);
         assert_eq!(pace.due(Time::from_ms(100)), Time::from_ms(100));

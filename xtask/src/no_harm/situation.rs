@@ -138,7 +138,7 @@ pub enum Traffic {
     Load(u8),
 }
 
-/// How the master looks for the boards.
+/// The master's search for the boards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Probe {
     /// The start in milliseconds.
