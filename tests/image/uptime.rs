@@ -14,7 +14,7 @@ use testkit::{
 
 /// The time after power-on at which the program waits for its crystal: its variables are set up, its clock is stopped.
 const WAITS_FOR_CRYSTAL: Time = Time::from_us(1_800);
-/// The middle of the session, where every counter that can wrap does so.
+/// The middle of the session in ms after power-on; every counter that can wrap does so there.
 const MIDDLE_MS: u64 = 1_000;
 const MINUTES_71: u64 = (1 << 32) / 1000;
 const DAYS_49: u64 = 1 << 32;

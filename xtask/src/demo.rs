@@ -130,7 +130,7 @@ async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
     )?;
     bench.pass(START).await;
     let sent = bench.events().iter().filter(|event| is_frame_of_blank_board(event)).count();
-    ensure!(sent == 0, "a board without a node-ID sent {sent} frames by itself");
+    ensure!(sent == 0, "a board without a node-ID sent {sent} frames unasked");
     expect_boot_up(bench, OLD_BOARD_ID).await?;
     screen.show(&bench.events())?;
 

@@ -100,7 +100,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut random = arguments.seed.map_or_else(Random::from_environment, Random::from_seed);
     let mut losses = Vec::new();
 
-    println!("\nThe settings log, cut in every one and two steps");
+    println!("\nThe settings log, cut in each step and in each pair of steps");
     for history in library::Histories::all(arguments.long) {
         let tally = history.run(&mut random);
         losses.extend(print(&history.to_string(), tally));
@@ -125,7 +125,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
     let stores = library::stores_an_erase();
     let years = stores * SECTORS * ENDURANCE / HOURS_A_YEAR;
-    println!("Stores an erase, power-on after each: {stores}; at one store an hour: {years} years");
+    println!(
+        "Stores per erase, with a power-on after each: {stores}; at one store an hour: {years} years"
+    );
     println!("\n{:.0} s", begin.elapsed().as_secs_f64());
     let first = &losses[..losses.len().min(10)];
     ensure!(losses.is_empty(), "settings were lost {} times, such as {first:#?}", losses.len());

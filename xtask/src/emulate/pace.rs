@@ -28,7 +28,7 @@ impl Pace {
             return due;
         }
         if !self.has_complained {
-            eprintln!("the emulation cannot keep up with real time and goes on slower");
+            eprintln!("the emulation cannot keep up with real time and continues more slowly");
             self.has_complained = true;
         }
         self.origin = now;
