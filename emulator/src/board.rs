@@ -56,7 +56,7 @@ impl Default for Settings {
 pub enum Stop {
     /// The time was reached.
     Deadline,
-    /// The program wrote a CAN register: the bus should catch up before the program goes on.
+    /// The program wrote a CAN register: the bus should catch up before the program continues.
     CanWritten,
     /// The chip was reset; the program has not started again yet.
     Reset(ResetCause),
@@ -321,12 +321,12 @@ impl Board {
         self.engine.watch(watcher);
     }
 
-    /// Copies out of RAM or flash. Outside of them it returns false and copies nothing.
+    /// Copies out of RAM or flash; outside of them, returns false and copies nothing.
     pub fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool {
         self.engine.read_memory(address, bytes)
     }
 
-    /// Copies into RAM, as a debugger does. Outside of it returns false and copies nothing.
+    /// Copies into RAM, as a debugger does; outside of it, returns false and copies nothing.
     pub fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
         self.engine.write_memory(address, bytes)
     }

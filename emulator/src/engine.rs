@@ -41,10 +41,10 @@ pub trait Engine: Send {
     /// Core clock cycles since the engine was created in which the CPU was not asleep.
     fn busy_cycles(&self) -> u64;
 
-    /// Copies out of RAM or flash. Outside of them it returns false and copies nothing.
+    /// Copies out of RAM or flash; outside of them, returns false and copies nothing.
     fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool;
 
-    /// Copies into RAM. Outside of it returns false and copies nothing.
+    /// Copies into RAM; outside of it, returns false and copies nothing.
     fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool;
 
     /// Takes over changes of the chip's flash from outside of a run.

@@ -119,7 +119,7 @@ impl Program {
         self.emit(&[0x4770])
     }
 
-    /// The same program behind a start that copies it to RAM and goes on there.
+    /// The same program behind a start that copies it to RAM and continues there.
     pub fn in_ram(self) -> Self {
         const START_HALFWORDS: u32 = 22;
         let mut program = Self::new();
