@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-/// What a row of the table says.
+/// A row of the table.
 #[derive(Debug, PartialEq)]
 struct Row {
     rule: String,
@@ -22,7 +22,7 @@ fn rows(text: &str) -> Vec<Row> {
     text.lines().filter_map(cells).filter(|row| !is_head(row)).collect()
 }
 
-/// Whether `source` has a test of that name which is run by default.
+/// Whether `source` has a test of that name that runs by default.
 fn has_test(source: &str, name: &str) -> bool {
     let lines = source.lines().map(str::trim);
     let function = format!("fn {name}(");
@@ -32,7 +32,7 @@ fn has_test(source: &str, name: &str) -> bool {
         .any(|(attribute, line)| attribute == "#[test]" && line.starts_with(&function))
 }
 
-/// What is wrong with the table, row by row; `source` gives the text of a test file.
+/// The faults of the table, row by row; `source` gives the text of a test file.
 fn faults(text: &str, source: impl Fn(&str) -> Option<String>) -> Vec<String> {
     let mut faults = Vec::new();
     for Row { rule, tests } in rows(text) {
@@ -64,7 +64,7 @@ fn every_test_that_the_conformance_table_names_exists() {
 }
 
 #[test]
-fn a_row_that_is_wrong_is_noticed() {
+fn a_wrong_row_is_detected() {
     const SOURCE: &str =
         "#[test]\nfn one() {}\n\n#[test]\n#[ignore]\nfn two() {}\n\nfn three() {}\n";
     let fault = |cell: &str| {

@@ -17,7 +17,7 @@ fn build(arguments: &[&str]) -> Output {
         .arg("--target-dir")
         .arg(target_dir)
         .args(arguments)
-        // What the test's own build was given is not meant for the chip.
+        // The flags of the test's own build do not apply to the chip.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .env_remove("CARGO_BUILD_TARGET")
@@ -32,7 +32,7 @@ fn no_call_of_the_node_the_settings_log_or_the_indicators_can_panic() {
 }
 
 #[test]
-fn a_panic_would_be_noticed() {
+fn a_panic_is_detected() {
     let output = build(&["--features", "panic"]);
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success(), "it links with a panic");

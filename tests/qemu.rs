@@ -1,4 +1,4 @@
-//! QEMU's second opinion: its CPU, in place of the emulator's, runs the release image and answers alike.
+//! A check with QEMU: its CPU, in place of the emulator's, runs the release image and gives the same answers.
 
 use std::{env, process::Command};
 
@@ -9,7 +9,7 @@ fn qemu_runs_the_release_image_and_answers_as_the_emulator_does() {
     let output = Command::new(cargo).args(["xtask", "qemu"]).output().expect("cargo runs");
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
-    // Found, named, stored, and named still after a restart.
+    // Found, commissioned, stored, and still so after a restart.
     let answers = [
         "7E4#5000000000000000",
         "7E4#5EFF000000000000",

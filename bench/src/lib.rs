@@ -1,7 +1,7 @@
-//! The harness that all slaves are measured in: a receive and a transmit mailbox in RAM in place of the CAN controller's.
+//! The harness for all measured slaves: a receive and a transmit mailbox in RAM in place of the CAN controller's.
 //!
-//! A program has two functions. `prepare` is called once; `receive` is called for each frame, and what is counted is from
-//! its first instruction to its return.
+//! A program has two functions. `prepare` is called once; `receive` is called for each frame, and its cost is counted
+//! from its first instruction to its return.
 
 #![no_std]
 
@@ -50,7 +50,7 @@ global_asm!(
     "b idle",
 );
 
-/// A word that the outside reads and writes too.
+/// A word that is also read and written from outside.
 #[repr(transparent)]
 pub struct Register(UnsafeCell<u32>);
 
@@ -58,22 +58,22 @@ pub struct Register(UnsafeCell<u32>);
 unsafe impl Sync for Register {}
 
 impl Register {
-    /// A register that reads as 0.
+    /// A register with the value 0.
     pub const fn new() -> Self {
         Self(UnsafeCell::new(0))
     }
 
-    /// Its value.
+    /// The value of the register.
     #[inline(always)]
     pub fn read(&self) -> u32 {
-        // SAFETY: a valid word, which nobody refers to.
+        // SAFETY: a valid word without references.
         unsafe { read_volatile(self.0.get()) }
     }
 
-    /// Changes its value.
+    /// Sets the value of the register.
     #[inline(always)]
     pub fn write(&self, value: u32) {
-        // SAFETY: a valid word, which nobody refers to.
+        // SAFETY: a valid word without references.
         unsafe { write_volatile(self.0.get(), value) }
     }
 }
@@ -108,7 +108,7 @@ impl Mailbox {
     }
 }
 
-/// Not 0: a frame is in [`RECEIVED`].
+/// Nonzero while a frame is in [`RECEIVED`].
 #[unsafe(no_mangle)]
 static WAITING: Register = Register::new();
 #[unsafe(no_mangle)]
@@ -116,7 +116,7 @@ static RECEIVED: Mailbox = Mailbox::new();
 #[unsafe(no_mangle)]
 static TRANSMITTED: Mailbox = Mailbox::new();
 
-/// The clock: microseconds.
+/// The clock in microseconds.
 #[unsafe(no_mangle)]
 pub static NOW: Register = Register::new();
 
@@ -135,7 +135,7 @@ pub fn received_data() -> (usize, [u8; 8]) {
     (length, [b0, b1, b2, b3, b4, b5, b6, b7])
 }
 
-/// Hands a frame with up to eight bytes over; what is beyond its length does not matter.
+/// Requests transmission of a frame with up to eight bytes; bytes beyond its length do not matter.
 #[inline(always)]
 pub fn transmit(identifier: u16, length: usize, data: [u8; 8]) {
     let [b0, b1, b2, b3, b4, b5, b6, b7] = data;
@@ -145,7 +145,7 @@ pub fn transmit(identifier: u16, length: usize, data: [u8; 8]) {
     TRANSMITTED.identifier.write(u32::from(identifier) << 21 | 1);
 }
 
-/// The eight bytes of a transmit mailbox that begin with `data`.
+/// The eight bytes of a transmit mailbox, starting with `data`.
 #[inline(always)]
 pub fn padded(data: &[u8]) -> [u8; 8] {
     let mut bytes = [0; 8];
@@ -155,7 +155,7 @@ pub fn padded(data: &[u8]) -> [u8; 8] {
     bytes
 }
 
-/// The place of a slave, which `prepare` fills.
+/// The memory of a slave, which `prepare` fills.
 pub struct Place<T>(UnsafeCell<MaybeUninit<T>>);
 
 // SAFETY: there is one thread.
@@ -167,16 +167,16 @@ impl<T> Place<T> {
         Self(UnsafeCell::new(MaybeUninit::uninit()))
     }
 
-    /// Fills it.
+    /// Stores the slave.
     pub fn fill(&'static self, value: T) {
         // SAFETY: there is one thread, and `prepare` is over before `receive` is called.
         unsafe { (*self.0.get()).write(value) };
     }
 
-    /// What it was filled with.
+    /// The stored slave.
     ///
     /// # Safety
-    /// It has been filled, and what an earlier call returned is no longer used.
+    /// It has been filled, and the result of an earlier call is no longer used.
     #[expect(clippy::mut_from_ref, reason = "the caller promises it")]
     #[inline(always)]
     pub unsafe fn get(&'static self) -> &'static mut T {

@@ -19,28 +19,28 @@ use crate::{
 };
 use log::Log;
 
-/// How long NRST stays low after the supply has come up (F405 data sheet, tRSTTEMPO).
+/// The time for which NRST stays low after the supply has come up (F405 data sheet, tRSTTEMPO).
 const POWER_ON_HOLD: Time = Time::from_us(1_500);
-/// How long an internal reset pulls NRST (RM0090 7.1.1).
+/// The time for which an internal reset pulls NRST low (RM0090 7.1.1).
 const RESET_HOLD: Time = Time::from_us(20);
-/// How long a program runs at most until its log is fetched.
+/// The longest time that a program runs before its log is fetched.
 const LOG_POLL: Time = Time::from_us(50);
 
-/// What differs between boards with one and the same part.
+/// The properties in which boards with the same part differ.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
-    /// The crystal at HSE.
+    /// The crystal at the HSE pins.
     pub crystal: Clock,
     /// The chip's 96-bit unique id, as it lies in memory.
     pub unique_id: [u8; 12],
-    /// How the chip differs from the nominal one.
+    /// The chip's deviations from the nominal chip.
     pub chip_readings: Readings,
-    /// How its CAN controller behaves where the manual is open.
+    /// The behaviour of the CAN controller where the manual is ambiguous.
     pub can_readings: bxcan::Readings,
 }
 
 impl Default for Settings {
-    /// An exact 8 MHz crystal, a unique id of zeros, a nominal chip, and the manual as it is mostly read.
+    /// An exact 8 MHz crystal, a unique id of zeros, a nominal chip, and the usual reading of the manual.
     fn default() -> Self {
         Self {
             crystal: Clock { hz: 8_000_000, ppm: 0 },
@@ -51,12 +51,12 @@ impl Default for Settings {
     }
 }
 
-/// Why [`Board::run_until`] returned.
+/// The reason why [`Board::run_until`] returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
     /// The time was reached.
     Deadline,
-    /// The program wrote a CAN register: the bus should catch up before the program goes on.
+    /// The program wrote a CAN register: the bus should catch up before the program continues.
     CanWritten,
     /// The chip was reset; the program has not started again yet.
     Reset(ResetCause),
@@ -64,7 +64,7 @@ pub enum Stop {
     PowerCut,
 }
 
-/// A microcontroller and what is around it.
+/// A microcontroller with its surroundings.
 pub struct Board {
     chip: Arc<Mutex<Chip>>,
     engine: Box<dyn Engine>,
@@ -72,7 +72,7 @@ pub struct Board {
     powered: bool,
     /// The time while there is no power.
     dark: Time,
-    /// When the supply will go away.
+    /// The time at which the supply will fail.
     power_cut_at: Option<Time>,
     power_ups: u64,
     resets: Vec<(Time, ResetCause)>,
@@ -109,12 +109,12 @@ impl Board {
         board
     }
 
-    /// The microcontroller's peripherals. The board cannot run while they are held.
+    /// The microcontroller's peripherals. The board cannot run while the guard is held.
     pub fn chip(&self) -> MutexGuard<'_, Chip> {
         self.chip.lock().expect("a panic while the chip was in use")
     }
 
-    /// The time that the board has reached.
+    /// The board's current time.
     pub fn now(&self) -> Time {
         if self.powered { self.engine.now() } else { self.dark }
     }
@@ -124,7 +124,7 @@ impl Board {
         self.powered
     }
 
-    /// When the program next has something to do unless an interrupt comes; [`Time::MAX`] without power.
+    /// The time of the program's next action unless an interrupt comes first; [`Time::MAX`] without power.
     pub fn wake_time(&self) -> Time {
         if !self.powered {
             return Time::MAX;
@@ -132,13 +132,13 @@ impl Board {
         self.engine.wake_time().min(self.next_event())
     }
 
-    /// When the chip does something by itself, or the power fails.
+    /// The time at which the chip acts by itself or the power fails.
     fn next_event(&self) -> Time {
         self.chip().next_event().min(self.power_cut_at.unwrap_or(Time::MAX))
     }
 
-    /// Runs the program to `until` or past it by less than an instruction, or to an earlier stop.
-    /// [`now`](Self::now) is the time really reached.
+    /// Runs the program until `until`, overshooting by less than an instruction, or to an earlier stop.
+    /// [`now`](Self::now) is the time reached.
     pub fn run_until(&mut self, until: Time) -> Stop {
         while self.now() < until {
             if !self.powered {
@@ -200,12 +200,12 @@ impl Board {
         self.resets.push((now, cause));
     }
 
-    /// Lets the supply go away at `time`, whatever the board does then.
+    /// Schedules a power failure at `time`.
     pub fn cut_power_at(&mut self, time: Time) {
         self.power_cut_at = Some(time);
     }
 
-    /// Takes the supply away now: an operation of the flash is torn.
+    /// Switches the supply off now. An unfinished flash operation leaves undefined bits.
     pub fn power_off(&mut self) {
         if !self.powered {
             return;
@@ -216,7 +216,7 @@ impl Board {
         self.chip().reset(ResetCause::PowerOn, self.dark);
     }
 
-    /// Gives the supply back now: RAM holds anything, flash what it had.
+    /// Switches the supply on now. RAM has random content, flash keeps its content.
     pub fn power_on(&mut self) {
         if self.powered {
             return;
@@ -227,7 +227,7 @@ impl Board {
         self.start(ResetCause::PowerOn, self.dark);
     }
 
-    /// Sets the supply in mV, 3,300 at first. 1,700 to 3,600 are possible; no brown-out resets the chip.
+    /// Sets the supply in mV, initially 3,300. It may be 1,700 to 3,600; no brown-out resets the chip.
     pub fn set_supply(&mut self, mv: u32) {
         self.chip().set_supply(mv);
     }
@@ -238,13 +238,16 @@ impl Board {
         self.chip().stop_crystal(now);
     }
 
-    /// Lets the crystal swing again, once the program has switched it on.
+    /// Lets the crystal oscillate again, once the program has switched it on.
     pub fn start_crystal(&mut self) {
         let now = self.now();
         self.chip().start_crystal(now);
     }
 
-    /// What the chip drives on a pin. Panics if the part has no such pin.
+    /// The output state of a pin.
+    ///
+    /// # Panics
+    /// The part has no such pin.
     pub fn output(&self, pin: Pin) -> Output {
         self.chip().gpio().output(pin)
     }
@@ -260,12 +263,12 @@ impl Board {
         self.engine.sync_flash();
     }
 
-    /// Writes the whole flash to a file.
+    /// Writes the flash content to a file.
     pub fn save_flash(&self, path: impl AsRef<Path>) -> io::Result<()> {
         fs::write(path, self.flash())
     }
 
-    /// Takes the flash from a file that [`save_flash`](Self::save_flash) wrote.
+    /// Reads the flash content from a file that [`save_flash`](Self::save_flash) wrote.
     ///
     /// # Errors
     /// The file cannot be read, or is longer than the flash.
@@ -278,12 +281,12 @@ impl Board {
         Ok(())
     }
 
-    /// Everything that a real chip would not have forgiven, or that the emulator does not know.
+    /// All accesses that a real chip would not tolerate, or that the emulator does not model.
     pub fn findings(&self) -> Vec<Finding> {
         self.chip().findings().to_vec()
     }
 
-    /// What the program logged, over all resets.
+    /// The lines that the program has logged, across all resets.
     pub fn log(&self) -> &[LogLine] {
         self.log.lines()
     }
@@ -293,7 +296,7 @@ impl Board {
         &self.resets
     }
 
-    /// Core clock cycles so far, and how many of them were not slept.
+    /// Core clock cycles so far, and the share of them in which the core was not asleep.
     pub fn cycles(&self) -> (u64, u64) {
         (self.engine.cycles(), self.engine.busy_cycles())
     }
@@ -313,17 +316,17 @@ impl Board {
         self.engine.sp()
     }
 
-    /// Has `watcher` told of every instruction from now on.
+    /// Registers `watcher` for every instruction from now on.
     pub fn watch(&mut self, watcher: Box<dyn Watcher>) {
         self.engine.watch(watcher);
     }
 
-    /// Copies out of RAM or flash. False, and nothing copied, outside of them.
+    /// Copies out of RAM or flash; outside of them, returns false and copies nothing.
     pub fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool {
         self.engine.read_memory(address, bytes)
     }
 
-    /// Copies into RAM, as a debugger does. False, and nothing copied, outside of it.
+    /// Copies into RAM, as a debugger does; outside of it, returns false and copies nothing.
     pub fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
         self.engine.write_memory(address, bytes)
     }

@@ -1,5 +1,4 @@
-//! Controller Area Network, bit by bit: frames, protocol controllers, the wire, and the STM32's
-//! bxCAN.
+//! Controller Area Network, bit by bit: frames, protocol controllers, the wire, and the STM32's bxCAN.
 
 pub mod adapter;
 pub mod bus;

@@ -1,11 +1,11 @@
-//! What a board needs of a CPU: to run until a time, to be interrupted, to sleep, to be looked into.
+//! The interface between a board and a CPU: running until a time, interrupts, sleep, and inspection.
 
 pub mod clock;
 pub mod rsemu;
 
 use crate::{Time, chip::Access};
 
-/// Why a CPU stopped.
+/// The reason why a CPU stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Halt {
     /// The time was reached.
@@ -14,46 +14,46 @@ pub enum Halt {
     CanWritten,
     /// The program asked for a reset with `AIRCR.SYSRESETREQ`.
     ResetRequested,
-    /// The chip changed what it will do next by itself.
+    /// The time of the chip's next action by itself has changed.
     ChipWritten,
 }
 
 /// A Cortex-M4F with the memories and peripherals of a [`Chip`](crate::chip::Chip).
 ///
-/// Flash wait states cost nothing (the accelerator hides them) unless the chip's
-/// [`Readings`](crate::chip::Readings) say otherwise, and DWT_CYCCNT counts through sleep.
+/// Flash wait states cost nothing (the accelerator hides them) unless the chip's [`Readings`](crate::chip::Readings)
+/// state otherwise. DWT_CYCCNT also counts during sleep.
 pub trait Engine: Send {
-    /// Starts over from the vector table at `now`, after the span `hold` in which nothing runs.
+    /// Restarts from the vector table at `now`, after the time `hold` in which nothing runs.
     fn reset(&mut self, now: Time, hold: Time);
 
-    /// Runs until [`now`](Self::now) is at or past `until`, by less than one instruction, or until a halt.
+    /// Runs until [`now`](Self::now) is at or past `until`, overshooting by less than one instruction, or until a halt.
     fn run(&mut self, until: Time) -> Halt;
 
-    /// The time that the CPU has reached.
+    /// The CPU's current time.
     fn now(&self) -> Time;
 
-    /// When the CPU has something to do if nothing interrupts it: now, or the end of its sleep or stall.
+    /// The time of the CPU's next action without interrupts: now, or the end of its sleep or stall.
     fn wake_time(&self) -> Time;
 
-    /// Core clock cycles since the engine was made, sleep and stalls included.
+    /// Core clock cycles since the engine was created, sleep and stalls included.
     fn cycles(&self) -> u64;
 
-    /// Core clock cycles since the engine was made in which the CPU was not asleep.
+    /// Core clock cycles since the engine was created in which the CPU was not asleep.
     fn busy_cycles(&self) -> u64;
 
-    /// Copies out of RAM or flash. False, and nothing copied, outside of them.
+    /// Copies out of RAM or flash; outside of them, returns false and copies nothing.
     fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool;
 
-    /// Copies into RAM. False, and nothing copied, outside of it.
+    /// Copies into RAM; outside of it, returns false and copies nothing.
     fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool;
 
-    /// Takes over what changed in the chip's flash from outside of a run.
+    /// Takes over changes of the chip's flash from outside of a run.
     fn sync_flash(&mut self);
 
-    /// Fills RAM and core-coupled memory with what a power-on leaves: anything, made from `seed`.
+    /// Fills RAM and core-coupled memory with random content from `seed`, as after a power-on.
     fn scramble_ram(&mut self, seed: u64);
 
-    /// What stopped the program for good, if the core is locked up.
+    /// The fault registers, if the core is locked up.
     fn lockup(&self) -> Option<Lockup>;
 
     /// Address of the next instruction.
@@ -65,16 +65,16 @@ pub trait Engine: Send {
     /// The registers, before the next instruction.
     fn registers(&self) -> Registers;
 
-    /// Has `watcher` told of every instruction from now on.
+    /// Registers `watcher` for every instruction from now on.
     fn watch(&mut self, watcher: Box<dyn Watcher>);
 }
 
-/// The core's registers, as a debugger names them.
+/// The core's registers, with a debugger's names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Registers {
     /// `r0..r15`: `r13` is the stack pointer in use, `r15` the address of the next instruction.
     pub r: [u32; 16],
-    /// Flags, ITSTATE and the number of the exception that is being handled.
+    /// Flags, ITSTATE and the number of the current exception.
     pub xpsr: u32,
     /// `s0..s31`.
     pub s: [u32; 32],
@@ -84,30 +84,30 @@ pub struct Registers {
 
 /// Follows a program instruction by instruction.
 pub trait Watcher: Send {
-    /// The core, as it is now, has made a step.
+    /// Called after each step, with the core's state after it.
     fn stepped(&mut self, step: &Step, core: &dyn Engine);
 
-    /// From the next step on the flash holds `bytes`, `offset` from its start.
+    /// Called when the flash changes to `bytes` at `offset`, before the next step.
     fn flash_changed(&mut self, offset: usize, bytes: &[u8], core: &dyn Engine);
 
-    /// The debug probe has written to RAM.
+    /// Called when the debug probe has written to RAM.
     fn ram_changed(&mut self, address: u32, bytes: &[u8], core: &dyn Engine);
 }
 
 /// An instruction, an exception entry, or the load of the first stack pointer and PC after a reset.
 #[derive(Clone, Debug)]
 pub struct Step {
-    /// It was the one after a reset.
+    /// Whether this was the first step after a reset.
     pub from_reset: bool,
-    /// The registers before it.
+    /// The registers before the step.
     pub before: Registers,
-    /// Levels of the interrupt lines before it, bit n for interrupt n.
+    /// Levels of the interrupt lines before the step, bit n for interrupt n.
     pub irqs: u128,
-    /// `SYST_CSR`, `SYST_RVR`, `SYST_CVR` and `SYST_CALIB` before it.
+    /// `SYST_CSR`, `SYST_RVR`, `SYST_CVR` and `SYST_CALIB` before the step.
     pub systick: [u32; 4],
-    /// SysTick was pending before it.
+    /// Whether SysTick was pending before the step.
     pub systick_pending: bool,
-    /// It asked for a reset, with `AIRCR.SYSRESETREQ`.
+    /// Whether the step requested a reset with `AIRCR.SYSRESETREQ`.
     pub requests_reset: bool,
     /// Loads from the chip and stores to it, in order.
     pub transfers: Vec<Transfer>,
@@ -116,11 +116,11 @@ pub struct Step {
 /// A load from the chip, or a store to it or to flash.
 #[derive(Clone, Copy, Debug)]
 pub struct Transfer {
-    /// What was accessed.
+    /// The address and width of the access.
     pub access: Access,
     /// Whether it was a store.
     pub is_store: bool,
-    /// What was loaded or stored.
+    /// The value loaded or stored.
     pub value: u32,
 }
 

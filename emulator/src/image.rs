@@ -1,4 +1,4 @@
-//! A firmware image: what an ELF file puts into flash, its symbols, and its defmt table.
+//! A firmware image: the flash content of an ELF file, its symbols, and its defmt table.
 
 use std::{
     collections::HashMap,
@@ -28,12 +28,12 @@ struct Content {
     table: Option<Table>,
 }
 
-/// Why there is no image.
+/// The reason why an image cannot be loaded.
 #[derive(Debug)]
 pub enum ImageError {
     /// The file cannot be read.
     Io(PathBuf, io::Error),
-    /// The file is no 32-bit ELF file, or its defmt section has another format version.
+    /// The file is not a 32-bit ELF file, or its defmt section has another format version.
     Malformed(String),
 }
 
@@ -56,7 +56,7 @@ impl Image {
         Self::from_elf(&bytes)
     }
 
-    /// Takes the content of an ELF file.
+    /// Parses the content of an ELF file.
     pub fn from_elf(bytes: &[u8]) -> Result<Self, ImageError> {
         let malformed = |error: &dyn fmt::Display| ImageError::Malformed(error.to_string());
         let header = FileHeader32::<Endianness>::parse(bytes).map_err(|error| malformed(&error))?;
@@ -79,32 +79,32 @@ impl Image {
         Ok(Self(Arc::new(Content { segments, symbols, table })))
     }
 
-    /// An image of bytes at addresses, without symbols.
+    /// An image of the given bytes and addresses, without symbols.
     pub fn from_segments(segments: Vec<(u32, Vec<u8>)>) -> Self {
         Self(Arc::new(Content { segments, symbols: HashMap::new(), table: None }))
     }
 
-    /// What is loaded where.
+    /// The address and content of each segment.
     pub fn segments(&self) -> impl Iterator<Item = (u32, &[u8])> {
         self.0.segments.iter().map(|(address, bytes)| (*address, bytes.as_slice()))
     }
 
-    /// Address of a symbol.
+    /// The address of a symbol.
     pub fn symbol(&self, name: &str) -> Option<u32> {
         self.0.symbols.get(name).copied()
     }
 
-    /// Address of the one symbol whose mangled name contains `part`; `None` if there are several.
+    /// The address of the one symbol whose mangled name contains `part`; `None` if there are several.
     pub fn symbol_containing(&self, part: &str) -> Option<u32> {
         let mut found = self.0.symbols.iter().filter(|(name, _)| name.contains(part));
         found.next().filter(|_| found.next().is_none()).map(|(_, address)| *address)
     }
 
-    /// The last symbol of the program at or before an address, and how far before.
+    /// The last symbol of the program at or before an address, and its distance.
     pub fn symbol_at(&self, address: u32) -> Option<(&str, u32)> {
         let symbols = self.0.symbols.iter().filter(|(name, _)| !name.starts_with('$'));
         let before = symbols.filter_map(|(name, start)| {
-            // Bit 0 of a function's is that of the instruction set.
+            // Bit 0 of a function's address gives the instruction set.
             let offset = address.checked_sub(start & !1)?;
             (*start >= FLASH_BASE).then_some((offset, name.as_str()))
         });

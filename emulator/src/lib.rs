@@ -1,4 +1,4 @@
-//! STM32F4 boards and a CAN bus on the computer: deterministic, in virtual time, to the picosecond.
+//! STM32F4 boards and a CAN bus on the computer: deterministic, in virtual time, with picosecond resolution.
 
 pub mod board;
 pub mod can;

@@ -1,20 +1,20 @@
-//! Virtual time: one type for instants and spans, counted in picoseconds.
+//! Virtual time: one type for instants and durations, counted in picoseconds.
 
 use core::{
     fmt,
     ops::{Add, AddAssign, Mul, Sub},
 };
 
-/// An instant since the start of the run, or a span: picoseconds, up to 213 days.
+/// An instant since the start of the run, or a duration: picoseconds, up to 213 days.
 ///
-/// Picoseconds hold every time quantum of an STM32F4 exactly enough that a run of bits does not drift.
+/// Picoseconds represent every time quantum of an STM32F4 precisely enough that a run of bits does not drift.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Time(u64);
 
 impl Time {
-    /// The start of the run, or no time at all.
+    /// The start of the run, or a duration of zero.
     pub const ZERO: Self = Self(0);
-    /// Later than everything.
+    /// An instant later than all others.
     pub const MAX: Self = Self(u64::MAX);
 
     /// A number of picoseconds.
@@ -53,7 +53,7 @@ impl Time {
     pub const fn as_ms(self) -> u64 {
         self.0 / 1_000_000_000
     }
-    /// `self - earlier`, or zero where `earlier` is later.
+    /// `self - earlier`, or zero if `earlier` is later.
     pub const fn saturating_sub(self, earlier: Self) -> Self {
         Self(self.0.saturating_sub(earlier.0))
     }

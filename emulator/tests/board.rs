@@ -1,4 +1,4 @@
-//! Boards that run small programs, written here instruction by instruction.
+//! Boards that run small programs, assembled instruction by instruction.
 
 mod programs;
 
@@ -33,7 +33,7 @@ const SYSTICK: usize = 15;
 const NMI: usize = 2;
 const HARD_FAULT: usize = 3;
 
-/// The board starts its program this long after power-on.
+/// The time from power-on to the start of the board's program.
 const START: Time = Time::from_us(1_500);
 
 fn board(program: Program) -> Board {
@@ -320,7 +320,7 @@ fn a_store_to_locked_flash_does_nothing() {
 
 #[test]
 fn nothing_at_an_address_is_a_bus_fault_that_escalates() {
-    // The second is right below the RAM: where a stack at its start overflows to.
+    // The second address is right below the RAM, where the stack of a program overflows to.
     for address in [0x6000_0000, 0x1FFF_FFFC] {
         let mut program = Program::new();
         program.store(COUNTER, 0).store(address, 1).stop();
@@ -332,7 +332,7 @@ fn nothing_at_an_address_is_a_bus_fault_that_escalates() {
 }
 
 #[test]
-fn where_nothing_below_the_ram_faults_stores_there_are_lost() {
+fn without_a_fault_below_the_ram_stores_there_are_lost() {
     let mut program = Program::new();
     program.store(COUNTER, 0).store(0x1FFF_FFFC, 1).load(R1, 0x1FFF_FFFC).add(R1, 7);
     program.store_register(COUNTER, R1).stop();
@@ -387,7 +387,7 @@ fn the_clock_security_system_wakes_a_board_whose_crystal_stops() {
 }
 
 #[test]
-fn without_it_only_the_watchdog_ends_the_silence() {
+fn without_clock_security_only_the_watchdog_ends_the_silence() {
     let mut board = board(on_crystal(0));
     run(&mut board, Time::from_ms(10));
     board.stop_crystal();
@@ -410,7 +410,7 @@ fn a_breakpoint_without_a_debugger_is_a_hard_fault() {
 }
 
 #[test]
-fn a_fault_in_the_fault_handler_locks_up_until_the_watchdog_bites() {
+fn a_fault_in_the_fault_handler_locks_up_until_the_watchdog_resets() {
     let mut program = Program::new();
     program.store(IWDG_KR, 0xCCCC).breakpoint();
     program.handler(HARD_FAULT).undefined();
@@ -443,7 +443,7 @@ fn systick_on_the_external_clock_is_found() {
 }
 
 #[test]
-fn a_program_that_spins_on_itself_costs_as_little_as_one_that_sleeps() {
+fn a_program_that_loops_in_place_costs_as_little_as_a_sleeping_one() {
     let mut program = Program::new();
     program.stop();
     let mut board = board(program);

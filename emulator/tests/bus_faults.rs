@@ -1,4 +1,4 @@
-//! Shorts, broken wires, noise and injected bit errors: who sees what, and that all recover.
+//! Shorts, broken wires, noise and injected bit errors: their effect on each station, and the recovery.
 
 use emulator::{
     Time,
@@ -20,7 +20,7 @@ fn adapters<const N: usize>() -> (Network, [AdapterId; N]) {
     (network, adapters)
 }
 
-/// What the trace says of a station's errors, and when it was.
+/// The time and kind of a station's errors in the trace.
 fn errors(network: &Network, of: AdapterId) -> Vec<(Time, ErrorKind)> {
     let error = |event: &Event| match event.what {
         What::Error { kind, .. } if event.source == Source::Adapter(of) => Some((event.time, kind)),
@@ -40,7 +40,7 @@ fn gets_through(network: &mut Network, from: AdapterId, to: AdapterId, id: u16) 
 }
 
 #[test]
-fn a_dominant_short_lets_no_frame_pass_until_it_is_mended() {
+fn a_dominant_short_lets_no_frame_pass_until_it_is_repaired() {
     let (mut network, [a, b]) = adapters();
     network.set_short(Some(Short::Dominant));
     assert!(!gets_through(&mut network, a, b, 0x123));
@@ -53,7 +53,7 @@ fn a_dominant_short_lets_no_frame_pass_until_it_is_mended() {
 }
 
 #[test]
-fn a_recessive_short_silences_the_sender_and_nobody_else_notices() {
+fn a_recessive_short_silences_the_sender_unnoticed_by_others() {
     let (mut network, [a, b]) = adapters();
     network.set_short(Some(Short::Recessive));
     assert!(!gets_through(&mut network, a, b, 0x123));
@@ -139,7 +139,7 @@ fn noise_destroys_frames_in_the_same_way_from_the_same_seed() {
 }
 
 #[test]
-fn noise_between_the_sample_points_harms_nobody() {
+fn noise_between_the_sample_points_has_no_effect() {
     let (mut network, [a, b]) = adapters();
     let (mean_interval, length) = (Time::from_us(300), Time::from_ns(100));
     network.set_noise(Some(Noise { seed: 3, mean_interval, length }));

@@ -1,4 +1,4 @@
-//! How GPIO joins CAN1 to its transceiver.
+//! The connection of CAN1 to its transceiver through GPIO.
 
 use emulator::{
     Time,
@@ -25,7 +25,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// A chip that takes part, with these modes of its pins, and an adapter.
+    /// A running chip with these pin modes, and an adapter.
     fn new(moder: u32, btr: u32) -> Self {
         let chip = Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
         let mut bench = Self { bus: Bus::new(), chip, adapter: Adapter::new(500_000) };
@@ -57,7 +57,7 @@ impl Bench {
         while self.bus.advance(until, stations, &mut |_, _, _| {}) < until {}
     }
 
-    /// Whether the adapter is acknowledged.
+    /// Whether the adapter receives an acknowledge.
     fn is_heard(&mut self) -> bool {
         self.adapter.open();
         self.adapter.send(Frame::data(Id::Standard(0x123), &[1]));
@@ -80,7 +80,7 @@ fn a_chip_acknowledges_only_by_a_pin_in_its_alternate_function() {
 }
 
 #[test]
-fn nobody_joins_the_bus_without_a_pin_to_receive() {
+fn no_chip_joins_the_bus_without_a_receive_pin() {
     let mut bench = Bench::new(0b1000 << 16, BTR);
     assert!(!bench.is_heard());
     bench.write(GPIOB, BOTH);

@@ -1,4 +1,4 @@
-//! The chip's registers as a program sees them, without a CPU.
+//! The chip's registers as seen by a program, without a CPU.
 
 use emulator::{
     Time,
@@ -47,7 +47,7 @@ fn to_128_mhz(chip: &mut Chip) {
 }
 
 #[test]
-fn the_pll_on_the_crystal_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
+fn the_pll_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
     for part in Part::ALL {
         let mut chip = chip(part);
         to_128_mhz(&mut chip);
@@ -69,7 +69,7 @@ fn oscillators_take_their_time_to_become_ready() {
 }
 
 #[test]
-fn a_crystal_is_ready_after_the_time_that_its_reading_says_or_never() {
+fn a_crystal_is_ready_after_the_time_of_its_reading_or_never() {
     let ready = |hse_start: Time, after: Time| {
         let readings = Readings { hse_start, ..Readings::default() };
         let crystal = Clock { hz: 8_000_000, ppm: 0 };
@@ -93,7 +93,7 @@ fn with_clock_security_a_crystal_that_stops_leaves_hsi_and_interrupts() {
     assert!(!chip.nmi());
     chip.stop_crystal(now);
     assert_eq!((chip.nmi(), chip.is_stopped()), (true, false));
-    // The prescalers stay: APB1 a quarter of 16 MHz.
+    // The prescalers keep their values: APB1 runs at a quarter of 16 MHz.
     assert_eq!((chip.clocks().hclk.hz, chip.clocks().pclk1.hz), (16_000_000, 4_000_000));
     assert_eq!(read(&mut chip, RCC_CR, now) & 0x0303_0003, 0x0000_0003);
     assert_eq!(read(&mut chip, RCC_CIR, now), 1 << 7);
@@ -135,7 +135,7 @@ fn the_voltage_detector_compares_the_supply_with_the_chosen_level() {
     chip.reset(ResetCause::Software, Time::ZERO);
     write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
     write(&mut chip, PWR_CR, 0x40B0, Time::ZERO);
-    assert!(low(&mut chip), "a reset does not mend the supply");
+    assert!(low(&mut chip), "a reset does not change the supply");
     assert_eq!(chip.findings(), []);
 }
 

@@ -1,4 +1,4 @@
-//! The flash interface as a driver sees it, and what failures leave behind.
+//! The flash interface as seen by a driver, and the state after failures.
 
 use std::collections::BTreeSet;
 
@@ -157,7 +157,7 @@ fn times_follow_the_data_sheet() {
 }
 
 #[test]
-fn a_store_without_pg_or_in_the_wrong_width_changes_nothing_and_says_so() {
+fn a_store_without_pg_or_in_the_wrong_width_is_reported_and_does_nothing() {
     let mut bench = Bench::unlocked(Part::Stm32f405);
     bench.set(0x0800_4000, 0);
     assert_eq!((bench.read(SR), bench.flash(0x4000)), (PGSERR, u32::MAX));
@@ -309,7 +309,7 @@ fn a_power_cut_leaves_a_word_between_its_old_and_its_new_value() {
 }
 
 #[test]
-fn a_power_cut_leaves_an_erased_sector_in_any_state_and_its_neighbours_whole() {
+fn a_power_cut_in_an_erase_leaves_any_state_but_spares_other_sectors() {
     for seed in 0..20 {
         let mut bench = Bench::unlocked(Part::Stm32f405);
         let flash = bench.chip.flash_mut();
@@ -365,7 +365,7 @@ fn all_registers_but_the_keys_take_bytes_and_half_words() {
     bench.store(CR + 1, Width::Byte, 2).expect("no bus error");
     bench.store(CR, Width::Byte, 1).expect("no bus error");
     assert_eq!(bench.read(CR), X32 | PG);
-    // A store of a byte where PSIZE says a word.
+    // A byte store while PSIZE selects words.
     bench.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
     bench.set(CR, X32);
     bench.set(0x0800_4000, 0);

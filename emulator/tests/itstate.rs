@@ -1,4 +1,4 @@
-//! An IT block that is interrupted goes on as it began (ARM DDI 0403, B1.5.6: ITSTATE is stacked in the xPSR).
+//! An interrupted IT block continues correctly (ARM DDI 0403, B1.5.6: ITSTATE is stacked in the xPSR).
 
 use std::collections::BTreeSet;
 
@@ -10,9 +10,9 @@ use emulator::{
 };
 
 const FLASH: u32 = 0x0800_0000;
-/// Behind the vectors of the system exceptions.
+/// The code's address, behind the vectors of the system exceptions.
 const CODE: u32 = FLASH + 4 * 16;
-/// Where the program leaves the PC that SysTick interrupted, r5 and r6.
+/// The place where the program stores the PC that SysTick interrupted, r5 and r6.
 const RESULT: u32 = 0x2000_0100;
 const SYSTICK: usize = 15;
 const SYST_CSR: u32 = 0xE000_E010;
@@ -36,8 +36,8 @@ fn set(register: u16, value: u32) -> [u16; 4] {
     [a, b, c, d]
 }
 
-/// Interrupts itself once, `reload` + 1 cycles after SysTick was switched on; the block counts in r5 if `is_equal`, else
-/// in r6.
+/// Interrupts itself once, `reload` + 1 cycles after SysTick was switched on. The block counts in r5 if `is_equal`,
+/// otherwise in r6.
 fn program(reload: u32, is_equal: bool) -> Program {
     let mut code: Vec<u16> = Vec::new();
     code.extend(set(4, RESULT));
@@ -67,7 +67,7 @@ fn program(reload: u32, is_equal: bool) -> Program {
     Program { image: Image::from_segments(vec![(FLASH, bytes)]), block }
 }
 
-/// The PC that was interrupted, r5 and r6.
+/// The interrupted PC, r5 and r6.
 fn run(program: &Program) -> [u32; 3] {
     let mut board = Board::new(Part::Stm32f405, &program.image, Settings::default());
     board.run_until(Time::from_ms(2));
@@ -92,11 +92,11 @@ fn interrupt_everywhere(is_equal: bool, expected: [u32; 2]) {
 }
 
 #[test]
-fn a_block_whose_condition_holds_is_finished_after_an_interrupt_at_any_instruction() {
+fn a_taken_block_is_finished_after_an_interrupt_at_any_instruction() {
     interrupt_everywhere(true, [2, 0]);
 }
 
 #[test]
-fn a_block_whose_condition_fails_is_finished_after_an_interrupt_at_any_instruction() {
+fn a_skipped_block_is_finished_after_an_interrupt_at_any_instruction() {
     interrupt_everywhere(false, [0, 2]);
 }

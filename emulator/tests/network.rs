@@ -1,5 +1,4 @@
-//! Boards and adapters on one bus: who is heard when, the trace, supply switches, and sameness of
-//! runs.
+//! Boards and adapters on one bus: timing, the trace, supply switches, and reproducibility.
 
 #[expect(dead_code, reason = "this program needs only a part of the assembler")]
 mod programs;
@@ -26,8 +25,7 @@ const CAN1_RX0: usize = 16 + 20;
 const QUARTER_MEGABIT: u32 = 0x001C_0001;
 const REPLY: u16 = 0x581;
 
-/// Answers each frame at 250 kbit/s with one of the same data and identifier `REPLY`, and sleeps in
-/// between.
+/// Answers each frame at 250 kbit/s with the same data and the identifier `REPLY`, and sleeps in between.
 fn echo() -> Program {
     let mut program = Program::new();
     program.store(RCC_CR, 0x0001_0083).wait_for_ones(RCC_CR, 1 << 17).store(RCC_CFGR, 1);
@@ -58,7 +56,7 @@ fn reply(payload: &[u8]) -> Frame {
     standard(REPLY, payload)
 }
 
-/// When a board started to run: after power-on and the start of the crystal.
+/// The time at which a board runs, after power-on and the start of the crystal.
 const READY: Time = Time::from_ms(10);
 
 fn frames(network: &Network) -> Vec<&Event> {
@@ -77,8 +75,8 @@ fn a_board_answers_an_adapter() {
     let (time, answer) = network.run_until_received(adapter, Time::from_ms(5)).expect("an answer");
     assert_eq!(answer, reply(&[1, 2, 3]));
 
-    // Request: from the next bit boundary. Answer: some 40 instructions after the last but one bit
-    // of EOF, but not before intermission is over. Valid 1.125 bits before its own end.
+    // The request starts at the next bit boundary. The answer follows some 40 instructions after the last bit but one
+    // of EOF, but not before the end of intermission. It is valid 1.125 bits before its own end.
     let bits = u64::from(request.wire_bits() + 3 + answer.wire_bits());
     let span = time - READY;
     let expected = Time::from_us(4 * bits) - Time::from_ns(4_500);
@@ -86,7 +84,7 @@ fn a_board_answers_an_adapter() {
 }
 
 #[test]
-fn the_trace_tells_what_a_board_did_in_order() {
+fn the_trace_lists_a_boards_actions_in_order() {
     let mut network = Network::new();
     network.add_board(board(0));
     let adapter = network.add_adapter(Adapter::new(250_000));
@@ -145,7 +143,7 @@ fn equal_answers_of_many_boards_are_one_frame() {
 }
 
 #[test]
-fn the_same_network_lives_the_same_life_twice() {
+fn two_runs_of_the_same_network_are_identical() {
     let run = || {
         let mut network = Network::new();
         (0..4).for_each(|n| _ = network.add_board(board(7 * n - 10)));

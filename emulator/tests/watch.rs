@@ -1,4 +1,4 @@
-//! What a watcher is told of a program.
+//! The reports that a watcher gets of a program.
 
 #[expect(dead_code, reason = "what other tests need of the assembler")]
 mod programs;
@@ -34,7 +34,7 @@ impl Watcher for Diary {
     fn ram_changed(&mut self, _: u32, _: &[u8], _: &dyn Engine) {}
 }
 
-/// What a watcher is told of the first 2 ms, of which the board runs for half a millisecond.
+/// The steps reported to a watcher in the first 2 ms, of which the board runs for half a millisecond.
 fn watch(program: &Program) -> Vec<(Step, Registers)> {
     let diary = Diary::default();
     let mut board = Board::new(Part::Stm32f405, &program.image(), Settings::default());
@@ -60,7 +60,7 @@ fn each_step_begins_where_the_one_before_it_ended() {
 }
 
 #[test]
-fn loads_and_stores_of_peripherals_are_told_with_the_instruction_that_makes_them() {
+fn loads_and_stores_of_peripherals_are_reported_with_their_instruction() {
     let mut program = Program::new();
     program.store(RCC_AHB1ENR, 1 << 3).load(R0, RCC_AHB1ENR).stop();
     let diary = watch(&program);

@@ -1,4 +1,4 @@
-//! LSS requests: whatever eight bytes stand for is written back so that it is read as the same again.
+//! LSS requests: a request read from any eight bytes is the same after it is written and read again.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! The node: frames, time and what the board reports, in any order; it acts to an end, and sends nothing while it must not.
+//! The node with frames, time and events in any order: its actions come to an end, and it is silent when it must be.
 
 #![no_main]
 
@@ -15,7 +15,7 @@ const ADDRESS: Address =
 /// More actions than are ever due at one time.
 const MOST_ACTIONS: usize = 16;
 
-/// A board that notes what its node may do.
+/// A board that tracks the permissions of its node.
 struct Board {
     node: Node,
     now: Instant,
@@ -51,7 +51,7 @@ impl Board {
             Action::ResumeTransmitting => self.may_transmit = true,
             Action::SetNodeId(id) => assert_eq!(id, self.node.node_id()),
             Action::Store(_) => {
-                assert!(!self.is_storing, "a store before the last one has come to its end");
+                assert!(!self.is_storing, "a store before the previous one has ended");
                 self.is_storing = true;
             }
             Action::ResetDevice => self.is_reset = true,
@@ -73,7 +73,7 @@ impl Board {
                 None => return,
             }
         }
-        panic!("{MOST_ACTIONS} actions, and there is more to do");
+        panic!("{MOST_ACTIONS} actions without an end");
     }
 
     fn step(&mut self, [kind, ms, data @ ..]: [u8; 10]) {
@@ -93,7 +93,7 @@ impl Board {
         self.act_until_nothing_is_due();
     }
 
-    /// What is no frame.
+    /// Reports an event other than a frame.
     fn report(&mut self, kind: u8, [what, counter, ..]: [u8; 8]) {
         match kind {
             10 if self.is_storing => {

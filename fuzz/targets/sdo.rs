@@ -1,4 +1,4 @@
-//! The SDO server through the node: any requests, each answered at most once, on the COB-ID of this node, with eight bytes.
+//! The SDO server through the node: any request has at most one answer, of eight bytes, with the node's COB-ID.
 
 #![no_main]
 

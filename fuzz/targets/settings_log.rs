@@ -1,4 +1,4 @@
-//! The settings log: any content of the flash, stores, power cuts in any step; what was acknowledged is found again.
+//! The settings log: any content of the flash, stores, power cuts in any step; acknowledged settings are found again.
 
 #![no_main]
 
@@ -12,7 +12,7 @@ use testkit::flash::Flash;
 /// Bytes of one of the two banks: four records.
 const BANK: usize = 128;
 
-/// A power-on: how many stores, and the program or erase step in which the power fails; 0: it does not.
+/// A power-on: the number of stores, and the program or erase step in which the power fails; 0: none.
 type Life = (u8, u8);
 
 fn settings(number: u16) -> Settings {
@@ -30,7 +30,7 @@ fuzz_target!(|input: (u8, Vec<Life>, Vec<u8>)| {
     let mut known = log.settings();
     let again = Log::open(flash.clone()).0.settings();
     assert_eq!(again, known, "two power-ons without a store between find the same");
-    // Records that nobody stored, in both banks, may be in any order: then only panics count.
+    // Records in both banks that were not stored here may be in any order: then only panics count.
     let is_own = matches!(found, Found::Blank | Found::Damaged);
 
     let mut number = 0;
@@ -50,7 +50,7 @@ fuzz_target!(|input: (u8, Vec<Life>, Vec<u8>)| {
                 match log.store(settings(number)) {
                     Ok(()) => known = Some(settings(number)),
                     Err(_) if !flash.is_powered() => attempted = Some(settings(number)),
-                    // Full until the next power-on.
+                    // The bank is full until the next power-on.
                     Err(_) => {}
                 }
                 if !flash.is_powered() {

@@ -1,4 +1,4 @@
-//! What the plugin is told on QEMU's command line.
+//! The plugin's arguments on QEMU's command line.
 
 use std::str::FromStr;
 
@@ -7,22 +7,22 @@ use emulator::{
     can::{Frame, Id},
 };
 
-/// The chip's unique id, and what the adapter does.
+/// The chip's unique id, and the adapter's session.
 pub struct Arguments {
     pub bit_rate: u32,
     pub unique_id: [u8; 12],
-    /// When the first frame is queued.
+    /// The time at which the first frame is queued.
     pub start: Time,
-    /// From one frame to the next, and from the last to the end.
+    /// The time from one frame to the next, and from the last to the end.
     pub interval: Time,
     pub frames: Vec<Frame>,
 }
 
 impl Arguments {
-    /// Reads `key=value` strings.
+    /// Parses `key=value` strings.
     ///
     /// # Errors
-    /// The first argument that makes no sense.
+    /// The first argument that is invalid.
     pub fn parse<'a>(arguments: impl Iterator<Item = &'a str>) -> Result<Self, String> {
         let mut parsed = Self {
             bit_rate: 125_000,
@@ -58,7 +58,7 @@ fn milliseconds(text: &str) -> Option<Time> {
     u32::from_str(text).ok().map(|ms| Time::from_ms(ms.into()))
 }
 
-/// A data frame with an 11-bit identifier, as candump writes it.
+/// A data frame with an 11-bit identifier in the notation of candump.
 fn frame(text: &str) -> Option<Frame> {
     let (id, data) = text.split_once('#')?;
     let id = u16::from_str_radix(id, 16).ok().filter(|id| *id <= 0x7FF)?;

@@ -15,7 +15,7 @@ use crate::{
 
 const CAN1: std::ops::Range<u32> = 0x4000_6400..0x4000_6800;
 
-/// How long an internal reset pulls NRST (RM0090 7.1.1).
+/// The time for which an internal reset pulls NRST low (RM0090 7.1.1).
 const RESET_HOLD: Time = Time::from_us(20);
 
 /// Everything around QEMU's CPU.
@@ -25,14 +25,14 @@ pub struct Board {
     adapter: Adapter,
     to_send: VecDeque<Frame>,
     interval: Time,
-    /// When the next frame is queued, or else the end.
+    /// The time at which the next frame is queued, or of the end.
     next_frame: Time,
     machine: Machine,
     irqs: u128,
     core_clock: u32,
-    /// Why the next reset happens.
+    /// The cause of the next reset.
     reset_cause: ResetCause,
-    /// The chip has asked for a reset.
+    /// Whether the chip has requested a reset.
     is_resetting: bool,
 }
 
@@ -55,16 +55,16 @@ impl Board {
         }
     }
 
-    /// The machine is being reset.
+    /// Handles a reset of the machine.
     pub fn reset(&mut self) {
-        // Where it is not the chip that asked, the program did.
+        // If the chip did not request it, the program did.
         let cause = std::mem::replace(&mut self.reset_cause, ResetCause::Software);
         self.is_resetting = false;
         self.chip.reset(cause, self.machine.now());
         self.update();
     }
 
-    /// The timer has expired.
+    /// Handles the expiry of the timer.
     pub fn advance(&mut self) {
         self.machine.timer_expired();
         let now = self.machine.now();
@@ -88,7 +88,7 @@ impl Board {
         self.update();
     }
 
-    /// The CPU loads.
+    /// Handles a load of the CPU.
     pub fn read(&mut self, address: u32, width: Width) -> Result<u32, BusFault> {
         let flash = self.chip.flash().bytes();
         let offset = address.wrapping_sub(FLASH_BASE) as usize & !3;
@@ -102,7 +102,7 @@ impl Board {
         value
     }
 
-    /// The CPU stores. If that makes the flash busy, the CPU stalls, as it would at its next fetch.
+    /// Handles a store of the CPU. If it makes the flash busy, the CPU stalls, as at its next fetch.
     pub fn write(&mut self, address: u32, width: Width, value: u32) -> Result<(), BusFault> {
         let access = self.access(address, width);
         let result = self.chip.write(access, value);
@@ -116,13 +116,13 @@ impl Board {
         result
     }
 
-    /// An access now; to the CAN controller, as the bus has left it.
+    /// An access at the current time; for the CAN controller the bus is brought up to date first.
     fn access(&mut self, address: u32, width: Width) -> Access {
         let now = self.machine.now();
         if CAN1.contains(&address) {
             self.run_bus(now);
         }
-        // QEMU does not tell a device where the program is.
+        // QEMU does not report the program counter to a device.
         Access { address, width, now, pc: 0 }
     }
 
@@ -139,7 +139,7 @@ impl Board {
         sys::request_shutdown();
     }
 
-    /// Lets the bus catch up with the CPU.
+    /// Runs the bus up to the CPU's time.
     fn run_bus(&mut self, now: Time) {
         loop {
             let stations: &mut [&mut dyn Station] = &mut [self.chip.can1_mut(), &mut self.adapter];
@@ -155,7 +155,7 @@ impl Board {
         self.chip.can1_mut().take_notes();
     }
 
-    /// Shows QEMU what the chip drives, and when it does something next.
+    /// Reports the chip's outputs and its next event to QEMU.
     fn update(&mut self) {
         let irqs = self.chip.irqs();
         let mut changed = irqs ^ self.irqs;
@@ -178,7 +178,7 @@ impl Board {
     }
 }
 
-/// A line that a program can read: time in ms, direction as the adapter sees it, frame.
+/// Prints a line that a program can read: time in ms, direction as seen by the adapter, frame.
 fn print(time: Time, direction: char, frame: Frame) {
     println!("{time} {direction} {frame}");
     // QEMU ends without Rust's clean-up.

@@ -1,16 +1,16 @@
-//! A plugin for `qemu-system-arm -M netduinoplus2`: our chip, on a CAN bus, around QEMU's CPU.
+//! A plugin for `qemu-system-arm -M netduinoplus2`: the emulated chip, on a CAN bus, around QEMU's CPU.
 //!
-//! QEMU gives the Cortex-M4F with NVIC, SysTick, RAM and flash; the [`emulator`]'s models take the place of all other
-//! peripherals, and of the flash sectors where the firmware keeps its settings. An adapter on the bus sends the
-//! frames that the plugin is given, prints those that it receives, and ends QEMU. Arguments:
+//! QEMU provides the Cortex-M4F with NVIC, SysTick, RAM and flash; the [`emulator`]'s models replace all other
+//! peripherals, and the flash sectors that hold the firmware's settings. An adapter on the bus sends the frames given
+//! as arguments, prints those that it receives, and ends QEMU. Arguments:
 //!
-//! - `bit-rate=125000`: of the adapter, in bit/s;
-//! - `unique-id=000102030405060708090a0b`: of the chip;
-//! - `start=1000`, `interval=50`: when the first frame is queued and how long after it the next is, in ms;
+//! - `bit-rate=125000`: the adapter's bit rate in bit/s;
+//! - `unique-id=000102030405060708090a0b`: the chip's unique id;
+//! - `start=1000`, `interval=50`: the time of the first frame, and the interval to the next, in ms;
 //! - `send=7E5#0401`, once for each frame: identifier and data.
 //!
-//! Works with QEMU 7.2 to 10.0 where it exports its symbols, as Debian builds it; the dynamic linker names one that is
-//! missing.
+//! Works with QEMU 7.2 to 10.0 if it exports its symbols, as Debian's build does; the dynamic linker names a missing
+//! one.
 #![cfg(target_os = "linux")]
 
 mod arguments;
@@ -31,12 +31,12 @@ use arguments::Arguments;
 use board::Board;
 use sys::{MEMTX_ERROR, MEMTX_OK, Machine, MemoryRegionOps};
 
-/// The version of the plugin interface that we speak: any, as we use no more of it than the entry. QEMU reads it when the
-/// plugin has been loaded.
+/// The supported version of the plugin interface: any, as only the entry is used. QEMU reads it after it has loaded the
+/// plugin.
 #[unsafe(no_mangle)]
 pub static qemu_plugin_version: AtomicI32 = AtomicI32::new(1);
 
-/// Runs while the plugin is being loaded: from version 9.0 on QEMU wants 2 at least, before it knows 1 at most.
+/// Runs while the plugin is loaded: from version 9.0 on QEMU requires at least 2, and before it at most 1.
 #[used]
 #[unsafe(link_section = ".init_array")]
 static CHOOSE_VERSION: extern "C" fn() = choose_version;
@@ -47,10 +47,10 @@ extern "C" fn choose_version() {
     }
 }
 
-/// Sectors 1 and 2 of the flash, never executed: the rest of the flash is QEMU's.
+/// Sectors 1 and 2 of the flash, which are never executed: the rest of the flash is QEMU's.
 const SETTINGS: (&CStr, u32, u64) = (c"settings", FLASH_BASE + 0x4000, 0x8000);
 
-/// What a range of addresses is called, where it begins, and its length in bytes.
+/// The name, start and length in bytes of each range of addresses.
 const RANGES: [(&CStr, u32, u64); 4] = [
     SETTINGS,
     (c"system memory", 0x1FFF_0000, 0xC000),
@@ -60,11 +60,11 @@ const RANGES: [(&CStr, u32, u64); 4] = [
 
 static OPS: MemoryRegionOps = MemoryRegionOps::little_endian(read, write);
 
-/// Set at the start, for the time when there is a machine.
+/// Set at the start, for use once there is a machine.
 static ARGUMENTS: OnceLock<Arguments> = OnceLock::new();
 static BOARD: OnceLock<Mutex<Board>> = OnceLock::new();
 
-/// QEMU's entry. It is early: there is no machine yet.
+/// QEMU's entry point. It is called early, before there is a machine.
 ///
 /// # Safety
 /// QEMU calls it, with `argc` strings in `argv`.
@@ -75,7 +75,7 @@ pub unsafe extern "C" fn qemu_plugin_install(
     argc: c_int,
     argv: *const *const c_char,
 ) -> c_int {
-    // SAFETY: our caller's promise.
+    // SAFETY: the caller's promise.
     let arguments = unsafe { sys::strings(argc, argv) };
     match Arguments::parse(arguments.iter().map(String::as_str)) {
         Ok(arguments) => {

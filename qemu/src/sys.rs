@@ -1,4 +1,4 @@
-//! The part of QEMU's C interface that we need, and safe calls of it; all of it runs under QEMU's big lock.
+//! The required part of QEMU's C interface, and safe calls of it; all of it runs under QEMU's big lock.
 
 use std::{
     ffi::{CStr, c_char, c_int, c_uint, c_void},
@@ -7,12 +7,12 @@ use std::{
 
 use emulator::Time;
 
-/// `MemTxResult` of an access that went well.
+/// `MemTxResult` of a successful access.
 pub const MEMTX_OK: c_uint = 0;
-/// `MemTxResult` that the CPU takes as a BusFault.
+/// `MemTxResult` that causes a BusFault.
 pub const MEMTX_ERROR: c_uint = 1;
 
-/// `enum QEMUClockType`: time that stands still while the machine does.
+/// `enum QEMUClockType`: time that stands still while the machine is stopped.
 const QEMU_CLOCK_VIRTUAL: c_int = 1;
 /// `enum device_endian`.
 const DEVICE_LITTLE_ENDIAN: c_int = 2;
@@ -22,12 +22,12 @@ const SHUTDOWN_CAUSE_GUEST_RESET: c_int = 7;
 /// `CLOCK_PERIOD_1SEC`: clocks have periods in units of 2^-32 ns.
 const PERIOD_OF_1_HZ: u64 = 1_000_000_000 << 32;
 
-/// Far more room than any of QEMU's structures takes that we own but never look into: a `MemoryRegion`, a `QEMUTimer`.
+/// Far more room than QEMU's opaque structures need: a `MemoryRegion`, a `QEMUTimer`.
 #[repr(C, align(16))]
 struct Opaque([u8; 4096]);
 
 impl Opaque {
-    /// Zeroed, and never freed: QEMU keeps pointers to it.
+    /// Allocates zeroed memory that is never freed: QEMU keeps pointers to it.
     fn leak() -> *mut c_void {
         ptr::from_mut(Box::leak(Box::new(Self([0; 4096])))).cast()
     }
@@ -35,7 +35,7 @@ impl Opaque {
 
 type Callback = extern "C" fn(opaque: *mut c_void);
 type Notify = extern "C" fn(notifier: *mut c_void, data: *mut c_void);
-/// `read_with_attrs`, whose last parameter, the attributes, we do not look at.
+/// `read_with_attrs`; its last parameter, the attributes, is ignored.
 type Read = extern "C" fn(opaque: *mut c_void, offset: u64, data: &mut u64, size: c_uint) -> c_uint;
 /// `write_with_attrs`, likewise.
 type Write = extern "C" fn(opaque: *mut c_void, offset: u64, data: u64, size: c_uint) -> c_uint;
@@ -61,7 +61,7 @@ struct AccessSizes<Accepts> {
 }
 
 impl MemoryRegionOps {
-    /// Of a device that takes aligned accesses of 1, 2 and 4 bytes.
+    /// The operations of a device with aligned accesses of 1, 2 and 4 bytes.
     pub const fn little_endian(read: Read, write: Write) -> Self {
         Self {
             read: None,
@@ -133,7 +133,7 @@ pub fn exports(name: &CStr) -> bool {
     !symbol.is_null()
 }
 
-/// The arguments of a C program.
+/// Converts the arguments of a C program.
 ///
 /// # Safety
 /// `argv` points to `count` strings.
@@ -146,51 +146,51 @@ pub unsafe fn strings(count: c_int, argv: *const *const c_char) -> Vec<String> {
     (0..count).map(string).collect()
 }
 
-/// Has `notify` called once the machine is complete and before its first reset.
+/// Registers `notify` to be called once the machine is complete and before its first reset.
 pub fn on_machine_ready(notify: Notify) {
     let notifier = Box::leak(Box::new(Notifier { notify, links: [ptr::null_mut(); 2] }));
-    // SAFETY: it lives for ever, and QEMU alone uses it from here.
+    // SAFETY: it lives forever, and only QEMU uses it from here on.
     unsafe { qemu_add_machine_init_done_notifier(notifier) }
 }
 
-/// Has `callback` called at every reset of the machine, after those of QEMU's own devices.
+/// Registers `callback` for every reset of the machine, after those of QEMU's own devices.
 pub fn on_reset(callback: Callback) {
     // SAFETY: the callback does not use its argument.
     unsafe { qemu_register_reset(callback, ptr::null_mut()) }
 }
 
-/// Asks for a reset of the machine.
+/// Requests a reset of the machine.
 pub fn request_reset() {
     // SAFETY: may be called by any thread at any time.
     unsafe { qemu_system_reset_request(SHUTDOWN_CAUSE_GUEST_RESET) }
 }
 
-/// Asks QEMU to end, with success.
+/// Requests QEMU's successful end.
 pub fn request_shutdown() {
     // SAFETY: may be called by any thread at any time.
     unsafe { qemu_system_shutdown_request(SHUTDOWN_CAUSE_GUEST_SHUTDOWN) }
 }
 
-/// Puts `ops` over `length` bytes from `base` on, above what QEMU has there; they get `base` as their `opaque`.
+/// Maps `ops` over `length` bytes from `base` on, above QEMU's own regions; they get `base` as their `opaque`.
 pub fn map(name: &CStr, base: u32, length: u64, ops: &'static MemoryRegionOps) {
-    // SAFETY: there is a machine whenever there is something to map.
+    // SAFETY: there is a machine whenever a region is mapped.
     let memory = unsafe { get_system_memory() };
     let region = Opaque::leak();
     let opaque = ptr::without_provenance_mut(base as usize);
-    // SAFETY: region and operations live for ever, the name is copied, and the region is larger than a MemoryRegion.
+    // SAFETY: region and operations live forever, the name is copied, and the region is larger than a MemoryRegion.
     unsafe {
         memory_region_init_io(region, ptr::null_mut(), ops, opaque, name.as_ptr(), length);
         memory_region_add_subregion_overlap(memory, base.into(), region, 10);
     }
 }
 
-/// What the chip drives in QEMU: the core's interrupt lines, its clock, and a timer for itself.
+/// QEMU's objects that the chip drives: the core's interrupt lines, its clock, and a timer.
 pub struct Machine {
     core: *mut c_void,
     clock: *mut c_void,
     timer: *mut c_void,
     timer_at: Time,
-    /// How far the board's time is ahead of QEMU's, in which the core never stalls.
+    /// The lead of the board's time over QEMU's, in which the core never stalls.
     stalled: Time,
 }
 
@@ -198,14 +198,14 @@ pub struct Machine {
 unsafe impl Send for Machine {}
 
 impl Machine {
-    /// Looks the objects up in a complete machine; `tick` is called when the timer expires.
+    /// Finds the objects in a complete machine; `tick` is called when the timer expires.
     ///
     /// # Panics
-    /// It is not a machine with one Cortex-M and a clock called SYSCLK, as netduinoplus2 is.
+    /// The machine does not have one Cortex-M and a clock called SYSCLK, as netduinoplus2 has.
     pub fn find(tick: Callback) -> Self {
         let timer = Opaque::leak();
         let null = ptr::null_mut();
-        // SAFETY: the paths and names are strings, the timer lives for ever and is larger than a QEMUTimer.
+        // SAFETY: the paths and names are strings, the timer lives forever and is larger than a QEMUTimer.
         let (clock, core) = unsafe {
             timer_init_full(timer, null, QEMU_CLOCK_VIRTUAL, 1, 0, tick, null);
             (
@@ -217,19 +217,19 @@ impl Machine {
         Self { core, clock, timer, timer_at: Time::MAX, stalled: Time::ZERO }
     }
 
-    /// The time of the board.
+    /// The current time of the board.
     pub fn now(&self) -> Time {
         // SAFETY: every caller is a device's or a timer's callback, where instructions are counted exactly.
         let ns = unsafe { qemu_clock_get_ns(QEMU_CLOCK_VIRTUAL) };
         Time::from_ns(ns as u64) + self.stalled
     }
 
-    /// Lets a span pass in which the core does nothing. SysTick misses it, as its interrupts would.
+    /// Lets time pass in which the core does nothing. SysTick misses it, as well as its interrupts.
     pub fn stall(&mut self, span: Time) {
         self.stalled += span;
     }
 
-    /// Drives interrupt line `number`.
+    /// Sets interrupt line `number`.
     pub fn set_irq(&self, number: u32, level: bool) {
         // SAFETY: the core is an ARMv7M with 96 lines, and the chip has fewer.
         unsafe { qemu_set_irq(qdev_get_gpio_in(self.core, number as c_int), level.into()) }
@@ -237,7 +237,7 @@ impl Machine {
 
     /// Sets the frequency of the core and of SysTick.
     pub fn set_clock(&self, hz: u32) {
-        // SAFETY: it is a Clock that nothing else drives.
+        // SAFETY: it is a Clock that no other object drives.
         unsafe {
             if clock_set(self.clock, PERIOD_OF_1_HZ / u64::from(hz)) {
                 clock_propagate(self.clock);
@@ -245,7 +245,7 @@ impl Machine {
         }
     }
 
-    /// Lets the timer expire at the first nanosecond from `at` on, and not before.
+    /// Lets the timer expire at the first nanosecond at or after `at`.
     pub fn set_timer(&mut self, at: Time) {
         let at = at.saturating_sub(self.stalled);
         if std::mem::replace(&mut self.timer_at, at) == at {
@@ -256,7 +256,7 @@ impl Machine {
         unsafe { timer_mod(self.timer, ns as i64) }
     }
 
-    /// The timer has expired: it has to be set again even to the same time.
+    /// Notes that the timer has expired and must be set again even for the same time.
     pub fn timer_expired(&mut self) {
         self.timer_at = Time::MAX;
     }

@@ -9,12 +9,12 @@ from pathlib import Path
 import canopen
 
 WORKSPACE = Path(__file__).resolve().parents[2]
-# A cold build of the emulator and the firmware comes before the first bus.
+# The first bus waits for a cold build of the emulator and the firmware.
 BUILD_TIMEOUT = 1200
 
 
 class Boards:
-    """`cargo emulate` on a free port, with these arguments; to leave the context is to switch the power off."""
+    """`cargo emulate` on a free port, with these arguments; leaving the context switches the power off."""
 
     def __init__(self, *arguments):
         command = ["cargo", "run", "--quiet", "--package", "xtask", "--", "emulate"]
@@ -49,13 +49,13 @@ class Boards:
 
     @property
     def channel(self):
-        """What python-can calls the adapter."""
+        """The adapter's channel in python-can."""
         return f"socket://{self.address}"
 
     def connect(self, bit_rate=125_000, network=None):
-        """Puts a python-canopen network on the bus, a new one by default; to be used as a context."""
+        """Connects a python-canopen network to the bus, a new one by default, for use as a context."""
         network = network or canopen.Network()
-        # The wait after opening is for an Arduino to start; there is none.
+        # python-can waits for an Arduino to start after opening; there is none here.
         network.connect(
             interface="slcan", channel=self.channel, bitrate=bit_rate, sleep_after_open=0
         )

@@ -19,9 +19,9 @@ def answers(number, bit, part, following, timeout=TIMEOUT):
         return False
 
 def find_serial_number():
-    """Fastscan with what is known of the boards; the one that is found is then in configuration."""
+    """Fastscan with the known parts of the identity; the board found is then in configuration state."""
     if not (answers(VENDOR_ID, 0, 0, 1, 2) and answers(PRODUCT_CODE, 0, 1, 3, 2)):
-        sys.exit("the blank boards are of another vendor or product")
+        sys.exit("the blank boards have another vendor-ID or product code")
     number = 0
     for bit in reversed(range(32)):
         number |= 0 if answers(number, bit, 3, 3) else 1 << bit

@@ -1,4 +1,4 @@
-"""Moves all nodes of a bus to another bit rate for good, once each of them has answered there."""
+"""Moves all nodes of a bus to another bit rate, and stores it once each of them has answered there."""
 import argparse, sys, time
 import canopen
 
@@ -29,7 +29,7 @@ for node_id in arguments.node_ids:
     try:
         serial_number = network.add_node(node_id).sdo.upload(0x1018, 4)
     except canopen.SdoCommunicationError:
-        sys.exit(f"node {node_id} is missing: nothing is stored, a power cycle takes all back to {arguments.now} kbit/s")
+        sys.exit(f"node {node_id} is missing: nothing is stored; a power cycle returns all to {arguments.now} kbit/s")
     print(f"node {node_id} at {arguments.then} kbit/s: serial number {int.from_bytes(serial_number, 'little'):08X}")
 lss.store_configuration()
 lss.send_switch_state_global(lss.WAITING_STATE)

@@ -1,4 +1,4 @@
-"""One run of commission.py gives every blank board on the bus a node-ID of its own, for good."""
+"""One run of commission.py gives every blank board on the bus its own node-ID and stores it."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""python-canopen switches a network from bit rate to bit rate, and closes and opens its bus between.
+"""python-canopen switches a network from bit rate to bit rate, and closes and opens its bus in between.
 
 Nothing is tried again. The time-outs are python-canopen's own: 0.5 s for LSS, 0.3 s for SDO.
 With `./run -s -k switch` the tests print how late python-canopen was, and how soon all had answered.
@@ -21,12 +21,12 @@ PRODUCT_CODE, REVISION_NUMBER = 0x4C53_5334, 0x0001_0000
 TABLE_INDEX = {1_000_000: 0, 500_000: 2, 125_000: 4}
 NODE_IDS = 1, 2, 3
 ERROR_PASSIVE = 0x8120
-# Seconds. Twice this is more than the 1.3 s that python-canopen may take to close its bus.
+# In seconds. Twice this is more than the 1.3 s that python-canopen may take to close its bus.
 DELAY = 0.7
 
 
 class Network:
-    """Three boards, and the one python-canopen network that follows them."""
+    """Three boards, and the python-canopen network that follows them."""
 
     def __init__(self, boards):
         self.boards = boards
@@ -41,7 +41,7 @@ class Network:
         self.network.disconnect()
 
     def request_switch(self, bit_rate):
-        """Asks all for the bit rate, and returns when they take part at it."""
+        """Switches all boards to the bit rate, and returns when they take part at it."""
         master = self.network.lss
         master.send_switch_state_global(master.CONFIGURATION_STATE)
         master.configure_bit_timing(TABLE_INDEX[bit_rate])
@@ -49,7 +49,7 @@ class Network:
         return time.monotonic() + 2 * DELAY
 
     def follow(self, bit_rate, switched, late):
-        """Opens the bus at the bit rate this many seconds late, and asks every board."""
+        """Opens the bus at the bit rate a number of seconds late, and asks every board."""
         self.network.disconnect()
         time.sleep(max(0, switched + late - time.monotonic()))
         print(f"{self.bit_rate // 1000} -> {bit_rate // 1000} kbit/s,", end=" ")
@@ -61,7 +61,7 @@ class Network:
         print(f"all had answered {time.monotonic() - connected:.2f} s later")
 
     def ask_all(self):
-        """Asks all by LSS and each by SDO: nobody has looked for another bit rate."""
+        """Asks all by LSS and each by SDO: no board has looked for another bit rate."""
         master = self.network.lss
         assert master.inquire_lss_address(lss.CS_INQUIRE_PRODUCT_CODE) == PRODUCT_CODE
         master.send_switch_state_global(master.WAITING_STATE)
@@ -88,7 +88,7 @@ def network():
             yield network
 
 
-# Seconds late at each step of a round; the 20 s are waited through once.
+# The master's delay at each step of a round in seconds; 20 s occur only once.
 ROUNDS = [(0.1, 1, 5), (5, 0.1, 1), (1, 20, 0.1)]
 
 
@@ -114,7 +114,7 @@ def test_a_master_that_syncs_at_the_old_rate_loses_nobody(network, heartbeat):
         history = node.sdo["Pre-defined error field"]
         errors = [history[number].raw for number in range(1, history[0].raw + 1)]
         print(f"node {node.id}:", *(f"{error:08X}" for error in errors))
-        assert ERROR_PASSIVE in errors, "the SYNC has disturbed nobody"
+        assert ERROR_PASSIVE in errors, "the SYNC has disturbed no board"
 
 
 def test_the_script_moves_a_network_for_good(tmp_path):

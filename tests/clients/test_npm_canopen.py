@@ -1,4 +1,4 @@
-"""The npm package canopen against the release firmware: node/session.js."""
+"""Tests the release firmware with the npm package canopen: node/session.js."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""python-canopen over python-can's slcan interface, both unmodified, against the release firmware."""
+"""Tests the release firmware with python-canopen over python-can's slcan interface, both unmodified."""
 
 import queue
 import time
@@ -13,7 +13,7 @@ from boards import WORKSPACE, Boards
 EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
 VENDOR_ID, PRODUCT_CODE, REVISION_NUMBER = 0x0000_0000, 0x4C53_5334, 0x0001_0000
 BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
-# Far beyond what is due, for a computer that is busy.
+# Much longer than necessary, for a busy computer.
 PATIENCE = 20
 
 
@@ -50,7 +50,7 @@ def identity(boards):
 def test_fast_scan_finds_a_blank_board_and_lss_configures_it_for_good(tmp_path):
     with Boards("--flash", tmp_path) as boards, connect(boards) as network:
         master = network.lss
-        # The scan knows a 1 by silence, so its time-out is its speed.
+        # The scan recognises a 1 by the absence of an answer, so its time-out determines its speed.
         master.RESPONSE_TIMEOUT = 0.25
         assert master.fast_scan() == (True, list(identity(boards)))
         master.RESPONSE_TIMEOUT = PATIENCE
@@ -66,7 +66,7 @@ def test_fast_scan_finds_a_blank_board_and_lss_configures_it_for_good(tmp_path):
         states = States(node)
         master.configure_node_id(42)
         master.store_configuration()
-        assert master.inquire_node_id() == 0xFF, "active from the next reset on"
+        assert master.inquire_node_id() == 0xFF, "active after the next reset"
         master.send_switch_state_global(master.WAITING_STATE)
         states.wait_for(BOOT_UP)
         states.wait_for(PRE_OPERATIONAL)
@@ -96,7 +96,7 @@ def test_bit_timing_is_configured_activated_and_stored(tmp_path):
             delay = 2.0
             network.lss.activate_bit_timing(int(delay * 1000))
             requested = time.monotonic()
-        # Within the first delay the board is silent, so that nobody sees the change of the master's bit rate.
+        # During the first delay the board is silent, so the change of the master's bit rate goes unnoticed.
         with connect(boards, 500_000) as network:
             states = States(add_node(network, 5))
             time.sleep(max(0, requested + delay - time.monotonic()))
@@ -109,7 +109,7 @@ def test_bit_timing_is_configured_activated_and_stored(tmp_path):
 
 
 def test_the_node_is_what_its_eds_says():
-    # A board that is alone until python-canopen comes is error passive by then: its error register is 11h.
+    # A board that is alone until python-canopen connects is error passive by then: its error register is 11h.
     with Boards("--boards", 2, "--node-id", 5) as boards, connect(boards) as network:
         node = add_node(network, 5)
         of_every_board = [

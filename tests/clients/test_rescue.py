@@ -1,4 +1,4 @@
-"""What python-canopen sees of a board whose stored bit rate is not that of the bus."""
+"""Tests with python-canopen a board whose stored bit rate is not that of the bus."""
 
 import struct
 import time

@@ -1,4 +1,4 @@
-//! How long the release image takes to answer: from the request's last but one bit to the transmit request, in core cycles.
+//! The answer time of the release image: from the request's last bit but one to the transmit request, in core cycles.
 
 use emulator::{
     Time,
@@ -16,20 +16,20 @@ use testkit::{
     random::Random,
 };
 
-/// What an answer may take, store configuration apart, in core cycles.
+/// The limit for an answer, except to store configuration, in core cycles.
 const ANSWER_CYCLES: u64 = 520;
-/// What a boot-up may take that a request or a command leads to: the filters change with the node-ID.
+/// The limit for a boot-up caused by a request or a command: the filters change with the node-ID.
 const BOOT_UP_CYCLES: u64 = 2_200;
-/// The same for an SDO upload, which searches the object dictionary.
+/// The limit for an SDO upload, which searches the object dictionary.
 const SDO_CYCLES: u64 = 1_000;
-/// What a bus of 1 Mbit/s that is full of requests may take of the CPU.
+/// The limit for the CPU load of a 1 Mbit/s bus that is full of requests.
 const MOST_LOAD_PERCENT: u64 = 10;
-/// A fast master waits so long.
+/// The time-out of a fast master.
 const MASTER_TIMEOUT: Time = Time::from_ms(20);
 
-/// Core cycles from when `request` was valid to when the board asked for the transmission of the answer.
+/// Core cycles from the time at which `request` is valid to the board's request to transmit the answer.
 fn cycles_to_answer(bench: &mut ImageRig, request: &NodeFrame) -> u64 {
-    // A frame is valid for a receiver when the last but one bit of its end is sampled, at 7/8 of the bit.
+    // A frame is valid for a receiver when the last bit but one of its end is sampled, at 7/8 of the bit.
     let valid_before_end = Time::from_ps(bench.bit_time().as_ps() * 9 / 8);
     let end = bench.transmit(on_the_wire(request));
     bench.collect(MASTER_TIMEOUT);
@@ -38,7 +38,7 @@ fn cycles_to_answer(bench: &mut ImageRig, request: &NodeFrame) -> u64 {
     (time - valid).as_ps() * CORE_MHZ / 1_000_000
 }
 
-/// The same for the answer that begins with `command`, whatever else is sent.
+/// The same for the answer that begins with `command`, regardless of other frames.
 fn cycles_to(bench: &mut ImageRig, request: &str, command: u8) -> u64 {
     let valid_before_end = Time::from_ps(bench.bit_time().as_ps() * 9 / 8);
     let valid = bench.transmit_request(request).saturating_sub(valid_before_end);
@@ -115,7 +115,7 @@ fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
         println!("store, {timing:?} flash: {cycles} cycles, {time} ms");
         assert!(time < most, "{time}");
         let cycles = cycles_to_answer(&mut bench, &frames::request("17"));
-        println!("store of the same again: {cycles} cycles");
+        println!("store of unchanged settings: {cycles} cycles");
         assert!(cycles < 4 * ANSWER_CYCLES);
     }
 }
@@ -131,14 +131,14 @@ fn an_answer_takes_as_long_in_every_nmt_state() {
         bench.nmt(command);
         let spans = (0..50).map(|_| cycles_to(&mut bench, "5A", 0x5A));
         let worst = spans.max().expect("there are fifty");
-        println!("{state:30} {worst:5} cycles at worst");
+        println!("{state:30} {worst:5} cycles at most");
         // A tick may be under way.
         assert!(worst < 2 * ANSWER_CYCLES, "{state}: {worst} cycles");
     }
 }
 
 #[test]
-fn a_store_delays_an_answer_by_no_more_than_two_words_of_the_slowest_flash() {
+fn a_store_delays_an_answer_by_at_most_two_words_of_the_slowest_flash() {
     const WORD_US: u64 = 100;
     let mut worst = 0;
     for node_id in 1..=20 {
@@ -153,7 +153,7 @@ fn a_store_delays_an_answer_by_no_more_than_two_words_of_the_slowest_flash() {
         assert!(still_stores(&mut bench));
         worst = worst.max(cycles_to(&mut bench, "5A", 0x5A));
     }
-    println!("{:30} {worst:5} cycles at worst", "during a store");
+    println!("{:30} {worst:5} cycles at most", "during a store");
     assert!(worst < ANSWER_CYCLES + 2 * WORD_US * CORE_MHZ, "{worst} cycles");
 }
 
@@ -180,7 +180,7 @@ fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
 }
 
 #[test]
-fn six_requests_back_to_back_are_answered_in_their_order_on_a_bus_that_is_full_of_urgent_frames() {
+fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
     let mut random = Random::from_environment();
     let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(7));
     let other = bench.network.add_adapter(Adapter::new(1_000_000));
@@ -261,8 +261,8 @@ fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
 }
 
 #[test]
-fn a_node_boots_up_within_5_ms_of_a_reset_also_behind_a_full_bank_of_settings() {
-    // As many records as fit before the log moves to its other bank.
+fn a_node_boots_up_within_5_ms_even_with_a_full_bank_of_settings() {
+    // The largest number of records before the log moves to its other bank.
     let stores: Vec<_> =
         (0..383_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();
     let mut board = blank_board(0);

@@ -1,4 +1,5 @@
-//! The release image and what it must bear: frames of any kind, damaged flash, and a bus with nobody or the wrong rate on it.
+//! The release image under adverse input: frames of any kind, damaged flash, and a bus without nodes or at the wrong
+//! rate.
 
 use emulator::{
     Time,
@@ -19,12 +20,12 @@ use testkit::{
 
 const LSS: Id = Id::Standard(0x7E5);
 
-/// What a node that understood `frame` in configuration state would answer: an inquiry of the node-ID.
+/// The answer of a node that understood `frame` in configuration state: an inquiry of the node-ID.
 fn inquiry(id: Id) -> Frame {
     Frame::data(id, &[0x5E, 0, 0, 0, 0, 0, 0, 0])
 }
 
-/// Node 40 in configuration state; nothing may come of what is sent to it.
+/// Node 40 in configuration state, on which the frames sent must have no effect.
 fn configured() -> ImageRig {
     let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
     bench.collect(Time::from_ms(20));
@@ -88,7 +89,7 @@ fn an_nmt_command_of_another_form_or_for_another_node_is_ignored() {
     assert_ignored(&mut bench, &frames);
 }
 
-/// Any frame that asks nothing of node 40 in configuration state, most of them nearly a request.
+/// A random frame without an effect on node 40 in configuration state, mostly almost a request.
 fn meaningless(random: &mut Random) -> Frame {
     let id = match random.within(0..8) {
         0 => Id::Extended(random.u32() >> 3),
@@ -107,7 +108,7 @@ fn meaningless(random: &mut Random) -> Frame {
     }
     let mut frame = Frame::data(id, &data).with_dlc(dlc);
     match (id, dlc) {
-        // Command specifiers of answers and ones that do not exist.
+        // Command specifiers of answers and undefined ones.
         (LSS, 8) => frame.data[0] = random.pick(&[0x00, 0x44, 0x4F, 0x50, 0x80, 0xE5, 0xFF]),
         (Id::Standard(0x000), 2) => frame.data[1] = random.within(0x41..0x100) as u8,
         (Id::Standard(0x640), 8) => frame.dlc = 9,
@@ -127,8 +128,8 @@ fn random_frames_that_ask_nothing_have_no_effect() {
     }
 }
 
-/// A request with a command specifier that is one, in most cases with sensible parameters. None of them activates bit
-/// timing, which takes time, nor stores, which takes flash.
+/// A request with a valid command specifier, mostly with sensible parameters. None activates bit timing, which takes
+/// time, or stores, which wears the flash.
 fn request(random: &mut Random, address: [u32; 4]) -> [u8; 8] {
     let mut data = random.bytes::<8>();
     data[0] = random.pick(&[
@@ -168,7 +169,7 @@ fn random_requests_are_answered_as_the_library_answers_them() {
     let mut last_ones = Vec::new();
     for _ in 0..3_000 {
         let request = request(&mut random, parts);
-        // Back to FF with a reset now and then: without, most of the node's life is spent with a node-ID.
+        // Back to FF with a reset now and then: otherwise the node would have a node-ID for most of the test.
         let frame = match random.within(0..40) {
             0 => lss_slave::Frame::new(0x7E5, &[0x11, 0xFF, 0, 0, 0, 0, 0, 0]),
             1 => lss_slave::Frame::new(0x000, &[0x82, 0x00]),
@@ -184,7 +185,7 @@ fn random_requests_are_answered_as_the_library_answers_them() {
 }
 
 #[test]
-fn a_damaged_flash_boots_the_default_settings_and_the_board_says_why() {
+fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
     let mut random = Random::from_environment();
     for fill in [0x00, 0x55, 0xA5] {
         let mut board = blank_board(0);
@@ -211,7 +212,7 @@ fn a_damaged_flash_boots_the_default_settings_and_the_board_says_why() {
 }
 
 #[test]
-fn after_a_torn_last_record_the_settings_before_it_are_used_and_the_board_says_so() {
+fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
     let old = settings(0x40, BitRate::Kbit1000);
     let mut flash = flash_with(&[old, settings(0x04, BitRate::Kbit1000)]);
     let last = flash.chunks(32).rposition(|record| record != [0xFF; 32]).expect("a record");
@@ -261,7 +262,7 @@ fn a_power_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
 }
 
 #[test]
-fn a_board_alone_on_the_bus_waits_and_is_there_when_somebody_comes() {
+fn a_board_alone_on_the_bus_waits_and_answers_a_master_that_joins() {
     let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(500));
     let from = bench.network.now();
     bench.network.adapter_mut(bench.master).close();
@@ -270,13 +271,13 @@ fn a_board_alone_on_the_bus_waits_and_is_there_when_somebody_comes() {
     assert!(!bench.did(0, from).any(|event| event.what == What::BusOff), "only error passive");
     bench.network.adapter_mut(bench.master).open();
     let waiting = bench.collect(Time::from_ms(20));
-    assert!(waiting.0.len() < 20, "the frames that waited, and no flood: {waiting:?}");
+    assert!(waiting.0.len() < 20, "only the waiting frames: {waiting:?}");
     bench.lss("04 01");
     assert_eq!(bench.lss("5E"), ["5E 40"]);
 }
 
 #[test]
-fn a_board_that_is_driven_bus_off_recovers_and_tells_it() {
+fn a_board_that_is_driven_bus_off_recovers_and_reports_it() {
     let settings = settings(0x40, BitRate::Kbit500).with_heartbeat_ms(20);
     let mut bench = ImageRig::with(settings);
     bench.lss("04 01");
@@ -286,10 +287,10 @@ fn a_board_that_is_driven_bus_off_recovers_and_tells_it() {
     assert!(bench.did(0, from).any(|event| event.what == What::BusOff));
     bench.network.set_short(None);
     let frames = bench.collect(Time::from_s(1));
-    let told = |text: &str| frames.0.iter().any(|frame| frames::text(frame).starts_with(text));
-    assert!(told("740: 7F"), "{frames:?}");
-    assert!(told("0C0: 40 81 11"), "{frames:?}");
-    assert!(told("0C0: 00 00 00"), "{frames:?}");
+    let reported = |text: &str| frames.0.iter().any(|frame| frames::text(frame).starts_with(text));
+    assert!(reported("740: 7F"), "{frames:?}");
+    assert!(reported("0C0: 40 81 11"), "{frames:?}");
+    assert!(reported("0C0: 00 00 00"), "{frames:?}");
     let answers = bench.lss("5E");
     assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40")));
     let log = bench.network.board(0).log();

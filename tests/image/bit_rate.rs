@@ -1,4 +1,4 @@
-//! A release image at the wrong bit rate, or told to detect it: it finds the rate of the bus and disturbs nobody for long.
+//! A release image at the wrong bit rate, or set to detect it: it finds the rate of the bus with little disturbance.
 
 use emulator::{
     Time,
@@ -13,7 +13,7 @@ use testkit::{
     },
 };
 
-/// Two other nodes that talk to each other every 10 ms for a span.
+/// Two other nodes that exchange a frame every 10 ms for a duration.
 fn talk(bench: &mut ImageRig, others: [AdapterId; 2], span: Time) {
     let until = bench.network.now() + span;
     while bench.network.now() < until {
@@ -32,12 +32,12 @@ fn automatic() -> Settings {
     settings(0x40, BitRate::Kbit1000).with_bit_rate(BitRateSetting::Automatic)
 }
 
-/// Has the master repeat a frame, as CAN controllers do, until somebody acknowledges it.
+/// Makes the master repeat a frame, as CAN controllers do, until another node acknowledges it.
 fn wait_until_acknowledged(bench: &mut ImageRig) {
     let from = bench.network.now();
     bench.network.send(bench.master, on_the_wire(&frames::request("04 00")));
     while bench.network.adapter_mut(bench.master).unsent() > 0 {
-        assert!(bench.network.now() < from + Time::from_s(10), "nobody comes");
+        assert!(bench.network.now() < from + Time::from_s(10), "no acknowledge");
         bench.network.run_for(Time::from_ms(1));
     }
     println!("{} ms at {} ms a bit", bench.network.now() - from, bench.bit_time());
@@ -52,7 +52,7 @@ fn answers(bench: &mut ImageRig) -> bool {
 }
 
 #[test]
-fn a_board_that_detects_the_bit_rate_finds_each_of_them_without_an_error_frame() {
+fn a_board_detects_each_bit_rate_without_an_error_frame() {
     for bit_rate in BitRate::ALL {
         let mut bench = ImageRig::new(bit_rate, [board_with(0, automatic())]);
         let others = others(&mut bench, bit_rate);
@@ -86,7 +86,7 @@ fn automatic_detection_can_be_configured_stored_and_taken_back() {
     bench.set_master_bit_rate(BitRate::Kbit250);
     let others = others(&mut bench, BitRate::Kbit250);
     bench.power_on(0);
-    assert_eq!(bench.collect(Time::from_s(2)), SILENCE, "nothing to hear");
+    assert_eq!(bench.collect(Time::from_s(2)), SILENCE, "the bus is silent");
     talk(&mut bench, others, Time::from_s(3));
     bench.collect(Time::from_ms(100));
     assert!(answers(&mut bench));
@@ -101,7 +101,7 @@ fn automatic_detection_can_be_configured_stored_and_taken_back() {
 }
 
 #[test]
-fn a_configured_board_that_is_put_into_a_busy_network_of_another_rate_joins_it() {
+fn a_configured_board_joins_a_busy_network_of_another_rate() {
     for (own, theirs) in [
         (BitRate::Kbit1000, BitRate::Kbit125),
         (BitRate::Kbit500, BitRate::Kbit10),

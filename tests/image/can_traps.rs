@@ -1,4 +1,4 @@
-//! A release image on chips whose CAN controller does what the manual does not say: it joins, and harms nobody.
+//! A release image on chips whose CAN controller deviates from the manual: it joins, and disturbs no other node.
 
 use emulator::{
     Time,
@@ -17,7 +17,7 @@ use testkit::{
     image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
 };
 
-/// The line to the transceiver, as device.rs has it.
+/// The line to the transceiver, as in device.rs.
 const TRANSMIT: Pin = Pin('B', 9);
 
 fn board(settings: Settings, can_readings: Readings) -> Board {
@@ -37,7 +37,7 @@ fn answers(bench: &mut ImageRig) -> bool {
     bench.lss("5E").0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
 }
 
-/// Where the others find no error without the board, they find none with it.
+/// Checks that other nodes detect no error with the board if they detect none without it.
 #[test]
 fn a_listener_whose_transmit_pin_is_locked_never_holds_the_bus_dominant() {
     for (every, frame) in [(1, 1), (1, 3), (2, 1), (3, 2)] {
@@ -98,7 +98,7 @@ fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
     bench.network.run_for(Time::from_s(3));
     let resets = bench.did(0, since).filter(|event| event.what == What::InitializationEntered);
     let count = resets.count();
-    assert!((8..=13).contains(&count), "four times a second at most: {count} in 3 s");
+    assert!((8..=13).contains(&count), "at most four times a second: {count} in 3 s");
     bench.network.set_short(None);
     let other = bench.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
     for _ in 0..150 {
@@ -109,7 +109,7 @@ fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
     assert!(answers(&mut bench));
 }
 
-/// The interrupt of bus-off stays for as long as bus-off does: it must not keep everything else from its turn.
+/// The interrupt of bus-off lasts as long as bus-off does: it must not block everything else.
 #[test]
 fn a_board_in_bus_off_for_long_is_not_starved_by_its_interrupt() {
     let readings = Readings { bus_off_holds_interrupt: true, ..Readings::default() };
@@ -132,7 +132,7 @@ fn a_board_in_bus_off_for_long_is_not_starved_by_its_interrupt() {
     assert!(busy < cycles / 20, "{busy} of {cycles} cycles");
 }
 
-/// The board's line is recessive in every mode but that in which it takes part.
+/// The board's line is recessive in every mode except normal mode.
 #[test]
 fn a_listener_gives_the_line_back_to_the_controller_when_it_takes_part() {
     let mut bench = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);

@@ -1,5 +1,5 @@
-//! The release image where the chip sets traps: a supply that is too low, a crystal that does not start or stops, no fault below
-//! the stack, commit words that flip, a slow core.
+//! The release image on difficult hardware: a low supply, a crystal that does not start or stops, no fault below the
+//! stack, commit words that read differently each time, a slow core.
 
 use emulator::{
     Time,
@@ -98,7 +98,7 @@ fn a_node_whose_supply_stays_low_is_on_the_bus_but_stores_nothing() {
     assert_eq!(bench.network.board(0).chip().flash().operations(), 0);
 }
 
-/// From the failure on the board must not send; a frame that was under way ends as an error.
+/// After the failure the board must not send; a frame under way ends as an error.
 #[test]
 fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
     for under_way in [false, true] {
@@ -133,7 +133,7 @@ fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
 }
 
 #[test]
-fn a_crystal_that_does_not_start_ends_each_100_ms_in_a_reset_and_a_log_line() {
+fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_each_100_ms() {
     let mut board = board_with(Readings { hse_start: Time::MAX, ..Readings::default() }, &[]);
     run(&mut board, Time::from_ms(1_000));
     let resets = board.resets();
@@ -177,7 +177,7 @@ fn a_stack_overflow_is_a_fault_even_where_nothing_faults_below_the_ram() {
         bench.network.board_mut(0).set_flash(offset, &code);
         let mut after = [0; 1024];
         assert!(bench.network.board(0).read_memory(RAM_BASE, &mut after));
-        assert!(guard == after, "nobody writes to the guard");
+        assert!(guard == after, "nothing writes to the guard");
         bench.boot(0, from);
         assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
         assert_eq!(says(bench.network.board(0), "stack overflow, resetting"), 1);
@@ -185,7 +185,7 @@ fn a_stack_overflow_is_a_fault_even_where_nothing_faults_below_the_ram() {
 }
 
 #[test]
-fn what_was_found_after_a_cut_is_found_at_every_power_on() {
+fn settings_found_after_a_cut_are_found_at_every_power_on() {
     let mut random = Random::from_environment();
     let mut found_new = 0;
     for _ in 0..24 {

@@ -1,5 +1,5 @@
-//! Blank release images on one bus, named by a master of ours that waits only as long as their answer time demands: how near it
-//! comes to what the bus allows.
+//! Blank release images on one bus, commissioned by a test master that waits no longer than the boards' answer time:
+//! how close it comes to the limit of the bus.
 
 use std::{
     env,
@@ -18,17 +18,17 @@ use testkit::{
 };
 
 const BIT_RATE: BitRate = BitRate::Kbit1000;
-/// From the end of a request until the answer is on the bus at the latest.
+/// The longest time from the end of a request until the answer is on the bus.
 const ANSWER_TIME: Time = Time::from_us(8);
 /// The same for store configuration, by the slowest flash.
 const STORE_TIME: Time = Time::from_ms(2);
-/// Until the bus is free again after a frame, and for the rounding of both.
+/// The time until the bus is free again after a frame, and for the rounding of both.
 const INTERMISSION_BITS: u64 = 4;
 
 /// A master that is alone on the bus with the boards.
 struct Master {
     bench: ImageRig,
-    /// Requests so far, and those of them that were answered.
+    /// The number of requests, and of those that were answered.
     requests: u32,
     answers: u32,
 }
@@ -45,7 +45,7 @@ impl Master {
         self.bench.bit_time() * (u64::from(frame.wire_bits()) + INTERMISSION_BITS)
     }
 
-    /// Sends a request; returns the answer, or that within the time for `expected` there was none.
+    /// Sends a request; returns the answer, or `None` if there was none within the time for `expected`.
     fn ask(&mut self, request: &str, expected: &str, answer_time: Time) -> Option<Frame> {
         let request = on_the_wire(&frames::request(request));
         let mut answer = frames::request(expected);
@@ -59,7 +59,7 @@ impl Master {
     }
 
     /// Sends a request that has no answer.
-    fn tell(&mut self, request: &str) {
+    fn send(&mut self, request: &str) {
         let request = on_the_wire(&frames::request(request));
         let span = self.bits(&request);
         self.bench.network.send(self.bench.master, request);
@@ -67,15 +67,15 @@ impl Master {
         self.bench.network.run_for(span);
     }
 
-    /// A Fastscan step: whether a board that is not configured has, in part `sub` of its LSS address, the bits of `number`
-    /// from `bit` up.
+    /// A Fastscan step: whether an unconfigured board has the bits of `number` from `bit` up in part `sub` of its LSS
+    /// address.
     fn matches(&mut self, number: u32, bit: u8, sub: u8, next: u8) -> bool {
         let number = frames::number(number);
         let request = format!("51 {number} {bit:02X} {sub:02X} {next:02X}");
         self.ask(&request, "4F", ANSWER_TIME).is_some()
     }
 
-    /// Finds one board of which the parts that are `Some` are known, and leaves it in LSS configuration state.
+    /// Finds one board whose parts that are `Some` are known, and leaves it in LSS configuration state.
     fn find(&mut self, known: [Option<u32>; 4]) -> Option<[u32; 4]> {
         if !self.matches(0, 0x80, 0, 0) {
             return None;
@@ -93,7 +93,7 @@ impl Master {
         Some(found)
     }
 
-    /// Gives the board in LSS configuration state a node-ID, for good; returns once it has booted up.
+    /// Gives the board in LSS configuration state a node-ID and stores it; returns once it has booted up.
     fn name(&mut self, node_id: u8) {
         let answer = self.ask(&format!("11 {node_id:02X}"), "11", ANSWER_TIME);
         assert_eq!(answer.map(|frame| frame.payload()[1]), Some(0));
@@ -104,7 +104,7 @@ impl Master {
         assert_eq!(answer.map(|frame| frame.id), Some(boot_up));
     }
 
-    /// Names all boards, from 1 on, and prints how long a node took.
+    /// Gives all boards node-IDs from 1 on, and prints the time for each.
     fn commission(&mut self, boards: u8, what: &str, known: [Option<u32>; 4], floor_ms: f64) {
         let began = self.bench.network.now();
         let mut serials = Vec::new();
@@ -133,15 +133,15 @@ impl Master {
     }
 }
 
-/// Of the boards that this test starts: 8, or as many as `BOARDS` says, up to 127.
+/// The number of boards: 8, or the value of `BOARDS`, up to 127.
 fn boards() -> u8 {
     env::var("BOARDS").map_or(8, |text| text.parse().expect("BOARDS is a number up to 127"))
 }
 
 #[test]
-fn blank_boards_of_which_only_the_serial_number_is_unknown_are_named_at_the_limit_of_the_bus() {
+fn blank_boards_with_unknown_serial_numbers_are_commissioned_at_bus_speed() {
     let mut master = Master::new(boards());
-    master.tell("04 01");
+    master.send("04 01");
     let mut part = |request: &str| {
         let answer = master.ask(request, request, ANSWER_TIME).expect("an answer");
         let mut number = [0; 4];
@@ -149,11 +149,11 @@ fn blank_boards_of_which_only_the_serial_number_is_unknown_are_named_at_the_limi
         Some(u32::from_le_bytes(number))
     };
     let known = [part("5A"), part("5B"), part("5C"), None];
-    master.tell("04 00");
+    master.send("04 00");
     master.commission(boards(), "serial number unknown", known, 10.5);
 }
 
 #[test]
-fn blank_boards_of_which_nothing_is_known_are_named_at_the_limit_of_the_bus() {
+fn unknown_blank_boards_are_commissioned_at_bus_speed() {
     Master::new(boards()).commission(boards(), "nothing known", [None; 4], 36.4);
 }

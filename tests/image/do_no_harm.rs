@@ -1,4 +1,4 @@
-//! Supervision on the release image: a correct node is reached as soon as one without supervision, a lost one is found.
+//! Supervision on the release image: a right rate is kept at no loss of time, and a lost node is found.
 
 use emulator::{
     Time,
@@ -13,7 +13,7 @@ use testkit::{
 
 /// The silent bit of CAN_BTR (RM0090, 32.9.2).
 const SILM: u32 = 1 << 31;
-/// A frame with eight bytes, in bits, and how many of them a late master may wait.
+/// The length of a frame with eight bytes in bits, and the number of them that a late master may have to wait.
 const LONG_FRAME_BITS: u64 = 135;
 const PATIENCE_FRAMES: u64 = 25;
 
@@ -36,7 +36,8 @@ fn boards(count: u8, heartbeat_ms: u16, bit_rate: BitRate) -> ImageRig {
     bench
 }
 
-/// Has the master send `request` once; returns how long after its start the answer `id` comes, if it does within `limit`.
+/// Makes the master send `request` once; returns the time from its start to the answer `id`, if it comes within
+/// `limit`.
 fn answer_time(bench: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Option<Time> {
     while bench.network.receive(bench.master).is_some() {}
     let from = bench.network.now();
@@ -51,7 +52,7 @@ fn answer_time(bench: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Op
     None
 }
 
-/// Has the master send `request` every 20 ms until the answer `id` comes; returns how long that takes.
+/// Makes the master send `request` every 20 ms until the answer `id` comes; returns the time taken.
 fn reach(bench: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Option<Time> {
     let from = bench.network.now();
     while bench.network.now() < from + limit {
@@ -78,7 +79,7 @@ fn read(id: u8) -> Frame {
     Frame::data(Id::Standard(0x600 + u16::from(id)), &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0])
 }
 
-/// All boards are told to switch; the master stays at the old rate.
+/// All boards are commanded to switch; the master stays at the old rate.
 fn activate(bench: &mut ImageRig, to: BitRate, delay_ms: u16) {
     bench.network.send(bench.master, on_the_wire(&frames::request("04 01")));
     let configure = frames::request(&format!("13 00 {:02X}", to.index()));
@@ -136,7 +137,7 @@ fn several_boards_answer_a_master_that_is_up_to_30_s_late() {
     }
 }
 
-/// The master goes on at the old rate, with a SYNC each 100 ms, and follows `late_ms` after the switch.
+/// The master continues at the old rate, with a SYNC every 100 ms, and follows `late_ms` after the switch.
 fn assert_waits_for_a_master_that_goes_on(
     (from, to): (BitRate, BitRate),
     id: u8,
@@ -160,7 +161,7 @@ fn assert_waits_for_a_master_that_goes_on(
 }
 
 #[test]
-fn a_master_that_goes_on_at_the_old_rate_loses_nobody() {
+fn a_master_that_continues_at_the_old_rate_loses_no_board() {
     for (number, pair) in pairs().enumerate() {
         let id = [1, 5, 16, 32, 64, 100, 127][number % 7];
         let (heartbeat_ms, late_ms) = [(1000, 300), (0, 300), (1000, 3_000)][number % 3];
@@ -172,7 +173,7 @@ fn a_master_that_goes_on_at_the_old_rate_loses_nobody() {
     }
 }
 
-/// A laptop at another rate, which repeats a frame or sends one now and then.
+/// A laptop at another rate, which repeats a frame or sends one from time to time.
 fn plug_in_laptop(bench: &mut ImageRig, bit_rate: BitRate) -> AdapterId {
     bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate)))
 }
@@ -215,7 +216,7 @@ fn a_node_alone_that_missed_a_switch_finds_a_polling_master() {
     }
 }
 
-/// A board whose stored rate nobody uses, found by a polling master at another one.
+/// A board whose stored rate no other node uses, found by a polling master at another one.
 fn rescued(home: BitRate, found: BitRate) -> ImageRig {
     let mut bench = boards(1, 0, home);
     bench.set_master_bit_rate(found);
@@ -247,10 +248,10 @@ fn a_spare_part_that_was_rescued_stores_the_rate_that_works() {
     bench.expect_reset(0, emulator::chip::ResetCause::PowerOn);
     bench.network.run_for(Time::from_ms(50));
     let time = answer_time(&mut bench, read(7), 0x587, patience(BitRate::Kbit125));
-    assert!(time.is_some(), "at the rate that was found");
+    assert!(time.is_some(), "at the rate found");
 }
 
-/// Whether the master, which only listens, hears a heartbeat of node 1 within `limit`, and after what time.
+/// The time until the master, which only listens, receives a heartbeat of node 1, if within `limit`.
 fn heartbeat_time(bench: &mut ImageRig, limit: Time) -> Option<Time> {
     while bench.network.receive(bench.master).is_some() {}
     let from = bench.network.now();
@@ -285,12 +286,13 @@ fn a_short_circuit_costs_at_most_100_ms_more_than_it_lasts() {
     }
 }
 
-/// Two others at `bit_rate`, who talk once a second or without pause.
+/// Two other nodes at `bit_rate`, which send once a second or without pause.
 fn others(bench: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
     [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
 }
 
-/// How long after it came to the bus a board at a wrong stored rate takes part at `found`, where a frame passes every `period`.
+/// The time from power-on until a blank board at a wrong stored rate takes part at `found`, with a frame every
+/// `period`.
 fn time_until_found(
     node_id: u8,
     (stored, found): (BitRate, BitRate),
@@ -334,7 +336,7 @@ fn time_until_found(
     None
 }
 
-/// Whether a node at `stored` may not notice a heartbeat at `found`: it is over before a bit is sampled twice.
+/// Whether a node at `stored` may miss a heartbeat at `found`: it is over before a bit is sampled twice.
 fn may_not_notice((stored, found): (BitRate, BitRate)) -> bool {
     stored.kbit_per_s() < 50 && found.kbit_per_s() > 125
 }
@@ -356,7 +358,7 @@ fn a_wrong_stored_rate_is_found_by_three_or_four_sparse_frames() {
 #[test]
 fn a_wrong_stored_rate_is_found_in_100_ms_under_load() {
     for (stored, found) in pairs() {
-        // Nine tenths of the bus.
+        // A bus load of 90 %.
         let period = Time::from_us(13_500 / u64::from(found.kbit_per_s()));
         let time = time_until_found(0xFF, (stored, found), period, Time::from_s(2));
         let what = format!("{stored:?} stored, {found:?} found: {time:?}");

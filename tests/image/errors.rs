@@ -1,4 +1,4 @@
-//! The release image on a bus that fails: its emergencies (CiA 301) and its NMT state.
+//! The release image on a failing bus: its emergencies (CiA 301) and its NMT state.
 
 use emulator::{
     Time,
@@ -18,7 +18,7 @@ fn node_40() -> ImageRig {
     ImageRig::with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100))
 }
 
-/// Nobody but the board is on the bus for `span`; returns what it sends in the two seconds after.
+/// Leaves the board alone on the bus for `span`; returns the frames that it sends in the two seconds after.
 fn alone_for(bench: &mut ImageRig, span: Time) -> Vec<String> {
     bench.network.adapter_mut(bench.master).close();
     bench.network.run_for(span);

@@ -1,4 +1,4 @@
-//! The indicators of the release image, seen on the pins of the emulated board: CiA 303-3.
+//! The indicators of the release image (CiA 303-3), observed on the pins of the emulated board.
 
 use emulator::{Time, chip::Pin};
 use lss_slave::BitRate;
@@ -7,7 +7,8 @@ use testkit::image_rig::{ImageRig, settings};
 const RUN: Pin = Pin('D', 12);
 const ERR: Pin = Pin('D', 14);
 
-/// What a pin shows for 2.4 s, two whole turns of the longest pattern, from its next rising edge on: `#` is 50 ms of light.
+/// The states of a pin for 2.4 s, two periods of the longest pattern, from its next rising edge on: `#` is 50 ms of
+/// light.
 fn pattern(bench: &mut ImageRig, pin: Pin) -> String {
     let is_lit = |bench: &ImageRig| bench.network.board(0).output(pin).level == Some(true);
     let mut patience = 2_500;
@@ -64,7 +65,7 @@ fn both_flicker_in_turn_in_lss_configuration_state_and_without_a_node_id() {
 fn err_flashes_once_while_the_error_counters_warn() {
     let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100));
     bench.collect(Time::from_ms(20));
-    // Nobody is left who acknowledges: the transmit error counter rises to 128 and stays there.
+    // No other node acknowledges: the transmit error counter rises to 128 and stays there.
     bench.network.adapter_mut(bench.master).close();
     bench.network.run_for(Time::from_ms(300));
     assert_eq!(pattern(&mut bench, ERR), "####....................".repeat(2));

@@ -1,4 +1,4 @@
-//! The release image on a flash that fails: the store is refused, the old settings stay, the node goes on, the log says why.
+//! The release image on a failing flash: the store is refused, the old settings stay, the node continues, and logs why.
 
 use emulator::{
     Time,
@@ -14,13 +14,13 @@ use testkit::{
 
 /// Sectors 1 and 2, which hold the settings.
 const SECTORS: u32 = 0b110;
-/// Where the next record goes, behind that of the formatting and that of the settings of `node_40`.
+/// The place of the next record, behind that of the formatting and that of the settings of `node_40`.
 const NEXT_RECORD: u32 = SETTINGS_OFFSET + 2 * 32;
-/// Where a record has its node-ID and its commit word.
+/// The places of a record's node-ID and commit word.
 const NODE_ID: u32 = 5;
 const COMMIT_WORD: u32 = 28;
 const HEARTBEAT: Time = Time::from_ms(30);
-/// Why a store failed, in the words of the log.
+/// The reasons for a failed store, as logged.
 const REPORTS_AN_ERROR: &str = "the flash reports an error";
 const IS_NOT_BLANK: &str = "the flash is not blank where it was erased";
 const READS_BACK_OTHERWISE: &str = "the flash reads back otherwise than written";
@@ -38,7 +38,7 @@ fn configure(bench: &mut ImageRig) {
     assert_eq!(lss(bench, "11 04"), ["11 00"]);
 }
 
-/// What is answered to a request of the LSS master; heartbeats are not told.
+/// The answer to a request of the LSS master, without heartbeats.
 fn lss(bench: &mut ImageRig, request: &str) -> Frames {
     let answers = bench.lss(request).0;
     Frames(answers.into_iter().filter(|frame| frame.cob_id() == 0x7E4).collect())
@@ -48,13 +48,13 @@ fn flash(bench: &ImageRig, change: impl FnOnce(&mut Flash)) {
     change(bench.network.board(0).chip().flash_mut());
 }
 
-/// Whether the board has logged an error, in these words.
+/// Whether the board has logged an error with this text.
 fn says(bench: &ImageRig, text: &str) -> bool {
     let lines = bench.network.board(0).log();
     lines.iter().any(|line| line.level == "error" && line.text == text)
 }
 
-/// LSS, SDO and heartbeat of node 40 are as ever.
+/// Checks that LSS, SDO and heartbeat of node 40 still work.
 fn assert_node_40_goes_on(bench: &mut ImageRig) {
     assert_eq!(lss(bench, "5E"), ["5E 40"]);
     let read = lss_slave::Frame::new(0x640, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]).expect("a frame");
@@ -65,7 +65,7 @@ fn assert_node_40_goes_on(bench: &mut ImageRig) {
     assert!(has(["740: 7F"]), "{:?}", Frames(frames));
 }
 
-/// A store fails for the reason `why`; nothing else changes, now and after a power cycle.
+/// Checks that a store fails for the reason `why` and nothing else changes, now and after a power cycle.
 fn assert_refuses(bench: &mut ImageRig, why: &str) {
     assert_eq!(lss(bench, "17"), ["17 02"], "{why}");
     let line = format!("the settings are not stored, the old ones are kept: {why}");
@@ -95,7 +95,7 @@ fn a_write_protected_flash_refuses_until_the_protection_is_gone() {
 }
 
 #[test]
-fn a_bit_that_sticks_costs_one_store_and_the_next_one_uses_other_cells() {
+fn a_stuck_bit_costs_one_store_and_the_next_one_uses_other_cells() {
     let cases = [
         (0, 0b0000_0001, 0, IS_NOT_BLANK),
         (NODE_ID, 0b0000_0010, 0, IS_NOT_BLANK),
@@ -113,7 +113,7 @@ fn a_bit_that_sticks_costs_one_store_and_the_next_one_uses_other_cells() {
 }
 
 #[test]
-fn what_reads_back_otherwise_than_written_is_not_confirmed() {
+fn a_store_that_reads_back_differently_is_not_confirmed() {
     for words in [1, 7] {
         let mut bench = node_40();
         flash(&bench, |flash| flash.fail_programs(words));
@@ -124,7 +124,7 @@ fn what_reads_back_otherwise_than_written_is_not_confirmed() {
 }
 
 #[test]
-fn a_new_board_whose_flash_cannot_be_erased_is_reached_and_refuses_to_store() {
+fn a_new_board_whose_flash_cannot_be_erased_answers_and_refuses_to_store() {
     let mut board = blank_board(0);
     board.chip().flash_mut().protect_sectors(SECTORS);
     board.set_flash(SETTINGS_OFFSET, &[0x5A; 0x8000]);
@@ -136,15 +136,15 @@ fn a_new_board_whose_flash_cannot_be_erased_is_reached_and_refuses_to_store() {
         assert_eq!(bench.lss("4C"), ["50"]);
         configure(&mut bench);
         assert_eq!(bench.lss("17"), ["17 02"]);
-        assert_eq!(bench.lss("04 00"), ["704: 00"], "it takes the node-ID until the power fails");
+        assert_eq!(bench.lss("04 00"), ["704: 00"], "it keeps the node-ID until the power fails");
         bench.power_cycle(0);
         assert_eq!(bench.collect(Time::from_ms(20)), SILENCE);
     }
 }
 
-/// Nothing but the read-back shows such an erase: the controller reports no error.
+/// Only the read-back reveals such an erase: the controller reports no error.
 #[test]
-fn an_erase_that_leaves_anything_costs_no_settings_and_is_tried_again_at_the_next_power_on() {
+fn an_incomplete_erase_loses_no_settings_and_is_repeated_at_power_on() {
     let last = settings(0x40, BitRate::Kbit1000);
     let mut stores: Vec<_> =
         (1..=0x7F).cycle().take(384).map(|id| settings(id, BitRate::Kbit1000)).collect();

@@ -1,4 +1,4 @@
-//! The release image when its node-ID changes or ends: frames of the old one leave no more.
+//! The release image when its node-ID changes or is removed: waiting frames with the old one are dropped.
 
 use emulator::{
     Time,
@@ -30,7 +30,7 @@ fn frames_of_board(bench: &ImageRig, since: Time) -> Vec<String> {
     bench.network.trace().iter().filter_map(frame).collect()
 }
 
-/// Whether a frame was taken out of its mailbox by the command that ended at `end`. A board has it one bit earlier.
+/// Whether the command that ended at `end` removed a frame from its mailbox. A board receives it one bit earlier.
 fn has_dropped(bench: &ImageRig, end: Time) -> bool {
     bench.did(0, end - bench.bit_time() * 2).any(|event| matches!(event.what, What::Aborted { .. }))
 }
@@ -41,7 +41,7 @@ fn on_a_loaded_bus_a_boot_up_with_a_new_node_id_ends_the_old_one() {
     bench.transmit_request("04 01");
     bench.transmit_request("11 04");
     bench.collect(Time::from_ms(10));
-    // Behind urgent frames come to wait: an answer of LSS and one of SDO in mailboxes, heartbeats in the queue.
+    // These frames wait behind urgent ones: an answer of LSS and one of SDO in mailboxes, heartbeats in the queue.
     let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
     let inquire = on_the_wire(&frames::request("5E"));
     let read = on_the_wire(&sdo::request(5, "40 17 10 00"));
@@ -61,7 +61,7 @@ fn on_a_loaded_bus_a_boot_up_with_a_new_node_id_ends_the_old_one() {
     assert_eq!(frames_of_board(&bench, end), ["704#00", answer, "704#7F"]);
 }
 
-/// Has node 5 configured, and resets communication at each point of its heartbeat period; calls `check` with the frames
+/// Configures node 5, and resets communication at each point of its heartbeat period; calls `check` with the frames
 /// that the board begins to send after the reset.
 fn reset_with_pending(node_id: &str, check: impl Fn(&[String])) {
     const HEARTBEAT_MS: u16 = 40;

@@ -1,5 +1,4 @@
-//! The release image when there is too much of everything: a full bus, errors without end, interrupts without end, tasks that
-//! do nothing.
+//! The release image under overload: a full bus, endless errors, endless interrupts, tasks that do nothing.
 
 use emulator::{
     Time,
@@ -15,10 +14,10 @@ use testkit::{
     sdo,
 };
 
-/// Longer than the patience of the watchdog.
+/// Longer than the time-out of the watchdog.
 const LONG: Time = Time::from_s(4);
-/// From the end of a frame to the start of the next that waits, at most: three bits at 1 Mbit/s, and the bits of two nodes
-/// are not in step.
+/// The longest time from the end of a frame to the start of the next waiting one: three bits at 1 Mbit/s, and the bits
+/// of two nodes are not in step.
 const INTERMISSION: Time = Time::from_us(4);
 
 fn node_40(heartbeat_ms: u16) -> ImageRig {
@@ -32,7 +31,7 @@ fn send(bench: &mut ImageRig, request: &str) {
     bench.network.send(bench.master, on_the_wire(&frames::request(request)));
 }
 
-/// The frames on the bus from `since` on: who sent them, when they began and ended.
+/// The frames on the bus from `since` on: their senders, starts and ends.
 fn frames_on_the_bus(bench: &ImageRig, since: Time) -> Vec<(Source, Frame, Time, Time)> {
     let frame = |event: &Event| match event.what {
         What::Frame { frame, start, .. } if start >= since => {
@@ -48,7 +47,7 @@ fn logs(bench: &ImageRig, text: &str) -> bool {
 }
 
 #[test]
-fn answers_wait_while_the_bus_is_full_of_urgent_frames_and_leave_in_order_right_behind_them() {
+fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
     let mut bench = node_40(500);
     bench.lss("04 01");
     bench.lss("11 04");
@@ -57,7 +56,7 @@ fn answers_wait_while_the_bus_is_full_of_urgent_frames_and_leave_in_order_right_
     send(&mut bench, "5E");
     let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
     let read = on_the_wire(&sdo::request(0x40, "40 17 10 00"));
-    // Frames of eight bytes last 0.11 ms at least.
+    // Frames of eight bytes take at least 0.11 ms.
     let count = LONG.as_ps() / Time::from_us(110).as_ps();
     for number in 0..count {
         let frame = if number == 5 { read } else { urgent };
@@ -80,16 +79,16 @@ fn answers_wait_while_the_bus_is_full_of_urgent_frames_and_leave_in_order_right_
     let behind = frames.iter().rposition(|&(_, frame, ..)| frame == urgent).expect("the flood") + 1;
     let is_of_board =
         |(source, ..): &(Source, Frame, Time, Time)| matches!(source, Source::Board(_));
-    assert!(!frames[..behind].iter().any(is_of_board), "nothing comes through the flood");
-    let told: Vec<_> = frames[behind..].iter().map(|(_, frame, ..)| frame.to_string()).collect();
-    // By their priority; the two of LSS in the order in which the board had them.
+    assert!(!frames[..behind].iter().any(is_of_board), "no frame of the board during the flood");
+    let sent: Vec<_> = frames[behind..].iter().map(|(_, frame, ..)| frame.to_string()).collect();
+    // By priority; the two of LSS in the order of the board.
     let answers =
         ["5C0#4B171000F4010000", "740#7F", "7E4#5E40000000000000", "7E4#1700000000000000"];
-    assert_eq!(told, answers);
+    assert_eq!(sent, answers);
 }
 
 #[test]
-fn the_shortest_frames_of_a_full_bus_are_not_lost_while_the_slowest_flash_is_written() {
+fn a_full_bus_of_the_shortest_frames_loses_none_during_a_slow_flash_write() {
     let mut bench = node_40(0);
     bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
     send(&mut bench, "04 01");
@@ -112,7 +111,7 @@ fn the_shortest_frames_of_a_full_bus_are_not_lost_while_the_slowest_flash_is_wri
     assert!(!logs(&bench, "CAN: overrun"));
 }
 
-/// The others see nothing but errors, for long.
+/// For a long time the other nodes see only errors.
 fn disturb(bench: &mut ImageRig) {
     let disturber = bench.add_disturber();
     bench.disturb(disturber, Id::Standard(0), Time::from_us(300), LONG);
@@ -123,7 +122,7 @@ fn errors(bench: &ImageRig, since: Time) -> usize {
 }
 
 #[test]
-fn a_bus_of_error_frames_only_does_not_keep_the_board_from_answering_once_it_is_over() {
+fn after_a_bus_of_error_frames_only_the_board_answers_again() {
     let mut bench = node_40(20);
     bench.lss("04 01");
     let since = bench.network.now();
@@ -144,7 +143,7 @@ fn noise_without_end_does_not_end_the_search_for_the_bit_rate() {
     let since = bench.network.now();
     disturb(&mut bench);
     let tried = bench.bit_rates(0, since).len();
-    assert!(tried > 10, "{tried} bit rates are tried");
+    assert!(tried > 10, "{tried} bit rates were tried");
     for _ in 0..100 {
         send(&mut bench, "4C");
         bench.network.run_for(Time::from_ms(20));
@@ -180,7 +179,7 @@ fn an_interrupt_every_50_us_without_end_starves_no_task() {
     assert!(span > Time::from_s(3) && 100 * busy / cycles > 3, "it is busy");
     let count =
         |text: &str| answers.iter().filter(|frame| frames::text(frame).starts_with(text)).count();
-    // The tasks of interrupts, of flash, and of deadlines; the watchdog would tell of others.
+    // The tasks of interrupts, of flash, and of deadlines; the watchdog would reveal others.
     assert_eq!([count("7E4: 11 00"), count("7E4: 17 00")], [8; 2]);
     let due = (span.as_ps() / Time::from_ms(5).as_ps()) as usize;
     assert!(
@@ -191,11 +190,11 @@ fn an_interrupt_every_50_us_without_end_starves_no_task() {
     assert!(!logs(&bench, "CAN: overrun"));
 }
 
-/// `bx lr`: back at once.
+/// `bx lr`: returns at once.
 const RETURN: [u8; 2] = [0x70, 0x47];
 
 #[test]
-fn the_watchdog_resets_a_board_whose_tasks_are_not_hung_but_do_nothing_any_more() {
+fn the_watchdog_resets_a_board_whose_tasks_run_but_do_nothing() {
     // The last is the task that stores.
     for handler in ["CAN1_TX", "CAN1_SCE", "TIM2", "USART1"] {
         let mut bench = node_40(0);

@@ -1,5 +1,5 @@
-//! The release image when the power fails in any flash operation of a commissioning: reachable afterwards, with the old
-//! settings or the new ones.
+//! The release image with power cuts in any flash operation of a commissioning: reachable afterwards, with the old or
+//! the new settings.
 
 use emulator::{
     Time,
@@ -21,7 +21,7 @@ const NEW: Shown = (0x42, BitRate::Kbit1000);
 const FORMAT_STEPS: u64 = 9;
 const STORE_STEPS: u64 = 8;
 
-/// Power is back; returns what the board has. It is in LSS configuration state then.
+/// Switches the supply on; returns the board's settings, and leaves it in LSS configuration state.
 fn power_on(bench: &mut ImageRig) -> Shown {
     // The master takes no part until it knows the bit rate: its errors would make the board search for another.
     bench.network.adapter_mut(bench.master).close();
@@ -43,7 +43,8 @@ fn power_cycle(bench: &mut ImageRig) -> Shown {
     power_on(bench)
 }
 
-/// Another content of the settings' flash, and a power-on that fails in the flash operation after the next `steps`.
+/// Replaces the content of the settings' flash, then powers on with a cut in the flash operation after the next
+/// `steps`.
 fn power_on_in_vain(bench: &mut ImageRig, content: &[u8], steps: u64, random: &mut Random) {
     bench.network.power_off(0);
     bench.network.board_mut(0).set_flash(SETTINGS_OFFSET, content);
@@ -54,7 +55,7 @@ fn power_on_in_vain(bench: &mut ImageRig, content: &[u8], steps: u64, random: &m
     assert!(!bench.network.board(0).is_powered(), "step {steps}");
 }
 
-/// Configures and stores; whether the store was confirmed.
+/// Configures and stores; returns whether the store was confirmed.
 fn commission(bench: &mut ImageRig, (node_id, rate): Shown) -> bool {
     bench.lss("04 01");
     bench.lss(&format!("11 {node_id:02X}"));
@@ -62,7 +63,7 @@ fn commission(bench: &mut ImageRig, (node_id, rate): Shown) -> bool {
     bench.lss("17") == ["17 00"]
 }
 
-/// The power fails in the flash operation after the next `steps`.
+/// Cuts the power in the flash operation after the next `steps`.
 fn cut_power_after(bench: &ImageRig, steps: u64, random: &mut Random) {
     let board = bench.network.board(0);
     let operation = board.chip().flash().operations() + steps;
@@ -80,7 +81,7 @@ fn a_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
             assert!(!commission(&mut bench, NEW), "confirmed without power, step {step}");
             assert!(!bench.network.board(0).is_powered(), "step {step}");
             let found = power_on(&mut bench);
-            // The last of the words makes a record valid.
+            // The last word makes a record valid.
             let may_be_new = step == STORE_STEPS - 1;
             assert!(found == OLD || may_be_new && found == NEW, "{found:02X?} after step {step}");
             kept += u32::from(found == OLD);
@@ -99,7 +100,7 @@ fn a_cut_behind_the_last_step_of_a_store_leaves_the_new_settings() {
 }
 
 #[test]
-fn cuts_in_any_step_of_formatting_and_then_of_the_first_store_leave_the_defaults_or_the_new() {
+fn cuts_in_formatting_and_the_first_store_leave_defaults_or_new_settings() {
     let mut random = Random::from_environment();
     let defaults = (0xFF, DEFAULT_BIT_RATE);
     for step in 0..FORMAT_STEPS {
@@ -117,7 +118,7 @@ fn cuts_in_any_step_of_formatting_and_then_of_the_first_store_leave_the_defaults
 #[test]
 fn a_cut_in_any_step_of_the_move_to_the_other_sector_leaves_the_settings() {
     let mut random = Random::from_environment();
-    // Less than a quarter of the sector is left: the next power-on erases the other one.
+    // Less than a quarter of the sector is free: the next power-on erases the other one.
     let stores: Vec<_> = (0..385).map(|n| settings(n as u8 % 100 + 1, OLD.1)).collect();
     let content = flash_with(&stores);
     let last = (384_u16 as u8 % 100 + 1, OLD.1);

@@ -1,4 +1,4 @@
-//! Bus-off before, during and after a switch of the bit rate, caused by a foreign node at a rate that is none.
+//! Bus-off before, during and after a switch of the bit rate, caused by a foreign node at an undefined rate.
 
 use emulator::{
     Time,
@@ -8,7 +8,8 @@ use emulator::{
 use lss_slave::BitRate;
 use testkit::image_rig::{ImageRig, settings};
 
-/// Node 40 at 500 kbit/s with a heartbeat, in LSS configuration state and about to go to 250 kbit/s; and the foreign node.
+/// Node 40 at 500 kbit/s with a heartbeat, in LSS configuration state and about to switch to 250 kbit/s; and the
+/// foreign node.
 fn about_to_switch() -> (ImageRig, AdapterId) {
     let settings = settings(0x40, BitRate::Kbit500).with_heartbeat_ms(20);
     let mut bench = ImageRig::with(settings);
@@ -18,7 +19,7 @@ fn about_to_switch() -> (ImageRig, AdapterId) {
     (bench, foreign)
 }
 
-/// The foreign node alone is heard for `span`.
+/// Only the foreign node sends for `span`.
 fn disturb(bench: &mut ImageRig, foreign: AdapterId, span: Time) {
     bench.disturb(foreign, Id::Standard(0x7FF), Time::from_ms(1), span);
 }
@@ -65,7 +66,7 @@ fn a_board_that_was_bus_off_before_the_switch_switches_like_others() {
 }
 
 #[test]
-fn a_board_does_not_go_bus_off_in_the_switch_delays_whatever_it_hears() {
+fn a_board_never_goes_bus_off_in_the_switch_delays() {
     let (mut bench, foreign) = about_to_switch();
     bench.transmit_request("15 E8 03");
     let t0 = bench.network.now();

@@ -1,4 +1,4 @@
-//! How long a release image that detects the bit rate takes to find it, and that it drives nothing dominant before.
+//! The detection time of a release image that detects the bit rate, and its silence until then.
 
 use emulator::{
     Time,
@@ -17,7 +17,7 @@ const SILM: u32 = 1 << 31;
 /// A frame with eight bytes, stuff bits and intermission, in bits.
 const LONG_FRAME_BITS: u64 = 122;
 
-/// Two nodes that talk to each other.
+/// Two nodes that exchange frames.
 struct Traffic {
     others: [AdapterId; 2],
     frame: fn(usize) -> Frame,
@@ -33,7 +33,7 @@ impl Traffic {
         Self::new(bench, bit_rate, heartbeat, Time::from_s(1))
     }
 
-    /// Nine tenths of the bus.
+    /// A bus load of 90 %.
     fn dense(bench: &mut ImageRig, bit_rate: BitRate) -> Self {
         let frame = |count: usize| {
             let data = (count as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
@@ -76,14 +76,14 @@ fn bench(bit_rate: BitRate, node_id: u8) -> ImageRig {
     bench
 }
 
-/// Gives the board its supply while the bus lives; returns when.
+/// Switches the board on while the bus is in use; returns the time.
 fn switch_on(bench: &mut ImageRig) -> Time {
     bench.network.power_on(0);
     bench.expect_reset(0, ResetCause::PowerOn);
     bench.network.now()
 }
 
-/// When the board knew the bit rate.
+/// The time at which the board knew the bit rate, and the rate.
 fn found(bench: &ImageRig, on: Time) -> Option<(Time, u32)> {
     let timings = bench.did(0, on).filter_map(|event| match event.what {
         What::BitTiming { btr, bit_rate } => Some((event.time, btr & SILM != 0, bit_rate)),
@@ -94,8 +94,8 @@ fn found(bench: &ImageRig, on: Time) -> Option<(Time, u32)> {
     Some((time, bit_rate))
 }
 
-/// Before `until` the board asked for no transmission, raised no error frame, and never ran other than silently, so that it
-/// did not acknowledge either.
+/// Checks that before `until` the board requested no transmission, raised no error frame, and was always in silent
+/// mode, so that it did not acknowledge either.
 fn assert_silent(bench: &ImageRig, on: Time, until: Time) {
     let is_loud = |event: &&Event| match event.what {
         What::Requested { .. } | What::Error { .. } | What::Frame { .. } => true,
@@ -107,7 +107,7 @@ fn assert_silent(bench: &ImageRig, on: Time, until: Time) {
     assert!(loud.is_empty(), "{loud:#?}");
 }
 
-/// Lets the board find the rate; returns how long it took from power-on.
+/// Lets the board find the rate; returns the time from power-on.
 fn detect(bench: &mut ImageRig, traffic: &mut Traffic, bit_rate: BitRate) -> Time {
     let on = switch_on(bench);
     let (time, found_rate) = loop {
@@ -155,7 +155,7 @@ const DENSE_BOUND: Time = Time::from_s(1);
 
 #[test]
 fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
-    println!("time from power-on until a master that is alone is acknowledged, in ms");
+    println!("time from power-on until a lone master is acknowledged, in ms");
     for bit_rate in BitRate::ALL {
         let mut bench = bench(bit_rate, 0x40);
         bench.network.send(bench.master, on_the_wire(&frames::request("04 01")));
@@ -165,7 +165,7 @@ fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
             assert!(bench.network.now() < on + Time::from_s(30), "{bit_rate:?} is not found");
             bench.network.run_for(Time::from_ms(1));
         }
-        let (time, found_rate) = found(&bench, on).expect("who else acknowledges");
+        let (time, found_rate) = found(&bench, on).expect("only the board can acknowledge");
         assert_eq!(found_rate, bit_per_s(bit_rate));
         assert_silent(&bench, on, time);
         let master = Source::Adapter(bench.master);
@@ -178,7 +178,7 @@ fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
 }
 
 #[test]
-fn on_a_silent_bus_a_board_listens_on_and_finds_the_rate_when_somebody_comes() {
+fn on_a_silent_bus_a_board_listens_until_a_frame_gives_the_rate() {
     let bit_rate = BitRate::Kbit20;
     let mut bench = bench(bit_rate, 0x40);
     let on = switch_on(&mut bench);
@@ -187,7 +187,7 @@ fn on_a_silent_bus_a_board_listens_on_and_finds_the_rate_when_somebody_comes() {
     assert_eq!(found(&bench, on), None);
     let mut traffic = Traffic::dense(&mut bench, bit_rate);
     traffic.run_for(&mut bench, Time::from_s(3));
-    assert_eq!(found(&bench, on).expect("somebody came").1, bit_per_s(bit_rate));
+    assert_eq!(found(&bench, on).expect("a frame was sent").1, bit_per_s(bit_rate));
 }
 
 #[test]

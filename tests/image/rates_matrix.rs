@@ -1,4 +1,4 @@
-//! Switches between all bit rates, with delays, load, slow neighbours and bad crystals: nobody who is on time is lost.
+//! Switches between all bit rates, with delays, load, slow neighbours and bad crystals: no punctual node is lost.
 
 use emulator::{
     Time, board,
@@ -15,13 +15,13 @@ use testkit::{
     },
 };
 
-/// How exactly boards keep the switch delay.
+/// The accuracy of the boards' switch delay.
 const ACCURACY: Time = Time::from_ms(1);
 /// A frame with eight bytes, stuff bits and intermission, in bits.
 const LONG_FRAME_BITS: u64 = 122;
 /// The clock of the board's CAN controller.
 const APB1_HZ: u32 = 40_000_000;
-/// How long the bus is loaded before and after each switch, in such frames.
+/// The duration of the bus load before and after each switch, in such frames.
 const LOAD_FRAMES: u64 = 10;
 
 /// Nodes 1 and 2 in configuration state, and an adapter that loads the bus.
@@ -43,7 +43,7 @@ impl Site {
         Self { bench, load, bit_rate, is_loaded }
     }
 
-    /// Loads the bus to nine tenths, and has the master say something in the middle of it.
+    /// Loads the bus to 90 %, and makes the master send a frame in the middle of it.
     fn load_while(&mut self, request: Option<Frame>) {
         let period = self.bench.bit_time() * LONG_FRAME_BITS * 10;
         let period = Time::from_ps(period.as_ps() / 9);
@@ -66,7 +66,7 @@ impl Site {
         }
     }
 
-    /// Everybody goes to another rate; the load pauses from the request to the end of the delays.
+    /// Switches all nodes to another rate; the load pauses from the request to the end of the delays.
     fn switch(&mut self, to: BitRate, delay_ms: u16) {
         let configure = frames::request(&format!("13 00 {:02X}", to.index()));
         self.load_while(Some(on_the_wire(&configure)));
@@ -86,7 +86,7 @@ impl Site {
         self.bench_answers(patience);
     }
 
-    /// What the nodes have sent, without the load.
+    /// The frames that the nodes have sent, without the load.
     fn bench_answers(&mut self, span: Time) -> frames::Frames {
         let mut frames = self.bench.collect(span + self.bench.bit_time() * LONG_FRAME_BITS);
         frames.0.retain(|frame| frame.cob_id() != 0x181);
@@ -185,7 +185,7 @@ fn all_pairs_with_a_delay_of_1000_ms_under_load() {
 }
 
 #[test]
-fn a_neighbour_that_takes_40_ms_to_obey_is_not_disturbed_with_a_delay_of_50_ms() {
+fn a_delay_of_50_ms_does_not_disturb_a_neighbour_that_needs_40_ms() {
     for (from, to) in [
         (BitRate::Kbit125, BitRate::Kbit1000),
         (BitRate::Kbit1000, BitRate::Kbit125),
@@ -201,7 +201,7 @@ fn a_neighbour_that_takes_40_ms_to_obey_is_not_disturbed_with_a_delay_of_50_ms()
         bench.network.run_for(Time::from_ms(5));
         let frame = Frame::data(Id::Standard(0x183), &[0x5A; 8]);
         let end = bench.transmit_request("15 32 00");
-        // It goes on as before until it has understood, and counts both delays from then on.
+        // It continues as before until it has processed the request, and counts both delays from then on.
         while bench.network.now() + Time::from_ms(3) < end + processing {
             bench.network.send(slow, frame);
             bench.network.run_for(Time::from_ms(3));
@@ -253,8 +253,8 @@ fn each_bit_rate_has_its_value_in_can_btr() {
     }
 }
 
-/// Whether a board and a master of the same bit timing, whose crystals are so much fast, understand each other without an
-/// error frame.
+/// Whether a board and a master with the same bit timing and these crystal deviations communicate without an error
+/// frame.
 fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> bool {
     let crystal = Clock { hz: 8_000_000, ppm: board_ppm };
     let settings_of_board = board::Settings { crystal, unique_id: [1; 12], ..Default::default() };
@@ -301,8 +301,8 @@ fn crystals_that_are_half_a_per_cent_off_on_both_ends_work_at_every_rate() {
 }
 
 #[test]
-fn the_limit_of_each_rate_is_where_the_bit_timing_puts_it() {
-    println!("by how much both crystals may be off, in opposite directions, in ppm");
+fn the_limit_of_each_rate_follows_from_its_bit_timing() {
+    println!("tolerance of both crystals in opposite directions, in ppm");
     for bit_rate in BitRate::ALL {
         let theory = bit_timing(bit_rate).crystal_tolerance_ppm() as i32;
         let limit = [-1, 1].map(|sign| {
@@ -317,7 +317,7 @@ fn the_limit_of_each_rate_is_where_the_bit_timing_puts_it() {
             }
             good
         });
-        // The theory leaves out that an edge is seen with the resolution of a quantum.
+        // The theory ignores that an edge is seen with the resolution of a quantum.
         assert!((5_000..=theory * 12 / 10).contains(&limit[0]), "{limit:?}");
         assert!(limit[1] >= theory, "{limit:?}");
         println!(

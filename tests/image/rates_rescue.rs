@@ -1,4 +1,4 @@
-//! Networks of release images where somebody has the wrong bit rate: how long until the master reaches every node again.
+//! Networks of release images with a wrong bit rate in some nodes: the time until the master reaches every node again.
 
 use emulator::{
     Time,
@@ -12,12 +12,12 @@ use testkit::{
     image_rig::{ImageRig, board_with, on_the_wire, settings},
 };
 
-/// How often the master asks a node that it misses.
+/// The interval at which the master asks a missing node.
 const POLL: Time = Time::from_ms(100);
-/// Nobody may be away for longer: the 30 s after which a node on a silent bus tries its own rate again, and a search.
+/// The longest allowed absence: the 30 s after which a node on a silent bus tries its own rate again, and a search.
 const LIMIT: Time = Time::from_s(40);
 
-/// How the master sees that a node is there: what it sends, and where the answer comes from.
+/// The master's check of a node: the request, and the COB-ID of the answer.
 struct Probe {
     request: Frame,
     answer: Id,
@@ -30,7 +30,7 @@ fn node(id: u8) -> Probe {
     Probe { request, answer: sdo(0x580) }
 }
 
-/// Asks whether there is anybody without a node-ID.
+/// Asks whether there is a node without a node-ID.
 fn unconfigured() -> Probe {
     Probe { request: on_the_wire(&frames::request("4C")), answer: Id::Standard(0x7E4) }
 }
@@ -39,7 +39,7 @@ fn nodes(count: u8) -> Vec<Probe> {
     (1..=count).map(node).collect()
 }
 
-/// Has the master ask all of them in turn until each has answered; returns the span, `None` if it is over the limit.
+/// Makes the master ask all of them in turn until each has answered; returns the time, `None` if it is over the limit.
 fn reach(bench: &mut ImageRig, mut missing: Vec<Probe>, limit: Time) -> Option<Time> {
     let since = bench.network.now();
     while bench.network.receive(bench.master).is_some() {}
@@ -62,12 +62,12 @@ fn reach(bench: &mut ImageRig, mut missing: Vec<Probe>, limit: Time) -> Option<T
     Some(bench.network.now() - since)
 }
 
-/// Prints how long it takes until the master has reached all of them.
+/// Prints the time until the master has reached all of them.
 fn all_reached(scenario: &str, bench: &mut ImageRig, missing: Vec<Probe>) {
     let span = reach(bench, missing, LIMIT);
     match span {
         Some(span) => println!("{scenario:<62} {:>6.1} s", span.as_ms() as f64 / 1000.0),
-        None => panic!("{scenario}: somebody is stranded"),
+        None => panic!("{scenario}: a node is stranded"),
     }
 }
 
@@ -78,7 +78,7 @@ fn four(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
     ImageRig::new(bit_rate, (1..=4).map(with))
 }
 
-/// The master takes all that are in configuration state, and itself, to another rate.
+/// The master switches all nodes in configuration state, and itself, to another rate.
 fn switch_over(bench: &mut ImageRig, to: BitRate, is_to_be_stored: bool) {
     const DELAY_MS: u64 = 50;
     bench.transmit_request(&format!("13 00 {:02X}", to.index()));
@@ -148,8 +148,9 @@ fn a_node_with_another_rate_stored_is_reached() {
     }
 }
 
-/// A board alone with a master at another rate, for all pairs of rates: the times until it is reached, as a table. For a
-/// board that is not reached soon the master goes to the board's rate, and is to reach it there. Returns their number.
+/// A board alone with a master at another rate, for all pairs of rates: prints a table of the times until it is
+/// reached. If a board is not reached soon, the master changes to the board's rate and must reach it there. Returns
+/// their number.
 fn alone_with_the_master(node_id: u8, probe: fn() -> Probe) -> usize {
     const SOON: Time = Time::from_s(5);
     let mut count = 0;
@@ -176,21 +177,21 @@ fn alone_with_the_master(node_id: u8, probe: fn() -> Probe) -> usize {
 }
 
 #[test]
-fn a_board_without_a_node_id_that_sits_alone_with_the_master_is_reached_at_any_rate() {
+fn a_lone_board_without_a_node_id_is_reached_at_any_rate() {
     assert_eq!(alone_with_the_master(0xFF, unconfigured), 0);
 }
 
 #[test]
 fn a_node_that_sits_alone_with_the_master_is_reached_but_at_two_pairs() {
-    // At 250 kbit/s with a master at 50, and at 20 with one at 10, its boot-up drives the master bus-off again and again before
-    // the master is error passive, and so before its request can be heard in silence.
+    // At 250 kbit/s with a master at 50, and at 20 with one at 10, its boot-up drives the master bus-off repeatedly
+    // before the master is error passive, and so before its request can be received in silence.
     let count = alone_with_the_master(1, || node(1));
     println!("{count} of 56 only at their own rate");
     assert!(count <= 2);
 }
 
 #[test]
-fn a_node_that_nobody_acknowledges_stays_at_its_rate_and_is_reached_at_once() {
+fn a_node_without_acknowledges_stays_at_its_rate_and_answers_at_once() {
     let bit_rate = BitRate::Kbit125;
     let board = board_with(1, settings(1, bit_rate).with_heartbeat_ms(100));
     let mut bench = ImageRig::new(bit_rate, [board]);
@@ -217,7 +218,7 @@ fn a_network_that_was_without_power_comes_back_at_its_rate() {
 }
 
 #[test]
-fn a_switch_that_was_not_stored_ends_with_the_power_and_the_master_finds_all_at_the_old_rate() {
+fn an_unstored_switch_ends_at_power_off_and_all_are_at_the_old_rate() {
     let mut bench = four(BitRate::Kbit125, 1000);
     bench.transmit_request("04 01");
     switch_over(&mut bench, BitRate::Kbit500, false);
@@ -243,7 +244,7 @@ fn a_node_that_switched_alone_comes_back() {
     }
 }
 
-/// Nodes 1 to 3 switch from 125 to 500 kbit/s; node 4 has proven 125 kbit/s and is left in waiting state.
+/// Nodes 1 to 3 switch from 125 to 500 kbit/s; node 4 has proven 125 kbit/s and stays in waiting state.
 fn node_4_misses_the_switch(heartbeat_ms: u16) -> ImageRig {
     let mut bench = four(BitRate::Kbit125, heartbeat_ms);
     all_reached("4 nodes before a switch", &mut bench, nodes(4));
@@ -256,7 +257,7 @@ fn node_4_misses_the_switch(heartbeat_ms: u16) -> ImageRig {
 }
 
 #[test]
-fn a_node_that_missed_the_switch_is_reached_whatever_its_heartbeat() {
+fn a_node_that_missed_the_switch_is_reached_with_any_heartbeat() {
     for heartbeat_ms in [1000, 0] {
         let mut bench = node_4_misses_the_switch(heartbeat_ms);
         let scenario = format!("1 of 4 missed the switch, heartbeat {heartbeat_ms} ms");

@@ -1,4 +1,4 @@
-//! What the release image comes through: hung tasks, faults, power cycles, a full log, bad crystals; and on every chip.
+//! The robustness of the release image: hung tasks, faults, power cycles, a full log, bad crystals; and on every chip.
 
 use emulator::{
     Time,
@@ -15,7 +15,7 @@ use testkit::{
     random::Random,
 };
 
-/// Thumb instructions: a jump to itself, and one that is undefined for good.
+/// Thumb instructions: a jump to itself, and one that is permanently undefined.
 const JUMP_TO_ITSELF: [u8; 2] = [0xFE, 0xE7];
 const UNDEFINED: [u8; 2] = [0x00, 0xDE];
 
@@ -25,7 +25,7 @@ fn code(symbol: &str) -> u32 {
     (address & !1) - FLASH_BASE
 }
 
-/// Replaces an instruction until the board is reset for `cause`; returns how long that took.
+/// Replaces an instruction until the board is reset for `cause`; returns the time taken.
 fn replace_until_reset(
     bench: &mut ImageRig,
     offset: u32,
@@ -101,7 +101,7 @@ fn jump(at: u32, to: u32) -> [u8; 4] {
 fn a_panic_ends_in_a_logged_hard_fault_and_a_reset_at_once() {
     let mut bench = node_40();
     let handler = code("CAN1_RX0");
-    // To end a log line that has not begun makes the logger panic.
+    // Ending a log line that has not begun makes the logger panic.
     let panics = jump(handler, code("_defmt_release"));
     let time = replace_until_reset(&mut bench, handler, &panics, ResetCause::Software);
     assert!(time < Time::from_ms(300), "{time}");
@@ -169,7 +169,7 @@ fn a_full_log_refuses_with_17_02_until_the_next_power_on_makes_room() {
 }
 
 #[test]
-fn a_power_cut_while_the_log_is_formatted_leaves_a_board_that_formats_it_again() {
+fn after_a_power_cut_during_formatting_the_board_formats_again() {
     let mut random = Random::from_environment();
     for step in 0..=8 {
         let mut bench = ImageRig::blank();
@@ -193,7 +193,7 @@ fn a_power_cut_while_the_log_is_formatted_leaves_a_board_that_formats_it_again()
 }
 
 #[test]
-fn boards_with_crystals_3000_ppm_apart_understand_each_other_at_every_bit_rate() {
+fn boards_with_crystals_3000_ppm_apart_communicate_at_every_bit_rate() {
     for bit_rate in BitRate::ALL {
         let stored = flash_with(&[settings(0xFF, bit_rate)]);
         let boards = [1500, -1500].map(|ppm| {

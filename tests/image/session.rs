@@ -7,7 +7,7 @@ use testkit::{
     image_rig::{ImageRig, bit_per_s, blank_board, board_with, settings},
 };
 
-/// The number in an answer to an inquiry, which is the only frame.
+/// The number in the answer to an inquiry, the only frame.
 fn inquired(answers: &Frames) -> u32 {
     let [answer] = answers.0.as_slice() else { panic!("one answer, not {answers:?}") };
     u32::from_le_bytes(*answer.data()[1..].first_chunk().expect("eight bytes"))
@@ -18,7 +18,7 @@ fn address(bench: &mut ImageRig) -> [u32; 4] {
     ["5A", "5B", "5C", "5D"].map(|inquiry| inquired(&bench.lss(inquiry)))
 }
 
-/// Sends the steps of a select but the last; returns what the last is answered.
+/// Sends all steps of a select; returns the answer to the last.
 fn select(bench: &mut ImageRig, address: [u32; 4]) -> Frames {
     let [vendor, product, revision, serial] = address.map(number);
     assert_eq!(bench.lss(&format!("40 {vendor}")), SILENCE);
@@ -39,7 +39,7 @@ fn identify(bench: &mut ImageRig, numbers: [u32; 6]) -> Frames {
     bench.lss(&format!("4B {serial_high}"))
 }
 
-/// One Fastscan step; whether there is an answer.
+/// Sends one Fastscan step; returns whether there is an answer.
 fn fastscan_step(bench: &mut ImageRig, id_number: u32, bit_check: u8, sub: u8, next: u8) -> bool {
     let step = format!("51 {} {bit_check:02X} {sub:02X} {next:02X}", number(id_number));
     let answers = bench.lss(&step);
@@ -66,7 +66,7 @@ fn fastscan(bench: &mut ImageRig) -> Option<[u32; 4]> {
     Some(address)
 }
 
-/// Lets the board restart by NMT; returns its boot-up at the bit rate that it then has.
+/// Restarts the board by NMT; returns its boot-up at its new bit rate.
 fn reset_node(bench: &mut ImageRig, node_id: u8, then: BitRate) -> Frames {
     bench.expect_reset(0, ResetCause::Software);
     bench.transmit_command(&format!("81 {node_id:02X}"));
@@ -107,7 +107,7 @@ fn a_new_board_gets_its_node_id_and_bit_rate_and_comes_back_with_them() {
     assert_eq!(bench.lss("13 00 02"), ["13 00"]);
     assert_eq!(bench.lss("17"), ["17 00"]);
     assert_eq!(bench.lss("4C"), SILENCE);
-    assert_eq!(bench.lss("04 00"), ["704: 00"], "boots up at once, at the bit rate of before");
+    assert_eq!(bench.lss("04 00"), ["704: 00"], "boots up at once, at the previous bit rate");
     assert_eq!(bench.collect(Time::from_ms(1500)), ["704: 7F"], "the default heartbeat");
     assert_eq!(reset_node(&mut bench, 0x04, BitRate::Kbit500), ["704: 00"]);
     bench.power_cycle(0);
@@ -157,7 +157,7 @@ fn select_and_identify_find_the_board_by_its_address_and_only_by_that() {
 }
 
 #[test]
-fn three_new_boards_on_one_bus_are_found_by_fastscan_and_get_a_node_id_each() {
+fn fastscan_finds_three_new_boards_and_each_gets_a_node_id() {
     let mut bench = ImageRig::new(
         BitRate::Kbit1000,
         [1, 2, 3].map(|number| board_with(number, settings(0xFF, BitRate::Kbit1000))),
@@ -193,7 +193,7 @@ fn equal_answers_of_several_boards_are_one_frame() {
 }
 
 #[test]
-fn values_out_of_range_are_refused_and_the_ones_before_stay() {
+fn values_out_of_range_are_refused_and_the_old_ones_stay() {
     let mut bench = ImageRig::blank();
     bench.lss("04 01");
     assert_eq!(bench.lss("11 05"), ["11 00"]);

@@ -1,4 +1,4 @@
-//! The stack of the release image: how deep it gets, and that one that overflows meets no variable.
+//! The stack of the release image: its depth, and that an overflow reaches no variable.
 //!
 //! `cargo test --test image stack -- --nocapture` prints the depths.
 
@@ -15,7 +15,7 @@ use testkit::{
     sdo, stack,
 };
 
-/// What may be used of the stack: a quarter of it.
+/// The limit for the use of the stack: a quarter of it.
 const MOST: usize = 4 * 1024;
 
 fn symbol(name: &str) -> u32 {
@@ -70,7 +70,7 @@ fn a_stack_that_overflows_is_logged_and_ends_in_a_reset_at_once() {
     }
 }
 
-/// Prints how deep the stack has been since the last time.
+/// Prints the depth of the stack since the last call.
 fn note(bench: &mut ImageRig, what: &str) {
     let depth = stack::deepest(bench.network.board(0), image());
     println!("{depth:5} of {} bytes: {what}", stack::stack(image()).len());
@@ -78,8 +78,8 @@ fn note(bench: &mut ImageRig, what: &str) {
     stack::paint(bench.network.board_mut(0), image());
 }
 
-/// Frames without a pause on a bus that others disturb: every interrupt comes while others are served, and a slow flash is
-/// written below them.
+/// Frames without a pause on a disturbed bus: every interrupt comes while others are served, and a slow flash is
+/// written at the lowest priority.
 fn storm(bench: &mut ImageRig, random: &mut Random) {
     let other = bench.network.add_adapter(Adapter::new(1_000_000));
     let disturber = bench.add_disturber();

@@ -8,7 +8,7 @@ use testkit::{
 };
 
 #[test]
-fn the_image_sends_and_stores_in_a_storm_what_the_node_does_and_nothing_else() {
+fn in_a_storm_the_image_sends_and_stores_exactly_what_the_node_does() {
     let mut storm = ImageStorm::new(blank_board(0), image(), Random::from_environment().u64());
     storm.rage(10_000);
     assert!(storm.stores > 5, "{} stores", storm.stores);
@@ -17,7 +17,7 @@ fn the_image_sends_and_stores_in_a_storm_what_the_node_does_and_nothing_else() {
 }
 
 #[test]
-fn no_storm_makes_the_node_store_what_it_was_not_asked_to_or_silences_it() {
+fn no_storm_makes_the_node_store_unasked_or_silences_it() {
     let mut storm = NodeStorm::new(Random::from_environment().u64());
     storm.rage(200_000);
     assert!(storm.stores > 100, "{} stores", storm.stores);

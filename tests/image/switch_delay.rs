@@ -1,4 +1,4 @@
-//! Activate bit timing (CiA 305) with the release image: when boards fall silent, switch and speak again.
+//! Activate bit timing (CiA 305) with the release image: the times at which boards fall silent, switch and send again.
 
 use emulator::{
     Time,
@@ -11,9 +11,9 @@ use testkit::{
     image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
 };
 
-/// An answer to a request is due so long after its end, and so is everything else that it has the board do.
+/// The time in which a board handles a request.
 const PROCESSING: Time = Time::from_us(100);
-/// How exactly the switch delay is kept.
+/// The accuracy of the switch delay.
 const ACCURACY: Time = Time::from_us(20);
 
 /// Nodes 1 and 2 at `bit_rate`, in configuration state.
@@ -31,13 +31,13 @@ fn configure(bench: &mut ImageRig, to: BitRate) {
     bench.network.run_for(Time::from_ms(2) + bench.bit_time() * 160);
 }
 
-/// Asks for the switch; returns the end of the request.
+/// Requests the switch; returns the end of the request.
 fn activate(bench: &mut ImageRig, delay_ms: u16) -> Time {
     let [low, high] = delay_ms.to_le_bytes();
     bench.transmit_request(&format!("15 {low:02X} {high:02X}"))
 }
 
-/// Lets the bus live to the time when the boards switch, and the master switch with them.
+/// Runs the bus until the boards switch, and switches the master with them.
 fn switch_master(bench: &mut ImageRig, at: Time, to: BitRate) {
     bench.network.run_until(at);
     bench.set_master_bit_rate(to);
@@ -99,7 +99,7 @@ fn assert_both_answer(bench: &mut ImageRig) {
 }
 
 #[test]
-fn boards_are_silent_from_the_request_on_switch_after_the_delay_and_speak_after_two() {
+fn boards_are_silent_at_once_switch_after_one_delay_and_send_after_two() {
     let mut bench = two_boards(BitRate::Kbit125, 10);
     configure(&mut bench, BitRate::Kbit500);
     let t0 = activate(&mut bench, 50);
@@ -142,7 +142,7 @@ fn every_bit_rate_is_reached_from_every_other() {
 }
 
 #[test]
-fn without_a_delay_boards_switch_and_speak_at_once() {
+fn without_a_delay_boards_switch_and_send_at_once() {
     let mut bench = two_boards(BitRate::Kbit1000, 20);
     for to in [BitRate::Kbit250, BitRate::Kbit1000, BitRate::Kbit500] {
         configure(&mut bench, to);
@@ -280,11 +280,11 @@ fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
     });
     assert!(aborted.is_some_and(|(time, frame)| time < t0 + PROCESSING && frame == heartbeat));
     let sent_later = frames_of_boards(&bench, t0, Time::MAX).len();
-    assert_eq!(sent_later, bench.requested(0, t0).count(), "nothing but what was asked for later");
+    assert_eq!(sent_later, bench.requested(0, t0).count(), "only frames requested later");
 }
 
 #[test]
-fn an_answer_that_did_not_leave_before_the_request_for_silence_never_leaves() {
+fn an_answer_not_sent_before_the_request_for_silence_is_dropped() {
     let mut bench = two_boards(BitRate::Kbit1000, 0);
     configure(&mut bench, BitRate::Kbit250);
     let from = bench.network.now();
@@ -305,7 +305,7 @@ fn an_answer_that_did_not_leave_before_the_request_for_silence_never_leaves() {
 }
 
 #[test]
-fn a_board_that_switched_alone_comes_back_to_the_bus_that_stayed_at_the_old_rate() {
+fn a_board_that_switched_alone_returns_to_the_bus_at_the_old_rate() {
     let rate = BitRate::Kbit125;
     let mut bench = ImageRig::with(settings(1, rate).with_heartbeat_ms(50));
     let other = bench.network.add_adapter(Adapter::new(bit_per_s(rate)));
@@ -325,9 +325,9 @@ fn a_board_that_switched_alone_comes_back_to_the_bus_that_stayed_at_the_old_rate
     assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 01")));
 }
 
-/// The watchdog, which resets a board after 2 s in which a task hangs, is a witness: the bench expects no reset.
+/// The watchdog, which resets a board after 2 s in which a task hangs, checks too: the bench expects no reset.
 #[test]
-fn a_board_whose_new_rate_finds_no_idle_bus_lives_on_and_takes_part_when_there_is_one() {
+fn a_board_without_an_idle_bus_at_the_new_rate_joins_when_there_is_one() {
     let mut bench = ImageRig::with(settings(1, BitRate::Kbit500));
     let other = bench.network.add_adapter(Adapter::new(500_000));
     bench.transmit_request("04 01");

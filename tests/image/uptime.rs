@@ -1,5 +1,6 @@
-//! The release image after a long uptime: its count of microseconds is set while it boots, so that the 32 bits wrap soon
-//! after. No count is longer.
+//! The release image after long uptimes: the count of milliseconds in its RAM is set while it boots, so that the
+//! 32 bits of the node's microseconds (71.6 minutes) and of milliseconds (49.7 days) wrap soon after. No count is
+//! longer.
 
 use emulator::{
     Time,
@@ -24,7 +25,7 @@ fn read(board: &Board, address: u32) -> u32 {
     board.chip().read(access(board, address)).expect("a register")
 }
 
-/// Node 40 with a heartbeat on a board that has counted so many microseconds when it boots.
+/// Node 40 with a heartbeat on a board that has counted a number of microseconds when it boots.
 fn booted_at(count: u32) -> ImageRig {
     let with_heartbeat = settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(50);
     let mut board = board_with(0, with_heartbeat);
@@ -79,7 +80,7 @@ fn a_wrap_of_the_count_of_time_changes_nothing_that_the_board_does() {
     }
 }
 
-/// Whether it is the same but for the time.
+/// Whether two events are the same except for the time.
 fn same(a: &What, b: &What) -> bool {
     match (a, b) {
         (What::Frame { frame: a, .. }, What::Frame { frame: b, .. }) => a == b,

@@ -1,4 +1,4 @@
-//! The solver from a bit rate and a clock to bxCAN bit timing, against an exhaustive search, over the clocks of an STM32F4.
+//! The solver for bxCAN bit timing, compared with an exhaustive search over the clocks of an STM32F4.
 
 use std::{cmp::Reverse, collections::BTreeSet};
 
@@ -13,13 +13,14 @@ fn rate_hz(rate: BitRate) -> u64 {
     u64::from(rate.kbit_per_s()) * 1000
 }
 
-/// How wrong the rate is: an exact fraction, numerator and denominator.
+/// The relative error of the rate as an exact fraction, numerator and denominator.
 fn rate_error(timing: BitTiming, rate: BitRate, clock_hz: u32) -> (u64, u64) {
     let exact = rate_hz(rate) * u64::from(timing.prescaler) * u64::from(timing.quanta());
     (exact.abs_diff(clock_hz.into()), exact)
 }
 
-/// What both crystals may be off in opposite directions, in ppm, with the widest jump: the two conditions of ISO 11898-1.
+/// The tolerance of both crystals in opposite directions, in ppm, with the widest jump: the two conditions of ISO
+/// 11898-1.
 fn crystal_tolerance(timing: BitTiming) -> u32 {
     let [quanta, segment1, segment2] =
         [timing.quanta(), timing.segment1.into(), timing.segment2.into()].map(f64::from);
@@ -28,13 +29,13 @@ fn crystal_tolerance(timing: BitTiming) -> u32 {
     (jump.min(phase) * 1e6) as u32
 }
 
-/// The sample point in 1/1000 as it is, without rounding: at or between `from` and `to`.
+/// The exact sample point in 1/1000: at or between `from` and `to`.
 fn is_sampled_between(timing: BitTiming, from: u32, to: u32) -> bool {
     let sampled = 1000 * (1 + u32::from(timing.segment1));
     (from * timing.quanta()..=to * timing.quanta()).contains(&sampled)
 }
 
-/// Whether CiA 301 and the registers allow `timing`; a bit has 8..=25 quanta (ISO 11898-1).
+/// Whether CiA 301 and the registers allow `timing`. A bit has 8..=25 quanta (ISO 11898-1).
 fn is_allowed(timing: BitTiming, rate: BitRate, clock_hz: u32) -> bool {
     let (error, exact) = rate_error(timing, rate, clock_hz);
     let from = if rate_hz(rate) >= 800_000 { 750 } else { 850 };
@@ -46,11 +47,11 @@ fn is_allowed(timing: BitTiming, rate: BitRate, clock_hz: u32) -> bool {
         && is_sampled_between(timing, from, 900)
 }
 
-/// Everything that is allowed, found by looking at every combination of the registers.
+/// All allowed timings, found by trying every combination of the registers.
 fn all_allowed(rate: BitRate, clock_hz: u32) -> Vec<BitTiming> {
     let mut all = Vec::new();
     for prescaler in 1..=1024 {
-        // The segments matter only if 8..=25 quanta can come near the rate at all.
+        // The segments matter only if 8..=25 quanta come near the rate.
         let quanta = u64::from(clock_hz) / (rate_hz(rate) * u64::from(prescaler));
         if !(7..=25).contains(&quanta) {
             continue;
@@ -132,7 +133,7 @@ fn there_is_no_solution_only_where_the_exhaustive_search_finds_none() {
 }
 
 #[test]
-fn the_solution_is_the_best_in_rate_then_crystals_then_sample_point_then_quanta() {
+fn the_solution_is_best_in_rate_crystals_sample_point_and_quanta_in_order() {
     let odd: Vec<_> = reachable_clocks().into_iter().step_by(7).collect();
     for clock_hz in whole_mhz().chain(odd) {
         for rate in BitRate::ALL {
@@ -230,8 +231,7 @@ fn the_rates_that_are_possible_are_those_with_a_solution() {
 }
 
 #[test]
-fn automatic_detection_is_offered_by_nobody_who_does_not_ask_for_it_and_asking_twice_changes_nothing()
- {
+fn automatic_detection_is_offered_only_on_request_and_twice_is_once() {
     let rates = BitRates::possible(40 * MHZ);
     assert!(!rates.offers(BitRateSetting::Automatic));
     assert!(rates.with_automatic().offers(BitRateSetting::Automatic));

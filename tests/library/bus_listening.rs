@@ -1,4 +1,5 @@
-//! Automatic bit-rate detection (CiA 305, table 0, index 9): how a node listens, and that it is silent until it knows.
+//! Automatic bit-rate detection (CiA 305, table 0, index 9): how a node listens, and its silence until it knows the
+//! rate.
 
 use lss_slave::{BitRate, BitRateSetting, BitRates, BusEvent, Device, Settings, nmt::State};
 use testkit::{
@@ -72,7 +73,7 @@ fn a_pending_index_9_that_was_not_stored_is_forgotten_at_power_off() {
 }
 
 #[test]
-fn activation_begins_to_listen_after_the_delay_and_speaks_after_two_at_the_earliest() {
+fn activation_listens_after_one_delay_and_sends_after_two_at_the_earliest() {
     for (heard_at_ms, expected) in [
         (150, &["100 ms listen at 1000 kbit/s", "150 ms 1000 kbit/s", "200 ms resume"]),
         (300, &["100 ms listen at 1000 kbit/s", "300 ms 1000 kbit/s", "300 ms resume"]),
@@ -91,7 +92,7 @@ fn activation_begins_to_listen_after_the_delay_and_speaks_after_two_at_the_earli
 }
 
 #[test]
-fn within_the_second_delay_of_an_activation_the_search_goes_on_from_the_top_after_each_silence() {
+fn in_the_second_delay_the_search_restarts_at_the_fastest_after_silence() {
     let mut board = fixed();
     board.lss("04 01");
     board.lss("13 00 09");
@@ -110,7 +111,7 @@ fn within_the_second_delay_of_an_activation_the_search_goes_on_from_the_top_afte
 }
 
 #[test]
-fn an_activation_of_automatic_detection_that_is_active_keeps_the_rate_that_was_found() {
+fn activating_automatic_detection_again_keeps_the_rate_found() {
     let mut board = listening();
     board.see(BusEvent::Error);
     board.receive(&frames::stranger());
@@ -136,7 +137,7 @@ fn a_fixed_rate_ends_automatic_detection() {
 }
 
 #[test]
-fn nothing_is_sent_while_listening_whatever_happens() {
+fn nothing_is_ever_sent_while_listening() {
     let mut board = listening_with(device(ADDRESS), defaults(0x40).with_heartbeat_ms(100), 0);
     for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000] {
         assert_eq!(board.see(BusEvent::Error), SILENCE);
@@ -188,7 +189,7 @@ fn a_rate_once_found_is_kept_through_errors_and_bus_off() {
 }
 
 #[test]
-fn each_error_leads_to_the_next_slower_rate_and_from_the_slowest_to_the_fastest() {
+fn each_error_leads_to_the_next_slower_rate_and_at_last_to_the_fastest() {
     let mut board = listening();
     for kbit_per_s in KBIT_PER_S.into_iter().cycle().skip(1).take(24) {
         board.pass_ms(1);
@@ -224,7 +225,7 @@ fn rates_that_the_clock_cannot_produce_are_left_out() {
 }
 
 #[test]
-fn after_a_second_and_a_half_without_anything_heard_listening_starts_again_at_the_fastest() {
+fn after_1500_ms_of_silence_listening_starts_again_at_the_fastest_rate() {
     let mut board = listening();
     for _ in 0..3 {
         board.see(BusEvent::Error);
@@ -236,16 +237,16 @@ fn after_a_second_and_a_half_without_anything_heard_listening_starts_again_at_th
     board.pass_ms(100);
     board.see(BusEvent::Error);
     board.pass_us(1_499_999);
-    assert_eq!(board.bit_rate(), BitRate::Kbit800, "the error began the time anew");
+    assert_eq!(board.bit_rate(), BitRate::Kbit800, "the error restarted the time");
 }
 
 #[test]
-fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_for_ever() {
+fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_forever() {
     for clock_at_start in [0, u32::MAX - 40_000_000] {
         let mut board = listening_with(device(ADDRESS), defaults(0x40), clock_at_start);
         board.timeline();
         assert_eq!(board.pass_ms(10 * 60_000), SILENCE);
-        assert_eq!(board.timeline(), SILENCE, "nor does it touch the controller");
+        assert_eq!(board.timeline(), SILENCE, "nor does it change the controller");
         assert_eq!(board.receive(&frames::stranger()), ["740: 00"]);
     }
 }
@@ -254,7 +255,7 @@ fn on_a_silent_bus_a_node_listens_at_the_fastest_rate_for_ever() {
 fn a_node_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
     let mut board = listening_with(device(ADDRESS), defaults(0xFF), 0);
     board.see(BusEvent::Error);
-    assert_eq!(board.receive(&frames::request("4C")), SILENCE, "it was deaf to this one");
+    assert_eq!(board.receive(&frames::request("4C")), SILENCE, "it did not receive this one");
     assert_eq!(board.bit_rate(), BitRate::Kbit800);
     assert_eq!(board.lss("4C"), ["50"]);
 }

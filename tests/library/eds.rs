@@ -1,4 +1,4 @@
-//! The EDS (CiA 306) against the object dictionary, the node and the identity in the firmware's device.rs.
+//! The EDS (CiA 306) compared with the object dictionary, the node and the identity in the firmware's device.rs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -34,7 +34,7 @@ fn sections() -> BTreeMap<&'static str, Section> {
     sections
 }
 
-/// A number as EDS and Rust write it.
+/// Parses a number in the notation of EDS or Rust.
 fn number(text: &str) -> u32 {
     let text = text.replace('_', "");
     match text.strip_prefix("0x") {
@@ -44,7 +44,7 @@ fn number(text: &str) -> u32 {
     .unwrap_or_else(|_| panic!("{text} is a number"))
 }
 
-/// What follows `before` in device.rs, up to `end`.
+/// The text that follows `before` in device.rs, up to `end`.
 fn in_device_rs(before: &str, end: char) -> &'static str {
     let (_, rest) = DEVICE_RS.split_once(before).unwrap_or_else(|| panic!("{before} is there"));
     rest.split(end).next().unwrap()
@@ -61,7 +61,7 @@ fn text_in_device_rs(name: &str) -> &'static str {
     }
 }
 
-/// What the clock of the CAN controller can produce, which is what device.rs offers. An EDS has no key for automatic
+/// The rates that the clock of the CAN controller can produce, which device.rs offers. An EDS has no key for automatic
 /// detection.
 fn bit_rates() -> BitRates {
     assert!(DEVICE_RS.contains("pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ)"));
@@ -95,12 +95,12 @@ fn section_of(entry: &Entry) -> String {
     }
 }
 
-/// The indices that the list `name` holds.
+/// The indices in the list `name`.
 fn list(name: &str) -> Vec<u32> {
     let sections = sections();
     let list = &sections[name];
     let len = number(list["SupportedObjects"]);
-    assert_eq!(list.len(), len as usize + 1, "[{name}] holds as many as it says");
+    assert_eq!(list.len(), len as usize + 1, "[{name}] gives the right number");
     (1..=len).map(|n| number(list[n.to_string().as_str()])).collect()
 }
 
@@ -146,7 +146,7 @@ fn each_object_has_a_section_with_its_data_type_and_access() {
 }
 
 #[test]
-fn an_object_with_sub_indices_says_how_many_and_whether_it_is_an_array_or_a_record() {
+fn an_object_with_sub_indices_gives_their_number_and_array_or_record() {
     let sections = sections();
     for entry in TABLE.iter().filter(|entry| section_of(entry).ends_with("sub0")) {
         let name = format!("{:04X}", entry.index);
@@ -181,7 +181,7 @@ fn no_section_is_left_over() {
 }
 
 #[test]
-fn each_default_value_is_what_a_new_device_answers_by_sdo() {
+fn each_default_value_is_the_answer_of_a_new_device_by_sdo() {
     let sections = sections();
     let mut board = board_of_device_rs();
     for entry in TABLE {
@@ -207,7 +207,7 @@ fn each_default_value_is_what_a_new_device_answers_by_sdo() {
 }
 
 #[test]
-fn a_tool_that_writes_a_configuration_leaves_out_what_a_write_sets_off() {
+fn tools_leave_out_objects_whose_write_triggers_an_action() {
     const REFUSE_WRITE_ON_DOWNLOAD: &str = "1";
     let sections = sections();
     for entry in TABLE {

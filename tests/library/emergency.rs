@@ -1,4 +1,4 @@
-//! Emergency messages (CiA 301, 7.2.7): which frames each fault sends, when, and what the error register 1001h says.
+//! Emergency messages (CiA 301, 7.2.7): the frames and times for each fault, and the error register 1001h.
 
 use lss_slave::{BitRate, BitRateSetting, BusEvent, emergency::Fault};
 use testkit::{
@@ -13,7 +13,7 @@ const SETTINGS_LOST: &str = "0C0: 10 63 01 00 00 00 00 00";
 const ERROR_PASSIVE: &str = "0C0: 20 81 11 00 00 00 00 00";
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
 
-/// The board sees a trouble; returns what the node sends at once.
+/// Reports a fault to the node; returns the frames that it sends at once.
 fn report(board: &mut NodeRig, fault: Fault) -> Frames {
     board.node.handle_fault(fault);
     board.pass_us(0)
@@ -44,11 +44,11 @@ fn lost_settings_are_6310_and_an_error_until_something_is_stored() {
     board.lss("04 01");
     assert_eq!(board.lss("17"), ["17 00", NO_ERROR]);
     assert_eq!(board.sdo("40 01 10 00"), ["5C0: 4F 01 10 00 00 00 00 00"]);
-    assert_eq!(board.lss("17"), ["17 00"], "no error is said once");
+    assert_eq!(board.lss("17"), ["17 00"], "no error is reported once");
 }
 
 #[test]
-fn a_store_by_sdo_makes_up_for_lost_settings_too_and_one_that_fails_does_not() {
+fn a_store_by_sdo_ends_lost_settings_unless_it_fails() {
     let mut board = NodeRig::with_node_id(0x40);
     report(&mut board, Fault::SettingsLost);
     board.flash.fail(Operation::Write);
@@ -63,7 +63,7 @@ fn a_store_by_sdo_makes_up_for_lost_settings_too_and_one_that_fails_does_not() {
 }
 
 #[test]
-fn while_settings_are_lost_the_end_of_another_trouble_is_not_the_end_of_all() {
+fn while_settings_are_lost_the_end_of_another_fault_sends_no_0000() {
     let mut board = NodeRig::with_node_id(0x40);
     report(&mut board, Fault::SettingsLost);
     assert_eq!(board.see(BusEvent::Overrun), [OVERRUN]);
@@ -74,7 +74,7 @@ fn while_settings_are_lost_the_end_of_another_trouble_is_not_the_end_of_all() {
 }
 
 #[test]
-fn troubles_that_come_together_are_each_told_once_and_the_end_of_them_last() {
+fn simultaneous_faults_are_each_reported_once_and_their_end_last() {
     let mut board = NodeRig::with_node_id(0x40);
     for fault in [BusEvent::Overrun, BusEvent::BusOffRecovered, BusEvent::Overrun] {
         board.report(fault);
@@ -96,7 +96,7 @@ fn the_cob_id_is_80h_plus_the_node_id() {
 }
 
 #[test]
-fn emergencies_are_sent_in_pre_operational_and_operational_and_wait_in_stopped() {
+fn emergencies_are_sent_in_pre_operational_and_operational_not_in_stopped() {
     let mut board = NodeRig::with_node_id(0x40);
     board.nmt("01 00");
     assert_eq!(board.see(BusEvent::Overrun), [OVERRUN, NO_ERROR]);
@@ -107,7 +107,7 @@ fn emergencies_are_sent_in_pre_operational_and_operational_and_wait_in_stopped()
 }
 
 #[test]
-fn a_trouble_of_a_node_without_a_node_id_is_told_after_its_boot_up() {
+fn a_fault_of_a_node_without_a_node_id_is_reported_after_its_boot_up() {
     let mut board = NodeRig::unconfigured();
     assert_eq!(report(&mut board, Fault::SettingsLost), SILENCE);
     board.lss("04 01");
@@ -116,7 +116,7 @@ fn a_trouble_of_a_node_without_a_node_id_is_told_after_its_boot_up() {
 }
 
 #[test]
-fn settings_that_were_lost_and_stored_before_the_node_had_a_node_id_are_told_and_over() {
+fn settings_lost_and_stored_without_a_node_id_are_reported_and_ended() {
     let mut board = NodeRig::unconfigured();
     report(&mut board, Fault::SettingsLost);
     board.lss("04 01");
@@ -137,7 +137,7 @@ fn an_emergency_waits_for_the_end_of_a_switch_delay() {
 }
 
 #[test]
-fn reset_communication_leaves_a_lasting_error_in_the_register_and_does_not_tell_it_again() {
+fn reset_communication_keeps_a_lasting_error_and_does_not_report_it_again() {
     let mut board = NodeRig::with_node_id(0x40);
     report(&mut board, Fault::SettingsLost);
     assert_eq!(board.nmt("82 00"), ["740: 00"]);
@@ -145,13 +145,13 @@ fn reset_communication_leaves_a_lasting_error_in_the_register_and_does_not_tell_
 }
 
 #[test]
-fn an_emergency_goes_before_a_heartbeat_that_is_due_at_the_same_time() {
+fn an_emergency_is_sent_before_a_heartbeat_due_at_the_same_time() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.report(BusEvent::Overrun);
     assert_eq!(board.be_late_ms(100), [OVERRUN, NO_ERROR, "740: 7F"]);
 }
 
-/// The controller's error counters are these; returns what the node sends at once.
+/// Sets the controller's error counters; returns the frames that the node sends at once.
 fn count(board: &mut NodeRig, transmit: u8, receive: u8) -> Frames {
     board.report(BusEvent::ErrorCounters { transmit, receive });
     board.pass_us(0)
@@ -167,12 +167,12 @@ fn error_passive_is_8120_and_its_end_is_no_error() {
         assert_eq!(count(&mut board, transmit, 127), SILENCE, "once");
         assert_eq!(count(&mut board, 127, 95), [NO_ERROR]);
         assert_eq!(board.number(0x1001, 0), 0);
-        assert_eq!(count(&mut board, 0, 0), SILENCE, "no error is said once");
+        assert_eq!(count(&mut board, 0, 0), SILENCE, "no error is reported once");
     }
 }
 
 #[test]
-fn a_receiver_that_hears_errors_and_frames_in_turn_reports_error_passive_once() {
+fn a_receiver_of_alternate_errors_and_frames_reports_error_passive_once() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(count(&mut board, 0, 135), SILENCE);
     assert_eq!(count(&mut board, 0, 127), [ERROR_PASSIVE]);
@@ -185,7 +185,7 @@ fn a_receiver_that_hears_errors_and_frames_in_turn_reports_error_passive_once() 
 }
 
 #[test]
-fn emergencies_wait_while_nothing_but_errors_is_heard() {
+fn emergencies_wait_while_the_bus_carries_only_errors() {
     let mut board = NodeRig::with_heartbeat(0x40, 1_000);
     for receive in [128, 135, 255] {
         assert_eq!(count(&mut board, 0, receive), SILENCE);
@@ -251,7 +251,7 @@ fn reset_communication_keeps_the_error_history_and_adds_nothing_to_it() {
     let errors = [1, 2].map(|sub_index| board.number(0x1003, sub_index));
     assert_eq!((board.number(0x1003, 0), errors), (2, [0x8120, 0x6310]));
     board.nmt("81 00");
-    assert_eq!(board.number(0x1003, 0), 0, "reset node forgets it");
+    assert_eq!(board.number(0x1003, 0), 0, "reset node clears it");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Frames: what can be made, what is in them, when two are equal.
+//! Frames: construction, content, equality.
 
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use lss_slave::Frame;

@@ -1,4 +1,4 @@
-//! The indicators (CiA 303-3) over time: a character a step of 50 ms, `#` lit and `.` dark.
+//! The indicators (CiA 303-3) over time: one character for 50 ms, `#` lit and `.` dark.
 
 use lss_slave::{
     indicator::{BusState, Indicators, STEP_MS},
@@ -12,14 +12,14 @@ const OFF: &str = "........................";
 const ON: &str = "########################";
 /// 50 ms on, 50 ms off.
 const FLICKERING: &str = "#.#.#.#.#.#.#.#.#.#.#.#.";
-/// The other way round.
+/// The inverse.
 const FLICKERING_IN_TURN: &str = ".#.#.#.#.#.#.#.#.#.#.#.#";
 /// 200 ms on, 200 ms off.
 const BLINKING: &str = "####....####....####....";
 /// 200 ms on, 1000 ms off.
 const SINGLE_FLASH: &str = "####....................";
 
-/// What RUN and ERR show in the next 1200 ms.
+/// The states of RUN and ERR in the next 1200 ms.
 fn watch(
     indicators: &mut Indicators,
     nmt: State,
@@ -36,7 +36,7 @@ fn watch(
     shown
 }
 
-/// Over more periods than the counter of steps has, and then some.
+/// Over more periods than the step counter can count.
 fn assert_shows(nmt: State, is_lss_active: bool, bus: BusState, run: &str, error: &str) {
     let mut indicators = Indicators::default();
     for _ in 0..50 {
@@ -54,7 +54,7 @@ fn run_shows_the_nmt_state() {
 }
 
 #[test]
-fn error_shows_the_state_of_the_bus_whatever_run_shows() {
+fn err_shows_the_state_of_the_bus_independently_of_run() {
     let runs = [OFF, BLINKING, ON, SINGLE_FLASH];
     for (nmt, run) in NMT_STATES.into_iter().zip(runs) {
         assert_shows(nmt, false, BusState::Good, run, OFF);

@@ -1,4 +1,4 @@
-//! Instants: microseconds of a count that wraps.
+//! Instants: microseconds of a counter that wraps.
 
 use lss_slave::Instant;
 
@@ -10,7 +10,7 @@ fn an_instant_is_the_count_that_it_was_made_of() {
 }
 
 #[test]
-fn a_later_instant_has_not_come_until_the_count_stands_there_also_across_the_wrap() {
+fn a_later_instant_comes_when_the_count_reaches_it_also_across_the_wrap() {
     for start in [0, 1_000, u32::MAX - 5, u32::MAX] {
         let now = Instant::from_micros(start);
         for span in [1, 10, u32::MAX / 2] {

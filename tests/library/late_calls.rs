@@ -1,4 +1,4 @@
-//! A board that is late with every deadline does what one does that is punctual, in the same order; only heartbeats are missed.
+//! A board that is late with every deadline acts like a punctual one, in the same order, and misses only heartbeats.
 
 use lss_slave::Action;
 use testkit::{
@@ -12,7 +12,7 @@ const REQUESTS: [&str; 13] = [
 ];
 const COMMANDS: [&str; 5] = ["01 00", "80 00", "02 00", "82 00", "81 00"];
 
-/// What the board did since the last call but for heartbeats, and how many of those.
+/// The board's actions since the last call except heartbeats, and the number of heartbeats.
 fn done(board: &mut NodeRig) -> (Vec<Action>, usize) {
     let is_heartbeat = |action: &Action| {
         matches!(action, Action::Transmit(frame)
@@ -24,7 +24,7 @@ fn done(board: &mut NodeRig) -> (Vec<Action>, usize) {
 }
 
 #[test]
-fn late_or_punctual_calls_lead_to_the_same_acts_in_the_same_order() {
+fn late_or_punctual_calls_lead_to_the_same_actions_in_the_same_order() {
     let mut random = Random::from_environment();
     let (mut acts, mut missed) = (0, 0);
     for _ in 0..50 {
@@ -47,7 +47,7 @@ fn late_or_punctual_calls_lead_to_the_same_acts_in_the_same_order() {
             let (expected, all) = done(&mut punctual);
             let (found, some) = done(&mut late);
             assert_eq!(found, expected, "step {step}");
-            // One for all that were missed, and one right behind a switch without a delay.
+            // One for all missed heartbeats, and one right behind a switch without a delay.
             assert!(some <= 2, "step {step}: {some} heartbeats in a burst");
             acts += found.len();
             missed += all.saturating_sub(some);

@@ -21,7 +21,7 @@ fn in_configuration(mut board: NodeRig) -> NodeRig {
 }
 
 #[test]
-fn activation_is_silent_at_once_switches_after_the_delay_and_speaks_after_two() {
+fn activation_is_silent_switches_after_one_delay_and_sends_after_two() {
     let mut board = ready_to_switch(0);
     assert_eq!(board.lss("15 64 00"), SILENCE);
     assert_eq!(board.pass_ms(1000), SILENCE);
@@ -37,7 +37,7 @@ fn the_delay_is_little_endian() {
 }
 
 #[test]
-fn delay_0_switches_and_speaks_at_once_and_does_not_close_can_for_good() {
+fn delay_0_switches_and_sends_at_once_and_does_not_close_can_for_good() {
     let mut board = ready_to_switch(100);
     assert_eq!(board.lss("15 00 00"), ["740: 7F"]);
     let timeline = ["0 ms stop", "0 ms 500 kbit/s", "0 ms resume", "0 ms 740: 7F"];
@@ -70,7 +70,7 @@ fn the_node_is_as_before_after_an_activation() {
 }
 
 #[test]
-fn a_node_without_a_node_id_stays_without_a_word_after_an_activation() {
+fn a_node_without_a_node_id_stays_silent_after_an_activation() {
     let mut board = in_configuration(NodeRig::with_heartbeat(0xFF, 100));
     board.lss("15 64 00");
     assert_eq!(board.pass_ms(1000), SILENCE);
@@ -89,13 +89,13 @@ fn an_activation_that_changes_nothing_keeps_both_silent_periods() {
     assert_eq!(board.bit_rate(), BitRate::Kbit1000);
     board.lss("13 00 00");
     board.lss("15 64 00");
-    assert_eq!(board.pass_us(199_999), SILENCE, "with the rate that is active");
+    assert_eq!(board.pass_us(199_999), SILENCE, "with the active rate");
     assert_eq!(board.pass_us(1), ["740: 7F"]);
     assert_eq!(board.bit_rate(), BitRate::Kbit1000);
 }
 
 #[test]
-fn lss_requests_in_the_silent_periods_are_ignored_and_those_at_their_end_are_served() {
+fn lss_requests_are_ignored_in_the_silent_periods_and_served_at_their_end() {
     let requests = ["04 00", "11 05", "13 00 03", "15 00 00", "17", "5E", "51 00 00 00 00 80"];
     for request in requests {
         for at_us in [0, 1, 99_999, 100_000, 100_001, 199_999] {
@@ -131,7 +131,7 @@ fn select_and_identify_do_not_see_frames_of_the_silent_periods() {
 }
 
 #[test]
-fn a_second_activation_begins_anew_when_the_first_has_ended() {
+fn a_second_activation_starts_again_when_the_first_has_ended() {
     let mut board = ready_to_switch(0);
     board.lss("15 64 00");
     board.pass_ms(150);
@@ -162,7 +162,7 @@ fn heartbeats_of_the_silent_periods_are_not_sent_late_in_a_burst() {
 }
 
 #[test]
-fn nmt_commands_of_the_silent_periods_are_carried_out_at_their_end_and_the_last_counts() {
+fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end() {
     for at_ms in [0, 50, 100, 199] {
         let mut board = ready_to_switch(10_000);
         board.lss("15 64 00");
@@ -176,13 +176,13 @@ fn nmt_commands_of_the_silent_periods_are_carried_out_at_their_end_and_the_last_
         board.pass_ms(at_ms);
         board.nmt("02 40");
         board.nmt("01 41");
-        assert_eq!(board.pass_ms(200 - at_ms), ["740: 04"], "41 is somebody else");
+        assert_eq!(board.pass_ms(200 - at_ms), ["740: 04"], "41 is another node");
         assert_eq!(board.pass_ms(10_000), ["740: 04"], "once");
     }
 }
 
 #[test]
-fn a_reset_of_the_silent_periods_wins_whatever_comes_after_or_before() {
+fn a_reset_in_the_silent_periods_wins_over_commands_before_and_after() {
     for (commands, last) in
         [(["82 00", "01 00"], "200 ms 740: 00"), (["01 00", "82 00"], "200 ms 740: 00")]
     {
@@ -237,7 +237,7 @@ fn a_store_that_ends_in_the_silent_periods_is_answered_at_their_end() {
 }
 
 #[test]
-fn a_late_call_does_what_is_due_in_order_and_does_not_shift_what_is_still_to_come() {
+fn a_late_call_runs_due_actions_in_order_and_does_not_shift_later_ones() {
     let mut board = ready_to_switch(10);
     board.lss("15 64 00");
     assert_eq!(board.be_late_ms(150), SILENCE);
@@ -265,7 +265,7 @@ fn sdo_requests_of_the_silent_periods_are_not_answered_late() {
     assert_eq!(board.receive(&read_heartbeat_time), ["5C0: 4B 17 10 00 10 27 00 00"]);
 }
 
-/// Requests, resets, activations and heartbeats, with time passing in pieces of `step_us`.
+/// Requests, resets, activations and heartbeats, with time passing in steps of `step_us`.
 fn session(clock_at_start: u32, step_us: u64) -> Vec<String> {
     let defaults = defaults(0x40).with_heartbeat_ms(300);
     let mut board = NodeRig::new(ADDRESS, defaults, BoardFlash::blank(0), clock_at_start);
@@ -295,7 +295,7 @@ fn calls_without_need_change_nothing() {
 }
 
 #[test]
-fn the_wrap_of_the_clock_changes_nothing_wherever_it_falls() {
+fn the_wrap_of_the_clock_changes_nothing_at_any_time() {
     let expected = session(0, u64::MAX);
     assert!(expected.len() > 12, "{expected:?}");
     let mut random = Random::from_environment();
@@ -332,7 +332,7 @@ fn answers_before_an_activation_are_handed_over_before_the_silence() {
 }
 
 #[test]
-fn the_answer_to_a_store_by_sdo_that_ends_within_the_silent_periods_is_not_sent_late() {
+fn an_sdo_store_that_ends_in_the_silent_periods_is_not_answered_late() {
     let save = Frame::new(0x640, &[0x23, 0x10, 0x10, 1, b's', b'a', b'v', b'e']).expect("a frame");
     let mut board = NodeRig::with_heartbeat(0x40, 0);
     board.lss("04 01");

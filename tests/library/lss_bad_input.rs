@@ -1,4 +1,4 @@
-//! Any input at all: frames that are none of ours, random frames, random order; no panic, no act without a cause.
+//! Arbitrary input: foreign frames, random frames, random order; no panic, and no action without a cause.
 
 use embedded_can::{ExtendedId, Id, StandardId};
 use lss_slave::{Action, Frame, Instant, lss::Request};
@@ -8,7 +8,7 @@ use testkit::{
     random::Random,
 };
 
-/// A frame as a CAN driver may deliver it, well-formed or not.
+/// A frame as a CAN driver may pass it on, well-formed or not.
 struct Received {
     id: Id,
     is_remote: bool,
@@ -61,7 +61,7 @@ fn a_data_frame_with_an_11_bit_id_arrives_as_it_is() {
 }
 
 #[test]
-fn a_frame_with_a_29_bit_id_ends_here_even_with_the_number_of_an_11_bit_one() {
+fn a_frame_with_a_29_bit_id_is_rejected_even_with_an_11_bit_number() {
     let request = bytes("4C 00 00 00 00 00 00 00");
     for id in [0x7E5, 0x000, 0x7E5 << 18, 0x1FFF_FFFF] {
         assert_eq!(received(ExtendedId::new(id).unwrap(), false, &request), None, "{id:08X}");
@@ -70,7 +70,7 @@ fn a_frame_with_a_29_bit_id_ends_here_even_with_the_number_of_an_11_bit_one() {
 }
 
 #[test]
-fn a_remote_frame_ends_here() {
+fn a_remote_frame_is_rejected() {
     for id in [0x7E5, 0x000, 0x740] {
         let id = StandardId::new(id).unwrap();
         assert_eq!(received(id, true, &[]), None);
@@ -79,7 +79,7 @@ fn a_remote_frame_ends_here() {
 }
 
 #[test]
-fn a_frame_cannot_hold_more_than_eight_bytes_or_more_than_eleven_bits_of_cob_id() {
+fn a_frame_holds_at_most_eight_bytes_and_eleven_bits_of_cob_id() {
     let id = StandardId::new(0x7E5).unwrap();
     for len in 9..=64 {
         assert_eq!(received(id, false, &vec![0; len]), None, "{len} bytes");
@@ -91,7 +91,7 @@ fn a_frame_cannot_hold_more_than_eight_bytes_or_more_than_eleven_bits_of_cob_id(
 }
 
 #[test]
-fn every_frame_of_an_lss_master_means_one_thing_and_is_written_as_it_is_read() {
+fn every_frame_of_an_lss_master_has_one_meaning_and_is_written_as_read() {
     let mut random = Random::from_environment();
     for command in 0..=0xFF {
         for _ in 0..200 {
@@ -109,7 +109,7 @@ fn every_frame_of_an_lss_master_means_one_thing_and_is_written_as_it_is_read() {
     }
 }
 
-/// A frame that means something more often than chance would have it.
+/// A random frame with more than a random share of meaningful ones.
 fn any_frame(random: &mut Random) -> Frame {
     const COMMANDS: [u8; 25] = [
         0x04, 0x04, 0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x44, 0x46, 0x47, 0x48,
@@ -130,7 +130,7 @@ fn any_frame(random: &mut Random) -> Frame {
     } else if !random.one_in(8) {
         data[0] = random.pick(&COMMANDS);
     }
-    // Short delays, else most of the frames would fall into silent periods.
+    // Short delays, otherwise most frames would fall into silent periods.
     if cob_id == 0x7E5 && data[0] == 0x15 {
         data[1] %= 4;
         data[2] = if random.one_in(50) { data[2] } else { 0 };
@@ -143,9 +143,9 @@ fn any_frame(random: &mut Random) -> Frame {
     Frame::new(cob_id, &data[..len]).unwrap()
 }
 
-/// The board checks by itself that nothing is sent in a silent period, and that it knows bit rate and node-ID.
+/// The board checks that nothing is sent in a silent period, and that it knows bit rate and node-ID.
 #[test]
-fn random_frames_do_no_harm_and_store_nothing_without_configuration_and_17() {
+fn random_frames_store_nothing_without_configuration_and_17() {
     let mut random = Random::from_environment();
     let mut stores = 0;
     for _ in 0..40 {
@@ -177,7 +177,7 @@ fn random_frames_do_no_harm_and_store_nothing_without_configuration_and_17() {
     assert!(stores > 20, "the frames reach a store: {stores} times");
 }
 
-/// Calls that the contract does not foresee: any order, no time order, outcomes of stores that nobody asked for.
+/// Calls outside of the contract: any order, no time order, unrequested outcomes of stores.
 #[test]
 fn no_order_of_calls_makes_the_node_panic_or_answer_without_end() {
     let mut random = Random::from_environment();

@@ -21,7 +21,7 @@ fn with_500_pending_on(mut board: NodeRig) -> NodeRig {
     board
 }
 
-/// The bit rate that is pending, shown by activating it.
+/// The pending bit rate, determined by activating it.
 fn pending(board: &mut NodeRig) -> u16 {
     board.lss("15 00 00");
     board.bit_rate().kbit_per_s()
@@ -53,7 +53,7 @@ fn any_other_index_or_table_is_refused_and_leaves_the_pending_rate_alone() {
 }
 
 #[test]
-fn a_rate_that_the_clock_cannot_produce_is_refused_and_leaves_the_pending_rate_alone() {
+fn a_rate_that_the_clock_cannot_produce_is_refused_and_changes_nothing() {
     let device = device(ADDRESS).with_bit_rates(BitRates::possible(42_000_000));
     let board = NodeRig::with_device(device.with_defaults(defaults(0x40)), BoardFlash::blank(0), 0);
     let mut board = with_500_pending_on(board);
@@ -62,15 +62,15 @@ fn a_rate_that_the_clock_cannot_produce_is_refused_and_leaves_the_pending_rate_a
 }
 
 #[test]
-fn the_pending_rate_is_stored_by_17_and_active_after_power_on_and_reset_node() {
+fn a_rate_stored_by_17_is_active_after_power_on_and_reset_node() {
     let restarts: [fn(&mut NodeRig) -> Frames; 2] =
         [NodeRig::power_cycle, |board| board.nmt("81 00")];
     for restart in restarts {
         let mut board = with_500_pending();
         restart(&mut board);
-        assert_eq!(board.bit_rate(), BitRate::Kbit1000, "13 alone is forgotten");
+        assert_eq!(board.bit_rate(), BitRate::Kbit1000, "13 alone is not kept");
         board.lss("04 01");
-        assert_eq!(pending(&mut board), 1000, "13 alone is forgotten");
+        assert_eq!(pending(&mut board), 1000, "13 alone is not kept");
         board.lss("13 00 02");
         board.lss("17");
         assert_eq!(board.bit_rate(), BitRate::Kbit1000);
@@ -106,7 +106,7 @@ fn reset_communication_touches_neither_the_active_nor_the_pending_rate() {
 }
 
 #[test]
-fn a_stored_bit_rate_that_the_device_does_not_offer_is_looked_for_by_listening() {
+fn an_unsupported_stored_bit_rate_is_searched_for_by_listening() {
     let device = device(ADDRESS).with_bit_rates(BitRates::possible(42_000_000));
     assert!(!device.bit_rates.contains(BitRate::Kbit800), "{:?}", device.bit_rates);
     let settings = defaults(0x40).with_bit_rate(BitRate::Kbit800.into());

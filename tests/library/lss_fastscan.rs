@@ -1,4 +1,4 @@
-//! Fastscan (CiA 305): each rule of a step, and whole scans by a master that finds slaves of which it knows little.
+//! Fastscan (CiA 305): each rule of a step, and whole scans by a master with little prior knowledge.
 
 use lss_slave::lss::Address;
 use testkit::{
@@ -22,14 +22,14 @@ fn step(id_number: u32, bit_check: u8, sub: u8, next: u8) -> String {
     format!("51 {} {bit_check:02X} {sub:02X} {next:02X}", number(id_number))
 }
 
-/// A slave that has answered the beginning of a scan.
+/// A slave that has answered the start of a scan.
 fn begun() -> NodeRig {
     let mut board = NodeRig::unconfigured();
     assert_eq!(board.lss(BEGIN), ["4F"]);
     board
 }
 
-/// The bus with slaves on it, as the master sees it: whether at least one answers.
+/// Sends a frame to all slaves; returns whether at least one answers.
 fn is_answered(slaves: &mut [NodeRig], request: &str) -> bool {
     let answers: Vec<_> = slaves.iter_mut().map(|slave| slave.lss(request)).collect();
     for frames in &answers {
@@ -67,7 +67,7 @@ fn scan(slaves: &mut [NodeRig], known: [Option<u32>; 4]) -> Option<Address> {
 }
 
 #[test]
-fn the_beginning_is_answered_by_every_unconfigured_slave_in_waiting_whatever_else_it_says() {
+fn every_unconfigured_slave_in_waiting_answers_the_start_of_a_scan() {
     let mut board = NodeRig::unconfigured();
     assert_eq!(board.lss("51 00 00 00 00 80 00 00"), ["4F 00 00 00 00 00 00 00"]);
     assert_eq!(board.lss("51 FF FF FF FF 80 FF FF"), ["4F"]);
@@ -160,7 +160,7 @@ fn a_step_that_matches_awaits_next_even_if_not_all_bits_were_compared() {
 }
 
 #[test]
-fn a_slave_is_selected_by_a_full_match_that_goes_back_to_an_earlier_part_and_only_by_that() {
+fn only_a_full_match_that_returns_to_an_earlier_part_selects_a_slave() {
     let parts = parts(&ADDRESS);
     for sub in 0..4 {
         for next in 0..4 {
@@ -214,7 +214,7 @@ fn the_beginning_awaits_the_first_part_again() {
 }
 
 #[test]
-fn a_slave_selected_by_fastscan_awaits_the_first_part_after_it_was_switched_back() {
+fn a_slave_selected_by_fastscan_and_switched_back_awaits_the_first_part() {
     let mut slaves = [NodeRig::unconfigured()];
     assert_eq!(scan(&mut slaves, [None; 4]), Some(ADDRESS));
     let [board] = &mut slaves;
@@ -242,7 +242,7 @@ fn frames_of_another_family_do_not_disturb_a_scan() {
     }
 }
 
-/// Addresses that share parts and differ in single bits, with the extremes.
+/// Addresses that share parts and differ in single bits, and the extremes.
 fn neighbours(random: &mut Random) -> Vec<Address> {
     let mut all = vec![[0; 4], [u32::MAX; 4], parts(&ADDRESS)];
     while all.len() < 8 {
@@ -289,7 +289,7 @@ fn a_master_that_knows_parts_confirms_them_in_one_step_each() {
     let own = parts(&ADDRESS);
     for known in 0..16 {
         let known = std::array::from_fn(|part| (known >> part & 1 == 1).then_some(own[part]));
-        // A scan asks for 0 bits first, so it leads to the lower of two slaves.
+        // A scan tests for 0 bits first, so it leads to the lower of two slaves.
         let other = address([u32::MAX; 4]);
         let mut slaves = [NodeRig::unconfigured(), NodeRig::with_address(other)];
         assert_eq!(scan(&mut slaves, known), Some(ADDRESS), "{known:?}");

@@ -1,4 +1,4 @@
-//! The LSS lock, a choice of the device: in NMT operational the LSS state stays waiting.
+//! The LSS lock, an option of the device: in NMT operational the LSS state stays waiting.
 
 use testkit::{
     flash::BoardFlash,
@@ -22,7 +22,7 @@ fn select(board: &mut NodeRig) -> Frames {
 }
 
 #[test]
-fn without_it_lss_configuration_state_is_entered_in_nmt_operational() {
+fn without_the_lock_configuration_is_entered_in_nmt_operational() {
     let mut board = board(false, 0x40);
     board.nmt("01 40");
     assert_eq!(select(&mut board), ["44"]);
@@ -30,7 +30,7 @@ fn without_it_lss_configuration_state_is_entered_in_nmt_operational() {
 }
 
 #[test]
-fn with_it_neither_switch_state_leads_to_configuration_in_nmt_operational() {
+fn with_the_lock_no_switch_state_leads_to_configuration_in_operational() {
     let mut board = board(true, 0x40);
     board.nmt("01 40");
     assert_eq!(select(&mut board), SILENCE);
@@ -42,7 +42,7 @@ fn with_it_neither_switch_state_leads_to_configuration_in_nmt_operational() {
 }
 
 #[test]
-fn with_it_a_node_in_nmt_operational_is_still_identified() {
+fn with_the_lock_a_node_in_nmt_operational_is_still_identified() {
     let mut board = board(true, 0x40);
     board.nmt("01 40");
     let revision = ADDRESS.revision_number;
@@ -59,7 +59,7 @@ fn with_it_a_node_in_nmt_operational_is_still_identified() {
 }
 
 #[test]
-fn with_it_configuration_ends_where_nmt_operational_begins_and_is_free_again_behind_it() {
+fn with_the_lock_configuration_ends_in_operational_and_is_free_afterwards() {
     for leave in ["02 40", "80 40"] {
         let mut board = board(true, 0x40);
         board.lss("04 01");
@@ -70,13 +70,13 @@ fn with_it_configuration_ends_where_nmt_operational_begins_and_is_free_again_beh
         assert_eq!(board.lss("5E"), SILENCE, "in waiting state");
         board.lss("04 01");
         assert_eq!(board.lss("5E"), ["5E 40"]);
-        assert_eq!(board.lss("17"), ["17 00"], "what was pending still is");
+        assert_eq!(board.lss("17"), ["17 00"], "the pending values still are");
         assert_eq!(board.stored().and_then(|s| s.node_id).map(|id| id.get()), Some(5));
     }
 }
 
 #[test]
-fn with_it_a_blank_node_is_configured_whatever_nmt_commands_are_sent_to_all() {
+fn with_the_lock_a_blank_node_is_configured_despite_nmt_commands_to_all() {
     let mut board = board(true, 0xFF);
     board.nmt("01 00");
     board.lss("04 01");

@@ -1,4 +1,4 @@
-//! The LSS slave against a second description of CiA 305: a table of services over plain numbers, compared after each frame.
+//! The LSS slave compared after each frame with a second model of CiA 305: a table of services over plain numbers.
 
 use std::collections::HashSet;
 
@@ -14,7 +14,7 @@ const NONE: u8 = 0xFF;
 const CLOCK_HZ: u32 = 42_000_000;
 const RATES: [u8; 8] = [0, 2, 3, 4, 6, 7, 8, 9];
 
-/// What a request leads to.
+/// The effect of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Effect {
     Nothing,
@@ -29,9 +29,9 @@ enum Effect {
 struct Model {
     address: [u32; 4],
     is_configuration: bool,
-    /// How many steps of a select (40..43) were right.
+    /// The number of right steps of a select (40..43).
     select: usize,
-    /// How many steps of an identify (46..4B) were right.
+    /// The number of right steps of an identify (46..4B).
     identify: usize,
     position: u8,
     pending_id: u8,
@@ -41,7 +41,7 @@ struct Model {
 
 type Service = fn(&mut Model, &[u8; 8]) -> Effect;
 
-/// Command specifiers from..=to, whether served in waiting and in configuration state, and how.
+/// Command specifiers from..=to, whether they are served in waiting and in configuration state, and the service.
 const SERVICES: [(u8, u8, bool, bool, Service); 11] = [
     (0x04, 0x04, true, true, Model::switch_global),
     (0x11, 0x11, false, true, Model::configure_node_id),
@@ -60,7 +60,7 @@ const SERVICES: [(u8, u8, bool, bool, Service); 11] = [
     (0x5E, 0x5E, false, true, |model, _| answer(0x5E, model.active_id)),
 ];
 
-/// Which part of the address each step of an identify compares, and how: 0 equal, -1 at most, 1 at least.
+/// The part of the address and the comparison of each step of an identify: 0 equal, -1 at most, 1 at least.
 const IDENTIFY: [(usize, i8); 6] = [(0, 0), (1, 0), (2, -1), (2, 1), (3, -1), (3, 1)];
 
 fn answer(command: u8, byte: u8) -> Effect {
@@ -196,7 +196,7 @@ struct Pair {
     model: Model,
 }
 
-/// What happens to a slave.
+/// An event for a slave.
 #[derive(Clone, Copy, Debug)]
 enum Event {
     Request([u8; 8]),
@@ -260,7 +260,7 @@ impl Pair {
 }
 
 const ADDRESS: [u32; 4] = [0x11, 0x22, 0x33, 0x8000_0044];
-/// Each service with what it accepts and what it must not, for `ADDRESS`.
+/// Each service with accepted and refused values, for `ADDRESS`.
 const ALPHABET: &str = "04 00, 04 01, 04 02, 11 05, 11 7F, 11 00, 11 80, 11 FF, 15 E8 03, 17,
     13 00 02, 13 00 09, 13 00 01, 13 00 05, 13 01 02, 4C, 5A, 5B, 5C, 5D, 5E, 44, 4F, 50, 00, FF,
     40 11, 40 12, 41 22, 42 33, 42 34, 43 44 00 00 80, 43 44,
@@ -272,7 +272,7 @@ const ALPHABET: &str = "04 00, 04 01, 04 02, 11 05, 11 7F, 11 00, 11 80, 11 FF, 
     51 44 00 00 00 00 03 00, 51 00 00 00 00 1F 03 03, 51 00 00 00 00 20 00 00";
 
 #[test]
-fn no_sequence_of_any_length_from_a_small_alphabet_tells_the_slave_from_the_model() {
+fn no_sequence_from_a_small_alphabet_distinguishes_slave_and_model() {
     let mut alphabet = vec![Event::Activated, Event::ResetCommunication];
     for request in ALPHABET.split(',') {
         let mut data = bytes(request);
@@ -283,7 +283,7 @@ fn no_sequence_of_any_length_from_a_small_alphabet_tells_the_slave_from_the_mode
     let mut known = HashSet::from([(format!("{:?}", begin.slave), begin.model.clone())]);
     let mut open = vec![begin];
     let mut compared = 0;
-    // Every pair of states that can be reached, and every event in each.
+    // Every reachable pair of states, and every event in each.
     while let Some(pair) = open.pop() {
         for &event in &alphabet {
             let mut pair = pair.clone();
@@ -298,7 +298,7 @@ fn no_sequence_of_any_length_from_a_small_alphabet_tells_the_slave_from_the_mode
     assert!(known.len() > 2_000);
 }
 
-/// A request as a master with some faults sends it.
+/// A request of a master that sometimes makes errors.
 fn request(random: &mut Random, model: &Model) -> [u8; 8] {
     let (from, to, ..) = SERVICES[random.within(0..11) as usize];
     let command = random.within(from.into()..u64::from(to) + 1) as u8;
@@ -333,7 +333,7 @@ fn request(random: &mut Random, model: &Model) -> [u8; 8] {
     data
 }
 
-/// A select, an identify or the Fastscan of the four parts as it should be, perhaps from some step on.
+/// A select, an identify or the Fastscan of the four parts without errors, sometimes from a later step on.
 fn procedure(random: &mut Random, model: &Model) -> Vec<[u8; 8]> {
     let part = |part: usize| model.address[part].to_le_bytes();
     let step = |command: u8, [a, b, c, d]: [u8; 4]| [command, a, b, c, d, 0, 0, 0];
@@ -354,7 +354,7 @@ fn procedure(random: &mut Random, model: &Model) -> Vec<[u8; 8]> {
 }
 
 #[test]
-fn long_random_sequences_do_not_tell_the_slave_from_the_model() {
+fn long_random_sequences_do_not_distinguish_slave_and_model() {
     let mut random = Random::from_environment();
     let (mut frames, mut configured) = (0, 0);
     for _ in 0..200 {

@@ -1,4 +1,4 @@
-//! The node-ID, persistent, pending and active: which event moves it from where to where (CiA 305, configure node-ID).
+//! The node-ID, persistent, pending and active: the events that move it (CiA 305, configure node-ID).
 
 use lss_slave::{Frame, NodeId, Settings, lss::StoreError, nmt::State};
 use testkit::{
@@ -7,14 +7,14 @@ use testkit::{
     node_rig::{ADDRESS, NodeRig, defaults},
 };
 
-/// The node-ID that is pending, shown by what NMT reset communication makes active.
+/// The pending node-ID, determined by NMT reset communication.
 fn pending(board: &mut NodeRig) -> Option<u8> {
     board.nmt("82 00");
     board.lss("04 01");
     board.inquired_node_id()
 }
 
-/// What the node stored, as LSS writes it.
+/// The stored node-ID, as LSS encodes it.
 fn stored(board: &NodeRig) -> Option<u8> {
     board.stored().map(|settings| NodeId::to_lss(settings.node_id))
 }
@@ -58,7 +58,7 @@ fn configure_node_id_changes_nothing_but_the_pending_node_id() {
 }
 
 #[test]
-fn inquire_node_id_answers_the_active_one_whatever_is_pending() {
+fn inquire_node_id_answers_the_active_one_not_the_pending_one() {
     let mut board = NodeRig::unconfigured();
     board.lss("04 01");
     assert_eq!(board.lss("5E"), ["5E FF"]);
@@ -102,8 +102,7 @@ fn power_on_brings_the_stored_node_id() {
 }
 
 #[test]
-fn reset_node_makes_the_persistent_node_id_pending_and_active_and_forgets_one_that_was_not_stored()
-{
+fn reset_node_makes_the_persistent_node_id_pending_and_active() {
     let mut board = NodeRig::with_node_id(0x40);
     board.lss("04 01");
     board.lss("11 05");
@@ -132,9 +131,9 @@ fn cob_ids_follow_the_node_id() {
     board.lss("11 04");
     board.timeline();
     assert_eq!(board.nmt("82 40"), ["704: 00"]);
-    assert_eq!(board.timeline(), ["0 ms node-ID 04", "0 ms 704: 00"], "the board is told first");
+    assert_eq!(board.timeline(), ["0 ms node-ID 04", "0 ms 704: 00"], "the board gets it first");
     assert_eq!(board.pass_ms(100), ["704: 7F"]);
-    assert_eq!(board.nmt("82 40"), SILENCE, "40 is somebody else now");
+    assert_eq!(board.nmt("82 40"), SILENCE, "40 is another node now");
     assert_eq!(board.nmt("82 04"), ["704: 00"]);
 }
 
@@ -167,7 +166,7 @@ fn a_node_without_a_node_id_obeys_the_resets_to_all() {
         let mut board = NodeRig::unconfigured();
         board.lss("04 01");
         board.nmt(command);
-        assert!(board.is_in_configuration_state(), "{command} is for somebody else");
+        assert!(board.is_in_configuration_state(), "{command} is for another node");
     }
 }
 
@@ -188,7 +187,7 @@ fn reset_communication_with_ff_pending_ends_communication() {
 }
 
 #[test]
-fn leaving_configuration_with_a_first_node_id_starts_communication_by_itself() {
+fn leaving_configuration_with_a_first_node_id_starts_communication() {
     let mut board = NodeRig::with_heartbeat(0xFF, 100);
     board.lss("04 01");
     assert_eq!(board.lss("11 04"), ["11 00"]);
@@ -209,7 +208,7 @@ fn nothing_else_starts_communication_by_itself() {
     board.lss("04 01");
     board.lss("04 00");
     assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending");
-    assert_eq!(board.timeline(), SILENCE, "not even a reset that is not seen");
+    assert_eq!(board.timeline(), SILENCE, "not even an invisible reset");
     board.lss("04 01");
     board.lss("11 04");
     board.lss("04 01");
@@ -219,11 +218,11 @@ fn nothing_else_starts_communication_by_itself() {
     assert_eq!(board.pass_ms(1000), SILENCE, "it was not 04 00");
     board.lss("11 FF");
     board.lss("04 00");
-    assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending any more");
+    assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending any longer");
 }
 
 #[test]
-fn leaving_configuration_with_an_active_node_id_does_nothing_until_the_next_nmt_reset() {
+fn leaving_configuration_with_an_active_node_id_waits_for_an_nmt_reset() {
     for (id, boot_up) in [("05", &["705: 00"][..]), ("FF", &[])] {
         let mut board = NodeRig::with_node_id(0x40);
         board.nmt("01 00");
@@ -305,7 +304,7 @@ fn a_store_that_fails_is_answered_with_its_error_code() {
 }
 
 #[test]
-fn a_store_that_the_medium_refuses_is_answered_17_02_and_the_old_values_stay() {
+fn a_store_refused_by_the_medium_is_answered_17_02_and_changes_nothing() {
     for operation in [Operation::Write, Operation::Read] {
         let mut board = NodeRig::with_node_id(0x40);
         board.lss("04 01");
@@ -321,8 +320,8 @@ fn a_store_that_the_medium_refuses_is_answered_17_02_and_the_old_values_stay() {
 }
 
 #[test]
-fn a_store_that_reads_back_otherwise_than_written_is_answered_17_02_and_the_old_values_stay() {
-    // The node-ID in the records that the first two stores write, behind the one of the formatting.
+fn a_store_that_reads_back_differently_is_answered_17_02() {
+    // The node-ID in the records of the first two stores, behind the record written by formatting.
     const NODE_ID_AT: [usize; 2] = [32 + 5, 64 + 5];
     let mut board = NodeRig::with_node_id(0x40);
     board.lss("04 01");
@@ -353,7 +352,7 @@ fn a_store_of_values_that_are_stored_already_writes_nothing() {
 }
 
 #[test]
-fn a_store_that_is_running_survives_reset_communication_and_is_still_answered() {
+fn a_running_store_survives_reset_communication_and_is_answered() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
     board.lss("04 01");

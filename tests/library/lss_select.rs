@@ -1,4 +1,4 @@
-//! Switch state selective and identify remote slave (CiA 305): their four and six steps, which need all to match in order.
+//! Switch state selective and identify remote slave (CiA 305): all of their four and six steps must match in order.
 
 use lss_slave::lss::Address;
 use testkit::{
@@ -14,7 +14,7 @@ const SERIAL: &str = "43 EF BE AD DE";
 /// The steps of a select that matches.
 const SELECT: [&str; 4] = [VENDOR, PRODUCT, REVISION, SERIAL];
 
-/// The steps of an identify that matches exactly this slave.
+/// The steps of an identify that exactly matches this slave.
 const IDENTIFY: [&str; 6] = [
     "46 44 33 22 11",
     "47 88 77 66 55",
@@ -64,7 +64,7 @@ fn a_select_with_any_bit_wrong_in_any_step_is_not_answered() {
                 assert_eq!(board.lss(&format!("{command:02X} {}", number(part))), SILENCE);
             }
             assert!(!board.is_in_configuration_state(), "bit {bit} of part {wrong}");
-            assert_eq!(board.lss(SERIAL), SILENCE, "the wrong step made it begin again");
+            assert_eq!(board.lss(SERIAL), SILENCE, "the wrong step cleared the progress");
         }
     }
 }
@@ -91,7 +91,7 @@ fn steps_of_an_earlier_attempt_do_not_count() {
     send_all(&mut board, &[VENDOR, PRODUCT, REVISION, VENDOR, SERIAL]);
     send_all(&mut board, &[VENDOR, PRODUCT, REVISION, REVISION, SERIAL]);
     send_all(&mut board, &[VENDOR, PRODUCT, REVISION, VENDOR, PRODUCT, REVISION]);
-    assert_eq!(board.lss(SERIAL), ["44"], "40 begins anew");
+    assert_eq!(board.lss(SERIAL), ["44"], "40 starts again");
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn a_select_in_configuration_is_ignored_and_makes_no_progress() {
 }
 
 #[test]
-fn a_matching_identify_is_answered_4f_in_both_states_by_configured_and_unconfigured_slaves() {
+fn a_matching_identify_is_answered_4f_with_or_without_a_node_id() {
     for mut board in [NodeRig::unconfigured(), NodeRig::with_node_id(0x40)] {
         for state in ["04 00", "04 01"] {
             board.lss(state);
@@ -210,7 +210,7 @@ fn each_accepted_04_and_each_reset_ends_an_identify_that_has_begun() {
 }
 
 #[test]
-fn the_own_reset_after_a_node_id_was_given_ends_an_identify_that_has_begun() {
+fn the_reset_after_a_first_node_id_ends_an_identify_in_progress() {
     let mut board = NodeRig::unconfigured();
     board.lss("04 01");
     board.lss("11 05");
@@ -278,7 +278,7 @@ fn frames_of_another_family_leave_an_identify_alone() {
 /// Both families mixed at random, with and without wrong values: a 43 (4B) is answered if and only if it is the last of
 /// four (six) right and ascending frames of its family.
 #[test]
-fn exactly_a_complete_ascending_run_is_answered_whatever_came_before() {
+fn only_a_complete_ascending_sequence_is_answered() {
     let mut random = Random::from_environment();
     let mut answers = [0, 0];
     for _ in 0..300 {
@@ -287,7 +287,7 @@ fn exactly_a_complete_ascending_run_is_answered_whatever_came_before() {
         for _ in 0..200 {
             let family = random.within(0..2) as usize;
             let steps = [&SELECT[..], &IDENTIFY[..]][family];
-            // Mostly the step that is next, else the run would never come to its end.
+            // Mostly the next step, otherwise the sequence would never be completed.
             let step = if random.one_in(8) {
                 random.within(0..steps.len() as u64) as usize
             } else {
@@ -295,7 +295,7 @@ fn exactly_a_complete_ascending_run_is_answered_whatever_came_before() {
             };
             let is_wrong = random.one_in(10);
             let request = if is_wrong {
-                // Not the own number, and outside of the range on the side where the bound is compared.
+                // Not the slave's number, and outside of the range on the side where the bound is compared.
                 let value = if steps[step].starts_with("48") || steps[step].starts_with("4A") {
                     "FF FF FF FF"
                 } else {

@@ -1,4 +1,4 @@
-//! Frames and LSS states (CiA 305): which request is answered in which state, byte for byte.
+//! Frames and LSS states (CiA 305): the answer to each request in each state, byte for byte.
 
 use lss_slave::{Frame, nmt::State};
 use testkit::{
@@ -6,8 +6,8 @@ use testkit::{
     node_rig::{ADDRESS, NodeRig},
 };
 
-/// A request of each command specifier that is one, and the states in which the slave that gets it, a new one without
-/// a node-ID, answers it: waiting, configuration.
+/// A request for each valid command specifier, and the answers of a new slave without a node-ID in the states waiting
+/// and configuration.
 const REQUESTS: [(&str, &[&str], &[&str]); 22] = [
     ("04", &[], &[]),
     ("04 01", &[], &[]),
@@ -40,7 +40,7 @@ fn the_state_after_power_on_is_waiting() {
 }
 
 #[test]
-fn each_request_is_answered_where_the_table_says_so_and_nowhere_else() {
+fn each_request_is_answered_only_where_the_table_says_so() {
     for (request, in_waiting, in_configuration) in REQUESTS {
         let mut board = NodeRig::unconfigured();
         assert_eq!(board.lss(request), in_waiting, "{request} in waiting");
@@ -121,7 +121,7 @@ fn numbers_are_little_endian_and_reserved_bytes_of_an_answer_are_0() {
 }
 
 #[test]
-fn reserved_bytes_of_a_request_are_not_looked_at_and_not_echoed() {
+fn reserved_bytes_of_a_request_are_ignored_and_not_echoed() {
     const X: &str = "A5 A5 A5 A5 A5 A5 A5";
     let mut board = NodeRig::unconfigured();
     assert_eq!(board.lss(&format!("4C {X}")), ["50"]);
@@ -242,7 +242,7 @@ fn lss_is_served_in_every_nmt_state() {
         assert_eq!(board.lss("11 05"), ["11 00"], "{state:?}");
         assert_eq!(board.lss("5E"), ["5E 40"], "{state:?}");
         assert_eq!(board.lss("17"), ["17 00"], "{state:?}");
-        assert_eq!(board.node.nmt_state(), state, "LSS leaves the NMT state alone");
+        assert_eq!(board.node.nmt_state(), state, "LSS does not change the NMT state");
     }
     let mut board = NodeRig::unconfigured();
     assert_eq!(board.node.nmt_state(), State::Initialisation);
@@ -273,7 +273,7 @@ fn both_nmt_resets_return_to_waiting() {
 }
 
 #[test]
-fn identify_non_configured_is_answered_only_while_active_and_pending_node_id_are_ff() {
+fn identify_non_configured_is_answered_only_while_both_node_ids_are_ff() {
     let mut board = NodeRig::unconfigured();
     assert_eq!(board.lss("4C"), ["50"]);
     board.lss("04 01");

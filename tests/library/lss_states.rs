@@ -1,6 +1,7 @@
-//! The picture of the LSS states, `docs/lss-states.svg`: drawn from what a node does with each service in each state.
+//! The diagram of the LSS states, `docs/lss-states.svg`: drawn from the node's behaviour with each service in each
+//! state.
 //!
-//! `WRITE_DIAGRAM=1 cargo test --test library lss_states` writes it anew.
+//! `WRITE_DIAGRAM=1 cargo test --test library lss_states` writes it again.
 
 use std::{env, fs, path::Path};
 
@@ -13,8 +14,8 @@ use testkit::{
     node_rig::NodeRig,
 };
 
-/// A service: its command specifiers, its name, and the requests that use it, separated by commas. Where there are several
-/// that do the same, each is tried.
+/// A service: its command specifiers, its name, and the requests that use it, separated by commas. Several equivalent
+/// requests are each tried.
 type Service = (&'static str, &'static str, &'static [&'static str]);
 
 const IDENTIFY: &str = "46 44 33 22 11, 47 88 77 66 55, 48, 49 FF FF FF FF, 4A, 4B FF FF FF FF";
@@ -45,21 +46,21 @@ const SERVICES: [Service; 14] = [
     ("NMT 82", "reset communication", &["82 00"]),
 ];
 
-/// An effect that nobody sees at once.
-const FORGETS: &str = "progress is forgotten";
+/// An effect that is not visible at once.
+const FORGETS: &str = "progress is cleared";
 
 /// A node before a request, by its node-ID.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Kind {
     Unconfigured,
-    /// Without an active one; one is pending.
+    /// Without an active node-ID; one is pending.
     GivenItsFirst,
     Configured,
 }
 
 use Kind::{Configured, GivenItsFirst, Unconfigured};
 
-/// The kinds of node that there are in a state: one with its first node-ID leaves configuration as one with a node-ID.
+/// The kinds of node in a state: one with its first node-ID leaves configuration as one with a node-ID.
 fn kinds(state: State) -> &'static [Kind] {
     match state {
         State::Waiting => &[Unconfigured, Configured],
@@ -67,10 +68,10 @@ fn kinds(state: State) -> &'static [Kind] {
     }
 }
 
-/// What came of a service.
+/// The outcome of a service.
 #[derive(Clone, PartialEq, Eq, Debug)]
 struct Outcome {
-    /// In words; empty: neither an answer nor anything else.
+    /// In words; empty: no answer or other effect.
     effect: String,
     then: State,
 }
@@ -89,7 +90,7 @@ fn board(kind: Kind, state: State) -> NodeRig {
     board
 }
 
-/// Sends a request and names what came of it at once.
+/// Sends a request and names its immediate effect.
 fn effect(board: &mut NodeRig, request: &str) -> String {
     board.timeline();
     let is_nmt = ["81 00", "82 00"].contains(&request);
@@ -119,7 +120,7 @@ fn loses_progress(kind: Kind, state: State, request: &str) -> bool {
     board.lss(last) == SILENCE
 }
 
-/// What the last of the requests does.
+/// The outcome of the last of the requests.
 fn outcome(kind: Kind, state: State, requests: &str) -> Outcome {
     let mut board = board(kind, state);
     let mut last_effect = String::new();
@@ -135,7 +136,7 @@ fn outcome(kind: Kind, state: State, requests: &str) -> Outcome {
     Outcome { effect: last_effect, then }
 }
 
-/// What a service does in a state, to be drawn: in words, and to which state it leads. `None`: nothing.
+/// The text for a service in a state: its effect in words, and the next state. `None`: no effect.
 fn drawn(state: State, requests: &[&str]) -> Option<Outcome> {
     let [outcomes, others @ ..] = &requests
         .iter()
@@ -156,7 +157,7 @@ fn drawn(state: State, requests: &[&str]) -> Option<Outcome> {
     }
     let then = groups.first()?.0.then;
     assert!(groups.iter().all(|(outcome, _)| outcome.then == then), "{requests:?}: {groups:?}");
-    // What is seen on the bus stands before what is not.
+    // Effects visible on the bus stand before the others.
     groups.sort_by_key(|(outcome, _)| ["", FORGETS].contains(&outcome.effect.as_str()));
     let is_all = groups.len() == 1 && groups[0].1 == kinds(state);
     let only = if groups.len() == 1 { " only" } else { "" };
@@ -180,7 +181,7 @@ fn drawn(state: State, requests: &[&str]) -> Option<Outcome> {
     Some(Outcome { effect: words.collect::<Vec<_>>().join(", "), then })
 }
 
-/// Pixels: the boxes of the states and what is between them.
+/// Pixels: the boxes of the states and the space between them.
 const BOX_WIDTH: u32 = 345;
 const GAP: u32 = 380;
 const MARGIN: u32 = 20;
@@ -197,7 +198,7 @@ const BOXES: [(State, u32, &str, &str); 2] = [
     (State::Configuration, RIGHT, "LSS configuration", "#fdf0df"),
 ];
 
-/// A service in two lines of text: what it is, what it does.
+/// A service in two lines of text: its name and its effect.
 fn service(x: u32, y: u32, anchor: &str, (specifiers, name, _): Service, effect: &str) -> String {
     let below = y + 16;
     format!(
@@ -214,7 +215,7 @@ fn arrow([x1, y1]: [u32; 2], [x2, y2]: [u32; 2]) -> String {
     )
 }
 
-/// What is served in a state without leaving it, and what has no effect; and where it ends.
+/// The services that stay in a state, and those without effect; and the end of the text.
 fn draw_services(state: State, x: u32) -> (String, u32) {
     let (x, mut y) = (x + 14, FIRST);
     let (mut svg, mut ignored) = (String::new(), Vec::new());
@@ -238,7 +239,7 @@ fn draw_services(state: State, x: u32) -> (String, u32) {
     (svg, last + 20)
 }
 
-/// What leads from one state to the other.
+/// The services that lead from one state to the other.
 fn draw_transitions() -> String {
     let mut svg = String::new();
     let mut y = TOP + 40;
@@ -273,7 +274,7 @@ fn draw() -> String {
         r##"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {end}" font-family="sans-serif" font-size="12">
 <defs><marker id="tip" viewBox="0 0 10 10" refX="10" refY="5" markerWidth="9" markerHeight="9" orient="auto"><path d="M 0 0 L 10 5 L 0 10 z" fill="#4a7ab5"/></marker></defs>
 <rect width="100%" height="100%" fill="white"/>
-<text x="{MARGIN}" y="28" font-size="16">The states of an LSS slave, and what each service does there</text>
+<text x="{MARGIN}" y="28" font-size="16">The states of an LSS slave, and the effect of each service</text>
 <circle cx="{middle}" cy="56" r="6" fill="#444"/>
 <text x="{}" y="60">power-on: {}</text>
 "##,
@@ -292,11 +293,11 @@ fn draw() -> String {
 
 const LEGEND: [&str; 3] = [
     r#""answered": with the same command specifier. First node-ID: configured (11) while none is active."#,
-    "Progress: the steps of 40..43, 46..4B and 51. What has several steps is shown with all of them right.",
-    "Drawn by tests/library/lss_states.rs from what the node does with each service in each state.",
+    "Progress: the steps of 40..43, 46..4B and 51. Services with several steps are shown with all of them right.",
+    "Drawn by tests/library/lss_states.rs from the behaviour of the node.",
 ];
 
-/// What a node does at power-on, with and without a node-ID.
+/// The node's behaviour at power-on, with and without a node-ID.
 fn power_on() -> &'static str {
     for (kind, sent) in [(Unconfigured, &[][..]), (Configured, &["740: 00"])] {
         let mut board = board(kind, State::Configuration);
@@ -307,7 +308,7 @@ fn power_on() -> &'static str {
 }
 
 #[test]
-fn the_diagram_shows_what_the_node_does() {
+fn the_diagram_shows_the_states_of_the_node() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/lss-states.svg");
     let drawn = draw();
     if env::var_os("WRITE_DIAGRAM").is_some() {
@@ -321,7 +322,7 @@ fn the_diagram_shows_what_the_node_does() {
 }
 
 #[test]
-fn no_other_command_specifier_does_anything() {
+fn other_command_specifiers_have_no_effect() {
     for state in [State::Waiting, State::Configuration] {
         for &kind in kinds(state) {
             for command in 0..=0xFF {

@@ -1,4 +1,4 @@
-//! The sessions that manuals tell: a node gets another node-ID and another bit rate, and keeps them.
+//! The sessions found in manuals: a node gets another node-ID and another bit rate, and keeps them.
 
 use testkit::{frames::SILENCE, node_rig::NodeRig};
 

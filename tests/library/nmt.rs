@@ -21,7 +21,7 @@ fn power_on_with_a_node_id_sends_one_boot_up_and_leads_to_pre_operational() {
 }
 
 #[test]
-fn commands_to_all_and_to_the_own_node_id_lead_to_their_state_from_every_state() {
+fn commands_to_all_or_the_own_node_id_work_in_every_state() {
     for (from, _) in COMMANDS {
         for (command, state) in COMMANDS {
             for addressee in ["00", "40"] {
@@ -72,7 +72,7 @@ fn a_command_that_is_not_two_bytes_long_is_ignored() {
 }
 
 #[test]
-fn both_resets_are_obeyed_in_every_state_and_end_in_pre_operational_with_a_boot_up() {
+fn both_resets_lead_from_every_state_to_pre_operational_with_a_boot_up() {
     for (from, _) in COMMANDS {
         for command in ["81 00", "81 40", "82 00", "82 40"] {
             let mut board = NodeRig::with_node_id(0x40);
@@ -94,7 +94,7 @@ fn reset_node_resets_the_device_and_reset_communication_does_not() {
 }
 
 #[test]
-fn the_heartbeat_tells_the_state_every_period_from_the_boot_up_on() {
+fn the_heartbeat_reports_the_state_every_period_from_the_boot_up_on() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     assert_eq!(board.pass_us(99_999), SILENCE);
     assert_eq!(board.pass_us(1), ["740: 7F"]);
@@ -108,7 +108,7 @@ fn the_heartbeat_tells_the_state_every_period_from_the_boot_up_on() {
 }
 
 #[test]
-fn the_heartbeat_begins_anew_with_each_boot_up() {
+fn the_heartbeat_starts_again_with_each_boot_up() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     for command in ["81 00", "82 00"] {
         board.pass_ms(50);
@@ -152,7 +152,7 @@ fn heartbeats_go_on_for_hours() {
 
 #[test]
 fn a_node_that_was_silent_for_hours_begins_its_heartbeat_on_time() {
-    // 35.8 minutes and more after the start, half a turn of the clock, the past looks like the future.
+    // 35.8 minutes or more after the start, half a turn of the clock, past instants look like future ones.
     for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
         let settings = defaults(0xFF).with_heartbeat_ms(1_000);
         let mut board = NodeRig::new(ADDRESS, settings, BoardFlash::blank(0), 0);

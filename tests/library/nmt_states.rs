@@ -1,4 +1,4 @@
-//! What each NMT state serves (CiA 301, 7.3.2), and how a node comes into it and out of it.
+//! The services of each NMT state (CiA 301, 7.3.2), and the transitions between the states.
 
 use lss_slave::{BusEvent, Frame, emergency::Fault, nmt::State};
 use testkit::{
@@ -7,7 +7,7 @@ use testkit::{
     node_rig::{ADDRESS, NodeRig, defaults, device},
 };
 
-/// The commands to all nodes, with the state they lead to and the heartbeat that tells it.
+/// The commands to all nodes, with the resulting state and its heartbeat.
 const STATES: [(&str, State, &str); 3] = [
     ("01 00", State::Operational, "740: 05"),
     ("02 00", State::Stopped, "740: 04"),
@@ -59,13 +59,13 @@ fn stopped_serves_nmt_and_lss_and_sends_only_heartbeats() {
     assert_eq!(board.lss("11 04"), ["11 00"]);
     assert_eq!(board.lss("17"), ["17 00"]);
     assert_eq!(board.lss("04 00"), SILENCE);
-    assert_eq!(board.node.nmt_state(), State::Stopped, "LSS leaves the NMT state alone");
+    assert_eq!(board.node.nmt_state(), State::Stopped, "LSS does not change the NMT state");
     assert_eq!(board.nmt("82 00").0[0].data(), [0], "the boot-up first");
     assert_eq!(board.node.nmt_state(), State::PreOperational);
 }
 
 #[test]
-fn what_was_asked_in_stopped_is_not_answered_later() {
+fn a_request_in_stopped_is_not_answered_later() {
     let mut board = NodeRig::with_node_id(0x40);
     board.nmt("02 00");
     board.sdo("40 18 10 04");
@@ -89,7 +89,7 @@ fn a_store_that_ends_in_stopped_is_not_answered_by_sdo_but_by_lss() {
 }
 
 #[test]
-fn the_next_heartbeat_tells_a_new_state_and_comes_when_it_is_due() {
+fn the_next_heartbeat_reports_a_new_state_and_is_sent_when_due() {
     for (from, ..) in STATES {
         for (to, _, heartbeat) in STATES {
             let mut board = NodeRig::with_heartbeat(0x40, 100);
@@ -103,7 +103,7 @@ fn the_next_heartbeat_tells_a_new_state_and_comes_when_it_is_due() {
 }
 
 #[test]
-fn every_reset_from_every_state_sends_one_boot_up_and_never_starts_by_itself() {
+fn every_reset_from_every_state_sends_one_boot_up_and_does_not_start() {
     for (command, ..) in STATES {
         for reset in RESETS {
             let mut board = NodeRig::with_heartbeat(0x40, 100);
@@ -153,7 +153,7 @@ fn reset_communication_brings_back_the_stored_communication_parameters() {
     board.download(0x1010, 1, b"save").unwrap();
     board.download(0x1017, 0, &2000_u16.to_le_bytes()).unwrap();
     board.nmt("82 00");
-    assert_eq!(board.number(0x1017, 0), 1000, "what was saved");
+    assert_eq!(board.number(0x1017, 0), 1000, "the saved one");
     assert_eq!(board.pass_ms(1_000), ["740: 7F"]);
 }
 
@@ -209,7 +209,7 @@ fn a_pending_node_id_is_not_an_addressee_until_reset_communication() {
 }
 
 #[test]
-fn a_command_in_a_switch_delay_is_obeyed_at_its_end_and_the_last_one_counts() {
+fn the_last_command_in_a_switch_delay_is_obeyed_at_its_end() {
     for (command, state, _) in STATES {
         let mut board = NodeRig::with_node_id(0x40);
         board.nmt("01 00");
@@ -317,7 +317,7 @@ fn a_node_that_bus_off_took_out_of_operational_can_be_started_again() {
     board.see(BusEvent::BusOff);
     board.nmt("01 00");
     assert_eq!(board.node.nmt_state(), State::Operational);
-    // What is not a bus-off leaves it there.
+    // Events other than bus-off leave it there.
     for event in [BusEvent::Error, BusEvent::ErrorPassive, BusEvent::Acknowledged] {
         board.see(event);
         assert_eq!(board.node.nmt_state(), State::Operational, "{event:?}");
@@ -352,7 +352,7 @@ fn listening_board() -> NodeRig {
 }
 
 #[test]
-fn a_node_that_listens_for_its_bit_rate_sends_nothing_and_then_its_heartbeat_at_once() {
+fn a_node_that_detects_its_bit_rate_is_silent_then_sends_its_heartbeat() {
     let mut board = listening_board();
     board.report(BusEvent::Overrun);
     assert_eq!(board.pass_ms(20_000), SILENCE);
@@ -364,7 +364,7 @@ fn a_node_that_listens_for_its_bit_rate_sends_nothing_and_then_its_heartbeat_at_
 
 #[test]
 fn a_node_that_listened_for_hours_goes_on_with_its_heartbeat_at_once() {
-    // 35.8 minutes and more after the last heartbeat, half a turn of the clock, the past looks like the future.
+    // 35.8 minutes or more after the last heartbeat, half a turn of the clock, past instants look like future ones.
     for minutes in [30, 36, 60, 71, 120] {
         let mut board = listening_board();
         for _ in 0..3 * minutes {

@@ -1,4 +1,4 @@
-//! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): what each object reads as and what writing to it does.
+//! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): the value of each object, and the effect of writes.
 
 use lss_slave::{
     BusEvent,
@@ -52,7 +52,7 @@ fn faults_and_error_counters_of_the_can_controller_can_be_read() {
     assert_eq!(read, [1, 2, 136, 9]);
 }
 
-/// The error history, after as many overruns and recoveries from bus-off, in turn.
+/// The error history after this number of overruns and recoveries from bus-off, in turn.
 fn history_of(faults: usize) -> (NodeRig, Vec<Vec<u8>>) {
     let mut board = NodeRig::with_node_id(0x40);
     for fault in [BusEvent::Overrun, BusEvent::BusOffRecovered].into_iter().cycle().take(faults) {
@@ -104,13 +104,13 @@ fn writing_0_clears_the_error_history_and_any_other_number_is_refused() {
         assert_eq!(board.download(0x1003, 0, &[number]), Err(INVALID_VALUE));
     }
     assert_eq!(board.number(0x1003, 0), 3);
-    // Without its size, what is behind the byte does not count.
+    // Without its size, the data behind the byte does not count.
     assert_eq!(board.sdo("22 03 10 00 00 FF FF FF"), ["5C0: 60 03 10 00 00 00 00 00"]);
     assert_eq!(board.number(0x1003, 0), 0);
     assert_eq!(board.upload(0x1003, 1), Err(NO_DATA));
     board.report(BusEvent::Overrun);
     board.pass_us(0);
-    assert_eq!(board.number(0x1003, 0), 1, "it goes on");
+    assert_eq!(board.number(0x1003, 0), 1, "it continues");
 }
 
 #[test]
@@ -177,7 +177,7 @@ fn the_cob_id_of_emergencies_is_80h_plus_the_node_id() {
 }
 
 #[test]
-fn the_producer_heartbeat_time_is_what_was_written_from_0_to_65535() {
+fn the_producer_heartbeat_time_takes_every_value_from_0_to_65535() {
     let mut board = NodeRig::with_heartbeat(0x40, 500);
     assert_eq!(board.number(0x1017, 0), 500);
     for ms in [0, 1, 255, 256, 1000, 0x8000, u16::MAX] {
@@ -202,8 +202,8 @@ fn a_heartbeat_time_that_is_written_counts_from_the_write() {
 }
 
 #[test]
-fn a_heartbeat_that_is_switched_on_after_hours_of_none_begins_on_time() {
-    // 35.8 minutes and more after the boot-up, half a turn of the clock, the past looks like the future.
+fn a_heartbeat_switched_on_after_hours_begins_on_time() {
+    // 35.8 minutes or more after the boot-up, half a turn of the clock, past instants look like future ones.
     for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
         let mut board = NodeRig::with_node_id(0x40);
         board.be_late_ms(hours_ms);
@@ -250,7 +250,7 @@ fn every_object_is_as_long_as_its_data_type() {
 }
 
 #[test]
-fn every_object_that_is_not_read_write_refuses_every_length_and_keeps_its_value() {
+fn every_object_that_is_not_read_write_refuses_downloads_of_any_length() {
     let mut board = NodeRig::with_node_id(0x40);
     for entry in TABLE.iter().filter(|entry| entry.access != Access::ReadWrite) {
         let before = board.upload(entry.index, entry.sub_index);
@@ -287,7 +287,7 @@ fn every_other_sub_index_of_an_object_does_not_exist() {
 }
 
 #[test]
-fn the_table_is_sorted_and_its_highest_sub_indices_are_true() {
+fn the_table_is_sorted_and_its_highest_sub_indices_are_right() {
     assert!(TABLE.is_sorted_by_key(|entry| (entry.index, entry.sub_index)));
     for entry in TABLE {
         let of_the_same: Vec<_> = TABLE.iter().filter(|e| e.index == entry.index).collect();
@@ -296,7 +296,7 @@ fn the_table_is_sorted_and_its_highest_sub_indices_are_true() {
                 assert_eq!(entry.sub_index, 0);
                 assert_eq!(of_the_same.len(), usize::from(highest) + 1);
             }
-            // CiA 301 lets this one count the errors there are.
+            // CiA 301 lets this one count the existing errors.
             Object::NumberOfErrors => assert_eq!(of_the_same.len(), 8 + 1),
             Object::ErrorField(sub_index) => assert_eq!(entry.sub_index, sub_index),
             _ if entry.sub_index == 0 => assert_eq!(of_the_same.len(), 1, "{entry:?}"),

@@ -1,4 +1,4 @@
-//! The SDO server (CiA 301, 7.2.4) on the wire: the transfers it offers, and when it serves them.
+//! The SDO server (CiA 301, 7.2.4) on the wire: its transfers, and the states in which it serves them.
 
 use lss_slave::Frame;
 use testkit::{
@@ -15,7 +15,7 @@ fn board_named(name: &'static str, hardware: &'static str, software: &'static st
 }
 
 #[test]
-fn an_expedited_upload_says_how_many_bytes_the_object_has() {
+fn an_expedited_upload_gives_the_number_of_bytes() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
     assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 00 00 00 00"]);
@@ -23,7 +23,7 @@ fn an_expedited_upload_says_how_many_bytes_the_object_has() {
 }
 
 #[test]
-fn reserved_bits_and_bytes_of_a_request_are_not_looked_at() {
+fn reserved_bits_and_bytes_of_a_request_are_ignored() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("5F 18 10 04 FF FF FF FF"), ["5C0: 43 18 10 04 EF BE AD DE"]);
     assert_eq!(board.sdo("3B 17 10 00 E8 03 FF FF"), ["5C0: 60 17 10 00 00 00 00 00"]);
@@ -59,7 +59,7 @@ fn an_empty_text_is_one_segment_without_a_byte() {
 }
 
 #[test]
-fn a_text_of_any_length_arrives_whole() {
+fn a_text_of_any_length_is_uploaded_completely() {
     const TEXT: &str = "A name that needs several segments, the last of which is not full.";
     for len in 0..=TEXT.len() {
         let mut board = board_named(&TEXT[..len], &TEXT[len..], TEXT);
@@ -77,9 +77,9 @@ fn an_expedited_download_is_confirmed_and_read_back() {
 }
 
 #[test]
-fn an_expedited_download_without_a_size_takes_as_many_bytes_as_the_object_has() {
+fn an_expedited_download_without_a_size_takes_the_size_of_the_object() {
     let mut board = NodeRig::with_node_id(0x40);
-    // The bits that would tell unused bytes mean nothing then.
+    // The bits for the number of unused bytes have no meaning then.
     for command in ["22", "26", "2A", "2E"] {
         let request = format!("{command} 17 10 00 34 12 FF FF");
         assert_eq!(board.sdo(&request), ["5C0: 60 17 10 00 00 00 00 00"]);
@@ -104,7 +104,7 @@ fn a_request_that_is_not_eight_bytes_long_is_ignored() {
         let request = Frame::new(0x640, &[0x40, 0x18, 0x10, 1, 0, 0, 0, 0][..len]).unwrap();
         assert_eq!(board.receive(&request), SILENCE, "DLC {len}");
     }
-    // And it does not disturb the transfer on its way.
+    // It does not disturb the transfer under way either.
     board.sdo("40 08 10 00");
     assert_eq!(board.receive(&Frame::new(0x640, &[0x80]).unwrap()), SILENCE);
     assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"]);
@@ -173,11 +173,11 @@ fn nothing_is_served_during_a_switch_delay_and_all_after_it() {
     }
     assert_eq!(board.pass_ms(1), SILENCE, "and nothing is answered late");
     assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
-    assert_eq!(board.number(0x1017, 0), 0, "what was not served has not been written");
+    assert_eq!(board.number(0x1017, 0), 0, "the ignored request has written nothing");
 }
 
 #[test]
-fn sdo_is_served_whatever_the_lss_state() {
+fn sdo_is_served_in_every_lss_state() {
     let mut board = NodeRig::with_node_id(0x40);
     board.lss("04 01");
     assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
@@ -187,7 +187,7 @@ fn sdo_is_served_whatever_the_lss_state() {
 }
 
 #[test]
-fn a_switch_of_the_bit_rate_ends_an_upload_without_a_word() {
+fn a_switch_of_the_bit_rate_ends_an_upload_without_an_abort() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
     board.lss("04 01");

@@ -1,8 +1,8 @@
-//! What the SDO server refuses, with which abort code (CiA 301, table 22), and that no client blocks it.
+//! Requests that the SDO server refuses, with their abort codes (CiA 301, table 22); no client blocks it.
 
 use testkit::{frames::SILENCE, node_rig::NodeRig};
 
-/// NodeRig, with node-ID 40h, whose next transfer works as the first one does.
+/// A board with node-ID 40h; checks that the next transfer works like the first.
 fn assert_serves(board: &mut NodeRig) {
     assert_eq!(board.number(0x1018, 4), 0xDEAD_BEEF);
     assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");
@@ -18,7 +18,7 @@ fn an_object_that_does_not_exist_is_0602_0000() {
 }
 
 #[test]
-fn a_sub_index_that_does_not_exist_is_0609_0011() {
+fn a_missing_sub_index_is_0609_0011() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("40 18 10 05"), ["5C0: 80 18 10 05 11 00 09 06"]);
     assert_eq!(board.sdo("40 00 10 01"), ["5C0: 80 00 10 01 11 00 09 06"]);
@@ -28,7 +28,7 @@ fn a_sub_index_that_does_not_exist_is_0609_0011() {
 }
 
 #[test]
-fn writing_what_can_only_be_read_is_0601_0002() {
+fn writing_a_read_only_object_is_0601_0002() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("23 18 10 04 01 00 00 00"), ["5C0: 80 18 10 04 02 00 01 06"]);
     assert_eq!(board.sdo("2F 01 10 00 00"), ["5C0: 80 01 10 00 02 00 01 06"]);
@@ -101,7 +101,7 @@ fn every_command_that_is_not_offered_is_0504_0001() {
 }
 
 #[test]
-fn a_segment_with_the_toggle_bit_of_the_one_before_is_0503_0000_and_ends_the_transfer() {
+fn a_repeated_toggle_bit_is_0503_0000_and_ends_the_transfer() {
     let mut board = NodeRig::with_node_id(0x40);
     board.sdo("40 08 10 00");
     assert_eq!(board.sdo("70"), ["5C0: 80 08 10 00 00 00 03 05"], "the first one has 0");

@@ -1,4 +1,4 @@
-//! Random SDO and NMT frames, with sense and without: no panic, one answer at most, and LSS is served after each of them.
+//! Random SDO and NMT frames, meaningful or not: no panic, at most one answer, and LSS is served after each of them.
 
 use lss_slave::{Frame, nmt::State, object_dictionary::TABLE};
 use testkit::{
@@ -9,7 +9,7 @@ use testkit::{
 
 const FRAMES: usize = 100_000;
 
-/// An SDO request that may well mean something: often a known command for an object that is there.
+/// A random SDO request, often a known command for an existing object.
 fn request(random: &mut Random) -> Frame {
     const COMMANDS: [u8; 14] =
         [0x40, 0x60, 0x70, 0x22, 0x23, 0x2B, 0x2F, 0x21, 0x20, 0x80, 0x00, 0x10, 0xA0, 0xC6];
@@ -40,7 +40,7 @@ fn command(random: &mut Random) -> Frame {
     Frame::new(0x000, &bytes[..len]).unwrap()
 }
 
-/// The LSS master's own round: it finds the node by its address.
+/// The LSS master's session: it finds the node by its address.
 fn assert_identifies(board: &mut NodeRig) {
     assert_eq!(board.lss("46 44 33 22 11"), SILENCE);
     assert_eq!(board.lss("47 88 77 66 55"), SILENCE);
@@ -50,7 +50,7 @@ fn assert_identifies(board: &mut NodeRig) {
     assert_eq!(board.lss("4B FF FF FF FF"), ["4F"]);
 }
 
-/// The answer has the form of one, and belongs to the request.
+/// Checks that the answer has a valid form and belongs to the request.
 fn assert_is_answer(answer: &Frame, request: &[u8; 8]) {
     assert_eq!(answer.cob_id(), 0x5C0);
     let answer: &[u8; 8] = answer.data().try_into().expect("eight bytes");
@@ -75,21 +75,21 @@ fn assert_answers(answers: &Frames, request: &Frame) {
 }
 
 #[test]
-fn random_sdo_requests_get_one_answer_of_the_right_form_each_and_never_block_lss() {
+fn each_random_sdo_request_gets_one_valid_answer_and_never_blocks_lss() {
     let mut random = Random::from_environment();
     let mut board = NodeRig::with_node_id(0x40);
     for n in 0..FRAMES {
         let request = request(&mut random);
         let answers = board.receive(&request);
         assert_answers(&answers, &request);
-        // A heartbeat time that was written must not fill the answers.
+        // A written heartbeat time must not fill the answers with heartbeats.
         board.download(0x1017, 0, &[0, 0]).unwrap();
         assert_eq!(board.node.nmt_state(), State::PreOperational);
         if n % 10 == 0 {
             assert_identifies(&mut board);
         }
         if n % 5_000 == 0 {
-            // The log is full after some hundred stores, until the next power-on makes room.
+            // The log is full after some hundred stores; the next power-on makes room.
             board.power_cycle();
             board.timeline();
         }
@@ -130,7 +130,7 @@ fn random_frames_do_not_disturb_an_lss_configuration_on_its_way() {
         let answers = [None, Some("11 00"), Some("13 00"), Some("17 00"), Some("5E FF")];
         for (request_of_lss, answer) in requests.into_iter().zip(answers) {
             for _ in 0..40 {
-                // Without a node-ID there is no SDO, and NMT only as a reset, which is meant to disturb.
+                // Without a node-ID there is no SDO, and NMT commands are limited to resets, which would disturb.
                 assert_eq!(board.receive(&request(&mut random)), SILENCE);
                 let command = command(&mut random);
                 if !matches!(command.data(), [0x81 | 0x82, 0]) {

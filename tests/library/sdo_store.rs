@@ -13,7 +13,7 @@ const LOAD: &str = "23 11 10 01 6C 6F 61 64";
 const LOADED: &str = "5C0: 60 11 10 01 00 00 00 00";
 const HEARTBEAT_1000: &str = "2B 17 10 00 E8 03";
 
-/// A board with node-ID 40h whose heartbeat time is 500 ms as it leaves the factory.
+/// A board with node-ID 40h and a factory heartbeat time of 500 ms.
 fn board_with_default_500() -> NodeRig {
     NodeRig::with_heartbeat(0x40, 500)
 }
@@ -31,7 +31,7 @@ fn a_heartbeat_time_that_was_saved_survives_a_power_cycle_and_reset_node() {
 }
 
 #[test]
-fn a_heartbeat_time_that_was_not_saved_is_gone_after_a_power_cycle_and_reset_node() {
+fn an_unsaved_heartbeat_time_is_lost_at_power_cycle_and_reset_node() {
     let mut board = board_with_default_500();
     board.sdo(HEARTBEAT_1000);
     assert_eq!(board.power_cycle(), ["740: 00"]);
@@ -42,7 +42,7 @@ fn a_heartbeat_time_that_was_not_saved_is_gone_after_a_power_cycle_and_reset_nod
 }
 
 #[test]
-fn saving_what_is_saved_already_writes_nothing() {
+fn saving_unchanged_values_writes_nothing() {
     let mut board = NodeRig::with_node_id(0x40);
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
@@ -80,7 +80,7 @@ fn lss_store_leaves_the_saved_heartbeat_time_and_does_not_save_a_new_one() {
 }
 
 #[test]
-fn save_after_lss_store_keeps_what_lss_stored() {
+fn save_after_lss_store_keeps_the_values_stored_by_lss() {
     let mut board = NodeRig::with_node_id(0x40);
     board.lss("04 01");
     board.lss("11 04");
@@ -93,7 +93,7 @@ fn save_after_lss_store_keeps_what_lss_stored() {
 }
 
 #[test]
-fn load_restores_the_devices_heartbeat_time_with_the_next_reset_and_not_before() {
+fn load_restores_the_default_heartbeat_time_only_at_the_next_reset() {
     let mut board = board_with_default_500();
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
@@ -106,7 +106,7 @@ fn load_restores_the_devices_heartbeat_time_with_the_next_reset_and_not_before()
 }
 
 #[test]
-fn load_leaves_what_lss_stored() {
+fn load_keeps_the_values_stored_by_lss() {
     let mut board = board_with_default_500();
     board.lss("04 01");
     board.lss("11 04");
@@ -141,7 +141,7 @@ fn a_device_that_cannot_store_answers_0606_0000_too() {
 }
 
 #[test]
-fn save_is_confirmed_only_when_it_is_done_and_all_else_is_served_meanwhile() {
+fn save_is_confirmed_only_when_done_and_others_are_served_meanwhile() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.let_stores_take_time();
     assert_eq!(board.sdo(SAVE), SILENCE);
@@ -154,7 +154,7 @@ fn save_is_confirmed_only_when_it_is_done_and_all_else_is_served_meanwhile() {
 }
 
 #[test]
-fn what_is_saved_is_the_heartbeat_time_of_the_request_not_a_later_one() {
+fn the_heartbeat_time_of_the_request_is_saved_not_a_later_one() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
     board.sdo(HEARTBEAT_1000);
@@ -227,7 +227,7 @@ fn a_save_that_still_waits_is_forgotten_by_reset_communication() {
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
     assert_eq!(board.nmt("82 00"), ["740: 00"]);
-    assert_eq!(board.finish_store(), ["17 00"], "LSS goes on");
+    assert_eq!(board.finish_store(), ["17 00"], "LSS continues");
     assert_eq!(board.stored(), Some(defaults(0x40)));
     let stores = board.timeline().into_iter().filter(|line| line.ends_with("store"));
     assert_eq!(stores.count(), 1, "no other one has begun");

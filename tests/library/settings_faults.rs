@@ -1,4 +1,4 @@
-//! The settings log in a flash that fails: reads, writes and erases with errors, bits that stick.
+//! The settings log in a failing flash: reads, writes and erases with errors, stuck bits.
 
 use lss_slave::{
     NodeId, Settings,
@@ -18,7 +18,7 @@ fn with_settings_1() -> (Log<Flash<4, 256>>, Flash<4, 256>) {
 }
 
 #[test]
-fn a_flash_that_cannot_be_written_or_read_refuses_and_the_old_settings_stay() {
+fn a_flash_that_fails_refuses_stores_and_the_old_settings_stay() {
     for operation in [Operation::Write, Operation::Read] {
         let (mut log, flash) = with_settings_1();
         flash.fail(operation);
@@ -34,7 +34,7 @@ fn a_flash_that_cannot_be_written_or_read_refuses_and_the_old_settings_stay() {
 }
 
 #[test]
-fn a_store_that_failed_at_any_operation_leaves_the_old_settings_and_the_next_one_works() {
+fn after_a_failed_operation_old_settings_stay_and_the_next_store_works() {
     for operation in [Operation::Write, Operation::Read] {
         for others in 0.. {
             let (mut log, flash) = with_settings_1();
@@ -70,7 +70,7 @@ fn settings_that_are_stored_again_after_a_store_that_failed_are_found() {
 }
 
 #[test]
-fn settings_that_are_stored_again_after_a_flash_failed_for_a_while_are_found() {
+fn settings_stored_again_after_a_temporary_flash_failure_are_found() {
     for operation in [Operation::Write, Operation::Read] {
         for others in 0..10 {
             let (mut log, flash) = with_settings_1();
@@ -112,7 +112,7 @@ fn a_store_that_fails_says_why() {
     assert_eq!(why(|_| ()), Error::Full);
 }
 
-/// A flash whose bank `bank` is full but for one record, so that open moves to the other; it holds `settings(7)`.
+/// A flash whose bank `bank` is full except for one record, so that open moves to the other; it holds `settings(7)`.
 fn about_to_move(bank: usize) -> Flash<4, 256> {
     let records: Vec<_> = (1..=7)
         .map(|n| {
@@ -150,7 +150,7 @@ fn an_open_that_fails_at_any_operation_loses_nothing() {
 }
 
 #[test]
-fn a_bit_that_sticks_costs_a_record_but_no_settings() {
+fn a_stuck_bit_costs_a_record_but_no_settings() {
     for at in 64..96 {
         for bit in 0..8 {
             for value in [false, true] {
@@ -174,7 +174,7 @@ fn a_bit_that_sticks_costs_a_record_but_no_settings() {
 }
 
 #[test]
-fn a_bit_that_sticks_in_the_other_bank_loses_nothing() {
+fn a_stuck_bit_in_the_other_bank_loses_nothing() {
     for at in 256..288 {
         for bit in 0..8 {
             for value in [false, true] {

@@ -1,4 +1,4 @@
-//! The settings log in a flash that works: what is found, what is written, what is refused.
+//! The settings log in a working flash: results of open, written records, refused stores.
 
 use lss_slave::{
     BitRate, NodeId, Settings,
@@ -10,7 +10,7 @@ use testkit::{
     settings::{flash_with, open, record, sealed, settings},
 };
 
-/// Records that a bank of 16 KB has room for.
+/// The number of records in a bank of 16 KB.
 const RECORDS: u16 = 512;
 
 #[test]
@@ -21,7 +21,7 @@ fn a_new_device_is_blank_once_and_has_no_settings() {
 }
 
 #[test]
-fn what_was_stored_is_found_at_the_next_open() {
+fn stored_settings_are_found_at_the_next_open() {
     let flash = BoardFlash::blank(0);
     for node_id in [1, 2, 0x40, 0x7E, 0x7F, 0xFF] {
         for bit_rate in BitRate::ALL {
@@ -68,11 +68,11 @@ fn settings_that_are_stored_already_are_not_written() {
     assert_eq!((flash.writes(), flash.content()), (writes + 1, content));
     log.store(settings(2)).unwrap();
     log.store(settings(1)).unwrap();
-    assert_eq!(open(&flash).0, Some(settings(1)), "not stored already: 2 was in between");
+    assert_eq!(open(&flash).0, Some(settings(1)), "not unchanged: 2 was in between");
 }
 
 #[test]
-fn a_full_bank_refuses_keeps_the_old_settings_and_the_next_open_makes_room() {
+fn a_full_bank_refuses_a_store_and_the_next_open_makes_room() {
     let flash = BoardFlash::blank(0);
     let (mut log, _) = Log::open(flash.clone());
     for _ in 0..3 {
@@ -82,7 +82,7 @@ fn a_full_bank_refuses_keeps_the_old_settings_and_the_next_open_makes_room() {
         }
         assert_eq!(log.store(settings(RECORDS)), Err(Error::Full));
         assert_eq!(log.settings(), Some(settings(RECORDS - 1)));
-        assert_eq!(log.store(settings(RECORDS - 1)), Ok(()), "which is stored already");
+        assert_eq!(log.store(settings(RECORDS - 1)), Ok(()), "which are unchanged");
         assert_eq!(flash.erases(), erases, "store never erases");
         let found;
         (log, found) = Log::open(flash.clone());
@@ -101,7 +101,7 @@ fn open_erases_only_when_less_than_a_quarter_is_left() {
     }
     let content = flash.content();
     (log, _) = Log::open(flash.clone());
-    assert_eq!((flash.erases(), flash.content()), (erases, content), "a quarter is left");
+    assert_eq!((flash.erases(), flash.content()), (erases, content), "a quarter is free");
     log.store(settings(0)).unwrap();
     (log, _) = Log::open(flash.clone());
     assert_eq!(flash.erases(), erases + 1);
@@ -171,7 +171,7 @@ fn a_record_with_any_bit_wrong_does_not_count_and_the_one_before_does() {
 }
 
 #[test]
-fn a_record_of_settings_that_cannot_be_does_not_count() {
+fn a_record_of_illegal_settings_does_not_count() {
     for wrong in [
         record(9, 1, 0x00, 2, 5),
         record(9, 1, 0x80, 2, 5),
@@ -188,7 +188,7 @@ fn a_record_of_settings_that_cannot_be_does_not_count() {
 }
 
 #[test]
-fn a_record_of_a_kind_that_a_later_version_wrote_is_passed_over_and_left_as_it_is() {
+fn a_record_of_a_later_versions_kind_is_skipped_and_left_unchanged() {
     let later = record(9, 2, 5, 2, 5);
     let flash = flash_with::<4, 256>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, later)]);
     let (mut log, found) = Log::open(flash.clone());
@@ -200,7 +200,7 @@ fn a_record_of_a_kind_that_a_later_version_wrote_is_passed_over_and_left_as_it_i
 }
 
 #[test]
-fn bytes_of_a_record_that_are_unused_may_hold_anything() {
+fn unused_bytes_of_a_record_may_have_any_value() {
     let mut later = record(9, 1, 5, 2, 5);
     later[7] = 0x00;
     later[10..24].fill(0x5A);
@@ -226,7 +226,7 @@ fn garbage_means_defaults_and_is_formatted() {
     }
 }
 
-/// What a flash may hold at worst: true records, true records with errors, and noise, in any place.
+/// Difficult flash contents: valid records, records with errors, and noise, in any place.
 fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
     let mut content = Vec::new();
     let any = random.u32();
@@ -252,7 +252,7 @@ fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
 }
 
 #[test]
-fn whatever_the_flash_holds_open_ends_and_what_is_stored_then_is_found() {
+fn with_any_flash_content_open_ends_and_settings_stored_then_are_found() {
     let mut random = Random::from_environment();
     for _ in 0..5_000 {
         let flash = Flash::<4, 128>::with_content(any_content::<128>(&mut random), random.u64());

@@ -1,29 +1,29 @@
-//! The settings log when the power fails in any program or erase step, also twice in a row: nothing acknowledged is lost, and
-//! what was found once holds, although a word that was cut off reads otherwise at each power-on.
+//! The settings log with power cuts in any program or erase step, also two in a row: nothing acknowledged is lost, and
+//! settings found once stay, although an interrupted word reads differently at each power-on.
 
 use lss_slave::{Settings, settings::Log};
 use testkit::{flash::Flash, random::Random, settings::settings};
 
-/// What may be found at the next power-on.
+/// The settings that may be found at the next power-on.
 #[derive(Clone)]
 struct Expected {
-    /// What was stored or found last; `None`: the defaults.
+    /// The settings last stored or found; `None`: the defaults.
     known: Option<Settings>,
-    /// What the power failed in storing, after that.
+    /// The settings of later stores that the power cuts interrupted.
     attempted: Vec<Settings>,
     /// The next settings to store.
     next: u16,
 }
 
 impl Expected {
-    /// What a new device, or one full of garbage, knows.
+    /// The expectation for a new device, or one full of garbage.
     fn nothing() -> Self {
         Self { known: None, attempted: Vec::new(), next: 1 }
     }
 }
 
-/// What a device does until its power fails or it has done all: it is powered on, stores, and is powered on again, until
-/// it has made so many stores.
+/// The life of a device until its power fails: it is powered on, stores, and is powered on again, until it has made a
+/// number of stores.
 fn live<const W: usize, const E: usize>(
     flash: &Flash<W, E>,
     expected: &mut Expected,
@@ -81,8 +81,8 @@ fn steps<const W: usize, const E: usize>(
     flash.writes() + flash.erases()
 }
 
-/// Cuts the power in each step of a life, and then in each step of the life after that, or in one of `every` steps; a
-/// third life checks.
+/// Cuts the power in each step of a life, and then in each step of the next life, or in one of `every` steps; a third
+/// life checks.
 fn cut_twice<const W: usize, const E: usize>(content: &[u8], stores: usize, every: usize) {
     let mut random = Random::from_environment();
     let new = Flash::<W, E>::with_content(content.to_vec(), 0);
@@ -126,7 +126,7 @@ fn two_cuts_in_any_steps_lose_nothing_where_garbage_is_formatted_first() {
 }
 
 #[test]
-fn what_was_found_after_a_cut_is_found_at_every_power_on() {
+fn settings_found_after_a_cut_are_found_at_every_power_on() {
     let mut random = Random::from_environment();
     let mut found_new = 0;
     for cut in 0..8 {
@@ -186,7 +186,7 @@ fn cuts_in_banks_of_16_kb_that_are_nearly_full_lose_nothing() {
 }
 
 #[test]
-fn a_cut_in_a_store_leaves_the_old_settings_or_the_new_ones_and_after_the_last_step_the_new() {
+fn a_cut_in_a_store_leaves_old_or_new_settings_and_at_the_end_the_new() {
     let mut random = Random::from_environment();
     for cut in 0..=8 {
         for _ in 0..100 {

@@ -1,4 +1,5 @@
-//! Bit-rate supervision at the home rate: what makes a node look for another one, and when it withholds its frames.
+//! Bit-rate supervision at the home rate: the evidence for a look, and the times in which the node withholds its
+//! frames.
 
 use lss_slave::{
     BitRate,
@@ -158,7 +159,7 @@ fn in_the_switch_delays_neither_errors_nor_bus_off_count() {
     }
 }
 
-/// A board at `home` that sends a heartbeat every 10 ms, which nobody acknowledges any more, and has just been disturbed.
+/// A board at `home` that sends a heartbeat every 10 ms, no longer acknowledged, and has just been disturbed.
 fn disturbed(home: BitRate, by: BusEvent) -> NodeRig {
     let mut board = powered_on(home, 10);
     board.is_acknowledged = false;
@@ -187,7 +188,7 @@ fn on_a_slow_bus_frames_wait_1408_bits_after_bus_off() {
 }
 
 #[test]
-fn a_frame_that_nobody_acknowledges_pauses_20_ms_every_100_ms() {
+fn an_unacknowledged_frame_pauses_20_ms_every_100_ms() {
     let mut board = unproven();
     board.pass_ms(240);
     let expected = [

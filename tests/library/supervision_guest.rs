@@ -1,4 +1,4 @@
-//! Bit-rate supervision of a guest: how a node takes part at a rate that it has found, and what sends it home.
+//! Bit-rate supervision of a guest: taking part at a rate found by listening, and returning home.
 
 use lss_slave::{
     BitRate, BitRateSetting,
@@ -12,7 +12,7 @@ use testkit::{
     supervised::{doubt, guest, looking, powered_on, proven, unproven},
 };
 
-/// FF10h: 1000 kbit/s in use, 125 kbit/s is home; and its end.
+/// Emergency FF10h with 1000 kbit/s in use and 125 kbit/s at home; and its end.
 const AWAY: &str = "0C0: 10 FF 11 E8 03 7D 00 00";
 const HOME_AGAIN: &str = "0C0: 00 00 00 E8 03 7D 00 00";
 
@@ -25,19 +25,19 @@ fn lss_rates(board: &NodeRig) -> [u16; 2] {
     })
 }
 
-/// The home rate and the one in use, in kbit/s, and the number of rescues, as object 2000h says.
+/// The home rate and the one in use, in kbit/s, and the number of rescues, from object 2000h.
 fn objects(board: &mut NodeRig) -> [u32; 3] {
     [5, 6, 7].map(|sub_index| board.number(0x2000, sub_index))
 }
 
-/// Lets a board at home become a guest at 1000 kbit/s.
+/// Makes a board at home a guest at 1000 kbit/s.
 fn rescue(board: &mut NodeRig) {
     doubt(board);
     board.see(Received);
     assert_eq!(board.bit_rate(), BitRate::Kbit1000);
 }
 
-/// Sends a guest home and lets the bus be quiet until it stays there.
+/// Sends a guest home and keeps the bus quiet until it stays there.
 fn send_home(board: &mut NodeRig) {
     board.see(Error);
     board.see(Error);
@@ -77,7 +77,7 @@ fn a_frame_that_no_canopen_node_wants_makes_a_guest_too() {
 }
 
 #[test]
-fn a_guest_that_nobody_knows_boots_up() {
+fn a_guest_without_an_acknowledged_boot_up_boots_up() {
     let mut board = unproven();
     board.is_acknowledged = true;
     board.see(Error);
@@ -88,7 +88,7 @@ fn a_guest_that_nobody_knows_boots_up() {
 fn the_rate_found_is_active_and_pending_until_the_node_is_home_again() {
     let mut board = guest();
     assert_eq!(lss_rates(&board), [1000, 1000]);
-    assert_eq!(board.stored(), None, "nothing is stored by itself");
+    assert_eq!(board.stored(), None, "nothing is stored without a request");
     send_home(&mut board);
     assert_eq!(lss_rates(&board), [125, 125]);
 }
@@ -136,7 +136,7 @@ fn activation_without_configuration_makes_the_rate_found_home() {
         board.see(Error);
         board.pass_ms(100);
     }
-    assert_eq!(board.timeline(), SILENCE, "a rate that was commanded is trusted");
+    assert_eq!(board.timeline(), SILENCE, "a commanded rate is trusted");
 }
 
 #[test]
@@ -322,7 +322,7 @@ fn with_automatic(bit_rate: BitRateSetting) -> NodeRig {
 }
 
 #[test]
-fn a_guest_that_is_told_to_detect_its_rate_is_no_guest_any_more() {
+fn a_guest_commanded_to_detect_its_rate_is_no_longer_a_guest() {
     let mut board = with_automatic(BitRate::Kbit125.into());
     rescue(&mut board);
     for request in ["04 01", "13 00 09", "15 00 00"] {

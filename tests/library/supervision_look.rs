@@ -1,4 +1,4 @@
-//! Bit-rate supervision while the node looks for another rate: how long it looks where, and which turns home has.
+//! Bit-rate supervision during a search: the duration of looks, their order, and the turns at home.
 
 use lss_slave::{
     BitRate, BitRates,
@@ -33,8 +33,8 @@ fn the_silent_turn_of_home_lasts_20_ms_and_the_time_of_two_frames() {
 }
 
 #[test]
-fn a_look_ends_40_ms_after_the_first_thing_heard() {
-    // The first look ends by itself after 40 ms, those after something was heard wait 1.1 s for it.
+fn a_look_ends_40_ms_after_the_first_event() {
+    // The first look ends by itself after 40 ms; those after something was heard wait 1.1 s.
     for (heard_at_ms, end_ms) in [(1, 41), (500, 540), (1_080, 1_100)] {
         let mut board = looking();
         board.see(FormError);
@@ -72,7 +72,7 @@ fn while_errors_go_on_home_is_never_away_for_100_ms() {
             away_us = if is_away { away_us + us } else { 0 };
             assert!(away_us < 100_000, "{error:?} every {us} us");
         }
-        assert!(board.timeline().len() > 200, "it goes on looking");
+        assert!(board.timeline().len() > 200, "it continues to look");
     }
 }
 
@@ -190,7 +190,7 @@ fn an_error_ends_the_open_turn_of_home_after_20_ms_and_two_frames() {
         board.pass_us(40_000 + TURN_US);
         board.timeline();
         board.see(error);
-        assert_eq!(board.timeline(), ["0 ms stop", "0 ms resume"], "what waited is dropped");
+        assert_eq!(board.timeline(), ["0 ms stop", "0 ms resume"], "waiting frames are dropped");
         board.pass_us(TURN_US);
         assert_eq!(board.timeline(), ["22.16 ms listen at 1000 kbit/s"]);
         board.pass_ms(1_099);
@@ -231,7 +231,7 @@ fn a_form_error_after_another_error_does_not_open_home() {
     board.pass_ms(41);
     board.see(Error);
     board.see(FormError);
-    assert!(board.node.is_listening(), "somebody sends at another rate");
+    assert!(board.node.is_listening(), "a node sends at another rate");
 }
 
 #[test]
@@ -281,7 +281,7 @@ fn a_boot_up_at_home_ends_the_search() {
     assert!(!board.node.is_listening());
 }
 
-/// Whether a look that hears nothing is followed by another one after the turns of home.
+/// Whether a look that hears nothing is followed by another one after the turns at home.
 fn looks_twice(board: &mut NodeRig) -> bool {
     board.timeline();
     board.pass_us(40_000 + TURN_US + 150_000);
@@ -354,7 +354,7 @@ fn at_an_unproven_home_rate_a_second_look_follows_the_first() {
 }
 
 #[test]
-fn a_boot_up_that_nobody_acknowledged_comes_again_in_an_open_turn_of_home() {
+fn an_unacknowledged_boot_up_is_repeated_in_an_open_turn_at_home() {
     let mut board = unproven();
     board.see(Error);
     board.timeline();
@@ -363,5 +363,5 @@ fn a_boot_up_that_nobody_acknowledged_comes_again_in_an_open_turn_of_home() {
     board.see(Acknowledged);
     board.pass_ms(30_000);
     doubt(&mut board);
-    assert_eq!(board.pass_ms(1_000), SILENCE, "once it was acknowledged it does not");
+    assert_eq!(board.pass_ms(1_000), SILENCE, "after an acknowledge it does not");
 }

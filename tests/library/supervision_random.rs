@@ -1,4 +1,4 @@
-//! Random events and times against what holds for the bit-rate supervision whatever happens.
+//! Random events and times, checked against the invariants of the bit-rate supervision.
 
 use lss_slave::{
     Action, BitRate, BitRates,
@@ -13,7 +13,7 @@ use testkit::{
     random::Random,
 };
 
-/// What a controller reports for a while.
+/// Sequences of events that a controller reports for a while.
 const MOODS: [&[BusEvent]; 9] = [
     &[Error],
     &[FormError],
@@ -26,10 +26,10 @@ const MOODS: [&[BusEvent]; 9] = [
     &[Error, FormError, HeldDominant],
 ];
 
-/// Microseconds between two of them, at most.
+/// The greatest interval between two events in microseconds.
 const GAPS_US: [u64; 6] = [2, 500, 20_000, 200_000, 900_000, 4_000_000];
 
-/// A node, and what must be known of it from outside.
+/// A node, and the knowledge about it from outside.
 struct Run {
     board: NodeRig,
     default: BitRate,
@@ -37,7 +37,7 @@ struct Run {
     /// Configured by `13` and not activated.
     configured: Option<BitRate>,
     trusted_until: u64,
-    /// Since when the node listens at other rates than home.
+    /// The time since which the node listens at other rates than home.
     away_since: Option<u64>,
     looks: u32,
     rescues: u32,
@@ -71,7 +71,7 @@ impl Run {
         }
     }
 
-    /// What the node did since the last call was allowed.
+    /// Checks the node's actions since the last call.
     fn check(&mut self) {
         for (at, action) in self.board.take_timed_actions().collect::<Vec<_>>() {
             match action {
@@ -177,7 +177,7 @@ impl Run {
             10 => {
                 let ms = random.within(0..40_000);
                 self.board.be_late_ms(ms);
-                // Late calls are late for home too.
+                // After late calls the turn at home is late too.
                 self.away_since = None;
                 self.board.take_actions();
             }
@@ -189,7 +189,7 @@ impl Run {
         self.check();
     }
 
-    /// A quiet bus, and errors where nobody else is, bring the node home, and it knows which rate that is.
+    /// A quiet bus, and errors at an unused rate, bring the node home, and it knows its home rate.
     fn come_home(&mut self) {
         self.board.is_acknowledged = true;
         self.board.pass_ms(5_000);
@@ -209,7 +209,7 @@ impl Run {
 }
 
 #[test]
-fn home_has_its_turns_and_is_never_lost_whatever_happens() {
+fn home_always_has_its_turns_and_is_never_lost() {
     let mut random = Random::from_environment();
     let [mut looks, mut rescues, mut switches] = [0; 3];
     for _ in 0..100 {
@@ -227,7 +227,7 @@ fn home_has_its_turns_and_is_never_lost_whatever_happens() {
 }
 
 #[test]
-fn without_supervision_a_node_stays_at_its_rate_whatever_happens() {
+fn without_supervision_a_node_always_stays_at_its_rate() {
     let mut random = Random::from_environment();
     for rate in BitRate::ALL {
         let settings = defaults(0x40).with_bit_rate(rate.into());

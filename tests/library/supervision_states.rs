@@ -1,7 +1,7 @@
-//! The picture of the bit-rate supervision, `docs/bit-rate-supervision.svg`: drawn from what a node does with each event in
-//! each state, with times that are measured.
+//! The diagram of the bit-rate supervision, `docs/bit-rate-supervision.svg`: drawn from the node's behaviour with each
+//! event in each state, with measured times.
 //!
-//! `WRITE_DIAGRAM=1 cargo test --test library supervision_states` writes it anew.
+//! `WRITE_DIAGRAM=1 cargo test --test library supervision_states` writes it again.
 
 use std::{env, fs, path::Path};
 
@@ -34,7 +34,7 @@ const EVENTS: [(BusEvent, &str); 6] = [
     (ErrorPassive, "error passive"),
 ];
 
-/// A board in a state; its home rate is 125 kbit/s, and it has found or listens at 1000.
+/// A board in a state. Its home rate is 125 kbit/s; it has found, or listens at, 1000 kbit/s.
 fn board(state: State) -> NodeRig {
     let mut board = match state {
         Home => proven(),
@@ -50,7 +50,7 @@ fn board(state: State) -> NodeRig {
     board
 }
 
-/// The state of a board, which is spoilt by the question.
+/// The state of a board, which the question changes.
 fn state(mut board: NodeRig) -> State {
     let is_at_home = board.bit_rate() == BitRate::Kbit125;
     match (board.node.is_listening(), is_at_home) {
@@ -68,7 +68,7 @@ fn state(mut board: NodeRig) -> State {
     }
 }
 
-/// After how many microseconds of silence a board leaves `from`, and to where it goes.
+/// The microseconds of silence after which a board leaves `from`, and its next state.
 fn leaves(from: State, make: impl Fn() -> NodeRig) -> (u64, State) {
     for deadlines in 1..10 {
         let mut board = make();
@@ -85,14 +85,14 @@ fn leaves(from: State, make: impl Fn() -> NodeRig) -> (u64, State) {
     panic!("{from:?} does not end");
 }
 
-/// A board after an event, with nothing done about its timeline.
+/// A board after an event; its timeline is kept.
 fn after(from: State, event: BusEvent) -> NodeRig {
     let mut board = board(from);
     board.see(event);
     board
 }
 
-/// How many errors `spacing_ms` apart make a board listen, and how long that takes in microseconds.
+/// The number of errors `spacing_ms` apart that make a board listen, and the time this takes in microseconds.
 fn errors_until_it_listens(mut board: NodeRig, spacing_ms: u64) -> (u64, u64) {
     let begin = board.now();
     for count in 1..100_000 {
@@ -105,7 +105,7 @@ fn errors_until_it_listens(mut board: NodeRig, spacing_ms: u64) -> (u64, u64) {
     panic!("errors do not make it listen");
 }
 
-/// How long the heartbeats of a node wait after an event, in microseconds.
+/// The time for which the heartbeats of a node wait after an event, in microseconds.
 fn wait_us(event: BusEvent) -> u64 {
     let mut board = powered_on(BitRate::Kbit125, 1);
     board.is_acknowledged = false;
@@ -121,7 +121,7 @@ fn time(us: u64) -> String {
     }
 }
 
-/// What leads from one state to another, in words.
+/// The causes of a transition between two states, in words.
 fn causes(from: State, to: State) -> Vec<String> {
     let leads = |&&(event, _): &&(BusEvent, _)| from != to && state(after(from, event)) == to;
     let events: Vec<_> = EVENTS.iter().filter(leads).map(|&(_, name)| name).collect();
@@ -180,21 +180,21 @@ fn causes(from: State, to: State) -> Vec<String> {
     causes
 }
 
-/// A board in the open turn of home after a look that heard something.
+/// A board in the open turn at home after a look that heard something.
 fn heard_elsewhere() -> NodeRig {
     let mut board = after(Elsewhere, FormError);
     board.pass_us(40_000 + TURN_US);
     board
 }
 
-/// A board that looks elsewhere once more after it has heard something there.
+/// A board in a second look after it has heard something in the first.
 fn second_look() -> NodeRig {
     let mut board = heard_elsewhere();
     board.pass_ms(150);
     board
 }
 
-/// A guest that has just sent an answer, which nobody acknowledges.
+/// A guest that has just sent an answer without receiving an acknowledge.
 fn unanswered_guest() -> NodeRig {
     let mut board = board(Guest);
     board.lss("04 01");
@@ -203,7 +203,7 @@ fn unanswered_guest() -> NodeRig {
     board
 }
 
-/// What events do that lead to no other state, in words.
+/// The effects, in words, of events that lead to no other state.
 fn effects(of: State) -> Vec<String> {
     let effect = |&(event, name): &(BusEvent, &str)| {
         let mut board = after(of, event);
@@ -238,7 +238,7 @@ fn place(of: State) -> String {
     format!("{act} at {}", if is_home { "the home rate" } else { "another rate" })
 }
 
-/// Pixels: the boxes, by their left upper corners.
+/// Pixels: the upper left corners of the boxes.
 const WIDTH: u32 = 246;
 const HEIGHT: u32 = 128;
 const LEFT: u32 = 20;
@@ -257,10 +257,10 @@ const BOXES: [(State, &str, u32, u32, &str); 5] = [
     (SilentTurn, "silent turn of home", MIDDLE, BOTTOM, "#fdf0df"),
 ];
 
-/// An arrow: from, to, its points, and where its words stand.
+/// An arrow: from, to, its points, and the place of its text.
 type Arrow = (State, State, &'static [[u32; 2]], [u32; 2]);
 
-/// How many letters fit between two boxes.
+/// The number of letters that fit between two boxes.
 const COLUMNS: usize = 30;
 
 const UP: u32 = CENTRE - 36;
@@ -335,8 +335,8 @@ fn draw_arrow(&(from, to, points, [x, y]): &Arrow) -> String {
 const LEGEND: [&str; 4] = [
     "Home is the rate that was stored at power-on or activated since, here 125 kbit/s. It is proven by a valid frame or an acknowledge.",
     "An error is a stuff, form, CRC or bit recessive error. Automatic detection (index 9) is not shown.",
-    "Not shown either: a bus that is held dominant ends a search, and the boot-up of another node elsewhere makes no guest.",
-    "Drawn by tests/library/supervision_states.rs from what the node does with each event in each state.",
+    "Not shown either: a bus that is held dominant ends a search, and the boot-up of another node does not make a guest.",
+    "Drawn by tests/library/supervision_states.rs from the behaviour of the node.",
 ];
 
 fn draw() -> String {
@@ -355,7 +355,7 @@ fn draw() -> String {
         r##"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">
 <defs><marker id="tip" viewBox="0 0 10 10" refX="10" refY="5" markerWidth="9" markerHeight="9" orient="auto"><path d="M 0 0 L 10 5 L 0 10 z" fill="#4a7ab5"/></marker></defs>
 <rect width="100%" height="100%" fill="white"/>
-<text x="{LEFT}" y="28" font-size="16">The bit-rate supervision: where a node takes part or listens, and what leads from one to the other</text>
+<text x="{LEFT}" y="28" font-size="16">The bit-rate supervision: where a node takes part or listens, and the causes of each transition</text>
 <circle cx="{start_x}" cy="{start_y}" r="6" fill="#444"/>
 <text x="{}" y="{}">power-on</text>
 <polyline points="{start_x},{start_y} {start_x},{}" fill="none" stroke="#4a7ab5" stroke-width="1.5" marker-end="url(#tip)"/>
@@ -370,7 +370,7 @@ fn draw() -> String {
 }
 
 #[test]
-fn the_diagram_shows_what_the_supervision_does() {
+fn the_diagram_shows_the_states_of_the_supervision() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/bit-rate-supervision.svg");
     let drawn = draw();
     if env::var_os("WRITE_DIAGRAM").is_some() {

@@ -1,4 +1,4 @@
-//! `cargo xtask bench`: what this project's LSS slave costs beside others, in instructions, cycles and bytes.
+//! `cargo xtask bench`: the cost of this project's LSS slave and of others, in instructions, cycles and bytes.
 
 mod machine;
 mod programs;
@@ -10,11 +10,11 @@ use programs::Program;
 use session::Costs;
 use sizes::Sizes;
 
-/// Show what the LSS slave costs in instructions and bytes, beside others
+/// Show the cost of the LSS slave in instructions and bytes, compared with others
 #[derive(clap::Args)]
 pub struct Arguments {}
 
-/// What is known of one slave.
+/// The measurements of one slave.
 struct Measured {
     program: Program,
     costs: Costs,
@@ -24,7 +24,7 @@ struct Measured {
 /// Builds all slaves in one harness, measures them and prints the figures. The same sources give the same figures.
 ///
 /// # Errors
-/// A slave cannot be built, or does not do what is measured.
+/// A slave cannot be built, or does not give the measured service.
 pub fn run(Arguments {}: &Arguments) -> anyhow::Result<()> {
     let builds = programs::build()?;
     let measured = Program::ALL

@@ -1,4 +1,4 @@
-//! The emulated boards of the commands: which chip, who they are, what they are set to.
+//! The emulated boards of the commands: chip, identity and settings.
 
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ use testkit::flash::BoardFlash;
 /// Sectors 1 and 2 of the flash, where the firmware keeps its settings (`memory.x`), from the start of the flash.
 const SETTINGS: Range<usize> = 0x4000..0xC000;
 
-/// Reads the name of a chip from the command line.
+/// Parser for the name of a chip on the command line.
 pub fn part() -> impl TypedValueParser<Value = Part> {
     PossibleValuesParser::new(Part::ALL.map(Part::name)).map(|name| {
         let named = Part::ALL.into_iter().find(|part| part.name() == name);
@@ -22,12 +22,12 @@ pub fn part() -> impl TypedValueParser<Value = Part> {
     })
 }
 
-/// The board of this number with erased settings, switched on at time zero; no two numbers give the same unique id.
+/// The board with this number, with erased settings, switched on at time zero. Each number gives a different unique id.
 pub fn board(part: Part, image: &Image, number: usize) -> Board {
     Board::new(part, image, board::Settings { unique_id: unique_id(number), ..Default::default() })
 }
 
-/// Of the chip of this board: coordinates on a wafer, wafer number and lot, as in RM0090 39.1.
+/// The unique id of the board's chip: coordinates on a wafer, wafer number and lot, as in RM0090 39.1.
 pub fn unique_id(number: usize) -> [u8; 12] {
     let [x, y, ..] = number.to_le_bytes();
     let mut id = [x, 0, y, 0, 7, 0, 0, 0, 0, 0, 0, 0];
@@ -35,12 +35,12 @@ pub fn unique_id(number: usize) -> [u8; 12] {
     id
 }
 
-/// The LSS serial number that the firmware makes of the unique id of this board.
+/// The LSS serial number that the firmware derives from the board's unique id.
 pub fn serial_number(number: usize) -> u32 {
     Address::serial_number_of(&unique_id(number))
 }
 
-/// The settings stored in a board's flash; `None` in that of a new board.
+/// The settings stored in a board's flash; `None` for a new board.
 pub fn stored_settings(flash: &[u8]) -> Option<Settings> {
     log(flash).settings()
 }

@@ -1,4 +1,4 @@
-//! `cargo demo`: an LSS master that others wrote configures emulated boards with the release firmware.
+//! `cargo demo`: an independent LSS master configures emulated boards with the release firmware.
 
 mod bench;
 mod diagram;
@@ -37,26 +37,26 @@ const OLD_RATE: BitRate = BitRate::Kbit125;
 const NEW_RATE: BitRate = BitRate::Kbit500;
 const NODE_ID: u8 = 5;
 const SWITCH_DELAY_MS: u16 = 100;
-/// The first start formats the settings' flash: an erase of 16 KB takes 0.8 s at worst.
+/// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
 const START: Duration = Duration::from_secs(1);
-/// How long the master waits for answers to each Fastscan step.
+/// The master's time-out for each Fastscan step.
 const FASTSCAN_TIMEOUT: Duration = Duration::from_millis(20);
-/// After the second switch delay, until every slave's clock says so too.
+/// The time after the second switch delay until every slave's clock has reached it too.
 const TOLERANCE: Duration = Duration::from_millis(10);
 const OLD_BOARD_ID: u8 = 9;
-/// What the second board was given before.
+/// The settings stored in the second board before the demo.
 const OLD_BOARD: Settings = Settings::new(BitRateSetting::Fixed(OLD_RATE))
     .with_node_id(lss_slave::NodeId::new(OLD_BOARD_ID));
 const PRE_OPERATIONAL: u8 = 0x7F;
 
-/// Show a board that is found, configured and power-cycled, frame by frame, on an emulated CAN bus
+/// Show how a board is found, configured and power-cycled, frame by frame, on an emulated CAN bus
 ///
 /// The boards are emulated STM32F4s with the release firmware, one of them blank. The LSS master is the crate
 /// zencan-client.
-/// Fails if anything goes otherwise than CiA 305 says.
+/// Fails if anything differs from CiA 305.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Show every frame of the Fastscan, not only where its parts begin and end
+    /// Show every frame of the Fastscan, not only the start and end of its parts
     #[arg(long)]
     all: bool,
     /// The chip on the board
@@ -68,7 +68,8 @@ pub struct Arguments {
     /// Write the frames as `candump -l` does
     #[arg(long, value_name = "FILE")]
     candump: Option<PathBuf>,
-    /// Write the frames as a capture for Wireshark; to see CANopen: Decode As, CAN next level, or `tshark -d can.subdissector,canopen`
+    /// Write the frames as a capture for Wireshark. To see CANopen: Decode As, CAN next level, or
+    /// `tshark -d can.subdissector,canopen`
     #[arg(long, value_name = "FILE")]
     pcap: Option<PathBuf>,
 }
@@ -106,7 +107,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         old.set_flash(0, &flash);
         let bench = Bench::new([blank, old], OLD_RATE);
         let outcome = session(&bench, &mut screen).await;
-        // What was seen until it went wrong.
+        // Show the events up to the failure.
         screen.show(&bench.events())?;
         outcome?;
         arguments.write_records(&bench.events())?;
@@ -126,14 +127,14 @@ async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
     )?;
     bench.pass(START).await;
     let sent = bench.events().iter().filter(|event| is_frame_of_blank_board(event)).count();
-    ensure!(sent == 0, "a board without a node-ID sent {sent} frames by itself");
+    ensure!(sent == 0, "a board without a node-ID sent {sent} frames unasked");
     expect_boot_up(bench, OLD_BOARD_ID).await?;
     screen.show(&bench.events())?;
 
     screen.chapter("The master finds it by Fastscan: 128 bits of LSS address, one by one")?;
     let found = master.fast_scan(FASTSCAN_TIMEOUT).await;
     let LssIdentity { vendor_id, product_code, revision, serial } =
-        found.context("Fastscan found nobody")?;
+        found.context("Fastscan found no board")?;
     screen.show(&bench.events())?;
     screen.remark(&format!(
         "found: vendor-ID {vendor_id:08X}, product code {product_code:08X}, revision number \
@@ -191,7 +192,7 @@ fn error_control(node_id: u8, state: u8) -> Frame {
     Frame::data(Id::Standard(0x700 + u16::from(node_id)), &[state])
 }
 
-/// Nothing happened besides what was looked at.
+/// Checks that nothing unexpected happened.
 fn check_conduct(bench: &Bench) -> anyhow::Result<()> {
     for event in bench.events() {
         if let What::Error { kind, .. } = event.what {
@@ -199,7 +200,9 @@ fn check_conduct(bench: &Bench) -> anyhow::Result<()> {
         }
     }
     match bench.findings().first() {
-        Some(finding) => bail!("the firmware did what a chip would not forgive: {finding}"),
+        Some(finding) => {
+            bail!("the firmware did something that a real chip does not tolerate: {finding}")
+        }
         None => Ok(()),
     }
 }
@@ -212,7 +215,7 @@ fn lss_request(request: Request) -> Frame {
     Frame::data(Id::Standard(lss::REQUEST_COB_ID), &request.to_bytes())
 }
 
-/// A span of tokio's clock as one of the emulation's.
+/// Converts a duration of tokio's clock to the emulation's.
 fn span(duration: Duration) -> Time {
     Time::from_ns(duration.as_nanos() as u64)
 }

@@ -26,11 +26,11 @@ use client::{Client, ClientId, Input};
 use memory::Memory;
 use pace::Pace;
 
-/// What is received reaches the programs after this time at the latest.
+/// The longest time until the programs get a received frame.
 const TICK: Duration = Duration::from_millis(1);
-/// The first start formats the settings' flash: an erase of 16 KB takes 0.8 s at worst.
+/// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
 const START: Time = Time::from_s(1);
-/// What a new board has: `DEFAULTS` in the firmware's `device.rs`.
+/// The bit rate of a new board: `DEFAULTS` in the firmware's `device.rs`.
 const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
 const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 
@@ -40,24 +40,24 @@ const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 ///
 ///   can.Bus(interface="slcan", channel="socket://127.0.0.1:29536", bitrate=125000)
 ///
-/// The boards run the release firmware in real time until Ctrl-C. An adapter that is opened at another bit rate than
-/// theirs disturbs the bus, as it would on a desk; one that is closed drops the frames that still wait.
+/// The boards run the release firmware in real time until Ctrl-C. An adapter that is opened at a different bit rate
+/// from theirs disturbs the bus, as on a desk; an adapter that is closed drops its waiting frames.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// How many boards are on the bus
+    /// Number of boards on the bus
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=127))]
     boards: u8,
-    /// Where to wait for CAN programs
+    /// Address on which to wait for CAN programs
     #[arg(long, default_value = "127.0.0.1:29536", value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
     /// Keep each board's flash in DIR/board-N.bin: the next run is a power cycle
     #[arg(long, value_name = "DIR")]
     flash: Option<PathBuf>,
-    /// Node-ID of a board that has nothing stored: 1..=127, the next board has the next; or none
+    /// Node-ID of a board without stored settings: 1..=127, counting up from board to board; or none
     #[arg(long, value_name = "ID|none", value_parser = node_id)]
     node_id: Option<FirstNodeId>,
-    /// Bit rate in kbit/s of a board that has nothing stored
+    /// Bit rate in kbit/s of a board without stored settings
     #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
     bit_rate: Option<BitRate>,
     /// The chip on the boards
@@ -65,7 +65,7 @@ pub struct Arguments {
     chip: Part,
 }
 
-/// Of the first of the boards; `None`: they are stored as not configured.
+/// The node-ID of the first board; `None`: the boards are stored as unconfigured.
 type FirstNodeId = Option<NodeId>;
 
 fn node_id(text: &str) -> Result<FirstNodeId, String> {
@@ -86,7 +86,7 @@ fn bit_rate(text: &str) -> Result<BitRate, String> {
 }
 
 impl Arguments {
-    /// What is stored in a board before its first start; `None`: nothing, it is blank.
+    /// The settings stored in a board before its first start; `None`: it is blank.
     fn preset(&self, number: usize) -> anyhow::Result<Option<Settings>> {
         if self.node_id.is_none() && self.bit_rate.is_none() {
             return Ok(None);
@@ -95,7 +95,11 @@ impl Arguments {
             None => None,
             Some(first) => {
                 let id = NodeId::new(first.get().saturating_add(number as u8));
-                ensure!(id.is_some(), "--node-id {}: board {number} has none left", first.get());
+                ensure!(
+                    id.is_some(),
+                    "--node-id {}: no node-ID is left for board {number}",
+                    first.get()
+                );
                 id
             }
         };
@@ -111,7 +115,7 @@ impl Arguments {
 /// Runs the boards until Ctrl-C.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let listener = TcpListener::bind(arguments.listen).with_context(|| {
-        format!("cannot listen at {} (--listen chooses another address)", arguments.listen)
+        format!("cannot listen at {} (choose another address with --listen)", arguments.listen)
     })?;
     let address = listener.local_addr()?;
     let presets = (0..usize::from(arguments.boards))
@@ -168,7 +172,7 @@ fn serve(
             client.deliver(network);
         }
         memory.save(network)?;
-        // All that wait: on a busy computer each run takes long.
+        // Take all waiting inputs: on a busy computer each run takes long.
         for input in first.into_iter().chain(inputs.try_iter().take(client::WAITING)) {
             match input {
                 Input::Connected(id, stream) => {
@@ -201,7 +205,7 @@ mod tests {
 
     use super::*;
 
-    /// A bus without boards that is served until the end of the tests.
+    /// A bus without boards that runs until the end of the tests.
     fn served_bus() -> SocketAddr {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let address = listener.local_addr().expect("it is bound");
@@ -278,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_possible_now_is_refused() {
+    fn a_command_that_is_not_possible_now_is_refused() {
         let mut program = Program::connect(served_bus());
         program.send("t1230\rX\rO\rO\rL\rS4\rC\rC\rt1230\rS4\r");
         program.expect("\x07\x07\r\x07\x07\x07\r\r\x07\r");
@@ -297,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_floods_the_emulation_does_not_keep_others_from_being_answered() {
+    fn a_program_that_floods_the_emulation_does_not_block_others() {
         let address = served_bus();
         let mut flood = Program::connect(address);
         thread::spawn(move || while flood.0.write_all(&[b'\r'; 4096]).is_ok() {});

@@ -1,4 +1,4 @@
-//! What a CANopen frame says, in a sentence: LSS, NMT, SDO and the other services with predefined COB-IDs.
+//! The meaning of a CANopen frame in one sentence: LSS, NMT, SDO and the other services with predefined COB-IDs.
 
 use emulator::can::{Frame, Id};
 use lss_slave::{
@@ -7,7 +7,7 @@ use lss_slave::{
     nmt,
 };
 
-/// What `frame` says, without the name of its sender: a short sentence on one line.
+/// The meaning of `frame`, without its sender: a short sentence on one line.
 pub fn explain(frame: &Frame) -> String {
     let id = match frame.id {
         Id::Standard(id) => id,
@@ -86,7 +86,7 @@ fn fastscan(FastscanStep { id_number, bit_check, sub, next }: FastscanStep) -> S
     let name = part(scanned);
     match AddressPart::new(next) {
         Some(_) if bit_check == 0 && next < sub => {
-            format!("Fastscan: {name} {id_number:08X}? That one to configuration state")
+            format!("Fastscan: {name} {id_number:08X}? If so, to configuration state")
         }
         Some(next) if bit_check == 0 && next != scanned => {
             format!("Fastscan: {name} {id_number:08X}? Then the {}", part(next))
@@ -101,7 +101,7 @@ fn lss_response(data: &[u8; 8]) -> String {
     let number = u32::from_le_bytes([data[1], data[2], data[3], data[4]]);
     let outcome = |accepted: &str, meanings: &[&str]| match error {
         0 => accepted.to_owned(),
-        0xFF => format!("refused, error of the maker: {specific:02X}"),
+        0xFF => format!("refused, manufacturer-specific error {specific:02X}"),
         _ => match meanings.get(usize::from(error) - 1) {
             Some(meaning) => format!("refused: {meaning}"),
             None => format!("refused, error {error:02X}"),
@@ -139,7 +139,7 @@ fn node_id(byte: u8) -> String {
     match NodeId::from_lss(byte) {
         Ok(Some(id)) => id.get().to_string(),
         Ok(None) => "not configured (FF)".into(),
-        Err(_) => format!("{byte:02X}, which is none"),
+        Err(_) => format!("{byte:02X}, invalid"),
     }
 }
 
@@ -218,7 +218,7 @@ fn sdo_request(data: &[u8; 8]) -> String {
     }
 }
 
-/// CiA 301, 7.2.4.3: the server's command specifiers are others than the client's.
+/// CiA 301, 7.2.4.3: the server's command specifiers differ from the client's.
 fn sdo_answer(data: &[u8; 8]) -> String {
     match data[0] >> 5 {
         0 => {
@@ -272,7 +272,7 @@ mod tests {
             ([0x04, 0, 0, 0, 0, 0, 0, 0], "LSS switch state global: waiting"),
             ([0x11, 5, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: 5"),
             ([0x11, 0xFF, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: not configured (FF)"),
-            ([0x11, 0x80, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: 80, which is none"),
+            ([0x11, 0x80, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: 80, invalid"),
             (
                 [0x13, 0, 2, 0, 0, 0, 0, 0],
                 "LSS configure bit timing: 500 kbit/s (table 0, index 2)",
@@ -295,13 +295,13 @@ mod tests {
     }
 
     #[test]
-    fn the_steps_of_a_fastscan_are_told_apart() {
+    fn the_steps_of_a_fastscan_are_distinguished() {
         let cases: [([u8; 3], &str); 6] = [
             ([0x80, 0, 0], "LSS Fastscan: is anyone not configured?"),
             ([31, 0, 0], "LSS Fastscan: vendor-ID, bit 31 of 12345678?"),
             ([7, 3, 3], "LSS Fastscan: serial number, bits 31..7 of 12345678?"),
             ([0, 0, 1], "LSS Fastscan: vendor-ID 12345678? Then the product code"),
-            ([0, 3, 0], "LSS Fastscan: serial number 12345678? That one to configuration state"),
+            ([0, 3, 0], "LSS Fastscan: serial number 12345678? If so, to configuration state"),
             ([0, 9, 0], "LSS Fastscan: impossible (bit 0, part 9)"),
         ];
         for ([bit_check, sub, next], sentence) in cases {
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_say_why() {
+    fn refusals_give_the_reason() {
         let cases: [([u8; 8], &str); 5] = [
             ([0x11, 1, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: refused: out of range"),
             ([0x13, 1, 0, 0, 0, 0, 0, 0], "LSS configure bit timing: refused: not supported"),
@@ -321,7 +321,7 @@ mod tests {
             ),
             (
                 [0x17, 0xFF, 7, 0, 0, 0, 0, 0],
-                "LSS store configuration: refused, error of the maker: 07",
+                "LSS store configuration: refused, manufacturer-specific error 07",
             ),
             ([0x17, 9, 0, 0, 0, 0, 0, 0], "LSS store configuration: refused, error 09"),
         ];

@@ -1,4 +1,4 @@
-//! `cargo flash`: the firmware into a real board.
+//! `cargo flash`: writes the firmware to a real board.
 
 use std::{
     env, io,
@@ -10,9 +10,9 @@ use emulator::chip::Part;
 
 use crate::boards;
 
-/// Write the firmware into a board, with probe-rs, and show its log
+/// Write the firmware to a board, with probe-rs, and show its log
 ///
-/// The board is not halted at a reset or a fault, so the log goes on through them.
+/// The board is not halted at a reset or a fault, so that the log continues.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip on the board
@@ -20,7 +20,7 @@ pub struct Arguments {
     chip: Part,
 }
 
-/// Builds the firmware, writes it to the one board that is connected, and shows its log until Ctrl-C.
+/// Builds the firmware, writes it to the connected board, and shows its log until Ctrl-C.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     find_probe_rs()?;
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
@@ -49,7 +49,7 @@ fn find_probe_rs() -> anyhow::Result<()> {
     }
 }
 
-/// The chip as probe-rs names it; the package does not matter to it.
+/// The name of the chip in probe-rs; the package makes no difference.
 const fn probe_rs_name(part: Part) -> &'static str {
     match part {
         Part::Stm32f405 => "STM32F405RGTx",

@@ -1,4 +1,4 @@
-//! `cargo xtask fuzz`: the coverage-guided fuzz targets, with the compiler of the project and for a bounded time.
+//! `cargo xtask fuzz`: the coverage-guided fuzz targets, built with the project's compiler, for a limited time.
 
 use std::{
     env, fs,
@@ -10,25 +10,25 @@ use anyhow::{Context, bail, ensure};
 
 const TARGETS: [&str; 4] = ["message", "node", "sdo", "settings_log"];
 
-/// What `cargo fuzz` passes to a nightly compiler, less the address sanitizer: the library has no `unsafe` code.
+/// The flags of `cargo fuzz` for a nightly compiler, without the address sanitizer: the library has no `unsafe` code.
 const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares -Cdebug-assertions -Coverflow-checks -Ccodegen-units=1";
 
-/// Feed the library with inputs that coverage guides, and fail if one breaks what must hold
+/// Run the library with coverage-guided inputs, and fail if an input breaks a rule
 ///
-/// Takes a C++ compiler, for libFuzzer. What must hold is in fuzz/README.md.
+/// Needs a C++ compiler, for libFuzzer. The rules are in fuzz/README.md.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// What to fuzz [default: all, one after the other]
+    /// Targets [default: all, one after the other]
     #[arg(value_parser = TARGETS)]
     target: Vec<String>,
-    /// How long each
+    /// Seconds for each target
     #[arg(long, default_value_t = 3)]
     seconds: u32,
 }
 
-/// Fuzzes and prints the number of executions. Fails with the way to repeat it if an input breaks something.
+/// Fuzzes and prints the number of executions. If an input breaks a rule, fails with the command that repeats it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("xtask is in a project")?;
     let fuzz = root.join("fuzz");
@@ -44,11 +44,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Builds all targets; returns where they are.
+/// Builds all targets; returns their directory.
 fn build(fuzz: &Path, out: &Path) -> anyhow::Result<PathBuf> {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     println!("building the fuzz targets ...");
-    // Named although it is the default: so the flags are not applied to build scripts.
+    // Named although it is the default: this way the flags do not apply to build scripts.
     let host = Command::new("rustc").args(["--print", "host-tuple"]).output();
     let host = String::from_utf8(host.context("cannot run rustc")?.stdout)?;
     let host = host.trim();
@@ -66,7 +66,7 @@ fn build(fuzz: &Path, out: &Path) -> anyhow::Result<PathBuf> {
     Ok(out.join(host).join("release"))
 }
 
-/// Runs one target; returns how many inputs it was given.
+/// Runs one target; returns the number of its inputs.
 fn fuzz_target(
     target: &str,
     seconds: u32,
@@ -98,5 +98,5 @@ fn fuzz_target(
     text.lines()
         .find_map(|line| line.strip_prefix("stat::number_of_executed_units:"))
         .and_then(|number| number.trim().parse().ok())
-        .context("libFuzzer did not tell the number of executions")
+        .context("libFuzzer did not print the number of executions")
 }

@@ -76,7 +76,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Whether the reader of our output, such as `head`, has seen enough.
+/// Whether the reader of the output, such as `head`, has closed it.
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }

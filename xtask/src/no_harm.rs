@@ -1,4 +1,4 @@
-//! `cargo xtask no-harm`: random situations on the bus, each lived through with and without bit-rate supervision.
+//! `cargo xtask no-harm`: random situations on the bus, each run with and without bit-rate supervision.
 
 mod draw;
 mod judge;
@@ -21,33 +21,35 @@ use crate::{boards, parallel};
 use judge::{Failure, Images, Verdict};
 use situation::{Kind, Situation};
 
-/// From one line of progress to the next.
+/// The interval between lines of progress.
 const PROGRESS: Duration = Duration::from_secs(5);
-/// Failing situations that are made smaller and printed: one of each kind and failure, so many at most.
+/// The number of failing situations that are minimised and printed, one of each kind and failure.
 const PRINTED: usize = 6;
 
-/// See in random situations that supervision of the bit rate never costs a node
+/// Check in random situations that supervision of the bit rate never does harm
 ///
-/// A situation is drawn from its seed: one to eight boards, perhaps with a wrong rate stored; a master that listens, asks or is
-/// away; switches of the bit rate that some boards miss and that the master follows late; foreign devices at other rates; shorts,
-/// broken wires, noise, bit errors and power cuts. It runs twice: with the product's image, and with the plain slave, which is
-/// the same firmware with `RESCUE = false`, built in target/no-harm. Then the master looks for all boards at one rate, asking each
-/// every 20 ms (object 1000h by SDO, 4C without a node-ID) or only listening for heartbeats.
+/// A situation is drawn from its seed: one to eight boards, some with a wrong rate stored; a master that listens, polls
+/// or is absent; switches of the bit rate that some boards miss and that the master follows late; foreign devices at
+/// other rates; shorts, broken wires, noise, bit errors and power cuts. It runs twice: with the product's image, and
+/// with the plain slave, which is the same firmware with `RESCUE = false`, built in target/no-harm. Then the master
+/// looks for all boards at one rate, polling each every 20 ms (object 1000h by SDO, 4C without a node-ID) or only
+/// listening for heartbeats.
 ///
-/// Whom the plain slave answers must answer at most 100 ms later (25 frame times at slow rates; 1 s after a foreign device has
-/// left; 500 ms where a board at another rate disturbs). A plain slave that has another rate than the master's is lost; the product must be found within 10 s of the first
-/// evidence, after a commanded switch 30 s later, unless others who talk share its rate.
+/// Where the plain slave is reached, the product must be reached at most 100 ms later (25 frame times at slow rates;
+/// 1 s after a foreign device has left). A plain slave at a different rate from the master's is lost; the product must
+/// be found within 10 s of the first evidence, after a commanded switch 30 s later, unless other sending boards share
+/// its rate.
 ///
-/// The first failing situations are made smaller and printed as a list of events, with the seed that replays them.
+/// The first failing situations are minimised and printed as a list of events, with the seed that replays them.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// How many situations
+    /// Number of situations
     #[arg(long, default_value_t = 50)]
     situations: u64,
-    /// Which situations; drawn anew if it is not given
+    /// Seed of the campaign; random if not given
     #[arg(long)]
     seed: Option<u64>,
-    /// Run only the situation of this seed, and print what happens
+    /// Run only the situation with this seed, and print its events
     #[arg(long, value_name = "SEED", conflicts_with_all = ["situations", "seed"])]
     replay: Option<u64>,
     /// The chip on the boards
@@ -55,7 +57,7 @@ pub struct Arguments {
     chip: Part,
 }
 
-/// Runs the campaign. Fails if anybody is worse off than with the plain slave, or is not found.
+/// Runs the campaign. Fails if a board is worse off than with the plain slave, or is not found.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let part = arguments.chip;
     let images = Images { part, plain: plain::build(part)?, product: testkit::image::build(part)? };
@@ -80,7 +82,7 @@ fn replay(images: &Images, seed: u64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What the situations of a kind have shown so far.
+/// The results of a kind of situation so far.
 #[derive(Default)]
 struct Tally {
     situations: u64,
@@ -151,15 +153,13 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The least of the situation of this seed that still fails in the same way, as text.
+/// The smallest variant of a seed's situation that still fails in the same way, as text.
 fn smaller(images: &Images, seed: u64, failure: &Failure) -> String {
     let same = |other: &Failure| other.name() == failure.name();
     let fails = |smaller: &Situation| images.judge(smaller).failures.iter().any(same);
     let smaller = minimise::minimise(draw::situation(seed), fails);
-    let mut text = format!(
-        "\n{} (cargo xtask no-harm --replay {seed}), made smaller:\n{smaller}",
-        smaller.kind
-    );
+    let mut text =
+        format!("\n{} (cargo xtask no-harm --replay {seed}), minimised:\n{smaller}", smaller.kind);
     for failure in images.judge(&smaller).failures {
         text.push_str(&format!("\n  {failure}"));
     }

@@ -1,4 +1,4 @@
-//! Work that is spread over all cores.
+//! Work spread over all cores.
 
 use std::{
     num::NonZero,
@@ -9,7 +9,7 @@ use std::{
     thread,
 };
 
-/// Does `work` on each of `items`, and hands over what comes of it as it comes, with the item's place.
+/// Applies `work` to each of `items`, and passes on each result, with the item's index, as it arrives.
 pub fn map<T: Sync, R: Send>(
     items: &[T],
     work: impl Fn(&T) -> R + Sync,
@@ -41,7 +41,7 @@ pub fn map<T: Sync, R: Send>(
 #[cfg(test)]
 mod tests {
     #[test]
-    fn each_item_is_worked_on_once() {
+    fn each_item_is_processed_once() {
         let mut squares = [0; 100];
         let numbers: Vec<usize> = (0..100).collect();
         super::map(&numbers, |number| number * number, |index, square| squares[index] += square);

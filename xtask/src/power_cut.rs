@@ -1,4 +1,4 @@
-//! `cargo xtask power-cut`: cuts the power wherever the settings are written, in the library and in the release image.
+//! `cargo xtask power-cut`: cuts the power during writes of the settings, in the library and in the release image.
 
 mod image;
 mod library;
@@ -13,27 +13,27 @@ use testkit::random::Random;
 
 use crate::boards;
 
-/// Erasures that the data sheet promises for a sector (STM32F405, table "flash memory endurance").
+/// Erase cycles guaranteed by the data sheet for a sector (STM32F405, table "flash memory endurance").
 const ENDURANCE: u64 = 10_000;
 const SECTORS: u64 = 2;
 const HOURS_A_YEAR: u64 = 8_766;
-/// Cuts at any instants in each session on the board.
+/// Cuts at random instants in each session on the board.
 const INSTANTS: usize = 250;
 const INSTANTS_LONG: usize = 2_000;
 
-/// Cut the power at every step of writing the settings, and see that none are lost
+/// Cut the power at every step of writing the settings, and check that none are lost
 ///
-/// In the library: every history of four power-ons (--long: six) with up to three stores each, the power cut in any one or
-/// two of its program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase anything.
-/// In the release image on an emulated board, in two commissionings by LSS, from a blank flash and from one that has to be
-/// erased: in every flash operation, in every pause between two, and at any instants from power-on to the last answer.
-/// Fails if settings are lost.
+/// In the library: every history of four power-ons (--long: six) with up to three stores each, the power cut in any one
+/// or two of its program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase
+/// anything. In the release image on an emulated board, in two commissionings by LSS, from a blank flash and from one
+/// that has to be erased: in every flash operation, in every pause between two, and at random instants from power-on to
+/// the last answer. Fails if settings are lost.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// More power-ons in a history, and on the board two cuts in a row and more instants: some minutes
+    /// More power-ons in a history, and on the board two cuts in a row and more instants; takes some minutes
     #[arg(long)]
     long: bool,
-    /// What the interrupted steps leave; drawn anew if it is not given
+    /// Seed for the content left by interrupted steps; random if not given
     #[arg(long)]
     seed: Option<u64>,
     /// The chip on the board
@@ -41,28 +41,28 @@ pub struct Arguments {
     chip: Part,
 }
 
-/// What was tried, and what went wrong.
+/// The number of trials, and their failures.
 #[derive(Default)]
 struct Tally {
-    /// Points at which the power was cut.
+    /// The number of power cuts.
     cuts: u64,
-    /// What was lost, in words.
+    /// Descriptions of lost settings.
     losses: Vec<String>,
 }
 
-/// What the settings must be at the next power-on.
+/// The settings expected at the next power-on.
 #[derive(Clone)]
 struct Expected {
-    /// Those that were stored or found last; `None`: the defaults.
+    /// The settings last stored or found; `None`: the defaults.
     known: Option<Settings>,
-    /// Those that the power failed in storing, after that.
+    /// The settings of a later store that the power cut interrupted.
     attempted: Option<Settings>,
 }
 
 impl Expected {
     const NOTHING: Self = Self { known: None, attempted: None };
 
-    /// Whether `found` is possible; if so it is what is known from now on.
+    /// Whether `found` is possible; if so, it is the expected value from now on.
     fn admits(&mut self, found: Option<Settings>) -> bool {
         let admits = found == self.known || found.is_some() && found == self.attempted;
         *self = Self { known: found, attempted: None };
@@ -92,14 +92,14 @@ impl fmt::Display for Named {
     }
 }
 
-/// Prints what was tried. Fails if anything was lost.
+/// Prints the number of trials. Fails if settings were lost.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
     let image = testkit::image::build(arguments.chip)?;
     let mut random = arguments.seed.map_or_else(Random::from_environment, Random::from_seed);
     let mut losses = Vec::new();
 
-    println!("\nThe settings log, cut in every one and two steps");
+    println!("\nThe settings log, cut in each step and in each pair of steps");
     for history in library::Histories::all(arguments.long) {
         let tally = history.run(&mut random);
         losses.extend(print(&history.to_string(), tally));
@@ -120,11 +120,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
     }
     let worst = image::worst_answer_time(arguments.chip, &image)?;
-    println!("\nFrom 17 to its answer, slowest flash, bus full at 1 Mbit/s: {worst} ms at worst");
+    println!("\nFrom 17 to its answer, slowest flash, bus full at 1 Mbit/s: at most {worst} ms");
 
     let stores = library::stores_an_erase();
     let years = stores * SECTORS * ENDURANCE / HOURS_A_YEAR;
-    println!("Stores an erase, power-on after each: {stores}; at one store an hour: {years} years");
+    println!(
+        "Stores per erase, with a power-on after each: {stores}; at one store an hour: {years} years"
+    );
     println!("\n{:.0} s", begin.elapsed().as_secs_f64());
     let first = &losses[..losses.len().min(10)];
     ensure!(losses.is_empty(), "settings were lost {} times, such as {first:#?}", losses.len());

@@ -1,4 +1,4 @@
-//! `cargo xtask qemu`: the same session with QEMU's CPU and with ours, and whether they agree.
+//! `cargo xtask qemu`: compares the same session on QEMU's CPU and on the emulator's.
 
 use std::{
     env, io,
@@ -19,42 +19,42 @@ use lss_slave::{lss, nmt};
 use crate::{boards, explain::explain};
 
 const QEMU: &str = "qemu-system-arm";
-/// The machine with the STM32F405.
+/// The QEMU machine with an STM32F405.
 const MACHINE: &str = "netduinoplus2";
 const PART: Part = Part::Stm32f405;
-/// An instruction takes 2^3 ns, little more than a cycle at 160 MHz. Only a reset takes some microseconds more or less from
-/// run to run.
+/// An instruction takes 2^3 ns, little more than a cycle at 160 MHz. Only the duration of a reset varies by some
+/// microseconds from run to run.
 const TIME: &str = "shift=3,sleep=off";
-/// Of the firmware's default.
+/// The firmware's default bit rate.
 const BIT_RATE: u32 = 125_000;
-/// The first start formats the settings' flash: an erase of 16 KB takes 0.8 s at worst.
+/// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
 const START: Time = Time::from_s(1);
-/// From one request to the next: enough for an answer, a store and a restart.
+/// The interval between requests: enough for an answer, a store and a restart.
 const INTERVAL: Time = Time::from_ms(50);
 const NODE_ID: u8 = 5;
 
 /// A frame on the bus.
 struct Seen {
     time: Time,
-    /// `>` for a request of the master, `<` for what the slave sent.
+    /// `>` for a request of the master, `<` for a frame of the slave.
     direction: char,
     frame: Frame,
 }
 
 impl Seen {
-    /// What both runs have in common.
+    /// The part that must be equal in both runs.
     fn text(&self) -> String {
         format!("{} {}", self.direction, self.frame)
     }
 }
 
-/// Run a session with QEMU's CPU and with the emulator's, and show that they agree
+/// Run a session on QEMU's CPU and on the emulator's, and check that they agree
 ///
-/// QEMU runs the release image with the emulator's peripherals and bus as a plugin. The same frames must come from both.
+/// QEMU runs the release image with the emulator's peripherals and bus as a plugin. Both must produce the same frames.
 #[derive(clap::Args)]
 pub struct Arguments;
 
-/// Prints the session. Fails if the runs differ in more than the times.
+/// Prints the session. Fails if the runs differ in anything but times.
 pub fn run() -> anyhow::Result<()> {
     let version = find_qemu()?;
     let image = testkit::image::build(PART)?;
@@ -72,13 +72,13 @@ pub fn run() -> anyhow::Result<()> {
         println!("{time:>11} {:>11} {expected:24} {}", seen.time, explain(&seen.frame));
     }
     if let Some(line) = lines.next() {
-        bail!("QEMU has `{line}` where the emulator has come to an end");
+        bail!("QEMU has `{line}` where the emulator's session has ended");
     }
     println!("The two agree. Times are in ms; QEMU is {version}.");
     Ok(())
 }
 
-/// QEMU's version, if it is there.
+/// QEMU's version, if it is installed.
 fn find_qemu() -> anyhow::Result<String> {
     match Command::new(QEMU).arg("--version").output() {
         Err(error) if error.kind() == io::ErrorKind::NotFound => bail!(
@@ -94,7 +94,7 @@ fn find_qemu() -> anyhow::Result<String> {
     }
 }
 
-/// Where cargo builds: this program is in `debug` there.
+/// Cargo's target directory: this program is in its `debug`.
 fn target_directory() -> anyhow::Result<PathBuf> {
     let own = env::current_exe()?;
     let target = own.ancestors().nth(2).context("this program is not in a target directory")?;
@@ -114,7 +114,7 @@ fn build_plugin() -> anyhow::Result<PathBuf> {
     Ok(target.join("debug/libqemu_bridge.so"))
 }
 
-/// The frames of the master: the whole of a new slave's configuration, and whether it lasts through a restart.
+/// The frames of the master: the complete configuration of a new slave, and a check of it after a restart.
 fn session() -> Vec<Frame> {
     let lss = |command: &[u8]| {
         let mut data = [0; 8];
@@ -153,7 +153,7 @@ fn qemu(plugin: &str) -> anyhow::Result<Command> {
     Ok(command)
 }
 
-/// Returns what the plugin printed: a line for each frame and each finding.
+/// Runs QEMU and returns the output of the plugin: a line for each frame and each finding.
 fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
     let unique_id: String = boards::unique_id(0).iter().map(|byte| format!("{byte:02x}")).collect();
     let mut argument = format!(
@@ -179,7 +179,7 @@ fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
     Ok(String::from_utf8(output.stdout)?)
 }
 
-/// The same session on the emulator.
+/// Runs the same session on the emulator.
 fn run_emulator(image: &Image) -> anyhow::Result<Vec<Seen>> {
     let mut network = Network::new();
     let board = network.add_board(boards::board(PART, image, 0));

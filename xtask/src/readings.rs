@@ -13,14 +13,15 @@ use crate::{boards, parallel};
 use matrix::Reading;
 use rig::Rig;
 
-/// Run the image's sessions once under each doubtful reading of what a chip does
+/// Run the image's sessions under each doubtful reading of the manuals
 ///
-/// Manuals leave open, and chips were seen to do, what the emulated board does not do by default. Under each of these readings the
-/// release image must boot, be found and configured by LSS, switch the bit rate, detect it, store, bear power cuts while it stores,
-/// and recover from bus-off. The table says for each reading whether it does, or what differed first.
+/// The manuals are ambiguous, and some chips behave otherwise than the emulated board does by default. Under each of
+/// these readings the release image must boot, be found and configured by LSS, switch the bit rate, detect it, store,
+/// survive power cuts while it stores, and recover from bus-off. For each reading the table shows success or the first
+/// difference.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Leave out the sessions that take longest: power cuts, detection on a quiet bus, a rescue, three boards, more switches
+    /// Leave out the longest sessions: power cuts, detection on a quiet bus, a rescue, three boards, more switches
     #[arg(long)]
     quick: bool,
     /// The chip on the board
@@ -28,7 +29,7 @@ pub struct Arguments {
     chip: Part,
 }
 
-/// Prints the table. Fails if a session does under any reading.
+/// Prints the table. Fails if a session fails under any reading.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let image = testkit::image::build(arguments.chip)?;
     let begin = Instant::now();

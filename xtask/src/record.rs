@@ -1,4 +1,4 @@
-//! A run of the bus as files that other tools read: a log of candump, and a capture for Wireshark.
+//! The record of a run for other tools: a candump log, and a capture for Wireshark.
 
 use emulator::{
     Time,
@@ -8,7 +8,7 @@ use emulator::{
 
 /// The name of the bus in a log.
 const INTERFACE: &str = "can0";
-/// Of a capture with times in nanoseconds (pcap file format).
+/// Marks a capture with times in nanoseconds (pcap file format).
 const PCAP_MAGIC: u32 = 0xA1B2_3C4D;
 const PCAP_VERSION: (u16, u16) = (2, 4);
 /// LINKTYPE_CAN_SOCKETCAN: identifier with its flags, big endian, length, three more bytes, data.

@@ -1,4 +1,4 @@
-//! `cargo xtask size`: how much flash and RAM the firmware takes, against the budget in `size-budget.toml`, and for what.
+//! `cargo xtask size`: the flash and RAM of the firmware by part, compared with the budget in `size-budget.toml`.
 
 use std::{collections::BTreeMap, env, fs, path::PathBuf};
 
@@ -10,7 +10,7 @@ use object::{
 
 use crate::boards;
 
-/// Show the memory that the firmware takes, and check it against the budget
+/// Show the firmware's memory use, and check it against the budget
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip to build for
@@ -18,7 +18,7 @@ pub struct Arguments {
     chip: Part,
 }
 
-/// A section of the program that takes memory.
+/// A section of the program that occupies memory.
 struct Section {
     name: String,
     bytes: u64,
@@ -59,8 +59,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a function belongs to, by what its name contains; the first that fits counts. What the compiler has put into its
-/// caller counts there.
+/// The part that a function belongs to, by text in its name; the first match counts. Inlined code counts as its
+/// caller's.
 const PARTS: [(&str, &[&str]); 11] = [
     ("tasks", &["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "TIM2", "USART1", "lss_slave::app::idle"]),
     (
@@ -78,7 +78,7 @@ const PARTS: [(&str, &[&str]); 11] = [
     ("compiler's memory functions", &["mem"]),
 ];
 
-/// What the flash holds, and its bytes; together all of it.
+/// The parts of the flash content with their sizes in bytes, which add up to the total.
 fn parts(elf: &[u8], sections: &[Section]) -> anyhow::Result<Vec<(&'static str, u64)>> {
     let bytes_of = |name: &str| -> u64 {
         sections.iter().filter(|section| section.name == name).map(|section| section.bytes).sum()
@@ -115,7 +115,7 @@ fn parts(elf: &[u8], sections: &[Section]) -> anyhow::Result<Vec<(&'static str, 
     Ok(all)
 }
 
-/// Bytes of flash that the firmware may take.
+/// The flash budget in bytes.
 fn budget() -> u64 {
     let budget: toml::Table =
         include_str!("../size-budget.toml").parse().expect("size-budget.toml is TOML");
@@ -123,7 +123,7 @@ fn budget() -> u64 {
     flash.try_into().expect("the budget is not negative")
 }
 
-/// The firmware lies beside this program: both are built by one cargo into one directory.
+/// The firmware's ELF file, beside this program: one cargo builds both into one directory.
 fn elf_path() -> anyhow::Result<PathBuf> {
     let own = env::current_exe()?;
     let target = own.ancestors().nth(2).context("this program is not in a target directory")?;

@@ -1,4 +1,4 @@
-//! `cargo xtask storm`: random frames without end against the node in the process and against the release image.
+//! `cargo xtask storm`: a long series of random frames against the node in the process and against the release image.
 
 use std::time::Instant;
 
@@ -14,12 +14,13 @@ use crate::boards;
 /// Lines of progress of each storm.
 const PARTS: u64 = 10;
 
-/// Send millions of random frames, and see that nothing breaks and nothing is stored that nobody asked for
+/// Send millions of random frames, and check that nothing breaks and nothing is stored without a request
 ///
-/// Requests of LSS, NMT and SDO, nearly ones, and anything, also remote and 29-bit frames and lengths of 9 to 15. First to
-/// the node in the process; then, back to back at 1 Mbit/s, to the release image on an emulated board and to the node as
-/// its model: the image must answer what the model answers and have, byte for byte, the same settings in its flash, without
-/// a panic, a fault, a reset of its own, or an access that a real chip would not forgive. Both must answer at the end.
+/// The frames are requests of LSS, NMT and SDO, slightly wrong ones, and others, also remote and 29-bit frames and
+/// lengths of 9 to 15. First they go to the node in the process; then, back to back at 1 Mbit/s, to the release image
+/// on an emulated board and to the node as its model: the image must give the model's answers and have exactly the same
+/// settings in its flash, without a panic, a fault, a reset of its own, or an access that a real chip does not
+/// tolerate. Both must answer at the end.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Frames to the node in the process
@@ -28,7 +29,7 @@ pub struct Arguments {
     /// Frames to the release image
     #[arg(long, default_value_t = 1_000_000)]
     image_frames: u64,
-    /// Which frames; drawn anew if it is not given
+    /// Seed of the frames; random if not given
     #[arg(long)]
     seed: Option<u64>,
     /// The chip on the board
@@ -36,7 +37,7 @@ pub struct Arguments {
     chip: Part,
 }
 
-/// Lets both storms rage. Panics where something breaks.
+/// Runs both storms. Panics if anything breaks.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let image = testkit::image::build(arguments.chip)?;
     let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
@@ -73,7 +74,7 @@ fn rage_at_image(arguments: &Arguments, image: &Image, seed: u64) {
     println!("{:>12} bytes of stack at most", storm.stack_depth(image));
 }
 
-/// `frames` in parts.
+/// Divides `frames` into parts.
 fn parts(frames: u64) -> impl Iterator<Item = u64> {
     (0..PARTS).map(move |part| frames * (part + 1) / PARTS - frames * part / PARTS)
 }

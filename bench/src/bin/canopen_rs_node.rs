@@ -1,4 +1,4 @@
-//! The node of canopen-rs, with the objects that its SDO server needs to be of use.
+//! The node of canopen-rs, with the objects that its SDO server needs.
 
 #![no_std]
 #![no_main]

@@ -1,4 +1,4 @@
-//! The LSS slave of canopen-rs without the node around it.
+//! The LSS slave of canopen-rs without a node.
 
 #![no_std]
 #![no_main]
@@ -8,7 +8,7 @@ use canopen_rs::lss::{
     LSS_MASTER_COB_ID, LSS_SLAVE_COB_ID, LssAddress, LssSlave, UNCONFIGURED_NODE_ID,
 };
 
-/// Its size is the LSS state's.
+/// The LSS state, whose size is measured.
 #[unsafe(no_mangle)]
 static LSS_STATE: Place<LssSlave> = Place::empty();
 

@@ -11,7 +11,7 @@ use lss_slave::{
 const BIT_RATES: BitRates = BitRates::possible(40_000_000);
 
 static NODE: Place<Node> = Place::empty();
-/// What a timer is to be set to; 0: off.
+/// The deadline of the timer; 0: off.
 static TIMER: Register = Register::new();
 
 #[unsafe(no_mangle)]

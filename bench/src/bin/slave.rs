@@ -1,4 +1,4 @@
-//! This project's LSS slave without the node around it.
+//! This project's LSS slave without a node.
 
 #![no_std]
 #![no_main]
@@ -11,7 +11,7 @@ use lss_slave::{
 
 const BIT_RATES: BitRates = BitRates::possible(40_000_000);
 
-/// Its size is the LSS state's.
+/// The LSS state, whose size is measured.
 #[unsafe(no_mangle)]
 static LSS_STATE: Place<Slave> = Place::empty();
 

@@ -1,4 +1,4 @@
-//! The node of zencan-node, with the objects that its SDO server needs to be of use and without process data.
+//! The node of zencan-node, with the objects that its SDO server needs, and without process data.
 
 #![no_std]
 #![no_main]
@@ -6,7 +6,7 @@
 use core::ptr::addr_of_mut;
 
 use bench::{IDENTITY, NOW, Place, padded, received_data, received_identifier, transmit};
-// For its critical section.
+// Provides its critical section.
 use cortex_m as _;
 use zencan_node::{
     Callbacks, Node, NodeMbox, NodeState, SDO_BUFFER_SIZE,
@@ -71,7 +71,7 @@ static STATE: NodeState<'static> = NodeState::new(&[], &[]);
 static QUEUE: PriorityQueue<4, CanMessage> = PriorityQueue::new();
 static mut SDO_BUFFER: [u8; SDO_BUFFER_SIZE] = [0; SDO_BUFFER_SIZE];
 static MAILBOX: NodeMbox =
-    // SAFETY: nobody else refers to the buffer.
+    // SAFETY: there is no other reference to the buffer.
     NodeMbox::new(&[], &[], &QUEUE, unsafe { &mut *addr_of_mut!(SDO_BUFFER) });
 static NODE: Place<Node<'static>> = Place::empty();
 

@@ -1,4 +1,4 @@
-//! What the program logs: defmt frames fetched from the RTT buffer in RAM, as a debug probe does.
+//! The program's log: defmt frames fetched from the RTT buffer in RAM, as a debug probe does.
 
 use defmt_decoder::DecodeError;
 
@@ -7,7 +7,7 @@ use crate::{Time, engine::Engine, image::Image};
 /// A decoded log message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLine {
-    /// When it was fetched: right after it was written, within the span of one poll.
+    /// The time at which it was fetched, at most one poll interval after it was written.
     pub time: Time,
     /// `trace`, `debug`, `info`, `warn` or `error`; empty for `println`.
     pub level: &'static str,
@@ -37,13 +37,13 @@ impl Log {
         &self.lines
     }
 
-    /// Fetches what was written since the last poll and frees the buffer.
+    /// Fetches the data written since the last poll and frees the buffer.
     pub fn poll(&mut self, engine: &mut dyn Engine) {
         let Some(block) = self.control_block else {
             return;
         };
         let mut id = [0; 16];
-        // Before the program has initialised its data, RAM holds anything.
+        // Before the program has initialised its data, RAM has random content.
         if !engine.read_memory(block, &mut id) || !id.starts_with(b"SEGGER RTT") {
             return;
         }
@@ -74,7 +74,7 @@ impl Log {
         }
     }
 
-    /// Forgets a frame that the end of the program cut off.
+    /// Discards a frame that was cut off by the end of the program.
     pub fn restart(&mut self) {
         self.frame.clear();
     }

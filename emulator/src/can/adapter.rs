@@ -5,8 +5,7 @@ use std::collections::VecDeque;
 use super::{BitSegments, Clock, Controller, Event, Frame, Level, Mode, Station};
 use crate::Time;
 
-/// Time quanta in a bit of an adapter set by bit rate: two of them after the sample point, so 87.5
-/// %.
+/// Time quanta in a bit of an adapter set by bit rate. Two of them follow the sample point, which is at 87.5 %.
 const QUANTA: u32 = 16;
 
 /// A CAN adapter with unbounded queues. It repeats a frame until it is sent and recovers from
@@ -23,13 +22,13 @@ pub struct Adapter {
 }
 
 impl Adapter {
-    /// An open adapter at exactly `bit_rate` bit/s, sample point 87.5 %.
+    /// An open adapter with exactly `bit_rate` bit/s and a sample point at 87.5 %.
     pub fn new(bit_rate: u32) -> Self {
         let (clock, bit_timing) = exact(bit_rate, 0);
         Self::with_timing(clock, bit_timing)
     }
 
-    /// An open adapter with a clock and bit timing of choice.
+    /// An open adapter with the given clock and bit timing.
     pub fn with_timing(clock: Clock, bit_timing: BitSegments) -> Self {
         let mut controller = Controller::new(clock, bit_timing);
         controller.start(Time::ZERO);
@@ -45,18 +44,18 @@ impl Adapter {
         }
     }
 
-    /// Queues a frame behind those that wait.
+    /// Appends a frame to the transmit queue.
     pub fn send(&mut self, frame: Frame) {
         self.to_send.push_back(frame);
         self.offer();
     }
 
-    /// The oldest frame received and not yet taken, and when it became valid.
+    /// The oldest unread frame, with the time at which it became valid.
     pub fn receive(&mut self) -> Option<(Time, Frame)> {
         self.received.pop_front()
     }
 
-    /// Frames that wait to be sent, the one under way included.
+    /// The number of frames waiting to be sent, including the one under way.
     pub fn unsent(&self) -> usize {
         self.to_send.len()
     }
@@ -66,26 +65,24 @@ impl Adapter {
         self.errors
     }
 
-    /// Leaves the bus at once, even within a frame, and forgets what waits to be sent and the error
-    /// counters.
+    /// Leaves the bus at once, even within a frame, and clears the transmit queue and the error counters.
     pub fn close(&mut self) {
         self.open = false;
         self.to_send.clear();
         self.controller.reset();
     }
 
-    /// Closes, and joins the bus as one that sends, receives and acknowledges.
+    /// Closes the adapter, then joins the bus to send, receive and acknowledge.
     pub fn open(&mut self) {
         self.reopen(Mode::default());
     }
 
-    /// Closes, and joins the bus as one that receives without driving the wire.
+    /// Closes the adapter, then joins the bus to receive without driving the wire.
     pub fn listen_only(&mut self) {
         self.reopen(Mode { silent: true, loopback: false });
     }
 
-    /// Changes to exactly `bit_rate` bit/s, sample point 87.5 %; an open adapter is closed and
-    /// joins again.
+    /// Changes to exactly `bit_rate` bit/s, sample point 87.5 %; an open adapter leaves the bus and joins again.
     pub fn set_bit_rate(&mut self, bit_rate: u32) {
         let (clock, bit_timing) = exact(bit_rate, self.ppm);
         self.controller.set_clock(clock);
@@ -95,7 +92,7 @@ impl Adapter {
         }
     }
 
-    /// Comes onto a bus that is at `now`.
+    /// Joins a bus whose time is `now`.
     pub(crate) fn plug_in(&mut self, now: Time, wire: Level) {
         let waiting = std::mem::take(&mut self.to_send);
         self.controller.settle(now, wire);

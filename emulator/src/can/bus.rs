@@ -1,4 +1,4 @@
-//! The bus that joins controllers: it is dominant while anyone drives it so, everywhere at once.
+//! The bus that joins controllers: it is dominant everywhere at once while any of them drives it dominant.
 
 use std::cell::Cell;
 
@@ -9,27 +9,27 @@ use super::{
 };
 use crate::Time;
 
-/// What a [`Bus`] needs of whoever owns a controller.
+/// The interface between a [`Bus`] and the owner of a controller.
 pub trait Station {
     /// The controller on the wire.
     fn controller(&mut self) -> &mut Controller;
 
-    /// Takes note of an event, and offers the next frame where the event makes that necessary.
+    /// Handles an event, and offers the next frame if the event makes that necessary.
     ///
-    /// Returns whether the bus shall stop at this instant, so that others can act on what happened.
+    /// Returns whether the bus shall stop at this instant, so that others can react to the event.
     fn handle(&mut self, event: &Event, now: Time) -> bool;
 }
 
 /// A CAN bus without propagation delay.
 ///
-/// At one instant every station first changes what it drives, then synchronises on the edge that
-/// this made, then samples: the outcome does not depend on the order of the stations. A station
-/// that hears nothing but a recessive wire and has nothing to send costs no time.
+/// At each instant every station first changes the level that it drives, then synchronises on the resulting edge, then
+/// samples: the outcome does not depend on the order of the stations. A station on a recessive wire with nothing to
+/// send costs no time.
 #[derive(Default)]
 pub struct Bus {
     now: Time,
     wire: Wire,
-    /// When each station acts next.
+    /// The time of each station's next action.
     next: Vec<Time>,
 }
 
@@ -39,17 +39,17 @@ impl Bus {
         Self::default()
     }
 
-    /// How far the bus has come.
+    /// The current time of the bus.
     pub fn now(&self) -> Time {
         self.now
     }
 
-    /// Level of the wire.
+    /// The level of the wire.
     pub fn level(&self) -> Level {
         self.wire.level
     }
 
-    /// Shorts the wires from `now` on, or mends them.
+    /// Shorts the wires from `now` on, or repairs them.
     pub fn set_short(&mut self, short: Option<Short>, now: Time) {
         self.settle(now);
         self.wire.short = short;
@@ -61,23 +61,21 @@ impl Bus {
         self.wire.set_noise(noise, self.now);
     }
 
-    /// Comes to `now` on a bus where nothing happens until then.
+    /// Advances to `now` on a bus without any activity until then.
     pub(crate) fn settle(&mut self, now: Time) {
         self.now = self.now.max(now);
     }
 
-    /// When a station or a disturbance acts next, as of the latest [`advance`](Self::advance);
+    /// The time of the next action of a station or a disturbance, as of the latest [`advance`](Self::advance);
     /// `Time::MAX` on an idle bus.
     pub fn next_action(&self) -> Time {
         self.next.iter().copied().fold(self.wire.next_action(), Time::min)
     }
 
-    /// Lets bus life go on up to and including `until`, or up to the first instant after which a
-    /// station wants a stop.
+    /// Runs the bus up to and including `until`, or up to the first instant after which a station requests a stop.
     ///
-    /// `observe` hears each event before its station (named by its place in `stations`) does. The
-    /// stations may differ from call to call: who is absent is unplugged. Returns the instant
-    /// reached.
+    /// `observe` receives each event before its station (given by its place in `stations`) does. The stations may
+    /// differ from call to call: an absent station is unplugged. Returns the instant reached.
     pub fn advance(
         &mut self,
         until: Time,
@@ -142,7 +140,7 @@ impl Bus {
         self.now
     }
 
-    /// Finds the stations that act next, all at the time that is returned.
+    /// Finds the stations that act next and returns the time of their action.
     fn find_due(&self, due: &mut Vec<usize>) -> Time {
         let mut earliest = self.wire.next_action();
         due.clear();

@@ -1,4 +1,4 @@
-//! The STM32F4's CAN1 as its registers show it (RM0090 chapter 32), over a protocol controller.
+//! The STM32F4's CAN1 with its registers (RM0090 chapter 32), on top of a protocol controller.
 
 mod filters;
 mod mailbox;
@@ -20,35 +20,34 @@ use registers::*;
 /// Levels of the four interrupt lines (RM0090 32.8).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Interrupts {
-    /// A transmission request is completed.
+    /// A transmission request has completed.
     pub tx: bool,
-    /// FIFO 0 has a message, is full or was overrun.
+    /// FIFO 0 has a message, is full or has overrun.
     pub rx0: bool,
-    /// The same of FIFO 1.
+    /// The same for FIFO 1.
     pub rx1: bool,
     /// Error, wake-up or entry to sleep mode.
     pub sce: bool,
 }
 
-/// Something that the program did to the peripheral, or saw of it, that a trace of the bus should
-/// tell.
+/// An access by the program, or a change that it can see, that belongs in a trace of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Note {
-    /// TXRQ was set.
+    /// TXRQ was set in a mailbox.
     Requested {
         /// Number of the mailbox, 0..=2.
         mailbox: usize,
-        /// What is in it.
+        /// The frame in the mailbox.
         frame: Frame,
     },
     /// ABRQ emptied a mailbox whose frame was not under way.
     Aborted {
         /// Number of the mailbox, 0..=2.
         mailbox: usize,
-        /// What was in it.
+        /// The frame that was in the mailbox.
         frame: Frame,
     },
-    /// BTR was written with another value.
+    /// A new value was written to BTR.
     BitTiming(u32),
     /// INAK was set.
     InitializationEntered,
@@ -56,7 +55,7 @@ pub enum Note {
     InitializationLeft,
 }
 
-/// The mode that INAK and SLAK acknowledge (RM0090 32.4).
+/// The mode shown by INAK and SLAK (RM0090 32.4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     Sleep,
@@ -69,7 +68,7 @@ enum Mode {
 pub struct Bxcan {
     controller: Controller,
     mode: Mode,
-    /// When INAK is set, in initialisation mode.
+    /// The time at which INAK is set, in initialisation mode.
     inak_from: Time,
     /// Start of the counter of bit times.
     counts_from: Time,
@@ -78,7 +77,7 @@ pub struct Bxcan {
     latched: u32,
     ier: u32,
     lec: u32,
-    /// EWGF, EPVF and BOFF as of the last look, to see them rise.
+    /// EWGF, EPVF and BOFF at the previous check, to detect rising flags.
     error_flags: u32,
     btr: u32,
     mailboxes: Mailboxes,
@@ -121,18 +120,17 @@ impl Bxcan {
         bxcan
     }
 
-    /// Chooses how the manual is read.
+    /// Selects the readings of the manual.
     pub fn set_readings(&mut self, readings: Readings) {
         self.oddities = Oddities::new(readings);
     }
 
-    /// Joins its pins to the transceiver, or takes them away, from `from` on; at first both are
-    /// joined.
+    /// Connects its pins to the transceiver, or disconnects them, from `from` on. Both are connected at first.
     pub fn connect(&mut self, pins: Pins, from: Time) {
         self.controller.connect(pins, from);
     }
 
-    /// Resets every register; the clock stays, and a frame under way is cut off.
+    /// Resets every register. The clock stays, and a frame under way is cut off.
     pub fn reset(&mut self) {
         self.controller.reset();
         self.controller.configure(bit_timing(BTR_RESET_VALUE), BusMode::default());
@@ -151,20 +149,19 @@ impl Bxcan {
         self.oddities.reset();
     }
 
-    /// The APB1 clock, which the time quanta are counted in.
+    /// Sets the APB1 clock, in which the time quanta are counted.
     pub fn set_clock(&mut self, clock: Clock) {
         self.controller.set_clock(clock);
     }
 
-    /// Levels of the interrupt lines: as of the program's latest write or
-    /// [`update_irq`](Self::update_irq).
+    /// Levels of the interrupt lines as of the program's latest write or [`update_irq`](Self::update_irq).
     pub fn irq(&self) -> Interrupts {
         self.irq
     }
 
-    /// Lets the interrupt lines follow what the bus has done.
+    /// Updates the interrupt lines to the state of the bus.
     ///
-    /// The bus runs ahead of a sleeping CPU. Its lines change only when it has slept until then.
+    /// The bus runs ahead of a sleeping CPU. The lines change only when the CPU has slept until that time.
     pub fn update_irq(&mut self) {
         self.irq = self.interrupts();
     }
@@ -186,23 +183,22 @@ impl Bxcan {
         }
     }
 
-    /// Nominal bit rate in bit/s that BTR and the clock make.
+    /// The nominal bit rate in bit/s, from BTR and the clock.
     pub fn bit_rate(&self) -> u32 {
         self.controller.bit_rate()
     }
 
-    /// Whether BTR asks for silent mode.
+    /// Whether BTR selects silent mode.
     pub fn is_silent(&self) -> bool {
         self.controller.mode().silent
     }
 
-    /// What the program did since the last call, in order of time.
+    /// The notes since the last call, in order of time.
     pub fn take_notes(&mut self) -> Vec<(Time, Note)> {
         std::mem::take(&mut self.notes)
     }
 
-    /// The word at `offset` from the base address; `None` where the reference manual has no
-    /// register.
+    /// The word at `offset` from the base address; `None` where the reference manual has no register.
     pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
         Some(match offset {
             MCR => self.mcr,
@@ -225,10 +221,10 @@ impl Bxcan {
         })
     }
 
-    /// Stores a word at `offset` from the base address.
+    /// Writes a word at `offset` from the base address.
     ///
-    /// Returns false where there is no register, a reserved bit is set, or the time is to be sent in
-    /// a frame (TGT), which is not modelled.
+    /// Returns false where there is no register, if a reserved bit is set, or if the frame is to carry a time stamp
+    /// (TGT), which is not modelled.
     pub fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
         let modelled = self.write_register(offset, value, now);
         self.update_irq();
@@ -307,7 +303,7 @@ impl Bxcan {
 
     fn write_mcr(&mut self, value: u32, now: Time) -> bool {
         if value & MCR_RESET != 0 {
-            // Neither the error counters nor the other registers (confidence 0.85).
+            // The error counters and the other registers keep their values (confidence 0.85).
             self.mcr = MCR_RESET_VALUE;
             self.fifos.iter_mut().for_each(Fifo::clear);
             self.follow_request(now);
@@ -334,7 +330,7 @@ impl Bxcan {
         value & !BTR_WRITABLE == 0
     }
 
-    /// Moves to the mode that MCR asks for, as far as the bus allows at this time.
+    /// Enters the mode that MCR requests, as far as the bus allows at this time.
     fn follow_request(&mut self, now: Time) {
         let requested = match self.mcr & (MCR_INRQ | MCR_SLEEP) {
             0 => Mode::Normal,

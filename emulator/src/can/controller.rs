@@ -1,5 +1,4 @@
-//! A CAN protocol controller without mailboxes: its clock, its place in the bit, and what it tells
-//! its owner.
+//! A CAN protocol controller without mailboxes: its clock, its position in the bit, and the events for its owner.
 
 mod bit;
 mod line;
@@ -20,68 +19,66 @@ use line::Line;
 pub use line::Pins;
 use protocol::Phase;
 
-/// What a controller found wrong (ISO 11898-1, error detection).
+/// An error that a controller detects (ISO 11898-1, error detection).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ErrorKind {
     /// Six equal bits where a stuff bit was due.
     Stuff,
-    /// A dominant bit in a field that must be recessive, seen by a receiver or in an error
-    /// delimiter.
+    /// A dominant bit in a field that must be recessive, seen by a receiver or in an error delimiter.
     Form,
-    /// Nobody drove the acknowledge slot.
+    /// A recessive acknowledge slot.
     Acknowledgement,
-    /// Sent recessive, saw dominant.
+    /// A recessive bit was sent and a dominant one seen.
     BitRecessive,
-    /// Sent dominant, saw recessive.
+    /// A dominant bit was sent and a recessive one seen.
     BitDominant,
-    /// The CRC sequence does not fit the frame.
+    /// The CRC sequence does not match the frame.
     Crc,
 }
 
-/// What a controller tells its owner, at the sample point or bit boundary where it happens.
+/// An event for the owner, at the sample point or bit boundary where it happens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// The offered frame is on its way.
+    /// Transmission of the offered frame has started.
     Started,
-    /// The frame is out: the last bit of EOF was sampled recessive.
+    /// The frame was sent: the last bit of EOF was sampled recessive.
     Transmitted {
         /// The frame.
         frame: Frame,
-        /// When its SOF began.
+        /// The start of its SOF.
         start: Time,
-        /// When its last EOF bit ends.
+        /// The end of its last EOF bit.
         end: Time,
     },
     /// Another station sends a frame of higher priority; the controller receives it.
     ArbitrationLost,
-    /// A frame is valid: the last but one bit of EOF was sampled recessive.
+    /// A frame is valid: the last bit but one of EOF was sampled recessive.
     Received(Frame),
-    /// An error was found; an error flag follows.
+    /// An error was detected; an error flag follows.
     Error {
-        /// What was wrong.
+        /// The kind of error.
         kind: ErrorKind,
         /// Whether the controller was the transmitter.
         transmitting: bool,
     },
-    /// A counter rose because others hold the bus dominant after an error flag.
+    /// A counter rose because other stations hold the bus dominant after an error flag.
     CounterRaised,
     /// The transmit error counter passed 255: the controller left the bus.
     BusOff,
-    /// 128 times 11 recessive bits have passed since: the counters are zero.
+    /// Bus-off recovery has finished after 128 times 11 recessive bits: the counters are zero.
     Recovered,
     /// The first 11 recessive bits since the start have passed.
     Joined,
-    /// A stop that had to wait for the end of a frame has taken place.
+    /// A requested stop that had to wait for the end of a frame has happened.
     Stopped,
     /// The wire became dominant while the controller was stopped and watching.
     Activity,
 }
 
-/// A CAN 2.0B controller (ISO 11898-1) at one bit timing, between its owner and the
-/// [`Bus`](super::Bus).
+/// A CAN 2.0B controller (ISO 11898-1) with one bit timing, between its owner and the [`Bus`](super::Bus).
 ///
-/// The owner offers the frame to send next and keeps offering it until it is transmitted: the
-/// controller repeats a frame for as long as it stays offered.
+/// The owner offers the frame to send next and keeps offering it until it is transmitted: the controller repeats a
+/// frame for as long as it is offered.
 #[derive(Debug)]
 pub struct Controller {
     clock: Clock,
@@ -89,27 +86,26 @@ pub struct Controller {
     mode: Mode,
     spans: Spans,
     phase: Phase,
-    /// The latest instant that it took part in, and the level of the wire then.
+    /// The latest instant in which it took part, and the level of the wire then.
     now: Time,
     wire: Level,
     line: Line,
-    /// Start of the bit whose sample point comes next; it may lie ahead.
+    /// The start of the bit with the next sample point; it may be in the future.
     start: Time,
-    /// What it drives, and from `start` on.
+    /// The level driven up to `start`, and the one from `start` on.
     driven: Level,
     next: Level,
-    /// Level at the previous sample point, and whether an edge was used since.
+    /// The level at the previous sample point, and whether an edge has been used since.
     sampled: Level,
     synchronised: bool,
     /// The frame to send next, and the earliest start of its SOF.
     offered: Option<(Time, Frame)>,
     transmission: Option<Transmission>,
     decoder: Decoder,
-    /// Whether it sends, or sent last, the frame that this is about.
+    /// Whether the current or latest frame is its own.
     transmitter: bool,
     frame_start: Time,
-    /// An acknowledgement error went uncounted; a dominant bit in the passive error flag makes it
-    /// count.
+    /// An acknowledgement error went uncounted; a dominant bit in the passive error flag makes it count.
     unacknowledged: bool,
     counters: ErrorCounters,
     stopping: bool,
@@ -122,7 +118,7 @@ pub struct Controller {
 struct Transmission {
     frame: Frame,
     stream: BitStream,
-    /// Index of the bit that is driven, stuff bits counted.
+    /// Index of the bit that is driven, including stuff bits.
     index: u8,
 }
 
@@ -173,10 +169,9 @@ impl Controller {
         self.spans = Spans::new(self.clock, bit_timing);
     }
 
-    /// Begins to take part after 11 recessive bits, or after bus-off recovery if the controller is
-    /// bus-off.
+    /// Begins to take part after 11 recessive bits, or after bus-off recovery if the controller is bus-off.
     ///
-    /// Takes back a stop that still waits; does nothing if the controller runs.
+    /// Cancels a waiting stop; does nothing if the controller runs.
     pub fn start(&mut self, now: Time) {
         self.stopping = false;
         self.watching = false;
@@ -197,8 +192,7 @@ impl Controller {
         }
     }
 
-    /// Stops at once where no frame or error frame is under way, else at its end with
-    /// [`Event::Stopped`].
+    /// Stops at once if no frame or error frame is under way, otherwise at its end with [`Event::Stopped`].
     pub fn stop(&mut self) {
         if self.is_quiet() {
             self.halt();
@@ -207,8 +201,7 @@ impl Controller {
         }
     }
 
-    /// Stops at once, whatever is under way, and forgets counters, offer and unread events: a
-    /// hardware reset.
+    /// Stops at once, whatever is under way, and clears counters, offer and unread events: a hardware reset.
     pub fn reset(&mut self) {
         let (now, wire, mut line) = (self.now, self.wire, std::mem::take(&mut self.line));
         line.reset();
@@ -220,8 +213,7 @@ impl Controller {
         self.watching = watching;
     }
 
-    /// Replaces the frame to send next; its SOF starts at `from` or later. A frame under way goes
-    /// on.
+    /// Replaces the frame to send next; its SOF starts at `from` or later. A frame under way continues.
     pub fn offer(&mut self, frame: Option<Frame>, from: Time) {
         self.offered = frame.map(|frame| (from, frame));
         if self.phase == Phase::Idle && !self.synchronised {
@@ -268,42 +260,42 @@ impl Controller {
         }
     }
 
-    /// Whether an own frame is under way.
+    /// Whether one of its frames is under way.
     pub fn is_transmitting(&self) -> bool {
         self.transmission.is_some()
     }
 
-    /// Whether a frame of another station is under way.
+    /// Whether another station's frame is under way.
     pub fn is_receiving(&self) -> bool {
         self.phase.is_frame() && self.transmission.is_none()
     }
 
-    /// Whether an own frame is going to start at the next bit boundary.
+    /// Whether one of its frames is going to start at the next bit boundary.
     pub fn is_starting(&self) -> bool {
         self.phase == Phase::Idle && self.next == Level::Dominant
     }
 
-    /// A bit time.
+    /// The duration of a bit.
     pub fn bit_time(&self) -> Time {
         self.spans.bit
     }
 
-    /// The sample point of the SOF of the present or latest frame.
+    /// The sample point of the SOF of the current or latest frame.
     pub fn start_of_frame_sample(&self) -> Time {
         self.frame_start + self.spans.sample
     }
 
-    /// Level that it heard, as of the latest instant that the bus told.
+    /// The level of the wire at the latest instant that the bus reported.
     pub fn wire_level(&self) -> Level {
         self.wire
     }
 
-    /// Level at the latest sample point.
+    /// The level at the latest sample point.
     pub fn sampled_level(&self) -> Level {
         self.sampled
     }
 
-    /// The latest instant that the bus told.
+    /// The latest instant that the bus reported.
     pub fn now(&self) -> Time {
         self.now
     }
@@ -324,7 +316,7 @@ impl Controller {
         !self.mode.silent || self.mode.loopback
     }
 
-    /// Makes the offered frame the one under way, at bit `index` of it.
+    /// Makes the offered frame the current transmission, starting at bit `index`.
     fn begin_transmission(&mut self, index: u8) {
         let Some((_, frame)) = self.offered else { return };
         self.transmission = Some(Transmission { stream: BitStream::new(&frame), frame, index });

@@ -1,12 +1,11 @@
-//! Fault confinement (ISO 11898-1): the two error counters and the states that they put a
-//! controller in.
+//! Fault confinement (ISO 11898-1): the two error counters and the resulting states of a controller.
 
-/// A receive error counter comes down to this value after a good reception if it stood above 127.
+/// The value of a receive error counter above 127 after a good reception.
 const RECEIVE_AFTER_PASSIVE: u16 = 120;
-/// The receive error counter stops here, so that it keeps to eight bits.
+/// The limit of the receive error counter, which keeps it to eight bits.
 const RECEIVE_LIMIT: u16 = 255;
 
-/// Transmit and receive error counter.
+/// The transmit and receive error counters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErrorCounters {
     /// Transmit error counter; above 255 means bus-off.
@@ -26,7 +25,7 @@ impl ErrorCounters {
         self.transmit > 127 || self.receive > 127
     }
 
-    /// Whether the transmit error counter is above 255: the controller takes no part in bus life.
+    /// Whether the transmit error counter is above 255: the controller takes no part in communication.
     pub const fn bus_off(self) -> bool {
         self.transmit > 255
     }

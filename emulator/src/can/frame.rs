@@ -1,4 +1,4 @@
-//! A classic CAN frame as it is on the wire: identifier, remote bit, data length code and data.
+//! A classic CAN frame as on the wire: identifier, remote bit, data length code and data.
 
 use core::fmt;
 
@@ -53,14 +53,13 @@ impl Frame {
         Self { dlc, ..self }
     }
 
-    /// The bytes that the data field carries: none in a remote frame, else the lesser of DLC and
-    /// eight.
+    /// The bytes in the data field: none in a remote frame, otherwise the lesser of DLC and eight.
     pub fn payload(&self) -> &[u8] {
         let length = if self.remote { 0 } else { self.dlc.min(8) };
         &self.data[..usize::from(length)]
     }
 
-    /// The arbitration field as a number: of two frames that start at once, the lower one wins.
+    /// The arbitration field as a number: of two frames that start together, the lower one wins.
     pub fn arbitration(&self) -> u32 {
         let remote = u32::from(self.remote);
         match self.id {
@@ -87,8 +86,7 @@ impl fmt::Display for Id {
     }
 }
 
-/// The notation of candump: `7E5#0401000000000000`, `000007E5#`, `7E5#R8`, and `_9` for a DLC above
-/// eight.
+/// The notation of candump: `7E5#0401000000000000`, `000007E5#`, `7E5#R8`, and `_9` for a DLC above eight.
 impl fmt::Display for Frame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}#", self.id)?;

@@ -1,14 +1,13 @@
-//! Between a frame and its bits: field layout, CRC and stuffing from start of frame to the CRC
-//! sequence.
+//! Conversion between a frame and its bits: field layout, CRC and stuffing from start of frame to the CRC sequence.
 
 use super::{Frame, Id};
 
-/// The state of the wire, or what one station does to it.
+/// The level of the wire, or of one station's output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Level {
-    /// Logic 0: driven; wins over recessive.
+    /// Logic 0, driven; wins over recessive.
     Dominant,
-    /// Logic 1: released.
+    /// Logic 1, released.
     #[default]
     Recessive,
 }
@@ -23,8 +22,7 @@ impl Level {
     }
 }
 
-/// Bits from the CRC delimiter to the last bit of EOF: delimiter, acknowledge slot and delimiter,
-/// EOF.
+/// Bits from the CRC delimiter to the last bit of EOF: delimiter, acknowledge slot and delimiter, EOF.
 const TAIL: u32 = 10;
 /// Bits of the CRC sequence.
 const CRC_BITS: u8 = 15;
@@ -35,15 +33,13 @@ const BASE_HEADER: u8 = 19;
 const EXTENDED_HEADER: u8 = 39;
 
 impl Frame {
-    /// Bits on the wire from SOF to the last bit of EOF, stuff bits included; intermission adds
-    /// three.
+    /// Bits on the wire from SOF to the last bit of EOF, including stuff bits; intermission adds three.
     pub fn wire_bits(&self) -> u32 {
         u32::from(BitStream::new(self).length) + TAIL
     }
 }
 
-/// CRC-15 of ISO 11898-1, generator 0x4599, from zero: over a frame and its CRC sequence it is
-/// zero.
+/// CRC-15 of ISO 11898-1, generator 0x4599, initial value zero. Over a frame and its CRC sequence it is zero.
 #[derive(Clone, Copy, Debug, Default)]
 struct Crc(u16);
 
@@ -57,7 +53,7 @@ impl Crc {
     }
 }
 
-/// The run of equal bits that decides where a stuff bit stands.
+/// The run of equal bits that determines the position of stuff bits.
 #[derive(Clone, Copy, Debug, Default)]
 struct Run {
     level: Level,
@@ -133,10 +129,10 @@ impl BitStream {
     }
 }
 
-/// What a bit meant to a [`Decoder`].
+/// The meaning of a bit to a [`Decoder`].
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Progress {
-    /// The frame goes on.
+    /// The frame continues.
     Within,
     /// A sixth equal bit where a stuff bit was due.
     StuffError,
@@ -144,7 +140,7 @@ pub(super) enum Progress {
     CrcSequenceEnd,
 }
 
-/// Takes the bits of a frame from SOF to the CRC sequence off the wire.
+/// Decodes the bits of a frame from SOF to the CRC sequence.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Decoder {
     bits: u128,
@@ -216,7 +212,7 @@ impl Decoder {
         self.position > IDE && self.field(IDE, 1) == 1
     }
 
-    /// Bits before the data field: of the base format until the IDE bit says otherwise.
+    /// Bits before the data field: those of the base format until the IDE bit is known.
     fn header(&self) -> u8 {
         if self.extended() { EXTENDED_HEADER } else { BASE_HEADER }
     }
@@ -238,7 +234,7 @@ impl Decoder {
 mod tests {
     use super::*;
 
-    /// xorshift64*: enough chance for a test, the same on every computer.
+    /// xorshift64*: random enough for a test, and the same on every computer.
     fn random(state: &mut u64) -> u64 {
         *state ^= *state >> 12;
         *state ^= *state << 25;
@@ -277,8 +273,7 @@ mod tests {
 
     #[test]
     fn runs_of_five_are_broken_by_an_opposite_bit() {
-        // 000#: SOF and eleven zeros, RTR, IDE, r0, DLC make 19 dominant bits, the CRC of zeros is
-        // zero: 34.
+        // 000#: SOF and eleven zeros, RTR, IDE, r0, DLC make 19 dominant bits, and the CRC of zeros is zero: 34.
         let frame = Frame::data(Id::Standard(0), &[]);
         let stream = BitStream::new(&frame);
         let wire: String =
@@ -351,7 +346,7 @@ mod tests {
         if bits >> 44 & 7 == 0 {
             return Frame::remote(id, dlc);
         }
-        // Sparse and dense bytes, so that stuff bits are many.
+        // Sparse and dense bytes, for many stuff bits.
         let data = random(state) & random(state);
         let data = if bits >> 48 & 1 == 0 { data } else { !data }.to_le_bytes();
         Frame::data(id, &data[..usize::from(dlc.min(8))]).with_dlc(dlc)

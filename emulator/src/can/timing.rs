@@ -1,8 +1,8 @@
-//! Bit timing: a clock, how many of its periods make the parts of a bit, and the spans that follow.
+//! Bit timing: the parts of a bit in periods of a clock, and the resulting times.
 
 use crate::Time;
 
-/// The clock that drives a controller: its nominal frequency and how far its crystal is off.
+/// The clock of a controller: its nominal frequency and the deviation of its crystal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clock {
     /// Nominal frequency in Hz.
@@ -11,13 +11,12 @@ pub struct Clock {
     pub ppm: i32,
 }
 
-/// The parts of a bit (ISO 11898-1, bit timing), beside the synchronisation segment of one quantum.
+/// The parts of a bit (ISO 11898-1, bit timing), besides the synchronisation segment of one quantum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BitSegments {
     /// Clock periods in a time quantum, 1..=1024.
     pub prescaler: u16,
-    /// Quanta from the synchronisation segment to the sample point (propagation and phase segment
-    /// 1), 1..=16.
+    /// Quanta from the synchronisation segment to the sample point (propagation and phase segment 1), 1..=16.
     pub segment_1: u8,
     /// Quanta from the sample point to the end of the bit, 1..=8.
     pub segment_2: u8,
@@ -25,12 +24,12 @@ pub struct BitSegments {
     pub jump_width: u8,
 }
 
-/// How a controller is joined to the wire.
+/// The connection between a controller and the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mode {
     /// Never drives the wire dominant; without `loopback` it starts no transmission either.
     pub silent: bool,
-    /// Hears itself instead of the wire, receives its own frames and needs no acknowledgement.
+    /// Receives its own frames instead of the wire's level, and needs no acknowledgement.
     pub loopback: bool,
 }
 
@@ -46,13 +45,12 @@ impl BitSegments {
     }
 }
 
-/// The spans of a bit on a real clock, each rounded to the picosecond so that errors do not add up
-/// over quanta.
+/// The times of a bit on a real clock, each rounded to the picosecond so that errors do not accumulate over quanta.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Spans {
     /// A time quantum in picoseconds.
     pub quantum: u64,
-    /// From the start of the bit to its sample point.
+    /// The time from the start of the bit to its sample point.
     pub sample: Time,
     /// The whole bit.
     pub bit: Time,
@@ -84,7 +82,7 @@ mod tests {
         BitSegments { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
     #[test]
-    fn thirty_two_megahertz_make_a_megabit_with_the_sample_point_at_seven_eighths() {
+    fn thirty_two_megahertz_make_a_megabit_sampled_at_seven_eighths() {
         assert_eq!(TIMING.bit_rate(32_000_000), 1_000_000);
         let spans = Spans::new(Clock { hz: 32_000_000, ppm: 0 }, TIMING);
         assert_eq!(spans.bit, Time::from_us(1));

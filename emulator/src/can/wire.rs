@@ -8,7 +8,7 @@ use crate::Time;
 pub enum Short {
     /// A supply holds the bus dominant.
     Dominant,
-    /// CANH and CANL touch: nobody sees a dominant bit, not even its sender.
+    /// CANH and CANL touch: no station sees a dominant bit, not even its sender.
     Recessive,
 }
 
@@ -17,15 +17,15 @@ pub enum Short {
 /// The gaps between them are evenly distributed from zero to twice their mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Noise {
-    /// Chooses the instants; the same seed gives the same ones.
+    /// Seed of the random generator: equal seeds give equal instants.
     pub seed: u64,
     /// Mean time from the end of a pulse to the start of the next.
     pub mean_interval: Time,
-    /// How long a pulse is.
+    /// The duration of a pulse.
     pub length: Time,
 }
 
-/// The wires and what disturbs them.
+/// The wires and their disturbances.
 #[derive(Debug, Default)]
 pub(super) struct Wire {
     pub level: Level,
@@ -38,12 +38,12 @@ struct Pulses {
     noise: Noise,
     random: u64,
     dominant: bool,
-    /// When the pulse that is on ends, or else the next one starts.
+    /// The end of the current pulse, or the start of the next.
     next: Time,
 }
 
 impl Wire {
-    /// The level that results if anyone, or nobody, drives the wires dominant.
+    /// The level of the wires, given whether any station drives them dominant.
     pub fn resolve(&self, driven: bool) -> Level {
         let pulse = self.pulses.as_ref().is_some_and(|pulses| pulses.dominant);
         match self.short {
@@ -57,12 +57,12 @@ impl Wire {
         self.pulses = noise.map(|noise| Pulses::new(noise, now));
     }
 
-    /// When a pulse starts or ends next.
+    /// The time at which a pulse starts or ends next.
     pub fn next_action(&self) -> Time {
         self.pulses.as_ref().map_or(Time::MAX, |pulses| pulses.next)
     }
 
-    /// Starts or ends a pulse that is due; returns whether one was.
+    /// Starts or ends a pulse if that is due; returns whether it did.
     pub fn act(&mut self, now: Time) -> bool {
         let due = self.pulses.as_mut().filter(|pulses| pulses.next <= now);
         due.map(Pulses::toggle).is_some()
@@ -82,7 +82,7 @@ impl Pulses {
         self.next += span;
     }
 
-    /// The next step of SplitMix64, scaled; never zero.
+    /// The length of the next gap, by a step of SplitMix64; never zero.
     fn gap(&mut self) -> Time {
         self.random = self.random.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut mixed = self.random;

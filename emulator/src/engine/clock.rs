@@ -1,11 +1,11 @@
-//! The exchange of core clock cycles for time and back, exact through every change of the clock.
+//! Conversion between core clock cycles and time, exact across every change of the clock.
 
 use crate::{Time, can::Clock};
 
 /// Picoseconds in a second, times the million of "parts per million".
 const SCALE: u128 = 1_000_000_000_000_000_000;
 
-/// A clock and one known point on it; all others follow without adding up errors.
+/// A clock and one known point on it. All other points follow from it, so errors do not accumulate.
 #[derive(Clone, Copy, Debug)]
 pub struct CycleClock {
     clock: Clock,
@@ -14,7 +14,7 @@ pub struct CycleClock {
 }
 
 impl CycleClock {
-    /// A clock that runs at `clock` and stands at `cycles` at `time`.
+    /// A clock that runs at `clock` and has counted `cycles` at `time`.
     pub const fn new(clock: Clock, cycles: u64, time: Time) -> Self {
         Self { clock, cycles, time }
     }
@@ -24,7 +24,7 @@ impl CycleClock {
         self.clock
     }
 
-    /// Millionths of a hertz.
+    /// The frequency in millionths of a hertz.
     fn rate(&self) -> u128 {
         u128::from(self.clock.hz) * (1_000_000 + i128::from(self.clock.ppm)) as u128
     }
@@ -41,7 +41,7 @@ impl CycleClock {
         self.cycles.saturating_add(u64::try_from(elapsed.div_ceil(SCALE)).unwrap_or(u64::MAX))
     }
 
-    /// Goes on at another frequency from cycle `cycles` on.
+    /// Changes the frequency from cycle `cycles` on.
     pub fn change(&mut self, clock: Clock, cycles: u64) {
         *self = Self::new(clock, cycles, self.time_at(cycles));
     }

@@ -1,4 +1,4 @@
-//! The engine: rsemu's ARMv7E-M core with the chip's memories mapped directly and its peripherals by call.
+//! The engine: rsemu's ARMv7E-M core with the chip's memories mapped directly and its peripherals behind calls.
 
 mod bus;
 mod follow;
@@ -25,9 +25,9 @@ use crate::{
 };
 use bus::Link;
 
-/// SYST_CSR: counter on, and its interrupt on.
+/// Bits of SYST_CSR: counter enabled, and its interrupt enabled.
 const SYSTICK_INTERRUPTS: u32 = 0b11;
-/// How many instructions may pass before a reset request is noticed.
+/// The number of instructions that may pass before a reset request is noticed.
 const RESET_POLL: u32 = 64;
 
 /// A Cortex-M4F that executes one instruction at a time.
@@ -43,11 +43,11 @@ pub struct Rsemu {
     asleep_cycles: u64,
     /// The CPU does nothing before this cycle.
     stalled_until: u64,
-    /// The flash is busy: every fetch has to be checked.
+    /// Whether the flash is busy, so that every fetch has to be checked.
     flash_busy: bool,
-    /// The last instruction was a jump to itself, of so many cycles.
+    /// The cycles of the last instruction, if it was a jump to itself.
     spin: Option<u64>,
-    /// How many times its cycles an instruction takes.
+    /// The factor by which an instruction's cycles are multiplied.
     slowdown: u64,
     irqs: u128,
     polls: u32,
@@ -55,7 +55,7 @@ pub struct Rsemu {
 }
 
 impl Rsemu {
-    /// A CPU for `chip`, not reset yet, with the chip's flash content and empty RAM.
+    /// A CPU for `chip`, not yet reset, with the chip's flash content and empty RAM.
     pub fn new(chip: Arc<Mutex<Chip>>) -> Self {
         let mut guard = lock(&chip);
         let part = guard.part();
@@ -92,7 +92,7 @@ impl Rsemu {
         }
     }
 
-    /// Lets cycles pass in which the core executes nothing.
+    /// Advances by cycles in which the core executes nothing.
     fn skip(&mut self, cycles: u64) {
         self.cpu.with_sys(|sys| {
             sys.tick_cyccnt(cycles);
@@ -103,7 +103,7 @@ impl Rsemu {
         self.cycles += cycles;
     }
 
-    /// Cycles until SysTick interrupts, if it will.
+    /// Cycles until SysTick interrupts, if it is enabled.
     fn cycles_to_systick(&self) -> Option<u64> {
         self.cpu.with_sys(|sys| {
             let runs = sys.syst_csr & SYSTICK_INTERRUPTS == SYSTICK_INTERRUPTS && sys.syst_rvr != 0;
@@ -118,7 +118,7 @@ impl Rsemu {
         self.cpu.with_sys(|sys| sys.highest_pending().is_some())
     }
 
-    /// Jumps over the rest of a sleep, or over jumps of an instruction to itself, up to cycle `target`.
+    /// Skips the rest of a sleep, or of an instruction's jumps to itself, up to cycle `target`.
     fn idle(&mut self, used: u64, target: u64) {
         let asleep = self.cpu.is_asleep();
         if asleep {
@@ -144,10 +144,10 @@ impl Rsemu {
         }
     }
 
-    /// rsemu 0.0.7 leaves ITSTATE out of the xPSR that an exception entry stacks, so that the rest of an interrupted IT
-    /// block would run unconditionally: puts it where the return restores it from.
+    /// Restores ITSTATE in the stacked xPSR: rsemu 0.0.7 leaves it out at an exception entry, so that the rest of an
+    /// interrupted IT block would run unconditionally.
     ///
-    /// `before` and `pc` are from before the step that may have been the entry.
+    /// `before` and `pc` are the values before the step that may have been the entry.
     fn mend_stacked_itstate(&mut self, before: u32, pc: u32) {
         const STACKED_PC: u32 = 6 * 4;
         let regs = self.cpu.regs();
@@ -173,12 +173,12 @@ impl Rsemu {
                 .is_some_and(|(store, offset)| store.write_at(offset, bytes).is_ok())
     }
 
-    /// Takes over what changed in the chip's flash.
+    /// Takes over changes of the chip's flash.
     fn take_flash(&mut self, chip: &mut Chip) {
         if let Some(range) = chip.flash_mut().take_changed() {
             let bytes = &chip.flash().bytes()[range.clone()];
             copy(&self.flash, range.start, bytes);
-            self.tell(|watcher, core| watcher.flash_changed(range.start, bytes, core));
+            self.notify(|watcher, core| watcher.flash_changed(range.start, bytes, core));
         }
     }
 
@@ -224,11 +224,11 @@ impl Rsemu {
 
 impl Engine for Rsemu {
     fn reset(&mut self, now: Time, hold: Time) {
-        // Warm would leave NVIC and SysTick on.
+        // A warm reset would leave NVIC and SysTick on.
         self.cpu.reset(ResetKind::Cold);
         self.irqs = 0;
         let hclk = lock(&self.chip).clocks().hclk;
-        // The new clock starts at the last whole cycle of the old one: time never goes back.
+        // The new clock starts at the last whole cycle of the old one, so time never goes back.
         let reached = self.now().as_ps().max(now.as_ps());
         self.clock = CycleClock::new(hclk, self.cycles, Time::from_ps(reached));
         self.link.set_clock(self.clock);
@@ -264,7 +264,7 @@ impl Engine for Rsemu {
                 self.mend_stacked_itstate(before, pc);
             }
             if let Some(step) = step {
-                self.tell_of(step);
+                self.notify_step(step);
             }
             let next = self.cpu.pc();
             if self.link.written.load(Relaxed) {
@@ -333,7 +333,7 @@ impl Engine for Rsemu {
     fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
         let written = self.write_ram(address, bytes);
         if written {
-            self.tell(|watcher, core| watcher.ram_changed(address, bytes, core));
+            self.notify(|watcher, core| watcher.ram_changed(address, bytes, core));
         }
         written
     }

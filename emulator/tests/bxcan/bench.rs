@@ -54,7 +54,7 @@ impl Bench {
         Self { bus: Bus::new(), can, adapter: Adapter::new(1_000_000) }
     }
 
-    /// In normal mode with these bits of MCR and a filter that lets everything into FIFO 0.
+    /// In normal mode with these bits of MCR and a filter that accepts everything into FIFO 0.
     pub fn running(mcr: u32) -> Self {
         let mut bench = Self::new();
         bench.open_filter();
@@ -62,7 +62,7 @@ impl Bench {
         bench
     }
 
-    /// As [`running`](Self::running), with other readings of the manual.
+    /// Like [`running`](Self::running), with other readings of the manual.
     pub fn reading(readings: Readings, mcr: u32) -> Self {
         let mut bench = Self::new();
         bench.can.set_readings(readings);
@@ -134,7 +134,7 @@ impl Bench {
         std::iter::from_fn(|| self.adapter.receive()).map(|(_, frame)| frame).collect()
     }
 
-    /// Takes what is in a FIFO: identifier word, DLC and filter match index, first data word.
+    /// Empties a FIFO: identifier word, DLC and filter match index, first data word of each message.
     pub fn fifo(&mut self, fifo: u32) -> Vec<[u32; 3]> {
         let mut messages = Vec::new();
         while self.read(RF0R + 4 * fifo) & 3 != 0 {

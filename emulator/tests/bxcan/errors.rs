@@ -10,7 +10,7 @@ use crate::bench::{
 };
 
 #[test]
-fn alone_the_warning_and_passive_flags_rise_at_96_and_128_and_interrupt_once() {
+fn alone_the_warning_and_passive_flags_rise_at_96_and_128_with_interrupts() {
     let mut bench = Bench::running(0);
     bench.adapter.close();
     bench.write(IER, 1 << 15 | 1 << 8 | 1 << 9);
@@ -46,7 +46,7 @@ fn error_codes_interrupt_with_lecie_and_a_good_frame_clears_the_code() {
     assert_eq!(bench.read(ESR) >> 4 & 7, 0);
 }
 
-/// Drives the transmit error counter over 255 by noise at half the rate.
+/// Raises the transmit error counter above 255 by noise at half the rate.
 fn bus_off(readings: Readings, mcr: u32) -> Bench {
     let mut bench = Bench::reading(readings, mcr);
     bench.adapter.set_bit_rate(500_000);
@@ -111,7 +111,7 @@ fn a_node_at_another_rate_counts_errors_and_destroys_frames() {
     assert!(bench.read(ESR) >> 24 > 0 && bench.adapter.errors() > 0);
 }
 
-/// As captured from a chip (confidence 0.8); the manual says nothing.
+/// As captured from a chip (confidence 0.8); the manual does not state it.
 #[test]
 fn the_transmit_error_counter_reads_248_in_bus_off() {
     let tec = |readings| bus_off(readings, 0).read(ESR) >> 16 & 0xFF;

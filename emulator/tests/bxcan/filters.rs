@@ -6,7 +6,7 @@ use crate::bench::{
     Bench, F0R1, FA1R, FFA1R, FM1R, FMR, FS1R, MEGABIT, RF0R, RI0R, RI1R, standard,
 };
 
-/// Four banks, one of each kind, and the frames that they are asked about.
+/// Four banks, one of each kind.
 fn with_filters(fifo_1: u32, active: u32) -> Bench {
     let mut bench = Bench::new();
     let bank = |n: u32| F0R1 + 8 * n;
@@ -59,8 +59,8 @@ fn asked() -> [Frame; 9] {
 }
 
 #[test]
-fn each_kind_of_filter_takes_what_it_names() {
-    // Alone in FIFO 0, with the numbers that inactive banks still take.
+fn each_kind_of_filter_accepts_its_identifiers() {
+    // Alone in FIFO 0, with the numbers that inactive banks still occupy.
     let all = |bench: &mut Bench| match_indices(bench, 0, &asked());
     assert_eq!(
         all(&mut with_filters(0, 0b0001)),
@@ -155,7 +155,7 @@ fn banks_from_can2sb_on_belong_to_the_other_peripheral() {
     assert_eq!(bench.read(RI0R + 4) >> 8, 28, "14 banks of two 16-bit filters come before");
 }
 
-/// Renode's model stores it in both.
+/// Renode's model stores the frame in both.
 #[test]
 fn a_frame_that_both_fifos_let_in_goes_into_one() {
     let held = |readings| {

@@ -1,4 +1,4 @@
-//! CAN1 as a program sees it through its registers.
+//! CAN1 as seen by a program through its registers.
 
 mod bench;
 mod errors;

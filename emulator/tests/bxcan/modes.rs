@@ -40,14 +40,13 @@ fn initialisation_is_left_after_eleven_recessive_bits() {
 }
 
 #[test]
-fn initialisation_is_not_left_while_the_bus_is_busy_and_the_wish_can_be_taken_back() {
+fn leaving_initialisation_waits_for_an_idle_bus_and_can_be_cancelled() {
     let mut bench = Bench::running(0);
     let mut noise = Adapter::with_timing(
         Clock { hz: 16_000_000, ppm: 0 },
         BitSegments { prescaler: 1, segment_1: 13, segment_2: 2, jump_width: 2 },
     );
-    // Alone with the noise at 1 Mbit/s, so that it is never acknowledged and never pauses for 11
-    // bits of 10 kbit/s.
+    // Alone with the noise at 1 Mbit/s, so that it is never acknowledged and never pauses for 11 bits of 10 kbit/s.
     bench.adapter.close();
     noise.send(standard(0, &[0; 8]));
     let mut run = |bench: &mut Bench, us| {
@@ -115,7 +114,7 @@ fn loopback_reads_back_its_own_frame() {
     assert_eq!(bench.read(TSR), 0x1C03_0000);
 }
 
-/// Both at the end of EOF (confidence 0.7).
+/// Both happen at the end of EOF (confidence 0.7).
 #[test]
 fn in_loopback_the_frame_is_received_when_it_is_sent() {
     let mut bench = Bench::new();
@@ -156,7 +155,7 @@ fn sleep_goes_on_without_awum() {
     assert_eq!(bench.read(MSR) & 3, 0);
 }
 
-/// Resets the controller and has it listen, with some other node that sends a frame.
+/// Resets the controller and makes it listen while another node sends a frame.
 fn listen_after_reset(bench: &mut Bench) -> Level {
     bench.can.reset();
     bench.join(0, 1 << 31 | MEGABIT);
@@ -183,7 +182,7 @@ fn the_transmit_pin_may_be_locked_dominant_while_it_listens_until_a_reset() {
     assert_eq!(bench.bus.level(), Level::Recessive);
 }
 
-/// The way of PX4's boot loader.
+/// The sequence of PX4's boot loader.
 #[test]
 fn silent_mode_entered_by_initialisation_does_not_lock_the_transmit_pin() {
     let mut bench = Bench::new();
@@ -208,7 +207,7 @@ fn initialisation_may_be_acknowledged_late() {
     let acknowledge = Acknowledge::Late(11);
     bench.can.set_readings(Readings { acknowledge, ..Readings::default() });
     bench.write(MCR, INRQ);
-    // Out of a reset BTR makes eight quanta of a clock period.
+    // After a reset BTR makes eight quanta of one clock period.
     let bits = |bits: u64| Time::from_ns(250) * bits;
     bench.run(bits(11) - Time::from_ns(1));
     bench.write(BTR, MEGABIT);

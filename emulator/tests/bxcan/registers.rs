@@ -1,4 +1,4 @@
-//! Reset values, and what a write may not do.
+//! Reset values, and the restrictions on writes.
 
 use emulator::{Time, can::bxcan::Note};
 
@@ -72,7 +72,7 @@ fn a_master_reset_puts_it_to_sleep_and_empties_the_fifos() {
 }
 
 #[test]
-fn writes_are_noted_with_their_time() {
+fn writes_are_recorded_with_their_time() {
     let mut bench = Bench::new();
     bench.can.write(MCR, INRQ, Time::from_us(1));
     bench.can.write(BTR, MEGABIT, Time::from_us(2));

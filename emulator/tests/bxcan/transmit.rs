@@ -66,14 +66,13 @@ fn order_of_three_requests(bench: &mut Bench) -> Vec<u8> {
     bench.received().iter().map(|frame| frame.data[0]).collect()
 }
 
-/// The reading of RM0090, 32.7.1, that is modelled: an idle bus makes a mailbox "transmit" at once
-/// (confidence 0.85).
+/// The modelled reading of RM0090, 32.7.1: an idle bus makes a mailbox "transmit" at once (confidence 0.85).
 #[test]
-fn a_higher_priority_overtakes_what_waits_but_not_what_was_chosen() {
+fn a_higher_priority_overtakes_waiting_mailboxes_but_not_the_chosen_one() {
     assert_eq!(order_of_three_requests(&mut Bench::running(0)), [0, 2, 1]);
 }
 
-/// The other reading: chosen at SOF.
+/// The other reading: the mailbox is chosen at SOF.
 #[test]
 fn with_a_late_choice_a_higher_priority_overtakes_on_an_idle_bus() {
     let readings = Readings { late_choice: true, ..Readings::default() };
@@ -95,8 +94,8 @@ fn an_abort_comes_too_late_for_a_request_on_an_idle_bus() {
     assert_eq!(sent(late_choice), (1, 0b0001, 0));
 }
 
-/// Another station's SOF takes the turn of the mailbox that was chosen: now it can be aborted, and
-/// its place is taken by what is more urgent.
+/// Another station's SOF takes the turn of the chosen mailbox. Then it can be aborted, and a more urgent one takes its
+/// place.
 #[test]
 fn a_choice_ends_when_another_station_starts_first() {
     let mut bench = Bench::running(0);

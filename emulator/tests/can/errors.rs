@@ -1,4 +1,4 @@
-//! What goes wrong on a bus: collisions, missing acknowledgement, bus-off.
+//! Errors on a bus: collisions, missing acknowledgement, bus-off.
 
 use emulator::{
     Time,
@@ -19,7 +19,7 @@ fn senders_of_one_identifier_and_different_data_collide() {
 }
 
 #[test]
-fn alone_on_the_bus_the_transmit_error_counter_stops_at_128_and_the_frame_is_repeated() {
+fn alone_the_transmit_error_counter_stops_at_128_and_the_frame_repeats() {
     let (mut bus, mut a) = (Bus::new(), Node::new(0, MEGABIT));
     let frame = standard(0x700, &[0]);
     a.send(frame);
@@ -27,8 +27,8 @@ fn alone_on_the_bus_the_transmit_error_counter_stops_at_128_and_the_frame_is_rep
     assert_eq!(a.tec(), 128);
     assert!(a.errors().len() > 150);
     assert!(a.errors().iter().all(|error| *error == (ErrorKind::Acknowledgement, true)));
-    // Error passive: frame up to the ACK slot, six bits of flag, eight of delimiter, three and
-    // eight until the next.
+    // Error passive: frame up to the ACK slot, six bits of flag, eight of delimiter, three and eight until the next
+    // frame.
     let starts: Vec<Time> =
         a.log.iter().filter(|(_, event)| *event == Event::Started).map(|(time, _)| *time).collect();
     let last = starts[starts.len() - 1] - starts[starts.len() - 2];
@@ -53,7 +53,7 @@ fn a_frame_is_repeated_only_while_it_is_offered() {
 }
 
 #[test]
-fn a_collision_is_over_when_the_one_that_starts_recessive_is_error_passive() {
+fn a_collision_ends_when_the_recessive_starter_is_error_passive() {
     let (mut bus, mut a, mut b) = (Bus::new(), Node::new(0, MEGABIT), Node::new(0, MEGABIT));
     a.send(standard(0x100, &[0x00, 0x80]));
     b.send(standard(0x100, &[0x80, 0x00]));
@@ -63,7 +63,7 @@ fn a_collision_is_over_when_the_one_that_starts_recessive_is_error_passive() {
 }
 
 #[test]
-fn a_disturbed_transmitter_goes_bus_off_and_recovers_after_128_times_11_recessive_bits() {
+fn a_disturbed_transmitter_goes_bus_off_and_recovers_after_1408_bits() {
     let (mut bus, mut a, mut noise) = (Bus::new(), Node::new(0, MEGABIT), Node::new(0, at(500)));
     a.send(standard(0x7FF, &[0xFF; 8]));
     while !a.controller.counters().bus_off() {

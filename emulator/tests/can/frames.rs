@@ -41,7 +41,7 @@ fn frames_follow_each_other_after_three_bits_of_intermission() {
 }
 
 #[test]
-fn of_frames_that_start_together_the_lowest_identifier_goes_first_and_none_is_lost() {
+fn of_simultaneous_frames_the_lowest_identifier_wins_and_none_is_lost() {
     let mut nodes = [0x123, 0x122, 0x7FF, 0x000, 0x555].map(|id| {
         let mut node = Node::new(0, MEGABIT);
         node.send(standard(id, &[id as u8; 3]));

@@ -1,4 +1,4 @@
-//! Silent and loopback mode, and how a controller joins and leaves the bus.
+//! Silent and loopback mode, and joining and leaving the bus.
 
 use emulator::{
     Time,

@@ -1,4 +1,4 @@
-//! A controller for tests, that sends what is queued and writes down what happens.
+//! A controller for tests that sends queued frames and records its events.
 
 use std::collections::VecDeque;
 
@@ -11,7 +11,7 @@ use emulator::{
 pub const MEGABIT: BitSegments =
     BitSegments { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
-/// A controller that sends what is queued and writes down what happens.
+/// A controller that sends queued frames and records its events.
 pub struct Node {
     pub controller: Controller,
     pub queue: VecDeque<Frame>,
@@ -100,7 +100,7 @@ impl Station for Node {
     }
 }
 
-/// Lets bus life go on for a span.
+/// Runs the bus for a duration.
 pub fn run<const N: usize>(bus: &mut Bus, nodes: [&mut Node; N], span: Time) {
     let until = bus.now() + span;
     bus.advance(until, &mut nodes.map(|node| node as &mut dyn Station), &mut |_, _, _| {});
@@ -110,7 +110,7 @@ pub fn standard(id: u16, payload: &[u8]) -> Frame {
     Frame::data(Id::Standard(id), payload)
 }
 
-/// 1 Mbit/s or less.
+/// The bit timing for 1 Mbit/s or less.
 pub fn at(kilobits: u16) -> BitSegments {
     BitSegments { prescaler: 2 * (1000 / kilobits), ..MEGABIT }
 }

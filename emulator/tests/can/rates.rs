@@ -1,4 +1,4 @@
-//! Bit rates and crystals that agree, and such that do not.
+//! Bit rates and crystals that match, and those that do not.
 
 use emulator::{
     Time,
@@ -38,7 +38,7 @@ fn a_quiet_node_at_another_rate_destroys_the_frames_of_others() {
 }
 
 #[test]
-fn a_silent_node_at_another_rate_disturbs_nobody() {
+fn a_silent_node_at_another_rate_disturbs_no_node() {
     let (mut bus, mut a, mut b) = (Bus::new(), Node::new(0, MEGABIT), Node::new(0, MEGABIT));
     let mut odd = Node::stopped(0, at(500));
     odd.controller.configure(at(500), Mode { silent: true, loopback: false });
@@ -60,8 +60,7 @@ fn crystals_that_are_half_a_percent_off_understand_each_other() {
             (Bus::new(), Node::new(sender, wide), Node::new(receiver, wide));
         let mut sent = Vec::new();
         for n in 0..50u8 {
-            // The longest runs without an edge to synchronise on: five dominant, five recessive
-            // bits.
+            // The longest runs without an edge to synchronise on: five dominant, five recessive bits.
             for frame in [
                 standard(0x7E0 | u16::from(n & 15), &[n, 0xF8, 0x3E, 0, 0xFF, 0x0F, 0x83]),
                 standard(0, &[0; 8]),

@@ -1,4 +1,4 @@
-//! A small assembler for Thumb-2 (ARM DDI 0403, A7.7): enough to poke registers, sleep and count.
+//! A small assembler for Thumb-2 (ARM DDI 0403, A7.7), sufficient to write registers, sleep and count.
 
 use emulator::image::Image;
 
@@ -17,7 +17,7 @@ const R6: Register = Register(6);
 
 const FLASH: u32 = 0x0800_0000;
 const RAM: u32 = 0x2000_0000;
-/// Where a copy in RAM runs.
+/// The address at which a copy in RAM runs.
 const RAM_CODE: u32 = RAM + 0x1000;
 const VECTORS: usize = 128;
 
@@ -41,7 +41,7 @@ impl Program {
         FLASH + 4 * VECTORS as u32 + 2 * self.code.len() as u32
     }
 
-    /// The next instruction is where exception number `exception` goes.
+    /// Makes the next instruction the handler of exception number `exception`.
     pub fn handler(&mut self, exception: usize) -> &mut Self {
         self.vectors[exception] = self.here() + 1;
         self
@@ -82,24 +82,24 @@ impl Program {
         self.emit(&[0x3000 | register.0 << 8 | u16::from(value)])
     }
 
-    /// Waits until a word has all bits of `mask`, of which there is one.
+    /// Waits until a word has all bits of `mask`, which has one bit.
     pub fn wait_for_ones(&mut self, address: u32, mask: u32) -> &mut Self {
         // loop: LDR r0, [r7]; TST r0, r6; BEQ loop
         self.set(R7, address).set(R6, mask).emit(&[0x6838, 0x4230, 0xD0FC])
     }
 
-    /// Goes to sleep for good if a word has a bit of `mask`.
+    /// Sleeps forever if a word has a bit of `mask`.
     pub fn sleep_forever_if_nonzero_after(&mut self, address: u32, mask: u32) -> &mut Self {
         // LDR r0, [r7]; TST r0, r6; BEQ past the next two
         self.set(R7, address).set(R6, mask).emit(&[0x6838, 0x4230, 0xD001]).sleep_forever()
     }
 
-    /// WFI, again and again.
+    /// Executes WFI repeatedly.
     pub fn sleep_forever(&mut self) -> &mut Self {
         self.emit(&[0xBF30, 0xE7FD])
     }
 
-    /// B to itself.
+    /// Branches to itself.
     pub fn stop(&mut self) -> &mut Self {
         self.emit(&[0xE7FE])
     }
@@ -119,7 +119,7 @@ impl Program {
         self.emit(&[0x4770])
     }
 
-    /// The same program behind a start that copies it to RAM and goes on there.
+    /// The same program behind a start that copies it to RAM and continues there.
     pub fn in_ram(self) -> Self {
         const START_HALFWORDS: u32 = 22;
         let mut program = Self::new();
@@ -135,7 +135,7 @@ impl Program {
         program
     }
 
-    /// What goes into the flash.
+    /// The content for the flash.
     pub fn image(&self) -> Image {
         let mut bytes: Vec<u8> = self.vectors.iter().flat_map(|word| word.to_le_bytes()).collect();
         bytes.extend(self.code.iter().flat_map(|half| half.to_le_bytes()));

@@ -35,7 +35,7 @@ async function isRefused(service, type, code) {
 }
 
 async function configure({ lss }) {
-    // Fastscan knows a 1 by silence; what is known of the board it skips.
+    // Fastscan recognises a 1 by the absence of an answer, and skips the known parts.
     assert.deepEqual(await lss.fastscan({ ...KNOWN, timeout: 250 }), IDENTITY);
     lss.switchModeGlobal(LssMode.OPERATION);
     assert.deepEqual(await lss.fastscan({ timeout: 250 }), IDENTITY);

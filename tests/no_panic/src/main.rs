@@ -1,5 +1,5 @@
-//! A program that calls all of the node, the settings log and the indicators with unknown values, and that has no panic
-//! handler to link with: it links only if the compiler has shown that none of these calls panics.
+//! A program without a panic handler that calls all of the node, the settings log and the indicators with unknown
+//! values: it links only if the compiler has proved that none of these calls panics.
 
 #![no_std]
 #![no_main]
@@ -21,7 +21,7 @@ use lss_slave::{
 };
 
 unsafe extern "C" {
-    /// Defined nowhere.
+    /// A symbol without a definition.
     safe fn the_library_can_panic() -> !;
 }
 
@@ -42,7 +42,7 @@ extern "C" fn _start() -> ! {
     }
 }
 
-/// A value of which the compiler knows nothing but the type.
+/// A value of which the compiler knows only the type.
 fn any<T>(value: T) -> T {
     black_box(value)
 }
@@ -59,7 +59,7 @@ fn any_instant() -> Instant {
     Instant::from_micros(any_number())
 }
 
-/// A flash of any size, with any content, whose operations fail at will.
+/// A flash of any size, with any content, whose operations fail arbitrarily.
 struct Flash;
 
 impl ErrorType for Flash {
@@ -96,7 +96,7 @@ impl NorFlash for Flash {
 fn keep_settings() {
     let (mut log, found) = any(Log::open(Flash));
     black_box((found, log.settings()));
-    // Whatever came before, in whatever state the log is.
+    // After any calls, with the log in any state.
     black_box(&mut log);
     black_box(log.store(any_settings())).ok();
     black_box(log.close());

@@ -1,4 +1,4 @@
-//! A program of `bench/` on the emulated chip: frames go into its mailbox, what it does with them is counted.
+//! A program of `bench/` on the emulated chip: takes frames in its mailbox and counts the cost of each.
 
 use std::{
     ops::AddAssign,
@@ -16,9 +16,9 @@ use emulator::{
 };
 use lss_slave::Frame;
 
-/// What the harness fills the free stack with.
+/// The pattern with which the harness fills the free stack.
 const UNTOUCHED: [u8; 4] = 0xC5C5_C5C5_u32.to_le_bytes();
-/// More instructions than anything that is measured takes.
+/// More instructions than any measured operation takes.
 const PATIENCE: u64 = 1_000_000;
 
 /// Offsets of the registers of a mailbox (`Mailbox` in `bench/src/lib.rs`).
@@ -26,11 +26,11 @@ const IDENTIFIER: u32 = 0x0;
 const LENGTH: u32 = 0x4;
 const DATA: u32 = 0x8;
 
-/// What the CPU has done.
+/// The work of the CPU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cost {
     pub instructions: u64,
-    /// With a flash without wait states.
+    /// Core clock cycles, with a flash without wait states.
     pub cycles: u64,
 }
 
@@ -41,12 +41,12 @@ impl AddAssign for Cost {
     }
 }
 
-/// What a frame has led to.
+/// The result of a received frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Reception {
-    /// From the first instruction of `receive` to its return.
+    /// The cost from the first instruction of `receive` to its return.
     pub cost: Cost,
-    /// The first frame that was transmitted, and what it took to request its transmission.
+    /// The first transmitted frame, and the cost until its transmission was requested.
     pub answer: Option<(Frame, Cost)>,
 }
 
@@ -56,7 +56,7 @@ pub struct Machine {
     addresses: Addresses,
 }
 
-/// Addresses of the harness.
+/// Addresses of symbols of the harness.
 struct Addresses {
     waiting: u32,
     received: u32,
@@ -69,7 +69,7 @@ struct Addresses {
 }
 
 impl Machine {
-    /// Loads the program and lets it prepare itself.
+    /// Loads the program and runs its preparation.
     pub fn start(elf: &Path) -> anyhow::Result<Self> {
         let image = Image::load(elf)?;
         let address = |name: &str| {
@@ -102,7 +102,7 @@ impl Machine {
         Ok(machine)
     }
 
-    /// Gives the program a frame.
+    /// Passes a frame to the program.
     pub fn receive(&mut self, frame: &Frame) -> anyhow::Result<Reception> {
         let Addresses { waiting, received, transmitted, receive, returned, idle, .. } =
             self.addresses;
@@ -125,7 +125,7 @@ impl Machine {
         Ok(Reception { cost, answer })
     }
 
-    /// Bytes of stack that `receive` and all that it calls have used at most.
+    /// The largest stack use of `receive` and its callees in bytes.
     pub fn stack_used(&self) -> u32 {
         let Addresses { stack_bottom, stack_top, .. } = self.addresses;
         let mut stack = vec![0; (stack_top - stack_bottom) as usize];
@@ -134,7 +134,7 @@ impl Machine {
         (stack.len() - 4 * untouched) as u32
     }
 
-    /// Executes instructions until the next one is at `address`, and shows each step to `watch`.
+    /// Executes instructions until the next one is at `address`, and passes each step to `watch`.
     fn run_to(&mut self, address: u32, mut watch: impl FnMut(&Self, Cost)) -> anyhow::Result<Cost> {
         const STEP: Time = Time::from_ps(1);
         let started = self.engine.cycles();

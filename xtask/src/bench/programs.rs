@@ -1,4 +1,4 @@
-//! The programs of `bench/`: which there are, and their builds for speed and for size.
+//! The list of programs in `bench/`, and their builds for speed and for size.
 
 use std::{
     env, fs,
@@ -26,7 +26,7 @@ impl Program {
     pub const ALL: [Self; 5] =
         [Self::Node, Self::Slave, Self::CanopenRsNode, Self::CanopenRsSlave, Self::ZencanNode];
 
-    /// What it is called in the tables.
+    /// The name in the tables.
     pub const fn title(self) -> &'static str {
         match self {
             Self::Node => "lss-slave node",
@@ -48,7 +48,7 @@ impl Program {
     }
 }
 
-/// Where the built programs lie.
+/// The directory of the built programs.
 pub struct Builds(PathBuf);
 
 impl Builds {
@@ -62,7 +62,7 @@ impl Builds {
         self.read("size", program)
     }
 
-    /// The program at opt-level s with crates that are not merged, so that its functions are apart.
+    /// The program at opt-level s with crates that are not merged, so that its functions stay separate.
     pub fn in_modules(&self, program: Program) -> Vec<u8> {
         self.read("module", program)
     }
@@ -95,7 +95,7 @@ fn cargo_build(profile: &str, target_dir: &Path) -> anyhow::Result<()> {
         .args(["build", "--locked", "--bins", "--target", TARGET, "--profile", profile])
         .arg("--target-dir")
         .arg(target_dir)
-        // What the host's build was given is not meant for the chip.
+        // The flags of the host's build do not apply to the chip.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .env_remove("CARGO_BUILD_TARGET")

@@ -1,4 +1,4 @@
-//! What is measured: requests of an LSS master, each kind in a program that has just started.
+//! The measured session: requests of an LSS master, each kind in a program that has just started.
 
 use std::path::Path;
 
@@ -14,35 +14,36 @@ use super::machine::{Cost, Machine, Reception};
 
 /// The LSS address of every slave (`IDENTITY` in `bench/src/lib.rs`); half of its bits are ones.
 const IDENTITY: [u32; 4] = [0x5AA5_3CC3, 0x0FF0_A55A, 0x3333_CCCC, 0x6996_9669];
-/// Requests of a Fastscan that knows nothing: the begin, 32 bits and a confirmation for each of the four parts.
+/// Requests of a Fastscan without prior knowledge: the start, and 32 bits and a confirmation for each of the four
+/// parts.
 const FULL_SCAN: u32 = 1 + 4 * (32 + 1);
 /// A frame of another node: its first transmit PDO.
 const FOREIGN_COB_ID: u16 = 0x18A;
 
-/// What a slave's services take.
+/// The cost of a slave's services.
 #[derive(Clone, Debug, Default)]
 pub struct Costs {
     pub inquire: Cost,
-    /// The part of it until the answer's transmission is requested.
+    /// The part of it up to the request to transmit the answer.
     pub inquire_answered: Cost,
-    /// All four requests.
+    /// The cost of all four requests.
     pub selective: Cost,
     pub configure_node_id: Cost,
     pub fastscan_match: Cost,
     pub fastscan_no_match: Cost,
     pub full_scan: Cost,
-    /// All six requests; `None`: not served.
+    /// The cost of all six requests; `None`: not supported.
     pub identify: Option<Cost>,
     pub foreign: Cost,
-    /// Bytes.
+    /// The largest stack use in bytes.
     pub stack: u32,
 }
 
 impl Costs {
-    /// Runs the program through all that is measured.
+    /// Runs the program through all measurements.
     ///
     /// # Errors
-    /// It gives another answer than CiA 305 wants: what it does is not worth counting.
+    /// An answer differs from CiA 305, so that its cost is meaningless.
     pub fn measure(elf: &Path) -> anyhow::Result<Self> {
         let context = || format!("in {}", elf.display());
         let mut costs = Self::default();
@@ -50,7 +51,7 @@ impl Costs {
             [Self::inquire, Self::configure, Self::select, Self::scan, Self::identify, Self::ignore]
         {
             let mut machine = Machine::start(elf).with_context(context)?;
-            // The first frame is not like the others: it may prove the bit rate, for one.
+            // The first frame differs from the others: for example, it may prove the bit rate.
             request(&mut machine, Request::SwitchToWaiting).with_context(context)?;
             part(&mut costs, &mut machine).with_context(context)?;
             costs.stack = costs.stack.max(machine.stack_used());
@@ -97,14 +98,14 @@ impl Costs {
             self.full_scan += reception.cost;
             let of_its_kind =
                 if is_match { &mut self.fastscan_match } else { &mut self.fastscan_no_match };
-            // The first request begins the scan, the second is the first that compares.
+            // The first request starts the scan; the second is the first that compares.
             if requests > 0 && *of_its_kind == Cost::default() {
                 *of_its_kind = reception.cost;
             }
             requests += 1;
             anyhow::Ok(is_match)
         };
-        ensure!(step(0, 0x80, 0, 0)?, "no answer to the begin of Fastscan");
+        ensure!(step(0, 0x80, 0, 0)?, "no answer to the start of Fastscan");
         for (sub, number) in (0..).zip(IDENTITY) {
             let mut found = 0;
             for bit in (0..32).rev() {

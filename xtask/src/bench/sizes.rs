@@ -1,4 +1,4 @@
-//! How many bytes a program takes, and the LSS module within it.
+//! The size of a program in bytes, and of the LSS module within it.
 
 use object::{
     Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf, read::elf::ElfFile32,
@@ -6,10 +6,10 @@ use object::{
 
 use super::programs::{Builds, Program};
 
-/// Bytes; `None`: cannot be seen in this program.
+/// Sizes in bytes; `None`: not visible in this program.
 #[derive(Clone, Copy, Debug)]
 pub struct Sizes {
-    /// The functions of the module that LSS is in.
+    /// The functions of the module that contains LSS.
     pub module: Option<u64>,
     /// The LSS state.
     pub state: Option<u64>,
@@ -18,16 +18,16 @@ pub struct Sizes {
 }
 
 impl Sizes {
-    /// Looks into the builds of a program.
+    /// Measures the builds of a program.
     pub fn measure(program: Program, builds: &Builds) -> object::Result<Self> {
         let is_node =
             matches!(program, Program::Node | Program::CanopenRsNode | Program::ZencanNode);
         let apart = builds.in_modules(program);
-        // As names are mangled: the crate and the module, each behind its length.
+        // As names are mangled: the crate and the module, each preceded by its length.
         let module = match program {
             Program::Node | Program::Slave => Some("9lss_slave3lss"),
             Program::CanopenRsNode | Program::CanopenRsSlave => Some("10canopen_rs3lss"),
-            // It is merged into the node even there.
+            // It is merged into the node even in this build.
             Program::ZencanNode => None,
         };
         let in_module = |module: &str| {
@@ -46,14 +46,14 @@ impl Sizes {
 
 type Symbol<'data, 'file> = object::read::elf::ElfSymbol32<'data, 'file>;
 
-/// The sum of the sizes of these symbols.
+/// The total size of the matching symbols.
 fn symbols(bytes: &[u8], of: impl Fn(&Symbol<'_, '_>, &str) -> bool) -> object::Result<u64> {
     let file = ElfFile32::<object::Endianness>::parse(bytes)?;
     let of = |symbol: &Symbol<'_, '_>| symbol.name().is_ok_and(|name| of(symbol, name));
     Ok(file.symbols().filter(of).map(|symbol| symbol.size()).sum())
 }
 
-/// Bytes that are to be put into flash: code, constants, and what RAM is initialised with.
+/// The bytes loaded into flash: code, constants, and the initial values of RAM.
 fn flash(bytes: &[u8]) -> object::Result<u64> {
     let file = ElfFile32::<object::Endianness>::parse(bytes)?;
     let is_allocated = |flags| match flags {

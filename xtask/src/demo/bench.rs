@@ -22,10 +22,10 @@ use zencan_client::common::{
 
 use super::span;
 
-/// How often a master looks whether something was received; tokio's clock has no finer steps.
+/// The master's polling interval for received frames; tokio's clock has no finer steps.
 const POLL: Duration = Duration::from_millis(1);
 
-/// The boards, and the adapter by which a master talks to them. Clones share both.
+/// The boards, and the master's adapter. Clones share both.
 #[derive(Clone)]
 pub struct Bench(Arc<Mutex<Inner>>);
 
@@ -36,7 +36,7 @@ struct Inner {
 }
 
 impl Bench {
-    /// Boards that are switched on now, and an adapter at `bit_rate`.
+    /// A bus with boards that are switched on now, and an adapter at `bit_rate`.
     pub fn new(boards: impl IntoIterator<Item = Board>, bit_rate: BitRate) -> Self {
         let mut network = Network::new();
         for board in boards {
@@ -46,7 +46,7 @@ impl Bench {
         Self(Arc::new(Mutex::new(Inner { network, adapter, begin: Instant::now() })))
     }
 
-    /// The network, at tokio's present time.
+    /// The network, advanced to tokio's current time.
     fn now_inner(&self) -> MutexGuard<'_, Inner> {
         let mut inner = self.0.lock().expect("no panic while the bench was in use");
         let now = span(inner.begin.elapsed());
@@ -59,12 +59,12 @@ impl Bench {
         self.now_inner().network.now()
     }
 
-    /// Everything that has happened.
+    /// All events so far.
     pub fn events(&self) -> Vec<Event> {
         self.now_inner().network.trace().to_vec()
     }
 
-    /// What the boards' firmware did wrong.
+    /// The findings about the boards' firmware.
     pub fn findings(&self) -> Vec<Finding> {
         self.now_inner().network.boards().iter().flat_map(Board::findings).collect()
     }
@@ -82,7 +82,7 @@ impl Bench {
         }
     }
 
-    /// The next frame that the adapter receives, within `timeout`.
+    /// The adapter's next received frame; `None` after `timeout`.
     pub async fn receive(&self, timeout: Duration) -> Option<Frame> {
         let next = async {
             loop {
@@ -102,12 +102,12 @@ impl Bench {
         inner.network.adapter_mut(adapter).set_bit_rate(bit_per_s(bit_rate));
     }
 
-    /// Takes the supply of board 0 away.
+    /// Switches the supply of board 0 off.
     pub fn power_off(&self) {
         self.now_inner().network.power_off(0);
     }
 
-    /// Gives the supply of board 0 back.
+    /// Switches the supply of board 0 on.
     pub fn power_on(&self) {
         self.now_inner().network.power_on(0);
     }
@@ -157,7 +157,7 @@ impl AsyncCanReceiver for Bench {
     }
 }
 
-/// Never happens: the adapter's queue has no limit.
+/// An error that never happens: the adapter's queue has no limit.
 #[derive(Debug)]
 pub enum NotSent {}
 

@@ -1,4 +1,4 @@
-//! A timing diagram of a bit-rate switch, drawn from the record of a run: who sends when, and at which rate.
+//! A timing diagram of a bit-rate switch, drawn from the record of a run: senders, times and rates.
 
 use std::fmt::Write;
 
@@ -10,16 +10,16 @@ use emulator::{
 };
 use lss_slave::lss::{self, Request};
 
-/// How long before the request and after the second delay the diagram reaches.
+/// The time shown before the request and after the second delay.
 const MARGIN: Time = Time::from_ms(12);
-/// Pixels.
+/// Pixels for a millisecond.
 const PER_MS: f64 = 62.0;
-/// A span in which nothing happens is no longer than this.
+/// The greatest width of a period without events.
 const LONGEST_GAP: f64 = 210.0;
 const LEFT: f64 = 110.0;
 const RIGHT: f64 = 50.0;
 const TOP: f64 = 66.0;
-/// The master's line, and from there to the line of each board.
+/// The height of the master's line, and the distance to the line of each board.
 const MASTER: f64 = 100.0;
 const LANE: f64 = 65.0;
 const BOX_HEIGHT: f64 = 26.0;
@@ -27,7 +27,7 @@ const BOX_HEIGHT: f64 = 26.0;
 /// The diagram of the last activation of bit timing among `events`, as SVG.
 ///
 /// # Errors
-/// There is none, or the delays have not passed.
+/// There is no activation, or its delays have not passed.
 pub fn draw(events: &[Event]) -> anyhow::Result<String> {
     let (t0, delay) =
         events.iter().rev().find_map(activation).context("no bit rate was switched")?;
@@ -64,7 +64,7 @@ pub fn draw(events: &[Event]) -> anyhow::Result<String> {
             r#"<rect x="{from:.1}" y="{TOP}" width="{span:.1}" height="{height}" fill="{fill}"/>
 <text x="{middle:.1}" y="56" text-anchor="middle">{name} = {} ms</text>
 <text x="{middle:.1}" y="{above}" text-anchor="middle">{rule}:</text>
-<text x="{middle:.1}" y="{below}" text-anchor="middle">nobody starts a frame</text>"#,
+<text x="{middle:.1}" y="{below}" text-anchor="middle">no frame is started</text>"#,
             delay.as_ms()
         )?;
     }
@@ -104,7 +104,7 @@ pub fn draw(events: &[Event]) -> anyhow::Result<String> {
     Ok(svg)
 }
 
-/// The height at which someone's line is.
+/// The height of a station's line.
 fn lane(source: Source) -> f64 {
     match source {
         Source::Adapter(_) => MASTER,
@@ -112,7 +112,7 @@ fn lane(source: Source) -> f64 {
     }
 }
 
-/// Draws an event on the line of `source`, who made it or took part in it.
+/// Draws an event on the line of `source`, its sender or a participant.
 fn draw_event(
     svg: &mut String,
     event: &Event,
@@ -169,7 +169,7 @@ fn short(frame: &Frame) -> String {
     data.iter().fold(format!("{}:", frame.id), |text, byte| format!("{text} {byte:02X}"))
 }
 
-/// Where an instant is in the diagram: in proportion between two that matter, if they are not too far apart.
+/// Maps instants to places in the diagram: in proportion between two instants of interest, up to a greatest distance.
 struct Scale(Vec<(Time, f64)>);
 
 impl Scale {
@@ -194,7 +194,7 @@ impl Scale {
         Self(times.into_iter().map(at).collect())
     }
 
-    /// The place of an instant that was given to [`new`](Self::new), or of the last one before it.
+    /// The place of an instant passed to [`new`](Self::new), or of the last one before it.
     fn x(&self, time: Time) -> f64 {
         let known = self.0.iter().rev().find(|(known, _)| *known <= time);
         known.map_or(LEFT, |(_, x)| *x)

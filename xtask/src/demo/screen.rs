@@ -1,4 +1,4 @@
-//! The session as it is printed: chapters, and in each of them what happened on the bus, line by line.
+//! The printed session: chapters, each with the events of the bus, line by line.
 
 use std::io::{self, Write};
 
@@ -18,32 +18,32 @@ const ERROR: Style = AnsiColor::Red.on_default();
 const REMARK: Style = AnsiColor::Yellow.on_default();
 const DIM: Style = Style::new().dimmed();
 
-/// Of a part of a Fastscan so many lines are shown at its beginning, and as many at its end.
+/// The number of lines shown at the start of each part of a Fastscan, and at its end.
 const SHOWN: usize = 4;
 
-/// Prints to standard output, in colour if it is a terminal that wants it.
+/// Prints to standard output, in colour if it is a terminal that supports it.
 pub struct Screen {
     shows_all: bool,
-    /// How many events were shown or skipped already.
+    /// The number of events already shown or skipped.
     seen: usize,
     chapters: usize,
 }
 
-/// Something to print, and what it belongs to.
+/// A line of output, and the part of a Fastscan that it belongs to.
 struct Line {
     style: Style,
     text: String,
-    /// The part of the LSS address that a Fastscan step is about, and its answers.
+    /// The part of the LSS address scanned by this step, or confirmed by this answer.
     scanned: Option<AddressPart>,
 }
 
 impl Screen {
-    /// Shows every line of a Fastscan if `shows_all`, else folds the middle of its parts.
+    /// A screen that shows every line of a Fastscan if `shows_all`, otherwise only the ends of its parts.
     pub fn new(shows_all: bool) -> Self {
         Self { shows_all, seen: 0, chapters: 0 }
     }
 
-    /// A headline.
+    /// Prints a headline.
     pub fn chapter(&mut self, headline: &str) -> anyhow::Result<()> {
         let mut out = anstream::stdout().lock();
         if self.chapters == 0 {
@@ -53,12 +53,12 @@ impl Screen {
         Ok(writeln!(out, "\n{CHAPTER}{headline}{CHAPTER:#}")?)
     }
 
-    /// Something that is no event.
+    /// Prints text that is not an event.
     pub fn remark(&self, text: &str) -> anyhow::Result<()> {
         Ok(writeln!(anstream::stdout(), "{REMARK}{text}{REMARK:#}")?)
     }
 
-    /// The events since the last call; `events` holds those from before too.
+    /// Prints the events since the last call; `events` holds the earlier ones too.
     pub fn show(&mut self, events: &[Event]) -> anyhow::Result<()> {
         let mut lines: Vec<Line> = Vec::new();
         for event in &events[self.seen..] {
@@ -100,7 +100,7 @@ fn is_of_several(event: &Event) -> bool {
     matches!(&event.what, What::Frame { also, .. } if !also.is_empty())
 }
 
-/// The line of an event, if it is worth one; `before` is the line before it scanned.
+/// The line of an event, if it is of interest; `before` is the part scanned by the line before.
 fn line(event: &Event, before: Option<AddressPart>) -> Option<Line> {
     let (style, who) = match event.source {
         Source::Adapter(_) => (MASTER, "master ->".to_owned()),
@@ -138,7 +138,7 @@ fn line(event: &Event, before: Option<AddressPart>) -> Option<Line> {
     Some(Line { style, text, scanned })
 }
 
-/// What the Fastscan step in `frame` scans, if it is one that tries bits.
+/// The part scanned by the Fastscan step in `frame`, if it is one that tests bits.
 fn scanned_part(frame: &Frame) -> Option<AddressPart> {
     if frame.id != Id::Standard(lss::REQUEST_COB_ID) {
         return None;

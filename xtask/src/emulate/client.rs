@@ -1,4 +1,4 @@
-//! A program that is connected by TCP, and the adapter on the bus that it commands.
+//! A program connected by TCP, and its adapter on the bus.
 
 use std::{
     io::{BufRead, BufReader, Write},
@@ -14,24 +14,24 @@ use emulator::{
 
 use super::slcan::{self, Command, Status};
 
-/// The longest line that is read; no command is as long.
+/// The longest line that is read; every command is shorter.
 const LINE: u64 = 64;
-/// As many frames wait for the bus; more are refused.
+/// The number of frames that may wait for the bus; more are refused.
 const QUEUE: usize = 1000;
 
-/// As many lines wait to be carried out; then the programs wait.
+/// The number of lines that may wait to be carried out; further ones block their programs.
 pub const WAITING: usize = 1000;
 
-/// Names a client, from the first on, never again.
+/// The number of a client, counted from the first; never reused.
 pub type ClientId = u64;
 
-/// What comes from outside of the emulation.
+/// An input to the emulation.
 pub enum Input {
     /// A program has connected.
     Connected(ClientId, TcpStream),
-    /// It sent a line, which stands here without its end.
+    /// It sent a line, given without its end.
     Line(ClientId, Vec<u8>),
-    /// It has gone.
+    /// It has disconnected.
     Gone(ClientId),
     /// Ctrl-C.
     Stop,
@@ -56,12 +56,12 @@ fn read(id: ClientId, stream: TcpStream, inputs: &SyncSender<Input>) {
     let mut line = Vec::new();
     while let Ok(1..) = std::io::Read::take(&mut reader, LINE).read_until(slcan::END, &mut line) {
         if line.len() as u64 == LINE && !line.ends_with(&[slcan::END]) {
-            // The rest of it is no command either.
+            // The rest of the line is no command either.
             if reader.skip_until(slcan::END).is_err() {
                 break;
             }
         } else if !line.ends_with(&[slcan::END]) {
-            // The program has gone within a line.
+            // The program disconnected within a line.
             break;
         }
         line.retain(|byte| ![b'\n', slcan::END].contains(byte));
@@ -69,11 +69,11 @@ fn read(id: ClientId, stream: TcpStream, inputs: &SyncSender<Input>) {
             return;
         }
     }
-    // The emulation may have ended; then nobody has to know.
+    // The emulation may have ended; then the message is not needed.
     let _ = inputs.send(Input::Gone(id));
 }
 
-/// Puts one more adapter on the bus; it is closed.
+/// Adds an adapter to the bus; it is closed.
 pub fn new_adapter(network: &mut Network) -> AdapterId {
     let adapter = network.add_adapter(Adapter::new(1_000_000));
     network.adapter_mut(adapter).close();
@@ -82,13 +82,13 @@ pub fn new_adapter(network: &mut Network) -> AdapterId {
 
 /// A connected program.
 pub struct Client {
-    /// To the thread that writes to the program, so that a slow one holds up nobody.
+    /// The queue to the thread that writes to the program, so that a slow program blocks no others.
     output: Sender<Vec<u8>>,
     adapter: AdapterId,
     is_open: bool,
     may_transmit: bool,
     has_timestamps: bool,
-    /// The adapter's error count when `F` was asked last.
+    /// The adapter's error count at the previous `F`.
     known_errors: u64,
 }
 
@@ -100,7 +100,7 @@ impl Client {
         bit_rate: u32,
         network: &mut Network,
     ) -> Self {
-        // Without it only the latency is worse.
+        // Without this option only the latency is worse.
         let _ = stream.set_nodelay(true);
         let (output, lines) = mpsc::channel::<Vec<u8>>();
         thread::spawn(move || lines.iter().try_for_each(|line| stream.write_all(&line)));
@@ -117,14 +117,14 @@ impl Client {
         }
     }
 
-    /// Takes the program's adapter off the bus and gives it back.
+    /// Takes the program's adapter off the bus and returns it.
     pub fn leave(self, network: &mut Network) -> AdapterId {
         network.adapter_mut(self.adapter).close();
         while network.receive(self.adapter).is_some() {}
         self.adapter
     }
 
-    /// Hands over the frames that the adapter has received.
+    /// Sends the frames received by the adapter to the program.
     pub fn deliver(&mut self, network: &mut Network) {
         while let Some((time, frame)) = network.receive(self.adapter) {
             let milliseconds = self.has_timestamps.then_some(time.as_ms());
@@ -138,7 +138,7 @@ impl Client {
         self.write(answer.unwrap_or_else(|| slcan::REFUSED.to_vec()));
     }
 
-    /// Returns the answer, or `None` for what is not possible now.
+    /// Carries out a command and returns the answer; `None` if it is not possible now.
     fn carry_out(&mut self, command: Command, network: &mut Network) -> Option<Vec<u8>> {
         let adapter = network.adapter_mut(self.adapter);
         match command {
@@ -181,7 +181,8 @@ impl Client {
         Some(vec![slcan::END])
     }
 
-    /// A program that has gone misses it; that it has gone comes as an [`Input`].
+    /// Sends a line to the program. If it has disconnected, the line is lost; the disconnection arrives as an
+    /// [`Input`].
     fn write(&mut self, line: Vec<u8>) {
         let _ = self.output.send(line);
     }

@@ -1,4 +1,4 @@
-//! The boards' flash in files: what is stored in one run is there in the next.
+//! The boards' flash in files, which keep the stored settings from run to run.
 
 use std::{
     fs, io,
@@ -11,15 +11,15 @@ use lss_slave::Settings;
 
 use crate::boards;
 
-/// The files, or nothing where none are wanted.
+/// The flash files, if they are wanted.
 pub struct Memory {
     directory: Option<PathBuf>,
-    /// Of each board, how many flash operations are in its file.
+    /// The number of flash operations of each board when its file was saved.
     saved: Vec<Option<u64>>,
 }
 
 impl Memory {
-    /// Files in `directory`, which is made if it is missing.
+    /// Opens the files in `directory`, which is created if it is missing.
     pub fn open(directory: Option<&Path>) -> anyhow::Result<Self> {
         if let Some(directory) = directory {
             fs::create_dir_all(directory)
@@ -28,8 +28,8 @@ impl Memory {
         Ok(Self { directory: directory.map(Path::to_owned), saved: Vec::new() })
     }
 
-    /// Fills the flash of a board that has not run yet: from its file, with the program of today over it; where
-    /// nothing is stored then, with `preset`.
+    /// Fills the flash of a board that has not run yet: from its file, with the current program written over it;
+    /// without stored settings, with `preset`.
     pub fn restore(
         &mut self,
         board: &mut Board,
@@ -43,7 +43,7 @@ impl Memory {
                 Ok(bytes) => {
                     ensure!(
                         bytes.len() == flash.len(),
-                        "{} has {} bytes instead of {}: it is no flash of this chip; move it away",
+                        "{} has {} bytes instead of {}: it is not a flash file of this chip; move it away",
                         path.display(),
                         bytes.len(),
                         flash.len()
@@ -89,7 +89,7 @@ impl Memory {
     }
 }
 
-/// Writes a file so that whenever we are stopped either the old or the new content is there, whole.
+/// Replaces a file such that an interruption leaves either the old or the new content, complete.
 fn replace(path: &Path, content: &[u8]) -> io::Result<()> {
     let new = path.with_extension("bin.new");
     fs::write(&new, content)?;
@@ -113,7 +113,7 @@ mod tests {
         Settings::new(BitRate::Kbit250.into()).with_node_id(NodeId::new(id))
     }
 
-    /// A run of a board with the program `image`, which does nothing; what is in its flash.
+    /// Runs a board with the program `image`, which does nothing; returns the content of its flash.
     fn run(directory: Option<&Path>, image: &Image, preset: Option<Settings>) -> Vec<u8> {
         let mut memory = Memory::open(directory).expect("the directory can be made");
         let mut board = boards::board(PART, image, 0);
@@ -126,7 +126,7 @@ mod tests {
 
     fn new_directory(name: &str) -> PathBuf {
         let directory = std::env::temp_dir().join(format!("{name}-{}", std::process::id()));
-        // It is there only if an earlier test was stopped.
+        // It exists only if an earlier test was stopped.
         let _ = fs::remove_dir_all(&directory);
         directory
     }

@@ -1,13 +1,13 @@
-//! Virtual time in step with real time, for as long as the computer can keep up.
+//! Keeps virtual time in step with real time, as long as the computer can keep up.
 
 use std::time::{Duration, Instant};
 
 use emulator::Time;
 
-/// The emulation may be late by this much before it gives up catching up.
+/// The lag at which the emulation stops catching up.
 const PATIENCE: Duration = Duration::from_millis(250);
 
-/// Tells how far virtual time should have come.
+/// Computes the target of virtual time.
 pub struct Pace {
     /// Virtual time at `since`.
     origin: Time,
@@ -16,19 +16,19 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Virtual time is `now` at this instant, and runs on with real time.
+    /// Starts at virtual time `now`, which from here on runs with real time.
     pub fn new(now: Time) -> Self {
         Self { origin: now, since: Instant::now(), has_complained: false }
     }
 
-    /// The virtual time to run to, where it has come to `now`.
+    /// The virtual time to run to, given that it is `now`.
     pub fn due(&mut self, now: Time) -> Time {
         let due = self.origin + span(self.since.elapsed());
         if due.saturating_sub(now) <= span(PATIENCE) {
             return due;
         }
         if !self.has_complained {
-            eprintln!("the emulation cannot keep up with real time and goes on slower");
+            eprintln!("the emulation cannot keep up with real time and continues more slowly");
             self.has_complained = true;
         }
         self.origin = now;
@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn time_that_was_lost_is_not_caught_up() {
+    fn lost_time_is_not_caught_up() {
         let mut pace = Pace::new(Time::ZERO);
         pace.since -= Duration::from_secs(10);
         assert_eq!(pace.due(Time::from_ms(100)), Time::from_ms(100));

@@ -1,8 +1,8 @@
-//! The SLCAN protocol of serial CAN adapters (LAWICEL CANUSB): lines of ASCII to and from what they ask and tell.
+//! The SLCAN protocol of serial CAN adapters (LAWICEL CANUSB): commands and answers as lines of ASCII.
 
 use emulator::can::{Frame, Id};
 
-/// Ends a command, and an answer that says yes.
+/// The end of a command, and of a positive answer.
 pub const END: u8 = b'\r';
 /// The answer to a command that is unknown or cannot be carried out now.
 pub const REFUSED: &[u8] = b"\x07";
@@ -10,13 +10,13 @@ pub const REFUSED: &[u8] = b"\x07";
 /// The bit rates of `S0`..`S8`, in bit/s.
 const BIT_RATES: [u32; 9] =
     [10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];
-/// Timestamps count milliseconds up to here and start again at zero.
+/// Timestamps count milliseconds and wrap to zero at this value.
 const TIMESTAMP_RANGE: u64 = 60_000;
 
-/// A command of the program at the other end.
+/// A command of the connected program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// An empty line: some programs begin with a few, to end whatever was sent before.
+    /// An empty line: some programs start with a few, to end any earlier line.
     Nothing,
     /// `S`: the bit rate, in bit/s.
     BitRate(u32),
@@ -52,7 +52,7 @@ pub struct Status {
 }
 
 impl Command {
-    /// Reads a line, without the carriage return; `None` if it is no command.
+    /// Parses a line, without the carriage return; `None` if it is not a command.
     pub fn parse(line: &[u8]) -> Option<Self> {
         let line = str::from_utf8(line).ok().filter(|line| line.is_ascii())?;
         let Some(command) = line.chars().next() else {
@@ -85,13 +85,13 @@ impl Command {
     }
 }
 
-/// A number of exactly so many hexadecimal digits.
+/// Parses a number of exactly `count` hexadecimal digits.
 fn hex(digits: &str, count: usize) -> Option<u32> {
     let is_hex = digits.len() == count && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
     is_hex.then(|| u32::from_str_radix(digits, 16).ok()).flatten()
 }
 
-/// A frame from its data length code and data.
+/// Parses a frame from its data length code and data.
 fn frame(id: Id, is_remote: bool, rest: &str) -> Option<Frame> {
     let (dlc, digits) = rest.split_at_checked(1)?;
     let dlc = hex(dlc, 1).filter(|dlc| *dlc <= 8)? as u8;
@@ -108,7 +108,7 @@ fn frame(id: Id, is_remote: bool, rest: &str) -> Option<Frame> {
     Some(Frame::data(id, &data[..usize::from(dlc)]))
 }
 
-/// The line that tells of a received frame, its end included; `milliseconds` is the time of reception if it is wanted.
+/// The line for a received frame, including its end; `milliseconds` is the time of reception if timestamps are on.
 pub fn received(frame: &Frame, milliseconds: Option<u64>) -> String {
     let (command, id) = match (frame.id, frame.remote) {
         (Id::Standard(id), false) => ('t', format!("{id:03X}")),
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_data_length_code_above_eight_is_told_as_eight() {
+    fn a_data_length_code_above_eight_is_reported_as_eight() {
         let frame = Frame::data(STANDARD, &[0; 8]).with_dlc(15);
         assert_eq!(received(&frame, None), "t7E580000000000000000\r");
     }

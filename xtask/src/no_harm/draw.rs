@@ -1,4 +1,4 @@
-//! Random situations: what they are about, who is on the bus, and what happens when.
+//! Random situations: their kind, the stations on the bus, and the events.
 
 use emulator::network::Short;
 use lss_slave::BitRate;
@@ -9,7 +9,8 @@ use super::{
 };
 use testkit::random::Random;
 
-/// Slow rates, at which a frame takes up to 13 ms, are rare; so are the fast ones, at which errors keep the emulated cores busy.
+/// Slow rates, at which a frame takes up to 13 ms, are rare; so are fast rates, at which errors keep the emulated cores
+/// busy.
 const RATES: [BitRate; 16] = [
     BitRate::Kbit1000,
     BitRate::Kbit800,
@@ -31,7 +32,7 @@ const RATES: [BitRate; 16] = [
 /// Node-IDs of the boards, by number.
 const NODE_IDS: [u8; 8] = [1, 2, 3, 40, 5, 64, 100, 127];
 
-/// A situation on its way.
+/// A situation under construction.
 struct Draft {
     random: Random,
     home: BitRate,
@@ -42,7 +43,7 @@ struct Draft {
 /// The situation of this seed.
 pub fn situation(seed: u64) -> Situation {
     let mut random = Random::from_seed(seed);
-    // Of eight boards at 10 kbit/s one would hear little else than the questions to the others.
+    // Of eight boards at 10 kbit/s each would receive little but the questions to the others.
     let home = random.pick(&RATES);
     let most = if home.kbit_per_s() < 125 { 3 } else { 8 };
     let many = random.within(4..9) as usize;
@@ -64,8 +65,8 @@ pub fn situation(seed: u64) -> Situation {
         Kind::PowerCut => draft.power_cut(),
         Kind::Mixture => draft.mixture(),
     };
-    // Boards that a foreign device has led to its rate hear one another there. What they hear is what a network with a silent
-    // master sounds like: nothing tells them to leave.
+    // Boards that a foreign device has led to its rate receive each other there. To them it looks like a network with a
+    // silent master: they have no reason to leave.
     let is_foreign = |event: &Event| matches!(event.what, What::Foreign(_));
     let may_stay = draft.boards.len() > 1 && draft.events.iter().any(is_foreign);
     let probe = Probe { listens: probe.listens && !may_stay, ..probe };
@@ -74,7 +75,7 @@ pub fn situation(seed: u64) -> Situation {
 }
 
 impl Draft {
-    /// 15, and a master that is at the new rate only some time later.
+    /// A switch with 15, which the master follows late.
     fn late_master(&mut self) -> Probe {
         let begin = self.span(100, 500);
         self.master_at(0, self.home);
@@ -93,7 +94,7 @@ impl Draft {
         self.probe(t0 + delay_ms + 1 + late, to)
     }
 
-    /// A foreign device from power-on or from later on.
+    /// A foreign device, from power-on or later.
     fn laptop(&mut self) -> Probe {
         self.any_master_at(0, self.home);
         let begin = if self.random.one_in(2) { 0 } else { self.span(50, 1_000) };
@@ -102,7 +103,7 @@ impl Draft {
         self.probe(end + wait, self.home)
     }
 
-    /// Shorts, broken wires, noise and bit errors, one after the other or at once.
+    /// Shorts, broken wires, noise and bit errors, in sequence or at once.
     fn line_fault(&mut self) -> Probe {
         self.any_master_at(0, self.home);
         let mut end = self.span(0, 800);
@@ -113,7 +114,7 @@ impl Draft {
         self.probe(end, self.home)
     }
 
-    /// A switch that some boards miss, or all: the master alone goes to another rate.
+    /// A switch that some or all boards miss: in the latter case the master alone goes to another rate.
     fn missed_switch(&mut self) -> Probe {
         self.master_at(0, self.home);
         let begin = self.span(200, 1_000);
@@ -143,7 +144,7 @@ impl Draft {
         self.probe(away + wait, to)
     }
 
-    /// Some boards have another rate stored than the bus has.
+    /// Boards with a stored rate that is not the bus's.
     fn wrong_rate(&mut self) -> Probe {
         let count = self.boards.len();
         let wrong = self.random.within(0..count as u64) as usize;
@@ -160,7 +161,7 @@ impl Draft {
         self.probe(end, self.home)
     }
 
-    /// Boards lose their power, perhaps after a switch that was not stored.
+    /// Power cuts, some after a switch that was not stored.
     fn power_cut(&mut self) -> Probe {
         self.master_at(0, self.home);
         let mut at = self.span(100, 1_000);
@@ -184,10 +185,10 @@ impl Draft {
         self.probe(end + wait, rate)
     }
 
-    /// Anything, and a switch in the midst of it.
+    /// A mixture of events, with a switch among them.
     fn mixture(&mut self) -> Probe {
         self.any_master_at(0, self.home);
-        // A board that is found would obey a switch that the plain slave does not hear.
+        // A rescued board would obey a switch that the plain slave does not receive.
         let is_wrong = self.random.one_in(4);
         if is_wrong {
             let board = self.random.within(0..self.boards.len() as u64) as usize;
@@ -232,7 +233,7 @@ impl Draft {
         self.random.within(u64::from(from)..u64::from(to.max(from + 1))) as u32
     }
 
-    /// From the end of what disturbs to the probe.
+    /// The time from the end of the disturbance to the probe.
     fn wait(&mut self) -> u32 {
         if self.random.one_in(2) { 0 } else { self.span(1, 1_000) }
     }
@@ -252,7 +253,7 @@ impl Draft {
         Probe { at, rate, listens }
     }
 
-    /// A switch of all boards that hear it; returns about when its delays begin.
+    /// A switch of all boards that receive it; returns the approximate start of its delays.
     fn switch(&mut self, at: u32, to: BitRate) -> u32 {
         let delay_ms = self.random.pick(&[0, 1, 10, 50, 100, 100, 500, 1000]);
         let is_stored = self.random.one_in(3);
@@ -276,7 +277,7 @@ impl Draft {
         self.events.iter().rev().find_map(switch).unwrap_or_default()
     }
 
-    /// The master is there, and takes part.
+    /// A master that takes part.
     fn master_at(&mut self, at: u32, rate: BitRate) {
         let master =
             if self.random.one_in(2) { Master::Idle(rate) } else { self.talking_master(rate) };
@@ -288,7 +289,7 @@ impl Draft {
         if self.random.one_in(2) { Master::Syncs(rate, every) } else { Master::Polls(rate, every) }
     }
 
-    /// The master is there, listens or is away.
+    /// A master that takes part, listens or is absent.
     fn any_master_at(&mut self, at: u32, rate: BitRate) {
         match self.random.within(0..4) {
             0 => self.add(at, at, What::Master(Master::Away)),
@@ -297,7 +298,7 @@ impl Draft {
         }
     }
 
-    /// A foreign device at another rate than `rate`; returns when it is gone.
+    /// A foreign device at another rate than `rate`; returns the time at which it leaves.
     fn foreign(&mut self, at: u32, rate: BitRate) -> u32 {
         let others = BitRate::ALL.map(|rate| u32::from(rate.kbit_per_s()) * 1000);
         let others = others.into_iter().chain([333_000, 83_000]);
@@ -314,7 +315,7 @@ impl Draft {
         until
     }
 
-    /// Something wrong with the line or the supply; returns when it is over.
+    /// A fault of the line or the supply; returns its end.
     fn fault(&mut self, at: u32) -> u32 {
         let board = self.random.within(0..self.boards.len() as u64) as usize;
         let span =

@@ -1,4 +1,4 @@
-//! What is asked of a run: no board is reached later than the plain slave, and one that is lost is found.
+//! The requirements on a run: no board is reached later than the plain slave, and every lost board is found.
 
 use std::fmt;
 
@@ -10,53 +10,53 @@ use super::{
 };
 use testkit::image_rig::bit_per_s;
 
-/// How much later than the plain slave a board may be reached, unless [`LATE_FRAMES`] take longer.
+/// The allowed delay against the plain slave, unless [`LATE_FRAMES`] take longer.
 const LATE: Time = Time::from_ms(100);
 const LATE_FRAMES: u64 = 25;
-/// The same on a contested bus, where a board at another rate disturbs. When it does so no longer is partly chance; it is error passive
-/// the sooner, the more the others send. After bus-off the plain slave goes on at once, ours withholds its frames.
+/// The same on a contested bus, where a board at another rate disturbs until it is error passive. That comes sooner the
+/// more the others send: after bus-off the plain slave continues at once, while the product withholds its frames.
 const LATE_IF_CONTESTED: Time = Time::from_ms(500);
-/// A foreign device may keep a board away for so long after it has left. A master that only listens shows nothing of itself: the
-/// board's next heartbeat, up to a second later, first has to find no acknowledge for a second.
+/// The time for which a foreign device may keep a board away after it has left. A master that only listens sends
+/// nothing: the board's next heartbeat, up to a second later, must first go without an acknowledge for a second.
 const AFTER_DEPARTURE: Time = Time::from_s(1);
 const AFTER_DEPARTURE_UNHEARD: Time = Time::from_s(2);
-/// For so long a board that was commanded to switch looks for no other rate.
+/// The time for which a board looks for no other rate after a commanded switch.
 const TRUST: Time = Time::from_s(30);
-/// A board that is lost is found so long after the first evidence.
+/// The time from the first evidence until a lost board is found.
 const FOUND: Time = Time::from_s(10);
-/// One that had the evidence before the probe began is found at the first questions.
+/// The same for a board that had the evidence before the probe began.
 const AT_ONCE: Time = Time::from_s(1);
-/// A plain slave that is not reached in this time counts as lost.
+/// The time after which an unreached plain slave counts as lost.
 const PATIENCE: Time = Time::from_s(3);
 
-/// Both images.
+/// The images of the product and of the plain slave.
 pub struct Images {
     pub part: Part,
     pub product: Image,
     pub plain: Image,
 }
 
-/// What both runs of a situation show.
+/// The result of both runs of a situation.
 #[derive(Default)]
 pub struct Verdict {
-    /// Those that were not found come last.
+    /// The failures, with boards that were not found last.
     pub failures: Vec<Failure>,
-    /// Boards that the plain slave shows to be lost, and that were found.
+    /// The number of boards that were found and that the plain slave shows to be lost.
     pub rescued: usize,
-    /// By how much later than the plain slave a board was reached at most.
+    /// The greatest delay of a board against the plain slave.
     pub worst_delay: Time,
-    /// What the boards with the product's image logged.
+    /// The log of the boards with the product's image.
     pub log: Vec<String>,
 }
 
-/// What must not be.
+/// A violated requirement.
 #[derive(Clone, Debug)]
 pub enum Failure {
-    /// The plain slave is reached after this span, ours after that or not in time.
+    /// The plain slave is reached after this time, the product later or not in time.
     Worse { board: usize, plain: Time, ours: Option<Time>, limit: Time },
-    /// The plain slave is lost, and ours was not found in time.
+    /// The plain slave is lost, and the product was not found in time.
     NotFound { board: usize, ours: Option<Time>, limit: Time },
-    /// What no program may do.
+    /// An access or reset that no program may cause.
     Offence(String),
 }
 
@@ -124,7 +124,7 @@ impl Images {
             })
             .collect();
         let wanted: Vec<bool> = limits.iter().map(Option::is_some).collect();
-        // Somewhat longer, to say when a late one comes.
+        // Somewhat longer, to report when a late board is reached.
         let limit = limits.iter().flatten().max().map_or(Time::ZERO, |limit| *limit + LATE * 10);
         let seen = ours.probe(&wanted, limit);
 
@@ -153,11 +153,11 @@ impl Images {
     }
 }
 
-/// When a board must have been reached that a plain slave is reached as after `plain`.
+/// The deadline for a board whose plain slave is reached after `plain`.
 fn latest(situation: &Situation, homes: &[u32], plain: Time) -> Time {
     let frame =
         Time::from_ps(FRAME_BITS * 1_000_000_000_000 / u64::from(bit_per_s(situation.probe.rate)));
-    // At slow rates a round of questions and answers takes longer than from one poll to the next.
+    // At slow rates a round of questions and answers takes longer than the polling interval.
     let round = (frame * (2 * situation.boards.len() as u64)).saturating_sub(POLL);
     let late = if is_contested(situation, homes) { LATE_IF_CONTESTED } else { LATE };
     let allowance = late.max(frame * LATE_FRAMES) + round;
@@ -168,7 +168,7 @@ fn latest(situation: &Situation, homes: &[u32], plain: Time) -> Time {
     plain.max(after_departure) + allowance
 }
 
-/// When a lost board must have been found that has switched at this instant.
+/// The deadline for a lost board that switched at this instant.
 fn latest_rescue(situation: &Situation, switched: Option<Time>) -> Time {
     let probe = ms(situation.probe.at);
     let trusted = switched.map_or(Time::ZERO, |switched| switched + TRUST);
@@ -176,8 +176,8 @@ fn latest_rescue(situation: &Situation, switched: Option<Time>) -> Time {
     (evidence + FOUND).max(probe + AT_ONCE) - probe
 }
 
-/// Whether a board has another rate than that of the probe, and hears no valid frame there: nobody else is at its rate, or
-/// none of those who are sends by itself.
+/// Whether a board has another rate than the probe and receives no valid frame there: no other board has its rate, or
+/// none of those sends unasked.
 fn is_lost_alone(situation: &Situation, homes: &[u32], board: usize) -> bool {
     let rate = bit_per_s(situation.probe.rate);
     let home = homes[board];

@@ -1,4 +1,4 @@
-//! One run of a situation with one image: the boards live through its events, then the master looks for them.
+//! One run of a situation with one image: the boards go through its events, then the master looks for them.
 
 use emulator::{
     Time,
@@ -19,17 +19,17 @@ use testkit::{
 
 use crate::boards;
 
-/// How often a board that is looked for is asked.
+/// The interval between questions to a board that is looked for.
 pub const POLL: Time = Time::from_ms(20);
-/// Crystals differ by so many ppm from board to board.
+/// The boards' crystal deviations in ppm.
 const PPM: [i32; 8] = [0, 30, -40, 15, -25, 50, -10, 5];
-/// From `04 01` to `15`, in milliseconds.
+/// The time from `04 01` to `15`, in milliseconds.
 pub const SWITCH_LEAD_MS: u32 = 100;
-/// Frames that a foreign device sends at once, unless it sends one a second; so many more may wait.
+/// The number of frames that a foreign device sends at once, unless it sends one a second; as many more may wait.
 const BURST: usize = 4;
-/// Events of the trace that are kept, if boards without a node-ID are to be told from one another.
+/// The number of trace events that are kept if boards without a node-ID have to be distinguished.
 const TRACE: usize = 1_000;
-/// A long frame with its intermission, in bits.
+/// The length of a long frame with its intermission, in bits.
 pub const FRAME_BITS: u64 = 130;
 
 /// The bus and its stations at an instant.
@@ -38,9 +38,9 @@ pub struct Life<'a> {
     network: Network,
     master: AdapterId,
     mode: Master,
-    /// Those of each event, if it is a foreign device.
+    /// For each event, its adapters if it is a foreign device.
     foreign: Vec<Vec<AdapterId>>,
-    /// What is sent again and again, and when next.
+    /// The repeated senders, and the time of their next frame.
     talkers: Vec<(Talker, Time)>,
     random: Random,
     /// The end of the silent time of the last switch that each board took part in, since its last power-on.
@@ -53,20 +53,20 @@ enum Talker {
     Foreign { event: usize, every: Time },
 }
 
-/// What is done at an instant.
+/// An action at an instant.
 enum Step {
     Begin(usize),
     End(usize),
     Send(&'static str, u8),
     Activate(u16),
-    /// Looks who has switched, to which rate.
+    /// Records which boards have switched to the rate.
     Switched(BitRate),
 }
 
-/// What became of a board from the begin of the probe on.
+/// The fate of a board from the start of the probe on.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
-    /// The span until its first answer, heartbeat or emergency message.
+    /// The time until its first answer or heartbeat.
     pub reached: Option<Time>,
     /// The span until its first answer or heartbeat.
     pub answered: Option<Time>,
@@ -82,7 +82,7 @@ impl Seen {
 }
 
 impl<'a> Life<'a> {
-    /// Lets everybody live up to the probe.
+    /// Runs a situation up to the probe.
     pub fn up_to_the_probe(situation: &'a Situation, image: &Image, part: Part) -> Self {
         let mut network = Network::new();
         let is_unconfigured = |node: &Node| node.node_id.is_none();
@@ -217,7 +217,7 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// Changes what the master does; one that stays at its rate does not leave the bus for it.
+    /// Changes the master's role; if it stays at its rate, it does not leave the bus for this.
     fn set_master(&mut self, master: Master) {
         let listens = |master| matches!(master, Master::Listens(_));
         let adapter = self.network.adapter_mut(self.master);
@@ -283,7 +283,7 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// Has the master ask all boards that are missing.
+    /// Makes the master ask all missing boards.
     fn ask(&mut self, is_missing: &[bool]) {
         let missing = self.situation.boards.iter().zip(is_missing).filter(|(_, missing)| **missing);
         let node_ids: Vec<_> = missing.map(|(node, _)| node.node_id).collect();
@@ -297,7 +297,7 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// Has the master look for the boards until it has found all that are `wanted`, at most for the span `limit`.
+    /// Makes the master look for the boards until it has found all that are `wanted`, for at most `limit`.
     pub fn probe(&mut self, wanted: &[bool], limit: Time) -> Vec<Seen> {
         let begin = self.network.now();
         let probe = self.situation.probe;
@@ -330,10 +330,10 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// The boards that the master has heard since `since`, when, and whether by an emergency message.
+    /// The boards that the master has received since `since`, with the times, and whether by an emergency message.
     fn heard(&mut self, since: Time) -> Vec<(usize, Time, bool)> {
         const EMERGENCY: u16 = 0x080;
-        // A node that is alone and error passive reports that before all else.
+        // A node that is alone and error passive reports this first.
         let cob_ids: &[u16] =
             if self.situation.probe.listens { &[0x700, EMERGENCY] } else { &[0x580] };
         let mut heard = Vec::new();
@@ -373,7 +373,7 @@ impl<'a> Life<'a> {
         self.switched[board]
     }
 
-    /// What no program may do, and resets that nobody asked for.
+    /// Accesses that no program may make, and resets that were not requested.
     pub fn offences(&self) -> Vec<String> {
         let mut offences = Vec::new();
         for (number, board) in self.network.boards().iter().enumerate() {
@@ -390,7 +390,7 @@ impl<'a> Life<'a> {
         offences
     }
 
-    /// What the boards logged, in lines.
+    /// The boards' logs, in lines.
     pub fn log(&self) -> impl Iterator<Item = String> {
         self.network.boards().iter().enumerate().flat_map(|(number, board)| {
             let line = move |line: &board::LogLine| {
@@ -401,7 +401,7 @@ impl<'a> Life<'a> {
     }
 }
 
-/// From one burst of a foreign device to the next.
+/// The interval between bursts of a foreign device.
 fn pause(foreign: Foreign) -> Time {
     let frames = FRAME_BITS * BURST as u64;
     let burst = Time::from_ps(frames * 1_000_000_000_000 / u64::from(foreign.bit_per_s));

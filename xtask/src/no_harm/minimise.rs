@@ -1,12 +1,12 @@
-//! The least of a situation that still fails: fewer events, fewer boards, shorter times.
+//! Minimises a failing situation: fewer events, fewer boards, shorter times.
 
 use std::time::{Duration, Instant};
 
 use super::situation::{Master, Node, Situation, What};
 
-/// How long it is tried.
+/// The time limit.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Times are cut down by so many milliseconds at once.
+/// The milliseconds by which times are cut down in one step.
 const CUTS: [u32; 4] = [5_000, 1_000, 200, 50];
 
 /// Makes a failing situation smaller as long as it `fails`.
@@ -24,7 +24,7 @@ pub fn minimise(mut situation: Situation, fails: impl Fn(&Situation) -> bool) ->
     }
 }
 
-/// The situations that are one step smaller, those that lack most first.
+/// The situations that are one step smaller, the smallest first.
 fn candidates(situation: &Situation) -> Vec<Situation> {
     let mut candidates = Vec::new();
     let mut add = |change: &dyn Fn(&mut Situation)| {
@@ -65,7 +65,7 @@ fn candidates(situation: &Situation) -> Vec<Situation> {
     candidates
 }
 
-/// Without a board, and what happens to it.
+/// Removes a board and its events.
 fn remove_board(situation: &mut Situation, removed: usize) {
     situation.boards.remove(removed);
     situation.events.retain_mut(|event| match &mut event.what {
@@ -78,7 +78,7 @@ fn remove_board(situation: &mut Situation, removed: usize) {
     });
 }
 
-/// An event ends earlier, and all that begins or ends after it as well.
+/// Ends an event earlier, and moves forward all that begins or ends after it.
 fn shorten(situation: &mut Situation, event: usize, cut: u32) {
     let shortened = situation.events[event];
     if shortened.until <= shortened.at + cut {
@@ -87,7 +87,7 @@ fn shorten(situation: &mut Situation, event: usize, cut: u32) {
     pull(situation, shortened.until, cut);
 }
 
-/// An event, or after the last the probe, comes earlier after the one before, and all that follows as well.
+/// Moves an event, or after the last one the probe, closer to the one before, with all that follows.
 fn move_earlier(situation: &mut Situation, event: usize, cut: u32) {
     let before = |at: u32| {
         let ends = situation.events.iter().flat_map(|event| [event.at, event.until]);
@@ -99,7 +99,7 @@ fn move_earlier(situation: &mut Situation, event: usize, cut: u32) {
     }
 }
 
-/// Brings all that is at `from` or later forward by `cut`.
+/// Moves all times from `from` on forward by `cut`.
 fn pull(situation: &mut Situation, from: u32, cut: u32) {
     let earlier = |at: &mut u32| {
         if *at >= from {

@@ -1,4 +1,4 @@
-//! The plain slave: the firmware with its bit-rate supervision switched off, built beside the product and without a trace in it.
+//! The plain slave: the firmware without bit-rate supervision, built apart from the product, which it does not change.
 
 use std::{
     ffi::OsString,
@@ -10,9 +10,9 @@ use anyhow::{Context, bail};
 use emulator::{chip::Part, image::Image};
 use toml::{Table, Value};
 
-/// What the firmware is built from, and the manifest.
+/// The sources of the firmware, besides the manifest.
 const SOURCES: [&str; 5] = ["Cargo.lock", "build.rs", "memory.x", "src", "lss-slave"];
-/// The line that is changed, and where.
+/// The changed line, before and after.
 const SWITCH: (&str, &str) = ("pub const RESCUE: bool = true;", "pub const RESCUE: bool = false;");
 const SWITCH_FILE: &str = "src/device.rs";
 
@@ -53,7 +53,7 @@ fn without_rescue(device: &str) -> anyhow::Result<String> {
     }
 }
 
-/// Makes a file or a folder a copy of another, but for the file that is written otherwise.
+/// Mirrors a file or a folder, except for the file with the changed line.
 fn mirror(from: &Path, to: &Path) -> anyhow::Result<()> {
     if from.is_dir() {
         for name in names(from)? {
@@ -84,7 +84,7 @@ fn read(path: &Path) -> anyhow::Result<String> {
     fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// Writes a file unless it has that content, so that nothing is built again without need.
+/// Writes a file unless it has that content already, to avoid unnecessary builds.
 fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     if fs::read(path).is_ok_and(|present| present == content) {
         return Ok(());

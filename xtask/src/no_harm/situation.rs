@@ -1,17 +1,17 @@
-//! A situation: boards and a master on one bus, and what happens there, as a list of timed events that reads as text.
+//! A situation: boards and a master on one bus, with a list of timed events that can be printed as text.
 
 use std::fmt;
 
 use emulator::{Time, network::Short};
 use lss_slave::BitRate;
 
-/// Boards, events and the instant from which on the boards are looked for.
+/// Boards, events and the time at which the master starts to look for the boards.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Situation {
-    /// What it is mostly about.
+    /// The main subject.
     pub kind: Kind,
     pub boards: Vec<Node>,
-    /// In order of their begin.
+    /// The events in order of their start.
     pub events: Vec<Event>,
     pub probe: Probe,
 }
@@ -53,7 +53,7 @@ impl fmt::Display for Kind {
     }
 }
 
-/// What a board has stored; its number in the list is that of its unique id.
+/// The settings stored in a board; its number in the list is that of its unique id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Node {
     pub node_id: Option<u8>,
@@ -61,21 +61,21 @@ pub struct Node {
     pub heartbeat_ms: u16,
 }
 
-/// What happens, from when and until when in milliseconds since power-on.
+/// An event, with its start and end in milliseconds since power-on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Event {
     pub at: u32,
-    /// The same as `at` for what has no end.
+    /// The end; equal to `at` for an event without one.
     pub until: u32,
     pub what: What,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum What {
-    /// What the master does from now on.
+    /// The master's role from now on.
     Master(Master),
-    /// The master, which is to be at the boards' rate, sends `04 01`, 20 ms later `13`, 20 ms later perhaps `17`, and
-    /// 100 ms after the first of them `15`. It stays at its rate.
+    /// The master, which must be at the boards' rate, sends `04 01`, 20 ms later `13`, 20 ms later optionally `17`, and
+    /// `15` 100 ms after the first. It stays at its rate.
     Switch {
         to: BitRate,
         delay_ms: u16,
@@ -83,16 +83,16 @@ pub enum What {
     },
     NoPower(usize),
     BrokenWire(usize),
-    /// The master's own wire.
+    /// The master's own wire is broken.
     BrokenWireOfMaster,
     Short(Short),
-    /// Pulses of so many nanoseconds at random instants.
+    /// Pulses of a number of nanoseconds at random instants.
     Noise {
         seed: u64,
         mean_interval_us: u32,
         length_ns: u32,
     },
-    /// One sample of the board is wrong.
+    /// A board samples one bit wrongly.
     BitError(usize),
     Foreign(Foreign),
 }
@@ -103,9 +103,9 @@ pub enum Master {
     Listens(BitRate),
     /// Acknowledges and sends nothing.
     Idle(BitRate),
-    /// Sends SYNC every so many milliseconds.
+    /// Sends SYNC at intervals in milliseconds.
     Syncs(BitRate, u32),
-    /// Asks all boards every so many milliseconds.
+    /// Asks all boards at intervals in milliseconds.
     Polls(BitRate, u32),
 }
 
@@ -121,12 +121,12 @@ impl Master {
     }
 }
 
-/// A device that is none of the network, such as a laptop's adapter.
+/// A device that does not belong to the network, such as a laptop's adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Foreign {
     pub bit_per_s: u32,
     pub traffic: Traffic,
-    /// A second adapter at its rate acknowledges.
+    /// Whether a second adapter at its rate acknowledges.
     pub has_companion: bool,
 }
 
@@ -134,23 +134,23 @@ pub struct Foreign {
 pub enum Traffic {
     OneASecond,
     WithoutPause,
-    /// So many percent of the bus.
+    /// A percentage of the bus.
     Load(u8),
 }
 
-/// How the boards are looked for.
+/// The master's search for the boards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Probe {
-    /// In milliseconds.
+    /// The start in milliseconds.
     pub at: u32,
     pub rate: BitRate,
-    /// The master only listens, and a board's heartbeat counts; else it asks each every 20 ms.
+    /// Whether the master only listens for heartbeats; otherwise it asks each board every 20 ms.
     pub listens: bool,
 }
 
 impl Situation {
-    /// When the last foreign device leaves, in milliseconds. A master at another rate than that of the probe is one, unless it
-    /// has commanded a switch, which is trusted until the power fails.
+    /// The time at which the last foreign device leaves, in milliseconds. A master at another rate than the probe's
+    /// counts as one, unless it has commanded a switch, which is trusted until the power fails.
     pub fn last_departure(&self) -> Option<u32> {
         let is_of_trust =
             |event: &&Event| matches!(event.what, What::Switch { .. } | What::NoPower(_));
@@ -171,7 +171,7 @@ impl Situation {
         departures.max()
     }
 
-    /// Since when the master sends at the rate of the probe and nothing else is in the way, in milliseconds.
+    /// The time from which the master sends at the probe's rate without disturbance, in milliseconds.
     pub fn evidence_at(&self) -> u32 {
         let last_end = |event: &Event| match event.what {
             What::Master(_) => None,

@@ -1,5 +1,5 @@
-//! Power cuts in the release image on an emulated board: in every flash operation of a commissioning by LSS, in every pause
-//! between two of them, and at any instant.
+//! Power cuts in the release image on an emulated board: in every flash operation of a commissioning by LSS, in every
+//! pause between two of them, and at any instant.
 
 use std::{iter, ops::Range};
 
@@ -23,33 +23,33 @@ use testkit::{flash::BoardFlash, random::Random};
 
 use crate::boards;
 
-/// What the image has on a blank board: `DEFAULTS` of the firmware's `device.rs`.
+/// The bit rate of the image on a blank board: `DEFAULTS` of the firmware's `device.rs`.
 const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
-/// The settings' place in the flash, as `memory.x` has it.
+/// The settings' place in the flash, as in `memory.x`.
 const SETTINGS_OFFSET: u32 = 0x4000;
-/// A board has joined the bus so long after power-on, even if its flash has to be erased first.
+/// The time from power-on until a board has joined the bus, even if its flash has to be erased first.
 const BOOT: Time = Time::from_ms(600);
-/// How long an answer is waited for; a store takes 1 ms.
+/// The time-out for an answer; a store takes 1 ms.
 const PATIENCE: Time = Time::from_ms(20);
-/// Stores after which the next power-on moves to the other half of the flash.
+/// The number of stores after which the next power-on moves to the other half of the flash.
 const STORES_TO_MOVE: u16 = 384;
-/// What an LSS master stores, one after the other.
+/// The settings that an LSS master stores, one after the other.
 const COMMISSIONINGS: [(u8, BitRate); 2] = [(5, BitRate::Kbit500), (6, BitRate::Kbit250)];
-/// What it stores after the cuts.
+/// The settings that it stores after the cuts.
 const LAST_COMMISSIONING: (u8, BitRate) = (7, BitRate::Kbit1000);
-/// Requests with which the time of the answer is measured.
+/// The number of requests whose answer time is measured.
 const MEASUREMENTS: u8 = 40;
-/// Frames behind each of them: 5 ms at 1 Mbit/s.
+/// The number of frames behind each of them: 5 ms at 1 Mbit/s.
 const FULL_BUS_FRAMES: usize = 40;
 
-/// What is in the flash before the session.
+/// The content of the flash before the session.
 #[derive(Clone, Copy)]
 pub enum Session {
     Blank,
     Moving,
 }
 
-/// When the power is cut.
+/// The time of a power cut.
 #[derive(Clone, Copy, Debug)]
 pub enum Cut {
     /// In the middle of a flash operation.
@@ -58,7 +58,7 @@ pub enum Cut {
     At(Time),
 }
 
-/// The session without a cut: when its flash operations ran, and when it ended.
+/// The session without a cut: the times of its flash operations, and its end.
 pub struct Course {
     operations: Vec<Range<Time>>,
     end: Time,
@@ -79,14 +79,14 @@ impl Course {
         pauses.map(|(from, to)| Cut::At(instant(from..to, random))).collect()
     }
 
-    /// So many cuts at any instants.
+    /// A number of cuts at random instants.
     pub fn at_instants(&self, count: usize, random: &mut Random) -> Vec<Cut> {
         (0..count).map(|_| Cut::At(instant(Time::ZERO..self.end, random))).collect()
     }
 }
 
 fn instant(range: Range<Time>, random: &mut Random) -> Time {
-    // Not at its very beginning, where what ends there may be unfinished by a cycle.
+    // Not at the very start of a range, where the operation before it may be unfinished by a cycle.
     Time::from_ps(random.within(range.start.as_ps() + 10_000..range.end.as_ps()))
 }
 
@@ -97,12 +97,12 @@ struct Bench {
 }
 
 fn settings((node_id, bit_rate): (u8, BitRate)) -> Settings {
-    // The heartbeat time of a blank board is stored with what LSS sets.
+    // The heartbeat time of a blank board is stored together with the LSS settings.
     Settings::new(bit_rate.into()).with_node_id(NodeId::new(node_id)).with_heartbeat_ms(1000)
 }
 
 impl Session {
-    /// Those that are tried.
+    /// The starting contents that are tried.
     pub const ALL: [Self; 2] = [Self::Blank, Self::Moving];
 
     pub const fn name(self) -> &'static str {
@@ -112,7 +112,7 @@ impl Session {
         }
     }
 
-    /// The content of the settings' flash, and what it means.
+    /// The content of the settings' flash, and its meaning.
     fn begin(self) -> (Vec<u8>, Expected) {
         let flash = BoardFlash::blank(0);
         if matches!(self, Self::Blank) {
@@ -136,8 +136,8 @@ impl Session {
         Ok(Course { operations, end: bench.network.now() })
     }
 
-    /// Cuts the power of as many sessions as there are `cuts`; each may be followed by sessions with a second cut in every
-    /// flash operation, if `twice`.
+    /// Runs a session for each of `cuts`; if `twice`, each is followed by sessions with a second cut in every flash
+    /// operation.
     pub fn run(
         self,
         part: Part,
@@ -198,7 +198,7 @@ fn session(
     Ok(bench)
 }
 
-/// Power is back: the board is reachable with settings that are possible, and can be commissioned.
+/// Checks after power returns: the board is reachable with legal settings, and can be commissioned.
 fn check(part: Part, image: &Image, content: &[u8], mut expected: Expected) -> anyhow::Result<()> {
     let Expected { known, attempted } = expected;
     let mut bench = Bench::new(part, image, content);
@@ -243,7 +243,7 @@ impl Bench {
         self.network.board(0).flash()[from..from + 0x8000].to_vec()
     }
 
-    /// Waits until the board is on the bus, and goes to its bit rate; `false` if the power fails before.
+    /// Waits until the board is on the bus, and changes to its bit rate; `false` if the power fails before.
     fn boot(&mut self) -> anyhow::Result<bool> {
         while self.network.now() < BOOT {
             self.network.run_for(Time::from_ms(1));
@@ -260,7 +260,7 @@ impl Bench {
                 return Ok(true);
             }
         }
-        bail!("the board does not come to the bus")
+        bail!("the board does not join the bus")
     }
 
     /// The first bit rate that the board set.
@@ -273,7 +273,7 @@ impl Bench {
         known.context("the board is at no bit rate of CiA 301")
     }
 
-    /// The settings that the board shows on the bus; `None`: the defaults. Leaves it in LSS configuration state.
+    /// The settings as the board reports them on the bus; `None`: the defaults. Leaves it in LSS configuration state.
     fn found(&mut self) -> anyhow::Result<Option<Settings>> {
         let rate = self.bit_rate()?;
         self.request(Request::SwitchToConfiguration);
@@ -284,7 +284,7 @@ impl Bench {
         })
     }
 
-    /// Power-on and all commissionings; an error too if the power fails.
+    /// Power-on and all commissionings. A power failure is an error.
     fn commission_all(&mut self, expected: &mut Expected) -> anyhow::Result<()> {
         ensure!(self.boot()?, "no power");
         let found = self.found()?;
@@ -332,8 +332,8 @@ fn bit_per_s(bit_rate: BitRate) -> u32 {
     u32::from(bit_rate.kbit_per_s()) * 1000
 }
 
-/// The longest time from the end of a store request to the end of its answer: the flash is as slow as the data sheet
-/// allows, and the bus full of frames that the node has to look at and that let its answer pass.
+/// The longest time from the end of a store request to the end of its answer. The flash is as slow as the data sheet
+/// allows, and the bus is full of frames that the node must examine and that have a lower priority than its answer.
 pub fn worst_answer_time(part: Part, image: &Image) -> anyhow::Result<Time> {
     let flash = BoardFlash::blank(0);
     let (mut log, _) = Log::open(flash.clone());
@@ -342,7 +342,7 @@ pub fn worst_answer_time(part: Part, image: &Image) -> anyhow::Result<Time> {
     ensure!(bench.boot()?, "no power");
     bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
     bench.request(Request::SwitchToConfiguration);
-    // An answer as it seems, on the COB-ID of requests: of lower priority than answers, looked at and ignored.
+    // It looks like an answer, with the COB-ID of requests: of lower priority than answers, examined and ignored.
     let ignored = Frame::data(Id::Standard(REQUEST_COB_ID), &[0x44; 8]);
     for number in 1..=MEASUREMENTS {
         bench.request(Request::ConfigureNodeId(number));

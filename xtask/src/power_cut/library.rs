@@ -1,4 +1,5 @@
-//! Power cuts in the settings log over a flash in memory: all short histories, one or two cuts in any of their steps.
+//! Power cuts in the settings log on a flash in memory: all short histories, with one or two cuts in any of their
+//! steps.
 
 use std::fmt;
 
@@ -13,23 +14,23 @@ use testkit::{
     random::Random,
 };
 
-/// What a life stores at most; a bank of four records is full then.
+/// The greatest number of stores in a life, which fills a bank of four records.
 const STORES: usize = 3;
 
-/// All histories of so many lives, in a flash of two banks of so many records, that is blank or full of garbage first.
+/// All histories with a number of lives, in a flash of two banks of a number of records, initially blank or garbage.
 pub struct Histories {
     lives: usize,
     records: usize,
     garbage: bool,
 }
 
-/// A device between two lives: what its flash holds, and what it must find there.
+/// A device between two lives: the content of its flash, and the settings that it must find there.
 struct Device {
     content: Vec<u8>,
     expected: Expected,
     /// The number of the next settings to store.
     next: u8,
-    /// What it went through, in words.
+    /// A description of its history.
     history: Vec<String>,
 }
 
@@ -41,14 +42,14 @@ impl fmt::Display for Histories {
     }
 }
 
-/// Settings that differ for each `number`.
+/// Different settings for each `number`.
 fn settings(number: u8) -> Settings {
     Settings::new(BitRate::ALL[usize::from(number % 8)].into())
         .with_node_id(NodeId::new(number % 128))
         .with_heartbeat_ms(number.into())
 }
 
-/// One life: power-on and so many stores, until the power fails. Returns what was lost, if anything.
+/// One life: power-on and a number of stores, until the power fails. Returns a description of any loss.
 fn live<const W: usize, const E: usize>(
     flash: &Flash<W, E>,
     expected: &mut Expected,
@@ -75,7 +76,7 @@ fn live<const W: usize, const E: usize>(
         match log.store(settings(next - 1)) {
             Ok(()) => expected.acknowledge(),
             Err(_) if !flash.is_powered() => break,
-            // Full until the next power-on.
+            // The bank is full until the next power-on.
             Err(_) => expected.attempted = None,
         }
     }
@@ -83,7 +84,7 @@ fn live<const W: usize, const E: usize>(
 }
 
 impl Histories {
-    /// Those that are tried.
+    /// The histories that are tried.
     pub fn all(long: bool) -> Vec<Self> {
         let lives = if long { 6 } else { 4 };
         vec![
@@ -94,7 +95,7 @@ impl Histories {
         ]
     }
 
-    /// Goes through all of them.
+    /// Runs all histories.
     pub fn run(&self, random: &mut Random) -> Tally {
         match self.records {
             2 => self.run_in::<64>(random),
@@ -114,7 +115,7 @@ impl Histories {
 }
 
 impl Device {
-    /// All that can happen in so many lives with at most so many cuts, and a power-on after them.
+    /// Runs every continuation with this number of lives and at most this number of cuts, and a final power-on.
     fn go_on<const E: usize>(
         &self,
         lives: usize,
@@ -173,11 +174,11 @@ impl Device {
     }
 }
 
-/// How many stores there are to an erase of the board's flash, if the power is cycled after each.
+/// The number of stores between two erases of the board's flash, with a power cycle after each store.
 pub fn stores_an_erase() -> u64 {
     let flash = BoardFlash::blank(0);
     let mut stores = 0;
-    // The first erase formats, each of the next two comes when a bank is three quarters full.
+    // The first erase formats; each of the next two comes when a bank is three quarters full.
     while flash.erases() < 3 {
         let (mut log, _) = Log::open(flash.clone());
         log.store(settings((stores % 100) as u8 + 1)).expect("an open makes room");

@@ -1,4 +1,4 @@
-//! The readings: how a chip may differ from the emulated board's default.
+//! The readings: possible differences of a chip from the emulated board's default.
 
 use emulator::{
     Time,
@@ -7,13 +7,13 @@ use emulator::{
     chip::{Readings as Chip, Timing},
 };
 
-/// A reading, and the board on which it holds.
+/// A reading, as the settings of a board.
 pub struct Reading {
     pub name: &'static str,
     pub settings: Settings,
 }
 
-/// All of them, after the default.
+/// All readings, after the default.
 pub fn readings() -> Vec<Reading> {
     let lock =
         |every, frame| Can { transmit_lock: Some(TransmitLock { every, frame }), ..Can::default() };
@@ -47,7 +47,7 @@ pub fn readings() -> Vec<Reading> {
         ("no fault below RAM", Chip { no_fault_below_ram: true, ..usual }),
         ("core twice as slow", Chip { slowdown: 2, ..usual }),
         ("core three times as slow", Chip { slowdown: 3, ..usual }),
-        ("words whose programming was cut flip", Chip { cut_words_flip: true, ..usual }),
+        ("cut words read differently each time", Chip { cut_words_flip: true, ..usual }),
         ("LSI at 17 kHz", Chip { lsi_hz: 17_000, ..usual }),
         ("LSI at 47 kHz", Chip { lsi_hz: 47_000, ..usual }),
         ("crystal starts in 0.1 ms", Chip { hse_start: Time::from_us(100), ..usual }),

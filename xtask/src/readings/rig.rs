@@ -1,4 +1,4 @@
-//! Boards of one reading and an LSS master on one bus, which answer with an error where a test would panic.
+//! Boards of one reading and an LSS master on one bus, with errors where a test would panic.
 
 use anyhow::{Context, bail, ensure};
 use emulator::{
@@ -18,33 +18,33 @@ use testkit::{
 
 use crate::boards;
 
-/// How long an answer may take, beside two frames.
+/// The time allowed for an answer, besides two frames.
 const PATIENCE: Time = Time::from_ms(5);
-/// More bits than a request and its answer have.
+/// An upper limit for the bits of a request and its answer.
 const EXCHANGE_BITS: u64 = 300;
-/// How long a node may need to come to the bus, or to another rate.
+/// The time that a node may need to join the bus, or to change to another rate.
 pub const AWAY: Time = Time::from_s(3);
-/// From one question to a node that may be away to the next.
+/// The interval between questions to a node that may be away.
 const POLL: Time = Time::from_ms(20);
 
-/// What boards are made of.
+/// The parts of a board.
 pub struct Rig<'a> {
     pub image: &'a Image,
     pub part: Part,
     pub settings: board::Settings,
 }
 
-/// Boards and a master.
+/// Boards and a master on one bus.
 pub struct Bus {
     pub network: Network,
     pub master: AdapterId,
     rate: BitRate,
-    /// Resets that were asked for, power-ons included, of each board.
+    /// The expected resets of each board, including power-ons.
     pub resets: Vec<Vec<ResetCause>>,
 }
 
 impl Rig<'_> {
-    /// The board of this number, with these settings stored or none.
+    /// The board with this number, with the given settings stored or none.
     pub fn board(&self, number: usize, stored: Option<Settings>) -> Board {
         let settings = board::Settings { unique_id: boards::unique_id(number), ..self.settings };
         let mut board = Board::new(self.part, self.image, settings);
@@ -54,7 +54,7 @@ impl Rig<'_> {
         board
     }
 
-    /// These boards, just switched on, and the master at `rate`.
+    /// A bus with these boards, just switched on, and the master at `rate`.
     pub fn bus(&self, rate: BitRate, boards: impl IntoIterator<Item = Board>) -> Bus {
         let mut network = Network::new();
         network.record(Recording::Off);
@@ -64,14 +64,14 @@ impl Rig<'_> {
     }
 }
 
-/// A request of the LSS master, or an answer: the missing bytes are 0.
+/// A request of the LSS master, or an answer; missing bytes are 0.
 pub fn lss(cob_id: u16, text: &str) -> Frame {
     let mut bytes = frames::bytes(text);
     bytes.resize(8, 0);
     Frame::data(Id::Standard(cob_id), &bytes)
 }
 
-/// A frame that text names in full, such as `704: 00`.
+/// A frame given as complete text, such as `704: 00`.
 fn named(text: &str) -> Frame {
     match text.split_once(": ") {
         None => lss(0x7E4, text),
@@ -96,7 +96,7 @@ impl Bus {
         self.network.run_for(Time::from_ms(span));
     }
 
-    /// The first LSS answer, or none in time.
+    /// The first LSS answer, or `None` after the time-out.
     fn answer(&mut self, request: &str) -> Option<Frame> {
         while self.network.receive(self.master).is_some() {}
         self.send(request);
@@ -117,7 +117,7 @@ impl Bus {
         self.answer(request).is_some()
     }
 
-    /// Sends a request that is to be answered so.
+    /// Sends a request and checks its answer.
     pub fn ask(&mut self, request: &str, expected: &str) -> anyhow::Result<()> {
         match self.answer(request) {
             Some(frame) => {
@@ -134,7 +134,7 @@ impl Bus {
         Ok(u32::from_le_bytes(*frame.data[1..].first_chunk().expect("eight bytes")))
     }
 
-    /// Sends a request every 20 ms until it is answered so; returns how long it took.
+    /// Sends a request every 20 ms until the answer is as expected; returns the time taken.
     pub fn reach(&mut self, request: &str, expected: &str, limit: Time) -> anyhow::Result<Time> {
         let begin = self.network.now();
         while self.network.now() < begin + limit {
@@ -152,7 +152,7 @@ impl Bus {
         bail!("{request}: not answered in {} ms", limit.as_ms())
     }
 
-    /// Waits for a frame that a node sends by itself.
+    /// Waits for a frame that a node sends unasked.
     pub fn hear(&mut self, expected: &str, limit: Time) -> anyhow::Result<()> {
         let until = self.network.now() + limit;
         loop {
@@ -160,7 +160,7 @@ impl Bus {
             match self.network.run_until_received(self.master, left) {
                 Some((_, frame)) if frame == named(expected) => return Ok(()),
                 Some(_) => {}
-                None => bail!("{expected} does not come in {} ms", limit.as_ms()),
+                None => bail!("{expected} is not received in {} ms", limit.as_ms()),
             }
         }
     }
@@ -170,13 +170,13 @@ impl Bus {
         self.network.adapter_mut(self.master).set_bit_rate(bit_per_s(rate));
     }
 
-    /// Gives a board its supply back.
+    /// Switches a board's supply on.
     pub fn power_on(&mut self, board: usize) {
         self.network.power_on(board);
         self.resets[board].push(ResetCause::PowerOn);
     }
 
-    /// The end: no board did what a chip would not have forgiven, or was reset without need.
+    /// Final check: no board made an access that a real chip does not tolerate, or was reset unexpectedly.
     pub fn check(&self) -> anyhow::Result<()> {
         for (number, (board, expected)) in
             self.network.boards().iter().zip(&self.resets).enumerate()

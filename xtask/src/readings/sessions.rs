@@ -1,4 +1,4 @@
-//! The sessions: what the image must be able to do on every chip.
+//! The sessions that the image must pass on every chip.
 
 use anyhow::{bail, ensure};
 use emulator::{
@@ -13,15 +13,15 @@ use testkit::{frames::number, image_rig::bit_per_s};
 
 use crate::boards;
 
-/// A rescue, and a detection on a bus with a frame a second.
+/// The time for a rescue, and for a detection on a bus with a frame a second.
 const SEARCH: Time = Time::from_s(10);
-/// After a foreign node has left.
+/// The time for a recovery after a foreign node has left.
 const RECOVERY: Time = Time::from_s(5);
 
 const OTHER_RATES: [BitRate; 4] =
     [BitRate::Kbit1000, BitRate::Kbit10, BitRate::Kbit800, BitRate::Kbit250];
 
-/// From 17 to its answer.
+/// The time from 17 to its answer.
 const STORE: Time = Time::from_ms(20);
 
 type Session = fn(&Rig) -> anyhow::Result<()>;
@@ -52,7 +52,7 @@ fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>, heartbeat_ms: u16)
         .with_heartbeat_ms(heartbeat_ms)
 }
 
-/// A node with a node-ID boots up and sends heartbeats, one without answers.
+/// A node with a node-ID boots up and sends heartbeats, also without answers.
 fn boot(rig: &Rig) -> anyhow::Result<()> {
     let stored = settings(0x40, BitRate::Kbit1000, 100);
     let mut bus = rig.bus(BitRate::Kbit1000, [rig.board(0, Some(stored))]);
@@ -107,7 +107,7 @@ fn fastscan(bus: &mut Bus) -> anyhow::Result<[u32; 4]> {
     Ok(address)
 }
 
-/// Two nodes are taken from rate to rate and answer there.
+/// Two nodes are switched from rate to rate and answer at each.
 fn switch(rig: &Rig, rates: &[BitRate], delay_ms: u8) -> anyhow::Result<()> {
     let nodes = [1, 2].map(|id| rig.board(id, Some(settings(id as u8, BitRate::Kbit125, 100))));
     let mut bus = rig.bus(BitRate::Kbit125, nodes);
@@ -129,7 +129,7 @@ fn switch(rig: &Rig, rates: &[BitRate], delay_ms: u8) -> anyhow::Result<()> {
     bus.check()
 }
 
-/// Detection at nine tenths of load.
+/// Detection at 90 % load.
 fn detect_under_load(rig: &Rig) -> anyhow::Result<()> {
     for rate in [BitRate::Kbit500, BitRate::Kbit50] {
         detect_at(rig, rate, 122 * 10 / 9)?;
@@ -145,7 +145,7 @@ fn detect(rig: &Rig) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A node that is to detect the rate comes onto a bus where two others exchange a frame every so many bits.
+/// A node that detects the rate joins a bus where two others exchange a frame every `every_bits` bits.
 fn detect_at(rig: &Rig, rate: BitRate, every_bits: u64) -> anyhow::Result<()> {
     let board = rig.board(0, Some(settings(5, BitRateSetting::Automatic, 0)));
     let mut bus = rig.bus(rate, [board]);
@@ -167,7 +167,7 @@ fn detect_at(rig: &Rig, rate: BitRate, every_bits: u64) -> anyhow::Result<()> {
     bail!("{} kbit/s is not detected", rate.kbit_per_s())
 }
 
-/// A foreign node makes a node bus-off; it is back soon after that has left.
+/// A foreign node drives a node bus-off; the node recovers soon after the other has left.
 fn bus_off(rig: &Rig) -> anyhow::Result<()> {
     let mut bus =
         rig.bus(BitRate::Kbit500, [rig.board(0, Some(settings(5, BitRate::Kbit500, 20)))]);
@@ -198,7 +198,7 @@ fn reset(rig: &Rig) -> anyhow::Result<()> {
     bus.check()
 }
 
-/// A node with another rate stored comes to the master and a third one that talks.
+/// A node with another stored rate joins the bus of the master and a third node that sends.
 fn rescue(rig: &Rig) -> anyhow::Result<()> {
     let rates = [BitRate::Kbit125, BitRate::Kbit500];
     let boards =
@@ -209,7 +209,7 @@ fn rescue(rig: &Rig) -> anyhow::Result<()> {
     bus.check()
 }
 
-/// The power fails in each flash operation of a store; the next power-on finds what was there before or after.
+/// The power fails in each flash operation of a store; the next power-on finds the settings from before or after.
 fn cut_power(rig: &Rig) -> anyhow::Result<()> {
     const SEEDS: u64 = 2;
     let old = settings(4, BitRate::Kbit500, 0);
@@ -232,7 +232,7 @@ fn cut_power(rig: &Rig) -> anyhow::Result<()> {
                 ensure!(operation > 0, "no flash operation in a store");
                 return bus.check();
             }
-            // Twice: what was read once must be read again.
+            // Twice: settings found once must be found again.
             let mut node_ids = Vec::new();
             for _ in 0..2 {
                 bus.network.power_off(0);

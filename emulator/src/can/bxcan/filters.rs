@@ -36,7 +36,7 @@ impl Default for Filters {
     }
 }
 
-/// The identifier as RIR shows it and a 32-bit filter compares it: STID or EXID, IDE, RTR.
+/// The identifier as it appears in RIR and in a 32-bit filter: STID or EXID, IDE, RTR.
 pub fn identifier_word(frame: &Frame) -> u32 {
     let remote = u32::from(frame.remote) << 1;
     match frame.id {
@@ -45,7 +45,7 @@ pub fn identifier_word(frame: &Frame) -> u32 {
     }
 }
 
-/// The identifier as a 16-bit filter compares it: STID, RTR, IDE and the top three bits of EXID.
+/// The identifier as it appears in a 16-bit filter: STID, RTR, IDE and the top three bits of EXID.
 fn identifier_half(frame: &Frame) -> u32 {
     let word = identifier_word(frame);
     word >> 21 << 5 | (word >> 1 & 1) << 4 | (word >> 2 & 1) << 3 | word >> 18 & 0b111
@@ -68,9 +68,8 @@ impl Filters {
         })
     }
 
-    /// Writes the register at `offset` from FMR; mode, scale and assignment only while FINIT is
-    /// set, a bank only while FINIT is set or the bank is inactive. Returns whether there is such a
-    /// register and such bits.
+    /// Writes the register at `offset` from FMR. Mode, scale and assignment change only while FINIT is set, a bank only
+    /// while FINIT is set or the bank is inactive. Returns whether the register and the bits exist.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         let initializing = self.fmr & FMR_FINIT != 0;
         let register = match offset {
@@ -100,10 +99,10 @@ impl Filters {
         value & !BANK_BITS == 0
     }
 
-    /// The filter match index in the FIFO that takes `frame`; FINIT drops the frame.
+    /// For each FIFO, the filter match index if it accepts `frame`; FINIT drops the frame.
     ///
-    /// Of several matches the wider scale wins, then list over mask mode, then the lower number;
-    /// with `both` that is so for each FIFO by itself.
+    /// Of several matches the wider scale wins, then list over mask mode, then the lower number. With `both` this holds
+    /// for each FIFO separately.
     pub fn accept(&self, frame: &Frame, both: bool) -> [Option<u8>; 2] {
         if self.fmr & FMR_FINIT != 0 {
             return [None; 2];
@@ -129,7 +128,7 @@ impl Filters {
         })
     }
 
-    /// How many filters the bank has, and which of them is the first to match.
+    /// The number of filters in the bank, and the first that matches.
     fn matches(&self, bank: usize, wide: bool, list: bool, frame: &Frame) -> (u8, Option<u8>) {
         let [first, second] = self.banks[bank];
         let halves = |word: u32| [word & 0xFFFF, word >> 16];
@@ -140,7 +139,7 @@ impl Filters {
         let position = |mut filters: std::slice::Iter<'_, (u32, u32)>| {
             filters.position(|&filter| masked(filter))
         };
-        // Bit 0 of a 32-bit filter stands for nothing; all other bits of a list entry must agree.
+        // Bit 0 of a 32-bit filter has no meaning; all other bits of a list entry must agree.
         const ALL: u32 = !1;
         const HALF: u32 = 0xFFFF;
         let (filters, found) = match (wide, list) {

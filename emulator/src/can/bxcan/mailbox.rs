@@ -19,12 +19,12 @@ const CODE_SHIFT: u32 = 24;
 const TME_SHIFT: u32 = 26;
 const LOW_SHIFT: u32 = 29;
 
-/// Why a transmission failed.
+/// The reason why a transmission failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
-    /// Another frame had priority.
+    /// Another frame won the arbitration.
     Arbitration,
-    /// An error was found.
+    /// An error was detected.
     Error,
 }
 
@@ -34,7 +34,7 @@ struct Mailbox {
     words: [u32; 4],
     /// RQCP, TXOK, ALST, TERR and ABRQ.
     status: u32,
-    /// When and as which request of all it was asked to transmit, while it is not empty.
+    /// The time and the running number of the transmit request, while the mailbox is not empty.
     request: Option<(Time, u64)>,
 }
 
@@ -65,13 +65,13 @@ impl Mailbox {
 pub struct Mailboxes {
     mailboxes: [Mailbox; 3],
     requests: u64,
-    /// The mailbox that the controller was given, and the one whose frame is under way.
+    /// The mailbox whose frame was offered to the controller, or is under way.
     scheduled: Option<usize>,
     sending: Option<usize>,
 }
 
 impl Mailboxes {
-    /// Whether a request is completed and not yet cleared.
+    /// Whether a request has completed and is not yet cleared.
     pub fn any_completed(&self) -> bool {
         self.mailboxes.iter().any(|mailbox| mailbox.status & RQCP != 0)
     }
@@ -82,8 +82,8 @@ impl Mailboxes {
         mailbox.words[word] | u32::from(word == 0 && mailbox.request.is_some())
     }
 
-    /// Writes TIR, TDTR, TDLR or TDHR of an empty mailbox; others are protected. Returns the frame
-    /// to send if TXRQ is set.
+    /// Writes TIR, TDTR, TDLR or TDHR of an empty mailbox; others are protected. Returns the frame to send if TXRQ is
+    /// set.
     pub fn write(&mut self, mailbox: usize, word: usize, value: u32, now: Time) -> Option<Frame> {
         let mailbox = &mut self.mailboxes[mailbox];
         if mailbox.request.is_some() {
@@ -119,8 +119,8 @@ impl Mailboxes {
         tsr | (free.or(lowest).unwrap_or(0) as u32) << CODE_SHIFT
     }
 
-    /// Writes TSR: clears status and asks for aborts. Returns the frames that were aborted at once;
-    /// a frame under way, or chosen to be so next, gets its end first.
+    /// Writes TSR: clears status and requests aborts. Returns the frames that were aborted at once; a frame that is
+    /// under way or chosen next is finished first.
     pub fn write_tsr(&mut self, value: u32, chosen: bool) -> [Option<Frame>; 3] {
         let spared = if chosen { self.scheduled } else { self.sending };
         let mut aborted = [None; 3];
@@ -144,7 +144,7 @@ impl Mailboxes {
         aborted
     }
 
-    /// Empties mailboxes whose abort had to wait for a start that did not come.
+    /// Empties mailboxes whose abort waited for a start of transmission that did not happen.
     pub fn finish_aborts(&mut self) {
         for (number, mailbox) in self.mailboxes.iter_mut().enumerate() {
             if mailbox.status & ABRQ != 0 && self.sending != Some(number) {
@@ -153,19 +153,19 @@ impl Mailboxes {
         }
     }
 
-    /// Chooses the mailbox that is to be sent next: its frame and the time of its request.
+    /// Chooses the next mailbox to send: its frame and the time of its request.
     pub fn schedule(&mut self, chronological: bool) -> Option<(Frame, Time)> {
         self.scheduled = self.order(chronological).first().copied();
         let mailbox = &self.mailboxes[self.scheduled?];
         mailbox.request.map(|(since, _)| (mailbox.frame(), since))
     }
 
-    /// The scheduled frame is under way.
+    /// Notes that the scheduled frame is under way.
     pub fn started(&mut self) {
         self.sending = self.scheduled;
     }
 
-    /// The frame under way was sent; `stamp` is its time stamp, if there are any.
+    /// Notes that the frame under way was sent; `stamp` is its time stamp, if time stamps are on.
     pub fn transmitted(&mut self, stamp: Option<u16>) {
         if let Some(sent) = self.sending.take() {
             let mailbox = &mut self.mailboxes[sent];
@@ -177,8 +177,7 @@ impl Mailboxes {
         }
     }
 
-    /// The frame under way was not sent; its mailbox is empty now if it is one-shot or to be
-    /// aborted.
+    /// Notes that the frame under way was not sent. Its mailbox becomes empty if it is one-shot or to be aborted.
     pub fn failed(&mut self, failure: Failure, one_shot: bool) {
         if let Some(failed) = self.sending.take() {
             let mailbox = &mut self.mailboxes[failed];
@@ -190,8 +189,8 @@ impl Mailboxes {
         }
     }
 
-    /// Numbers of the mailboxes that are not empty, highest priority first: by identifier, then by
-    /// number, or by order of request.
+    /// Numbers of the mailboxes that are not empty, highest priority first: by identifier and then number, or by order
+    /// of request.
     fn order(&self, chronological: bool) -> Vec<usize> {
         let mut order: Vec<usize> =
             (0..3).filter(|&number| self.mailboxes[number].request.is_some()).collect();

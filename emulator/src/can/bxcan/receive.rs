@@ -22,15 +22,15 @@ type Message = [u32; 4];
 #[derive(Debug, Default)]
 pub struct Fifo {
     messages: VecDeque<Message>,
-    /// What the output mailbox shows while the FIFO is empty.
+    /// The content of the output mailbox while the FIFO is empty.
     released: Message,
     /// FULL and FOVR.
     flags: u32,
 }
 
 impl Fifo {
-    /// Stores a frame with the index of the filter that let it in and its time stamp. When full, a
-    /// locked FIFO drops the new frame, another its newest.
+    /// Stores a frame with the index of the filter that accepted it and its time stamp. If the FIFO is full, the new
+    /// frame is dropped if it is locked, and replaces the newest otherwise.
     pub fn push(&mut self, frame: &Frame, filter_match: u8, stamp: u16, locked: bool) {
         let data = u64::from_le_bytes(frame.data);
         let message = [
@@ -57,13 +57,13 @@ impl Fifo {
         self.messages.len() as u32 | self.flags
     }
 
-    /// Forgets its messages, as a master reset does.
+    /// Discards its messages, as a master reset does.
     pub fn clear(&mut self) {
         self.messages.clear();
     }
 
-    /// Clears FULL and FOVR where 1 is written; RFOM releases the output mailbox, and FULL falls
-    /// with it, though the manual says that only software clears it (confidence 0.85).
+    /// Clears FULL and FOVR where 1 is written. RFOM releases the output mailbox and clears FULL, although the manual
+    /// says that only software clears it (confidence 0.85).
     pub fn write_rfr(&mut self, value: u32) {
         self.flags &= !(value & (FULL | FOVR));
         if value & RFOM != 0
@@ -79,7 +79,7 @@ impl Fifo {
         self.messages.front().unwrap_or(&self.released)[word]
     }
 
-    /// Level of the interrupt line with these enable bits.
+    /// The level of the interrupt line with these enable bits.
     pub fn irq(&self, enable: u32) -> bool {
         (enable & FMPIE != 0 && !self.messages.is_empty())
             || (enable & FFIE != 0 && self.flags & FULL != 0)

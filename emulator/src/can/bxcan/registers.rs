@@ -1,5 +1,4 @@
-//! Offsets, bits, fields and reset values of the control and status registers (RM0090 32.9.2 and
-//! 32.9.5).
+//! Offsets, bits, fields and reset values of the control and status registers (RM0090 32.9.2 and 32.9.5).
 
 use crate::can::{BitSegments, ErrorKind};
 
@@ -48,7 +47,7 @@ pub const ESR_EPVF: u32 = 1 << 1;
 pub const ESR_BOFF: u32 = 1 << 2;
 pub const ESR_LEC: u32 = 0b111 << 4;
 
-/// What ESR shows as TEC in bus-off.
+/// The value of TEC in ESR during bus-off.
 pub const BUS_OFF_TEC: u16 = 0xF8;
 
 pub const TDTR_TGT: u32 = 1 << 8;
@@ -56,12 +55,12 @@ pub const TDTR_TGT: u32 = 1 << 8;
 pub const BTR_RESET_VALUE: u32 = 0x0123_0000;
 pub const BTR_WRITABLE: u32 = 0xC37F_03FF;
 
-/// Mailbox and word of it at a distance from the first mailbox's first register.
+/// The mailbox, and the word in it, at a distance from the first mailbox's first register.
 pub fn place(distance: u32) -> (usize, usize) {
     ((distance / 16) as usize, (distance % 16 / 4) as usize)
 }
 
-/// The fields of BTR (RM0090 32.9.2), each one less than what it stands for.
+/// The bit segments of a BTR value (RM0090 32.9.2); each field is one less than its quantity.
 pub fn bit_timing(btr: u32) -> BitSegments {
     let field = |shift: u32, width: u32| (btr >> shift & ((1 << width) - 1)) + 1;
     BitSegments {

@@ -1,16 +1,16 @@
-//! What the peripheral does with what the bus tells it.
+//! The peripheral's reaction to events of the bus.
 
 use super::{Bxcan, Controller, Event, Failure, Frame, Station, registers::*};
 use crate::Time;
 
 impl Bxcan {
-    /// Whether a mailbox was chosen on an idle bus: it is sent next, whatever is asked for until
-    /// its SOF (RM0090, 32.7.1 and figure 342, as read with confidence 0.85).
+    /// Whether a mailbox was chosen on an idle bus. It is sent next, whatever is requested before its SOF (RM0090,
+    /// 32.7.1 and figure 342, as read with confidence 0.85).
     pub(super) fn has_chosen(&self) -> bool {
         self.controller.is_starting() && !self.oddities.readings.late_choice
     }
 
-    /// Gives the controller the mailbox whose turn is next.
+    /// Offers the next mailbox's frame to the controller.
     pub(super) fn offer(&mut self) {
         if self.has_chosen() {
             return;
@@ -37,15 +37,14 @@ impl Bxcan {
         }
     }
 
-    /// With TTCM: bit times from the start of normal mode to the sample point of the present SOF
-    /// (RM0090, 32.7.2).
+    /// With TTCM: bit times from the start of normal mode to the sample point of the current SOF (RM0090, 32.7.2).
     fn stamp(&self) -> Option<u16> {
         let passed = self.controller.start_of_frame_sample().saturating_sub(self.counts_from);
         let bit = self.controller.bit_time().as_ps();
         (self.mcr & MCR_TTCM != 0).then(|| (passed.as_ps() / bit) as u16)
     }
 
-    /// Raises ERRI for flags of ESR that rose and, if an error was found, for its code.
+    /// Raises ERRI for rising flags of ESR and, if an error was detected, for its code.
     pub(super) fn latch_errors(&mut self, error: bool) {
         let readings = self.oddities.readings;
         let flags = self.flags();

@@ -1,10 +1,10 @@
-//! When a controller acts: bit boundaries, sample points, and the edges that move them.
+//! The times of a controller's actions: bit boundaries, sample points, and the edges that move them.
 
 use super::{Controller, Decoder, Event, Phase};
 use crate::{Time, can::Level};
 
 impl Controller {
-    /// When it changes what it drives or samples next; `Time::MAX` while only an edge can move it.
+    /// The time of its next change of level or sample; `Time::MAX` if only an edge can cause one.
     pub(in crate::can) fn next_action(&self) -> Time {
         let bit = match self.phase {
             _ if self.next != self.driven => self.start,
@@ -15,7 +15,7 @@ impl Controller {
         bit.min(self.line.next_action())
     }
 
-    /// On an idle bus a controller needs no sample but one that is to be inverted.
+    /// On an idle bus a controller needs only those samples that are to be inverted.
     fn idle_sample(&self) -> Time {
         let Some(flip) = self.line.next_flip() else { return Time::MAX };
         let first = self.start + self.spans.sample;
@@ -23,18 +23,18 @@ impl Controller {
         first + self.spans.bit * late.div_ceil(self.spans.bit.as_ps())
     }
 
-    /// Whether its action at `now` is to change what it drives.
+    /// Whether its action at `now` is a change of the level that it drives.
     pub(in crate::can) fn drives_at(&self, now: Time) -> bool {
         self.next != self.driven && self.start <= now || self.line.next_action() <= now
     }
 
-    /// Tells the time and the level of the wire between actions.
+    /// Reports the time and the level of the wire between actions.
     pub(crate) fn settle(&mut self, now: Time, wire: Level) {
         self.now = now.max(self.now);
         self.wire = self.heard(wire);
     }
 
-    /// Looks at the wire after something was done to it or to the controller's line.
+    /// Checks the wire after a change of the wire or of the controller's line.
     pub(in crate::can) fn resume(&mut self, now: Time, wire: Level) {
         if wire == Level::Dominant && self.wire == Level::Recessive && !self.is_stopped() {
             self.falling_edge(now);
@@ -57,8 +57,8 @@ impl Controller {
         }
     }
 
-    /// Synchronises on a recessive to dominant edge of the wire, to the grid of its own quanta:
-    /// hard between frames, else by at most the jump width.
+    /// Synchronises on a recessive to dominant edge of the wire, in steps of its own quanta: hard between frames,
+    /// otherwise by at most the jump width.
     pub(in crate::can) fn falling_edge(&mut self, now: Time) {
         if !self.hears_wire() {
             return;
@@ -81,7 +81,7 @@ impl Controller {
         self.synchronised = true;
     }
 
-    /// In idle: has the offered frame start at the first own bit boundary that is not past.
+    /// On an idle bus, schedules the offered frame for the next bit boundary.
     pub(super) fn schedule(&mut self) {
         self.next = Level::Recessive;
         let Some((from, _)) = self.offered.filter(|_| self.may_transmit()) else { return };

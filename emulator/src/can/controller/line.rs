@@ -1,25 +1,25 @@
-//! The line between a controller and the wire, and what is wrong with it.
+//! The line between a controller and the wire, and its faults.
 
 use super::Controller;
 use crate::{Time, can::Level};
 
-/// Which of a controller's pins lead to its transceiver.
+/// The controller's pins that are connected to its transceiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pins {
-    /// What it drives reaches the wire.
+    /// The level that it drives reaches the wire.
     pub transmit: bool,
-    /// It hears the wire. Else it hears a dominant level: a doubtful reading, but nobody joins a
-    /// bus by a pin that is not there.
+    /// It receives the wire's level, otherwise a dominant level. That is a doubtful reading, but no station joins a bus
+    /// by a pin that is not connected.
     pub receive: bool,
 }
 
-/// How a controller is joined to the wire; no reset of the controller changes that.
+/// The connection between a controller and the wire; a reset of the controller does not change it.
 #[derive(Debug)]
 pub(super) struct Line {
     now: State,
-    /// What it will be, and from when on.
+    /// The next state, and the time of the change.
     next: Option<(Time, State)>,
-    /// The station is cut off: its transceiver returns what it drives itself, and nothing else.
+    /// The station is cut off: its transceiver returns only the level that it drives itself.
     cut: bool,
     /// The first sample at or after each of these instants is inverted.
     flips: Vec<Time>,
@@ -40,19 +40,19 @@ impl Default for Line {
 }
 
 impl Line {
-    /// When it changes.
+    /// The time of its next change.
     pub fn next_action(&self) -> Time {
         self.next.map_or(Time::MAX, |(at, _)| at)
     }
 
-    /// Changes if that is due.
+    /// Carries out a change that is due.
     pub fn act(&mut self, now: Time) {
         if let Some((_, next)) = self.next.take_if(|(at, _)| *at <= now) {
             self.now = next;
         }
     }
 
-    /// Plans a change; one that was planned before takes place now.
+    /// Plans a change; an earlier plan takes effect now.
     fn change(&mut self, from: Time, change: impl FnOnce(&mut State)) {
         self.act(Time::MAX);
         let mut next = self.now;
@@ -60,7 +60,7 @@ impl Line {
         self.next = Some((from, next));
     }
 
-    /// Ends what a reset of the controller ends.
+    /// Clears the state that a reset of the controller clears.
     pub fn reset(&mut self) {
         self.act(Time::MAX);
         self.now.locked = false;
@@ -71,7 +71,7 @@ impl Line {
         self.flips.iter().copied().min()
     }
 
-    /// Whether the sample at `now` is to be inverted; no later one is then.
+    /// Whether the sample at `now` is to be inverted, which it clears.
     fn take_flip(&mut self, now: Time) -> bool {
         let before = self.flips.len();
         self.flips.retain(|&at| at > now);
@@ -80,7 +80,7 @@ impl Line {
 }
 
 impl Controller {
-    /// Joins the controller's pins to its transceiver, or takes them away, from `from` on.
+    /// Connects the controller's pins to its transceiver, or disconnects them, from `from` on.
     pub fn connect(&mut self, pins: Pins, from: Time) {
         self.line.change(from, |line| line.pins = pins);
     }
@@ -90,7 +90,7 @@ impl Controller {
         self.line.change(from, |line| line.locked = true);
     }
 
-    /// Cuts the controller off from the wire, or joins it again.
+    /// Cuts the controller off from the wire, or connects it again.
     pub fn cut(&mut self, cut: bool) {
         self.line.cut = cut;
     }
@@ -100,7 +100,7 @@ impl Controller {
         self.line.flips.push(at);
     }
 
-    /// What the wire gets from this controller.
+    /// The level that the wire gets from this controller.
     pub(in crate::can) fn output(&self) -> Level {
         if self.line.cut { Level::Recessive } else { self.transmitted() }
     }
@@ -110,7 +110,7 @@ impl Controller {
         self.line.now.pins.receive && !self.line.cut
     }
 
-    /// What the controller's receive pin gets.
+    /// The level at the controller's receive pin.
     pub(super) fn heard(&self, wire: Level) -> Level {
         match &self.line {
             line if !line.now.pins.receive => Level::Dominant,
@@ -119,8 +119,8 @@ impl Controller {
         }
     }
 
-    /// Level at a sample point. In silent and in loopback mode the controller hears its own
-    /// dominant bits inside, as they do not reach the wire or do not count there.
+    /// The level at a sample point. In silent and in loopback mode the controller hears its own dominant bits
+    /// internally, as they do not reach the wire or do not count there.
     pub(super) fn take_sample(&mut self, now: Time, wire: Level) -> Level {
         let level = match self.driven {
             own if self.mode.loopback => own,
@@ -134,7 +134,7 @@ impl Controller {
         }
     }
 
-    /// What reaches the transceiver.
+    /// The level that reaches the transceiver.
     fn transmitted(&self) -> Level {
         match self.line.now {
             State { pins: Pins { transmit: false, .. }, .. } => Level::Recessive,

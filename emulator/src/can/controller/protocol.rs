@@ -1,4 +1,4 @@
-//! What a controller does at each sample point (ISO 11898-1, medium access control).
+//! A controller's reaction at each sample point (ISO 11898-1, medium access control).
 
 use super::{Controller, ErrorKind, Event, Transmission};
 use crate::{
@@ -10,16 +10,15 @@ use crate::{
     },
 };
 
-/// Recessive bits that let a controller take part, and that make one step of bus-off recovery.
+/// Recessive bits after which a controller takes part, and which make one step of bus-off recovery.
 const IDLE_BITS: u8 = 11;
 /// Steps of bus-off recovery.
 const RECOVERY_SEQUENCES: u8 = 128;
-/// Positions of the RTR bit, the last of the arbitration field, in the base and the extended
-/// format.
+/// Positions of the RTR bit, the last of the arbitration field, in the base and the extended format.
 const BASE_RTR: u8 = 12;
 const EXTENDED_RTR: u8 = 32;
 
-/// Where a controller is. Bits are counted from zero and name the bit that is sampled next.
+/// The controller's position in the protocol. Bits are counted from zero and name the bit that is sampled next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
     Stopped,
@@ -39,7 +38,7 @@ pub(super) enum Phase {
         flag: Flag,
         bits: u8,
     },
-    /// Its own flag is over, others may still send theirs.
+    /// Its own flag is over, others may still be sending theirs.
     FlagEnd {
         flag: Flag,
         dominant: u32,
@@ -68,7 +67,7 @@ pub(super) enum Flag {
 }
 
 impl Phase {
-    /// The way onto the bus.
+    /// The phase before taking part in the bus.
     pub fn joining(counters: ErrorCounters) -> Self {
         if counters.bus_off() {
             Self::Recovering { sequences: 0, recessive: 0 }
@@ -102,7 +101,7 @@ impl Phase {
 }
 
 impl Controller {
-    /// Whether nothing is under way that a stop would cut off.
+    /// Whether a stop would cut nothing off.
     pub(super) fn is_quiet(&self) -> bool {
         match self.phase {
             Phase::Idle => !self.synchronised,
@@ -168,7 +167,7 @@ impl Controller {
             Phase::Flag { flag: Flag::PassiveError, bits } => {
                 self.passive_flag_bit(if seen == previous { bits + 1 } else { 1 }, dominant);
             }
-            // In an own active error or overload flag.
+            // In the controller's own active error or overload flag.
             Phase::Flag { .. } if !dominant => self.fail(ErrorKind::BitDominant, 8),
             Phase::Flag { flag, bits } => self.flag_bit(flag, bits + 1),
             Phase::FlagEnd { flag, dominant: before } if dominant => {
@@ -198,7 +197,7 @@ impl Controller {
         }
     }
 
-    /// A dominant bit where a frame may begin: takes part with the offered frame, or receives.
+    /// Handles a dominant bit where a frame may begin: joins with the offered frame, or receives.
     fn start_of_frame(&mut self, began: Time, may_join: bool) {
         self.frame_start = began;
         self.phase = Phase::Frame;
@@ -271,12 +270,12 @@ impl Controller {
         }
     }
 
-    /// A dominant bit in a delimiter or in EOF.
+    /// Handles a dominant bit in a delimiter or in EOF.
     fn fixed_form_error(&mut self) {
         self.error(if self.transmitter { ErrorKind::BitRecessive } else { ErrorKind::Form });
     }
 
-    /// Counts an error and begins the error flag that the state before it asks for.
+    /// Counts an error and begins the error flag for the previous state.
     fn error(&mut self, kind: ErrorKind) {
         self.fail(kind, if self.transmitter { 8 } else { 1 });
     }
@@ -284,8 +283,7 @@ impl Controller {
     fn fail(&mut self, kind: ErrorKind, weight: u16) {
         let passive = self.counters.passive();
         self.unacknowledged = kind == ErrorKind::Acknowledgement && passive;
-        // A transmitter meets a stuff error only in arbitration, where its recessive stuff bit was
-        // overwritten.
+        // A transmitter sees a stuff error only in arbitration, where its recessive stuff bit was overwritten.
         let uncounted = self.unacknowledged || (self.transmitter && kind == ErrorKind::Stuff);
         if !uncounted {
             self.counters.raise(self.transmitter, weight);
@@ -316,7 +314,7 @@ impl Controller {
         }
     }
 
-    /// A passive flag ends after six equal bits, whoever made them.
+    /// A passive flag ends after six equal bits, no matter which station sends them.
     fn passive_flag_bit(&mut self, equal: u8, dominant: bool) {
         let flag = Flag::PassiveError;
         self.phase = match equal {
@@ -329,8 +327,7 @@ impl Controller {
         }
     }
 
-    /// Dominant bits that follow its own flag: the first blames a receiver, each eighth blames
-    /// anyone.
+    /// Counts dominant bits after its own flag: the first penalises a receiver, each eighth any station.
     fn held_dominant(&mut self, flag: Flag, count: u32) {
         self.phase = Phase::FlagEnd { flag, dominant: count };
         if (count == 1 && flag != Flag::Overload && !self.transmitter) || count.is_multiple_of(8) {

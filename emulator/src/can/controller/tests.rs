@@ -1,4 +1,4 @@
-//! A controller alone with a wire that does what a test says, bit by bit.
+//! A controller alone with a wire that a test drives bit by bit.
 
 use super::*;
 use crate::can::Id;
@@ -6,7 +6,7 @@ use crate::can::Id;
 const TIMING: BitSegments =
     BitSegments { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
-/// Steps a controller through bits; `0` is dominant, `1` recessive, blanks are for the reader.
+/// Steps a controller through bits: `0` is dominant, `1` recessive, spaces are ignored.
 struct Line {
     controller: Controller,
     now: Time,
@@ -15,7 +15,7 @@ struct Line {
 }
 
 impl Line {
-    /// Past its eleven recessive bits.
+    /// A controller that has seen its eleven recessive bits.
     fn idle() -> Self {
         let mut controller = Controller::new(Clock { hz: 32_000_000, ppm: 0 }, TIMING);
         controller.start(Time::ZERO);
@@ -32,7 +32,7 @@ impl Line {
         line
     }
 
-    /// Lets others drive the wire with `bits`, and returns what the controller drove meanwhile.
+    /// Lets other stations drive the wire with `bits`, and returns the bits that the controller drove meanwhile.
     fn bits(&mut self, bits: &str) -> String {
         bits.chars().filter(|bit| *bit != ' ').map(|bit| self.bit(bit == '0')).collect()
     }
@@ -57,7 +57,7 @@ impl Line {
         if own == Level::Dominant { '0' } else { '1' }
     }
 
-    /// Lets others send `frame` up to its CRC sequence.
+    /// Lets another station send `frame` up to its CRC sequence.
     fn stuffed(&mut self, frame: &Frame) {
         let stream = BitStream::new(frame);
         for index in 0..(frame.wire_bits() - 10) as u8 {
@@ -105,7 +105,7 @@ fn a_wrong_crc_is_not_acknowledged_and_flagged_after_the_ack_delimiter() {
     let mut line = Line::idle();
     let stream = BitStream::new(&frame());
     let length = (frame().wire_bits() - 10) as u8;
-    // Exchange two bits of the CRC sequence, so that the stuffing stays right.
+    // Exchange two bits of the CRC sequence, so that the stuffing remains valid.
     let wrong = (length - 8..length - 1)
         .find(|&at| {
             stream.level(at - 1) == stream.level(at + 1) && stream.level(at) != stream.level(at - 1)
@@ -189,11 +189,11 @@ fn a_dominant_third_bit_of_intermission_starts_a_frame() {
 }
 
 #[test]
-fn a_frame_that_waits_joins_a_start_of_frame_with_its_first_identifier_bit() {
+fn a_waiting_frame_joins_a_start_of_frame_with_its_first_identifier_bit() {
     let mut line = Line::offering(frame());
     let wire = line.bits("0 1111");
     assert_eq!(line.take(), [Event::Started]);
-    // 2AA is 01010101010: SOF came from the other.
+    // 2AA is 01010101010: SOF came from the other station.
     assert_eq!(&wire[..5], "00101");
 
     let mut line = Line::idle();
@@ -205,7 +205,7 @@ fn a_frame_that_waits_joins_a_start_of_frame_with_its_first_identifier_bit() {
 }
 
 #[test]
-fn an_overwritten_stuff_bit_in_arbitration_is_an_error_that_does_not_count() {
+fn an_overwritten_stuff_bit_in_arbitration_does_not_raise_the_counter() {
     // SOF and four dominant bits, then the recessive stuff bit.
     let mut line = Line::offering(Frame::data(Id::Standard(0x07F), &[]));
     assert_eq!(line.bits("11111 0"), "000001");
@@ -224,7 +224,7 @@ fn an_overwritten_bit_after_arbitration_is_a_bit_error() {
 }
 
 #[test]
-fn a_dominant_bit_in_an_error_delimiter_is_a_form_error_and_at_its_end_an_overload() {
+fn a_dominant_bit_in_an_error_delimiter_is_a_form_error_or_an_overload() {
     let mut line = Line::idle();
     line.bits("000000 111111 1110");
     let form = [error(ErrorKind::Stuff, false), error(ErrorKind::Form, false)];
@@ -268,7 +268,7 @@ fn eight_dominant_bits_after_its_flag_blame_a_transmitter() {
 fn a_passive_flag_is_recessive_and_ends_after_six_equal_bits() {
     let mut line = Line::idle();
     line.count(0, 130);
-    // Six equal bits, whoever makes them: here the flags of others, shifted by one bit.
+    // Six equal bits from any station: here the flags of others, shifted by one bit.
     assert_eq!(line.bits("000000 1 000000 11111111 111"), "1".repeat(24));
     assert_eq!(line.take(), [error(ErrorKind::Stuff, false)]);
     assert_eq!(line.controller.next_action(), Time::MAX);
@@ -283,7 +283,7 @@ fn the_error_that_makes_a_node_passive_still_has_an_active_flag() {
 }
 
 #[test]
-fn an_acknowledgement_error_of_a_passive_node_counts_only_if_others_flag_it() {
+fn a_passive_nodes_acknowledgement_error_counts_only_if_others_flag_it() {
     for (flags, transmit) in [("111111", 128), ("111000000", 136)] {
         let mut line = Line::offering(frame());
         line.count(128, 0);
@@ -336,7 +336,7 @@ fn bus_off_releases_the_wire_within_the_bit() {
 }
 
 #[test]
-fn recovery_starts_a_sequence_anew_at_each_dominant_bit() {
+fn recovery_restarts_a_sequence_at_each_dominant_bit() {
     let mut line = Line::idle();
     line.count(256, 0);
     line.controller.phase = Phase::BusOff;

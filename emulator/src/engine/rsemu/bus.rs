@@ -1,4 +1,4 @@
-//! The bus matrix: which addresses are memory, and how loads and stores elsewhere reach the chip.
+//! The bus matrix: the address ranges that are memory, and the calls for loads and stores elsewhere.
 
 use std::sync::{
     Arc, Mutex,
@@ -15,16 +15,16 @@ use crate::{
     engine::{Transfer, clock::CycleClock},
 };
 
-/// What the CPU loop and the calls that its instructions cause tell each other.
+/// State shared by the CPU loop and the calls made during its instructions.
 #[derive(Debug)]
 pub struct Link {
-    /// Cycle at which the present instruction started.
+    /// The cycle at which the current instruction started.
     pub cycles: AtomicU64,
-    /// Its address.
+    /// The address of the current instruction.
     pub pc: AtomicU32,
-    /// It stored to the chip.
+    /// Whether the instruction stored to the chip.
     pub written: AtomicBool,
-    /// Somebody wants to know the transfers.
+    /// Whether transfers are to be recorded.
     pub watched: AtomicBool,
     transfers: Mutex<Vec<Transfer>>,
     clock: Mutex<CycleClock>,
@@ -59,7 +59,7 @@ impl Link {
     }
 }
 
-/// A range of addresses that the chip answers.
+/// A range of addresses handled by the chip.
 #[derive(Debug)]
 struct Aperture {
     base: u32,
@@ -104,7 +104,7 @@ impl MemOps for Aperture {
     }
 }
 
-/// A range of addresses where nothing is, and no fault either.
+/// A range of addresses without a register that causes no fault.
 #[derive(Debug)]
 struct Nothing;
 
@@ -119,7 +119,7 @@ impl MemOps for Nothing {
     }
 }
 
-/// The address map (RM0090 2.3): what is not in it is a BusFault.
+/// The address map (RM0090 2.3). An address outside of it causes a BusFault.
 pub fn address_space(
     chip: &Arc<Mutex<Chip>>,
     link: &Arc<Link>,

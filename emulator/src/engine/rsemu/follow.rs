@@ -1,4 +1,4 @@
-//! How the core follows what the chip does: its interrupts, its clock, its flash.
+//! Synchronisation of the core with the chip's interrupts, clock and flash.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use super::{Halt, Rsemu, lock};
 use crate::{Time, chip::Chip};
 
 impl Rsemu {
-    /// Drives the interrupt inputs as the chip has them now.
+    /// Sets the interrupt inputs to the chip's current levels.
     fn sync_irqs(&mut self, chip: &Chip) {
         let chip_irqs = chip.irqs();
         if chip.nmi() {
@@ -27,7 +27,7 @@ impl Rsemu {
         self.irqs = chip_irqs;
     }
 
-    /// Follows the chip's interrupts and clock.
+    /// Updates the core to the chip's interrupts and clock.
     pub(super) fn sync(&mut self, chip: &Chip) {
         self.sync_irqs(chip);
         let hclk = chip.clocks().hclk;
@@ -40,7 +40,7 @@ impl Rsemu {
         }
     }
 
-    /// Follows the chip after the program wrote to it.
+    /// Updates the core after the program wrote to the chip.
     pub(super) fn after_write(&mut self, until: Time) -> Option<Halt> {
         let chip = Arc::clone(&self.chip);
         let mut chip = lock(&chip);

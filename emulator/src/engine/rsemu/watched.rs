@@ -1,4 +1,4 @@
-//! What a watcher is told.
+//! Reports to a watcher.
 
 use rsemu::cpu::arm::v7m::sys::Exception;
 
@@ -8,7 +8,7 @@ use super::{
 };
 
 impl Rsemu {
-    /// What there is to tell of a step before it is made, if anybody listens.
+    /// The state before a step, if there is a watcher.
     pub(super) fn observe(&self) -> Option<Step> {
         self.watcher.as_ref()?;
         let (systick, systick_pending) = self.cpu.with_sys(|sys| {
@@ -26,17 +26,17 @@ impl Rsemu {
         })
     }
 
-    /// Tells of a step that has been made; sleep is none.
-    pub(super) fn tell_of(&mut self, mut step: Step) {
+    /// Reports a step that has been made. Sleep is not a step.
+    pub(super) fn notify_step(&mut self, mut step: Step) {
         if self.cpu.is_asleep() && step.before == self.registers() {
             return;
         }
         step.requests_reset = self.cpu.reset_requested();
         step.transfers = self.link.take_transfers();
-        self.tell(|watcher, core| watcher.stepped(&step, core));
+        self.notify(|watcher, core| watcher.stepped(&step, core));
     }
 
-    pub(super) fn tell(&mut self, what: impl FnOnce(&mut dyn Watcher, &dyn Engine)) {
+    pub(super) fn notify(&mut self, what: impl FnOnce(&mut dyn Watcher, &dyn Engine)) {
         if let Some(mut watcher) = self.watcher.take() {
             what(watcher.as_mut(), self);
             self.watcher = Some(watcher);
