@@ -17,7 +17,7 @@ use testkit::{
 };
 
 /// What an answer may take, store configuration apart, in core cycles.
-const ANSWER_CYCLES: u64 = 450;
+const ANSWER_CYCLES: u64 = 520;
 /// What a boot-up may take that a request or a command leads to: the filters change with the node-ID.
 const BOOT_UP_CYCLES: u64 = 2_200;
 /// The same for an SDO upload, which searches the object dictionary.
