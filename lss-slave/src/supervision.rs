@@ -478,6 +478,7 @@ impl Supervision {
         Instant::earliest(of_place, Instant::earliest(self.trusted_until, self.doubted_until))
     }
 
+    #[inline(never)]
     fn end_what_is_over(&mut self, now: Instant) {
         let is_over = |end: &Option<Instant>| end.is_some_and(|end| end.has_come(now));
         if is_over(&self.trusted_until) {
@@ -597,6 +598,7 @@ impl Supervision {
         self.enter(Place::Home);
     }
 
+    #[inline(never)]
     /// Drops the frames that wait, and sends none for a while.
     fn withhold(&mut self, now: Instant) {
         let mut end = now.plus_micros(WITHHOLD_MICROS);
