@@ -65,21 +65,18 @@ pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
 
 /// What the device is on the bus.
 pub fn device() -> Device {
-    Device {
-        address: Address {
-            vendor_id: device::VENDOR_ID,
-            product_code: device::PRODUCT_CODE,
-            revision_number: device::REVISION_NUMBER,
-            serial_number: serial_number(),
-        },
-        bit_rates: device::BIT_RATES,
-        heartbeat_ms: device::DEFAULTS.heartbeat_ms,
-        name: device::NAME,
-        hardware_version: device::HARDWARE_VERSION,
-        software_version: device::SOFTWARE_VERSION,
-        rescue: device::RESCUE,
-        lss_lock: device::LSS_LOCK,
-    }
+    let address = Address {
+        vendor_id: device::VENDOR_ID,
+        product_code: device::PRODUCT_CODE,
+        revision_number: device::REVISION_NUMBER,
+        serial_number: serial_number(),
+    };
+    Device::new(address, device::BIT_RATES)
+        .with_defaults(device::DEFAULTS)
+        .with_name(device::NAME)
+        .with_versions(device::HARDWARE_VERSION, device::SOFTWARE_VERSION)
+        .with_rescue(device::RESCUE)
+        .with_lss_lock(device::LSS_LOCK)
 }
 
 /// From the chip's 96-bit unique id (RM0090, 39.1).

@@ -5,7 +5,7 @@ use bxcan::{
     filter::{BankConfig, ListEntry16, Mask16},
 };
 use cortex_m::peripheral::SCB;
-use lss_slave::{BitRate, BusEvent, Frame, bit_rate::BitTiming, indicator::BusState};
+use lss_slave::{BitRate, BusEvent, Frame, indicator::BusState};
 use stm32f4xx_hal::{
     can::Can,
     gpio::{PinPull, Pull, alt::can1},
@@ -13,7 +13,7 @@ use stm32f4xx_hal::{
     rcc::Reset,
 };
 
-use crate::{device::APB1_HZ, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
+use crate::{bit_timing::BTR, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
 
 /// Reads of CAN_MSR after which the controller counts as not answering. Out of a reset it enters initialisation mode
 /// within a few clock cycles, or 11 of the bits that CAN_BTR then makes: 88 cycles of APB1.
@@ -398,20 +398,6 @@ fn release(fifo: usize) {
     fifo.write(|w| w.rfom().set_bit());
     let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
 }
-
-/// CAN_BTR for each index of the bit timing table; 0 where this clock has none, which the node never asks for.
-const BTR: [u32; 10] = {
-    let mut values = [0; 10];
-    let mut i = 0;
-    while i < BitRate::ALL.len() {
-        let rate = BitRate::ALL[i];
-        if let Some(timing) = BitTiming::solve(rate, APB1_HZ) {
-            values[rate.index() as usize] = timing.btr();
-        }
-        i += 1;
-    }
-    values
-};
 
 /// The registers themselves: `bxcan` sets the filters, but copies each frame twice on its way.
 fn registers() -> &'static pac::can1::RegisterBlock {

@@ -23,13 +23,11 @@ pub const SOFTWARE_VERSION: &str = env!("CARGO_PKG_VERSION");
 // The serial number comes from the chip's unique id, see `board::serial_number`.
 
 /// How a new device starts, until an LSS master stores something else.
-pub const DEFAULTS: Settings = Settings {
-    // None: not configured, the device waits for an LSS master. Else `Some(NodeId::new(5).expect("1 to 127"))`, for example.
-    node_id: None,
-    bit_rate: BitRateSetting::Fixed(BitRate::Kbit125),
+pub const DEFAULTS: Settings = Settings::new(BitRateSetting::Fixed(BitRate::Kbit125))
+    // None: not configured, the device waits for an LSS master. Else `NodeId::new(5)`, for example.
+    .with_node_id(None)
     // Milliseconds between heartbeats; 0: none.
-    heartbeat_ms: 1000,
-};
+    .with_heartbeat_ms(1000);
 
 /// The crystal (HSE) in Hz: a whole number of MHz from 4 to 26.
 pub const CRYSTAL_HZ: u32 = 8_000_000;

@@ -3,6 +3,7 @@
 #![no_std]
 #![no_main]
 
+mod bit_timing;
 mod board;
 mod can;
 mod clock;
@@ -12,7 +13,7 @@ mod fault;
 mod flash;
 mod memory;
 mod roll_call;
-mod slave;
+mod runner;
 mod supply;
 mod transmit_pin;
 mod transmit_queue;
@@ -35,7 +36,8 @@ mod app {
         BitRateSetting, Node, NodeId, Settings,
         emergency::Fault,
         indicator,
-        settings::{Failure, Found, Log},
+        lss::StoreError,
+        settings::{Found, Log},
     };
     use stm32f4xx_hal::{
         gpio::{ErasedPin, Output},
@@ -49,12 +51,12 @@ mod app {
         device, fault,
         flash::SettingsFlash,
         roll_call::{self, Task},
-        slave::Slave,
+        runner::Runner,
     };
 
     #[shared]
     struct Shared {
-        slave: Slave,
+        runner: Runner,
     }
 
     #[local]
@@ -71,22 +73,22 @@ mod app {
         clock::start(cx.core.SYST);
 
         let (log, found) = Log::open(board.settings_flash);
-        let settings = log.settings().unwrap_or(device::DEFAULTS);
-        report(found, log.failure(), &settings);
+        let stored = log.settings();
+        report(found, &stored.unwrap_or(device::DEFAULTS));
 
-        let node = Node::new(board::device(), settings);
+        let node = Node::new(board::device(), stored);
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
-        let mut slave = Slave::new(node, can);
+        let mut runner = Runner::new(node, can);
         if found == Found::Damaged {
-            slave.handle_fault(Fault::SettingsLost);
+            runner.handle_fault(Fault::SettingsLost);
         }
         let Board { indicators, watchdog, .. } = board;
-        (Shared { slave }, Local { log, indicators, watchdog })
+        (Shared { runner }, Local { log, indicators, watchdog })
     }
 
     /// Shows the state of the node, calls the roll four times a second, and sleeps; the debugger reads the log all the same.
     /// The watchdog is fed if everyone has answered; it bites after 1.4 to 3.8 s, as its oscillator is.
-    #[idle(local = [indicators, watchdog], shared = [slave])]
+    #[idle(local = [indicators, watchdog], shared = [runner])]
     fn idle(mut cx: idle::Context) -> ! {
         const ROLL_CALL_MS: u32 = 250;
         let (run, error) = cx.local.indicators;
@@ -96,7 +98,7 @@ mod app {
         cx.local.watchdog.feed();
         loop {
             if step.has_passed() {
-                let lit = cx.shared.slave.lock(Slave::indicate);
+                let lit = cx.shared.runner.lock(Runner::indicate);
                 run.set_state(lit.run.into());
                 error.set_state(lit.error.into());
             }
@@ -105,7 +107,7 @@ mod app {
                     cx.local.watchdog.feed();
                 }
                 roll_call::begin();
-                cx.shared.slave.lock(Slave::supervise);
+                cx.shared.runner.lock(Runner::supervise);
             }
             cortex_m::asm::wfi();
         }
@@ -113,54 +115,53 @@ mod app {
 
     /// A frame has been received: the answer leaves from here. Late by more than three frames (150 us at 1 Mbit/s), frames
     /// are lost.
-    #[task(binds = CAN1_RX0, shared = [slave], priority = 3)]
+    #[task(binds = CAN1_RX0, shared = [runner], priority = 3)]
     fn received(mut cx: received::Context) {
         roll_call::answer(Task::Received);
-        cx.shared.slave.lock(Slave::handle_received);
+        cx.shared.runner.lock(Runner::handle_received);
     }
 
     /// A mailbox is empty: the next frame goes there. Late, another node's frame goes first.
-    #[task(binds = CAN1_TX, shared = [slave], priority = 3)]
+    #[task(binds = CAN1_TX, shared = [runner], priority = 3)]
     fn transmitted(mut cx: transmitted::Context) {
         roll_call::answer(Task::Transmitted);
-        cx.shared.slave.lock(Slave::handle_transmitted);
+        cx.shared.runner.lock(Runner::handle_transmitted);
     }
 
     /// The controller has become error passive or bus-off; from the latter it recovers by itself.
-    #[task(binds = CAN1_SCE, shared = [slave], priority = 3)]
+    #[task(binds = CAN1_SCE, shared = [runner], priority = 3)]
     fn status(mut cx: status::Context) {
         roll_call::answer(Task::Status);
-        cx.shared.slave.lock(Slave::handle_status);
+        cx.shared.runner.lock(Runner::handle_status);
     }
 
     /// Does what is due at a time, each millisecond: ends of switch delays, heartbeats. Late, the bit rate switches late.
-    #[task(binds = SysTick, shared = [slave], priority = 3)]
+    #[task(binds = SysTick, shared = [runner], priority = 3)]
     fn tick(mut cx: tick::Context) {
         clock::tick();
         roll_call::answer(Task::Tick);
-        cx.shared.slave.lock(Slave::handle_tick);
+        cx.shared.runner.lock(Runner::handle_tick);
     }
 
     /// Writes to the flash, below everything on the bus. Late, so is the answer to store configuration: 20 ms are allowed.
-    /// The interrupt is not the USART's, which is not used, but pended by the [`Slave`].
-    #[task(binds = USART1, local = [log], shared = [slave], priority = 1)]
+    /// The interrupt is not the USART's, which is not used, but pended by the [`Runner`].
+    #[task(binds = USART1, local = [log], shared = [runner], priority = 1)]
     fn store(mut cx: store::Context) {
         roll_call::answer(Task::Store);
-        let Some(settings) = cx.shared.slave.lock(Slave::take_store) else {
+        let Some(settings) = cx.shared.runner.lock(Runner::take_store) else {
             return;
         };
         let outcome = cx.local.log.store(settings);
-        cx.shared.slave.lock(|slave| slave.handle_stored(outcome));
-        match cx.local.log.failure() {
-            None => defmt::info!("settings stored"),
-            Some(failure) => defmt::error!(
-                "the settings are not stored, the old ones are kept: {=istr}",
-                why(failure)
-            ),
+        cx.shared.runner.lock(|runner| runner.handle_stored(outcome.map_err(StoreError::from)));
+        match outcome {
+            Ok(()) => defmt::info!("settings stored"),
+            Err(error) => {
+                defmt::error!("the settings are not stored, the old ones are kept: {}", error);
+            }
         }
     }
 
-    fn report(found: Found, failure: Option<Failure>, settings: &Settings) {
+    fn report(found: Found, settings: &Settings) {
         match found {
             Found::Complete => {}
             Found::Interrupted => {
@@ -172,10 +173,9 @@ mod app {
             Found::Damaged => {
                 defmt::error!("the settings in flash are damaged; using the defaults")
             }
-            Found::MediumFailed => defmt::error!("the flash fails; nothing can be stored"),
-        }
-        if let Some(failure) = failure {
-            defmt::error!("the flash could not be made ready: {=istr}", why(failure));
+            Found::MediumFailed(error) => {
+                defmt::error!("the flash fails, nothing can be stored: {}", error);
+            }
         }
         let node_id = NodeId::to_lss(settings.node_id);
         match settings.bit_rate {
@@ -186,15 +186,6 @@ mod app {
             BitRateSetting::Automatic => {
                 defmt::info!("node-ID {=u8} (255 is none), listens for the bit rate", node_id);
             }
-        }
-    }
-
-    fn why(failure: Failure) -> defmt::Str {
-        match failure {
-            Failure::Refused => defmt::intern!("the flash reports an error"),
-            Failure::NotBlank => defmt::intern!("the flash is not blank where it was erased"),
-            Failure::NotAsWritten => defmt::intern!("the flash reads back otherwise than written"),
-            Failure::Full => defmt::intern!("the flash is full until the next power-on"),
         }
     }
 }

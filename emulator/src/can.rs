@@ -16,5 +16,5 @@ pub use bxcan::Bxcan;
 pub use controller::{Controller, ErrorKind, Event, Pins};
 pub use frame::{Frame, Id};
 pub use stream::Level;
-pub use timing::{BitTiming, Clock, Mode};
+pub use timing::{BitSegments, Clock, Mode};
 pub use wire::{Noise, Short};

@@ -27,19 +27,16 @@ struct Board {
 impl Board {
     /// `id` 1..=127: the node-ID, else none; `rate` 0..=4, 6..=8: a bit rate, else automatic.
     fn new(id: u8, rate: u8) -> Self {
-        let device = Device {
-            address: ADDRESS,
-            bit_rates: BitRates::possible(40_000_000).with_automatic(),
-            heartbeat_ms: 10,
-            name: "Fuzz",
-            hardware_version: "A",
-            software_version: "1.2.3",
-            rescue: true,
-            lss_lock: id & 1 == 1,
-        };
+        let bit_rates = BitRates::possible(40_000_000).with_automatic();
+        let device = Device::new(ADDRESS, bit_rates)
+            .with_name("Fuzz")
+            .with_versions("A", "1.2.3")
+            .with_rescue(true)
+            .with_lss_lock(id & 1 == 1);
         let bit_rate = BitRate::from_table(0, rate).map_or(BitRateSetting::Automatic, Into::into);
-        let node =
-            Node::new(device, Settings { node_id: NodeId::new(id), bit_rate, heartbeat_ms: 5 });
+        let settings =
+            Settings::new(bit_rate).with_node_id(NodeId::new(id)).with_heartbeat_ms(5);
+        let node = Node::new(device, Some(settings));
         let may_transmit = !node.is_listening();
         let now = Instant::from_micros(u32::MAX - 1_000_000);
         Self { node, now, may_transmit, is_storing: false, is_reset: false }
@@ -71,7 +68,7 @@ impl Board {
 
     fn act_until_nothing_is_due(&mut self) {
         for _ in 0..MOST_ACTIONS {
-            match self.node.handle_deadline(self.now) {
+            match self.node.poll(self.now) {
                 Some(action) => self.act(action),
                 None => return,
             }
@@ -97,7 +94,7 @@ impl Board {
     }
 
     /// Reports an event other than a frame.
-    fn report(&mut self, kind: u8, [what, ..]: [u8; 8]) {
+    fn report(&mut self, kind: u8, [what, counter, ..]: [u8; 8]) {
         match kind {
             10 if self.is_storing => {
                 self.is_storing = false;
@@ -106,21 +103,20 @@ impl Board {
             }
             11 => self.node.handle_bus(BusEvent::Acknowledged, self.now),
             12 => {
-                let event = match what % 6 {
+                let event = match what % 9 {
                     0 => BusEvent::Received,
                     1 => BusEvent::Error,
                     2 => BusEvent::FormError,
                     3 => BusEvent::ErrorPassive,
                     4 => BusEvent::HeldDominant,
-                    _ => BusEvent::BusOff,
+                    5 => BusEvent::BusOff,
+                    6 => BusEvent::BusOffRecovered,
+                    7 => BusEvent::Overrun,
+                    _ => BusEvent::ErrorCounters { transmit: counter, receive: counter / 2 },
                 };
                 self.node.handle_bus(event, self.now);
             }
-            13 => self.node.handle_fault(match what % 3 {
-                0 => Fault::BusOffRecovered,
-                1 => Fault::Overrun,
-                _ => Fault::SettingsLost,
-            }),
+            13 => self.node.handle_fault(Fault::SettingsLost),
             // A long time, up to a minute.
             _ => self.now = self.now.plus_micros(u32::from(what) * 250_000),
         }

@@ -11,31 +11,24 @@ const NOW: Instant = Instant::from_micros(0);
 const ABORT: u8 = 0x80;
 
 fn node() -> Node {
-    let device = Device {
-        address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-        bit_rates: BitRates::possible(40_000_000),
-        heartbeat_ms: 0,
-        name: "A name that takes more than one segment",
-        hardware_version: "",
-        software_version: "1.2.34.5",
-        rescue: false,
-        lss_lock: false,
-    };
-    let settings =
-        Settings { node_id: NodeId::new(5), bit_rate: BitRate::Kbit1000.into(), heartbeat_ms: 0 };
-    Node::new(device, settings)
+    let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
+    let device = Device::new(address, BitRates::possible(40_000_000))
+        .with_name("A name that takes more than one segment")
+        .with_versions("", "1.2.34.5");
+    let settings = Settings::new(BitRate::Kbit1000.into()).with_node_id(NodeId::new(5));
+    Node::new(device, Some(settings))
 }
 
 fuzz_target!(|requests: Vec<[u8; 8]>| {
     let mut node = node();
     let mut answers = 0;
     let mut stores = 0;
-    let boot_up = node.handle_deadline(NOW);
+    let boot_up = node.poll(NOW);
     assert!(matches!(boot_up, Some(Action::Transmit(frame)) if frame.cob_id() == 0x705));
     for request in &requests {
         let frame = Frame::new(0x605, request).expect("eight bytes");
         let at_once = node.handle_frame(&frame, NOW);
-        let mut action = at_once.or_else(|| node.handle_deadline(NOW));
+        let mut action = at_once.or_else(|| node.poll(NOW));
         while let Some(now) = action {
             match now {
                 Action::Transmit(answer) if answer.cob_id() == 0x585 => {
@@ -51,7 +44,7 @@ fuzz_target!(|requests: Vec<[u8; 8]>| {
                 }
                 other => panic!("{other:?} by SDO"),
             }
-            action = node.handle_deadline(NOW);
+            action = node.poll(NOW);
         }
     }
     assert!(answers <= requests.len());

@@ -16,11 +16,9 @@ const BANK: usize = 128;
 type Life = (u8, u8);
 
 fn settings(number: u16) -> Settings {
-    Settings {
-        node_id: NodeId::new((number % 128) as u8),
-        bit_rate: BitRate::ALL[usize::from(number % 8)].into(),
-        heartbeat_ms: number,
-    }
+    Settings::new(BitRate::ALL[usize::from(number % 8)].into())
+        .with_node_id(NodeId::new((number % 128) as u8))
+        .with_heartbeat_ms(number)
 }
 
 fuzz_target!(|input: (u8, Vec<Life>, Vec<u8>)| {

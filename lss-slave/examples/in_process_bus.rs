@@ -27,23 +27,16 @@ fn main() {
 
 /// The board: carries out what the node asks for, for as long as the process lives.
 fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
-    let device = Device {
-        address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-        bit_rates: BitRates::possible(40_000_000),
-        heartbeat_ms: 0,
-        name: "Example",
-        hardware_version: "1",
-        software_version: "1",
-        rescue: false,
-        lss_lock: false,
-    };
-    let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 0 };
-    let mut node = Node::new(device, settings);
+    let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
+    let device = Device::new(address, BitRates::possible(40_000_000))
+        .with_defaults(Settings::new(BitRate::Kbit125.into()))
+        .with_name("Example");
+    let mut node = Node::new(device, None);
     let start = std::time::Instant::now();
     let now = || Instant::from_micros(start.elapsed().as_micros() as u32);
     let mut first = None;
     loop {
-        while let Some(action) = first.take().or_else(|| node.handle_deadline(now())) {
+        while let Some(action) = first.take().or_else(|| node.poll(now())) {
             match action {
                 Action::Transmit(frame) => {
                     transmitted.send(frame).unwrap();
@@ -53,7 +46,7 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
                 other => println!("  {other:?}"),
             }
         }
-        let wait = node.next_deadline().map_or(u32::MAX, |at| at.micros_after(now()));
+        let wait = node.poll_at().map_or(u32::MAX, |at| at.micros_after(now()));
         let frame = received.recv_timeout(Duration::from_micros(wait.into())).ok();
         first = frame.and_then(|frame| node.handle_frame(&frame, now()));
     }

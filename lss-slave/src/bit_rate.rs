@@ -1,9 +1,10 @@
-//! The bit rates of CiA 301 and their table for LSS, and the solver from a bit rate and a clock to bxCAN bit timing.
+//! The bit rates of CiA 301 and their table for LSS, and the solver from a bit rate and a clock to bit timing.
 
 use core::fmt;
 
 /// A bit rate of CiA 301; the value is its index in the table that configure bit timing selects with 0 (CiA 305).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum BitRate {
@@ -61,6 +62,7 @@ impl BitRate {
 
 /// What configure bit timing can choose from table 0 (CiA 305): a bit rate, or that the node finds it by listening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BitRateSetting {
     /// Index 0..=4, 6..=8.
     Fixed(BitRate),
@@ -109,10 +111,11 @@ impl From<BitRate> for BitRateSetting {
 
 /// A set of bit rate settings: those that a device offers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BitRates(u16);
 
 impl BitRates {
-    /// The rates that a bxCAN whose APB1 clock is `clock_hz` can produce, see [`BitTiming::solve`].
+    /// The rates that a controller whose clock is `clock_hz` can produce, see [`BitTiming::solve`].
     pub const fn possible(clock_hz: u32) -> Self {
         let mut rates = 0;
         let mut i = 0;
@@ -155,10 +158,12 @@ impl BitRates {
     }
 }
 
-/// The bit timing of a bxCAN (RM0090, 32.7.7): prescaler and segments, in time quanta.
+/// Bit timing (ISO 11898-1): prescaler and segments, in time quanta. The ranges are those of a bxCAN, which most controllers
+/// have too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BitTiming {
-    /// APB1 clock cycles a time quantum: 1..=1024.
+    /// Cycles of the controller's clock a time quantum: 1..=1024.
     pub prescaler: u16,
     /// Time quanta from the synchronisation quantum to the sample point: 1..=16.
     pub segment1: u8,
@@ -187,7 +192,7 @@ impl BitTiming {
         }
     }
 
-    /// The best bit timing for `rate` from an APB1 clock of `clock_hz`: least rate error, then a
+    /// The best bit timing for `rate` from a controller's clock of `clock_hz`: least rate error, then a
     /// [`crystal_tolerance_ppm`](Self::crystal_tolerance_ppm) of [`CRYSTAL_ERROR_PPM`](Self::CRYSTAL_ERROR_PPM) or as near
     /// as possible, then the sample point nearest to 87.5 % (of two the earlier), then the most time quanta. The
     /// synchronisation jump width is as large as the second segment allows.
@@ -198,7 +203,8 @@ impl BitTiming {
         let bit_hz = rate.kbit_per_s() as u64 * 1000;
         let sample_points = Self::sample_point_range(rate);
         let mut best = None;
-        let mut best_badness = u64::MAX;
+        let mut best_rank = Rank::WORST;
+        // Of equal ranks the first is kept: the one with the most quanta and, of two as far from 87.5 %, the earlier.
         let mut quanta = *Self::QUANTA.end();
         while quanta >= *Self::QUANTA.start() {
             let quantum_hz = bit_hz * quanta as u64;
@@ -220,16 +226,18 @@ impl BitTiming {
                 let intolerance =
                     Self::CRYSTAL_ERROR_PPM.saturating_sub(timing.crystal_tolerance_ppm());
                 let sample_point = timing.sample_point();
-                let badness = (error_ppm / prescaler) << 32
-                    | (intolerance as u64) << 16
-                    | sample_point.abs_diff(Self::SAMPLE_POINT) as u64;
+                let rank = Rank {
+                    rate_error_ppm: error_ppm / prescaler,
+                    intolerance_ppm: intolerance,
+                    sample_point_error: sample_point.abs_diff(Self::SAMPLE_POINT),
+                };
                 if segment1 >= 1
                     && segment1 <= 16
                     && sample_point >= *sample_points.start()
                     && sample_point <= *sample_points.end()
-                    && badness < best_badness
+                    && rank.is_better_than(&best_rank)
                 {
-                    best_badness = badness;
+                    best_rank = rank;
                     best = Some(timing);
                 }
                 segment2 -= 1;
@@ -251,14 +259,6 @@ impl BitTiming {
         if jump < phase { jump } else { phase }
     }
 
-    /// The value of the bit timing register CAN_BTR, without its silent and loop-back bits (RM0090, 32.9.2).
-    pub const fn btr(self) -> u32 {
-        (self.sync_jump_width as u32 - 1) << 24
-            | (self.segment2 as u32 - 1) << 20
-            | (self.segment1 as u32 - 1) << 16
-            | (self.prescaler as u32 - 1)
-    }
-
     /// Time quanta a bit.
     pub const fn quanta(self) -> u32 {
         1 + self.segment1 as u32 + self.segment2 as u32
@@ -269,8 +269,60 @@ impl BitTiming {
         (1 + self.segment1 as u32) * 1000 / self.quanta()
     }
 
-    /// The rate that results from an APB1 clock of `clock_hz`, in bit/s.
+    /// The rate that results from a clock of `clock_hz`, in bit/s.
     pub const fn bit_per_s(self, clock_hz: u32) -> u32 {
         clock_hz / (self.prescaler as u32 * self.quanta())
+    }
+}
+
+/// How far a bit timing is from the ideal: the first field that differs decides, and the smaller one is better.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Rank {
+    rate_error_ppm: u64,
+    /// What is missing from [`BitTiming::CRYSTAL_ERROR_PPM`].
+    intolerance_ppm: u32,
+    /// In 1/1000 of the bit.
+    sample_point_error: u32,
+}
+
+impl Rank {
+    const WORST: Self =
+        Self { rate_error_ppm: u64::MAX, intolerance_ppm: u32::MAX, sample_point_error: u32::MAX };
+
+    /// `<`, which cannot be called in a constant.
+    const fn is_better_than(&self, other: &Self) -> bool {
+        if self.rate_error_ppm != other.rate_error_ppm {
+            return self.rate_error_ppm < other.rate_error_ppm;
+        }
+        if self.intolerance_ppm != other.intolerance_ppm {
+            return self.intolerance_ppm < other.intolerance_ppm;
+        }
+        self.sample_point_error < other.sample_point_error
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Rank;
+
+    #[test]
+    fn a_rank_is_better_than_another_if_it_is_less() {
+        let numbers = || 0..3;
+        let ranks = || {
+            numbers().flat_map(move |rate| {
+                numbers().flat_map(move |intolerance_ppm| {
+                    numbers().map(move |sample_point_error| Rank {
+                        rate_error_ppm: rate.into(),
+                        intolerance_ppm,
+                        sample_point_error,
+                    })
+                })
+            })
+        };
+        for a in ranks() {
+            for b in ranks() {
+                assert_eq!(a.is_better_than(&b), a < b, "{a:?}, {b:?}");
+            }
+        }
     }
 }

@@ -55,11 +55,6 @@ impl Frame {
         self.cob_id
     }
 
-    /// The identifier as the `embedded-can` traits name it.
-    pub fn id(&self) -> StandardId {
-        StandardId::new(self.cob_id).unwrap_or(StandardId::MAX)
-    }
-
     /// The data: 0..=8 bytes.
     pub fn data(&self) -> &[u8] {
         self.data.get(..usize::from(self.len)).unwrap_or(&self.data)
@@ -73,6 +68,47 @@ impl Frame {
     /// The data of a frame that has all eight bytes, as every LSS and SDO frame does.
     pub(crate) fn eight_bytes(&self) -> Option<&[u8; 8]> {
         (self.len == 8).then_some(&self.data)
+    }
+}
+
+impl embedded_can::Frame for Frame {
+    fn new(id: impl Into<Id>, data: &[u8]) -> Option<Self> {
+        match id.into() {
+            Id::Standard(id) => Self::new(id.as_raw(), data),
+            Id::Extended(_) => None,
+        }
+    }
+
+    /// `None`: a remote frame cannot be held.
+    fn new_remote(_: impl Into<Id>, _: usize) -> Option<Self> {
+        None
+    }
+
+    fn is_extended(&self) -> bool {
+        false
+    }
+
+    fn is_remote_frame(&self) -> bool {
+        false
+    }
+
+    fn id(&self) -> Id {
+        StandardId::new(self.cob_id).unwrap_or(StandardId::MAX).into()
+    }
+
+    fn dlc(&self) -> usize {
+        self.len.into()
+    }
+
+    fn data(&self) -> &[u8] {
+        self.data()
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Frame {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "{=u16:03x}: {=[u8]:02x}", self.cob_id, self.data());
     }
 }
 

@@ -12,15 +12,18 @@ pub const HISTORY_LEN: u8 = 8;
 
 /// A fault that an emergency message reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Fault {
     /// 6310h: the stored settings were damaged and the defaults are in use. Lasts until something is stored.
     SettingsLost,
-    /// 8120h: the controller is error passive (ISO 11898-1). The node sees it by itself, and its end, in what
-    /// [`Node::note_error_counters`](crate::Node::note_error_counters) is given.
+    /// 8120h: the controller is error passive (ISO 11898-1). The node sees it by itself, and its end, in
+    /// [`BusEvent::ErrorCounters`](crate::BusEvent::ErrorCounters).
     ErrorPassive,
-    /// 8140h: the controller was bus-off and takes part in the bus again.
+    /// 8140h: the controller was bus-off and takes part in the bus again; of
+    /// [`BusEvent::BusOffRecovered`](crate::BusEvent::BusOffRecovered).
     BusOffRecovered,
-    /// 8110h: the controller received frames faster than they were taken.
+    /// 8110h: the controller received frames faster than they were taken; of [`BusEvent::Overrun`](crate::BusEvent::Overrun).
     Overrun,
     /// FF10h: the node takes part in the bus at another bit rate than its home rate. Bytes 3..=6 of the message, and of the
     /// one that reports the end, are the two rates in kbit/s, 16 bits each, little endian. The node sees both by itself.
@@ -78,7 +81,21 @@ impl Fault {
     }
 }
 
-/// What is still to be sent, what is still wrong, and what has been.
+/// A controller with an error counter from here on is error passive (ISO 11898-1).
+const ERROR_PASSIVE_LIMIT: u8 = 128;
+/// The error warning limit (ISO 11898-1).
+const WARNING_LIMIT: u8 = 96;
+
+/// The controller's error counters (ISO 11898-1).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ErrorCounters {
+    /// TEC.
+    pub transmit: u8,
+    /// REC.
+    pub receive: u8,
+}
+
+/// The faults that are still to be reported, those that last, and the history.
 #[derive(Clone, Debug)]
 pub(crate) struct Emergency {
     /// Faults whose message has not been sent.
@@ -95,6 +112,8 @@ pub(crate) struct Emergency {
     history: [u32; HISTORY_LEN as usize],
     bus_offs: u16,
     overruns: u16,
+    /// As last seen.
+    error_counters: ErrorCounters,
 }
 
 impl Emergency {
@@ -108,6 +127,7 @@ impl Emergency {
             history: [0; HISTORY_LEN as usize],
             bus_offs: 0,
             overruns: 0,
+            error_counters: ErrorCounters { transmit: 0, receive: 0 },
         }
     }
 
@@ -136,6 +156,24 @@ impl Emergency {
         }
     }
 
+    /// Takes the controller's error counters. A controller that only listens takes no part in the bus: it is not reported.
+    pub fn handle_error_counters(&mut self, counters: ErrorCounters, is_listening: bool) {
+        let ErrorCounters { transmit, receive } = counters;
+        self.error_counters = counters;
+        let is_passive = transmit >= ERROR_PASSIVE_LIMIT || receive >= ERROR_PASSIVE_LIMIT;
+        // One valid frame takes a receiver that is error passive to 119..=127 and the next error back: that is no end.
+        if !is_passive && receive < WARNING_LIMIT {
+            self.end(Fault::ErrorPassive);
+        } else if is_passive && !self.has(Fault::ErrorPassive) && !is_listening {
+            self.report(Fault::ErrorPassive);
+        }
+    }
+
+    /// The controller's error counters.
+    pub const fn error_counters(&self) -> ErrorCounters {
+        self.error_counters
+    }
+
     /// A fault that lasted is over; nothing if it is not there.
     pub const fn end(&mut self, fault: Fault) {
         let bit = fault.bit();
@@ -145,7 +183,7 @@ impl Emergency {
         }
     }
 
-    pub const fn has(&self, fault: Fault) -> bool {
+    const fn has(&self, fault: Fault) -> bool {
         self.lasting & fault.bit() != 0
     }
 
@@ -203,11 +241,15 @@ impl Emergency {
         self.in_flight = 0;
     }
 
-    /// The next message, if there is any to send.
+    /// The next message, if there is any to send. Where nothing but errors is heard none is sent: it would disturb others who
+    /// may run at another bit rate.
     ///
     /// Error code 0 comes when nothing is wrong any more: there are masters that take it for the end of all faults, though
     /// CiA 301 allows it at the end of each.
     pub fn next(&mut self, node: NodeId) -> Option<Frame> {
+        if self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
+            return None;
+        }
         let fault = self.unsent & self.unsent.wrapping_neg();
         self.unsent &= !fault;
         self.in_flight |= fault;

@@ -7,6 +7,7 @@ pub const STEP_MS: u32 = 50;
 
 /// The controller's place on the bus (ISO 11898-1, fault confinement).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BusState {
     /// Both error counters are below the warning level of 96.
     Good,
@@ -18,6 +19,7 @@ pub enum BusState {
 
 /// Which of the two indicators are on. One LED of two colours shows both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Lit {
     /// The green RUN indicator.
     pub run: bool,

@@ -1,26 +1,19 @@
-//! A CANopen LSS slave (CiA 305) and the small node around it, as a pure function of frames and time.
+//! A CANopen LSS slave (CiA 305) and the small node around it: deterministic, without I/O.
 //!
-//! The library does no I/O, reads no clock, allocates nothing, knows no chip and cannot panic. Frames and the
-//! present time go in, [`Action`]s come out; a board is whatever carries them out. Here a master asks whether any slave
-//! has no node-ID:
+//! The library reads no clock, allocates nothing, knows no chip and cannot panic. Frames and the present time go in,
+//! [`Action`]s come out, and the same calls always bring the same actions. A board is whatever carries them out. Here a
+//! master asks whether any slave has no node-ID:
 //!
 //! ```
 //! use lss_slave::{Action, BitRate, BitRates, Device, Frame, Instant, Node, Settings, lss::Address};
 //!
-//! let device = Device {
-//!     address: Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 },
-//!     bit_rates: BitRates::possible(40_000_000),
-//!     heartbeat_ms: 1000,
-//!     name: "Example",
-//!     hardware_version: "1",
-//!     software_version: "1",
-//!     rescue: false,
-//!     lss_lock: false,
-//! };
-//! let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 1000 };
-//! let mut node = Node::new(device, settings);
+//! let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
+//! let device = Device::new(address, BitRates::possible(40_000_000))
+//!     .with_defaults(Settings::new(BitRate::Kbit125.into()))
+//!     .with_name("Example");
+//! let mut node = Node::new(device, None);
 //! let now = Instant::from_micros(0);
-//! assert_eq!(node.handle_deadline(now), None, "no boot-up without a node-ID");
+//! assert_eq!(node.poll(now), None, "no boot-up without a node-ID");
 //!
 //! let is_anyone_unconfigured = Frame::new(0x7E5, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
 //! let Some(Action::Transmit(answer)) = node.handle_frame(&is_anyone_unconfigured, now) else { panic!() };
@@ -36,8 +29,11 @@
 //! # Where to begin
 //! - [`Node`] says which calls drive it, and in which order; [`Action`] says what each answer asks of the board.
 //! - [`Device`] is what the device is, [`Settings`] how it is set; [`settings::Log`] keeps the settings in flash.
-//! - [`BitRates`] says which bit rates a clock can make, [`bit_rate::BitTiming`] the bxCAN's registers for them.
+//! - [`BitRates`] says which bit rates a clock can make, [`bit_rate::BitTiming`] the segments for them.
 //! - [`lss::Slave`] is the state machine of CiA 305 alone, for a node that has its own NMT and SDO.
+//!
+//! # Features
+//! - `defmt`: `defmt::Format` for the public types.
 
 #![no_std]
 #![forbid(unsafe_code)]
@@ -56,16 +52,19 @@ pub mod settings;
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+mod bus_event;
 mod can;
+mod device;
 mod node;
 mod node_id;
 mod supervision;
 mod time;
 
 pub use bit_rate::{BitRate, BitRateSetting, BitRates};
+pub use bus_event::BusEvent;
 pub use can::Frame;
-pub use node::{Action, Device, Node};
+pub use device::Device;
+pub use node::{Action, Node};
 pub use node_id::{InvalidNodeId, NodeId};
 pub use settings::Settings;
-pub use supervision::BusEvent;
 pub use time::Instant;

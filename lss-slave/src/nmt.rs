@@ -9,6 +9,7 @@ pub const ERROR_CONTROL_COB_ID: u16 = 0x700;
 
 /// An NMT state, with the value that a heartbeat carries (CiA 301).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum State {
     /// No node-ID yet, or the boot-up has not been sent. Its value is what a boot-up carries.
@@ -23,6 +24,7 @@ pub enum State {
 
 /// An NMT command (CiA 301, NMT module control).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Command {
     /// 1: enter [`State::Operational`].
     Start,

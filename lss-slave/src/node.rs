@@ -1,46 +1,26 @@
-//! The node: joins LSS, NMT, SDO and emergency; frames, time and what the board sees in, actions out.
+//! The node: joins LSS, bit rate control, NMT, SDO, emergency and storing. Inputs are `handle_*` and `poll`, outputs actions.
 
-mod bit_rate;
+mod bit_rate_control;
+mod nmt_slave;
 mod objects;
 mod storing;
 
-use core::mem;
-
 use crate::{
-    BitRate, BitRateSetting, BitRates, Frame, Instant, NodeId, Settings,
-    emergency::{Emergency, Fault},
-    lss::{self, Reaction, Slave},
-    nmt::{self, Command, ErrorBehaviour},
+    BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
+    emergency::{Emergency, ErrorCounters, Fault},
+    lss::{self, Reaction, Response, Slave, StoreError},
+    nmt::{self, Command},
     sdo,
-    supervision::{BusEvent, Supervision},
+    supervision::Step,
 };
-use bit_rate::{Phase, Switch};
-use storing::Store;
-
-/// What the device is, as opposed to how it is set.
-#[derive(Clone, Copy, Debug)]
-pub struct Device {
-    /// The LSS address, which is the identity object 1018h.
-    pub address: lss::Address,
-    /// The bit rates that the CAN controller can produce.
-    pub bit_rates: BitRates,
-    /// The producer heartbeat time 1017h, in milliseconds, that 1011h restores.
-    pub heartbeat_ms: u16,
-    /// Manufacturer device name 1008h.
-    pub name: &'static str,
-    /// Manufacturer hardware version 1009h.
-    pub hardware_version: &'static str,
-    /// Manufacturer software version 100Ah.
-    pub software_version: &'static str,
-    /// Whether the bit rate is supervised: lasting errors without a valid frame make the node look for the rate of the others
-    /// (see `docs/bit-rates.md`).
-    pub rescue: bool,
-    /// Whether the LSS state stays waiting while the node is NMT operational, so that nobody configures a running machine.
-    pub lss_lock: bool,
-}
+use bit_rate_control::BitRateControl;
+use nmt_slave::NmtSlave;
+use objects::Parts;
+use storing::Storing;
 
 /// What the board has to do now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action {
     /// Send this frame. Frames of equal COB-ID leave in the order of their actions.
@@ -61,7 +41,7 @@ pub enum Action {
     Listen(BitRate),
     /// Make these settings persistent, then call [`Node::handle_stored`].
     Store(Settings),
-    /// Reset the device as if the power had been cut; the node begins anew with the persistent settings.
+    /// Reset the device as if the power had been cut; the node begins again with the persistent settings.
     ResetDevice,
 }
 
@@ -69,13 +49,12 @@ pub enum Action {
 ///
 /// It is driven by these calls:
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
-/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with what else the controller tells;
+/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the other events of the controller;
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
-/// - [`handle_fault`](Self::handle_fault) with a fault of the board, [`note_error_counters`](Self::note_error_counters)
-///   with those of the controller;
-/// - [`handle_deadline`](Self::handle_deadline) first of all, after each of the others, and when the
-///   [`next_deadline`](Self::next_deadline) has come: again and again until it returns `None`. A deadline that has come
-///   goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether there is any need.
+/// - [`handle_fault`](Self::handle_fault) with a fault of the board;
+/// - [`poll`](Self::poll) first of all, after each of the others, and at [`poll_at`](Self::poll_at): again and again until it
+///   returns `None`. What is due goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether
+///   there is any need.
 ///
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
 /// A call that comes late or without need does no harm.
@@ -83,43 +62,15 @@ pub enum Action {
 pub struct Node {
     device: Device,
     lss: Slave,
-    supervision: Supervision,
-    /// A frame was received, and the supervision has not been told.
-    is_proof_due: bool,
-    /// Frames may be sent again, and the board has not been told.
-    is_resume_due: bool,
-    sdo: sdo::Server,
-    /// Received, and to be answered now.
-    sdo_request: Option<[u8; 8]>,
+    bit_rate: BitRateControl,
+    nmt: NmtSlave,
     emergency: Emergency,
-    /// TEC and REC, as last told.
-    error_counters: (u8, u8),
-    /// [`nmt::State::Initialisation`] with a node-ID means that the boot-up is still to be sent.
-    nmt: nmt::State,
-    is_boot_up_acknowledged: bool,
-    heartbeat_ms: u16,
-    heartbeat_due: Instant,
-    /// The heartbeat time has been written, but not seen by a call that knows the time.
-    heartbeat_is_new: bool,
-    /// Frames may have been dropped: a boot-up that was among them or a heartbeat is due beside the regular ones.
-    is_extra_heartbeat_due: bool,
-    error_behaviour: ErrorBehaviour,
-    switch: Option<Switch>,
-    /// An NMT command that is to be carried out, after a switch that is on its way.
-    command: Option<Command>,
-    persistent: Settings,
-    store: Store,
-    /// Store configuration requests of LSS that have not been answered.
-    lss_stores: u8,
-    /// A store by SDO that has not begun: index and sub-index for its answer, and the heartbeat time.
-    sdo_store: Option<(u16, u8, u16)>,
+    sdo: sdo::Server,
+    storing: Storing,
     due: Due,
 }
 
-/// A controller with an error counter from here on is error passive (ISO 11898-1).
-const ERROR_PASSIVE_LIMIT: u8 = 128;
-
-/// When [`Node::handle_deadline`] has something to do.
+/// When [`Node::poll`] has something to do.
 #[derive(Clone, Copy, Debug)]
 enum Due {
     /// Whatever has happened may have made something due.
@@ -129,8 +80,12 @@ enum Due {
 }
 
 impl Node {
-    /// A node after power-on with its persistent settings.
-    pub const fn new(device: Device, persistent: Settings) -> Self {
+    /// A node after power-on, with the settings that were stored, or the device's defaults.
+    pub const fn new(device: Device, stored: Option<Settings>) -> Self {
+        let persistent = match stored {
+            Some(settings) => settings,
+            None => device.defaults,
+        };
         // Another image, with other clocks, may have stored a rate that this one has not.
         let bit_rate = match persistent.bit_rate {
             BitRateSetting::Fixed(rate) if !device.bit_rates.contains(rate) => {
@@ -139,28 +94,13 @@ impl Node {
             bit_rate => bit_rate,
         };
         Self {
-            supervision: Supervision::new(bit_rate, device.bit_rates, device.rescue),
-            is_proof_due: false,
-            is_resume_due: false,
+            bit_rate: BitRateControl::new(bit_rate, device.bit_rates, device.rescue),
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
-            device,
-            sdo: sdo::Server::new(),
-            sdo_request: None,
+            nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
-            error_counters: (0, 0),
-            nmt: nmt::State::Initialisation,
-            is_boot_up_acknowledged: false,
-            heartbeat_ms: persistent.heartbeat_ms,
-            heartbeat_due: Instant::from_micros(0),
-            heartbeat_is_new: false,
-            is_extra_heartbeat_due: false,
-            error_behaviour: ErrorBehaviour::EnterPreOperational,
-            switch: None,
-            command: None,
-            persistent,
-            store: Store::Idle,
-            lss_stores: 0,
-            sdo_store: None,
+            sdo: sdo::Server::new(),
+            storing: Storing::new(persistent),
+            device,
             due: Due::Now,
         }
     }
@@ -172,7 +112,7 @@ impl Node {
 
     /// The NMT state.
     pub const fn nmt_state(&self) -> nmt::State {
-        self.nmt
+        self.nmt.state()
     }
 
     /// The active node-ID.
@@ -182,12 +122,18 @@ impl Node {
 
     /// The bit rate at which the controller runs, or listens.
     pub const fn bit_rate(&self) -> BitRate {
-        self.supervision.bit_rate()
+        self.bit_rate.in_use()
+    }
+
+    /// The active bit rate (CiA 305): stored at power-on or activated since, or one at which the node has found the others.
+    /// Automatic detection stays active when it has found a rate.
+    pub const fn active_bit_rate(&self) -> BitRateSetting {
+        self.bit_rate.active()
     }
 
     /// Whether the node only listens, in search of the bit rate.
     pub const fn is_listening(&self) -> bool {
-        self.supervision.is_listening()
+        self.bit_rate.is_listening()
     }
 
     /// The COB-IDs of the frames that the node wants to see; it ignores all others. They change with the node-ID.
@@ -198,34 +144,23 @@ impl Node {
     }
 
     /// Takes a received frame; returns the answer to a request of LSS that has one at once. All else comes from
-    /// [`handle_deadline`](Self::handle_deadline).
+    /// [`poll`](Self::poll).
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
-        if !self.supervision.is_at_ease() {
-            // Its sender may be as lost as this node, and repeat its boot-up for want of an acknowledge.
-            if self.supervision.is_elsewhere() && nmt::is_boot_up(frame) {
-                return None;
-            }
-            let was_listening = self.is_listening();
-            if self.supervision.is_at_home() {
-                // The answer leaves first.
-                self.is_proof_due = true;
-                self.due = Due::Now;
-            } else {
-                self.handle_bus(BusEvent::Received, now);
-            }
-            // Its sender repeats it if nobody has acknowledged it.
-            if was_listening {
+        if !self.bit_rate.is_at_ease() {
+            self.due = Due::Now;
+            if !self.bit_rate.handle_frame(frame, now) {
                 return None;
             }
         }
         match frame.cob_id() {
             lss::REQUEST_COB_ID => return self.handle_lss(frame.eight_bytes()?, now),
             nmt::COMMAND_COB_ID => {
-                self.handle_nmt(Command::from_frame(frame, self.node_id())?);
+                self.nmt.handle(Command::from_frame(frame, self.node_id())?);
+                self.due = Due::Now;
             }
             id if Some(id) == self.sdo_request_cob_id() && self.serves_sdo() => {
-                self.sdo_request = Some(*frame.eight_bytes()?);
+                self.sdo.handle(*frame.eight_bytes()?);
                 self.due = Due::Now;
             }
             _ => {}
@@ -233,30 +168,53 @@ impl Node {
         None
     }
 
-    /// Takes note of a fault that the board has seen: an emergency message reports it, and the history 1003h keeps it.
+    /// Records a fault of the board, such as [`Fault::SettingsLost`], and queues an emergency message; the history 1003h keeps
+    /// it.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report(fault);
         self.due = Due::Now;
     }
 
-    /// Takes note of the controller's error counters, TEC and REC: for object 2000h, and to report when the controller is
-    /// error passive. To be called when it has become so and a few times a second; more often does no harm.
-    pub fn note_error_counters(&mut self, transmit: u8, receive: u8) {
-        /// The error warning limit (ISO 11898-1). One valid frame takes a receiver that is error passive to 119..=127 and the
-        /// next error back: that is no end.
-        const WARNING_LIMIT: u8 = 96;
-        self.error_counters = (transmit, receive);
-        let is_passive = transmit >= ERROR_PASSIVE_LIMIT || receive >= ERROR_PASSIVE_LIMIT;
-        if !is_passive && receive < WARNING_LIMIT {
-            self.emergency.end(Fault::ErrorPassive);
-        } else if is_passive && !self.emergency.has(Fault::ErrorPassive) && !self.is_listening() {
-            // Whoever only listens takes no part in the bus.
-            self.emergency.report(Fault::ErrorPassive);
-        }
+    /// Takes an event of the controller at `now`. A repeated one does no harm, but [`BusEvent::Overrun`] and
+    /// [`BusEvent::BusOffRecovered`] are counted.
+    pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         self.due = Due::Now;
+        match event {
+            BusEvent::ErrorCounters { transmit, receive } => {
+                let counters = ErrorCounters { transmit, receive };
+                self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
+                return;
+            }
+            BusEvent::Overrun => return self.emergency.report(Fault::Overrun),
+            BusEvent::BusOffRecovered => return self.emergency.report(Fault::BusOffRecovered),
+            BusEvent::Acknowledged => {
+                self.nmt.note_acknowledge();
+                self.emergency.note_acknowledge();
+            }
+            BusEvent::BusOff => {
+                self.nmt.handle_communication_error();
+                self.lock_lss();
+            }
+            BusEvent::Received
+            | BusEvent::Error
+            | BusEvent::FormError
+            | BusEvent::HeldDominant
+            | BusEvent::ErrorPassive => {}
+        }
+        self.bit_rate.handle_bus(event, now);
     }
 
-    /// Whether [`handle_deadline`](Self::handle_deadline) may have something to do at `now`: a cheap question.
+    /// Takes the outcome of the last [`Action::Store`].
+    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
+        if self.storing.handle_stored(outcome) {
+            if outcome.is_ok() {
+                self.emergency.end(Fault::SettingsLost);
+            }
+            self.due = Due::Now;
+        }
+    }
+
+    /// Whether [`poll`](Self::poll) may have something to do at `now`: a cheap question.
     pub const fn is_due(&self, now: Instant) -> bool {
         match self.due {
             Due::Now => true,
@@ -267,7 +225,7 @@ impl Node {
 
     /// Does the next thing that is due at `now`; returns `None` when nothing is.
     #[must_use = "an action that is not carried out is lost"]
-    pub fn handle_deadline(&mut self, now: Instant) -> Option<Action> {
+    pub fn poll(&mut self, now: Instant) -> Option<Action> {
         if !self.is_due(now) {
             return None;
         }
@@ -278,8 +236,8 @@ impl Node {
         action
     }
 
-    /// When [`handle_deadline`](Self::handle_deadline) must be called again, if no other call comes before.
-    pub fn next_deadline(&self) -> Option<Instant> {
+    /// When [`poll`](Self::poll) must be called again, if no other call comes before.
+    pub fn poll_at(&self) -> Option<Instant> {
         match self.due {
             Due::Now => self.find_deadline(),
             Due::At(instant) => Some(instant),
@@ -288,187 +246,198 @@ impl Node {
     }
 
     fn do_next(&mut self, now: Instant) -> Option<Action> {
-        if mem::take(&mut self.is_proof_due) {
-            self.handle_bus(BusEvent::Received, now);
-        }
-        if let Some(action) = self.supervise(now) {
-            return Some(action);
-        }
-        while let Some(switch) = self.switch {
-            if !switch.until.has_come(now) {
-                return None;
+        use bit_rate_control::Next::*;
+        loop {
+            let next = self.bit_rate.poll(now);
+            self.follow_bit_rate();
+            match next {
+                Some(StopTransmitting) => return Some(Action::StopTransmitting),
+                Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
+                Some(EndSwitch) => self.nmt.restart_heartbeat(now),
+                Some(Step(step)) => return Some(self.take_step(step)),
+                Some(ResumeTransmitting) => {
+                    self.nmt.note_resumed();
+                    return Some(Action::ResumeTransmitting);
+                }
+                Some(KeepSilent) => return None,
+                None => break,
             }
-            if let Some(action) = self.advance(switch, now) {
-                return Some(action);
-            }
         }
-        if !self.is_listening() && mem::take(&mut self.is_resume_due) {
-            self.is_extra_heartbeat_due = true;
-            return Some(Action::ResumeTransmitting);
-        }
-        if let Some(command) = self.command.take()
+        if let Some(command) = self.nmt.take_command()
             && let Some(action) = self.carry_out(command)
         {
             return Some(action);
         }
-        if !self.may_send() {
+        if !self.bit_rate.may_send() {
             return None;
         }
-        let sdo_request = self.sdo_request.take();
-        let action = match sdo_request.and_then(|request| sdo::handle(request, self)) {
-            Some(answer) => self.answer_sdo(answer),
-            None => self.store_or_answer().or_else(|| self.tell(now)),
+        let action = match self.answer_sdo(now) {
+            None => self.store_or_answer().or_else(|| self.report(now)),
+            action => action,
         };
         if let Some(Action::Transmit(_)) = action {
-            self.supervision.note_sent(now);
+            self.bit_rate.note_sent(now);
         }
         action
     }
 
     #[inline(never)] // It has two callers.
     fn find_deadline(&self) -> Option<Instant> {
-        let supervision = self.supervision.poll_at().filter(|_| self.is_supervised());
-        let other = match self.switch {
-            Some(switch) => Some(switch.until),
-            None => (self.produces_heartbeat() && self.may_send()).then_some(self.heartbeat_due),
-        };
-        match (supervision, other) {
-            (Some(a), Some(b)) => Some(a.earlier(b)),
-            (a, b) => a.or(b),
-        }
+        let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
+        let heartbeat = self.nmt.poll_at().filter(|_| may_report);
+        Instant::earliest(self.bit_rate.poll_at(), heartbeat)
     }
 
     fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
-        if self.switch.is_some() {
+        if self.bit_rate.is_switching() {
             return None;
         }
         match self.lss.handle(data)? {
             Reaction::Answer(answer) => {
-                self.supervision.note_sent(now);
+                self.bit_rate.note_sent(now);
                 return Some(Action::Transmit(answer));
             }
             Reaction::ActivateBitTiming(delay_ms) => {
-                let delay_micros = u32::from(delay_ms) * 1000;
-                self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });
-                self.sdo.reset();
-                self.forget_sdo_store();
+                self.bit_rate.switch(delay_ms, now);
+                self.end_sdo();
             }
-            Reaction::StoreConfiguration => self.lss_stores = self.lss_stores.saturating_add(1),
-            Reaction::ResetCommunication => self.command = Some(Command::ResetCommunication),
+            Reaction::StoreConfiguration => self.storing.request_by_lss(),
+            Reaction::ResetCommunication => self.nmt.handle(Command::ResetCommunication),
         }
         self.due = Due::Now;
         None
     }
 
-    fn handle_nmt(&mut self, command: Command) {
-        let counts = match self.command {
-            Some(Command::ResetNode) => false,
-            Some(Command::ResetCommunication) => command.is_reset(),
-            _ => true,
+    fn activate_bit_rate(&mut self, silent_until: Instant) {
+        let setting = self.lss.activate_bit_rate();
+        let was_automatic = self.bit_rate.active() == BitRateSetting::Automatic;
+        // A detection that goes on keeps what it has found.
+        if was_automatic && setting == BitRateSetting::Automatic {
+            return;
+        }
+        self.bit_rate.activate(setting, silent_until);
+        let rate = self.bit_rate();
+        self.emergency.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
+    }
+
+    /// Adopts the bit rate at which the supervision has found others, or home after it. Also before a switch: the request for
+    /// it may be the frame that has shown home to be right.
+    fn follow_bit_rate(&mut self) {
+        let Some(in_use) = self.bit_rate.take_change() else {
+            return;
         };
-        if counts {
-            self.command = Some(command);
-            self.due = Due::Now;
+        if let BitRateSetting::Fixed(rate) = self.bit_rate.active() {
+            self.lss.adopt_bit_rate(rate);
+        }
+        match self.bit_rate.home() {
+            Some(home) if home != in_use => {
+                self.emergency.report(Fault::AwayFromHomeRate { in_use, home });
+            }
+            _ => self.emergency.end(Fault::AwayFromHomeRate { in_use, home: in_use }),
+        }
+    }
+
+    /// Takes a step of the supervision, which drops the frames that wait.
+    fn take_step(&mut self, step: Step) -> Action {
+        self.emergency.note_dropped();
+        self.nmt.note_dropped();
+        match step {
+            Step::TakePart(rate) => Action::SetBitRate(rate),
+            Step::Listen(rate) => Action::Listen(rate),
+            Step::DropFrames => Action::StopTransmitting,
         }
     }
 
     fn carry_out(&mut self, command: Command) -> Option<Action> {
         let state = match command {
             Command::ResetNode => return Some(Action::ResetDevice),
-            Command::ResetCommunication => return self.reset_communication(),
+            Command::ResetCommunication => return Some(self.reset_communication()),
             Command::Start => nmt::State::Operational,
             Command::Stop => nmt::State::Stopped,
             Command::EnterPreOperational => nmt::State::PreOperational,
         };
-        self.enter(state);
+        self.nmt.enter(state);
+        self.lock_lss();
         None
     }
 
-    fn enter(&mut self, state: nmt::State) {
-        if self.nmt != nmt::State::Initialisation {
-            self.nmt = state;
-            self.lss.set_locked(self.device.lss_lock && state == nmt::State::Operational);
-        }
+    fn reset_communication(&mut self) -> Action {
+        self.lss.reset_communication();
+        self.nmt.reset_communication(self.storing.persistent().heartbeat_ms);
+        self.end_sdo();
+        Action::SetNodeId(self.node_id())
     }
 
-    /// Does what the error behaviour 1029h says of a communication error (CiA 301).
-    fn handle_communication_error(&mut self) {
-        match self.error_behaviour {
-            ErrorBehaviour::EnterPreOperational if self.nmt == nmt::State::Operational => {
-                self.enter(nmt::State::PreOperational);
-            }
-            ErrorBehaviour::EnterStopped => self.enter(nmt::State::Stopped),
-            ErrorBehaviour::EnterPreOperational | ErrorBehaviour::KeepState => {}
-        }
+    /// The NMT state may have changed.
+    fn lock_lss(&mut self) {
+        let is_operational = self.nmt_state() == nmt::State::Operational;
+        self.lss.set_locked(self.device.lss_lock && is_operational);
     }
 
     const fn serves_sdo(&self) -> bool {
-        self.switch.is_none()
-            && matches!(self.nmt, nmt::State::PreOperational | nmt::State::Operational)
-    }
-
-    fn answer_sdo(&self, answer: [u8; 8]) -> Option<Action> {
-        let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
-        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer)))
+        !self.bit_rate.is_switching() && self.nmt.serves_sdo()
     }
 
     fn sdo_request_cob_id(&self) -> Option<u16> {
         self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
     }
 
-    fn reset_communication(&mut self) -> Option<Action> {
-        self.lss.reset_communication();
-        self.heartbeat_ms = self.persistent.heartbeat_ms;
-        self.error_behaviour = ErrorBehaviour::EnterPreOperational;
+    fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
+        let answer = self.sdo.poll(&mut Parts {
+            device: &self.device,
+            lss: &self.lss,
+            bit_rate: &self.bit_rate,
+            nmt: &mut self.nmt,
+            emergency: &mut self.emergency,
+            storing: &mut self.storing,
+            now,
+        })?;
+        self.transmit_by_sdo(answer)
+    }
+
+    fn transmit_by_sdo(&self, answer: [u8; 8]) -> Option<Action> {
+        let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
+        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer)))
+    }
+
+    /// Ends what clients of SDO wait for.
+    fn end_sdo(&mut self) {
         self.sdo.reset();
-        self.forget_sdo_store();
-        self.nmt = nmt::State::Initialisation;
-        Some(Action::SetNodeId(self.node_id()))
+        self.storing.forget_sdo();
+    }
+
+    fn store_or_answer(&mut self) -> Option<Action> {
+        use storing::Next::*;
+        loop {
+            let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
+            match self.storing.poll(node_id, bit_rate)? {
+                Store(settings) => return Some(Action::Store(settings)),
+                AnswerLss(outcome) => {
+                    return Some(Action::Transmit(
+                        Response::StoreConfiguration(outcome).to_frame(),
+                    ));
+                }
+                AnswerSdo(download, outcome) if self.serves_sdo() => {
+                    return self.transmit_by_sdo(match outcome {
+                        Ok(()) => sdo::confirm(download.index, download.sub_index),
+                        Err(_) => {
+                            sdo::abort(download.index, download.sub_index, sdo::Abort::Hardware)
+                        }
+                    });
+                }
+                // The NMT state has changed since.
+                AnswerSdo(..) => {}
+            }
+        }
     }
 
     /// Boot-up, emergency, heartbeat.
-    fn tell(&mut self, now: Instant) -> Option<Action> {
+    fn report(&mut self, now: Instant) -> Option<Action> {
         let node = self.node_id()?;
-        let period = u32::from(self.heartbeat_ms) * 1000;
-        let error_control = nmt::error_control(node, self.nmt);
-        if mem::take(&mut self.heartbeat_is_new) {
-            self.heartbeat_due = now.plus_micros(period);
-        }
-        let is_ahead = |instant: Instant| {
-            // What lies further ahead than a period is left over from half an hour ago.
-            !instant.has_come(now) && instant.has_come(now.plus_micros(period))
-        };
-        let is_late = !is_ahead(self.heartbeat_due);
-        if self.nmt == nmt::State::Initialisation {
-            self.nmt = nmt::State::PreOperational;
-            self.is_boot_up_acknowledged = false;
-            if !mem::take(&mut self.is_extra_heartbeat_due) || is_late {
-                self.heartbeat_due = now.plus_micros(period);
-            }
-            return Some(Action::Transmit(error_control));
-        }
-        // It would overtake a boot-up that waits for the bus; and where nothing but errors is heard it would disturb others
-        // who may run at another bit rate.
-        if self.is_boot_up_acknowledged
-            && self.error_counters.1 < ERROR_PASSIVE_LIMIT
-            && self.nmt != nmt::State::Stopped
-            && let Some(emergency) = self.emergency.next(node)
-        {
-            return Some(Action::Transmit(emergency));
-        }
-        let is_due = mem::take(&mut self.is_extra_heartbeat_due) || is_late;
-        if !self.produces_heartbeat() || !is_due {
-            return None;
-        }
-        if is_late {
-            let next = self.heartbeat_due.plus_micros(period);
-            // After a long delay: one heartbeat, not all that were missed.
-            self.heartbeat_due = if is_ahead(next) { next } else { now.plus_micros(period) };
-        }
-        Some(Action::Transmit(error_control))
-    }
-
-    fn produces_heartbeat(&self) -> bool {
-        self.heartbeat_ms > 0 && self.nmt != nmt::State::Initialisation
+        let frame = self.nmt.next_boot_up(node, now).or_else(|| {
+            let emergency = self.nmt.allows_emergencies().then(|| self.emergency.next(node));
+            emergency.flatten().or_else(|| self.nmt.next_heartbeat(node, now))
+        });
+        frame.map(Action::Transmit)
     }
 }

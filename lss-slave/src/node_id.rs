@@ -1,9 +1,10 @@
 //! The node-ID, 1..=127, and its form in LSS messages, where FFh stands for "not configured".
 
-use core::num::NonZeroU8;
+use core::{error, fmt, num::NonZeroU8};
 
 /// A valid CANopen node-ID: 1..=127. A node that has none is `None::<NodeId>` (CiA 305: FFh).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NodeId(NonZeroU8);
 
 impl NodeId {
@@ -44,4 +45,14 @@ impl NodeId {
 
 /// A byte that is neither a node-ID nor FFh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct InvalidNodeId;
+
+impl fmt::Display for InvalidNodeId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("neither a node-ID (1 to 127) nor FFh")
+    }
+}
+
+impl error::Error for InvalidNodeId {}

@@ -5,6 +5,7 @@
 /// To add one: name it here, give it a row in [`TABLE`], and let `node::objects` read (and write) it; then add it to the
 /// EDS, which a test compares with the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[expect(missing_docs, reason = "the names are those of CiA 301")]
 pub enum Object {
     DeviceType,
@@ -45,6 +46,7 @@ pub enum Object {
 
 /// A CiA 301 data type; the value is its index in the dictionary, as an EDS names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u16)]
 #[expect(missing_docs, reason = "the names are those of CiA 301")]
 pub enum DataType {
@@ -68,6 +70,7 @@ impl DataType {
 
 /// What a client may do with an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[expect(missing_docs, reason = "the names are those of CiA 306")]
 pub enum Access {
     Const,
@@ -77,6 +80,7 @@ pub enum Access {
 
 /// A row of the table.
 #[derive(Clone, Copy, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[expect(missing_docs, reason = "the names say it")]
 pub struct Entry {
     pub index: u16,

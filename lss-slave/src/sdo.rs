@@ -1,5 +1,7 @@
 //! The SDO server (CiA 301, 7.2.4): expedited transfers both ways, segmented upload for the names.
 
+use core::{error, fmt};
+
 use crate::object_dictionary::{self, Access, Entry, Missing, Object};
 
 /// Requests to a node have this COB-ID plus its node-ID.
@@ -9,6 +11,8 @@ pub const RESPONSE_COB_ID: u16 = 0x580;
 
 /// Why a transfer is aborted, with the code that goes to the client (CiA 301, table 22).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 #[repr(u32)]
 pub enum Abort {
     /// A segment with the toggle bit of the one before.
@@ -37,6 +41,28 @@ pub enum Abort {
     NoData = 0x0800_0024,
 }
 
+impl fmt::Display for Abort {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let reason = match self {
+            Self::Toggle => "the toggle bit has not changed",
+            Self::Command => "unknown command",
+            Self::ReadOnly => "the object can only be read",
+            Self::NoObject => "no such object",
+            Self::Hardware => "the settings could not be written",
+            Self::TooLong => "too much data",
+            Self::TooShort => "too little data",
+            Self::NoSubIndex => "no such sub-index",
+            Self::InvalidValue => "invalid value",
+            Self::NotStored => "wrong signature",
+            Self::Busy => "another store is under way",
+            Self::NoData => "no data available",
+        };
+        write!(f, "{reason} ({:08X}h)", *self as u32)
+    }
+}
+
+impl error::Error for Abort {}
+
 /// The value of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Value {
@@ -52,17 +78,18 @@ pub(crate) enum Written {
     Later,
 }
 
-/// What the server reads and writes, and that the server belongs to.
+/// What the server reads and writes.
 pub(crate) trait Objects {
-    fn server(&mut self) -> &mut Server;
     fn read(&self, object: Object) -> Result<Value, Abort>;
     /// Of `value` the bytes that the entry has count.
     fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort>;
 }
 
-/// An SDO server: it remembers at most one segmented upload, which the next initiate ends.
+/// An SDO server: it remembers one request, and at most one segmented upload, which the next initiate ends.
 #[derive(Clone, Debug)]
 pub(crate) struct Server {
+    /// Received and not yet answered.
+    request: Option<[u8; 8]>,
     upload: Option<Upload>,
 }
 
@@ -76,73 +103,83 @@ struct Upload {
 
 impl Server {
     pub const fn new() -> Self {
-        Self { upload: None }
+        Self { request: None, upload: None }
     }
 
-    /// Ends whatever transfer is on its way, without a word to the client.
+    /// Ends the upload that is under way, without an answer to the client.
     pub const fn reset(&mut self) {
         self.upload = None;
     }
-}
 
-/// Carries out a request and returns the answer, if there is one now.
-pub(crate) fn handle(request: [u8; 8], objects: &mut impl Objects) -> Option<[u8; 8]> {
-    let [command, i0, i1, sub_index, d0, d1, d2, d3] = request;
-    let index = u16::from_le_bytes([i0, i1]);
-    let data = [d0, d1, d2, d3];
-    let upload = objects.server().upload.take();
-    let answer = match command >> 5 {
-        DOWNLOAD => download(command, index, sub_index, data, objects)
-            .map(|written| (written == Written::Now).then(|| confirm(index, sub_index))),
-        UPLOAD => begin_upload(index, sub_index, objects).map(Some),
-        UPLOAD_SEGMENT => {
-            let Some(upload) = upload else {
-                return Some(abort(0, 0, Abort::Command));
-            };
-            match continue_upload(upload, command & TOGGLE, objects.server()) {
-                Ok(answer) => Ok(Some(answer)),
-                Err(code) => return Some(abort(upload.index, upload.sub_index, code)),
+    /// Takes a request, which [`poll`](Self::poll) answers.
+    pub const fn handle(&mut self, request: [u8; 8]) {
+        self.request = Some(request);
+    }
+
+    /// Carries out the request and returns the answer, if there is one now.
+    pub fn poll(&mut self, objects: &mut impl Objects) -> Option<[u8; 8]> {
+        let [command, i0, i1, sub_index, d0, d1, d2, d3] = self.request.take()?;
+        let index = u16::from_le_bytes([i0, i1]);
+        let data = [d0, d1, d2, d3];
+        let upload = self.upload.take();
+        let answer = match command >> 5 {
+            DOWNLOAD => download(command, index, sub_index, data, objects)
+                .map(|written| (written == Written::Now).then(|| confirm(index, sub_index))),
+            UPLOAD => self.begin_upload(index, sub_index, objects).map(Some),
+            UPLOAD_SEGMENT => {
+                let Some(upload) = upload else {
+                    return Some(abort(0, 0, Abort::Command));
+                };
+                match self.continue_upload(upload, command & TOGGLE) {
+                    Ok(answer) => Ok(Some(answer)),
+                    Err(code) => return Some(abort(upload.index, upload.sub_index, code)),
+                }
+            }
+            ABORT => Ok(None),
+            _ => Err(Abort::Command),
+        };
+        answer.unwrap_or_else(|code| Some(abort(index, sub_index, code)))
+    }
+
+    fn begin_upload(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        objects: &impl Objects,
+    ) -> Result<[u8; 8], Abort> {
+        let entry = object_dictionary::find(index, sub_index)?;
+        match objects.read(entry.object)? {
+            Value::Number(number) => {
+                let unused = 4 - entry.data_type.size();
+                Ok(message(0x43 | unused << 2, index, sub_index, number))
+            }
+            Value::Text(text) => {
+                let rest = text.as_bytes();
+                self.upload = Some(Upload { index, sub_index, rest, toggle: 0 });
+                Ok(message(0x41, index, sub_index, rest.len() as u32))
             }
         }
-        ABORT => Ok(None),
-        _ => Err(Abort::Command),
-    };
-    answer.unwrap_or_else(|code| Some(abort(index, sub_index, code)))
-}
+    }
 
-fn begin_upload(index: u16, sub_index: u8, objects: &mut impl Objects) -> Result<[u8; 8], Abort> {
-    let entry = object_dictionary::find(index, sub_index)?;
-    match objects.read(entry.object)? {
-        Value::Number(number) => {
-            let unused = 4 - entry.data_type.size();
-            Ok(message(0x43 | unused << 2, index, sub_index, number))
+    fn continue_upload(&mut self, upload: Upload, toggle: u8) -> Result<[u8; 8], Abort> {
+        if toggle != upload.toggle {
+            return Err(Abort::Toggle);
         }
-        Value::Text(text) => {
-            let rest = text.as_bytes();
-            objects.server().upload = Some(Upload { index, sub_index, rest, toggle: 0 });
-            Ok(message(0x41, index, sub_index, rest.len() as u32))
+        let mut segment = [0; 7];
+        let mut rest = upload.rest.iter();
+        let mut unused = segment.len() as u8;
+        for (to, from) in segment.iter_mut().zip(&mut rest) {
+            *to = *from;
+            unused -= 1;
         }
+        let rest = rest.as_slice();
+        let command = toggle | unused << 1 | u8::from(rest.is_empty());
+        if !rest.is_empty() {
+            self.upload = Some(Upload { rest, toggle: toggle ^ TOGGLE, ..upload });
+        }
+        let [b0, b1, b2, b3, b4, b5, b6] = segment;
+        Ok([command, b0, b1, b2, b3, b4, b5, b6])
     }
-}
-
-fn continue_upload(upload: Upload, toggle: u8, server: &mut Server) -> Result<[u8; 8], Abort> {
-    if toggle != upload.toggle {
-        return Err(Abort::Toggle);
-    }
-    let mut segment = [0; 7];
-    let mut rest = upload.rest.iter();
-    let mut unused = segment.len() as u8;
-    for (to, from) in segment.iter_mut().zip(&mut rest) {
-        *to = *from;
-        unused -= 1;
-    }
-    let rest = rest.as_slice();
-    let command = toggle | unused << 1 | u8::from(rest.is_empty());
-    if !rest.is_empty() {
-        server.upload = Some(Upload { rest, toggle: toggle ^ TOGGLE, ..upload });
-    }
-    let [b0, b1, b2, b3, b4, b5, b6] = segment;
-    Ok([command, b0, b1, b2, b3, b4, b5, b6])
 }
 
 /// Client command specifiers: the upper three bits of a request's first byte.

@@ -3,12 +3,14 @@
 mod log;
 mod record;
 
-pub use log::{Failure, Found, Log};
+pub use log::{Error, Found, Log};
 
 use crate::{BitRateSetting, NodeId};
 
 /// The persistent settings of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct Settings {
     /// The node-ID; `None`: not configured.
     pub node_id: Option<NodeId>,
@@ -16,4 +18,29 @@ pub struct Settings {
     pub bit_rate: BitRateSetting,
     /// The producer heartbeat time 1017h in milliseconds; 0: no heartbeat.
     pub heartbeat_ms: u16,
+}
+
+impl Settings {
+    /// Settings with this bit rate, without a node-ID and without a heartbeat.
+    pub const fn new(bit_rate: BitRateSetting) -> Self {
+        Self { node_id: None, bit_rate, heartbeat_ms: 0 }
+    }
+
+    /// The same with another [`node_id`](Self::node_id).
+    #[must_use]
+    pub const fn with_node_id(self, node_id: Option<NodeId>) -> Self {
+        Self { node_id, ..self }
+    }
+
+    /// The same with another [`bit_rate`](Self::bit_rate).
+    #[must_use]
+    pub const fn with_bit_rate(self, bit_rate: BitRateSetting) -> Self {
+        Self { bit_rate, ..self }
+    }
+
+    /// The same with another [`heartbeat_ms`](Self::heartbeat_ms).
+    #[must_use]
+    pub const fn with_heartbeat_ms(self, heartbeat_ms: u16) -> Self {
+        Self { heartbeat_ms, ..self }
+    }
 }

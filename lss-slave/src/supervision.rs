@@ -7,28 +7,7 @@
 
 use core::mem;
 
-use crate::{BitRate, BitRateSetting, BitRates, Instant};
-
-/// What the CAN controller has observed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BusEvent {
-    /// A valid frame was received, whether the node wants it or not.
-    Received,
-    /// A frame of the node was sent and acknowledged.
-    Acknowledged,
-    /// A stuff, CRC or bit recessive error. A missing acknowledge is none, since nobody may be there. Neither is a bit
-    /// dominant error, which shows a broken wire or a short circuit. Also traffic that keeps the controller from joining the
-    /// bus for two frame times.
-    Error,
-    /// A form error. To a silent listener, this is what a frame without an acknowledge looks like.
-    FormError,
-    /// The bus has been dominant for longer than any frame is: a short circuit, or a station that is broken.
-    HeldDominant,
-    /// The controller is error passive by what it receives: REC is above 127.
-    ErrorPassive,
-    /// The controller is bus-off.
-    BusOff,
-}
+use crate::{BitRate, BitRateSetting, BitRates, BusEvent, Instant};
 
 /// What the node does next about its bit rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,8 +80,8 @@ pub(crate) struct Supervision {
     sending: Sending,
     /// Not yet taken by [`poll`](Self::poll).
     step: Option<Step>,
-    /// Where the node last took part, as [`take_change`](Self::take_change) knows it.
-    settled: BitRate,
+    /// The rate at which the node last took part, as [`take_change`](Self::take_change) knows it.
+    active: BitRate,
     rescues: u16,
 }
 
@@ -226,7 +205,7 @@ impl Supervision {
             errors: Errors::NONE,
             sending: Sending::Free,
             step,
-            settled: home,
+            active: home,
             rescues: 0,
         }
     }
@@ -238,6 +217,11 @@ impl Supervision {
             Place::Looking { look, turn: Turn::Elsewhere { .. }, .. } => look.candidate,
             Place::Home | Place::Looking { .. } => self.home,
         }
+    }
+
+    /// The active rate: the one commanded, or at which the node has found others.
+    pub const fn active(&self) -> BitRate {
+        self.active
     }
 
     /// The home rate; `None` until it has been detected.
@@ -303,10 +287,10 @@ impl Supervision {
             Place::Guest { rate, .. } => rate,
             Place::Looking { .. } | Place::Detecting { .. } => return None,
         };
-        if rate == self.settled {
+        if rate == self.active {
             return None;
         }
-        self.settled = rate;
+        self.active = rate;
         if rate != self.home {
             self.rescues = self.rescues.saturating_add(1);
         }
@@ -326,7 +310,7 @@ impl Supervision {
         }
         self.is_alone = false;
         self.home = rate;
-        self.settled = rate;
+        self.active = rate;
         self.enter(Place::Home);
         self.sending = Sending::Free;
         self.doubted_until = None;
@@ -446,7 +430,7 @@ impl Supervision {
             },
             (Place::Detecting { rate, .. }, Received) => {
                 self.home = *rate;
-                self.settled = *rate;
+                self.active = *rate;
                 self.is_proven = true;
                 self.previous = None;
                 self.step = Some(Step::TakePart(*rate));
@@ -487,8 +471,11 @@ impl Supervision {
             Sending::Free => None,
             Sending::Unacknowledged { until } | Sending::Withheld { until } => Some(until),
         };
-        let of_place = earliest(of_place, earliest(of_sending, self.errors.are_forgotten_at()));
-        earliest(of_place, earliest(self.trusted_until, self.doubted_until))
+        let of_place = Instant::earliest(
+            of_place,
+            Instant::earliest(of_sending, self.errors.are_forgotten_at()),
+        );
+        Instant::earliest(of_place, Instant::earliest(self.trusted_until, self.doubted_until))
     }
 
     fn end_what_is_over(&mut self, now: Instant) {
@@ -646,11 +633,4 @@ const fn turn_micros(home: BitRate) -> u32 {
 
 const fn bits_micros(bits: u32, rate: BitRate) -> u32 {
     bits * 1000 / rate.kbit_per_s() as u32
-}
-
-fn earliest(a: Option<Instant>, b: Option<Instant>) -> Option<Instant> {
-    match (a, b) {
-        (Some(a), Some(b)) => Some(a.earlier(b)),
-        _ => a.or(b),
-    }
 }

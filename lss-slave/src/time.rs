@@ -5,6 +5,7 @@
 /// Two instants are compared as if they were less than half a turn (35.8 minutes) apart; the longest time the node
 /// ever waits is 131.07 s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Instant(u32);
 
 impl Instant {
@@ -33,6 +34,14 @@ impl Instant {
     /// The one of the two that comes first.
     pub(crate) const fn earlier(self, other: Self) -> Self {
         if self.has_come(other) { self } else { other }
+    }
+
+    /// The earliest of two deadlines, each of which there may not be.
+    pub(crate) fn earliest(a: Option<Self>, b: Option<Self>) -> Option<Self> {
+        match (a, b) {
+            (Some(a), Some(b)) => Some(a.earlier(b)),
+            _ => a.or(b),
+        }
     }
 
     /// The one of the two that comes last.

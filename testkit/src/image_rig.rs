@@ -63,7 +63,7 @@ pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
 /// Settings without a heartbeat; node-ID FF: not configured.
 pub fn settings(node_id: u8, bit_rate: BitRate) -> Settings {
     let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
-    Settings { node_id, bit_rate: bit_rate.into(), heartbeat_ms: 0 }
+    Settings::new(bit_rate.into()).with_node_id(node_id)
 }
 
 pub fn bit_per_s(bit_rate: BitRate) -> u32 {

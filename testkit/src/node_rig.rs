@@ -29,7 +29,6 @@ pub struct NodeRig {
     /// Whether others acknowledge the frames of the node.
     pub is_acknowledged: bool,
     device: Device,
-    defaults: Settings,
     log: Log<BoardFlash>,
     /// Microseconds since the board was made.
     now: u64,
@@ -49,22 +48,15 @@ pub struct NodeRig {
 
 /// A device with all eight bit rates.
 pub const fn device(address: Address) -> Device {
-    Device {
-        address,
-        bit_rates: BitRates::possible(40_000_000),
-        heartbeat_ms: 0,
-        name: "Test board",
-        hardware_version: "A",
-        software_version: "1.2.3",
-        rescue: false,
-        lss_lock: false,
-    }
+    Device::new(address, BitRates::possible(40_000_000))
+        .with_name("Test board")
+        .with_versions("A", "1.2.3")
 }
 
 /// The defaults of a board as it leaves the factory: 1 Mbit/s, no heartbeat.
 pub fn defaults(node_id: u8) -> Settings {
     let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
-    Settings { node_id, bit_rate: BitRate::Kbit1000.into(), heartbeat_ms: 0 }
+    Settings::new(BitRate::Kbit1000.into()).with_node_id(node_id)
 }
 
 impl NodeRig {
@@ -79,7 +71,7 @@ impl NodeRig {
     }
 
     pub fn with_heartbeat(node_id: u8, heartbeat_ms: u16) -> Self {
-        Self::with_defaults(Settings { heartbeat_ms, ..defaults(node_id) })
+        Self::with_defaults(defaults(node_id).with_heartbeat_ms(heartbeat_ms))
     }
 
     pub fn with_defaults(defaults: Settings) -> Self {
@@ -97,17 +89,12 @@ impl NodeRig {
         flash: BoardFlash,
         clock_at_start: u32,
     ) -> Self {
-        Self::with_device(device(address), defaults, flash, clock_at_start)
+        Self::with_device(device(address).with_defaults(defaults), flash, clock_at_start)
     }
 
-    pub fn with_device(
-        device: Device,
-        defaults: Settings,
-        flash: BoardFlash,
-        clock_at_start: u32,
-    ) -> Self {
+    pub fn with_device(device: Device, flash: BoardFlash, clock_at_start: u32) -> Self {
         let (log, found) = Log::open(flash.clone());
-        let node = Node::new(device, log.settings().unwrap_or(defaults));
+        let node = Node::new(device, log.settings());
         let mut board = Self {
             bit_rate: node.bit_rate(),
             receives_for: node.node_id(),
@@ -116,7 +103,6 @@ impl NodeRig {
             found,
             is_acknowledged: true,
             device,
-            defaults,
             log,
             now: 0,
             clock_at_start,
@@ -148,9 +134,14 @@ impl NodeRig {
         self.sent_since(before)
     }
 
+    /// The controller reports an event, and nothing is done about it yet.
+    pub fn report(&mut self, event: BusEvent) {
+        self.node.handle_bus(event, self.instant());
+    }
+
     /// The controller reports an event; returns what the node sends at once.
     pub fn see(&mut self, event: BusEvent) -> Frames {
-        self.node.handle_bus(event, self.instant());
+        self.report(event);
         self.pass_us(0)
     }
 
@@ -191,7 +182,7 @@ impl NodeRig {
     }
 
     pub fn us_to_deadline(&self) -> Option<u64> {
-        Some(self.node.next_deadline()?.micros_after(self.instant()).into())
+        Some(self.node.poll_at()?.micros_after(self.instant()).into())
     }
 
     /// Cuts the power and brings it back; returns what the node sends then.
@@ -210,7 +201,7 @@ impl NodeRig {
     /// Carries out the store that is running; returns what the node sends then.
     pub fn finish_store(&mut self) -> Frames {
         let settings = self.running_store.take().expect("a store is running");
-        let outcome = self.log.store(settings);
+        let outcome = self.log.store(settings).map_err(StoreError::from);
         self.end_store(outcome)
     }
 
@@ -286,7 +277,7 @@ impl NodeRig {
     }
 
     fn run(&mut self) {
-        while let Some(action) = self.node.handle_deadline(self.instant()) {
+        while let Some(action) = self.node.poll(self.instant()) {
             self.carry_out(Some(action));
         }
         assert_eq!(self.receives_for, self.node.node_id(), "the board knows the node-ID");
@@ -316,7 +307,10 @@ impl NodeRig {
                 assert!(self.running_store.is_none(), "one store at a time");
                 self.running_store = Some(settings);
             }
-            Action::Store(settings) => self.node.handle_stored(self.log.store(settings)),
+            Action::Store(settings) => {
+                let outcome = self.log.store(settings);
+                self.node.handle_stored(outcome.map_err(StoreError::from));
+            }
             Action::ResetDevice => self.restart(),
             Action::Listen(rate) => {
                 self.may_transmit = false;
@@ -327,7 +321,7 @@ impl NodeRig {
 
     fn restart(&mut self) {
         (self.log, self.found) = Log::open(self.flash.clone());
-        self.node = Node::new(self.device, self.log.settings().unwrap_or(self.defaults));
+        self.node = Node::new(self.device, self.log.settings());
         self.bit_rate = self.node.bit_rate();
         self.receives_for = self.node.node_id();
         self.may_transmit = true;

@@ -9,11 +9,9 @@ use super::flash::Flash;
 
 /// Settings that differ for each `n`, in more than one field from those of `n` + 1.
 pub fn settings(n: u16) -> Settings {
-    Settings {
-        node_id: NodeId::new((n % 128) as u8),
-        bit_rate: BitRate::ALL[usize::from(n % 8)].into(),
-        heartbeat_ms: n,
-    }
+    Settings::new(BitRate::ALL[usize::from(n % 8)].into())
+        .with_node_id(NodeId::new((n % 128) as u8))
+        .with_heartbeat_ms(n)
 }
 
 /// What a power-on finds.

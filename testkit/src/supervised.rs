@@ -3,7 +3,6 @@
 use lss_slave::{
     BitRate,
     BusEvent::{Error, Received},
-    Device, Settings,
 };
 
 use super::{
@@ -13,9 +12,9 @@ use super::{
 
 /// A board with node-ID 40h at `home`, supervised, just powered on.
 pub fn powered_on(home: BitRate, heartbeat_ms: u16) -> NodeRig {
-    let settings = Settings { bit_rate: home.into(), heartbeat_ms, ..defaults(0x40) };
-    let device = Device { rescue: true, ..device(ADDRESS) };
-    NodeRig::with_device(device, settings, BoardFlash::blank(0), 0)
+    let settings = defaults(0x40).with_bit_rate(home.into()).with_heartbeat_ms(heartbeat_ms);
+    let device = device(ADDRESS).with_rescue(true);
+    NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0)
 }
 
 /// A board at 125 kbit/s that has heard nothing and whose boot-up nobody has acknowledged, with an empty timeline.

@@ -6,7 +6,7 @@ use emulator::{
     chip::{ResetCause, Timing},
     network::{Event, Source, What},
 };
-use lss_slave::{BitRate, Frame as NodeFrame, Settings};
+use lss_slave::{BitRate, Frame as NodeFrame};
 use testkit::{
     frames::{self, Frames, SILENCE},
     image_rig::{
@@ -182,8 +182,7 @@ fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
 #[test]
 fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
     let mut random = Random::from_environment();
-    let mut bench =
-        ImageRig::with(Settings { heartbeat_ms: 7, ..settings(0x40, BitRate::Kbit1000) });
+    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(7));
     let other = bench.network.add_adapter(Adapter::new(1_000_000));
     bench.collect(MASTER_TIMEOUT);
     let (mut sent, mut sdo_requests, mut sdo_answers) = (0, 0, 0);

@@ -7,7 +7,7 @@ use emulator::{
     chip::PowerCut,
     network::{Short, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames::{self, SILENCE},
     image_rig::{
@@ -164,7 +164,7 @@ fn random_requests_are_answered_as_the_library_answers_them() {
     let address =
         lss_slave::lss::Address { vendor_id, product_code, revision_number, serial_number };
     let flash = testkit::flash::BoardFlash::blank(0);
-    let mut node = NodeRig::with_device(reference::device(address), new, flash, 0);
+    let mut node = NodeRig::with_device(reference::device(address).with_defaults(new), flash, 0);
     node.lss("04 01");
     let mut last_ones = Vec::new();
     for _ in 0..3_000 {
@@ -263,8 +263,7 @@ fn a_power_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
 
 #[test]
 fn a_board_alone_on_the_bus_waits_and_answers_a_master_that_joins() {
-    let mut bench =
-        ImageRig::with(Settings { heartbeat_ms: 500, ..settings(0x40, BitRate::Kbit1000) });
+    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(500));
     let from = bench.network.now();
     bench.network.adapter_mut(bench.master).close();
     bench.network.run_for(Time::from_s(6));
@@ -279,7 +278,7 @@ fn a_board_alone_on_the_bus_waits_and_answers_a_master_that_joins() {
 
 #[test]
 fn a_board_that_is_driven_bus_off_recovers_and_reports_it() {
-    let settings = Settings { heartbeat_ms: 20, ..settings(0x40, BitRate::Kbit500) };
+    let settings = settings(0x40, BitRate::Kbit500).with_heartbeat_ms(20);
     let mut bench = ImageRig::with(settings);
     bench.lss("04 01");
     let from = bench.network.now();

@@ -29,7 +29,7 @@ fn others(bench: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
 }
 
 fn automatic() -> Settings {
-    Settings { bit_rate: BitRateSetting::Automatic, ..settings(0x40, BitRate::Kbit1000) }
+    settings(0x40, BitRate::Kbit1000).with_bit_rate(BitRateSetting::Automatic)
 }
 
 /// Makes the master repeat a frame, as CAN controllers do, until another node acknowledges it.
@@ -108,7 +108,7 @@ fn a_configured_board_joins_a_busy_network_of_another_rate() {
         (BitRate::Kbit20, BitRate::Kbit250),
         (BitRate::Kbit125, BitRate::Kbit1000),
     ] {
-        let board = board_with(0, Settings { heartbeat_ms: 100, ..settings(0x40, own) });
+        let board = board_with(0, settings(0x40, own).with_heartbeat_ms(100));
         let mut bench = ImageRig::new(theirs, [board]);
         let others = others(&mut bench, theirs);
         talk(&mut bench, others, Time::from_s(6));

@@ -28,7 +28,7 @@ fn board(settings: Settings, can_readings: Readings) -> Board {
 }
 
 fn listener() -> Settings {
-    Settings { bit_rate: BitRateSetting::Automatic, ..settings(0x40, BitRate::Kbit125) }
+    settings(0x40, BitRate::Kbit125).with_bit_rate(BitRateSetting::Automatic)
 }
 
 /// Whether node 40 answers the master, once it is in configuration state.
@@ -113,7 +113,7 @@ fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
 #[test]
 fn a_board_in_bus_off_for_long_is_not_starved_by_its_interrupt() {
     let readings = Readings { bus_off_holds_interrupt: true, ..Readings::default() };
-    let heartbeats = Settings { heartbeat_ms: 100, ..settings(0x40, BitRate::Kbit250) };
+    let heartbeats = settings(0x40, BitRate::Kbit250).with_heartbeat_ms(100);
     let mut bench = ImageRig::new(BitRate::Kbit250, [board(heartbeats, readings)]);
     bench.collect(Time::from_ms(100));
     assert!(answers(&mut bench));

@@ -5,7 +5,7 @@ use emulator::{
     can::{Adapter, Frame, Id},
     network::{AdapterId, Event, Recording, Short, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames,
     image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
@@ -29,7 +29,8 @@ fn pairs() -> impl Iterator<Item = (BitRate, BitRate)> {
 }
 
 fn boards(count: u8, heartbeat_ms: u16, bit_rate: BitRate) -> ImageRig {
-    let with = |number| board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) });
+    let with =
+        |number| board_with(number, settings(number, bit_rate).with_heartbeat_ms(heartbeat_ms));
     let mut bench = ImageRig::new(bit_rate, (1..=count).map(with));
     bench.network.record(Recording::Off);
     bench
@@ -143,7 +144,7 @@ fn assert_waits_for_a_master_that_goes_on(
     heartbeat_ms: u16,
     late_ms: u64,
 ) {
-    let board = board_with(id, Settings { heartbeat_ms, ..settings(id, from) });
+    let board = board_with(id, settings(id, from).with_heartbeat_ms(heartbeat_ms));
     let mut bench = ImageRig::new(from, [board]);
     bench.network.record(Recording::Off);
     activate(&mut bench, to, 100);

@@ -4,7 +4,7 @@ use emulator::{
     Time,
     network::{Short, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames::{self, Frames},
     image_rig::{ImageRig, on_the_wire, settings},
@@ -15,7 +15,7 @@ const ERROR_PASSIVE: &str = "0C0: 20 81 11 00 00 00 00 00";
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
 
 fn node_40() -> ImageRig {
-    ImageRig::with(Settings { heartbeat_ms: 100, ..settings(0x40, BitRate::Kbit500) })
+    ImageRig::with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100))
 }
 
 /// Leaves the board alone on the bus for `span`; returns the frames that it sends in the two seconds after.

@@ -1,7 +1,7 @@
 //! The indicators of the release image (CiA 303-3), observed on the pins of the emulated board.
 
 use emulator::{Time, chip::Pin};
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::image_rig::{ImageRig, settings};
 
 const RUN: Pin = Pin('D', 12);
@@ -63,8 +63,7 @@ fn both_flicker_in_turn_in_lss_configuration_state_and_without_a_node_id() {
 
 #[test]
 fn err_flashes_once_while_the_error_counters_warn() {
-    let mut bench =
-        ImageRig::with(Settings { heartbeat_ms: 100, ..settings(0x40, BitRate::Kbit500) });
+    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100));
     bench.collect(Time::from_ms(20));
     // No other node acknowledges: the transmit error counter rises to 128 and stays there.
     bench.network.adapter_mut(bench.master).close();

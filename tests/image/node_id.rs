@@ -5,7 +5,7 @@ use emulator::{
     can::{Frame, Id},
     network::{Event, Source, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames::{self, SILENCE},
     image_rig::{ImageRig, on_the_wire, settings},
@@ -14,7 +14,7 @@ use testkit::{
 
 /// Node 5, operational, with a heartbeat.
 fn node_5(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
-    let mut bench = ImageRig::with(Settings { heartbeat_ms, ..settings(5, bit_rate) });
+    let mut bench = ImageRig::with(settings(5, bit_rate).with_heartbeat_ms(heartbeat_ms));
     bench.transmit_command("01 05");
     bench
 }

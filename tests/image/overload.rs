@@ -6,7 +6,7 @@ use emulator::{
     chip::{FLASH_BASE, ResetCause, Timing},
     network::{Event, Source, What},
 };
-use lss_slave::{BitRate, BitRateSetting, Settings};
+use lss_slave::{BitRate, BitRateSetting};
 use testkit::{
     frames::{self, SILENCE},
     image::image,
@@ -21,7 +21,8 @@ const LONG: Time = Time::from_s(4);
 const INTERMISSION: Time = Time::from_us(4);
 
 fn node_40(heartbeat_ms: u16) -> ImageRig {
-    let mut bench = ImageRig::with(Settings { heartbeat_ms, ..settings(0x40, BitRate::Kbit1000) });
+    let mut bench =
+        ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
     bench.collect(Time::from_ms(20));
     bench
 }
@@ -137,8 +138,7 @@ fn after_a_bus_of_error_frames_only_the_board_answers_again() {
 
 #[test]
 fn noise_without_end_does_not_end_the_search_for_the_bit_rate() {
-    let automatic =
-        Settings { bit_rate: BitRateSetting::Automatic, ..settings(0x40, BitRate::Kbit1000) };
+    let automatic = settings(0x40, BitRate::Kbit1000).with_bit_rate(BitRateSetting::Automatic);
     let mut bench = ImageRig::new(BitRate::Kbit500, [board_with(0, automatic)]);
     let since = bench.network.now();
     disturb(&mut bench);

@@ -5,13 +5,13 @@ use emulator::{
     can::{Frame, Id},
     network::{AdapterId, Short, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::image_rig::{ImageRig, settings};
 
 /// Node 40 at 500 kbit/s with a heartbeat, in LSS configuration state and about to switch to 250 kbit/s; and the
 /// foreign node.
 fn about_to_switch() -> (ImageRig, AdapterId) {
-    let settings = Settings { heartbeat_ms: 20, ..settings(0x40, BitRate::Kbit500) };
+    let settings = settings(0x40, BitRate::Kbit500).with_heartbeat_ms(20);
     let mut bench = ImageRig::with(settings);
     let foreign = bench.add_disturber();
     bench.lss("04 01");

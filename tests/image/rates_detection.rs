@@ -6,7 +6,7 @@ use emulator::{
     chip::ResetCause,
     network::{AdapterId, Event, Source, What},
 };
-use lss_slave::{BitRate, BitRateSetting, Settings};
+use lss_slave::{BitRate, BitRateSetting};
 use testkit::{
     frames,
     image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
@@ -70,7 +70,7 @@ impl Traffic {
 /// A board that detects the bit rate, without power, on a bus at `bit_rate`.
 fn bench(bit_rate: BitRate, node_id: u8) -> ImageRig {
     let automatic = BitRateSetting::Automatic;
-    let settings = Settings { bit_rate: automatic, ..settings(node_id, bit_rate) };
+    let settings = settings(node_id, bit_rate).with_bit_rate(automatic);
     let mut bench = ImageRig::new(bit_rate, [board_with(0, settings)]);
     bench.network.power_off(0);
     bench

@@ -2,11 +2,11 @@
 
 use emulator::{
     Time, board,
-    can::{Adapter, BitTiming, Clock, Frame, Id},
+    can::{Adapter, BitSegments, Clock, Frame, Id},
     chip::Part,
     network::{AdapterId, Network, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::{BitRate, bit_rate::BitTiming};
 use testkit::{
     frames,
     image::image,
@@ -192,9 +192,8 @@ fn a_delay_of_50_ms_does_not_disturb_a_neighbour_that_needs_40_ms() {
         (BitRate::Kbit500, BitRate::Kbit50),
     ] {
         let (processing, delay) = (Time::from_ms(40), Time::from_ms(50));
-        let boards = [1, 2].map(|number| {
-            board_with(number, Settings { heartbeat_ms: 5, ..settings(number, from) })
-        });
+        let boards =
+            [1, 2].map(|number| board_with(number, settings(number, from).with_heartbeat_ms(5)));
         let mut bench = ImageRig::new(from, boards);
         let slow = bench.network.add_adapter(Adapter::new(bit_per_s(from)));
         bench.transmit_request("04 01");
@@ -229,8 +228,29 @@ fn a_delay_of_50_ms_does_not_disturb_a_neighbour_that_needs_40_ms() {
 }
 
 /// The bit timing of the firmware.
-fn bit_timing(bit_rate: BitRate) -> lss_slave::bit_rate::BitTiming {
-    lss_slave::bit_rate::BitTiming::solve(bit_rate, APB1_HZ).expect("every rate is possible")
+fn bit_timing(bit_rate: BitRate) -> BitTiming {
+    BitTiming::solve(bit_rate, APB1_HZ).expect("every rate is possible")
+}
+
+#[test]
+fn each_bit_rate_has_its_value_in_can_btr() {
+    for (bit_rate, btr) in [
+        (BitRate::Kbit1000, 0x022F_0001),
+        (BitRate::Kbit800, 0x0116_0004),
+        (BitRate::Kbit500, 0x022F_0003),
+        (BitRate::Kbit250, 0x022F_0007),
+        (BitRate::Kbit125, 0x022F_000F),
+        (BitRate::Kbit50, 0x022F_0027),
+        (BitRate::Kbit20, 0x022F_0063),
+        (BitRate::Kbit10, 0x022F_00C7),
+    ] {
+        let bench = ImageRig::with(settings(0x40, bit_rate));
+        let written = bench.did(0, Time::ZERO).filter_map(|event| match event.what {
+            What::BitTiming { btr, .. } => Some(btr),
+            _ => None,
+        });
+        assert_eq!(written.last(), Some(btr), "{bit_rate:?}");
+    }
 }
 
 /// Whether a board and a master with the same bit timing and these crystal deviations communicate without an error
@@ -245,7 +265,7 @@ fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> 
     let timing = bit_timing(bit_rate);
     let master = network.add_adapter(Adapter::with_timing(
         Clock { hz: APB1_HZ, ppm: master_ppm },
-        BitTiming {
+        BitSegments {
             prescaler: timing.prescaler,
             segment_1: timing.segment1,
             segment_2: timing.segment2,

@@ -6,7 +6,7 @@ use emulator::{
     chip::ResetCause,
     network::Recording,
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames,
     image_rig::{ImageRig, board_with, on_the_wire, settings},
@@ -73,7 +73,8 @@ fn all_reached(scenario: &str, bench: &mut ImageRig, missing: Vec<Probe>) {
 
 /// Nodes 1 to 4, all at this rate, each with a heartbeat.
 fn four(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
-    let with = |number| board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) });
+    let with =
+        |number| board_with(number, settings(number, bit_rate).with_heartbeat_ms(heartbeat_ms));
     ImageRig::new(bit_rate, (1..=4).map(with))
 }
 
@@ -136,7 +137,7 @@ fn a_node_with_another_rate_stored_is_reached() {
         for heartbeat_ms in [1000, 0] {
             let with = |number| {
                 let bit_rate = if number == 2 { stored } else { bus };
-                board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) })
+                board_with(number, settings(number, bit_rate).with_heartbeat_ms(heartbeat_ms))
             };
             let mut bench = ImageRig::new(bus, (1..=4).map(with));
             let (stored, bus) = (stored.kbit_per_s(), bus.kbit_per_s());
@@ -192,7 +193,7 @@ fn a_node_that_sits_alone_with_the_master_is_reached_but_at_two_pairs() {
 #[test]
 fn a_node_without_acknowledges_stays_at_its_rate_and_answers_at_once() {
     let bit_rate = BitRate::Kbit125;
-    let board = board_with(1, Settings { heartbeat_ms: 100, ..settings(1, bit_rate) });
+    let board = board_with(1, settings(1, bit_rate).with_heartbeat_ms(100));
     let mut bench = ImageRig::new(bit_rate, [board]);
     bench.network.adapter_mut(bench.master).close();
     let since = bench.network.now();

@@ -243,7 +243,7 @@ fn the_same_session_has_the_same_trace_twice() {
     let live = || {
         let boards = [1, 2, 3].map(|number| {
             let heartbeat_ms = 10 * u16::from(number);
-            board_with(number, Settings { heartbeat_ms, ..settings(number, BitRate::Kbit1000) })
+            board_with(number, settings(number, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms))
         });
         let mut bench = ImageRig::new(BitRate::Kbit1000, boards);
         for request in ["04 01", "5A", "11 04", "13 00 02", "17", "5E"] {

@@ -1,7 +1,7 @@
 //! Sessions of an LSS master with the release image: every service of CiA 305 on emulated boards, frame by frame.
 
 use emulator::{Time, chip::ResetCause, network::What};
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames::{Frames, SILENCE, number},
     image_rig::{ImageRig, bit_per_s, blank_board, board_with, settings},
@@ -212,8 +212,7 @@ fn values_out_of_range_are_refused_and_the_old_ones_stay() {
 
 #[test]
 fn the_node_id_ff_takes_a_board_out_of_the_network() {
-    let mut bench =
-        ImageRig::with(Settings { heartbeat_ms: 100, ..settings(0x40, BitRate::Kbit1000) });
+    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100));
     assert_eq!(bench.collect(Time::from_ms(150)), ["740: 00", "740: 7F"]);
     bench.lss("04 01");
     assert_eq!(bench.lss("11 FF"), ["11 00"]);

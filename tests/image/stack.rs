@@ -7,7 +7,7 @@ use emulator::{
     can::{Adapter, Frame, Id},
     chip::{FLASH_BASE, RAM_BASE, ResetCause, Timing},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     image::image,
     image_rig::{ImageRig, SETTINGS_OFFSET, blank_board, flash_with, on_the_wire, settings},
@@ -111,7 +111,7 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
     let rate = BitRate::Kbit1000;
     // Nearly full: the boot moves to the other sector.
     let stores: Vec<_> = (0..385).map(|n| settings(n as u8 % 100 + 1, rate)).collect();
-    let last = Settings { heartbeat_ms: 5, ..settings(0x40, rate) };
+    let last = settings(0x40, rate).with_heartbeat_ms(5);
     let mut board = blank_board(0);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[&stores[..], &[last]].concat()));
     stack::paint(&mut board, image());

@@ -5,7 +5,7 @@ use emulator::{
     can::{Adapter, Frame, Id},
     network::{Event, Source, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     frames::{self, SILENCE},
     image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
@@ -18,8 +18,9 @@ const ACCURACY: Time = Time::from_ms(1);
 
 /// Nodes 1 and 2 at `bit_rate`, in configuration state.
 fn two_boards(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
-    let boards = [1, 2]
-        .map(|number| board_with(number, Settings { heartbeat_ms, ..settings(number, bit_rate) }));
+    let boards = [1, 2].map(|number| {
+        board_with(number, settings(number, bit_rate).with_heartbeat_ms(heartbeat_ms))
+    });
     let mut bench = ImageRig::new(bit_rate, boards);
     bench.transmit_request("04 01");
     bench
@@ -73,7 +74,8 @@ fn assert_switched(bench: &ImageRig, t0: Time, delay: Time, to: BitRate) {
         assert_eq!(*bit_rate, bit_per_s(to));
         assert!(*time + two_bits > t0 + delay, "{time} is {} early", t0 + delay - *time);
         let late = time.saturating_sub(t0 + delay);
-        assert!(late < ACCURACY, "{time} is {late} late");
+        // The tick that ends the delay may be a millisecond away, and the switch itself takes its time.
+        assert!(late < ACCURACY + PROCESSING, "{time} is {late} late");
     }
 }
 
@@ -244,7 +246,7 @@ fn an_nmt_command_within_the_silence_is_carried_out_at_its_end() {
 fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
     // In bits: a heartbeat is due every 100 and takes less than 60, the request takes more than 100.
     let rate = BitRate::Kbit10;
-    let mut bench = ImageRig::with(Settings { heartbeat_ms: 10, ..settings(1, rate) });
+    let mut bench = ImageRig::with(settings(1, rate).with_heartbeat_ms(10));
     let other = bench.network.add_adapter(Adapter::new(bit_per_s(rate)));
     bench.transmit_request("04 01");
     configure(&mut bench, BitRate::Kbit1000);
@@ -304,7 +306,7 @@ fn an_answer_not_sent_before_the_request_for_silence_is_dropped() {
 #[test]
 fn a_board_that_switched_alone_returns_to_the_bus_at_the_old_rate() {
     let rate = BitRate::Kbit125;
-    let mut bench = ImageRig::with(Settings { heartbeat_ms: 50, ..settings(1, rate) });
+    let mut bench = ImageRig::with(settings(1, rate).with_heartbeat_ms(50));
     let other = bench.network.add_adapter(Adapter::new(bit_per_s(rate)));
     bench.transmit_request("04 01");
     configure(&mut bench, BitRate::Kbit500);

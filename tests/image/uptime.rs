@@ -6,7 +6,7 @@ use emulator::{
     Time,
     network::{Event, What},
 };
-use lss_slave::{BitRate, Settings};
+use lss_slave::BitRate;
 use testkit::{
     image::image,
     image_rig::{ImageRig, board_with, settings},
@@ -33,7 +33,7 @@ fn count(bench: &ImageRig) -> u32 {
 
 /// Node 40 with a heartbeat on a board that has counted a number of milliseconds when it boots.
 fn booted_at(count_ms: u32) -> ImageRig {
-    let stored = Settings { heartbeat_ms: 30, ..settings(0x40, BitRate::Kbit1000) };
+    let stored = settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(30);
     let mut board = board_with(0, stored);
     board.run_until(WAITS_FOR_CRYSTAL);
     assert!(board.write_memory(count_address(), &count_ms.to_le_bytes()));

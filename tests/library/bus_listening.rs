@@ -11,17 +11,25 @@ use testkit::{
 const KBIT_PER_S: [u16; 8] = [1000, 800, 500, 250, 125, 50, 20, 10];
 
 fn with_automatic(device: Device) -> Device {
-    Device { bit_rates: device.bit_rates.with_automatic(), ..device }
+    device.with_bit_rates(device.bit_rates.with_automatic())
 }
 
 /// A board that starts at 1 Mbit/s and offers automatic detection.
 fn fixed() -> NodeRig {
-    NodeRig::with_device(with_automatic(device(ADDRESS)), defaults(0x40), BoardFlash::blank(0), 0)
+    NodeRig::with_device(
+        with_automatic(device(ADDRESS)).with_defaults(defaults(0x40)),
+        BoardFlash::blank(0),
+        0,
+    )
 }
 
 fn listening_with(device: Device, settings: Settings, clock_at_start: u32) -> NodeRig {
-    let settings = Settings { bit_rate: BitRateSetting::Automatic, ..settings };
-    NodeRig::with_device(with_automatic(device), settings, BoardFlash::blank(0), clock_at_start)
+    let settings = settings.with_bit_rate(BitRateSetting::Automatic);
+    NodeRig::with_device(
+        with_automatic(device).with_defaults(settings),
+        BoardFlash::blank(0),
+        clock_at_start,
+    )
 }
 
 /// A board that detects the bit rate from power-on, with an empty timeline.
@@ -130,8 +138,7 @@ fn a_fixed_rate_ends_automatic_detection() {
 
 #[test]
 fn nothing_is_ever_sent_while_listening() {
-    let mut board =
-        listening_with(device(ADDRESS), Settings { heartbeat_ms: 100, ..defaults(0x40) }, 0);
+    let mut board = listening_with(device(ADDRESS), defaults(0x40).with_heartbeat_ms(100), 0);
     for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000] {
         assert_eq!(board.see(BusEvent::Error), SILENCE);
         assert_eq!(board.pass_ms(1_400), SILENCE, "no heartbeat");
@@ -210,7 +217,7 @@ fn a_rate_is_left_at_the_21st_form_error_which_a_lone_master_never_causes() {
 
 #[test]
 fn rates_that_the_clock_cannot_produce_are_left_out() {
-    let device = Device { bit_rates: BitRates::possible(42_000_000), ..device(ADDRESS) };
+    let device = device(ADDRESS).with_bit_rates(BitRates::possible(42_000_000));
     assert!(!device.bit_rates.contains(BitRate::Kbit800));
     let mut board = listening_with(device, defaults(0x40), 0);
     board.see(BusEvent::Error);

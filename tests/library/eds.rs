@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use lss_slave::{
-    BitRate, BitRates, Device, Settings,
+    BitRate, BitRates, Device,
     lss::Address,
     object_dictionary::{Access, DataType, Entry, Object, TABLE},
 };
@@ -71,24 +71,19 @@ fn bit_rates() -> BitRates {
 
 /// A board with the identity and the defaults of the firmware, and node-ID 40h.
 fn board_of_device_rs() -> NodeRig {
-    let heartbeat_ms = number(in_device_rs("heartbeat_ms: ", ',')) as u16;
-    let device = Device {
-        address: Address {
-            vendor_id: number_in_device_rs("VENDOR_ID"),
-            product_code: number_in_device_rs("PRODUCT_CODE"),
-            revision_number: number_in_device_rs("REVISION_NUMBER"),
-            serial_number: 0,
-        },
-        bit_rates: bit_rates(),
-        heartbeat_ms,
-        name: text_in_device_rs("NAME"),
-        hardware_version: text_in_device_rs("HARDWARE_VERSION"),
-        software_version: text_in_device_rs("SOFTWARE_VERSION"),
-        rescue: true,
-        lss_lock: false,
+    let heartbeat_ms = number(in_device_rs("with_heartbeat_ms(", ')')) as u16;
+    let address = Address {
+        vendor_id: number_in_device_rs("VENDOR_ID"),
+        product_code: number_in_device_rs("PRODUCT_CODE"),
+        revision_number: number_in_device_rs("REVISION_NUMBER"),
+        serial_number: 0,
     };
-    let defaults = Settings { heartbeat_ms, ..defaults(0x40) };
-    NodeRig::with_device(device, defaults, BoardFlash::blank(0), 0)
+    let device = Device::new(address, bit_rates())
+        .with_defaults(defaults(0x40).with_heartbeat_ms(heartbeat_ms))
+        .with_name(text_in_device_rs("NAME"))
+        .with_versions(text_in_device_rs("HARDWARE_VERSION"), text_in_device_rs("SOFTWARE_VERSION"))
+        .with_rescue(true);
+    NodeRig::with_device(device, BoardFlash::blank(0), 0)
 }
 
 /// The name of the section that describes `entry`.

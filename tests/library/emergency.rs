@@ -1,6 +1,6 @@
 //! Emergency messages (CiA 301, 7.2.7): the frames and times for each fault, and the error register 1001h.
 
-use lss_slave::{BitRate, BitRateSetting, BusEvent, Settings, emergency::Fault};
+use lss_slave::{BitRate, BitRateSetting, BusEvent, emergency::Fault};
 use testkit::{
     flash::{BoardFlash, Operation},
     frames::{Frames, SILENCE},
@@ -22,7 +22,7 @@ fn report(board: &mut NodeRig, fault: Fault) -> Frames {
 #[test]
 fn a_bus_off_that_is_over_is_8140_and_then_no_error() {
     let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(report(&mut board, Fault::BusOffRecovered), [BUS_OFF_RECOVERED, NO_ERROR]);
+    assert_eq!(board.see(BusEvent::BusOffRecovered), [BUS_OFF_RECOVERED, NO_ERROR]);
     assert_eq!(board.number(0x1001, 0), 0);
     assert_eq!(board.pass_ms(10_000), SILENCE, "once");
 }
@@ -30,9 +30,9 @@ fn a_bus_off_that_is_over_is_8140_and_then_no_error() {
 #[test]
 fn an_overrun_is_8110_and_then_no_error() {
     let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN, NO_ERROR]);
+    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN, NO_ERROR]);
     assert_eq!(board.number(0x1001, 0), 0);
-    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN, NO_ERROR], "each time");
+    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN, NO_ERROR], "each time");
 }
 
 #[test]
@@ -66,9 +66,9 @@ fn a_store_by_sdo_ends_lost_settings_unless_it_fails() {
 fn while_settings_are_lost_the_end_of_another_fault_sends_no_0000() {
     let mut board = NodeRig::with_node_id(0x40);
     report(&mut board, Fault::SettingsLost);
-    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN]);
+    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN]);
     assert_eq!(board.number(0x1001, 0), 1);
-    assert_eq!(report(&mut board, Fault::BusOffRecovered), [BUS_OFF_RECOVERED]);
+    assert_eq!(board.see(BusEvent::BusOffRecovered), [BUS_OFF_RECOVERED]);
     board.lss("04 01");
     assert_eq!(board.lss("17"), ["17 00", NO_ERROR]);
 }
@@ -76,8 +76,8 @@ fn while_settings_are_lost_the_end_of_another_fault_sends_no_0000() {
 #[test]
 fn simultaneous_faults_are_each_reported_once_and_their_end_last() {
     let mut board = NodeRig::with_node_id(0x40);
-    for fault in [Fault::Overrun, Fault::BusOffRecovered, Fault::Overrun] {
-        board.node.handle_fault(fault);
+    for fault in [BusEvent::Overrun, BusEvent::BusOffRecovered, BusEvent::Overrun] {
+        board.report(fault);
     }
     assert_eq!(board.pass_us(0), [BUS_OFF_RECOVERED, OVERRUN, NO_ERROR]);
 }
@@ -91,7 +91,7 @@ fn the_cob_id_is_80h_plus_the_node_id() {
             format!("{cob_id:03X}: 10 81 11 00 00 00 00 00"),
             format!("{cob_id:03X}: 00 00 00 00 00 00 00 00"),
         ];
-        assert_eq!(report(&mut board, Fault::Overrun), frames.each_ref().map(String::as_str));
+        assert_eq!(board.see(BusEvent::Overrun), frames.each_ref().map(String::as_str));
     }
 }
 
@@ -99,9 +99,9 @@ fn the_cob_id_is_80h_plus_the_node_id() {
 fn emergencies_are_sent_in_pre_operational_and_operational_not_in_stopped() {
     let mut board = NodeRig::with_node_id(0x40);
     board.nmt("01 00");
-    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN, NO_ERROR]);
+    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN, NO_ERROR]);
     board.nmt("02 00");
-    assert_eq!(report(&mut board, Fault::Overrun), SILENCE);
+    assert_eq!(board.see(BusEvent::Overrun), SILENCE);
     assert_eq!(board.pass_ms(1_000), SILENCE);
     assert_eq!(board.nmt("80 00"), [OVERRUN, NO_ERROR]);
 }
@@ -131,7 +131,7 @@ fn an_emergency_waits_for_the_end_of_a_switch_delay() {
     board.lss("04 01");
     board.lss("13 00 02");
     board.lss("15 0A 00");
-    assert_eq!(report(&mut board, Fault::BusOffRecovered), SILENCE);
+    assert_eq!(board.see(BusEvent::BusOffRecovered), SILENCE);
     assert_eq!(board.pass_us(19_999), SILENCE);
     assert_eq!(board.pass_us(1), [BUS_OFF_RECOVERED, NO_ERROR, "740: 7F"]);
 }
@@ -147,13 +147,13 @@ fn reset_communication_keeps_a_lasting_error_and_does_not_report_it_again() {
 #[test]
 fn an_emergency_is_sent_before_a_heartbeat_due_at_the_same_time() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
-    board.node.handle_fault(Fault::Overrun);
+    board.report(BusEvent::Overrun);
     assert_eq!(board.be_late_ms(100), [OVERRUN, NO_ERROR, "740: 7F"]);
 }
 
 /// Sets the controller's error counters; returns the frames that the node sends at once.
 fn count(board: &mut NodeRig, transmit: u8, receive: u8) -> Frames {
-    board.node.note_error_counters(transmit, receive);
+    board.report(BusEvent::ErrorCounters { transmit, receive });
     board.pass_us(0)
 }
 
@@ -189,7 +189,7 @@ fn emergencies_wait_while_the_bus_carries_only_errors() {
     let mut board = NodeRig::with_heartbeat(0x40, 1_000);
     for receive in [128, 135, 255] {
         assert_eq!(count(&mut board, 0, receive), SILENCE);
-        assert_eq!(report(&mut board, Fault::Overrun), SILENCE);
+        assert_eq!(board.see(BusEvent::Overrun), SILENCE);
         assert_eq!(board.pass_ms(1_000), ["740: 7F"]);
     }
     assert_eq!(count(&mut board, 0, 119), [ERROR_PASSIVE, "0C0: 10 81 11 00 00 00 00 00"]);
@@ -200,7 +200,7 @@ fn emergencies_wait_while_the_bus_carries_only_errors() {
 fn error_passive_that_lasts_goes_with_the_messages_of_other_faults() {
     let mut board = NodeRig::with_node_id(0x40);
     count(&mut board, 128, 0);
-    assert_eq!(report(&mut board, Fault::Overrun), ["0C0: 10 81 11 00 00 00 00 00"]);
+    assert_eq!(board.see(BusEvent::Overrun), ["0C0: 10 81 11 00 00 00 00 00"]);
     assert_eq!(report(&mut board, Fault::SettingsLost), ["0C0: 10 63 11 00 00 00 00 00"]);
     assert_eq!(count(&mut board, 0, 0), SILENCE, "the settings are still lost");
     assert_eq!(board.number(0x1001, 0), 0x01);
@@ -208,8 +208,9 @@ fn error_passive_that_lasts_goes_with_the_messages_of_other_faults() {
 
 #[test]
 fn a_node_that_only_listens_is_not_error_passive() {
-    let automatic = Settings { bit_rate: BitRateSetting::Automatic, ..defaults(0x40) };
-    let mut board = NodeRig::with_device(device(ADDRESS), automatic, BoardFlash::blank(0), 0);
+    let automatic = defaults(0x40).with_bit_rate(BitRateSetting::Automatic);
+    let mut board =
+        NodeRig::with_device(device(ADDRESS).with_defaults(automatic), BoardFlash::blank(0), 0);
     assert!(board.node.is_listening());
     assert_eq!(count(&mut board, 0, 200), SILENCE);
     board.see(BusEvent::Received);
@@ -224,7 +225,7 @@ fn another_bit_rate_than_the_home_rate_is_ff10_with_both_in_kbit_per_s() {
     assert_eq!(report(&mut board, away), ["0C0: 10 FF 11 F4 01 7D 00 00"]);
     assert_eq!(board.number(0x1001, 0), 0x11);
     assert_eq!(board.number(0x1003, 1), 0x01F4_FF10);
-    assert_eq!(report(&mut board, Fault::Overrun), [OVERRUN], "its own bytes only");
+    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN], "its own bytes only");
     let away = Fault::AwayFromHomeRate { in_use: BitRate::Kbit10, home: BitRate::Kbit1000 };
     assert_eq!(report(&mut board, away), ["0C0: 10 FF 11 0A 00 E8 03 00"], "each change");
 }
@@ -233,9 +234,9 @@ fn another_bit_rate_than_the_home_rate_is_ff10_with_both_in_kbit_per_s() {
 fn the_error_history_knows_faults_when_they_arise_and_each_message_once() {
     let mut board = NodeRig::with_node_id(0x40);
     board.nmt("02 00");
-    board.node.handle_fault(Fault::Overrun);
-    board.node.note_error_counters(128, 0);
-    board.node.handle_fault(Fault::Overrun);
+    board.report(BusEvent::Overrun);
+    board.report(BusEvent::ErrorCounters { transmit: 128, receive: 0 });
+    board.report(BusEvent::Overrun);
     board.nmt("80 00");
     let errors = [1, 2].map(|sub_index| board.number(0x1003, sub_index));
     assert_eq!((board.number(0x1003, 0), errors), (2, [0x8120, 0x8110]));

@@ -1,5 +1,6 @@
 //! Frames: construction, content, equality.
 
+use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use lss_slave::Frame;
 
 #[test]
@@ -44,4 +45,20 @@ fn frames_with_another_identifier_length_or_byte_differ() {
 fn a_frame_is_shown_in_hexadecimal() {
     let frame = Frame::new(0x7E5, &[0x04, 0xAB]).expect("a frame");
     assert_eq!(format!("{frame:?}"), "7E5: [04, AB]");
+}
+
+#[test]
+fn an_embedded_can_frame_is_a_data_frame_with_a_standard_id() {
+    fn made<F: embedded_can::Frame>(id: impl Into<Id>, data: &[u8]) -> Option<F> {
+        F::new(id, data)
+    }
+    let id = StandardId::new(0x7E5).expect("an id");
+    let frame: Frame = made(id, &[4, 1]).expect("a frame");
+    assert_eq!(Some(frame), Frame::new(0x7E5, &[4, 1]));
+    assert_eq!((frame.id(), frame.dlc()), (Id::Standard(id), 2));
+    assert_eq!(embedded_can::Frame::data(&frame), [4, 1]);
+    assert!(frame.is_standard() && frame.is_data_frame());
+    assert_eq!(made::<Frame>(id, &[0; 9]), None);
+    assert_eq!(made::<Frame>(ExtendedId::new(0x7E5).expect("an id"), &[4, 1]), None);
+    assert_eq!(Frame::new_remote(id, 2), None);
 }

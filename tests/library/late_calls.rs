@@ -1,6 +1,6 @@
 //! A board that is late with every deadline acts like a punctual one, in the same order, and misses only heartbeats.
 
-use lss_slave::{Action, Settings};
+use lss_slave::Action;
 use testkit::{
     node_rig::{NodeRig, defaults},
     random::Random,
@@ -28,7 +28,7 @@ fn late_or_punctual_calls_lead_to_the_same_actions_in_the_same_order() {
     let mut random = Random::from_environment();
     let (mut acts, mut missed) = (0, 0);
     for _ in 0..50 {
-        let settings = Settings { heartbeat_ms: 3, ..defaults(random.pick(&[0x40, 0xFF])) };
+        let settings = defaults(random.pick(&[0x40, 0xFF])).with_heartbeat_ms(3);
         let mut punctual = NodeRig::with_defaults(settings);
         let mut late = NodeRig::with_defaults(settings);
         for step in 0..300 {

@@ -1,6 +1,6 @@
 //! The activation of a bit rate, with its two silent periods (CiA 305, activate bit timing parameters).
 
-use lss_slave::{BitRate, Frame, Settings, nmt::State};
+use lss_slave::{BitRate, Frame, nmt::State};
 use testkit::{
     flash::BoardFlash,
     frames::{Frames, SILENCE},
@@ -267,7 +267,7 @@ fn sdo_requests_of_the_silent_periods_are_not_answered_late() {
 
 /// Requests, resets, activations and heartbeats, with time passing in steps of `step_us`.
 fn session(clock_at_start: u32, step_us: u64) -> Vec<String> {
-    let defaults = Settings { heartbeat_ms: 300, ..defaults(0x40) };
+    let defaults = defaults(0x40).with_heartbeat_ms(300);
     let mut board = NodeRig::new(ADDRESS, defaults, BoardFlash::blank(0), clock_at_start);
     let pass_ms = |board: &mut NodeRig, ms: u64| {
         let mut us = ms * 1000;

@@ -1,6 +1,6 @@
 //! The bit rate, persistent, pending and active (CiA 305, configure bit timing parameters).
 
-use lss_slave::{BitRate, BitRates, Device, Node, Settings};
+use lss_slave::{BitRate, BitRates, Node};
 use testkit::{
     flash::BoardFlash,
     frames::Frames,
@@ -54,8 +54,8 @@ fn any_other_index_or_table_is_refused_and_leaves_the_pending_rate_alone() {
 
 #[test]
 fn a_rate_that_the_clock_cannot_produce_is_refused_and_changes_nothing() {
-    let device = Device { bit_rates: BitRates::possible(42_000_000), ..device(ADDRESS) };
-    let board = NodeRig::with_device(device, defaults(0x40), BoardFlash::blank(0), 0);
+    let device = device(ADDRESS).with_bit_rates(BitRates::possible(42_000_000));
+    let board = NodeRig::with_device(device.with_defaults(defaults(0x40)), BoardFlash::blank(0), 0);
     let mut board = with_500_pending_on(board);
     assert_eq!(board.lss("13 00 01"), ["13 01"], "800 kbit/s is not possible from 42 MHz");
     assert_eq!(pending(&mut board), 500);
@@ -107,10 +107,10 @@ fn reset_communication_touches_neither_the_active_nor_the_pending_rate() {
 
 #[test]
 fn an_unsupported_stored_bit_rate_is_searched_for_by_listening() {
-    let device = Device { bit_rates: BitRates::possible(42_000_000), ..device(ADDRESS) };
+    let device = device(ADDRESS).with_bit_rates(BitRates::possible(42_000_000));
     assert!(!device.bit_rates.contains(BitRate::Kbit800), "{:?}", device.bit_rates);
-    let settings = Settings { bit_rate: BitRate::Kbit800.into(), ..defaults(0x40) };
-    let node = Node::new(device, settings);
+    let settings = defaults(0x40).with_bit_rate(BitRate::Kbit800.into());
+    let node = Node::new(device, Some(settings));
     assert!(node.is_listening());
     assert!(device.bit_rates.contains(node.bit_rate()));
 }

@@ -1,6 +1,5 @@
 //! The LSS lock, an option of the device: in NMT operational the LSS state stays waiting.
 
-use lss_slave::Device;
 use testkit::{
     flash::BoardFlash,
     frames::{Frames, SILENCE, number},
@@ -8,8 +7,8 @@ use testkit::{
 };
 
 fn board(lss_lock: bool, node_id: u8) -> NodeRig {
-    let device = Device { lss_lock, ..device(ADDRESS) };
-    NodeRig::with_device(device, defaults(node_id), BoardFlash::blank(0), 0)
+    let device = device(ADDRESS).with_lss_lock(lss_lock);
+    NodeRig::with_device(device.with_defaults(defaults(node_id)), BoardFlash::blank(0), 0)
 }
 
 /// Selects the board by its address.

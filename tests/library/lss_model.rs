@@ -37,7 +37,6 @@ struct Model {
     pending_id: u8,
     active_id: u8,
     pending_rate: u8,
-    active_rate: u8,
 }
 
 type Service = fn(&mut Model, &[u8; 8]) -> Effect;
@@ -88,7 +87,6 @@ impl Model {
             pending_id: node_id,
             active_id: node_id,
             pending_rate: rate,
-            active_rate: rate,
         }
     }
 
@@ -239,8 +237,8 @@ impl Pair {
                 }
             }
             Event::Activated => {
-                self.slave.activate_bit_rate();
-                self.model.active_rate = self.model.pending_rate;
+                let active = self.slave.activate_bit_rate();
+                assert_eq!(active.index(), self.model.pending_rate, "in {:?}", before.model);
             }
             Event::ResetCommunication => {
                 self.slave.reset_communication();
@@ -253,16 +251,10 @@ impl Pair {
             NodeId::to_lss(slave.pending_node_id()),
             NodeId::to_lss(slave.active_node_id()),
             slave.pending_bit_rate().index(),
-            slave.active_bit_rate().index(),
         );
         let model = &self.model;
-        let expected = (
-            model.is_configuration,
-            model.pending_id,
-            model.active_id,
-            model.pending_rate,
-            model.active_rate,
-        );
+        let expected =
+            (model.is_configuration, model.pending_id, model.active_id, model.pending_rate);
         assert_eq!(seen, expected, "{event:02X?} in {:?}", before.model);
     }
 }

@@ -154,7 +154,7 @@ fn heartbeats_go_on_for_hours() {
 fn a_node_that_was_silent_for_hours_begins_its_heartbeat_on_time() {
     // 35.8 minutes or more after the start, half a turn of the clock, past instants look like future ones.
     for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
-        let settings = lss_slave::Settings { heartbeat_ms: 1_000, ..defaults(0xFF) };
+        let settings = defaults(0xFF).with_heartbeat_ms(1_000);
         let mut board = NodeRig::new(ADDRESS, settings, BoardFlash::blank(0), 0);
         assert_eq!(board.be_late_ms(hours_ms), SILENCE);
         board.lss("04 01");

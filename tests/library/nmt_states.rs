@@ -1,6 +1,6 @@
 //! The services of each NMT state (CiA 301, 7.3.2), and the transitions between the states.
 
-use lss_slave::{BusEvent, Device, Frame, Settings, emergency::Fault, nmt::State};
+use lss_slave::{BusEvent, Frame, emergency::Fault, nmt::State};
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
@@ -47,7 +47,7 @@ fn sdo_is_served_in_pre_operational_and_operational_only() {
 fn stopped_serves_nmt_and_lss_and_sends_only_heartbeats() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.nmt("02 00");
-    board.node.handle_fault(Fault::Overrun);
+    board.report(BusEvent::Overrun);
     for request in ["40 18 10 04", "2B 17 10 00 E8 03", "23 10 10 01 73 61 76 65", "40 08 10 00"] {
         assert_eq!(board.sdo(request), SILENCE);
     }
@@ -265,7 +265,7 @@ fn of_two_resets_in_a_switch_delay_that_of_the_node_counts() {
 
 #[test]
 fn after_a_boot_up_the_emergency_comes_before_the_heartbeat() {
-    let settings = Settings { heartbeat_ms: 1, ..defaults(0x40) };
+    let settings = defaults(0x40).with_heartbeat_ms(1);
     let mut board = NodeRig::new(ADDRESS, settings, BoardFlash::blank(0), 0);
     board.node.handle_fault(Fault::SettingsLost);
     let reset = Frame::new(0x000, &[0x82, 0]).unwrap();
@@ -341,9 +341,9 @@ fn nothing_answers_a_node_guarding_request_which_needs_a_remote_frame() {
 /// A board with node-ID 40h and a heartbeat every second that detects its bit rate since an activation.
 fn listening_board() -> NodeRig {
     let device = device(ADDRESS);
-    let device = Device { bit_rates: device.bit_rates.with_automatic(), ..device };
-    let settings = Settings { heartbeat_ms: 1_000, ..defaults(0x40) };
-    let mut board = NodeRig::with_device(device, settings, BoardFlash::blank(0), 0);
+    let device = device.with_bit_rates(device.bit_rates.with_automatic());
+    let settings = defaults(0x40).with_heartbeat_ms(1_000);
+    let mut board = NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0);
     for request in ["04 01", "13 00 09", "15 00 00"] {
         board.lss(request);
     }
@@ -354,7 +354,7 @@ fn listening_board() -> NodeRig {
 #[test]
 fn a_node_that_detects_its_bit_rate_is_silent_then_sends_its_heartbeat() {
     let mut board = listening_board();
-    board.node.handle_fault(Fault::Overrun);
+    board.report(BusEvent::Overrun);
     assert_eq!(board.pass_ms(20_000), SILENCE);
     let sent = ["0C0: 10 81 11 00 00 00 00 00", "0C0: 00 00 00 00 00 00 00 00", "740: 7F"];
     assert_eq!(board.see(BusEvent::Received), sent);

@@ -1,8 +1,7 @@
 //! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): the value of each object, and the effect of writes.
 
 use lss_slave::{
-    Device,
-    emergency::Fault,
+    BusEvent,
     lss::Address,
     object_dictionary::{Access, DataType, Entry, Object, TABLE},
 };
@@ -44,10 +43,10 @@ fn faults_and_error_counters_of_the_can_controller_can_be_read() {
     for sub_index in 1..=4 {
         assert_eq!(board.number(0x2000, sub_index), 0);
     }
-    for fault in [Fault::BusOffRecovered, Fault::Overrun, Fault::Overrun] {
-        board.node.handle_fault(fault);
+    for fault in [BusEvent::BusOffRecovered, BusEvent::Overrun, BusEvent::Overrun] {
+        board.report(fault);
     }
-    board.node.note_error_counters(136, 9);
+    board.report(BusEvent::ErrorCounters { transmit: 136, receive: 9 });
     board.pass_us(0);
     let read = [1, 2, 3, 4].map(|sub_index| board.number(0x2000, sub_index));
     assert_eq!(read, [1, 2, 136, 9]);
@@ -56,8 +55,8 @@ fn faults_and_error_counters_of_the_can_controller_can_be_read() {
 /// The error history after this number of overruns and recoveries from bus-off, in turn.
 fn history_of(faults: usize) -> (NodeRig, Vec<Vec<u8>>) {
     let mut board = NodeRig::with_node_id(0x40);
-    for fault in [Fault::Overrun, Fault::BusOffRecovered].into_iter().cycle().take(faults) {
-        board.node.handle_fault(fault);
+    for fault in [BusEvent::Overrun, BusEvent::BusOffRecovered].into_iter().cycle().take(faults) {
+        board.report(fault);
         board.pass_us(0);
     }
     let number = board.number(0x1003, 0) as u8;
@@ -109,7 +108,7 @@ fn writing_0_clears_the_error_history_and_any_other_number_is_refused() {
     assert_eq!(board.sdo("22 03 10 00 00 FF FF FF"), ["5C0: 60 03 10 00 00 00 00 00"]);
     assert_eq!(board.number(0x1003, 0), 0);
     assert_eq!(board.upload(0x1003, 1), Err(NO_DATA));
-    board.node.handle_fault(Fault::Overrun);
+    board.report(BusEvent::Overrun);
     board.pass_us(0);
     assert_eq!(board.number(0x1003, 0), 1, "it continues");
 }
@@ -308,7 +307,8 @@ fn the_table_is_sorted_and_its_highest_sub_indices_are_right() {
 
 #[test]
 fn a_device_without_names_can_be_read() {
-    let nameless = Device { name: "", ..device(ADDRESS) };
-    let mut board = NodeRig::with_device(nameless, defaults(0x40), BoardFlash::blank(0), 0);
+    let nameless = device(ADDRESS).with_name("");
+    let mut board =
+        NodeRig::with_device(nameless.with_defaults(defaults(0x40)), BoardFlash::blank(0), 0);
     assert_eq!(board.upload(0x1008, 0), Ok(Vec::new()));
 }

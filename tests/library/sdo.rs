@@ -1,6 +1,6 @@
 //! The SDO server (CiA 301, 7.2.4) on the wire: its transfers, and the states in which it serves them.
 
-use lss_slave::{Device, Frame};
+use lss_slave::Frame;
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
@@ -10,9 +10,8 @@ use testkit::{
 
 /// A board with node-ID 40h and these names.
 fn board_named(name: &'static str, hardware: &'static str, software: &'static str) -> NodeRig {
-    let names =
-        Device { name, hardware_version: hardware, software_version: software, ..device(ADDRESS) };
-    NodeRig::with_device(names, defaults(0x40), BoardFlash::blank(0), 0)
+    let names = device(ADDRESS).with_name(name).with_versions(hardware, software);
+    NodeRig::with_device(names.with_defaults(defaults(0x40)), BoardFlash::blank(0), 0)
 }
 
 #[test]

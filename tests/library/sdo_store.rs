@@ -1,10 +1,10 @@
 //! Store parameters 1010h and restore default parameters 1011h (CiA 301), which share the settings log with LSS store.
 
-use lss_slave::{BitRate, Device, Settings, lss::StoreError};
+use lss_slave::{BitRate, lss::StoreError};
 use testkit::{
-    flash::{BoardFlash, Operation},
+    flash::Operation,
     frames::SILENCE,
-    node_rig::{ADDRESS, NodeRig, defaults, device},
+    node_rig::{NodeRig, defaults},
 };
 
 const SAVE: &str = "23 10 10 01 73 61 76 65";
@@ -15,9 +15,7 @@ const HEARTBEAT_1000: &str = "2B 17 10 00 E8 03";
 
 /// A board with node-ID 40h and a factory heartbeat time of 500 ms.
 fn board_with_default_500() -> NodeRig {
-    let device = Device { heartbeat_ms: 500, ..device(ADDRESS) };
-    let defaults = Settings { heartbeat_ms: 500, ..defaults(0x40) };
-    NodeRig::with_device(device, defaults, BoardFlash::blank(0), 0)
+    NodeRig::with_heartbeat(0x40, 500)
 }
 
 #[test]
@@ -61,7 +59,7 @@ fn save_leaves_the_pending_node_id_and_bit_rate_to_lss() {
     board.lss("13 00 02");
     board.sdo(HEARTBEAT_1000);
     assert_eq!(board.sdo(SAVE), [SAVED]);
-    assert_eq!(board.stored(), Some(Settings { heartbeat_ms: 1000, ..defaults(0x40) }));
+    assert_eq!(board.stored(), Some(defaults(0x40).with_heartbeat_ms(1000)));
     assert_eq!(board.power_cycle(), ["740: 00"]);
 }
 
@@ -75,8 +73,7 @@ fn lss_store_leaves_the_saved_heartbeat_time_and_does_not_save_a_new_one() {
     board.lss("11 04");
     board.lss("13 00 02");
     assert_eq!(board.lss("17"), ["17 00"]);
-    let expected =
-        Settings { bit_rate: BitRate::Kbit500.into(), heartbeat_ms: 1000, ..defaults(0x04) };
+    let expected = defaults(0x04).with_bit_rate(BitRate::Kbit500.into()).with_heartbeat_ms(1000);
     assert_eq!(board.stored(), Some(expected));
     assert_eq!(board.power_cycle(), ["704: 00"]);
     assert_eq!(board.number(0x1017, 0), 1000);
@@ -91,8 +88,7 @@ fn save_after_lss_store_keeps_the_values_stored_by_lss() {
     board.lss("17");
     board.sdo(HEARTBEAT_1000);
     assert_eq!(board.sdo(SAVE), [SAVED]);
-    let expected =
-        Settings { bit_rate: BitRate::Kbit500.into(), heartbeat_ms: 1000, ..defaults(0x04) };
+    let expected = defaults(0x04).with_bit_rate(BitRate::Kbit500.into()).with_heartbeat_ms(1000);
     assert_eq!(board.stored(), Some(expected));
 }
 
@@ -118,7 +114,7 @@ fn load_keeps_the_values_stored_by_lss() {
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
     assert_eq!(board.sdo(LOAD), [LOADED]);
-    assert_eq!(board.stored(), Some(Settings { heartbeat_ms: 500, ..defaults(0x04) }));
+    assert_eq!(board.stored(), Some(defaults(0x04).with_heartbeat_ms(500)));
 }
 
 #[test]
@@ -174,7 +170,7 @@ fn the_heartbeat_time_of_the_request_is_saved_not_a_later_one() {
 
 #[test]
 fn lss_store_and_save_at_the_same_time_are_both_done_and_both_answered() {
-    let expected = Settings { heartbeat_ms: 1000, ..defaults(0x04) };
+    let expected = defaults(0x04).with_heartbeat_ms(1000);
     for lss_is_first in [true, false] {
         let mut board = NodeRig::with_node_id(0x40);
         board.let_stores_take_time();

@@ -4,7 +4,6 @@
 use lss_slave::{
     BitRate,
     BusEvent::{self, Acknowledged, BusOff, Error, ErrorPassive, FormError, Received},
-    Device, Settings,
 };
 use testkit::{
     flash::BoardFlash,
@@ -248,9 +247,9 @@ fn a_valid_frame_or_an_acknowledge_ends_the_wait() {
 
 #[test]
 fn a_node_without_supervision_never_looks_elsewhere_nor_waits() {
-    let settings = Settings { heartbeat_ms: 100, ..defaults(0x40) };
-    let device = Device { rescue: false, ..device(ADDRESS) };
-    let mut board = NodeRig::with_device(device, settings, BoardFlash::blank(0), 0);
+    let settings = defaults(0x40).with_heartbeat_ms(100);
+    let device = device(ADDRESS).with_rescue(false);
+    let mut board = NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0);
     board.is_acknowledged = false;
     for _ in 0..1_000 {
         for event in [BusOff, Error, FormError, ErrorPassive, Error] {

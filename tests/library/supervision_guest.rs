@@ -3,7 +3,7 @@
 use lss_slave::{
     BitRate, BitRateSetting,
     BusEvent::{Acknowledged, BusOff, Error, ErrorPassive, FormError, Received},
-    Device, Settings, lss, nmt,
+    lss, nmt,
 };
 use testkit::{
     flash::BoardFlash,
@@ -18,8 +18,8 @@ const HOME_AGAIN: &str = "0C0: 00 00 00 E8 03 7D 00 00";
 
 /// The active and the pending bit rate of LSS, in kbit/s.
 fn lss_rates(board: &NodeRig) -> [u16; 2] {
-    let lss = board.node.lss();
-    [lss.active_bit_rate(), lss.pending_bit_rate()].map(|setting| match setting {
+    let node = &board.node;
+    [node.active_bit_rate(), node.lss().pending_bit_rate()].map(|setting| match setting {
         BitRateSetting::Fixed(rate) => rate.kbit_per_s(),
         BitRateSetting::Automatic => 0,
     })
@@ -316,9 +316,9 @@ fn activation_that_is_the_first_frame_in_a_turn_of_home_stays_home() {
 fn with_automatic(bit_rate: BitRateSetting) -> NodeRig {
     let device = device(ADDRESS);
     let bit_rates = device.bit_rates.with_automatic();
-    let device = Device { rescue: true, bit_rates, ..device };
-    let settings = Settings { bit_rate, ..defaults(0x40) };
-    NodeRig::with_device(device, settings, BoardFlash::blank(0), 0)
+    let device = device.with_bit_rates(bit_rates).with_rescue(true);
+    let settings = defaults(0x40).with_bit_rate(bit_rate);
+    NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0)
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use lss_slave::{
     BitRate, BitRates,
     BusEvent::{Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
-    Device, Frame, Settings,
+    Frame,
 };
 use testkit::{
     flash::BoardFlash,
@@ -89,9 +89,9 @@ fn an_error_elsewhere_leads_to_the_next_slower_rate_and_never_to_home() {
 fn a_rate_that_the_clock_cannot_make_is_not_listened_to() {
     let bit_rates = BitRates::possible(42_000_000);
     assert!(!bit_rates.contains(BitRate::Kbit800));
-    let device = Device { rescue: true, bit_rates, ..device(ADDRESS) };
-    let settings = Settings { bit_rate: BitRate::Kbit125.into(), ..defaults(0x40) };
-    let mut board = NodeRig::with_device(device, settings, BoardFlash::blank(0), 0);
+    let device = device(ADDRESS).with_bit_rates(bit_rates).with_rescue(true);
+    let settings = defaults(0x40).with_bit_rate(BitRate::Kbit125.into());
+    let mut board = NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0);
     doubt(&mut board);
     board.see(Error);
     assert_eq!(board.bit_rate(), BitRate::Kbit500);

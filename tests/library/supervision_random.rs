@@ -5,7 +5,6 @@ use lss_slave::{
     BusEvent::{
         self, Acknowledged, BusOff, Error, ErrorPassive, FormError, HeldDominant, Received,
     },
-    Device, Settings,
 };
 use testkit::{
     flash::BoardFlash,
@@ -48,15 +47,19 @@ struct Run {
 impl Run {
     fn new(random: &mut Random) -> Self {
         let bit_rates = BitRates::possible(random.pick(&[40_000_000, 42_000_000]));
-        let device = Device { rescue: true, bit_rates, ..device(ADDRESS) };
+        let device = device(ADDRESS).with_bit_rates(bit_rates).with_rescue(true);
         let rates = BitRate::ALL.into_iter().filter(|&rate| bit_rates.contains(rate));
         let home = random.pick(&rates.collect::<Vec<_>>());
         let heartbeat_ms = random.pick(&[0, 10, 250, 1_000]);
-        let settings = Settings { bit_rate: home.into(), heartbeat_ms, ..defaults(0x40) };
+        let settings = defaults(0x40).with_bit_rate(home.into()).with_heartbeat_ms(heartbeat_ms);
         let anywhere = random.u32();
         let clock_at_start = random.pick(&[0, u32::MAX, u32::MAX - 20_000_000, anywhere]);
         Self {
-            board: NodeRig::with_device(device, settings, BoardFlash::blank(0), clock_at_start),
+            board: NodeRig::with_device(
+                device.with_defaults(settings),
+                BoardFlash::blank(0),
+                clock_at_start,
+            ),
             default: home,
             home,
             configured: None,
@@ -227,10 +230,13 @@ fn home_always_has_its_turns_and_is_never_lost() {
 fn without_supervision_a_node_always_stays_at_its_rate() {
     let mut random = Random::from_environment();
     for rate in BitRate::ALL {
-        let settings = Settings { bit_rate: rate.into(), ..defaults(0x40) };
+        let settings = defaults(0x40).with_bit_rate(rate.into());
         let clock_at_start = random.u32();
-        let mut board =
-            NodeRig::with_device(device(ADDRESS), settings, BoardFlash::blank(0), clock_at_start);
+        let mut board = NodeRig::with_device(
+            device(ADDRESS).with_defaults(settings),
+            BoardFlash::blank(0),
+            clock_at_start,
+        );
         board.timeline();
         for _ in 0..1_000 {
             board.see(random.pick(MOODS[7]));

@@ -67,11 +67,7 @@ mod tests {
         let mut flash = vec![0x55; 0x10_0000];
         flash[SETTINGS].fill(0xFF);
         assert_eq!(stored_settings(&flash), None);
-        let settings = Settings {
-            node_id: NodeId::new(5),
-            bit_rate: BitRate::Kbit500.into(),
-            heartbeat_ms: 0,
-        };
+        let settings = Settings::new(BitRate::Kbit500.into()).with_node_id(NodeId::new(5));
         store_settings(&mut flash, settings);
         assert_eq!(stored_settings(&flash), Some(settings));
         assert!(flash[..SETTINGS.start].iter().all(|byte| *byte == 0x55));

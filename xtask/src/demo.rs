@@ -45,11 +45,8 @@ const FASTSCAN_TIMEOUT: Duration = Duration::from_millis(20);
 const TOLERANCE: Duration = Duration::from_millis(10);
 const OLD_BOARD_ID: u8 = 9;
 /// The settings stored in the second board before the demo.
-const OLD_BOARD: Settings = Settings {
-    node_id: lss_slave::NodeId::new(OLD_BOARD_ID),
-    bit_rate: BitRateSetting::Fixed(OLD_RATE),
-    heartbeat_ms: 0,
-};
+const OLD_BOARD: Settings = Settings::new(BitRateSetting::Fixed(OLD_RATE))
+    .with_node_id(lss_slave::NodeId::new(OLD_BOARD_ID));
 const PRE_OPERATIONAL: u8 = 0x7F;
 
 /// Show how a board is found, configured and power-cycled, frame by frame, on an emulated CAN bus

@@ -104,11 +104,11 @@ impl Arguments {
             }
         };
         let bit_rate = self.bit_rate.unwrap_or(DEFAULT_BIT_RATE);
-        Ok(Some(Settings {
-            node_id,
-            bit_rate: bit_rate.into(),
-            heartbeat_ms: DEFAULT_HEARTBEAT_MS,
-        }))
+        Ok(Some(
+            Settings::new(bit_rate.into())
+                .with_node_id(node_id)
+                .with_heartbeat_ms(DEFAULT_HEARTBEAT_MS),
+        ))
     }
 }
 

@@ -17,18 +17,13 @@ static TIMER: Register = Register::new();
 #[unsafe(no_mangle)]
 extern "C" fn prepare() {
     let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
-    let device = Device {
-        address: Address { vendor_id, product_code, revision_number, serial_number },
-        bit_rates: BIT_RATES,
-        heartbeat_ms: 0,
-        name: "Bench",
-        hardware_version: "1",
-        software_version: "1",
-        rescue: true,
-        lss_lock: false,
-    };
-    let settings = Settings { node_id: None, bit_rate: BitRate::Kbit125.into(), heartbeat_ms: 0 };
-    NODE.fill(Node::new(device, settings));
+    let address = Address { vendor_id, product_code, revision_number, serial_number };
+    let device = Device::new(address, BIT_RATES)
+        .with_defaults(Settings::new(BitRate::Kbit125.into()))
+        .with_name("Bench")
+        .with_versions("1", "1")
+        .with_rescue(true);
+    NODE.fill(Node::new(device, None));
 }
 
 #[unsafe(no_mangle)]
@@ -47,12 +42,12 @@ extern "C" fn receive() {
     if node.is_due(now) {
         act_until_nothing_is_due(node, now);
     }
-    TIMER.write(node.next_deadline().map_or(0, |deadline| deadline.as_micros() | 1));
+    TIMER.write(node.poll_at().map_or(0, |deadline| deadline.as_micros() | 1));
 }
 
 #[inline(never)]
 fn act_until_nothing_is_due(node: &mut Node, now: Instant) {
-    while let Some(action) = node.handle_deadline(now) {
+    while let Some(action) = node.poll(now) {
         act(node, action);
     }
 }

@@ -36,7 +36,10 @@ extern "C" fn receive() {
     let answer = match slave.handle(&data) {
         Some(Reaction::Answer(answer)) => answer,
         Some(Reaction::StoreConfiguration) => Response::StoreConfiguration(Ok(())).to_frame(),
-        Some(Reaction::ActivateBitTiming(_)) => return slave.activate_bit_rate(),
+        Some(Reaction::ActivateBitTiming(_)) => {
+            slave.activate_bit_rate();
+            return;
+        }
         Some(Reaction::ResetCommunication) => return slave.reset_communication(),
         None => return,
     };

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::{BitTiming, Clock, Controller, Event, Frame, Level, Mode, Station};
+use super::{BitSegments, Clock, Controller, Event, Frame, Level, Mode, Station};
 use crate::Time;
 
 /// Time quanta in a bit of an adapter set by bit rate. Two of them follow the sample point, which is at 87.5 %.
@@ -13,7 +13,7 @@ const QUANTA: u32 = 16;
 pub struct Adapter {
     controller: Controller,
     ppm: i32,
-    bit_timing: BitTiming,
+    bit_timing: BitSegments,
     mode: Mode,
     open: bool,
     to_send: VecDeque<Frame>,
@@ -29,7 +29,7 @@ impl Adapter {
     }
 
     /// An open adapter with the given clock and bit timing.
-    pub fn with_timing(clock: Clock, bit_timing: BitTiming) -> Self {
+    pub fn with_timing(clock: Clock, bit_timing: BitSegments) -> Self {
         let mut controller = Controller::new(clock, bit_timing);
         controller.start(Time::ZERO);
         Self {
@@ -140,7 +140,7 @@ impl Station for Adapter {
     }
 }
 
-fn exact(bit_rate: u32, ppm: i32) -> (Clock, BitTiming) {
-    let bit_timing = BitTiming { prescaler: 1, segment_1: 13, segment_2: 2, jump_width: 2 };
+fn exact(bit_rate: u32, ppm: i32) -> (Clock, BitSegments) {
+    let bit_timing = BitSegments { prescaler: 1, segment_1: 13, segment_2: 2, jump_width: 2 };
     (Clock { hz: bit_rate * QUANTA, ppm }, bit_timing)
 }

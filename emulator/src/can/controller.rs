@@ -12,7 +12,7 @@ use super::{
     Frame,
     fault::ErrorCounters,
     stream::{BitStream, Decoder, Level},
-    timing::{BitTiming, Clock, Mode, Spans},
+    timing::{BitSegments, Clock, Mode, Spans},
 };
 use crate::Time;
 use line::Line;
@@ -82,7 +82,7 @@ pub enum Event {
 #[derive(Debug)]
 pub struct Controller {
     clock: Clock,
-    bit_timing: BitTiming,
+    bit_timing: BitSegments,
     mode: Mode,
     spans: Spans,
     phase: Phase,
@@ -124,7 +124,7 @@ struct Transmission {
 
 impl Controller {
     /// A stopped controller with zero error counters.
-    pub fn new(clock: Clock, bit_timing: BitTiming) -> Self {
+    pub fn new(clock: Clock, bit_timing: BitSegments) -> Self {
         Self {
             clock,
             bit_timing,
@@ -162,7 +162,7 @@ impl Controller {
     ///
     /// # Panics
     /// The controller is not stopped.
-    pub fn configure(&mut self, bit_timing: BitTiming, mode: Mode) {
+    pub fn configure(&mut self, bit_timing: BitSegments, mode: Mode) {
         assert!(self.is_stopped(), "bit timing changes only while the controller is stopped");
         self.bit_timing = bit_timing;
         self.mode = mode;
@@ -227,7 +227,7 @@ impl Controller {
     }
 
     /// Bit timing in force.
-    pub fn bit_timing(&self) -> BitTiming {
+    pub fn bit_timing(&self) -> BitSegments {
         self.bit_timing
     }
 

@@ -13,7 +13,7 @@ pub struct Clock {
 
 /// The parts of a bit (ISO 11898-1, bit timing), besides the synchronisation segment of one quantum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BitTiming {
+pub struct BitSegments {
     /// Clock periods in a time quantum, 1..=1024.
     pub prescaler: u16,
     /// Quanta from the synchronisation segment to the sample point (propagation and phase segment 1), 1..=16.
@@ -33,7 +33,7 @@ pub struct Mode {
     pub loopback: bool,
 }
 
-impl BitTiming {
+impl BitSegments {
     /// Quanta in a bit.
     pub const fn quanta(self) -> u32 {
         1 + self.segment_1 as u32 + self.segment_2 as u32
@@ -59,7 +59,7 @@ pub(super) struct Spans {
 }
 
 impl Spans {
-    pub fn new(clock: Clock, timing: BitTiming) -> Self {
+    pub fn new(clock: Clock, timing: BitSegments) -> Self {
         let hertz_millionths = u128::from(clock.hz) * (1_000_000 + i128::from(clock.ppm)) as u128;
         let span = |quanta: u32| {
             let periods = u128::from(u32::from(timing.prescaler) * quanta);
@@ -78,8 +78,8 @@ impl Spans {
 mod tests {
     use super::*;
 
-    const TIMING: BitTiming =
-        BitTiming { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
+    const TIMING: BitSegments =
+        BitSegments { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
     #[test]
     fn thirty_two_megahertz_make_a_megabit_sampled_at_seven_eighths() {

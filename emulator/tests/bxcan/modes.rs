@@ -3,7 +3,7 @@
 use emulator::{
     Time,
     can::{
-        Adapter, BitTiming, Clock, Level,
+        Adapter, BitSegments, Clock, Level,
         bxcan::{Acknowledge, Note, Readings, TransmitLock},
     },
 };
@@ -44,7 +44,7 @@ fn leaving_initialisation_waits_for_an_idle_bus_and_can_be_cancelled() {
     let mut bench = Bench::running(0);
     let mut noise = Adapter::with_timing(
         Clock { hz: 16_000_000, ppm: 0 },
-        BitTiming { prescaler: 1, segment_1: 13, segment_2: 2, jump_width: 2 },
+        BitSegments { prescaler: 1, segment_1: 13, segment_2: 2, jump_width: 2 },
     );
     // Alone with the noise at 1 Mbit/s, so that it is never acknowledged and never pauses for 11 bits of 10 kbit/s.
     bench.adapter.close();

@@ -4,12 +4,12 @@ use std::collections::VecDeque;
 
 use emulator::{
     Time,
-    can::{BitTiming, Bus, Clock, Controller, ErrorKind, Event, Frame, Id, Mode, Station},
+    can::{BitSegments, Bus, Clock, Controller, ErrorKind, Event, Frame, Id, Mode, Station},
 };
 
 /// 1 Mbit/s at 32 MHz with the sample point at 87.5 %; other rates by prescaler.
-pub const MEGABIT: BitTiming =
-    BitTiming { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
+pub const MEGABIT: BitSegments =
+    BitSegments { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
 /// A controller that sends queued frames and records its events.
 pub struct Node {
@@ -19,13 +19,13 @@ pub struct Node {
 }
 
 impl Node {
-    pub fn new(ppm: i32, bit_timing: BitTiming) -> Self {
+    pub fn new(ppm: i32, bit_timing: BitSegments) -> Self {
         let mut node = Self::stopped(ppm, bit_timing);
         node.controller.start(Time::ZERO);
         node
     }
 
-    pub fn stopped(ppm: i32, bit_timing: BitTiming) -> Self {
+    pub fn stopped(ppm: i32, bit_timing: BitSegments) -> Self {
         let controller = Controller::new(Clock { hz: 32_000_000, ppm }, bit_timing);
         Self { controller, queue: VecDeque::new(), log: Vec::new() }
     }
@@ -111,6 +111,6 @@ pub fn standard(id: u16, payload: &[u8]) -> Frame {
 }
 
 /// The bit timing for 1 Mbit/s or less.
-pub fn at(kilobits: u16) -> BitTiming {
-    BitTiming { prescaler: 2 * (1000 / kilobits), ..MEGABIT }
+pub fn at(kilobits: u16) -> BitSegments {
+    BitSegments { prescaler: 2 * (1000 / kilobits), ..MEGABIT }
 }

@@ -2,7 +2,7 @@
 
 use emulator::{
     Time,
-    can::{BitTiming, Bus, Mode},
+    can::{BitSegments, Bus, Mode},
 };
 
 use crate::node::{MEGABIT, Node, at, run, standard};
@@ -52,7 +52,7 @@ fn a_silent_node_at_another_rate_disturbs_no_node() {
 
 #[test]
 fn crystals_that_are_half_a_percent_off_understand_each_other() {
-    let wide = BitTiming { jump_width: 2, ..MEGABIT };
+    let wide = BitSegments { jump_width: 2, ..MEGABIT };
     for (sender, receiver) in
         [(5_000, 0), (-5_000, 0), (2_500, -2_500), (-2_500, 2_500), (0, 5_000), (0, -5_000)]
     {

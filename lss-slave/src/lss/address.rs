@@ -2,6 +2,7 @@
 
 /// A slave's LSS address, which is its identity object 1018h (CiA 301).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Address {
     /// Given to the maker by CiA.
     pub vendor_id: u32,
@@ -15,6 +16,7 @@ pub struct Address {
 
 /// One of the four numbers of an [`Address`], in the order in which LSS names them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum AddressPart {

@@ -1,10 +1,13 @@
 //! LSS messages: the eight bytes of a frame to and from the values they may legally hold (CiA 305, protocols).
 
+use core::{error, fmt};
+
 use super::{AddressPart, RESPONSE_COB_ID};
-use crate::{Frame, NodeId};
+use crate::{Frame, NodeId, settings};
 
 /// What an LSS master asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Request {
     /// 04, mode 0: all slaves to LSS waiting state.
     SwitchToWaiting,
@@ -39,6 +42,7 @@ pub enum Request {
 
 /// What one step of identify remote slave compares (CS 46..4B).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum IdentifyKey {
@@ -82,6 +86,7 @@ impl IdentifyKey {
 
 /// One step of Fastscan, as it stands in the frame; no combination is excluded here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FastscanStep {
     /// The number that the slaves compare with theirs.
     pub id_number: u32,
@@ -95,6 +100,7 @@ pub struct FastscanStep {
 
 /// What a slave answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Response {
     /// 44: this slave was selected.
     Selected,
@@ -122,12 +128,31 @@ pub enum Response {
 
 /// Why nothing was stored: the error codes of store configuration (CiA 305).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 #[repr(u8)]
 pub enum StoreError {
     /// 1: this device cannot store.
     NotSupported = 1,
     /// 2: the medium failed or is full; what was stored before is still stored.
     MediumAccess = 2,
+}
+
+impl fmt::Display for StoreError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NotSupported => "the device cannot store",
+            Self::MediumAccess => "the storage medium failed",
+        })
+    }
+}
+
+impl error::Error for StoreError {}
+
+impl From<settings::Error> for StoreError {
+    fn from(_: settings::Error) -> Self {
+        Self::MediumAccess
+    }
 }
 
 const SWITCH_GLOBAL: u8 = 0x04;

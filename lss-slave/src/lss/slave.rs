@@ -10,6 +10,7 @@ use crate::{BitRate, BitRateSetting, BitRates, Frame, NodeId};
 
 /// The LSS state, which is independent of the NMT state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum State {
     /// LSS waiting state: only the services that find or select a slave are served.
     Waiting,
@@ -19,6 +20,7 @@ pub enum State {
 
 /// What a request asks of the node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Reaction {
     /// Send this answer.
@@ -31,8 +33,8 @@ pub enum Reaction {
     ResetCommunication,
 }
 
-/// An LSS slave: its address, LSS state, progress of the services of several steps, and the node-ID and bit rate,
-/// each pending and active.
+/// An LSS slave: its address, LSS state, progress of the services of several steps, the pending and the active node-ID, and
+/// the pending bit rate.
 #[derive(Clone, Debug)]
 pub struct Slave {
     /// The LSS address, by [`AddressPart`].
@@ -51,13 +53,13 @@ pub struct Slave {
     pending_node_id: Option<NodeId>,
     active_node_id: Option<NodeId>,
     pending_bit_rate: BitRateSetting,
-    active_bit_rate: BitRateSetting,
     /// A master has configured the pending bit rate, and has not activated it.
     is_bit_rate_configured: bool,
 }
 
 impl Slave {
-    /// A slave after power-on: the stored node-ID and bit rate are pending and active, the LSS state is waiting.
+    /// A slave after power-on: the stored node-ID is pending and active, the stored bit rate is pending, the LSS state is
+    /// waiting.
     ///
     /// `bit_rates` are those that configure bit timing may ask for.
     pub const fn new(
@@ -78,7 +80,6 @@ impl Slave {
             pending_node_id: node_id,
             active_node_id: node_id,
             pending_bit_rate: bit_rate,
-            active_bit_rate: bit_rate,
             is_bit_rate_configured: false,
         };
         slave.switch_to(State::Waiting);
@@ -112,31 +113,22 @@ impl Slave {
         self.pending_node_id
     }
 
-    /// The bit rate in use.
-    pub const fn active_bit_rate(&self) -> BitRateSetting {
-        self.active_bit_rate
-    }
-
     /// The bit rate that activate bit timing brings into use and store configuration stores.
     pub const fn pending_bit_rate(&self) -> BitRateSetting {
         self.pending_bit_rate
     }
 
-    /// The pending bit rate is active from now on.
-    pub const fn activate_bit_rate(&mut self) {
-        self.active_bit_rate = self.pending_bit_rate;
+    /// Returns the pending bit rate, which is active from now on.
+    pub const fn activate_bit_rate(&mut self) -> BitRateSetting {
         self.is_bit_rate_configured = false;
+        self.pending_bit_rate
     }
 
-    /// The node takes part in the bus at `rate`, which no master has commanded: it is active from now on, and pending too
-    /// unless a master has configured another one that is still to be activated. Automatic detection stays active.
+    /// The node takes part in the bus at `rate`, which no master has commanded: it is pending from now on, unless a master has
+    /// configured another one that is still to be activated.
     pub const fn adopt_bit_rate(&mut self, rate: BitRate) {
-        if let BitRateSetting::Automatic = self.active_bit_rate {
-            return;
-        }
-        self.active_bit_rate = BitRateSetting::Fixed(rate);
         if !self.is_bit_rate_configured {
-            self.pending_bit_rate = self.active_bit_rate;
+            self.pending_bit_rate = BitRateSetting::Fixed(rate);
         }
     }
 

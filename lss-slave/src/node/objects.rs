@@ -1,12 +1,16 @@
 //! What the node answers for each object of the dictionary, and what writing to it does.
 
-use super::Node;
+use super::{
+    BitRateControl, Device, NmtSlave,
+    storing::{Busy, Download, Storing},
+};
 use crate::{
-    emergency,
-    lss::AddressPart,
+    Instant,
+    emergency::{self, Emergency},
+    lss::{self, AddressPart},
     nmt::ErrorBehaviour,
     object_dictionary::{Entry, Object},
-    sdo::{Abort, Objects, Server, Value, Written},
+    sdo::{Abort, Objects, Value, Written},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -16,13 +20,20 @@ const ON_COMMAND: u32 = 1;
 /// 1000h: no device profile.
 const DEVICE_TYPE: u32 = 0;
 
-impl Objects for Node {
-    fn server(&mut self) -> &mut Server {
-        &mut self.sdo
-    }
+/// The parts of the node that objects are read from and written to, at a time.
+pub(super) struct Parts<'a> {
+    pub device: &'a Device,
+    pub lss: &'a lss::Slave,
+    pub bit_rate: &'a BitRateControl,
+    pub nmt: &'a mut NmtSlave,
+    pub emergency: &'a mut Emergency,
+    pub storing: &'a mut Storing,
+    pub now: Instant,
+}
 
+impl Objects for Parts<'_> {
     fn read(&self, object: Object) -> Result<Value, Abort> {
-        let node_id = self.node_id().map_or(0, |id| u32::from(id.get()));
+        let node_id = self.lss.active_node_id().map_or(0, |id| u32::from(id.get()));
         Ok(Value::Number(match object {
             Object::DeviceName => return Ok(Value::Text(self.device.name)),
             Object::HardwareVersion => return Ok(Value::Text(self.device.hardware_version)),
@@ -36,21 +47,19 @@ impl Objects for Node {
             }
             Object::StoreParameters | Object::RestoreDefaultParameters => ON_COMMAND,
             Object::CobIdEmergency => u32::from(emergency::COB_ID) + node_id,
-            Object::ProducerHeartbeatTime => self.heartbeat_ms.into(),
-            Object::CommunicationErrorBehaviour => self.error_behaviour as u32,
+            Object::ProducerHeartbeatTime => self.nmt.heartbeat_ms().into(),
+            Object::CommunicationErrorBehaviour => self.nmt.error_behaviour() as u32,
             Object::VendorId => self.lss.address_part(AddressPart::VendorId),
             Object::ProductCode => self.lss.address_part(AddressPart::ProductCode),
             Object::RevisionNumber => self.lss.address_part(AddressPart::RevisionNumber),
             Object::SerialNumber => self.lss.address_part(AddressPart::SerialNumber),
             Object::BusOffs => self.emergency.bus_offs().into(),
             Object::Overruns => self.emergency.overruns().into(),
-            Object::TransmitErrorCounter => self.error_counters.0.into(),
-            Object::ReceiveErrorCounter => self.error_counters.1.into(),
-            Object::HomeBitRate => {
-                self.supervision.home().map_or(0, |rate| rate.kbit_per_s().into())
-            }
-            Object::BitRateInUse => self.supervision.bit_rate().kbit_per_s().into(),
-            Object::Rescues => self.supervision.rescues().into(),
+            Object::TransmitErrorCounter => self.emergency.error_counters().transmit.into(),
+            Object::ReceiveErrorCounter => self.emergency.error_counters().receive.into(),
+            Object::HomeBitRate => self.bit_rate.home().map_or(0, |rate| rate.kbit_per_s().into()),
+            Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
+            Object::Rescues => self.bit_rate.rescues().into(),
             Object::HighestSubIndex(highest) => highest.into(),
         }))
     }
@@ -63,23 +72,36 @@ impl Objects for Node {
             }
             (Object::NumberOfErrors, _) => Err(Abort::InvalidValue),
             (Object::ProducerHeartbeatTime, ms) => {
-                self.heartbeat_ms = ms as u16;
-                self.heartbeat_is_new = true;
+                self.nmt.set_heartbeat_ms(ms as u16, self.now);
                 Ok(Written::Now)
             }
             (Object::CommunicationErrorBehaviour, value) => {
-                self.error_behaviour =
-                    ErrorBehaviour::new(value as u8).ok_or(Abort::InvalidValue)?;
+                let behaviour = ErrorBehaviour::new(value as u8).ok_or(Abort::InvalidValue)?;
+                self.nmt.set_error_behaviour(behaviour);
                 Ok(Written::Now)
             }
-            (Object::StoreParameters, SAVE) => self.request_store(entry, self.heartbeat_ms),
+            (Object::StoreParameters, SAVE) => self.request_store(entry, self.nmt.heartbeat_ms()),
             (Object::RestoreDefaultParameters, LOAD) => {
-                self.request_store(entry, self.device.heartbeat_ms)
+                self.request_store(entry, self.device.defaults.heartbeat_ms)
             }
             (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
                 Err(Abort::NotStored)
             }
             _ => Err(Abort::ReadOnly),
         }
+    }
+}
+
+impl Parts<'_> {
+    fn request_store(&mut self, entry: &Entry, heartbeat_ms: u16) -> Result<Written, Abort> {
+        let download = Download { index: entry.index, sub_index: entry.sub_index };
+        self.storing.request_by_sdo(download, heartbeat_ms)?;
+        Ok(Written::Later)
+    }
+}
+
+impl From<Busy> for Abort {
+    fn from(_: Busy) -> Self {
+        Self::Busy
     }
 }

@@ -1,16 +1,20 @@
-//! How the node stores: one store at a time, for LSS or for a client of SDO, and the answer when it has come to its end.
+//! Storing: one store at a time, for LSS or for a client of SDO, and who is answered when it has come to its end.
 
-use super::{Action, Due, Node};
-use crate::{
-    Settings,
-    emergency::Fault,
-    lss::{Response, StoreError},
-    object_dictionary::Entry,
-    sdo::{self, Abort, Written},
-};
+use crate::{BitRateSetting, NodeId, Settings, lss::StoreError};
+
+/// The persistent settings, and the requests to change them.
+#[derive(Clone, Debug)]
+pub(super) struct Storing {
+    persistent: Settings,
+    store: Store,
+    /// Store configuration requests of LSS that have not been answered.
+    lss_requests: u8,
+    /// A request by SDO whose store has not begun.
+    sdo_request: Option<SdoRequest>,
+}
 
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Store {
+enum Store {
     Idle,
     Running(Settings, Requester),
     Done(Result<(), StoreError>, Requester),
@@ -18,30 +22,69 @@ pub(super) enum Store {
 
 /// Who waits for the outcome of a store.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Requester {
+enum Requester {
     Lss,
-    /// A client that wrote to this index and sub-index.
-    Sdo(u16, u8),
+    Sdo(Download),
     /// A client that was forgotten by a reset.
     Nobody,
 }
 
-impl Node {
-    /// Takes the outcome of the last [`Action::Store`].
-    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
-        if let Store::Running(settings, requester) = self.store {
-            if outcome.is_ok() {
-                self.persistent = settings;
-                self.emergency.end(Fault::SettingsLost);
-            }
-            self.store = Store::Done(outcome, requester);
-            self.due = Due::Now;
-        }
+/// The SDO download that a client waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Download {
+    pub index: u16,
+    pub sub_index: u8,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct SdoRequest {
+    download: Download,
+    /// What is to be stored: node-ID and bit rate belong to LSS and stay as they are.
+    heartbeat_ms: u16,
+}
+
+/// A store by SDO waits already.
+pub(super) struct Busy;
+
+/// What the node does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Next {
+    /// Makes these settings persistent.
+    Store(Settings),
+    AnswerLss(Result<(), StoreError>),
+    AnswerSdo(Download, Result<(), StoreError>),
+}
+
+impl Storing {
+    pub const fn new(persistent: Settings) -> Self {
+        Self { persistent, store: Store::Idle, lss_requests: 0, sdo_request: None }
     }
 
-    /// Whoever waits for a store by SDO waits no longer; a store that runs goes on.
-    pub(super) fn forget_sdo_store(&mut self) {
-        self.sdo_store = None;
+    /// The settings that are persistent.
+    pub const fn persistent(&self) -> &Settings {
+        &self.persistent
+    }
+
+    /// LSS asks for a store of the pending node-ID and bit rate.
+    pub const fn request_by_lss(&mut self) {
+        self.lss_requests = self.lss_requests.saturating_add(1);
+    }
+
+    /// A client asks for a store of this heartbeat time.
+    ///
+    /// # Errors
+    /// [`Busy`] while the store of an earlier request has not begun.
+    pub fn request_by_sdo(&mut self, download: Download, heartbeat_ms: u16) -> Result<(), Busy> {
+        if self.sdo_request.is_some() {
+            return Err(Busy);
+        }
+        self.sdo_request = Some(SdoRequest { download, heartbeat_ms });
+        Ok(())
+    }
+
+    /// Ends the waiting of whoever asked by SDO; a store that runs goes on.
+    pub const fn forget_sdo(&mut self) {
+        self.sdo_request = None;
         if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
             && let Requester::Sdo(..) = requester
         {
@@ -49,56 +92,98 @@ impl Node {
         }
     }
 
-    /// One store at a time: begins the next, or answers the one that has come to its end.
-    pub(super) fn store_or_answer(&mut self) -> Option<Action> {
-        match self.store {
-            Store::Running(..) => None,
-            Store::Done(outcome, requester) => {
-                self.store = Store::Idle;
-                match requester {
-                    Requester::Lss => {
-                        self.lss_stores = self.lss_stores.saturating_sub(1);
-                        Some(Action::Transmit(Response::StoreConfiguration(outcome).to_frame()))
-                    }
-                    Requester::Sdo(index, sub_index) if self.serves_sdo() => {
-                        let answer = match outcome {
-                            Ok(()) => sdo::confirm(index, sub_index),
-                            Err(_) => sdo::abort(index, sub_index, sdo::Abort::Hardware),
-                        };
-                        self.answer_sdo(answer)
-                    }
-                    Requester::Sdo(..) | Requester::Nobody => self.store_or_answer(),
-                }
-            }
-            Store::Idle => {
-                let (settings, requester) = if self.lss_stores > 0 {
-                    let settings = Settings {
-                        node_id: self.lss.pending_node_id(),
-                        bit_rate: self.lss.pending_bit_rate(),
-                        ..self.persistent
-                    };
-                    (settings, Requester::Lss)
-                } else {
-                    let (index, sub_index, heartbeat_ms) = self.sdo_store.take()?;
-                    let settings = Settings { heartbeat_ms, ..self.persistent };
-                    (settings, Requester::Sdo(index, sub_index))
-                };
-                self.store = Store::Running(settings, requester);
-                Some(Action::Store(settings))
-            }
+    /// Takes the outcome of the store that runs; returns whether there is one.
+    pub const fn handle_stored(&mut self, outcome: Result<(), StoreError>) -> bool {
+        let Store::Running(settings, requester) = self.store else {
+            return false;
+        };
+        if outcome.is_ok() {
+            self.persistent = settings;
         }
+        self.store = Store::Done(outcome, requester);
+        true
     }
 
-    /// What is stored by SDO is the heartbeat time; node-ID and bit rate belong to LSS and stay as they are.
-    pub(super) fn request_store(
-        &mut self,
-        entry: &Entry,
-        heartbeat_ms: u16,
-    ) -> Result<Written, Abort> {
-        if self.sdo_store.is_some() {
-            return Err(Abort::Busy);
+    /// Begins the next store, or answers the one that has come to its end.
+    pub fn poll(&mut self, node_id: Option<NodeId>, bit_rate: BitRateSetting) -> Option<Next> {
+        if let Store::Running(..) = self.store {
+            return None;
         }
-        self.sdo_store = Some((entry.index, entry.sub_index, heartbeat_ms));
-        Ok(Written::Later)
+        if let Store::Done(outcome, requester) = self.store {
+            self.store = Store::Idle;
+            match requester {
+                Requester::Lss => {
+                    self.lss_requests = self.lss_requests.saturating_sub(1);
+                    return Some(Next::AnswerLss(outcome));
+                }
+                Requester::Sdo(download) => return Some(Next::AnswerSdo(download, outcome)),
+                Requester::Nobody => {}
+            }
+        }
+        let (settings, requester) = if self.lss_requests > 0 {
+            (Settings { node_id, bit_rate, ..self.persistent }, Requester::Lss)
+        } else {
+            let SdoRequest { download, heartbeat_ms } = self.sdo_request.take()?;
+            (Settings { heartbeat_ms, ..self.persistent }, Requester::Sdo(download))
+        };
+        self.store = Store::Running(settings, requester);
+        Some(Next::Store(settings))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BitRate;
+
+    const SETTINGS: Settings = Settings::new(BitRateSetting::Automatic);
+    const SAVE: Download = Download { index: 0x1010, sub_index: 1 };
+    const PENDING: BitRateSetting = BitRateSetting::Fixed(BitRate::Kbit500);
+
+    fn poll(storing: &mut Storing) -> Option<Next> {
+        storing.poll(NodeId::new(5), PENDING)
+    }
+
+    #[test]
+    fn stores_of_lss_and_sdo_run_one_after_another() {
+        let mut storing = Storing::new(SETTINGS);
+        assert!(storing.request_by_sdo(SAVE, 1000).is_ok());
+        storing.request_by_lss();
+        let of_lss = SETTINGS.with_node_id(NodeId::new(5)).with_bit_rate(PENDING);
+        assert_eq!(poll(&mut storing), Some(Next::Store(of_lss)));
+        assert_eq!(poll(&mut storing), None, "it runs");
+        assert!(storing.handle_stored(Ok(())));
+        assert_eq!(poll(&mut storing), Some(Next::AnswerLss(Ok(()))));
+        let both = of_lss.with_heartbeat_ms(1000);
+        assert_eq!(poll(&mut storing), Some(Next::Store(both)));
+        assert!(storing.handle_stored(Ok(())));
+        assert_eq!(poll(&mut storing), Some(Next::AnswerSdo(SAVE, Ok(()))));
+        assert_eq!((poll(&mut storing), *storing.persistent()), (None, both));
+    }
+
+    #[test]
+    fn a_store_that_fails_leaves_the_persistent_settings() {
+        let mut storing = Storing::new(SETTINGS);
+        storing.request_by_lss();
+        let _ = poll(&mut storing);
+        assert!(storing.handle_stored(Err(StoreError::MediumAccess)));
+        let answer = Next::AnswerLss(Err(StoreError::MediumAccess));
+        assert_eq!((poll(&mut storing), *storing.persistent()), (Some(answer), SETTINGS));
+    }
+
+    #[test]
+    fn a_client_that_was_forgotten_is_not_answered() {
+        let mut storing = Storing::new(SETTINGS);
+        assert!(storing.request_by_sdo(SAVE, 1000).is_ok());
+        let _ = poll(&mut storing);
+        storing.forget_sdo();
+        assert!(storing.handle_stored(Ok(())));
+        assert_eq!(poll(&mut storing), None);
+        assert_eq!(storing.persistent().heartbeat_ms, 1000);
+    }
+
+    #[test]
+    fn an_outcome_without_a_store_is_ignored() {
+        assert!(!Storing::new(SETTINGS).handle_stored(Ok(())));
     }
 }

@@ -12,7 +12,7 @@
 //!   the CPU for up to 800 ms, which a node on the bus cannot afford;
 //! - a bank is appended to only if it holds the newest record, which proves that its erase came to its end.
 
-use core::{mem, ops::Range};
+use core::{error, fmt, mem, ops::Range};
 
 use embedded_storage::nor_flash::NorFlash;
 
@@ -20,10 +20,10 @@ use super::{
     Settings,
     record::{self, Record},
 };
-use crate::lss::StoreError;
 
 /// What [`Log::open`] found, for the node's log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Found {
     /// The newest record, and nothing after it.
     Complete,
@@ -34,7 +34,7 @@ pub enum Found {
     /// No valid record, but other content; now formatted. The device's defaults hold.
     Damaged,
     /// The flash could not be read, erased or written; what was found holds, and nothing may be storable.
-    MediumFailed,
+    MediumFailed(Error),
 }
 
 /// The settings log over a flash that holds nothing else.
@@ -50,12 +50,12 @@ pub struct Log<F> {
     is_doubtful: bool,
     /// The blank space of the bank that holds the newest record.
     space: Range<u32>,
-    failure: Option<Failure>,
 }
 
-/// Why the flash could not be used, for the node's log.
+/// Why the flash could not be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Failure {
+#[non_exhaustive]
+pub enum Error {
     /// It reported an error, such as write protection.
     Refused,
     /// Space that has not been written since its erase does not read blank.
@@ -64,6 +64,31 @@ pub enum Failure {
     NotAsWritten,
     /// The bank is full until the next [`Log::open`].
     Full,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Refused => "the flash reports an error",
+            Self::NotBlank => "the flash is not blank where it was erased",
+            Self::NotAsWritten => "the flash reads back otherwise than written",
+            Self::Full => "the flash is full until the next power-on",
+        })
+    }
+}
+
+impl error::Error for Error {}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Error {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        match self {
+            Self::Refused => defmt::write!(f, "the flash reports an error"),
+            Self::NotBlank => defmt::write!(f, "the flash is not blank where it was erased"),
+            Self::NotAsWritten => defmt::write!(f, "the flash reads back otherwise than written"),
+            Self::Full => defmt::write!(f, "the flash is full until the next power-on"),
+        }
+    }
 }
 
 /// What the search of one bank showed.
@@ -102,11 +127,8 @@ impl<F: NorFlash> Log<F> {
             assert!((record::LEN as usize).is_multiple_of(F::READ_SIZE));
         }
         let newest = Record { sequence: 0, settings: None };
-        let mut log =
-            Self { flash, newest, sequence: 0, is_doubtful: false, space: 0..0, failure: None };
-        let outcome = log.find();
-        log.failure = outcome.err();
-        let found = outcome.unwrap_or(Found::MediumFailed);
+        let mut log = Self { flash, newest, sequence: 0, is_doubtful: false, space: 0..0 };
+        let found = log.find().unwrap_or_else(Found::MediumFailed);
         (log, found)
     }
 
@@ -119,26 +141,18 @@ impl<F: NorFlash> Log<F> {
     /// worst) on an STM32F4.
     ///
     /// # Errors
-    /// [`StoreError::MediumAccess`] if the record could not be written and read back, or the bank is full until the next
-    /// `open`; the settings of before are still persistent.
-    pub fn store(&mut self, settings: Settings) -> Result<(), StoreError> {
-        self.failure = None;
+    /// If the record could not be written and read back, or the bank is full until the next `open`; the settings of before
+    /// are still persistent.
+    pub fn store(&mut self, settings: Settings) -> Result<(), Error> {
         if self.newest.settings == Some(settings) && !self.is_doubtful {
             return Ok(());
         }
-        self.append(Some(settings)).map_err(|failure| {
-            if self.is_doubtful {
-                // The old settings on top of what is refused.
-                let _ = self.append(self.newest.settings);
-            }
-            self.failure = Some(failure);
-            StoreError::MediumAccess
-        })
-    }
-
-    /// Why the last [`open`](Self::open) or [`store`](Self::store) failed, if it did.
-    pub fn failure(&self) -> Option<Failure> {
-        self.failure
+        let outcome = self.append(Some(settings));
+        if outcome.is_err() && self.is_doubtful {
+            // The old settings on top of what is refused.
+            let _ = self.append(self.newest.settings);
+        }
+        outcome
     }
 
     /// Gives the flash back.
@@ -146,7 +160,7 @@ impl<F: NorFlash> Log<F> {
         self.flash
     }
 
-    fn find(&mut self) -> Result<Found, Failure> {
+    fn find(&mut self) -> Result<Found, Error> {
         let erase_size = F::ERASE_SIZE as u32;
         let bank_len = self.flash.capacity() as u32 / 2 / erase_size * erase_size;
         let first = self.search(0..bank_len)?;
@@ -180,13 +194,13 @@ impl<F: NorFlash> Log<F> {
         Ok(if interrupted > 0 { Found::Interrupted } else { Found::Complete })
     }
 
-    fn search(&mut self, range: Range<u32>) -> Result<Bank, Failure> {
+    fn search(&mut self, range: Range<u32>) -> Result<Bank, Error> {
         let start = range.start;
         let mut bank = Bank { range, newest: None, newest_end: start, blank_from: start };
         // One buffer: to return each of a thousand records costs a copy, 1 ms in all.
         let mut bytes = [0; record::LEN as usize];
         for at in bank.range.clone().step_by(record::LEN as usize).rev() {
-            self.flash.read(at, &mut bytes).map_err(|_| Failure::Refused)?;
+            self.flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
             if is_blank(&bytes) {
                 continue;
             }
@@ -203,16 +217,16 @@ impl<F: NorFlash> Log<F> {
     }
 
     /// Erases `bank` and makes it the one that holds the newest record.
-    fn move_to(&mut self, bank: Range<u32>) -> Result<(), Failure> {
-        self.flash.erase(bank.start, bank.end).map_err(|_| Failure::Refused)?;
+    fn move_to(&mut self, bank: Range<u32>) -> Result<(), Error> {
+        self.flash.erase(bank.start, bank.end).map_err(|_| Error::Refused)?;
         let old_space = mem::replace(&mut self.space, bank);
         self.append(self.newest.settings).inspect_err(|_| self.space = old_space)
     }
 
-    fn append(&mut self, settings: Option<Settings>) -> Result<(), Failure> {
+    fn append(&mut self, settings: Option<Settings>) -> Result<(), Error> {
         let at = self.space.start;
         if at >= self.space.end {
-            return Err(Failure::Full);
+            return Err(Error::Full);
         }
         self.sequence = self.sequence.wrapping_add(1);
         self.space.start = at.saturating_add(record::LEN);
@@ -227,27 +241,27 @@ impl<F: NorFlash> Log<F> {
         self.flash.write(end.saturating_sub(record::COMMIT.len() as u32), &record::COMMIT)
     }
 
-    fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Failure> {
+    fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
         const COMMIT_AT: usize = record::LEN as usize - record::COMMIT.len();
         let (content, commit) = bytes.split_at(COMMIT_AT);
         if !is_blank(&self.read(at)?) {
-            return Err(Failure::NotBlank);
+            return Err(Error::NotBlank);
         }
-        self.flash.write(at, content).map_err(|_| Failure::Refused)?;
+        self.flash.write(at, content).map_err(|_| Error::Refused)?;
         if !self.read(at)?.starts_with(content) {
-            return Err(Failure::NotAsWritten);
+            return Err(Error::NotAsWritten);
         }
         // Whatever the flash says of this last word: what is read back decides, now as at the next open.
         let _ = self.flash.write(at + COMMIT_AT as u32, commit);
         self.is_doubtful = true;
         let written = self.read(at)?;
         self.is_doubtful = false;
-        if written == *bytes { Ok(()) } else { Err(Failure::NotAsWritten) }
+        if written == *bytes { Ok(()) } else { Err(Error::NotAsWritten) }
     }
 
-    fn read(&mut self, at: u32) -> Result<[u8; record::LEN as usize], Failure> {
+    fn read(&mut self, at: u32) -> Result<[u8; record::LEN as usize], Error> {
         let mut bytes = [0; record::LEN as usize];
-        self.flash.read(at, &mut bytes).map_err(|_| Failure::Refused)?;
+        self.flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
         Ok(bytes)
     }
 }

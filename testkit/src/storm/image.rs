@@ -4,7 +4,7 @@
 use emulator::{
     Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
 };
-use lss_slave::{Action, BitRate, Device, lss::Address};
+use lss_slave::{Action, BitRate, lss::Address};
 
 use super::{RATE, Target, delivered, frame, lss_data};
 use crate::{
@@ -58,16 +58,14 @@ impl ImageStorm {
         });
         bench.lss("04 00");
         let [vendor_id, product_code, revision_number, serial_number] = address;
-        let device = Device {
-            // What `device.rs` of the firmware says.
-            heartbeat_ms: 1000,
-            name: "LSS slave",
-            hardware_version: "1.0",
-            software_version: "0.1.0",
-            ..model::device(Address { vendor_id, product_code, revision_number, serial_number })
-        };
+        // As `device.rs` of the firmware says.
+        let device =
+            model::device(Address { vendor_id, product_code, revision_number, serial_number })
+                .with_name("LSS slave")
+                .with_versions("1.0", "0.1.0")
+                .with_defaults(settings(0xFF, RATE).with_heartbeat_ms(1000));
         let flash = BoardFlash::with_content(content, 0);
-        let mut model = NodeRig::with_device(device, settings(0xFF, RATE), flash, 0);
+        let mut model = NodeRig::with_device(device, flash, 0);
         model.take_actions();
         Self {
             bench,

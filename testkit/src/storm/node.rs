@@ -31,7 +31,7 @@ pub struct NodeStorm {
 
 impl NodeStorm {
     pub fn new(seed: u64) -> Self {
-        let defaults = Settings { bit_rate: RATE.into(), ..defaults(0xFF) };
+        let defaults = defaults(0xFF).with_bit_rate(RATE.into());
         let board = NodeRig::with_defaults(defaults);
         Self { board, defaults, random: Random::from_seed(seed), frames: 0, stores: 0 }
     }

@@ -52,7 +52,7 @@ fn any_number() -> u32 {
 }
 
 fn any_settings() -> Settings {
-    any(Settings { node_id: None, bit_rate: BitRateSetting::Automatic, heartbeat_ms: 0 })
+    any(Settings::new(BitRateSetting::Automatic))
 }
 
 fn any_instant() -> Instant {
@@ -109,18 +109,15 @@ fn run_node() {
         revision_number: any_number(),
         serial_number: Address::serial_number_of(&any([0; 12])),
     };
-    let device = Device {
-        address,
-        // The bit timing solver is for constants.
-        bit_rates: any(const { BitRates::possible(40_000_000) }),
-        heartbeat_ms: any(0),
-        name: any(""),
-        hardware_version: any(""),
-        software_version: any(""),
-        rescue: any(true),
-        lss_lock: any(true),
-    };
-    let mut node = Node::new(device, any_settings());
+    // The bit timing solver is for constants.
+    let bit_rates = any(const { BitRates::possible(40_000_000) });
+    let device = Device::new(address, bit_rates)
+        .with_defaults(any_settings())
+        .with_name(any(""))
+        .with_versions(any(""), any(""))
+        .with_rescue(any(true))
+        .with_lss_lock(any(true));
+    let mut node = Node::new(device, any(Some(any_settings())));
     // Between the calls the node is in any state that its types allow.
     let node = &mut node;
     black_box(Frame::new(any(0), any(&[])));
@@ -131,11 +128,10 @@ fn run_node() {
     black_box(&mut *node).handle_stored(any(Err(StoreError::MediumAccess)));
     black_box(&mut *node).handle_fault(any(Fault::Overrun));
     black_box(&mut *node).handle_bus(any(BusEvent::Error), any_instant());
-    black_box(&mut *node).note_error_counters(any(0), any(0));
-    black_box(black_box(&mut *node).handle_deadline(any_instant()));
+    black_box(black_box(&mut *node).poll(any_instant()));
     let node = &*black_box(node);
     black_box(node.is_due(any_instant()));
-    black_box((node.next_deadline(), node.receives(), node.nmt_state(), node.node_id()));
+    black_box((node.poll_at(), node.receives(), node.nmt_state(), node.node_id()));
     black_box((node.bit_rate(), node.is_listening(), node.lss().state()));
 }
 

@@ -110,7 +110,7 @@ mod tests {
     }
 
     fn settings(id: u8) -> Settings {
-        Settings { node_id: NodeId::new(id), bit_rate: BitRate::Kbit250.into(), heartbeat_ms: 0 }
+        Settings::new(BitRate::Kbit250.into()).with_node_id(NodeId::new(id))
     }
 
     /// Runs a board with the program `image`, which does nothing; returns the content of its flash.

@@ -13,6 +13,10 @@ use testkit::image_rig::bit_per_s;
 /// The allowed delay against the plain slave, unless [`LATE_FRAMES`] take longer.
 const LATE: Time = Time::from_ms(100);
 const LATE_FRAMES: u64 = 25;
+/// The same on a contested bus, where a board at another rate disturbs. The end of the disturbance is partly random:
+/// the more the others send, the sooner that board is error passive. After bus-off the plain slave continues at once,
+/// the product withholds its frames.
+const LATE_IF_CONTESTED: Time = Time::from_ms(500);
 /// The time for which a foreign device may keep a board away after it has left. A master that only listens sends
 /// nothing: the board's next heartbeat, up to a second later, must first go without an acknowledge for a second.
 const AFTER_DEPARTURE: Time = Time::from_s(1);
@@ -99,15 +103,20 @@ impl Images {
     pub fn judge(&self, situation: &Situation) -> Verdict {
         let mut plain = Life::up_to_the_probe(situation, &self.plain, self.part);
         let boards = 0..situation.boards.len();
-        let homes: Vec<Option<u32>> = boards.map(|board| plain.bit_rate(board)).collect();
+        let home = |board: usize| {
+            // A board that is switched on with the probe has its stored rate.
+            let stored = || bit_per_s(situation.boards[board].stored);
+            plain.bit_rate(board).unwrap_or_else(stored)
+        };
+        let homes: Vec<u32> = boards.map(home).collect();
         let rate = bit_per_s(situation.probe.rate);
-        let is_at_home: Vec<bool> = homes.iter().map(|home| *home == Some(rate)).collect();
+        let is_at_home: Vec<bool> = homes.iter().map(|home| *home == rate).collect();
         let plain_seen = plain.probe(&is_at_home, PATIENCE);
 
         let mut ours = Life::up_to_the_probe(situation, &self.product, self.part);
         let limits: Vec<Option<Time>> = (0..homes.len())
-            .map(|board| match plain_seen[board].reached {
-                Some(reached) => Some(latest(situation, reached)),
+            .map(|board| match plain_seen[board].sign_of_life(situation.boards[board]) {
+                Some(reached) => Some(latest(situation, &homes, reached)),
                 None if is_lost_alone(situation, &homes, board) => {
                     let switched = plain.switched(board).max(ours.switched(board));
                     Some(latest_rescue(situation, switched))
@@ -146,12 +155,13 @@ impl Images {
 }
 
 /// The deadline for a board whose plain slave is reached after `plain`.
-fn latest(situation: &Situation, plain: Time) -> Time {
+fn latest(situation: &Situation, homes: &[u32], plain: Time) -> Time {
     let frame =
         Time::from_ps(FRAME_BITS * 1_000_000_000_000 / u64::from(bit_per_s(situation.probe.rate)));
     // At slow rates a round of questions and answers takes longer than the polling interval.
     let round = (frame * (2 * situation.boards.len() as u64)).saturating_sub(POLL);
-    let allowance = LATE.max(frame * LATE_FRAMES) + round;
+    let late = if is_contested(situation, homes) { LATE_IF_CONTESTED } else { LATE };
+    let allowance = late.max(frame * LATE_FRAMES) + round;
     let after_departure = situation.last_departure().map_or(Time::ZERO, |departure| {
         let span = if situation.probe.listens { AFTER_DEPARTURE_UNHEARD } else { AFTER_DEPARTURE };
         (ms(departure) + span).saturating_sub(ms(situation.probe.at))
@@ -169,14 +179,27 @@ fn latest_rescue(situation: &Situation, switched: Option<Time>) -> Time {
 
 /// Whether a board has another rate than the probe and receives no valid frame there: no other board has its rate, or
 /// none of those sends unasked.
-fn is_lost_alone(situation: &Situation, homes: &[Option<u32>], board: usize) -> bool {
+fn is_lost_alone(situation: &Situation, homes: &[u32], board: usize) -> bool {
     let rate = bit_per_s(situation.probe.rate);
-    let Some(home) = homes[board].filter(|home| *home != rate && !situation.probe.listens) else {
+    let home = homes[board];
+    if home == rate || situation.probe.listens {
         return false;
-    };
-    let talks = |at: &usize| {
-        situation.boards[*at].node_id.is_some() && situation.boards[*at].heartbeat_ms > 0
-    };
-    let peers = || (0..homes.len()).filter(|at| homes[*at] == Some(home));
-    peers().count() == 1 || !peers().any(|at| talks(&at))
+    }
+    peers(homes, home).count() == 1 || !peers(homes, home).any(|at| talks(situation, at))
+}
+
+/// Whether any board has another rate than the probe.
+fn is_contested(situation: &Situation, homes: &[u32]) -> bool {
+    let rate = bit_per_s(situation.probe.rate);
+    homes.iter().any(|home| *home != rate)
+}
+
+/// The boards at this rate.
+fn peers(homes: &[u32], rate: u32) -> impl Iterator<Item = usize> {
+    (0..homes.len()).filter(move |at| homes[*at] == rate)
+}
+
+fn talks(situation: &Situation, board: usize) -> bool {
+    let board = situation.boards[board];
+    board.node_id.is_some() && board.heartbeat_ms > 0
 }

@@ -66,8 +66,19 @@ enum Step {
 /// The fate of a board from the start of the probe on.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
-    /// The time until its first answer or heartbeat.
+    /// The time until its first answer, heartbeat or emergency message.
     pub reached: Option<Time>,
+    /// The time until its first answer or heartbeat.
+    pub answered: Option<Time>,
+}
+
+impl Seen {
+    /// The time by which an equal board must be received: a pending emergency message depends on chance, the next
+    /// heartbeat does not.
+    pub fn sign_of_life(&self, node: Node) -> Option<Time> {
+        let period = ms(node.heartbeat_ms.into());
+        self.answered.or_else(|| self.reached.map(|reached| reached.max(period)))
+    }
 }
 
 impl<'a> Life<'a> {
@@ -299,7 +310,7 @@ impl<'a> Life<'a> {
         while self.network.receive(self.master).is_some() {}
         let mut now = begin;
         loop {
-            let is_missing: Vec<bool> = seen.iter().map(|seen| seen.reached.is_none()).collect();
+            let is_missing: Vec<bool> = seen.iter().map(|seen| seen.answered.is_none()).collect();
             let is_over =
                 wanted.iter().zip(&is_missing).all(|(wanted, missing)| !wanted || !missing);
             if is_over || now >= begin + limit {
@@ -309,25 +320,31 @@ impl<'a> Life<'a> {
                 self.ask(&is_missing);
             }
             self.network.run_until(now + POLL);
-            for (board, time) in self.heard(now) {
+            for (board, time, is_emergency) in self.heard(now) {
                 seen[board].reached.get_or_insert(time - begin);
+                if !is_emergency {
+                    seen[board].answered.get_or_insert(time - begin);
+                }
             }
             now += POLL;
         }
     }
 
-    /// The boards that the master has received since `since`, with times.
-    fn heard(&mut self, since: Time) -> Vec<(usize, Time)> {
+    /// The boards that the master has received since `since`, with times, and whether by an emergency message.
+    fn heard(&mut self, since: Time) -> Vec<(usize, Time, bool)> {
+        const EMERGENCY: u16 = 0x080;
         // A node that is alone and error passive reports this first.
-        let cob_ids: &[u16] = if self.situation.probe.listens { &[0x700, 0x080] } else { &[0x580] };
+        let cob_ids: &[u16] =
+            if self.situation.probe.listens { &[0x700, EMERGENCY] } else { &[0x580] };
         let mut heard = Vec::new();
         while let Some((time, frame)) = self.network.receive(self.master) {
-            let is_of = |node: &Node| {
-                node.node_id.is_some_and(|id| {
-                    cob_ids.iter().any(|cob_id| frame.id == Id::Standard(cob_id + u16::from(id)))
-                })
-            };
-            heard.extend(self.situation.boards.iter().position(is_of).map(|board| (board, time)));
+            let boards = self.situation.boards.iter().enumerate();
+            heard.extend(boards.filter_map(|(board, node)| {
+                let node_id = u16::from(node.node_id?);
+                let is = |cob_id: &&u16| frame.id == Id::Standard(**cob_id + node_id);
+                let cob_id = cob_ids.iter().find(is)?;
+                Some((board, time, *cob_id == EMERGENCY))
+            }));
         }
         let answer = Frame::data(Id::Standard(0x7E4), &[0x50, 0, 0, 0, 0, 0, 0, 0]);
         let rate = bit_per_s(self.situation.probe.rate);
@@ -337,7 +354,7 @@ impl<'a> Life<'a> {
             {
                 let senders = also.iter().chain([&event.source]);
                 heard.extend(senders.filter_map(|sender| match sender {
-                    Source::Board(board) => Some((*board, event.time)),
+                    Source::Board(board) => Some((*board, event.time, false)),
                     Source::Adapter(_) => None,
                 }));
             }
@@ -402,11 +419,9 @@ fn board(number: usize, node: Node, image: &Image, part: Part) -> Board {
     let mut board = Board::new(part, image, settings);
     board.set_flash(
         SETTINGS_OFFSET,
-        &flash_with(&[Settings {
-            node_id: node.node_id.and_then(NodeId::new),
-            bit_rate: node.stored.into(),
-            heartbeat_ms: node.heartbeat_ms,
-        }]),
+        &flash_with(&[Settings::new(node.stored.into())
+            .with_node_id(node.node_id.and_then(NodeId::new))
+            .with_heartbeat_ms(node.heartbeat_ms)]),
     );
     board
 }

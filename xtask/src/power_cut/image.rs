@@ -98,7 +98,7 @@ struct Bench {
 
 fn settings((node_id, bit_rate): (u8, BitRate)) -> Settings {
     // The heartbeat time of a blank board is stored together with the LSS settings.
-    Settings { node_id: NodeId::new(node_id), bit_rate: bit_rate.into(), heartbeat_ms: 1000 }
+    Settings::new(bit_rate.into()).with_node_id(NodeId::new(node_id)).with_heartbeat_ms(1000)
 }
 
 impl Session {

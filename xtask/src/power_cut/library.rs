@@ -44,11 +44,9 @@ impl fmt::Display for Histories {
 
 /// Different settings for each `number`.
 fn settings(number: u8) -> Settings {
-    Settings {
-        node_id: NodeId::new(number % 128),
-        bit_rate: BitRate::ALL[usize::from(number % 8)].into(),
-        heartbeat_ms: number.into(),
-    }
+    Settings::new(BitRate::ALL[usize::from(number % 8)].into())
+        .with_node_id(NodeId::new(number % 128))
+        .with_heartbeat_ms(number.into())
 }
 
 /// One life: power-on and a number of stores, until the power fails. Returns a description of any loss.
@@ -63,7 +61,7 @@ fn live<const W: usize, const E: usize>(
         return Ok(next);
     }
     let before = expected.clone();
-    if !expected.admits(log.settings()) || found == Found::MediumFailed {
+    if !expected.admits(log.settings()) || matches!(found, Found::MediumFailed(_)) {
         let Expected { known, attempted } = before;
         return Err(format!(
             "{found:?}: {}, not {} or {}",

@@ -47,7 +47,9 @@ pub fn all(quick: bool) -> Vec<(&'static str, Session)> {
 }
 
 fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>, heartbeat_ms: u16) -> Settings {
-    Settings { node_id: NodeId::new(node_id), bit_rate: bit_rate.into(), heartbeat_ms }
+    Settings::new(bit_rate.into())
+        .with_node_id(NodeId::new(node_id))
+        .with_heartbeat_ms(heartbeat_ms)
 }
 
 /// A node with a node-ID boots up and sends heartbeats, also without answers.

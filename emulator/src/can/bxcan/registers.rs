@@ -1,6 +1,6 @@
 //! Offsets, bits, fields and reset values of the control and status registers (RM0090 32.9.2 and 32.9.5).
 
-use crate::can::{BitTiming, ErrorKind};
+use crate::can::{BitSegments, ErrorKind};
 
 pub const MCR: u32 = 0x000;
 pub const MSR: u32 = 0x004;
@@ -61,9 +61,9 @@ pub fn place(distance: u32) -> (usize, usize) {
 }
 
 /// The bit timing of a BTR value (RM0090 32.9.2); each field is one less than its quantity.
-pub fn bit_timing(btr: u32) -> BitTiming {
+pub fn bit_timing(btr: u32) -> BitSegments {
     let field = |shift: u32, width: u32| (btr >> shift & ((1 << width) - 1)) + 1;
-    BitTiming {
+    BitSegments {
         prescaler: field(0, 10) as u16,
         segment_1: field(16, 4) as u8,
         segment_2: field(20, 3) as u8,

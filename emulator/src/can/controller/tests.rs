@@ -3,7 +3,8 @@
 use super::*;
 use crate::can::Id;
 
-const TIMING: BitTiming = BitTiming { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
+const TIMING: BitSegments =
+    BitSegments { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
 /// Steps a controller through bits: `0` is dominant, `1` recessive, spaces are ignored.
 struct Line {

@@ -17,18 +17,18 @@ use crate::{
 };
 
 /// The node and its controller.
-pub struct Slave {
+pub struct Runner {
     node: Node,
     can: Controller,
     /// As last seen.
     bus_state: BusState,
     was_passive: bool,
     indicators: Indicators,
-    /// A store that has not begun; its outcome comes back by [`Slave::handle_stored`].
+    /// A store that has not begun; its outcome comes back by [`Runner::handle_stored`].
     store: Option<Settings>,
 }
 
-impl Slave {
+impl Runner {
     /// A node that has just been switched on, and its controller, which takes part in the bus from now on, unless the node
     /// wants to listen first.
     pub fn new(node: Node, mut can: Controller) -> Self {
@@ -56,7 +56,7 @@ impl Slave {
                 Received::Other => self.node.handle_bus(BusEvent::Received, clock::now()),
                 Received::Overrun => {
                     defmt::warn!("CAN: overrun, a received frame is lost");
-                    self.node.handle_fault(Fault::Overrun);
+                    self.node.handle_bus(BusEvent::Overrun, clock::now());
                 }
             }
             self.act_until_nothing_is_due();
@@ -74,7 +74,8 @@ impl Slave {
     /// The controller's error state has changed, or it has found an error on the bus.
     pub fn handle_status(&mut self) {
         let (transmit, receive) = self.can.error_counters();
-        self.node.note_error_counters(transmit, receive);
+        let counters = BusEvent::ErrorCounters { transmit, receive };
+        self.node.handle_bus(counters, clock::now());
         let error = self.can.handle_status();
         let now = clock::now();
         // Frames that came before the error count before it.
@@ -110,7 +111,7 @@ impl Slave {
             }
             (true, false) => {
                 defmt::info!("CAN: recovered from bus-off");
-                self.node.handle_fault(Fault::BusOffRecovered);
+                self.node.handle_bus(BusEvent::BusOffRecovered, clock::now());
             }
             _ if is_passive && !was_passive => {
                 self.node.handle_bus(BusEvent::ErrorPassive, clock::now());
@@ -119,7 +120,7 @@ impl Slave {
         }
     }
 
-    /// The board has seen a trouble.
+    /// The board has seen a fault.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.node.handle_fault(fault);
         self.act_until_nothing_is_due();
@@ -163,7 +164,7 @@ impl Slave {
 
     /// Time has passed, or anything has happened.
     pub fn act_until_nothing_is_due(&mut self) {
-        while let Some(action) = self.node.handle_deadline(clock::now()) {
+        while let Some(action) = self.node.poll(clock::now()) {
             self.act(action);
         }
     }

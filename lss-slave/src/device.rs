@@ -1,0 +1,90 @@
+//! The description of a device: identity, names, defaults, and what it offers.
+
+use crate::{BitRateSetting, BitRates, Settings, lss};
+
+/// What the device is, as opposed to how it is set.
+///
+/// ```
+/// use lss_slave::{BitRate, BitRates, Device, Settings, lss::Address};
+///
+/// let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
+/// let device = Device::new(address, BitRates::possible(40_000_000))
+///     .with_defaults(Settings::new(BitRate::Kbit250.into()))
+///     .with_name("Valve")
+///     .with_rescue(true);
+/// # let _ = device;
+/// ```
+#[derive(Clone, Copy, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub struct Device {
+    /// The LSS address, which is the identity object 1018h.
+    pub address: lss::Address,
+    /// The bit rates that the CAN controller can produce.
+    pub bit_rates: BitRates,
+    /// The settings of a device that has stored none. 1011h restores their heartbeat time.
+    pub defaults: Settings,
+    /// Manufacturer device name 1008h.
+    pub name: &'static str,
+    /// Manufacturer hardware version 1009h.
+    pub hardware_version: &'static str,
+    /// Manufacturer software version 100Ah.
+    pub software_version: &'static str,
+    /// Whether the bit rate is supervised: lasting errors without a valid frame make the node look for the rate of the others
+    /// (see `docs/bit-rates.md`).
+    pub rescue: bool,
+    /// Whether the LSS state stays waiting while the node is NMT operational, so that nobody configures a running machine.
+    pub lss_lock: bool,
+}
+
+impl Device {
+    /// A device that runs at the fastest of `bit_rates` until it has stored settings, and has neither names nor options.
+    pub const fn new(address: lss::Address, bit_rates: BitRates) -> Self {
+        Self {
+            address,
+            bit_rates,
+            defaults: Settings::new(BitRateSetting::Fixed(bit_rates.fastest())),
+            name: "",
+            hardware_version: "",
+            software_version: "",
+            rescue: false,
+            lss_lock: false,
+        }
+    }
+
+    /// The same with other [`defaults`](Self::defaults).
+    #[must_use]
+    pub const fn with_defaults(self, defaults: Settings) -> Self {
+        Self { defaults, ..self }
+    }
+
+    /// The same with other [`bit_rates`](Self::bit_rates).
+    #[must_use]
+    pub const fn with_bit_rates(self, bit_rates: BitRates) -> Self {
+        Self { bit_rates, ..self }
+    }
+
+    /// The same with another [`name`](Self::name).
+    #[must_use]
+    pub const fn with_name(self, name: &'static str) -> Self {
+        Self { name, ..self }
+    }
+
+    /// The same with another [`hardware_version`](Self::hardware_version) and [`software_version`](Self::software_version).
+    #[must_use]
+    pub const fn with_versions(self, hardware: &'static str, software: &'static str) -> Self {
+        Self { hardware_version: hardware, software_version: software, ..self }
+    }
+
+    /// The same with or without [`rescue`](Self::rescue).
+    #[must_use]
+    pub const fn with_rescue(self, rescue: bool) -> Self {
+        Self { rescue, ..self }
+    }
+
+    /// The same with or without [`lss_lock`](Self::lss_lock).
+    #[must_use]
+    pub const fn with_lss_lock(self, lss_lock: bool) -> Self {
+        Self { lss_lock, ..self }
+    }
+}

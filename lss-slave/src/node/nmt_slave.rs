@@ -1,0 +1,297 @@
+//! The NMT slave (CiA 301): the NMT state and the commands that change it, boot-up, heartbeat and error behaviour.
+
+use core::mem;
+
+use crate::{
+    Frame, Instant, NodeId,
+    nmt::{self, Command, ErrorBehaviour, State},
+};
+
+/// The NMT state of the node, and the messages that report it.
+#[derive(Clone, Debug)]
+pub(super) struct NmtSlave {
+    /// The state once the boot-up has been sent.
+    state: State,
+    boot_up: BootUp,
+    heartbeat: Heartbeat,
+    /// 1029h sub-index 1.
+    error_behaviour: ErrorBehaviour,
+    /// A command that is still to be carried out: within a switch of the bit rate it waits.
+    command: Option<Command>,
+}
+
+/// How far the boot-up message has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum BootUp {
+    /// To be sent as soon as there is a node-ID and frames may be sent.
+    Due,
+    Sent,
+    /// A frame of the node was acknowledged since, so that the boot-up was too.
+    Acknowledged,
+}
+
+impl NmtSlave {
+    /// A slave after power-on, with this producer heartbeat time.
+    pub const fn new(heartbeat_ms: u16) -> Self {
+        Self {
+            state: State::PreOperational,
+            boot_up: BootUp::Due,
+            heartbeat: Heartbeat::new(heartbeat_ms),
+            error_behaviour: ErrorBehaviour::EnterPreOperational,
+            command: None,
+        }
+    }
+
+    /// Begins again with the boot-up, and with this producer heartbeat time.
+    pub const fn reset_communication(&mut self, heartbeat_ms: u16) {
+        self.state = State::PreOperational;
+        self.boot_up = BootUp::Due;
+        self.heartbeat.period_ms = heartbeat_ms;
+        self.error_behaviour = ErrorBehaviour::EnterPreOperational;
+    }
+
+    /// The NMT state: initialisation while the boot-up is due.
+    pub const fn state(&self) -> State {
+        match self.boot_up {
+            BootUp::Due => State::Initialisation,
+            BootUp::Sent | BootUp::Acknowledged => self.state,
+        }
+    }
+
+    /// Whether SDO requests are served in this NMT state.
+    pub const fn serves_sdo(&self) -> bool {
+        matches!(self.state(), State::PreOperational | State::Operational)
+    }
+
+    /// Whether emergency messages may be sent: one must not overtake a boot-up that waits for the bus.
+    pub const fn allows_emergencies(&self) -> bool {
+        matches!(self.boot_up, BootUp::Acknowledged) && !matches!(self.state, State::Stopped)
+    }
+
+    /// Takes a command. Of several that wait the latest counts, but a reset before all others and reset node before both.
+    pub const fn handle(&mut self, command: Command) {
+        let counts = match self.command {
+            Some(Command::ResetNode) => false,
+            Some(Command::ResetCommunication) => command.is_reset(),
+            _ => true,
+        };
+        if counts {
+            self.command = Some(command);
+        }
+    }
+
+    /// The command that is to be carried out now.
+    pub const fn take_command(&mut self) -> Option<Command> {
+        self.command.take()
+    }
+
+    /// Enters a state; in initialisation nothing.
+    pub const fn enter(&mut self, state: State) {
+        if !matches!(self.boot_up, BootUp::Due) {
+            self.state = state;
+        }
+    }
+
+    /// Does what the error behaviour says of a communication error.
+    pub fn handle_communication_error(&mut self) {
+        match self.error_behaviour {
+            ErrorBehaviour::EnterPreOperational if self.state == State::Operational => {
+                self.enter(State::PreOperational);
+            }
+            ErrorBehaviour::EnterStopped => self.enter(State::Stopped),
+            ErrorBehaviour::EnterPreOperational | ErrorBehaviour::KeepState => {}
+        }
+    }
+
+    /// Records that a frame of the node was acknowledged.
+    pub const fn note_acknowledge(&mut self) {
+        if let BootUp::Sent = self.boot_up {
+            self.boot_up = BootUp::Acknowledged;
+        }
+    }
+
+    /// Records that the frames that waited were dropped: a boot-up among them is due again.
+    pub const fn note_dropped(&mut self) {
+        if let (BootUp::Sent, State::PreOperational) = (self.boot_up, self.state) {
+            self.boot_up = BootUp::Due;
+        }
+    }
+
+    /// Makes one heartbeat due beside the regular ones: frames may have been dropped.
+    pub const fn note_resumed(&mut self) {
+        self.heartbeat.is_extra_due = true;
+    }
+
+    /// Makes the next heartbeat due now, and the later ones from now on.
+    pub const fn restart_heartbeat(&mut self, now: Instant) {
+        self.heartbeat.due = now;
+    }
+
+    /// The boot-up of `node`, if it is due.
+    pub fn next_boot_up(&mut self, node: NodeId, now: Instant) -> Option<Frame> {
+        if self.boot_up != BootUp::Due {
+            return None;
+        }
+        self.boot_up = BootUp::Sent;
+        self.heartbeat.follow_boot_up(now);
+        Some(nmt::error_control(node, State::Initialisation))
+    }
+
+    /// The heartbeat of `node`, if it is due. The boot-up goes before it.
+    pub fn next_heartbeat(&mut self, node: NodeId, now: Instant) -> Option<Frame> {
+        self.heartbeat.poll(now).then(|| nmt::error_control(node, self.state))
+    }
+
+    /// When the next heartbeat is due.
+    pub fn poll_at(&self) -> Option<Instant> {
+        let is_produced = self.heartbeat.period_ms > 0 && self.boot_up != BootUp::Due;
+        is_produced.then_some(self.heartbeat.due)
+    }
+
+    /// The producer heartbeat time 1017h in milliseconds; 0: no heartbeat.
+    pub const fn heartbeat_ms(&self) -> u16 {
+        self.heartbeat.period_ms
+    }
+
+    /// Sets the producer heartbeat time 1017h: the next heartbeat comes after that time.
+    pub const fn set_heartbeat_ms(&mut self, ms: u16, now: Instant) {
+        self.heartbeat.period_ms = ms;
+        self.heartbeat.due = now.plus_micros(self.heartbeat.period_micros());
+    }
+
+    /// The error behaviour 1029h sub-index 1.
+    pub const fn error_behaviour(&self) -> ErrorBehaviour {
+        self.error_behaviour
+    }
+
+    /// Sets the error behaviour 1029h sub-index 1.
+    pub const fn set_error_behaviour(&mut self, behaviour: ErrorBehaviour) {
+        self.error_behaviour = behaviour;
+    }
+}
+
+/// The times at which heartbeats are due.
+#[derive(Clone, Debug)]
+struct Heartbeat {
+    /// 1017h.
+    period_ms: u16,
+    /// The next regular one.
+    due: Instant,
+    /// One is due beside the regular ones.
+    is_extra_due: bool,
+}
+
+impl Heartbeat {
+    const fn new(period_ms: u16) -> Self {
+        Self { period_ms, due: Instant::from_micros(0), is_extra_due: false }
+    }
+
+    const fn period_micros(&self) -> u32 {
+        self.period_ms as u32 * 1000
+    }
+
+    const fn is_ahead(&self, instant: Instant, now: Instant) -> bool {
+        // What lies further ahead than a period is left over from half an hour ago.
+        !instant.has_come(now) && instant.has_come(now.plus_micros(self.period_micros()))
+    }
+
+    /// A boot-up takes the place of the extra heartbeat, or of the regular one.
+    fn follow_boot_up(&mut self, now: Instant) {
+        if !mem::take(&mut self.is_extra_due) || !self.is_ahead(self.due, now) {
+            self.due = now.plus_micros(self.period_micros());
+        }
+    }
+
+    /// Whether one is to be sent now.
+    fn poll(&mut self, now: Instant) -> bool {
+        let is_late = !self.is_ahead(self.due, now);
+        let is_due = mem::take(&mut self.is_extra_due) || is_late;
+        if self.period_ms == 0 || !is_due {
+            return false;
+        }
+        if is_late {
+            let period = self.period_micros();
+            let next = self.due.plus_micros(period);
+            // After a long delay: one heartbeat, not all that were missed.
+            self.due = if self.is_ahead(next, now) { next } else { now.plus_micros(period) };
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: Instant = Instant::from_micros(0);
+
+    fn node() -> NodeId {
+        NodeId::new(5).expect("a node-ID")
+    }
+
+    /// A slave whose boot-up has been sent.
+    fn booted(heartbeat_ms: u16) -> NmtSlave {
+        let mut slave = NmtSlave::new(heartbeat_ms);
+        let boot_up = slave.next_boot_up(node(), NOW);
+        assert_eq!(boot_up, Frame::new(0x705, &[0]));
+        slave
+    }
+
+    #[test]
+    fn a_boot_up_is_sent_once() {
+        assert_eq!(NmtSlave::new(0).state(), State::Initialisation);
+        let mut slave = booted(0);
+        assert_eq!(slave.state(), State::PreOperational);
+        assert_eq!(slave.next_boot_up(node(), NOW), None);
+    }
+
+    #[test]
+    fn a_boot_up_that_was_dropped_is_due_again_until_it_is_acknowledged() {
+        let mut slave = booted(0);
+        slave.note_dropped();
+        assert_eq!(slave.state(), State::Initialisation);
+        assert!(slave.next_boot_up(node(), NOW).is_some());
+        slave.note_acknowledge();
+        slave.note_dropped();
+        assert_eq!(slave.state(), State::PreOperational);
+    }
+
+    #[test]
+    fn emergencies_wait_for_the_acknowledge_of_the_boot_up() {
+        let mut slave = booted(0);
+        assert!(!slave.allows_emergencies());
+        slave.note_acknowledge();
+        assert!(slave.allows_emergencies());
+        slave.enter(State::Stopped);
+        assert!(!slave.allows_emergencies());
+    }
+
+    #[test]
+    fn a_heartbeat_comes_each_period_and_once_after_a_long_delay() {
+        let mut slave = booted(10);
+        let at = |ms: u32| NOW.plus_micros(ms * 1000);
+        assert_eq!(slave.poll_at(), Some(at(10)));
+        for (ms, is_sent) in
+            [(9, false), (10, true), (11, false), (20, true), (75, true), (84, false)]
+        {
+            assert_eq!(slave.next_heartbeat(node(), at(ms)).is_some(), is_sent, "{ms} ms");
+        }
+        assert_eq!(slave.poll_at(), Some(at(85)));
+    }
+
+    #[test]
+    fn of_commands_that_wait_the_latest_counts_but_resets_go_first() {
+        use Command::*;
+        for (commands, expected) in [
+            (&[Start, Stop][..], Stop),
+            (&[ResetCommunication, Start], ResetCommunication),
+            (&[ResetCommunication, ResetNode], ResetNode),
+            (&[ResetNode, ResetCommunication], ResetNode),
+        ] {
+            let mut slave = booted(0);
+            commands.iter().for_each(|&command| slave.handle(command));
+            assert_eq!(slave.take_command(), Some(expected), "{commands:?}");
+            assert_eq!(slave.take_command(), None);
+        }
+    }
+}
