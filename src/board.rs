@@ -9,7 +9,9 @@ use stm32f4xx_hal::{
     watchdog::IndependentWatchdog,
 };
 
-use crate::{crystal, device, flash::SettingsFlash, supply::Supply, transmit_pin::TransmitPin};
+use crate::{
+    clock::Alarm, crystal, device, flash::SettingsFlash, supply::Supply, transmit_pin::TransmitPin,
+};
 
 /// The watchdog's patience in ms at 32 kHz; its oscillator has 17 to 47 kHz. The longest silence of a healthy board is the erase of
 /// a 16 KB sector: 800 ms.
@@ -21,6 +23,7 @@ const READS_IN_100_MS: u32 = 320_000;
 /// What the tasks need of the board.
 pub struct Board {
     pub rcc: Rcc,
+    pub alarm: Alarm,
     pub can: CAN1,
     pub can_pins: (TransmitPin, can1::Rx),
     pub indicators: (ErasedPin<Output>, ErasedPin<Output>),
@@ -49,12 +52,13 @@ impl Board {
         }
         // Waits for the PLL, 0.3 ms at most while the crystal runs; if it stops, an interrupt ends that too.
         let mut rcc = chip.RCC.freeze(clocks);
+        let alarm = Alarm::new(chip.TIM2, &mut rcc);
         // Before it has its pins, so that they do not twitch.
         CAN1::enable(&mut rcc);
         let can_pins = device::can_pins(chip.GPIOB, &mut rcc);
         let indicators = device::indicator_pins(chip.GPIOD, &mut rcc);
         let settings_flash = SettingsFlash::new(chip.FLASH, supply);
-        Self { rcc, can: chip.CAN1, can_pins, indicators, settings_flash, watchdog }
+        Self { rcc, alarm, can: chip.CAN1, can_pins, indicators, settings_flash, watchdog }
     }
 }
 

@@ -1,19 +1,32 @@
 //! The CAN controller: bit timing, filters, reception, transmission, and its place on the bus.
+//!
+//! `bxcan` is the driver. Directly accessed is what it does not offer: interrupts of errors and the error counters, how a
+//! transmission ended, and to enter and leave a mode without waiting for it. Its traps are closed here:
+//!
+//! - The data of a received frame panics if the length code is 9 to 15, so the length code is read first.
+//! - With three full mailboxes `transmit` waits until one is aborted, which takes a frame, so the frame waits in the queue.
+//! - To change the configuration, or to drop it, waits for a mode: the first is called in that mode, the second is not.
+//! - `clear_request_completed_flag` returns one mailbox and clears the flags of all three, so it is not used.
+//!
+//! Compared with access to the registers alone, `bxcan` costs 444 bytes of flash and 0.8 us of an answer, and leaves two
+//! panics in the image that nothing leads to (docs/size-and-speed.md).
+
+use core::mem;
 
 use bxcan::{
-    Fifo, StandardId,
+    Data, Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
 };
 use cortex_m::peripheral::SCB;
-use lss_slave::{BitRate, BusEvent, Frame, indicator::BusState};
+use lss_slave::{BitRate, BusEvent, Frame, Instant, indicator::BusState};
 use stm32f4xx_hal::{
     can::Can,
     gpio::{PinPull, Pull, alt::can1},
-    pac::{self, CAN1, RCC},
+    pac::{CAN1, RCC},
     rcc::Reset,
 };
 
-use crate::{bit_timing::BTR, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
+use crate::{bit_timing::BTR, clock, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
 
 /// Reads of CAN_MSR after which the controller counts as not answering. Out of a reset it enters initialisation mode
 /// within a few clock cycles, or 11 of the bits that CAN_BTR then makes: 88 cycles of APB1.
@@ -25,9 +38,14 @@ const RESETS: u32 = 4;
 /// Reads of CAN_RF0R until a released FIFO shows its next frame: two APB1 cycles.
 const RELEASE_READS: u32 = 16;
 
+/// From one sample of the bus level to the next, and from an error to when the next one interrupts.
+const WATCH_MICROS: u32 = 1_000;
+
 /// CAN1 as the node uses it.
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
+    /// The same registers, for what `bxcan` does not offer.
+    registers: CAN1,
     transmit_pin: TransmitPin,
     bit_rate: BitRate,
     is_listening: bool,
@@ -35,17 +53,21 @@ pub struct Controller {
     has_heard: bool,
     receives: [u16; 3],
     may_transmit: bool,
-    traffic: Traffic,
+    /// Whether a frame was received, or sent and acknowledged, since the last [`look`](Self::look).
+    has_understood: bool,
+    /// While the controller may be lost.
+    samples: Option<Samples>,
+    watch_at: Option<Instant>,
     queue: TransmitQueue,
 }
 
-/// Traffic since the controller last understood something, as seen once a millisecond.
+/// Samples of the bus level, one a millisecond, since the controller last understood something.
 #[derive(Clone, Copy, Default)]
-struct Traffic {
-    ms: u16,
+struct Samples {
+    count: u16,
     is_recessive: bool,
-    /// For how long the level has been the same.
-    level_ms: u16,
+    /// How many show the same level as the latest one.
+    equal: u16,
 }
 
 /// What can be received or cannot.
@@ -69,18 +91,23 @@ impl Controller {
         receives: [u16; 3],
     ) -> Self {
         let can = Can::rx(can, receive_pin.internal_resistor(Pull::Up), rcc);
-        if !enter_initialization() {
+        // SAFETY: both handles belong to one owner, and `bxcan` keeps nothing of what the registers hold.
+        let registers = unsafe { CAN1::steal() };
+        if !enter_initialization(&registers) {
             SCB::sys_reset();
         }
         Self {
             can: bxcan::Can::builder(can).leave_disabled(),
+            registers,
             transmit_pin,
             bit_rate: BitRate::Kbit10,
             is_listening: false,
             has_heard: false,
             receives,
             may_transmit: true,
-            traffic: Traffic::default(),
+            has_understood: false,
+            samples: None,
+            watch_at: None,
             queue: TransmitQueue::new(),
         }
     }
@@ -111,33 +138,31 @@ impl Controller {
     /// Resets the controller and sets it up anew: of all ways to another bit rate the one that waits for nothing. It takes
     /// part in the bus by itself after 11 recessive bits, whenever they come (RM0090, 32.4.2).
     fn start(&mut self) {
-        self.traffic = Traffic::default();
+        self.sample();
         if self.is_listening {
             self.transmit_pin.rest();
         }
-        if !enter_initialization() {
+        if !enter_initialization(&self.registers) {
             return;
         }
-        let can = registers();
-        // SAFETY: a value for the whole register.
-        can.btr().write(|w| unsafe {
-            w.bits(BTR[usize::from(self.bit_rate.index())]).silm().bit(self.is_listening)
-        });
+        let btr = BTR[usize::from(self.bit_rate.index())];
+        // Its drop would wait for sleep mode without limit.
+        mem::forget(self.can.modify_config().set_bit_timing(btr).set_silent(self.is_listening));
         self.set_filters();
-        can.ier().write(|w| {
+        self.registers.ier().write(|w| {
             w.fmpie0().set_bit().tmeie().set_bit();
             w.errie().set_bit().epvie().set_bit().bofie().set_bit().lecie().set_bit()
         });
         if !self.is_listening {
             self.transmit_pin.connect();
         }
-        can.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
+        self.registers.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
     }
 
     /// Tries again what [`start`](Self::start) could not do, and resets a listener that hears nothing of a dominant bus.
     /// To be called a few times a second.
     pub fn supervise(&mut self) {
-        let can = registers();
+        let can = &self.registers;
         let is_bus_dominant = can.msr().read().rx().bit_is_clear();
         let is_deaf = self.is_listening && is_bus_dominant && !self.has_heard;
         self.has_heard = false;
@@ -166,12 +191,14 @@ impl Controller {
 
     /// Whether any valid frame that the node does not want has been received since the last call.
     pub fn has_heard_others(&mut self) -> bool {
-        let frames = registers().rfr(1).read().fmp().bits();
+        let frames = self.registers.rfr(1).read().fmp().bits();
         for _ in 0..frames {
-            release(1);
+            // That others were lost is no matter.
+            let _ = self.can.rx1().receive();
+            self.await_release(1);
         }
         if frames > 0 {
-            self.traffic = Traffic::default();
+            self.note_understood();
         }
         frames > 0
     }
@@ -183,34 +210,32 @@ impl Controller {
 
     /// The next frame from the receive FIFO, or that frames were lost.
     pub fn receive(&mut self) -> Option<Received> {
-        let fifo = registers().rfr(0).read();
-        if fifo.fmp().bits() == 0 {
+        if self.registers.rfr(0).read().fmp().bits() == 0 {
             return None;
         }
         self.has_heard = true;
-        self.traffic = Traffic::default();
-        if fifo.fovr().bit_is_set() {
-            registers().rfr(0).write(|w| w.fovr().set_bit());
+        self.note_understood();
+        // One of 9..=15 is legal on the wire; `bxcan` panics if it is asked for the data.
+        let length_code = self.registers.rx(0).rdtr().read().dlc().bits();
+        let Ok(frame) = self.can.rx0().receive() else {
             return Some(Received::Overrun);
-        }
-        let mailbox = registers().rx(0);
-        let identifier = mailbox.rir().read();
-        let len = mailbox.rdtr().read().dlc().bits().into();
-        let (low, high) = (mailbox.rdlr().read().bits(), mailbox.rdhr().read().bits());
-        release(0);
-        if identifier.ide().bit_is_set() || identifier.rtr().bit_is_set() {
-            return Some(Received::Other);
-        }
-        let cob_id = identifier.stid().bits();
-        let data = (u64::from(high) << 32 | u64::from(low)).to_le_bytes();
-        // A length code of 9..=15 is legal on the wire.
-        let frame = Frame::from_padded(cob_id, len, data);
+        };
+        self.await_release(0);
+        let frame = if length_code > 8 { None } else { Frame::received(&frame) };
         Some(frame.map_or(Received::Other, Received::Frame))
+    }
+
+    /// Waits until a FIFO that has given up its oldest frame shows the next one.
+    fn await_release(&self, fifo: usize) {
+        let fifo = self.registers.rfr(fifo);
+        let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
     }
 
     /// Sends `frame` as soon as the bus allows it, unless transmitting is stopped.
     pub fn transmit(&mut self, frame: Frame) {
-        if !self.may_transmit || self.queue.is_empty() && put_in_mailbox(&frame) {
+        if !self.may_transmit
+            || self.queue.is_empty() && put_in_mailbox(&mut self.can, &self.registers, &frame)
+        {
             return;
         }
         if !self.queue.push(frame) {
@@ -223,17 +248,21 @@ impl Controller {
     pub fn handle_transmitted(&mut self) -> bool {
         const COMPLETED: u32 = 1 << 0 | 1 << 8 | 1 << 16;
         const ANY_SENT: u32 = 1 << 1 | 1 << 9 | 1 << 17;
-        let status = registers().tsr().read().bits();
+        let status = self.registers.tsr().read().bits();
         // Only what has been seen: what completes from now on interrupts again.
         // SAFETY: zeros have no effect in this register.
-        registers().tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
+        self.registers.tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
         self.fill_mailboxes();
-        self.traffic = Traffic::default();
-        status & ANY_SENT != 0
+        let is_sent = status & ANY_SENT != 0;
+        if is_sent {
+            self.note_understood();
+        }
+        is_sent
     }
 
     fn fill_mailboxes(&mut self) {
-        while !self.queue.is_empty() && self.queue.pop_if(put_in_mailbox) {}
+        let Self { can, registers, queue, .. } = self;
+        while !queue.is_empty() && queue.pop_if(|frame| put_in_mailbox(can, registers, frame)) {}
     }
 
     /// Sends nothing until [`resume_transmitting`](Self::resume_transmitting), except for a frame that is on the bus now.
@@ -242,7 +271,7 @@ impl Controller {
         self.may_transmit = false;
         self.queue.clear();
         // SAFETY: zeros have no effect in this register.
-        registers().tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
+        self.registers.tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
     }
 
     /// Forgets the frames that wait but those of `cob_id`; one that is on the bus now goes on.
@@ -251,12 +280,12 @@ impl Controller {
         self.queue.retain(cob_id);
         let mut aborts = 0;
         for mailbox in 0..3 {
-            if registers().tx(mailbox).tir().read().stid().bits() != cob_id {
+            if self.registers.tx(mailbox).tir().read().stid().bits() != cob_id {
                 aborts |= ABORT << (8 * mailbox);
             }
         }
         // SAFETY: zeros, and the abort of an empty mailbox, have no effect in this register.
-        registers().tsr().write(|w| unsafe { w.bits(aborts) });
+        self.registers.tsr().write(|w| unsafe { w.bits(aborts) });
     }
 
     /// Ends [`stop_transmitting`](Self::stop_transmitting).
@@ -273,14 +302,12 @@ impl Controller {
         const BIT_RECESSIVE: u8 = 4;
         const CRC: u8 = 6;
         const SET_BY_SOFTWARE: u8 = 7;
-        let can = registers();
+        let can = &self.registers;
         let status = can.esr().read();
         // SAFETY: the value that software sets, to see the next error.
         can.esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
         let last_error = status.lec().bits();
-        if !matches!(last_error, NO_ERROR | SET_BY_SOFTWARE) {
-            self.traffic = Traffic::default();
-        }
+        let is_error = !matches!(last_error, NO_ERROR | SET_BY_SOFTWARE);
         let error = match last_error {
             STUFF | BIT_RECESSIVE | CRC => Some(BusEvent::Error),
             FORM => Some(BusEvent::FormError),
@@ -290,50 +317,92 @@ impl Controller {
             // Bus-off is told once, even if the interrupt stays for as long as it does.
             w.bofie().bit(status.boff().bit_is_clear());
             // There may be tens of thousands of errors a second. A search needs each of them.
-            w.lecie().bit(self.is_listening)
+            w.lecie().bit(self.is_listening || !is_error)
         });
         can.msr().write(|w| w.erri().set_bit());
+        if is_error {
+            self.sample();
+        }
         self.has_heard |= error.is_some();
         error
     }
 
-    /// Has the next error interrupt again, and reports what no interrupt does. To be called each millisecond.
+    /// Notes that the controller is not lost.
+    fn note_understood(&mut self) {
+        self.has_understood = true;
+        self.samples = None;
+    }
+
+    /// Begins to sample the bus, and to count.
+    #[inline(never)] // It has several callers: 36 bytes.
+    fn sample(&mut self) {
+        self.samples = Some(Samples::default());
+        self.watch_at.get_or_insert(clock::now().plus_micros(WATCH_MICROS));
+    }
+
+    /// Has the bus sampled if it is dominant and nothing was understood since the last call. To be called a few times a
+    /// second.
+    pub fn look(&mut self) {
+        let has_understood = mem::take(&mut self.has_understood);
+        let is_dominant = self.registers.msr().read().rx().bit_is_clear();
+        if is_dominant && !has_understood && self.samples.is_none() {
+            self.sample();
+        }
+    }
+
+    /// When [`watch`](Self::watch) has something to do, if it has.
+    pub fn watch_at(&self) -> Option<Instant> {
+        self.watch_at
+    }
+
+    /// If it is time to, has the next error interrupt again, samples the bus, and reports what no interrupt does.
     ///
-    /// A bus that is dominant for longer than any frame has recessive bits apart. Else traffic for more than two frame times that the
-    /// controller neither understands nor finds an error in: one that waits for so many equal bits, to join the bus
-    /// or to end an error flag, may wait for ever at a wrong rate.
-    pub fn watch(&mut self) -> Option<BusEvent> {
+    /// The bus is sampled from a start, an error or a [`look`](Self::look) on until a frame is understood, or no frame comes.
+    pub fn watch(&mut self, now: Instant) -> Option<BusEvent> {
+        self.watch_at.take_if(|at| at.has_come(now))?;
+        self.registers.ier().modify(|_, w| w.lecie().set_bit());
+        let event = self.take_sample();
+        self.watch_at = self.samples.is_some().then(|| now.plus_micros(WATCH_MICROS));
+        event
+    }
+
+    /// Reports a bus that is dominant for longer than any frame has recessive bits apart. Else traffic for more than two
+    /// frame times that the controller neither understands nor finds an error in: one that waits for a number of equal bits,
+    /// to join the bus or to end an error flag, may wait for ever at a wrong rate.
+    fn take_sample(&mut self) -> Option<BusEvent> {
         /// After a frame at 10 kbit/s the bus is recessive for a millisecond at least.
-        const LONGEST_FRAME_MS: u16 = 16;
-        const FRAMES: u16 = 2 * 135;
-        let can = registers();
-        if can.ier().read().lecie().bit_is_clear() {
-            can.ier().modify(|_, w| w.lecie().set_bit());
+        const LONGEST_FRAME: u16 = 16;
+        const TWO_FRAMES_BITS: u16 = 2 * 135;
+        let samples = self.samples.as_mut()?;
+        let status = self.registers.msr().read();
+        let is_recessive = status.rx().bit_is_set();
+        if samples.is_recessive != is_recessive {
+            (samples.is_recessive, samples.equal) = (is_recessive, 0);
         }
-        let status = can.msr().read();
-        let traffic = &mut self.traffic;
-        let level = status.rx().bit_is_set();
-        if level != traffic.is_recessive {
-            *traffic = Traffic { is_recessive: level, level_ms: 0, ..*traffic };
+        samples.equal = samples.equal.saturating_add(1);
+        samples.count = samples.count.saturating_add(1);
+        if samples.equal >= LONGEST_FRAME {
+            samples.count = 0;
+            if !is_recessive {
+                return Some(BusEvent::HeldDominant);
+            }
+            self.samples = None;
+            return None;
         }
-        traffic.ms = traffic.ms.saturating_add(1);
-        traffic.level_ms = traffic.level_ms.saturating_add(1);
-        let lasts = traffic.ms > LONGEST_FRAME_MS + 2 + FRAMES / self.bit_rate.kbit_per_s();
-        let is_held = traffic.level_ms >= LONGEST_FRAME_MS;
-        let is_sending = status.txm().bit_is_set();
-        if lasts || is_held || is_sending {
-            traffic.ms = 0;
+        if status.txm().bit_is_set() {
+            samples.count = 0;
         }
-        match (is_held, lasts && !is_sending) {
-            (true, _) => (!level).then_some(BusEvent::HeldDominant),
-            (false, true) => Some(BusEvent::Error),
-            (false, false) => None,
+        let most = LONGEST_FRAME + 2 + TWO_FRAMES_BITS / self.bit_rate.kbit_per_s();
+        if samples.count <= most {
+            return None;
         }
+        samples.count = 0;
+        Some(BusEvent::Error)
     }
 
     /// TEC and REC (RM0090, 32.7.6).
     pub fn error_counters(&self) -> (u8, u8) {
-        let status = registers().esr().read();
+        let status = self.registers.esr().read();
         (status.tec().bits(), status.rec().bits())
     }
 
@@ -344,7 +413,7 @@ impl Controller {
 
     /// The controller's place on the bus (RM0090, 32.7.6).
     pub fn bus_state(&self) -> BusState {
-        let status = registers().esr().read();
+        let status = self.registers.esr().read();
         match (status.boff().bit_is_set(), status.ewgf().bit_is_set()) {
             (true, _) => BusState::BusOff,
             (_, true) => BusState::Warning,
@@ -354,8 +423,7 @@ impl Controller {
 }
 
 /// Resets the controller, again if need be, and has it enter initialisation mode; returns whether it does.
-fn enter_initialization() -> bool {
-    let can = registers();
+fn enter_initialization(can: &CAN1) -> bool {
     let is_there = (0..RESETS).any(|_| {
         // SAFETY: the reset bit of CAN1 in RCC belongs to its owner.
         unsafe { CAN1::reset_unchecked() };
@@ -368,39 +436,13 @@ fn enter_initialization() -> bool {
     is_there
 }
 
-/// Hands a frame to the controller; `false`: it has to wait. Only a frame that is more urgent than all that are in mailboxes
-/// is put beside them: of two with one COB-ID the controller would not send the older one first (RM0090, 32.7.1).
-fn put_in_mailbox(frame: &Frame) -> bool {
-    let can = registers();
-    const EMPTY: u32 = 1 << 26;
-    let status = can.tsr().read();
-    let is_empty = |mailbox: usize| status.bits() & EMPTY.wrapping_shl(mailbox as u32) != 0;
-    let cob_id_in = |mailbox| can.tx(mailbox).tir().read().stid().bits();
-    let goes_before = |mailbox| is_empty(mailbox) || frame.cob_id() < cob_id_in(mailbox);
-    if !(0..3).all(goes_before) || !(0..3).any(is_empty) {
-        return false;
-    }
-    let data = u64::from_le_bytes(frame.padded_data());
-    let mailbox = can.tx(usize::from(status.code().bits()) % 3);
-    // SAFETY: values for the whole registers.
-    unsafe {
-        mailbox.tdtr().write(|w| w.dlc().bits(frame.data().len() as u8));
-        mailbox.tdlr().write(|w| w.bits(data as u32));
-        mailbox.tdhr().write(|w| w.bits((data >> 32) as u32));
-        mailbox.tir().write(|w| w.stid().bits(frame.cob_id()).txrq().set_bit());
-    }
-    true
-}
-
-/// Gives up the oldest frame of a receive FIFO.
-fn release(fifo: usize) {
-    let fifo = registers().rfr(fifo);
-    fifo.write(|w| w.rfom().set_bit());
-    let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
-}
-
-/// The registers themselves: `bxcan` sets the filters, but copies each frame twice on its way.
-fn registers() -> &'static pac::can1::RegisterBlock {
-    // SAFETY: all accesses to CAN1 come from its one owner, the `Controller`.
-    unsafe { &*CAN1::ptr() }
+/// Hands a frame to the controller; `false`: it has to wait. `bxcan` refuses all but a frame that is more urgent than those
+/// in mailboxes: of two with one COB-ID the controller would not send the older one first (RM0090, 32.7.1). Where no mailbox
+/// is empty it would abort one, and wait for the end of its frame: it is not asked then.
+fn put_in_mailbox(can: &mut bxcan::Can<Can<CAN1>>, registers: &CAN1, frame: &Frame) -> bool {
+    const EMPTY: u32 = 0b111 << 26;
+    let Some(data) = Data::new(frame.data()) else { return false };
+    let id = StandardId::new(frame.cob_id()).unwrap_or(StandardId::ZERO);
+    registers.tsr().read().bits() & EMPTY != 0
+        && can.transmit(&bxcan::Frame::new_data(id, data)).is_ok()
 }

@@ -1,67 +1,53 @@
-//! Time: a tick each millisecond, and the microseconds that the node is told.
+//! Time: a count of microseconds that never stops, and the interrupt when it reaches what is due next.
 
-use core::sync::atomic::{AtomicU32, Ordering};
-
-use cortex_m::peripheral::{SCB, SYST, syst::SystClkSource};
 use lss_slave::Instant;
+use stm32f4xx_hal::{
+    pac::{Interrupt, TIM2},
+    rcc::{Enable, Rcc},
+};
 
-use crate::device::SYSCLK_HZ;
+use crate::device::APB1_HZ;
 
-const MICROS_PER_TICK: u32 = 1_000;
-const CYCLES_PER_MICRO: u32 = SYSCLK_HZ / 1_000_000;
-const CYCLES_PER_TICK: u32 = MICROS_PER_TICK * CYCLES_PER_MICRO;
+/// Clock periods in a microsecond: the timers of an APB that is slower than the core run at twice its clock (RM0090, 7.2).
+const PERIODS: u32 = 2 * APB1_HZ / 1_000_000;
 
-static TICKS: AtomicU32 = AtomicU32::new(0);
+/// The interrupt of the [`Alarm`].
+const INTERRUPT: Interrupt = Interrupt::TIM2;
 
-/// Starts the ticks; the core runs at [`SYSCLK_HZ`].
-pub fn start(mut systick: SYST) {
-    systick.set_clock_source(SystClkSource::Core);
-    systick.set_reload(CYCLES_PER_TICK - 1);
-    systick.clear_current();
-    systick.enable_interrupt();
-    systick.enable_counter();
+/// Interrupts at an instant: TIM2, which counts all 32 bits.
+pub struct Alarm {
+    timer: TIM2,
 }
 
-/// Counts a tick, in its interrupt.
-pub fn tick() {
-    TICKS.store(TICKS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
-}
-
-/// The present time, finer than the ticks: a switch delay begins with a request, not with a tick. To be called where no
-/// tick interrupts.
-#[inline(never)] // Ten callers, and 60 bytes.
-pub fn now() -> Instant {
-    let mut ticks = TICKS.load(Ordering::Relaxed);
-    let mut cycles_left = SYST::get_current();
-    if SCB::is_pendst_pending() {
-        // Between the two readings, or before: then the first shows the cycles of an earlier tick.
-        ticks = ticks.wrapping_add(1);
-        cycles_left = SYST::get_current();
-    }
-    let micros = ticks.wrapping_mul(MICROS_PER_TICK);
-    Instant::from_micros(
-        micros.wrapping_add(CYCLES_PER_TICK.wrapping_sub(cycles_left) / CYCLES_PER_MICRO),
-    )
-}
-
-/// A span that passes again and again.
-pub struct Interval {
-    ms: u32,
-    began: u32,
-}
-
-impl Interval {
-    /// One of `ms` milliseconds, which begins now.
-    pub fn of_ms(ms: u32) -> Self {
-        Self { ms, began: TICKS.load(Ordering::Relaxed) }
+impl Alarm {
+    /// Starts the count at 0.
+    pub fn new(timer: TIM2, rcc: &mut Rcc) -> Self {
+        TIM2::enable(rcc);
+        timer.psc().write(|w| w.psc().set((PERIODS - 1) as u16));
+        // Only an update event has the prescaler count (RM0090, 18.3.1).
+        timer.egr().write(|w| w.ug().set_bit());
+        timer.dier().write(|w| w.cc1ie().set_bit());
+        timer.cr1().write(|w| w.cen().set_bit());
+        Self { timer }
     }
 
-    /// Whether it has passed; then the next one has begun.
-    pub fn has_passed(&mut self) -> bool {
-        let has_passed = TICKS.load(Ordering::Relaxed).wrapping_sub(self.began) >= self.ms;
-        if has_passed {
-            self.began = self.began.wrapping_add(self.ms);
+    /// Interrupts at `instant`, at once if that has come; an earlier call counts no more.
+    pub fn set(&mut self, instant: Instant) {
+        self.timer.ccr1().write(|w| w.ccr().set(instant.as_micros()));
+        // The count may have gone past it before it was written.
+        if instant.has_come(now()) {
+            rtic::pend(INTERRUPT);
         }
-        has_passed
     }
+
+    /// Acknowledges the interrupt.
+    pub fn acknowledge(&mut self) {
+        self.timer.sr().write(|w| w.cc1if().clear_bit());
+    }
+}
+
+/// The present time.
+pub fn now() -> Instant {
+    // SAFETY: reading the count has no effect.
+    Instant::from_micros(unsafe { (*TIM2::ptr()).cnt().read().bits() })
 }

@@ -47,7 +47,6 @@ mod app {
     use crate::{
         board::{self, Board},
         can::Controller,
-        clock::{self, Interval},
         device, fault,
         flash::SettingsFlash,
         roll_call::{self, Task},
@@ -70,7 +69,6 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         fault::guard_stack(&cx.core.MPU);
         let mut board = Board::new(cx.device);
-        clock::start(cx.core.SYST);
 
         let (log, found) = Log::open(board.settings_flash);
         let stored = log.settings();
@@ -78,37 +76,21 @@ mod app {
 
         let node = Node::new(board::device(), stored);
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
-        let mut runner = Runner::new(node, can);
+        let mut runner = Runner::new(node, can, board.alarm);
         if found == Found::Damaged {
             runner.handle_fault(Fault::SettingsLost);
         }
-        let Board { indicators, watchdog, .. } = board;
+        let Board { indicators, mut watchdog, .. } = board;
+        // The start may have erased a sector; the first roll call comes later.
+        watchdog.feed();
         (Shared { runner }, Local { log, indicators, watchdog })
     }
 
-    /// Shows the state of the node, calls the roll four times a second, and sleeps; the debugger reads the log all the same.
-    /// The watchdog is fed if everyone has answered; it bites after 1.4 to 3.8 s, as its oscillator is.
-    #[idle(local = [indicators, watchdog], shared = [runner])]
-    fn idle(mut cx: idle::Context) -> ! {
-        const ROLL_CALL_MS: u32 = 250;
-        let (run, error) = cx.local.indicators;
-        let mut step = Interval::of_ms(indicator::STEP_MS);
-        let mut roll_call = Interval::of_ms(ROLL_CALL_MS);
-        // The start may have erased a sector; the first roll call comes later.
-        cx.local.watchdog.feed();
+    /// Sleeps; the debugger reads the log all the same.
+    #[idle]
+    fn idle(_: idle::Context) -> ! {
         loop {
-            if step.has_passed() {
-                let lit = cx.shared.runner.lock(Runner::indicate);
-                run.set_state(lit.run.into());
-                error.set_state(lit.error.into());
-            }
-            if roll_call.has_passed() {
-                if roll_call::is_everyone_present() {
-                    cx.local.watchdog.feed();
-                }
-                roll_call::begin();
-                cx.shared.runner.lock(Runner::supervise);
-            }
+            roll_call::answer(Task::Idle);
             cortex_m::asm::wfi();
         }
     }
@@ -135,12 +117,27 @@ mod app {
         cx.shared.runner.lock(Runner::handle_status);
     }
 
-    /// Does what is due at a time, each millisecond: ends of switch delays, heartbeats. Late, the bit rate switches late.
-    #[task(binds = SysTick, shared = [runner], priority = 3)]
-    fn tick(mut cx: tick::Context) {
-        clock::tick();
-        roll_call::answer(Task::Tick);
-        cx.shared.runner.lock(Runner::handle_tick);
+    /// Does what is due at a time: ends of switch delays, heartbeats, steps of the indicators. Late, the bit rate switches late.
+    ///
+    /// Calls the roll four times a second, and feeds the watchdog if everyone has answered; it bites after 1.4 to 3.8 s, as
+    /// its oscillator is.
+    #[task(binds = TIM2, local = [indicators, watchdog, steps: u8 = 0], shared = [runner], priority = 3)]
+    fn due(mut cx: due::Context) {
+        const ROLL_CALL_STEPS: u8 = 250 / indicator::STEP_MS as u8;
+        let Some(lit) = cx.shared.runner.lock(Runner::handle_alarm) else {
+            return;
+        };
+        let (run, error) = cx.local.indicators;
+        run.set_state(lit.run.into());
+        error.set_state(lit.error.into());
+        *cx.local.steps = cx.local.steps.wrapping_add(1) % ROLL_CALL_STEPS;
+        if *cx.local.steps == 0 {
+            if roll_call::is_everyone_present() {
+                cx.local.watchdog.feed();
+            }
+            roll_call::begin();
+            cx.shared.runner.lock(Runner::supervise);
+        }
     }
 
     /// Writes to the flash, below everything on the bus. Late, so is the answer to store configuration: 20 ms are allowed.

@@ -11,8 +11,8 @@ pub enum Task {
     Received = 1 << 0,
     Transmitted = 1 << 1,
     Status = 1 << 2,
-    Tick = 1 << 3,
-    Store = 1 << 4,
+    Store = 1 << 3,
+    Idle = 1 << 4,
 }
 
 const EVERYONE: u8 = 0b1_1111;

@@ -4,26 +4,29 @@ use core::mem;
 
 use cortex_m::peripheral::SCB;
 use lss_slave::{
-    Action, BusEvent, Node, NodeId, Settings,
+    Action, BusEvent, Instant, Node, NodeId, Settings,
     emergency::Fault,
-    indicator::{BusState, Indicators, Lit},
+    indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
 };
 use stm32f4xx_hal::pac::Interrupt;
 
 use crate::{
     can::{Controller, Received},
-    clock,
+    clock::{self, Alarm},
 };
 
-/// The node and its controller.
+/// The node, its controller, and when either has something to do next.
 pub struct Runner {
     node: Node,
     can: Controller,
+    alarm: Alarm,
     /// As last seen.
     bus_state: BusState,
     was_passive: bool,
     indicators: Indicators,
+    /// When the indicators' next step begins.
+    step_at: Instant,
     /// A store that has not begun; its outcome comes back by [`Runner::handle_stored`].
     store: Option<Settings>,
 }
@@ -31,12 +34,22 @@ pub struct Runner {
 impl Runner {
     /// A node that has just been switched on, and its controller, which takes part in the bus from now on, unless the node
     /// wants to listen first.
-    pub fn new(node: Node, mut can: Controller) -> Self {
+    pub fn new(node: Node, mut can: Controller, mut alarm: Alarm) -> Self {
         if !node.is_listening() {
             can.set_bit_rate(node.bit_rate());
         }
-        let indicators = Indicators::default();
-        Self { node, can, bus_state: BusState::Good, was_passive: false, indicators, store: None }
+        let step_at = clock::now();
+        alarm.set(step_at);
+        Self {
+            node,
+            can,
+            alarm,
+            bus_state: BusState::Good,
+            was_passive: false,
+            indicators: Indicators::default(),
+            step_at,
+            store: None,
+        }
     }
 
     /// Frames have been received.
@@ -61,13 +74,14 @@ impl Runner {
             }
             self.act_until_nothing_is_due();
         }
+        self.set_alarm();
     }
 
     /// A frame has been sent or aborted.
     pub fn handle_transmitted(&mut self) {
         if self.can.handle_transmitted() {
             self.node.handle_bus(BusEvent::Acknowledged, clock::now());
-            self.act_until_nothing_is_due();
+            self.finish();
         }
     }
 
@@ -86,7 +100,7 @@ impl Runner {
         if !self.can.is_listening() {
             self.watch_bus();
         }
-        self.act_until_nothing_is_due();
+        self.finish();
     }
 
     /// Looks after the controller, a few times a second: no interrupt tells that it has recovered from bus-off.
@@ -123,26 +137,18 @@ impl Runner {
     /// The board has seen a fault.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.node.handle_fault(fault);
-        self.act_until_nothing_is_due();
+        self.finish();
     }
 
     /// A store has come to its end.
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         self.node.handle_stored(outcome);
-        self.act_until_nothing_is_due();
+        self.finish();
     }
 
     /// The settings that are to be stored now, if there are any.
     pub fn take_store(&mut self) -> Option<Settings> {
         self.store.take()
-    }
-
-    /// What the indicators are to show for the next 50 ms.
-    pub fn indicate(&mut self) -> Lit {
-        let is_lss_active = self.node.lss().state() == State::Configuration
-            || self.node.node_id().is_none()
-            || self.node.is_listening();
-        self.indicators.step(self.node.nmt_state(), is_lss_active, self.can.bus_state())
     }
 
     fn hear_others(&mut self) {
@@ -151,22 +157,49 @@ impl Runner {
         }
     }
 
-    /// A millisecond has passed.
-    pub fn handle_tick(&mut self) {
-        // A switch delay ends on time.
-        self.act_until_nothing_is_due();
+    /// Does what is due now; returns what the indicators are to show, at the beginning of each of their steps.
+    pub fn handle_alarm(&mut self) -> Option<Lit> {
+        self.alarm.acknowledge();
+        // What was heard until now counts before what is due now.
         self.hear_others();
-        if let Some(event) = self.can.watch() {
-            self.node.handle_bus(event, clock::now());
-        }
         self.act_until_nothing_is_due();
+        let now = clock::now();
+        if let Some(event) = self.can.watch(now) {
+            self.node.handle_bus(event, now);
+        }
+        let is_step = self.step_at.has_come(now);
+        if is_step {
+            self.step_at = self.step_at.plus_micros(indicator::STEP_MS * 1000);
+            self.can.look();
+        }
+        self.finish();
+        is_step.then(|| self.indicate())
     }
 
-    /// Time has passed, or anything has happened.
-    pub fn act_until_nothing_is_due(&mut self) {
+    fn indicate(&mut self) -> Lit {
+        let is_lss_active = self.node.lss().state() == State::Configuration
+            || self.node.node_id().is_none()
+            || self.node.is_listening();
+        self.indicators.step(self.node.nmt_state(), is_lss_active, self.can.bus_state())
+    }
+
+    /// Ends what every event leads to.
+    #[inline(never)] // It has several callers: 28 bytes.
+    fn finish(&mut self) {
+        self.act_until_nothing_is_due();
+        self.set_alarm();
+    }
+
+    fn act_until_nothing_is_due(&mut self) {
         while let Some(action) = self.node.poll(clock::now()) {
             self.act(action);
         }
+    }
+
+    fn set_alarm(&mut self) {
+        let others = [self.node.poll_at(), self.can.watch_at()].into_iter().flatten();
+        let earlier = |a: Instant, b: Instant| if a.has_come(b) { a } else { b };
+        self.alarm.set(others.fold(self.step_at, earlier));
     }
 
     fn act(&mut self, action: Action) {

@@ -11,6 +11,7 @@ mod rcc;
 mod readings;
 mod surroundings;
 mod system;
+mod timer;
 
 pub use finding::{Finding, Problem};
 pub use flash::{Flash, PowerCut, StuckBits, Timing};
@@ -24,6 +25,7 @@ pub use readings::Readings;
 use map::Block;
 use rcc::{Gate, Rcc};
 use system::{Dbgmcu, Exti, Factory, Pwr, Syscfg};
+use timer::Timer;
 
 use crate::{
     Time,
@@ -47,6 +49,8 @@ pub struct Chip {
     pwr: Pwr,
     flash: Flash,
     iwdg: Iwdg,
+    /// TIM2 and TIM5.
+    timers: [Timer; 2],
     gpio: Gpio,
     syscfg: Syscfg,
     exti: Exti,
@@ -86,6 +90,7 @@ impl Chip {
             pwr: Pwr::new(part),
             flash,
             iwdg: Iwdg::new(readings.lsi_hz),
+            timers: [Timer::new(), Timer::new()],
             gpio: Gpio::new(part),
             syscfg: Syscfg::default(),
             exti: Exti::default(),
@@ -98,7 +103,7 @@ impl Chip {
             request: None,
             can_written: false,
         };
-        chip.can1.set_clock(chip.clocks().pclk1);
+        chip.follow_clocks(Time::ZERO);
         chip.connect_can(Time::ZERO);
         chip
     }
@@ -167,15 +172,18 @@ impl Chip {
             | u128::from(can.rx0) << 20
             | u128::from(can.rx1) << 21
             | u128::from(can.sce) << 22
+            | u128::from(self.timers[0].irq()) << 28
+            | u128::from(self.timers[1].irq()) << 50
     }
 
     /// When the chip next does something by itself, CAN apart, which lives on the bus's time.
     pub fn next_event(&self) -> Time {
+        let timers = self.timers.iter().map(Timer::deadline);
         [self.iwdg.deadline(), self.flash.operation_end(), self.flash.power_cut_at()]
             .into_iter()
             .flatten()
-            .min()
-            .unwrap_or(Time::MAX)
+            .chain(timers)
+            .fold(Time::MAX, Time::min)
     }
 
     /// Carries out what is due at `now`.
@@ -186,6 +194,7 @@ impl Chip {
             self.request = Some(Request::Reset(ResetCause::Watchdog));
         } else {
             self.flash.advance(now);
+            self.timers.iter_mut().for_each(|timer| timer.advance(now));
         }
     }
 
@@ -213,6 +222,7 @@ impl Chip {
         self.rcc.reset(cause);
         self.pwr.reset();
         self.iwdg.reset();
+        self.timers.iter_mut().for_each(Timer::reset);
         self.gpio.reset(now);
         self.syscfg = Syscfg::default();
         self.exti = Exti::default();
@@ -221,7 +231,7 @@ impl Chip {
             self.dbgmcu = Dbgmcu::new(self.part);
         }
         self.can1.reset();
-        self.can1.set_clock(self.clocks().pclk1);
+        self.follow_clocks(now);
         self.connect_can(now);
         self.request = None;
         self.can_written = false;
@@ -253,6 +263,7 @@ impl Chip {
             Block::FlashRegisters => self.flash.read(offset, now),
             Block::Rcc => self.rcc.read(offset, now),
             Block::Pwr => self.pwr.read(offset),
+            Block::Timer(timer) => self.timers[usize::from(timer)].read(offset, now),
             Block::Iwdg => self.iwdg.read(offset, now),
             Block::Can1 => self.can1.read(offset, now),
             Block::Syscfg => self.syscfg.read(offset),
@@ -329,13 +340,16 @@ impl Chip {
                 return Ok(result.and_then(|()| self.check_latency()));
             }
             Block::Rcc => {
-                let before = self.clocks().pclk1;
+                let before = self.clocks();
                 let result = self.rcc.write(offset, value, now);
                 self.carry_out_resets(now);
-                if self.clocks().pclk1 != before {
-                    self.can1.set_clock(self.clocks().pclk1);
+                if self.clocks() != before {
+                    self.follow_clocks(now);
                 }
                 return Ok(result.and_then(|()| self.check_latency()));
+            }
+            Block::Timer(timer) => {
+                return Ok(self.timers[usize::from(timer)].write(offset, value, now));
             }
             Block::Iwdg => {
                 let accepted = self.iwdg.write(offset, value, now);
@@ -372,10 +386,24 @@ impl Chip {
         Ok(if modelled { Ok(()) } else { Err(Problem::Unmodelled) })
     }
 
+    /// Gives the peripherals the clocks that RCC now makes.
+    fn follow_clocks(&mut self, now: Time) {
+        let clocks = self.clocks();
+        self.can1.set_clock(clocks.pclk1);
+        for timer in &mut self.timers {
+            timer.set_clock(clocks.timclk1, now);
+        }
+    }
+
     fn carry_out_resets(&mut self, now: Time) {
         if self.rcc.held_in_reset(Gate::Can1) {
             self.can1.reset();
             self.can_written = true;
+        }
+        for (number, timer) in self.timers.iter_mut().enumerate() {
+            if self.rcc.held_in_reset(Gate::Timer(number as u8)) {
+                timer.reset();
+            }
         }
         for port in 0..self.gpio.ports() {
             if self.rcc.held_in_reset(Gate::Gpio(port as u8)) {

@@ -23,6 +23,12 @@ const SYST_RVR: u32 = 0xE000_E014;
 const AIRCR: u32 = 0xE000_ED0C;
 const COUNTER: u32 = 0x2000_0100;
 
+const RCC_APB1ENR: u32 = 0x4002_3840;
+const NVIC_ISER: u32 = 0xE000_E100;
+const TIM2: u32 = 0x4000_0000;
+const TIM2_CCR1: u32 = TIM2 + 0x34;
+const TIM2_IRQ: u32 = 28;
+
 const SYSTICK: usize = 15;
 const NMI: usize = 2;
 const HARD_FAULT: usize = 3;
@@ -122,6 +128,70 @@ fn the_wake_time_of_a_sleeping_board_is_its_next_systick() {
     assert_eq!(word(&board, COUNTER), ticks);
     run(&mut board, wake + Time::from_us(5));
     assert_eq!(word(&board, COUNTER), ticks + 1);
+}
+
+/// Counts the wake-ups by TIM2's compare at `COUNTER`, each 1 ms after the one before.
+fn alarms() -> Program {
+    const CEN: u32 = 1;
+    const CC1: u32 = 1 << 1;
+    let mut program = Program::new();
+    program.store(COUNTER, 0).store(RCC_APB1ENR, 1);
+    for (register, value) in [(0x28, 15), (0x14, 1), (0x34, 1_000), (0x0C, CC1), (0x00, CEN)] {
+        program.store(TIM2 + register, value);
+    }
+    program.store(NVIC_ISER, 1 << TIM2_IRQ).sleep_forever();
+    program.handler(16 + TIM2_IRQ as usize).store(TIM2 + 0x10, 0);
+    program.load(R1, COUNTER).add(R1, 1).store_register(COUNTER, R1);
+    program.load(R1, TIM2_CCR1).add(R1, 250).add(R1, 250).add(R1, 250).add(R1, 250);
+    program.store_register(TIM2_CCR1, R1).back();
+    program
+}
+
+#[test]
+fn a_compare_of_a_timer_wakes_a_sleeping_cpu_exactly_as_often_as_it_comes() {
+    let mut board = board(alarms());
+    run(&mut board, START + Time::from_s(10) + Time::from_us(100));
+    assert_eq!(word(&board, COUNTER), 10_000);
+    let (all, busy) = board.cycles();
+    assert!(all >= 160_000_000 && busy < all / 100, "{busy} of {all} cycles");
+    assert_eq!(board.findings(), []);
+}
+
+#[test]
+fn the_wake_time_of_a_sleeping_board_is_its_next_compare() {
+    let mut board = board(alarms());
+    run(&mut board, START + Time::from_us(5_500));
+    let before = word(&board, COUNTER);
+    let wake = board.wake_time();
+    assert!(wake > board.now() && wake < START + Time::from_us(6_100), "{wake}");
+    run(&mut board, wake);
+    assert_eq!(word(&board, COUNTER), before);
+    run(&mut board, wake + Time::from_us(10));
+    assert_eq!(word(&board, COUNTER), before + 1);
+}
+
+#[test]
+fn a_run_with_a_timer_in_small_pieces_is_the_same_as_a_run_in_one() {
+    let (mut whole, mut pieces) = (board(alarms()), board(alarms()));
+    let end = Time::from_ms(30);
+    run(&mut whole, end);
+    let mut step = 1;
+    while pieces.now() < end {
+        step = step * 5 % 1_000_003;
+        let next = pieces.now() + Time::from_ns(step);
+        run(&mut pieces, end.min(next));
+    }
+    assert_eq!((pieces.now(), pieces.cycles()), (whole.now(), whole.cycles()));
+    assert_eq!(word(&pieces, COUNTER), word(&whole, COUNTER));
+}
+
+#[test]
+fn a_reset_stops_a_timer() {
+    let mut board = board(alarms());
+    run(&mut board, START + Time::from_us(2_500));
+    assert_ne!(board.chip().next_event(), Time::MAX);
+    board.reset(ResetCause::Pin);
+    assert_eq!(board.chip().next_event(), Time::MAX);
 }
 
 #[test]
@@ -354,7 +424,7 @@ fn a_fault_in_the_fault_handler_locks_up_until_the_watchdog_resets() {
 #[test]
 fn findings_name_the_instruction() {
     let mut program = Program::new();
-    program.load(R0, 0x4000_0000);
+    program.load(R0, 0x4000_0400);
     let pc = program.here() - 2;
     program.stop();
     let mut board = board(program);

@@ -12,7 +12,7 @@ from boards import WORKSPACE, Boards
 SCRIPT = Path(__file__).with_name("commission.py")
 EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
 # The number of boards and the master's time-out in seconds, which is longer for more boards on one computer.
-BUSES = [(1, 0.1), (8, 0.1)]
+BUSES = [(1, 0.1), (32, 0.15)]
 
 
 def serial_numbers_by_sdo(network, count):

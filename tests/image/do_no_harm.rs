@@ -291,7 +291,7 @@ fn others(bench: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
     [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
 }
 
-/// The time from power-on until a blank board at a wrong stored rate takes part at `found`, with a frame every
+/// The time from joining the bus until a board at a wrong stored rate takes part at `found`, with a frame every
 /// `period`.
 fn time_until_found(
     node_id: u8,
@@ -329,7 +329,8 @@ fn time_until_found(
             _ => false,
         };
         if let Some(event) = bench.did(0, on).find(|event| takes_part(event)) {
-            return Some(event.time - on);
+            let came = bench.did(0, on).find(|event| matches!(event.what, What::BitTiming { .. }));
+            return came.map(|came| event.time - came.time);
         }
     }
     None

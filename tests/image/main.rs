@@ -19,6 +19,7 @@ mod rates_matrix;
 mod rates_rescue;
 mod robustness;
 mod session;
+mod sleep;
 mod stack;
 mod storm;
 mod switch_delay;

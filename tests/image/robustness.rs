@@ -60,7 +60,7 @@ fn says(bench: &ImageRig, text: &str) -> bool {
 #[test]
 fn the_watchdog_resets_a_board_whose_interrupts_or_tasks_hang() {
     // The last one is the task that stores.
-    for handler in ["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "SysTick", "USART1"] {
+    for handler in ["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "TIM2", "USART1"] {
         let mut bench = node_40();
         let hung = code(handler);
         let time = replace_until_reset(&mut bench, hung, &JUMP_TO_ITSELF, ResetCause::Watchdog);

@@ -14,7 +14,7 @@ use testkit::{
 /// The time in which a board handles a request.
 const PROCESSING: Time = Time::from_us(100);
 /// The accuracy of the switch delay.
-const ACCURACY: Time = Time::from_ms(1);
+const ACCURACY: Time = Time::from_us(20);
 
 /// Nodes 1 and 2 at `bit_rate`, in configuration state.
 fn two_boards(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
@@ -53,29 +53,29 @@ fn frames_of_boards(bench: &ImageRig, from: Time, until: Time) -> Vec<&Event> {
     bench.network.trace().iter().filter(is_of_board).collect()
 }
 
-fn request_bit_time(bench: &ImageRig, t0: Time) -> Time {
+/// The time at which the request that ends at `t0` is valid for the boards, which sample its last bit but one at 85 %:
+/// they count from there.
+fn valid(bench: &ImageRig, t0: Time) -> Time {
     let rate = bench.network.trace().iter().find_map(|event| match event.what {
         What::Frame { bit_rate, .. } if event.time == t0 => Some(bit_rate),
         _ => None,
     });
-    Time::from_ps(1_000_000_000_000 / u64::from(rate.expect("the request")))
+    let bit_ps = 1_000_000_000_000 / u64::from(rate.expect("the request"));
+    t0.saturating_sub(Time::from_ps(bit_ps * 115 / 100))
 }
 
-/// Checks the silence from `t0` on, the end of the request, and the switch of all boards.
+/// Checks the silence after the request that ends at `t0`, and the switch of all boards.
 fn assert_switched(bench: &ImageRig, t0: Time, delay: Time, to: BitRate) {
-    // A board counts from the last bit but one of the request.
-    let two_bits = request_bit_time(bench, t0) * 2;
-    let end = (t0 + delay * 2).saturating_sub(two_bits);
-    let silence = frames_of_boards(bench, t0 + PROCESSING, end);
+    let valid = valid(bench, t0);
+    let silence = frames_of_boards(bench, t0 + PROCESSING, valid + delay * 2);
     assert!(silence.is_empty(), "{silence:#?}");
     for board in 0..bench.network.boards().len() {
         let rates = bench.bit_rates(board, t0);
         let [(time, bit_rate)] = rates.as_slice() else { panic!("one switch, not {rates:?}") };
         assert_eq!(*bit_rate, bit_per_s(to));
-        assert!(*time + two_bits > t0 + delay, "{time} is {} early", t0 + delay - *time);
-        let late = time.saturating_sub(t0 + delay);
-        // The tick that ends the delay may be a millisecond away, and the switch itself takes its time.
-        assert!(late < ACCURACY + PROCESSING, "{time} is {late} late");
+        assert!(*time >= valid + delay, "{time} is {} early", valid + delay - *time);
+        let late = *time - (valid + delay);
+        assert!(late < ACCURACY, "{time} is {late} late");
     }
 }
 
@@ -108,13 +108,10 @@ fn boards_are_silent_at_once_switch_after_one_delay_and_send_after_two() {
     switch_master(&mut bench, t0 + delay, BitRate::Kbit500);
     bench.network.run_until(t0 + delay * 4);
     assert_switched(&bench, t0, delay, BitRate::Kbit500);
-    let heartbeats = frames_of_boards(&bench, t0 + delay * 2, Time::MAX);
-    let first_two: Vec<_> = heartbeats.iter().take(2).map(|event| event.source).collect();
-    assert!(first_two.contains(&Source::Board(0)) && first_two.contains(&Source::Board(1)));
-    let second = heartbeats[1].time;
-    assert!(second < t0 + delay * 2 + ACCURACY * 2, "a heartbeat at once: {second}");
+    let end = valid(&bench, t0) + delay * 2;
     for board in [0, 1] {
-        let times: Vec<_> = bench.requested(board, t0).map(|(time, _)| time).collect();
+        let times: Vec<_> = bench.requested(board, t0 + PROCESSING).map(|(time, _)| time).collect();
+        assert!(end <= times[0] && times[0] < end + ACCURACY, "a heartbeat at once: {}", times[0]);
         assert!(times.windows(2).all(|pair| pair[1] - pair[0] > Time::from_ms(8)), "no burst");
     }
 }
@@ -156,7 +153,12 @@ fn without_a_delay_boards_switch_and_send_at_once() {
         assert_switched(&bench, t0, Time::ZERO, to);
         for board in [0, 1] {
             let (time, heartbeat) = bench.requested(board, t0).next().expect("a heartbeat");
-            assert!(time < t0 + ACCURACY && heartbeat.payload() == [0x7F], "{heartbeat} at {time}");
+            // After a switch, which takes time too.
+            let late = time - t0;
+            assert!(
+                late < ACCURACY * 2 && heartbeat.payload() == [0x7F],
+                "{heartbeat}, {late} late"
+            );
         }
         assert_both_answer(&mut bench);
     }

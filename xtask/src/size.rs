@@ -62,7 +62,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// The part that a function belongs to, by text in its name; the first match counts. Inlined code counts as its
 /// caller's.
 const PARTS: [(&str, &[&str]); 11] = [
-    ("tasks", &["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "SysTick", "USART1", "lss_slave::app::idle"]),
+    ("tasks", &["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "TIM2", "USART1", "lss_slave::app::idle"]),
     (
         "start and clocks",
         &["lss_slave::app", "lss_slave::board", "lss_slave::clock", "lss_slave::__"],

@@ -64,6 +64,8 @@ pub(super) enum Block {
     FlashRegisters,
     Rcc,
     Pwr,
+    /// TIM2 and TIM5, as 0 and 1.
+    Timer(u8),
     Iwdg,
     Can1,
     Syscfg,
@@ -77,6 +79,8 @@ pub(super) enum Block {
 impl Block {
     pub const fn of(address: u32) -> (Self, u32) {
         let block = match address {
+            0x4000_0000..0x4000_0400 => Self::Timer(0),
+            0x4000_0C00..0x4000_1000 => Self::Timer(1),
             0x4000_3000..0x4000_3400 => Self::Iwdg,
             0x4000_6400..0x4000_6800 => Self::Can1,
             0x4000_7000..0x4000_7400 => Self::Pwr,
@@ -95,6 +99,7 @@ impl Block {
 
     pub const fn gate(self) -> Option<Gate> {
         match self {
+            Self::Timer(timer) => Some(Gate::Timer(timer)),
             Self::Pwr => Some(Gate::Pwr),
             Self::Can1 => Some(Gate::Can1),
             Self::Syscfg => Some(Gate::Syscfg),
@@ -105,6 +110,9 @@ impl Block {
 
     /// Whether it hangs on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).
     pub const fn on_apb(self) -> bool {
-        matches!(self, Self::Iwdg | Self::Can1 | Self::Pwr | Self::Syscfg | Self::Exti)
+        matches!(
+            self,
+            Self::Timer(_) | Self::Iwdg | Self::Can1 | Self::Pwr | Self::Syscfg | Self::Exti
+        )
     }
 }

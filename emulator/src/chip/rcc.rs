@@ -64,6 +64,8 @@ pub struct Clocks {
     pub hclk: Clock,
     /// APB1: CAN, IWDG's registers, PWR.
     pub pclk1: Clock,
+    /// The timers of APB1: its clock, twice as fast where APB1 is slower than AHB.
+    pub timclk1: Clock,
     /// APB2: SYSCFG, EXTI.
     pub pclk2: Clock,
 }
@@ -73,6 +75,8 @@ pub struct Clocks {
 pub enum Gate {
     /// GPIO port 0 = A.
     Gpio(u8),
+    /// TIM2 and TIM5, as 0 and 1.
+    Timer(u8),
     /// CAN1.
     Can1,
     /// PWR.
@@ -85,6 +89,7 @@ impl Gate {
     const fn enable(self) -> (u32, u32) {
         match self {
             Self::Gpio(port) => (AHB1ENR, port as u32),
+            Self::Timer(timer) => (APB1ENR, 3 * timer as u32),
             Self::Can1 => (APB1ENR, 25),
             Self::Pwr => (APB1ENR, 28),
             Self::Syscfg => (APB2ENR, 14),
@@ -386,10 +391,12 @@ impl Rcc {
         };
         let apb = |code: u32| if code & 4 == 0 { 0 } else { (code & 3) + 1 };
         let divided = |shift: u32| Clock { hz: sysclk.hz >> shift, ..sysclk };
+        let apb1 = apb(cfgr >> 10 & 7);
         Clocks {
             sysclk,
             hclk: divided(ahb),
-            pclk1: divided(ahb + apb(cfgr >> 10 & 7)),
+            pclk1: divided(ahb + apb1),
+            timclk1: divided(ahb + apb1.saturating_sub(1)),
             pclk2: divided(ahb + apb(cfgr >> 13 & 7)),
         }
     }

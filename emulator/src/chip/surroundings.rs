@@ -14,7 +14,7 @@ impl Chip {
     /// The crystal stops at `now`.
     pub fn stop_crystal(&mut self, now: Time) {
         self.rcc.stop_crystal(now);
-        self.can1.set_clock(self.clocks().pclk1);
+        self.follow_clocks(now);
         if self.is_stopped() {
             // No clock moves its pin any more; taken as recessive.
             self.can1.reset();

@@ -1,0 +1,243 @@
+//! TIM2 and TIM5 (RM0090 chapter 18): 32-bit counters that count up, and interrupt where they reach a compare value.
+
+use super::Problem;
+use crate::{Time, can::Clock};
+
+const CR1: u32 = 0x00;
+const CR2: u32 = 0x04;
+const SMCR: u32 = 0x08;
+const DIER: u32 = 0x0C;
+const SR: u32 = 0x10;
+const EGR: u32 = 0x14;
+const CCMR1: u32 = 0x18;
+const CCMR2: u32 = 0x1C;
+const CCER: u32 = 0x20;
+const CNT: u32 = 0x24;
+const PSC: u32 = 0x28;
+const ARR: u32 = 0x2C;
+const CCR1: u32 = 0x34;
+const CCR4: u32 = 0x40;
+
+const CEN: u32 = 1 << 0;
+const URS: u32 = 1 << 2;
+/// In SR, EGR and DIER alike: the update and the four channels.
+const UPDATE: u32 = 1 << 0;
+const EVENTS: u32 = 0b1_1111;
+
+/// Picoseconds in a second, times the million of "parts per million".
+const SCALE: u128 = 1_000_000_000_000_000_000;
+
+/// A general-purpose timer of 32 bits on APB1, as a time base: no pins, no captures, no DMA.
+#[derive(Debug)]
+pub struct Timer {
+    clock: Clock,
+    cr1: u32,
+    dier: u32,
+    sr: u32,
+    /// PSC as written, and as the latest update event has loaded it: an overflow does not.
+    prescaler: u32,
+    divider: u32,
+    reload: u32,
+    compare: [u32; 4],
+    /// What the counter held at `since`, a count's beginning.
+    origin: u32,
+    since: Time,
+    /// Counts from there on whose events are in SR.
+    seen: u64,
+    /// When an event that interrupts comes next.
+    deadline: Time,
+}
+
+impl Timer {
+    /// After a reset: stopped, on a clock of 16 MHz.
+    pub fn new() -> Self {
+        Self {
+            clock: Clock { hz: 16_000_000, ppm: 0 },
+            cr1: 0,
+            dier: 0,
+            sr: 0,
+            prescaler: 0,
+            divider: 0,
+            reload: u32::MAX,
+            compare: [0; 4],
+            origin: 0,
+            since: Time::ZERO,
+            seen: 0,
+            deadline: Time::MAX,
+        }
+    }
+
+    /// Puts all back to reset values, on the same clock.
+    pub fn reset(&mut self) {
+        *self = Self { clock: self.clock, ..Self::new() };
+    }
+
+    /// Changes the clock, that of the timers of APB1 (RM0090 7.2).
+    pub fn set_clock(&mut self, clock: Clock, now: Time) {
+        if self.clock != clock {
+            self.advance(now);
+            self.settle(now);
+            self.clock = clock;
+            self.plan();
+        }
+    }
+
+    /// When it interrupts next.
+    pub fn deadline(&self) -> Time {
+        self.deadline
+    }
+
+    /// Level of its interrupt line, as of the latest access or [`advance`](Self::advance).
+    pub fn irq(&self) -> bool {
+        self.sr & self.dier != 0
+    }
+
+    /// Has SR show what happened until `now`.
+    pub fn advance(&mut self, now: Time) {
+        let counts = self.counts_until(now);
+        let passed = counts.saturating_sub(self.seen);
+        if passed == 0 {
+            return;
+        }
+        for (bit, value) in self.events() {
+            if self.counts_to(value).is_some_and(|counts| counts <= passed) {
+                self.sr |= bit;
+            }
+        }
+        self.seen = counts;
+        self.plan();
+    }
+
+    /// A register's value, or `None` where there is none or it is not modelled.
+    pub fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
+        self.advance(now);
+        Some(match offset {
+            CR1 => self.cr1,
+            DIER => self.dier,
+            SR => self.sr,
+            CR2 | SMCR | EGR | CCMR1 | CCMR2 | CCER => 0,
+            CNT => self.count_after(self.seen),
+            PSC => self.prescaler,
+            ARR => self.reload,
+            CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4],
+            _ => return None,
+        })
+    }
+
+    /// Writes a register.
+    ///
+    /// # Errors
+    /// What is not modelled, or counts otherwise than it looks. Bits that are not modelled have no effect.
+    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        self.advance(now);
+        if matches!(offset, CR1 | EGR | CNT | ARR) {
+            self.settle(now);
+        }
+        let writable = match offset {
+            CR1 => CEN | URS,
+            DIER | EGR => EVENTS,
+            CR2 | SMCR | CCMR1 | CCMR2 | CCER => 0,
+            PSC => 0xFFFF,
+            SR | CNT | ARR | CCR1..=CCR4 => u32::MAX,
+            _ => return Err(Problem::Unmodelled),
+        };
+        match offset {
+            CR1 => self.cr1 = value & writable,
+            DIER => self.dier = value & writable,
+            // Cleared by writing 0.
+            SR => self.sr &= value,
+            EGR => self.generate(value & writable),
+            CNT => self.origin = value,
+            PSC => self.prescaler = value & writable,
+            ARR => self.reload = value,
+            CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4] = value,
+            _ => {}
+        }
+        self.plan();
+        if value & !writable != 0 {
+            return Err(Problem::Unmodelled);
+        }
+        self.check()
+    }
+
+    /// Generates events; that of an update loads the prescaler and clears the counter.
+    fn generate(&mut self, events: u32) {
+        if events & UPDATE != 0 {
+            self.divider = self.prescaler;
+            self.origin = 0;
+        }
+        let silent = if self.cr1 & URS == 0 { 0 } else { UPDATE };
+        self.sr |= events & !silent;
+    }
+
+    fn check(&self) -> Result<(), Problem> {
+        if self.cr1 & CEN == 0 {
+            return Ok(());
+        }
+        if self.divider != self.prescaler {
+            return Err(Problem::Misuse(
+                "a timer counts with a prescaler that no update has loaded",
+            ));
+        }
+        if self.origin > self.reload {
+            return Err(Problem::Misuse("a timer's counter is above its auto-reload value"));
+        }
+        Ok(())
+    }
+
+    /// Clock periods of the timer in a second, in millionths, and what makes a count.
+    fn rate(&self) -> (u128, u128) {
+        let rate = u128::from(self.clock.hz) * (1_000_000 + i128::from(self.clock.ppm)) as u128;
+        (rate, SCALE * u128::from(self.divider + 1))
+    }
+
+    fn counts_until(&self, now: Time) -> u64 {
+        if self.cr1 & CEN == 0 {
+            return 0;
+        }
+        let (rate, count) = self.rate();
+        (u128::from(now.saturating_sub(self.since).as_ps()) * rate / count) as u64
+    }
+
+    /// What the counter holds so many counts after `since`.
+    fn count_after(&self, counts: u64) -> u32 {
+        ((u64::from(self.origin) + counts) % (u64::from(self.reload) + 1)) as u32
+    }
+
+    /// The flags of SR, and the counter's value at which each rises.
+    fn events(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
+        let channels = self.compare.into_iter().enumerate();
+        channels.map(|(channel, value)| (UPDATE << (1 + channel), value)).chain([(UPDATE, 0)])
+    }
+
+    /// Counts from those that were seen until the counter comes to `value`, one at least.
+    fn counts_to(&self, value: u32) -> Option<u64> {
+        let period = u64::from(self.reload) + 1;
+        let ahead = u64::from(value) + period - u64::from(self.count_after(self.seen));
+        (value <= self.reload).then_some(if ahead > period { ahead - period } else { ahead })
+    }
+
+    /// Makes the present count the origin, so that anything may change.
+    fn settle(&mut self, now: Time) {
+        let (rate, count) = self.rate();
+        let whole = (u128::from(self.seen) * count).div_ceil(rate);
+        self.origin = self.count_after(self.seen);
+        self.since =
+            if self.cr1 & CEN == 0 { now } else { self.since + Time::from_ps(whole as u64) };
+        self.seen = 0;
+    }
+
+    /// Finds the next interrupt.
+    fn plan(&mut self) {
+        let waits = |&(bit, _): &(u32, u32)| self.dier & !self.sr & bit != 0;
+        let next = self.events().filter(waits).filter_map(|(_, value)| self.counts_to(value)).min();
+        self.deadline = match next {
+            Some(counts) if self.cr1 & CEN != 0 => {
+                let (rate, count) = self.rate();
+                let ahead = (u128::from(self.seen + counts) * count).div_ceil(rate);
+                Time::from_ps(self.since.as_ps().saturating_add(ahead as u64))
+            }
+            _ => Time::MAX,
+        };
+    }
+}
