@@ -147,7 +147,7 @@ impl Controller {
         }
         let btr = BTR[usize::from(self.bit_rate.index())];
         // Its drop would wait for sleep mode without limit.
-        mem::forget(self.can.modify_config().set_bit_timing(btr).set_silent(self.is_listening));
+        mem::forget(self.can.modify_config().set_silent(self.is_listening).set_bit_timing(btr));
         self.set_filters();
         self.registers.ier().write(|w| {
             w.fmpie0().set_bit().tmeie().set_bit();

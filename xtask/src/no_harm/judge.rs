@@ -13,9 +13,8 @@ use testkit::image_rig::bit_per_s;
 /// The allowed delay against the plain slave, unless [`LATE_FRAMES`] take longer.
 const LATE: Time = Time::from_ms(100);
 const LATE_FRAMES: u64 = 25;
-/// The same on a contested bus, where a board at another rate disturbs. The end of the disturbance is partly random:
-/// the more the others send, the sooner that board is error passive. After bus-off the plain slave continues at once,
-/// the product withholds its frames.
+/// The same on a contested bus, where a board at another rate disturbs until it is error passive. That comes sooner the
+/// more the others send: after bus-off the plain slave continues at once, while the product withholds its frames.
 const LATE_IF_CONTESTED: Time = Time::from_ms(500);
 /// The time for which a foreign device may keep a board away after it has left. A master that only listens sends
 /// nothing: the board's next heartbeat, up to a second later, must first go without an acknowledge for a second.

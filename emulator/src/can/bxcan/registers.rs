@@ -60,7 +60,7 @@ pub fn place(distance: u32) -> (usize, usize) {
     ((distance / 16) as usize, (distance % 16 / 4) as usize)
 }
 
-/// The bit timing of a BTR value (RM0090 32.9.2); each field is one less than its quantity.
+/// The bit segments of a BTR value (RM0090 32.9.2); each field is one less than its quantity.
 pub fn bit_timing(btr: u32) -> BitSegments {
     let field = |shift: u32, width: u32| (btr >> shift & ((1 << width) - 1)) + 1;
     BitSegments {
