@@ -130,7 +130,7 @@ fn the_wake_time_of_a_sleeping_board_is_its_next_systick() {
     assert_eq!(word(&board, COUNTER), ticks + 1);
 }
 
-/// Counts at `COUNTER` how often TIM2's compare wakes it, each 1 ms after the one before.
+/// Counts the wake-ups by TIM2's compare at `COUNTER`, each 1 ms after the one before.
 fn alarms() -> Program {
     const CEN: u32 = 1;
     const CC1: u32 = 1 << 1;

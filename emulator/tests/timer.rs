@@ -1,4 +1,4 @@
-//! The registers of TIM2 and TIM5 as a program sees them, without a CPU.
+//! The registers of TIM2 and TIM5 as seen by a program, without a CPU.
 
 use emulator::{
     Time,
@@ -165,7 +165,7 @@ fn a_stopped_timer_keeps_its_count_and_an_update_clears_it() {
 }
 
 #[test]
-fn what_a_timer_does_not_model_is_found() {
+fn uses_of_a_timer_that_are_not_modelled_are_found() {
     const CCMR1: u32 = 0x18;
     const DMAR: u32 = 0x4C;
     for (register, value) in

@@ -11,7 +11,7 @@ from boards import WORKSPACE, Boards
 
 SCRIPT = Path(__file__).with_name("commission.py")
 EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
-# How many boards, and how long the master takes silence for a no: longer where one computer runs more of them.
+# The number of boards and the master's time-out in seconds, which is longer for more boards on one computer.
 BUSES = [(1, 0.1), (32, 0.15)]
 
 

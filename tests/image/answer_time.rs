@@ -16,9 +16,9 @@ use testkit::{
     random::Random,
 };
 
-/// What an answer may take, store configuration apart, in core cycles.
+/// The limit for an answer, except to store configuration, in core cycles.
 const ANSWER_CYCLES: u64 = 520;
-/// What a boot-up may take that a request or a command leads to: the filters change with the node-ID.
+/// The limit for a boot-up caused by a request or a command: the filters change with the node-ID.
 const BOOT_UP_CYCLES: u64 = 2_200;
 /// The limit for an SDO upload, which searches the object dictionary.
 const SDO_CYCLES: u64 = 1_000;

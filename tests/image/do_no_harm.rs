@@ -291,7 +291,7 @@ fn others(bench: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
     [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
 }
 
-/// The time from power-on until a blank board at a wrong stored rate takes part at `found`, with a frame every
+/// The time from joining the bus until a board at a wrong stored rate takes part at `found`, with a frame every
 /// `period`.
 fn time_until_found(
     node_id: u8,

@@ -1,4 +1,4 @@
-//! How long the core sleeps, and how often it is woken: only by what is on the bus, and by what is due.
+//! The share of time in which the core sleeps: it is woken only by frames on the bus and by due actions.
 
 use emulator::{
     Time,
@@ -20,7 +20,7 @@ fn share_asleep(bench: &mut ImageRig, what: &str, act: impl FnOnce(&mut ImageRig
     share
 }
 
-/// Node 40 with a heartbeat each second, whose boot-up was seen.
+/// Node 40 with a heartbeat each second, after its boot-up.
 fn node_40(bit_rate: BitRate) -> ImageRig {
     let mut bench = ImageRig::with(settings(0x40, bit_rate).with_heartbeat_ms(1000));
     bench.collect(Time::from_ms(200));

@@ -53,7 +53,8 @@ fn frames_of_boards(bench: &ImageRig, from: Time, until: Time) -> Vec<&Event> {
     bench.network.trace().iter().filter(is_of_board).collect()
 }
 
-/// When the request that ends at `t0` is valid for the boards, which sample its last but one bit at 85 %: they count from there.
+/// The time at which the request that ends at `t0` is valid for the boards, which sample its last bit but one at 85 %:
+/// they count from there.
 fn valid(bench: &ImageRig, t0: Time) -> Time {
     let rate = bench.network.trace().iter().find_map(|event| match event.what {
         What::Frame { bit_rate, .. } if event.time == t0 => Some(bit_rate),
@@ -152,7 +153,7 @@ fn without_a_delay_boards_switch_and_send_at_once() {
         assert_switched(&bench, t0, Time::ZERO, to);
         for board in [0, 1] {
             let (time, heartbeat) = bench.requested(board, t0).next().expect("a heartbeat");
-            // Behind a switch that takes its time too.
+            // After a switch, which takes time too.
             let late = time - t0;
             assert!(
                 late < ACCURACY * 2 && heartbeat.payload() == [0x7F],

@@ -1,6 +1,5 @@
-//! The release image after long uptimes: the count of milliseconds in its RAM is set while it boots, so that the
-//! 32 bits of the node's microseconds (71.6 minutes) and of milliseconds (49.7 days) wrap soon after. No count is
-//! longer.
+//! The release image after a long uptime: its count of microseconds is set while it boots, so that the 32 bits wrap
+//! soon after. No count is longer.
 
 use emulator::{
     Time,
@@ -14,7 +13,7 @@ use testkit::image_rig::{ImageRig, board_with, settings};
 /// TIM2's control register and its counter (RM0090, 18.4).
 const TIM2_CR1: u32 = 0x4000_0000;
 const TIM2_CNT: u32 = 0x4000_0024;
-/// From power-on to the end of the session; the count wraps in the middle of it.
+/// The middle of the session in ms after power-on, where the count wraps.
 const MIDDLE_MS: u64 = 1_000;
 
 fn access(board: &Board, address: u32) -> Access {
@@ -43,7 +42,7 @@ fn booted_at(count: u32) -> ImageRig {
     ImageRig::new(BitRate::Kbit1000, [board])
 }
 
-/// Requests, a store, a switch of the bit rate whose delays last over the middle, heartbeats; and all that happened.
+/// Requests, a store, a switch of the bit rate whose delays last over the middle, heartbeats; returns all events.
 fn session(count: u32) -> Vec<Event> {
     let mut bench = booted_at(count);
     for request in ["04 01", "5A", "11 04", "17"] {

@@ -202,7 +202,7 @@ fn crystals_are_limited_by_the_jump_width_or_by_the_shorter_segment() {
 }
 
 #[test]
-fn a_bit_timing_says_its_rate_and_sample_point() {
+fn a_bit_timing_gives_its_rate_and_sample_point() {
     let timing = BitTiming { prescaler: 2, segment1: 13, segment2: 2, sync_jump_width: 1 };
     assert_eq!(timing.quanta(), 16);
     assert_eq!(timing.sample_point(), 875);

@@ -96,7 +96,7 @@ fn a_blank_flash_that_fails_is_reported_and_refuses() {
 }
 
 #[test]
-fn a_store_that_fails_says_why() {
+fn a_store_that_fails_gives_the_reason() {
     let why = |fault: fn(&Flash<4, 256>)| {
         let (mut log, flash) = with_settings_1();
         fault(&flash);

@@ -258,7 +258,7 @@ fn with_any_flash_content_open_ends_and_settings_stored_then_are_found() {
         let flash = Flash::<4, 128>::with_content(any_content::<128>(&mut random), random.u64());
         let (mut log, found) = Log::open(flash.clone());
         assert!(!matches!(found, Found::MediumFailed(_)));
-        assert_eq!(log.settings(), open(&flash.duplicate(0)).0, "what is found stays");
+        assert_eq!(log.settings(), open(&flash.duplicate(0)).0, "the result stays the same");
         let settings = settings(random.u64() as u16);
         assert_eq!(log.store(settings), Ok(()), "open has made room");
         assert_eq!(open(&flash).0, Some(settings));

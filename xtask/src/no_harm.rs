@@ -36,9 +36,9 @@ const PRINTED: usize = 6;
 /// listening for heartbeats.
 ///
 /// Where the plain slave is reached, the product must be reached at most 100 ms later (25 frame times at slow rates;
-/// 1 s after a foreign device has left). A plain slave at a different rate from the master's is lost; the product must
-/// be found within 10 s of the first evidence, after a commanded switch 30 s later, unless other sending boards share
-/// its rate.
+/// 1 s after a foreign device has left; 500 ms where a board at another rate disturbs). A plain slave at a different
+/// rate from the master's is lost; the product must be found within 10 s of the first evidence, after a commanded
+/// switch 30 s later, unless other sending boards share its rate.
 ///
 /// The first failing situations are minimised and printed as a list of events, with the seed that replays them.
 #[derive(clap::Args)]

@@ -109,7 +109,7 @@ fn run_node() {
         revision_number: any_number(),
         serial_number: Address::serial_number_of(&any([0; 12])),
     };
-    // The solver of bit timing is for constants.
+    // The bit timing solver is for constants.
     let bit_rates = any(const { BitRates::possible(40_000_000) });
     let device = Device::new(address, bit_rates)
         .with_defaults(any_settings())
@@ -118,7 +118,7 @@ fn run_node() {
         .with_rescue(any(true))
         .with_lss_lock(any(true));
     let mut node = Node::new(device, any(Some(any_settings())));
-    // Between the calls the node is in whatever state its types allow.
+    // Between the calls the node is in any state that its types allow.
     let node = &mut node;
     black_box(Frame::new(any(0), any(&[])));
     if let Some(frame) = Frame::from_padded(any(0), any(0), any([0; 8])) {

@@ -103,7 +103,7 @@ impl Images {
         let mut plain = Life::up_to_the_probe(situation, &self.plain, self.part);
         let boards = 0..situation.boards.len();
         let home = |board: usize| {
-            // One that is switched on with the probe has what it has stored.
+            // A board that is switched on with the probe has its stored rate.
             let stored = || bit_per_s(situation.boards[board].stored);
             plain.bit_rate(board).unwrap_or_else(stored)
         };
@@ -187,7 +187,7 @@ fn is_lost_alone(situation: &Situation, homes: &[u32], board: usize) -> bool {
     peers(homes, home).count() == 1 || !peers(homes, home).any(|at| talks(situation, at))
 }
 
-/// Whether a board is at another rate than that of the probe.
+/// Whether any board has another rate than the probe.
 fn is_contested(situation: &Situation, homes: &[u32]) -> bool {
     let rate = bit_per_s(situation.probe.rate);
     homes.iter().any(|home| *home != rate)

@@ -66,15 +66,15 @@ enum Step {
 /// The fate of a board from the start of the probe on.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
-    /// The time until its first answer or heartbeat.
+    /// The time until its first answer, heartbeat or emergency message.
     pub reached: Option<Time>,
-    /// The span until its first answer or heartbeat.
+    /// The time until its first answer or heartbeat.
     pub answered: Option<Time>,
 }
 
 impl Seen {
-    /// When a board like this one must show itself, if this is what became of it: a pending emergency message is chance, the next heartbeat
-    /// is not.
+    /// The time by which an equal board must be received: a pending emergency message depends on chance, the next
+    /// heartbeat does not.
     pub fn sign_of_life(&self, node: Node) -> Option<Time> {
         let period = ms(node.heartbeat_ms.into());
         self.answered.or_else(|| self.reached.map(|reached| reached.max(period)))
@@ -330,7 +330,7 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// The boards that the master has received since `since`, with the times, and whether by an emergency message.
+    /// The boards that the master has received since `since`, with times, and whether by an emergency message.
     fn heard(&mut self, since: Time) -> Vec<(usize, Time, bool)> {
         const EMERGENCY: u16 = 0x080;
         // A node that is alone and error passive reports this first.
