@@ -18,7 +18,7 @@ const SWITCH_FILE: &str = "src/device.rs";
 
 /// Builds it in `target/no-harm/plain`.
 pub fn build(part: Part) -> anyhow::Result<Image> {
-    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
+    let workspace = workspace();
     let copy = workspace.join("target/no-harm/plain");
     for source in SOURCES {
         mirror(&workspace.join(source), &copy.join(source))?;
@@ -64,10 +64,14 @@ fn mirror(from: &Path, to: &Path) -> anyhow::Result<()> {
         }
         return Ok(());
     }
-    if from.ends_with(SWITCH_FILE) {
+    if from == workspace().join(SWITCH_FILE) {
         return Ok(());
     }
     write(to, read(from)?.as_bytes())
+}
+
+fn workspace() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
 fn names(folder: &Path) -> anyhow::Result<Vec<OsString>> {
