@@ -91,5 +91,5 @@ pub(crate) const fn error_control(node: NodeId, state: State) -> Frame {
 
 /// Whether `frame` is the boot-up of a node.
 pub(crate) fn is_boot_up(frame: &Frame) -> bool {
-    frame.cob_id() & !0x7F == ERROR_CONTROL_COB_ID && frame.data() == [State::Initialisation as u8]
+    frame.cob_id() & !0x7F == ERROR_CONTROL_COB_ID && matches!(frame.data(), [0])
 }

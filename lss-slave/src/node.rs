@@ -145,6 +145,7 @@ impl Node {
 
     /// Takes a received frame; returns the answer to a request of LSS that has one at once. All else comes from
     /// [`poll`](Self::poll).
+    #[inline(never)] // Apart it takes 70 bytes less.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         if !self.bit_rate.is_at_ease() {
@@ -322,6 +323,7 @@ impl Node {
 
     /// Adopts the bit rate at which the supervision has found others, or home after it. Also before a switch: the request for
     /// it may be the frame that has shown home to be right.
+    #[inline(never)] // It has several callers: 60 bytes.
     fn follow_bit_rate(&mut self) {
         let Some(in_use) = self.bit_rate.take_change() else {
             return;

@@ -211,6 +211,7 @@ impl Supervision {
     }
 
     /// The bit rate at which the controller runs, or listens.
+    #[inline(never)] // It has several callers: 130 bytes.
     pub const fn bit_rate(&self) -> BitRate {
         match &self.place {
             Place::Guest { rate, .. } | Place::Detecting { rate, .. } => *rate,
@@ -349,13 +350,15 @@ impl Supervision {
             }
             return;
         }
+        if matches!(event, Received | Acknowledged) {
+            self.errors = Errors::NONE;
+            self.sending = Sending::Free;
+        }
         if let (Place::Looking { look, .. }, Error | FormError) = (&mut self.place, event) {
             look.add_error(now);
         }
         match (&mut self.place, event) {
             (Place::Home, Received | Acknowledged) => {
-                self.errors = Errors::NONE;
-                self.sending = Sending::Free;
                 self.is_proven = true;
                 self.previous = None;
             }
@@ -368,11 +371,8 @@ impl Supervision {
             }
             (Place::Home, HeldDominant) => {
                 self.errors = Errors::NONE;
-                // Nobody can use the bus: neither a pause nor the end of one has a purpose.
-                match &mut self.sending {
-                    Sending::Free => {}
-                    Sending::Unacknowledged { until } => *until = now.plus_micros(REPEAT_MICROS),
-                    Sending::Withheld { .. } => self.withhold(now),
+                if !matches!(self.sending, Sending::Free) {
+                    self.withhold(now);
                 }
             }
             (Place::Home, ErrorPassive)
@@ -382,8 +382,6 @@ impl Supervision {
             }
             (Place::Guest { unacknowledged_until, .. }, Received | Acknowledged) => {
                 *unacknowledged_until = None;
-                self.errors = Errors::NONE;
-                self.sending = Sending::Free;
             }
             (Place::Guest { .. }, Error | FormError) => {
                 self.errors.add(now);
@@ -395,7 +393,6 @@ impl Supervision {
                 (Turn::Elsewhere { .. }, Received) => {
                     let rate = look.candidate;
                     self.enter(Place::Guest { rate, unacknowledged_until: None });
-                    self.sending = Sending::Free;
                     self.step = Some(Step::TakePart(rate));
                 }
                 (Turn::Elsewhere { has_heard }, Error | FormError) => {
@@ -411,7 +408,6 @@ impl Supervision {
                 (Turn::HomeSilent { .. }, Received) | (Turn::HomeOpen, Received | Acknowledged) => {
                     self.is_proven = true;
                     self.end_look();
-                    self.sending = Sending::Free;
                 }
                 (_, HeldDominant) => self.end_look(),
                 (Turn::HomeSilent { has_heard }, Error) => *has_heard = true,
