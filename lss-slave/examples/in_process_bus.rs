@@ -1,4 +1,4 @@
-//! A node on a bus within the process: channels carry the frames, and an LSS master gives the node its node-ID.
+//! A node on a bus within the process: channels carry the frames, and an LSS master assigns a node-ID.
 
 use std::{sync::mpsc, thread, time::Duration};
 
@@ -11,11 +11,11 @@ fn main() {
     let (transmitted, from_node) = mpsc::channel();
     thread::spawn(move || run(received, transmitted));
     for request in [
-        [0x4C, 0, 0, 0, 0, 0, 0, 0], // Has any slave no node-ID?
-        [0x04, 1, 0, 0, 0, 0, 0, 0], // To LSS configuration state.
-        [0x11, 5, 0, 0, 0, 0, 0, 0], // Node-ID 5.
-        [0x17, 0, 0, 0, 0, 0, 0, 0], // Store it.
-        [0x04, 0, 0, 0, 0, 0, 0, 0], // To LSS waiting state: the node boots up.
+        [0x4C, 0, 0, 0, 0, 0, 0, 0], // Asks for slaves without a node-ID.
+        [0x04, 1, 0, 0, 0, 0, 0, 0], // Switches to LSS configuration state.
+        [0x11, 5, 0, 0, 0, 0, 0, 0], // Sets node-ID 5.
+        [0x17, 0, 0, 0, 0, 0, 0, 0], // Stores it.
+        [0x04, 0, 0, 0, 0, 0, 0, 0], // Switches to LSS waiting state: the node boots up.
     ] {
         println!("> 7E5 {request:02X?}");
         to_node.send(Frame::new(0x7E5, &request).unwrap()).unwrap();
@@ -25,7 +25,7 @@ fn main() {
     }
 }
 
-/// The board: carries out what the node asks for, for as long as the process lives.
+/// The board, which carries out the node's actions until the process ends.
 fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
     let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
     let device = Device::new(address, BitRates::possible(40_000_000))

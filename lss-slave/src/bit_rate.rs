@@ -1,4 +1,4 @@
-//! The bit rates of CiA 301 and their table for LSS, and the solver from a bit rate and a clock to bit timing.
+//! The bit rates of CiA 301, their table for LSS, and the solver for the bit timing at a given clock.
 
 use core::fmt;
 
@@ -31,8 +31,8 @@ impl BitRate {
         Self::Kbit10,
     ];
 
-    /// The rate at `index` of table `table`: table 0, index 0..=4 and 6..=8. Index 5 is reserved; some old texts give it
-    /// to 100 kbit/s.
+    /// The rate at `index` of table `table`: table 0, index 0..=4 and 6..=8. Index 5 is reserved; some old texts assign
+    /// 100 kbit/s to it.
     pub const fn from_table(table: u8, index: u8) -> Option<Self> {
         match (table, index) {
             (0, 0) => Some(Self::Kbit1000),
@@ -54,13 +54,14 @@ impl BitRate {
 
     /// The rate in kbit/s.
     pub const fn kbit_per_s(self) -> u16 {
-        // By index, with what old texts give to the reserved one: of a match each caller would get a table of its own.
+        // A lookup by index, which includes the old value of the reserved index: a `match` would put a table into each
+        // caller.
         const TABLE: [u16; 9] = [1000, 800, 500, 250, 125, 100, 50, 20, 10];
         TABLE[self as usize]
     }
 }
 
-/// What configure bit timing can choose from table 0 (CiA 305): a bit rate, or that the node finds it by listening.
+/// A selection from table 0 of configure bit timing (CiA 305): a bit rate or automatic detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BitRateSetting {
@@ -109,13 +110,13 @@ impl From<BitRate> for BitRateSetting {
     }
 }
 
-/// A set of bit rate settings: those that a device offers.
+/// A set of bit rate settings that a device offers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BitRates(u16);
 
 impl BitRates {
-    /// The rates that a controller whose clock is `clock_hz` can produce, see [`BitTiming::solve`].
+    /// The rates that a controller with a clock of `clock_hz` can produce, see [`BitTiming::solve`].
     pub const fn possible(clock_hz: u32) -> Self {
         let mut rates = 0;
         let mut i = 0;
@@ -128,13 +129,13 @@ impl BitRates {
         Self(rates)
     }
 
-    /// The same rates, and automatic detection.
+    /// The same rates and automatic detection.
     #[must_use]
     pub const fn with_automatic(self) -> Self {
         Self(self.0 | 1 << BitRateSetting::AUTOMATIC_INDEX)
     }
 
-    /// The fastest of them; 10 kbit/s of none.
+    /// The fastest rate of the set; 10 kbit/s if the set is empty.
     pub(crate) const fn fastest(self) -> BitRate {
         let mut fastest = BitRate::Kbit10;
         let mut i = BitRate::ALL.len();
@@ -147,23 +148,23 @@ impl BitRates {
         fastest
     }
 
-    /// Whether `rate` is one of them.
+    /// Whether the set contains `rate`.
     pub const fn contains(self, rate: BitRate) -> bool {
         self.offers(BitRateSetting::Fixed(rate))
     }
 
-    /// Whether `setting` is one of them.
+    /// Whether the set contains `setting`.
     pub const fn offers(self, setting: BitRateSetting) -> bool {
         self.0 >> setting.index() & 1 == 1
     }
 }
 
-/// Bit timing (ISO 11898-1): prescaler and segments, in time quanta. The ranges are those of a bxCAN, which most controllers
-/// have too.
+/// Bit timing (ISO 11898-1): prescaler and segments, in time quanta. The ranges are those of a bxCAN and of most other
+/// controllers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BitTiming {
-    /// Cycles of the controller's clock a time quantum: 1..=1024.
+    /// Cycles of the controller's clock per time quantum: 1..=1024.
     pub prescaler: u16,
     /// Time quanta from the synchronisation quantum to the sample point: 1..=16.
     pub segment1: u8,
@@ -174,13 +175,13 @@ pub struct BitTiming {
 }
 
 impl BitTiming {
-    /// By how much the rate may be wrong: 1/1000, which leaves most of what a CAN bit tolerates to the crystals.
+    /// The largest rate error: 1/1000, which leaves most of the tolerance of a CAN bit to the crystals.
     pub const MAX_RATE_ERROR_PPM: u32 = 1_000;
-    /// What each of two crystals may be off, if the clock allows it: 1/200.
+    /// The crystal error to tolerate in each of two nodes, if the clock allows it: 1/200.
     pub const CRYSTAL_ERROR_PPM: u32 = 5_000;
-    /// The sample point that is aimed at, in 1/1000 of the bit (CiA 301).
+    /// The preferred sample point, in 1/1000 of the bit (CiA 301).
     pub const SAMPLE_POINT: u32 = 875;
-    /// Time quanta a bit (ISO 11898-1).
+    /// Time quanta per bit (ISO 11898-1).
     const QUANTA: core::ops::RangeInclusive<u32> = 8..=25;
 
     /// The range of the sample point that CiA 301 allows at `rate`, in 1/1000 of the bit: 750..=900 at 1000 and
@@ -192,10 +193,10 @@ impl BitTiming {
         }
     }
 
-    /// The best bit timing for `rate` from a controller's clock of `clock_hz`: least rate error, then a
-    /// [`crystal_tolerance_ppm`](Self::crystal_tolerance_ppm) of [`CRYSTAL_ERROR_PPM`](Self::CRYSTAL_ERROR_PPM) or as near
-    /// as possible, then the sample point nearest to 87.5 % (of two the earlier), then the most time quanta. The
-    /// synchronisation jump width is as large as the second segment allows.
+    /// The best bit timing for `rate` at a controller clock of `clock_hz`. The criteria, in this order: the least rate
+    /// error; a [`crystal_tolerance_ppm`](Self::crystal_tolerance_ppm) of
+    /// [`CRYSTAL_ERROR_PPM`](Self::CRYSTAL_ERROR_PPM) or as near as possible; the sample point nearest to 87.5 %, the
+    /// earlier of two; the most time quanta. The synchronisation jump width is as large as the second segment allows.
     ///
     /// `None` if the rate would be more than 0.1 % off or the sample point outside of
     /// [`sample_point_range`](Self::sample_point_range).
@@ -204,7 +205,8 @@ impl BitTiming {
         let sample_points = Self::sample_point_range(rate);
         let mut best = None;
         let mut best_rank = Rank::WORST;
-        // Of equal ranks the first is kept: the one with the most quanta and, of two as far from 87.5 %, the earlier.
+        // The first of equal ranks is kept: it has the most quanta and, at equal distance from 87.5 %, the earlier
+        // sample point.
         let mut quanta = *Self::QUANTA.end();
         while quanta >= *Self::QUANTA.start() {
             let quantum_hz = bit_hz * quanta as u64;
@@ -247,9 +249,9 @@ impl BitTiming {
         best
     }
 
-    /// By how much the crystals of two nodes may be off, in opposite directions and in ppm, on a short bus: a
-    /// resynchronisation makes up for what has slipped in 10 bits, and within the 13 bits that an error flag can last
-    /// nothing slips past the sample point (ISO 11898-1).
+    /// The crystal error that two nodes on a short bus tolerate, in opposite directions and in ppm. A resynchronisation
+    /// corrects the drift of 10 bits, and the drift of the 13 bits that an error flag can last does not pass the sample
+    /// point (ISO 11898-1).
     pub const fn crystal_tolerance_ppm(self) -> u32 {
         let quanta = self.quanta();
         let shorter =
@@ -259,27 +261,27 @@ impl BitTiming {
         if jump < phase { jump } else { phase }
     }
 
-    /// Time quanta a bit.
+    /// Time quanta per bit.
     pub const fn quanta(self) -> u32 {
         1 + self.segment1 as u32 + self.segment2 as u32
     }
 
-    /// Where the bit is sampled, in 1/1000 of the bit.
+    /// The sample point, in 1/1000 of the bit.
     pub const fn sample_point(self) -> u32 {
         (1 + self.segment1 as u32) * 1000 / self.quanta()
     }
 
-    /// The rate that results from a clock of `clock_hz`, in bit/s.
+    /// The bit rate at a clock of `clock_hz`, in bit/s.
     pub const fn bit_per_s(self, clock_hz: u32) -> u32 {
         clock_hz / (self.prescaler as u32 * self.quanta())
     }
 }
 
-/// How far a bit timing is from the ideal: the first field that differs decides, and the smaller one is better.
+/// The distance of a bit timing from the ideal. The first field that differs decides; the smaller value is better.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Rank {
     rate_error_ppm: u64,
-    /// What is missing from [`BitTiming::CRYSTAL_ERROR_PPM`].
+    /// The shortfall from [`BitTiming::CRYSTAL_ERROR_PPM`].
     intolerance_ppm: u32,
     /// In 1/1000 of the bit.
     sample_point_error: u32,
@@ -289,7 +291,7 @@ impl Rank {
     const WORST: Self =
         Self { rate_error_ppm: u64::MAX, intolerance_ppm: u32::MAX, sample_point_error: u32::MAX };
 
-    /// `<`, which cannot be called in a constant.
+    /// The operator `<`, which cannot be called in a constant.
     const fn is_better_than(&self, other: &Self) -> bool {
         if self.rate_error_ppm != other.rate_error_ppm {
             return self.rate_error_ppm < other.rate_error_ppm;

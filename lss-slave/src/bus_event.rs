@@ -1,4 +1,4 @@
-//! The events of a CAN controller that concern the node, beside the frames that it receives.
+//! The events of a CAN controller that concern the node, other than received frames.
 
 /// An event of the CAN controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -7,26 +7,26 @@
 pub enum BusEvent {
     /// A valid frame was received, whether the node wants it or not.
     Received,
-    /// A frame of the node was sent and acknowledged.
+    /// A frame that the node sent was acknowledged.
     Acknowledged,
-    /// A stuff, CRC or bit recessive error. A missing acknowledge is none, since nobody may be there. Neither is a bit
-    /// dominant error, which shows a broken wire or a short circuit. Also traffic that keeps the controller from joining the
-    /// bus for two frame times.
+    /// A stuff, CRC or bit recessive error, or traffic that keeps the controller from joining the bus for two frame
+    /// times. A missing acknowledge does not count, since no other node may be there. Nor does a bit dominant error,
+    /// which indicates a broken wire or a short circuit.
     Error,
-    /// A form error. To a silent listener, this is what a frame without an acknowledge looks like.
+    /// A form error. A silent listener sees one when a frame is not acknowledged.
     FormError,
-    /// The bus has been dominant for longer than any frame is: a short circuit, or a station that is broken.
+    /// The bus has been dominant for longer than any frame: a short circuit or a defective station.
     HeldDominant,
-    /// The controller is error passive by what it receives: REC is above 127.
+    /// The controller is error passive because of receive errors: REC is above 127.
     ErrorPassive,
     /// The controller is bus-off.
     BusOff,
-    /// The controller was bus-off and takes part in the bus again.
+    /// The controller has recovered from bus-off.
     BusOffRecovered,
-    /// The controller received frames faster than they were taken; each event counts.
+    /// The controller received frames faster than they were read. Each event is counted.
     Overrun,
-    /// The controller's error counters (ISO 11898-1): for object 2000h, and for the emergency message that the controller is
-    /// error passive. To be given when it has become so, and a few times a second.
+    /// The controller's error counters (ISO 11898-1), for object 2000h and for the error passive emergency. The board
+    /// reports them when the controller becomes error passive, and a few times a second.
     ErrorCounters {
         /// TEC.
         transmit: u8,

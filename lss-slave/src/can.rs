@@ -1,4 +1,4 @@
-//! The CAN frame that a CANopen node exchanges: 11-bit identifier, data, up to eight bytes.
+//! The CAN frame of CANopen: an 11-bit identifier and up to eight bytes of data.
 
 use core::fmt;
 
@@ -6,27 +6,27 @@ use embedded_can::{Id, StandardId};
 
 /// A classical CAN data frame with an 11-bit identifier.
 ///
-/// Remote frames, 29-bit identifiers and data length codes above 8 cannot be held: CANopen gives them no meaning for
-/// this node, and [`Frame::received`] is where they end.
+/// It cannot hold remote frames, 29-bit identifiers and data length codes above 8. CANopen gives them no meaning for
+/// this node, and [`Frame::received`] drops them.
 #[derive(Clone, Copy)]
 #[repr(align(4))]
 pub struct Frame {
-    /// The first `len` bytes count.
+    /// The data is the first `len` bytes.
     data: [u8; 8],
     cob_id: u16,
     len: u8,
 }
 
 impl Frame {
-    /// A frame with the COB-ID `cob_id` (0..=7FFh) and 0..=8 bytes of data; `None` outside of these.
+    /// A frame with the COB-ID `cob_id` (0..=7FFh) and 0..=8 bytes of data; `None` outside these ranges.
     pub fn new(cob_id: u16, data: &[u8]) -> Option<Self> {
         let mut padded = [0; 8];
         padded.get_mut(..data.len())?.copy_from_slice(data);
         Self::from_padded(cob_id, data.len(), padded)
     }
 
-    /// A frame as a controller holds it: its COB-ID (0..=7FFh), how many bytes of data it has (0..=8), and eight bytes
-    /// that begin with them. `None` outside of these.
+    /// A frame as a controller holds it: its COB-ID (0..=7FFh), its data length (0..=8), and eight bytes that begin
+    /// with the data. `None` outside these ranges.
     pub const fn from_padded(cob_id: u16, len: usize, data: [u8; 8]) -> Option<Self> {
         if cob_id > 0x7FF || len > 8 {
             return None;
@@ -34,7 +34,7 @@ impl Frame {
         Some(Self { data, cob_id, len: len as u8 })
     }
 
-    /// What a CAN driver received, unless it is a remote frame or has a 29-bit identifier.
+    /// The frame that a CAN driver received, unless it is a remote frame or has a 29-bit identifier.
     pub fn received(frame: &impl embedded_can::Frame) -> Option<Self> {
         match frame.id() {
             Id::Standard(id) if !frame.is_remote_frame() => Self::new(id.as_raw(), frame.data()),
@@ -60,7 +60,7 @@ impl Frame {
         self.data.get(..usize::from(self.len)).unwrap_or(&self.data)
     }
 
-    /// Eight bytes that begin with the data, for a controller that takes so many; what follows has no meaning.
+    /// Eight bytes that begin with the data, for a controller that takes all eight; the rest has no meaning.
     pub const fn padded_data(&self) -> [u8; 8] {
         self.data
     }
@@ -79,7 +79,7 @@ impl embedded_can::Frame for Frame {
         }
     }
 
-    /// `None`: a remote frame cannot be held.
+    /// Returns `None`: this type holds no remote frames.
     fn new_remote(_: impl Into<Id>, _: usize) -> Option<Self> {
         None
     }

@@ -1,8 +1,8 @@
-//! The description of a device: identity, names, defaults, and what it offers.
+//! The description of a device: identity, names, defaults and options.
 
 use crate::{BitRateSetting, BitRates, Settings, lss};
 
-/// What the device is, as opposed to how it is set.
+/// The fixed properties of a device, as opposed to its [`Settings`].
 ///
 /// ```
 /// use lss_slave::{BitRate, BitRates, Device, Settings, lss::Address};
@@ -18,11 +18,11 @@ use crate::{BitRateSetting, BitRates, Settings, lss};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct Device {
-    /// The LSS address, which is the identity object 1018h.
+    /// The LSS address, which is also the identity object 1018h.
     pub address: lss::Address,
     /// The bit rates that the CAN controller can produce.
     pub bit_rates: BitRates,
-    /// The settings of a device that has stored none. 1011h restores their heartbeat time.
+    /// The settings of a device that has stored none. A restore by 1011h takes the heartbeat time from here.
     pub defaults: Settings,
     /// Manufacturer device name 1008h.
     pub name: &'static str,
@@ -30,15 +30,16 @@ pub struct Device {
     pub hardware_version: &'static str,
     /// Manufacturer software version 100Ah.
     pub software_version: &'static str,
-    /// Whether the bit rate is supervised: lasting errors without a valid frame make the node look for the rate of the others
-    /// (see `docs/bit-rates.md`).
+    /// Bit-rate supervision: after lasting errors without a valid frame, the node searches for the rate of the other
+    /// nodes (see `docs/bit-rates.md`).
     pub rescue: bool,
-    /// Whether the LSS state stays waiting while the node is NMT operational, so that nobody configures a running machine.
+    /// LSS lock: the LSS state stays waiting while the node is NMT operational, so that nobody configures a running
+    /// machine.
     pub lss_lock: bool,
 }
 
 impl Device {
-    /// A device that runs at the fastest of `bit_rates` until it has stored settings, and has neither names nor options.
+    /// A device without names and options, which runs at the fastest of `bit_rates` until it has stored settings.
     pub const fn new(address: lss::Address, bit_rates: BitRates) -> Self {
         Self {
             address,
@@ -52,37 +53,37 @@ impl Device {
         }
     }
 
-    /// The same with other [`defaults`](Self::defaults).
+    /// Replaces the [`defaults`](Self::defaults).
     #[must_use]
     pub const fn with_defaults(self, defaults: Settings) -> Self {
         Self { defaults, ..self }
     }
 
-    /// The same with other [`bit_rates`](Self::bit_rates).
+    /// Replaces the [`bit_rates`](Self::bit_rates).
     #[must_use]
     pub const fn with_bit_rates(self, bit_rates: BitRates) -> Self {
         Self { bit_rates, ..self }
     }
 
-    /// The same with another [`name`](Self::name).
+    /// Replaces the [`name`](Self::name).
     #[must_use]
     pub const fn with_name(self, name: &'static str) -> Self {
         Self { name, ..self }
     }
 
-    /// The same with another [`hardware_version`](Self::hardware_version) and [`software_version`](Self::software_version).
+    /// Replaces the [`hardware_version`](Self::hardware_version) and the [`software_version`](Self::software_version).
     #[must_use]
     pub const fn with_versions(self, hardware: &'static str, software: &'static str) -> Self {
         Self { hardware_version: hardware, software_version: software, ..self }
     }
 
-    /// The same with or without [`rescue`](Self::rescue).
+    /// Sets [`rescue`](Self::rescue).
     #[must_use]
     pub const fn with_rescue(self, rescue: bool) -> Self {
         Self { rescue, ..self }
     }
 
-    /// The same with or without [`lss_lock`](Self::lss_lock).
+    /// Sets [`lss_lock`](Self::lss_lock).
     #[must_use]
     pub const fn with_lss_lock(self, lss_lock: bool) -> Self {
         Self { lss_lock, ..self }

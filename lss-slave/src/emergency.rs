@@ -1,13 +1,13 @@
-//! Emergency messages (CiA 301, 7.2.7): the faults that the node reports, and its error history 1003h.
+//! Emergency messages (CiA 301, 7.2.7): the faults that the node reports and its error history 1003h.
 
 use core::mem;
 
 use crate::{BitRate, Frame, NodeId};
 
-/// The COB-ID of emergency messages is this plus the node-ID.
+/// The base COB-ID of emergency messages, to which the node-ID is added.
 pub const COB_ID: u16 = 0x080;
 
-/// How many errors the history 1003h keeps.
+/// The number of errors that the history 1003h keeps.
 pub const HISTORY_LEN: u8 = 8;
 
 /// A fault that an emergency message reports.
@@ -15,37 +15,39 @@ pub const HISTORY_LEN: u8 = 8;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Fault {
-    /// 6310h: the stored settings were damaged and the defaults are in use. Lasts until something is stored.
+    /// 6310h: the stored settings were damaged and the defaults are in use. The fault lasts until settings are stored.
     SettingsLost,
-    /// 8120h: the controller is error passive (ISO 11898-1). The node sees it by itself, and its end, in
+    /// 8120h: the controller is error passive (ISO 11898-1). The node detects the fault and its end in
     /// [`BusEvent::ErrorCounters`](crate::BusEvent::ErrorCounters).
     ErrorPassive,
-    /// 8140h: the controller was bus-off and takes part in the bus again; of
+    /// 8140h: the controller has recovered from bus-off, as reported by
     /// [`BusEvent::BusOffRecovered`](crate::BusEvent::BusOffRecovered).
     BusOffRecovered,
-    /// 8110h: the controller received frames faster than they were taken; of [`BusEvent::Overrun`](crate::BusEvent::Overrun).
+    /// 8110h: the controller received frames faster than they were read, as reported by
+    /// [`BusEvent::Overrun`](crate::BusEvent::Overrun).
     Overrun,
-    /// FF10h: the node takes part in the bus at another bit rate than its home rate. Bytes 3..=6 of the message, and of the
-    /// one that reports the end, are the two rates in kbit/s, 16 bits each, little endian. The node sees both by itself.
+    /// FF10h: the node takes part in the bus at a bit rate other than its home rate. Bytes 3..=6 of the message, and of
+    /// the message for its end, are the two rates in kbit/s, 16 bits each, little endian. The node detects both by
+    /// itself.
     AwayFromHomeRate {
-        /// The bit rate at which the controller runs.
+        /// The controller's current bit rate.
         in_use: BitRate,
-        /// The one that was last commanded.
+        /// The bit rate that was last commanded.
         home: BitRate,
     },
 }
 
-// Each fault is a bit; messages that wait together leave in this order.
+// Each fault is a bit. Pending messages are sent in this order.
 const SETTINGS_LOST: u8 = 1 << 0;
 const ERROR_PASSIVE: u8 = 1 << 1;
 const BUS_OFF_RECOVERED: u8 = 1 << 2;
 const OVERRUN: u8 = 1 << 3;
 const AWAY_FROM_HOME_RATE: u8 = 1 << 4;
 
-/// Stands for the message with error code 0.
+/// The bit of the message with error code 0.
 const END: u8 = 1 << 7;
 
-/// Those that are there until their end is reported; the others are over by the time they are known.
+/// The faults that last until their end is reported. The others are over when they are reported.
 const LASTING: u8 = SETTINGS_LOST | ERROR_PASSIVE | AWAY_FROM_HOME_RATE;
 
 const fn error_code(fault: u8) -> u16 {
@@ -58,7 +60,7 @@ const fn error_code(fault: u8) -> u16 {
     }
 }
 
-/// The error register 1001h while there are these faults.
+/// The error register 1001h for a set of faults.
 const fn error_register(faults: u8) -> u8 {
     const GENERIC: u8 = 1 << 0;
     const COMMUNICATION: u8 = 1 << 4;
@@ -81,7 +83,7 @@ impl Fault {
     }
 }
 
-/// A controller with an error counter from here on is error passive (ISO 11898-1).
+/// The lowest error counter of an error passive controller (ISO 11898-1).
 const ERROR_PASSIVE_LIMIT: u8 = 128;
 /// The error warning limit (ISO 11898-1).
 const WARNING_LIMIT: u8 = 96;
@@ -95,24 +97,23 @@ pub(crate) struct ErrorCounters {
     pub receive: u8,
 }
 
-/// The faults that are still to be reported, those that last, and the history.
+/// The unreported faults, the lasting faults and the error history.
 #[derive(Clone, Debug)]
 pub(crate) struct Emergency {
     /// Faults whose message has not been sent.
     unsent: u8,
-    /// A fault is over since the last message with error code 0.
+    /// A fault has ended since the last message with error code 0.
     is_end_unsent: bool,
-    /// What was sent since the latest acknowledge: faults, and [`END`].
+    /// The messages sent since the latest acknowledge: faults and [`END`].
     in_flight: u8,
     lasting: u8,
-    /// Bytes 3..=6 of the message of [`Fault::AwayFromHomeRate`] and of the one of its end, in kbit/s: in use, and above it
-    /// home.
+    /// Bytes 3..=6 of the messages for [`Fault::AwayFromHomeRate`] and for its end, in kbit/s: the rate in use in the
+    /// lower half, the home rate in the upper half.
     rates: u32,
-    /// 1003h, the newest first; 0 is none.
+    /// 1003h, newest first; 0 marks a free entry.
     history: [u32; HISTORY_LEN as usize],
     bus_offs: u16,
     overruns: u16,
-    /// As last seen.
     error_counters: ErrorCounters,
 }
 
@@ -149,19 +150,21 @@ impl Emergency {
         } else {
             self.is_end_unsent = true;
         }
-        // One entry for one message.
+        // One entry per message.
         if self.unsent & bit == 0 {
             self.unsent |= bit;
             self.enter(u32::from(error_code(bit)) | information << 16);
         }
     }
 
-    /// Takes the controller's error counters. A controller that only listens takes no part in the bus: it is not reported.
+    /// Records the controller's error counters. A controller that only listens takes no part in the bus and is not
+    /// reported.
     pub fn handle_error_counters(&mut self, counters: ErrorCounters, is_listening: bool) {
         let ErrorCounters { transmit, receive } = counters;
         self.error_counters = counters;
         let is_passive = transmit >= ERROR_PASSIVE_LIMIT || receive >= ERROR_PASSIVE_LIMIT;
-        // One valid frame takes a receiver that is error passive to 119..=127 and the next error back: that is no end.
+        // After one valid frame an error passive receiver counts 119..=127, and the next error makes it error passive
+        // again. That is not the end of the fault.
         if !is_passive && receive < WARNING_LIMIT {
             self.end(Fault::ErrorPassive);
         } else if is_passive && !self.has(Fault::ErrorPassive) && !is_listening {
@@ -169,12 +172,12 @@ impl Emergency {
         }
     }
 
-    /// The controller's error counters.
+    /// The controller's latest error counters.
     pub const fn error_counters(&self) -> ErrorCounters {
         self.error_counters
     }
 
-    /// A fault that lasted is over; nothing if it is not there.
+    /// Ends a lasting fault; does nothing if the fault is not present.
     pub const fn end(&mut self, fault: Fault) {
         let bit = fault.bit();
         if self.lasting & bit != 0 {
@@ -187,12 +190,12 @@ impl Emergency {
         self.lasting & fault.bit() != 0
     }
 
-    /// How often [`Fault::BusOffRecovered`] was reported.
+    /// The number of [`Fault::BusOffRecovered`] reports.
     pub const fn bus_offs(&self) -> u16 {
         self.bus_offs
     }
 
-    /// How often [`Fault::Overrun`] was reported.
+    /// The number of [`Fault::Overrun`] reports.
     pub const fn overruns(&self) -> u16 {
         self.overruns
     }
@@ -202,8 +205,8 @@ impl Emergency {
         error_register(self.lasting)
     }
 
-    /// Sub-index 1..=8 of the history 1003h: the error code, and in the upper half the bit rate in use in kbit/s if the
-    /// error is [`Fault::AwayFromHomeRate`].
+    /// Sub-index 1..=8 of the history 1003h: the error code and, for [`Fault::AwayFromHomeRate`], the bit rate in use
+    /// in kbit/s in the upper half.
     pub fn error(&self, sub_index: u8) -> Option<u32> {
         let error = self.history.get(usize::from(sub_index.checked_sub(1)?))?;
         (*error != 0).then_some(*error)
@@ -226,7 +229,7 @@ impl Emergency {
         }
     }
 
-    /// A frame of the node was acknowledged. Emergency messages leave before all frames that repeat by themselves.
+    /// Records that a frame of the node was acknowledged. Emergency messages are sent before all periodic frames.
     pub const fn note_acknowledge(&mut self) {
         if self.in_flight & END != 0 {
             self.rates = 0;
@@ -234,18 +237,18 @@ impl Emergency {
         self.in_flight = 0;
     }
 
-    /// The frames that waited were dropped: what nobody has acknowledged is sent again.
+    /// Records that the pending frames were dropped: messages that were not acknowledged are sent again.
     pub const fn note_dropped(&mut self) {
         self.unsent |= self.in_flight & !END;
         self.is_end_unsent |= self.in_flight & END != 0;
         self.in_flight = 0;
     }
 
-    /// The next message, if there is any to send. Where nothing but errors is heard none is sent: it would disturb others who
-    /// may run at another bit rate.
+    /// The next message, if there is one to send. While the node hears nothing but errors it sends none: a message
+    /// would disturb nodes that may run at another bit rate.
     ///
-    /// Error code 0 comes when nothing is wrong any more: there are masters that take it for the end of all faults, though
-    /// CiA 301 allows it at the end of each.
+    /// Error code 0 is sent when no fault is left. CiA 301 allows it at the end of each fault, but some masters take it
+    /// for the end of all faults.
     pub fn next(&mut self, node: NodeId) -> Option<Frame> {
         if self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
             return None;

@@ -1,11 +1,11 @@
-//! The RUN and ERR indicators of CiA 303-3: from the state of the node and of its controller to on or off.
+//! The RUN and ERR indicators of CiA 303-3, driven by the state of the node and of its controller.
 
 use crate::nmt;
 
-/// How often [`Indicators::step`] is to be called: every 50 ms, the pace of flickering.
+/// The period of [`Indicators::step`]: 50 ms, the pace of flickering.
 pub const STEP_MS: u32 = 50;
 
-/// The controller's place on the bus (ISO 11898-1, fault confinement).
+/// The controller's fault confinement state (ISO 11898-1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BusState {
@@ -13,11 +13,11 @@ pub enum BusState {
     Good,
     /// At least one error counter has reached the warning level.
     Warning,
-    /// Too many errors: the controller takes no part in the bus.
+    /// The controller takes no part in the bus because of too many errors.
     BusOff,
 }
 
-/// Which of the two indicators are on. One LED of two colours shows both.
+/// The indicators that are on. A single two-colour LED can show both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Lit {
@@ -27,13 +27,13 @@ pub struct Lit {
     pub error: bool,
 }
 
-/// The indicators; they only count steps.
+/// The indicators' state: a count of steps.
 #[derive(Clone, Debug, Default)]
 pub struct Indicators {
     step: u8,
 }
 
-/// A pattern, as CiA 303-3 draws them; a step is 50 ms.
+/// A pattern of CiA 303-3, in steps of 50 ms.
 #[derive(Clone, Copy)]
 enum Pattern {
     Off,
@@ -46,7 +46,7 @@ enum Pattern {
     SingleFlash,
 }
 
-/// A whole number of every pattern's periods.
+/// A common multiple of the periods of all patterns.
 const STEPS: u8 = 48;
 
 impl Pattern {
@@ -63,9 +63,9 @@ impl Pattern {
 }
 
 impl Indicators {
-    /// What is lit for the next 50 ms.
+    /// Returns the indicators to light for the next 50 ms.
     ///
-    /// While LSS is at work (`is_lss_active`: LSS configuration state, or no node-ID) both flicker in turn.
+    /// While LSS is active (`is_lss_active`: LSS configuration state, or no node-ID) both flicker alternately.
     pub fn step(&mut self, nmt: nmt::State, is_lss_active: bool, bus: BusState) -> Lit {
         let step = self.step;
         self.step = step.wrapping_add(1) % STEPS;

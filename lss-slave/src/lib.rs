@@ -1,7 +1,7 @@
 //! A CANopen LSS slave (CiA 305) and the small node around it: deterministic, without I/O.
 //!
-//! The library reads no clock, allocates nothing, knows no chip and cannot panic. Frames and the present time go in,
-//! [`Action`]s come out, and the same calls always bring the same actions. A board is whatever carries them out. Here a
+//! The library reads no clock, allocates nothing, knows no chip and cannot panic. It takes frames and the present time
+//! and returns [`Action`]s; the same calls always return the same actions. A board carries the actions out. Here a
 //! master asks whether any slave has no node-ID:
 //!
 //! ```
@@ -20,16 +20,16 @@
 //! assert_eq!((answer.cob_id(), answer.data()), (0x7E4, &[0x50, 0, 0, 0, 0, 0, 0, 0][..]));
 //! ```
 //!
-//! A whole port, on a bus within the process:
+//! A complete port, on a bus within the process:
 //!
 //! ```no_run
 #![doc = include_str!("../examples/in_process_bus.rs")]
 //! ```
 //!
 //! # Where to begin
-//! - [`Node`] says which calls drive it, and in which order; [`Action`] says what each answer asks of the board.
-//! - [`Device`] is what the device is, [`Settings`] how it is set; [`settings::Log`] keeps the settings in flash.
-//! - [`BitRates`] says which bit rates a clock can make, [`bit_rate::BitTiming`] the segments for them.
+//! - [`Node`] documents the calls that drive it and their order; [`Action`] documents what the board must do.
+//! - [`Device`] describes the device, [`Settings`] its configuration; [`settings::Log`] keeps the settings in flash.
+//! - [`BitRates`] holds the bit rates that a clock can produce, [`bit_rate::BitTiming`] the segments for each.
 //! - [`lss::Slave`] is the state machine of CiA 305 alone, for a node that has its own NMT and SDO.
 //!
 //! # Features

@@ -1,4 +1,4 @@
-//! LSS, the layer setting services of CiA 305: messages, address, and the slave's state machine.
+//! LSS, the layer setting services of CiA 305: messages, address and the slave's state machine.
 
 mod address;
 mod message;
@@ -8,7 +8,7 @@ pub use address::{Address, AddressPart};
 pub use message::{FastscanStep, IdentifyKey, Request, Response, StoreError};
 pub use slave::{Reaction, Slave, State};
 
-/// The COB-ID of requests, LSS master to slave.
+/// The COB-ID of requests from the LSS master to the slaves.
 pub const REQUEST_COB_ID: u16 = 0x7E5;
-/// The COB-ID of answers, LSS slave to master.
+/// The COB-ID of answers from an LSS slave to the master.
 pub const RESPONSE_COB_ID: u16 = 0x7E4;

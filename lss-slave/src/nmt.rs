@@ -1,24 +1,24 @@
-//! NMT, CiA 301: the node's communication state, the commands that change it, boot-up and heartbeat.
+//! NMT (CiA 301): the NMT state, the commands that change it, boot-up and heartbeat.
 
 use crate::{Frame, NodeId};
 
 /// The COB-ID of NMT commands (CiA 301, NMT module control).
 pub const COMMAND_COB_ID: u16 = 0x000;
-/// The COB-ID of boot-up and heartbeat is this plus the node-ID (CiA 301, NMT error control).
+/// The base COB-ID of boot-up and heartbeat, to which the node-ID is added (CiA 301, NMT error control).
 pub const ERROR_CONTROL_COB_ID: u16 = 0x700;
 
-/// An NMT state, with the value that a heartbeat carries (CiA 301).
+/// An NMT state; the value is the one in a heartbeat (CiA 301).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum State {
-    /// No node-ID yet, or the boot-up has not been sent. Its value is what a boot-up carries.
+    /// The node has no node-ID yet or has not sent its boot-up. The boot-up carries this value.
     Initialisation = 0x00,
     /// Only LSS and NMT are served.
     Stopped = 0x04,
-    /// All that the node offers is served.
+    /// All services are served.
     Operational = 0x05,
-    /// All but process data is served.
+    /// All services but process data are served.
     PreOperational = 0x7F,
 }
 
@@ -32,14 +32,14 @@ pub enum Command {
     Stop,
     /// 128: enter [`State::PreOperational`].
     EnterPreOperational,
-    /// 129: start again as after power-on.
+    /// 129: restart as after power-on.
     ResetNode,
-    /// 130: start communication again, with the pending node-ID.
+    /// 130: restart communication with the pending node-ID.
     ResetCommunication,
 }
 
 impl Command {
-    /// The command in `frame`, if it is one and is meant for the node `own` (or, as node 0, for all).
+    /// The command in `frame`, if there is one for the node `own` or for all nodes (node 0).
     pub fn from_frame(frame: &Frame, own: Option<NodeId>) -> Option<Self> {
         let &[command, addressee] = frame.data() else {
             return None;
@@ -57,17 +57,17 @@ impl Command {
         }
     }
 
-    /// Whether it is one of the two resets.
+    /// Whether the command is one of the two resets.
     pub const fn is_reset(self) -> bool {
         matches!(self, Self::ResetNode | Self::ResetCommunication)
     }
 }
 
-/// What a communication error does to the NMT state: 1029h sub-index 1 (CiA 301).
+/// The effect of a communication error on the NMT state: 1029h sub-index 1 (CiA 301).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(crate) enum ErrorBehaviour {
-    /// Only from operational.
+    /// Enters pre-operational, but only from operational.
     EnterPreOperational = 0,
     KeepState = 1,
     EnterStopped = 2,
@@ -84,7 +84,7 @@ impl ErrorBehaviour {
     }
 }
 
-/// The frame that tells the state of `node`: a heartbeat, or in [`State::Initialisation`] the boot-up.
+/// The frame that reports the state of `node`: a heartbeat, or the boot-up in [`State::Initialisation`].
 pub(crate) const fn error_control(node: NodeId, state: State) -> Frame {
     Frame::with_one_byte(ERROR_CONTROL_COB_ID + node.get() as u16, state as u8)
 }

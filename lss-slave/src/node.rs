@@ -1,4 +1,5 @@
-//! The node: joins LSS, bit rate control, NMT, SDO, emergency and storing. Inputs are `handle_*` and `poll`, outputs actions.
+//! The node, which joins LSS, bit rate control, NMT, SDO, emergency and storing. Inputs are `handle_*` and `poll`;
+//! outputs are actions.
 
 mod bit_rate_control;
 mod nmt_slave;
@@ -18,46 +19,47 @@ use nmt_slave::NmtSlave;
 use objects::Parts;
 use storing::Storing;
 
-/// What the board has to do now.
+/// An action for the board to carry out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action {
-    /// Send this frame. Frames of equal COB-ID leave in the order of their actions.
+    /// Send this frame. Frames of equal COB-ID must leave in the order of their actions.
     Transmit(Frame),
-    /// Receive what a node with this node-ID [`receives`](Node::receives), and drop all frames that wait to be sent but those
-    /// of COB-ID 7E4h: they carry the COB-IDs of before. One that is on the bus now may go on; what the node sends next leaves
-    /// after it.
+    /// Receive the COB-IDs that a node with this node-ID [`receives`](Node::receives). Drop all pending frames except
+    /// those of COB-ID 7E4h: they carry the previous COB-IDs. A frame that is on the bus now may finish; later frames
+    /// of the node leave after it.
     SetNodeId(Option<NodeId>),
-    /// Start no frame from now on and drop those that wait; go on receiving and acknowledging.
+    /// Start no frame from now on and drop the pending ones; keep receiving and acknowledging.
     StopTransmitting,
-    /// Drop the frames that wait and run the controller at this bit rate, out of bus-off if need be. If
-    /// [`StopTransmitting`](Self::StopTransmitting) or [`Listen`](Self::Listen) came before, it receives and acknowledges only.
+    /// Drop the pending frames and run the controller at this bit rate, leaving bus-off if necessary. After
+    /// [`StopTransmitting`](Self::StopTransmitting) or [`Listen`](Self::Listen) it only receives and acknowledges.
     SetBitRate(BitRate),
-    /// Frames may be sent again.
+    /// Allow frames to be sent again.
     ResumeTransmitting,
-    /// Run the controller silently at this bit rate: drop the frames that wait, send no dominant bit, not even to
-    /// acknowledge; receive all frames, and report the first frame and the first error to [`Node::handle_bus`].
+    /// Run the controller silently at this bit rate: drop the pending frames and send no dominant bit, not even an
+    /// acknowledge. Receive all frames, and report the first frame and the first error to [`Node::handle_bus`].
     Listen(BitRate),
     /// Make these settings persistent, then call [`Node::handle_stored`].
     Store(Settings),
-    /// Reset the device as if the power had been cut; the node begins again with the persistent settings.
+    /// Reset the device as after a power cut; the node restarts with the persistent settings.
     ResetDevice,
 }
 
 /// A CANopen node that an LSS master can configure.
 ///
-/// It is driven by these calls:
+/// These calls drive it:
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
-/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the other events of the controller;
+/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the controller's other
+///   events;
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
 /// - [`handle_fault`](Self::handle_fault) with a fault of the board;
-/// - [`poll`](Self::poll) first of all, after each of the others, and at [`poll_at`](Self::poll_at): again and again until it
-///   returns `None`. What is due goes before a frame. Where each instruction counts, [`is_due`](Self::is_due) says whether
-///   there is any need.
+/// - [`poll`](Self::poll) at the start, after each of the others, and at [`poll_at`](Self::poll_at), repeatedly until
+///   it returns `None`. Actions that are due come before the next received frame. [`is_due`](Self::is_due) is a cheap
+///   check that saves an unnecessary call.
 ///
-/// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives what the node wants.
-/// A call that comes late or without need does no harm.
+/// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives the node's COB-IDs. A
+/// late or unnecessary call does no harm.
 #[derive(Clone, Debug)]
 pub struct Node {
     device: Device,
@@ -70,23 +72,23 @@ pub struct Node {
     due: Due,
 }
 
-/// When [`Node::poll`] has something to do.
+/// The time at which [`Node::poll`] has something to do.
 #[derive(Clone, Copy, Debug)]
 enum Due {
-    /// Whatever has happened may have made something due.
+    /// The latest input may have made something due.
     Now,
     At(Instant),
     Never,
 }
 
 impl Node {
-    /// A node after power-on, with the settings that were stored, or the device's defaults.
+    /// A node after power-on, with the stored settings or the device's defaults.
     pub const fn new(device: Device, stored: Option<Settings>) -> Self {
         let persistent = match stored {
             Some(settings) => settings,
             None => device.defaults,
         };
-        // Another image, with other clocks, may have stored a rate that this one has not.
+        // An image with other clocks may have stored a rate that this one does not offer.
         let bit_rate = match persistent.bit_rate {
             BitRateSetting::Fixed(rate) if !device.bit_rates.contains(rate) => {
                 BitRateSetting::Automatic
@@ -105,7 +107,7 @@ impl Node {
         }
     }
 
-    /// The LSS slave within.
+    /// The LSS slave of the node.
     pub const fn lss(&self) -> &Slave {
         &self.lss
     }
@@ -120,13 +122,13 @@ impl Node {
         self.lss.active_node_id()
     }
 
-    /// The bit rate at which the controller runs, or listens.
+    /// The bit rate at which the controller runs or listens.
     pub const fn bit_rate(&self) -> BitRate {
         self.bit_rate.in_use()
     }
 
-    /// The active bit rate (CiA 305): stored at power-on or activated since, or one at which the node has found the others.
-    /// Automatic detection stays active when it has found a rate.
+    /// The active bit rate (CiA 305): the rate stored at power-on, activated since, or found by the supervision.
+    /// Automatic detection stays active after it has found a rate.
     pub const fn active_bit_rate(&self) -> BitRateSetting {
         self.bit_rate.active()
     }
@@ -136,15 +138,15 @@ impl Node {
         self.bit_rate.is_listening()
     }
 
-    /// The COB-IDs of the frames that the node wants to see; it ignores all others. They change with the node-ID.
+    /// The COB-IDs of the frames that the node uses; it ignores all others. They change with the node-ID.
     pub fn receives(&self) -> [u16; 3] {
-        // Without a node-ID there is nothing but LSS and NMT to see.
+        // Without a node-ID only LSS and NMT are received.
         let sdo = self.sdo_request_cob_id().unwrap_or(lss::REQUEST_COB_ID);
         [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo]
     }
 
-    /// Takes a received frame; returns the answer to a request of LSS that has one at once. All else comes from
-    /// [`poll`](Self::poll).
+    /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
+    /// returns all other actions.
     #[inline(never)] // Apart it takes 70 bytes less.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
@@ -169,15 +171,15 @@ impl Node {
         None
     }
 
-    /// Records a fault of the board, such as [`Fault::SettingsLost`], and queues an emergency message; the history 1003h keeps
-    /// it.
+    /// Records a fault of the board, such as [`Fault::SettingsLost`], in the history 1003h and queues an emergency
+    /// message.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report(fault);
         self.due = Due::Now;
     }
 
-    /// Takes an event of the controller at `now`. A repeated one does no harm, but [`BusEvent::Overrun`] and
-    /// [`BusEvent::BusOffRecovered`] are counted.
+    /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
+    /// [`BusEvent::BusOffRecovered`] is counted.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         self.due = Due::Now;
         match event {
@@ -205,7 +207,7 @@ impl Node {
         self.bit_rate.handle_bus(event, now);
     }
 
-    /// Takes the outcome of the last [`Action::Store`].
+    /// Records the outcome of the last [`Action::Store`].
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         if self.storing.handle_stored(outcome) {
             if outcome.is_ok() {
@@ -215,7 +217,7 @@ impl Node {
         }
     }
 
-    /// Whether [`poll`](Self::poll) may have something to do at `now`: a cheap question.
+    /// Whether [`poll`](Self::poll) may have something to do at `now`: a cheap check.
     pub const fn is_due(&self, now: Instant) -> bool {
         match self.due {
             Due::Now => true,
@@ -224,7 +226,7 @@ impl Node {
         }
     }
 
-    /// Does the next thing that is due at `now`; returns `None` when nothing is.
+    /// Performs the next step that is due at `now`; returns `None` when nothing is due.
     #[must_use = "an action that is not carried out is lost"]
     pub fn poll(&mut self, now: Instant) -> Option<Action> {
         if !self.is_due(now) {
@@ -237,7 +239,7 @@ impl Node {
         action
     }
 
-    /// When [`poll`](Self::poll) must be called again, if no other call comes before.
+    /// The latest time of the next [`poll`](Self::poll), if there is no other call before.
     pub fn poll_at(&self) -> Option<Instant> {
         match self.due {
             Due::Now => self.find_deadline(),
@@ -312,7 +314,7 @@ impl Node {
     fn activate_bit_rate(&mut self, silent_until: Instant) {
         let setting = self.lss.activate_bit_rate();
         let was_automatic = self.bit_rate.active() == BitRateSetting::Automatic;
-        // A detection that goes on keeps what it has found.
+        // A detection that continues keeps its result.
         if was_automatic && setting == BitRateSetting::Automatic {
             return;
         }
@@ -321,8 +323,8 @@ impl Node {
         self.emergency.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
     }
 
-    /// Adopts the bit rate at which the supervision has found others, or home after it. Also before a switch: the request for
-    /// it may be the frame that has shown home to be right.
+    /// Adopts a bit rate that the supervision has found, or the home rate after a return. This also precedes a switch:
+    /// the request for it may be the frame that proved the home rate.
     #[inline(never)] // It has several callers: 60 bytes.
     fn follow_bit_rate(&mut self) {
         let Some(in_use) = self.bit_rate.take_change() else {
@@ -339,7 +341,7 @@ impl Node {
         }
     }
 
-    /// Takes a step of the supervision, which drops the frames that wait.
+    /// Carries out a step of the supervision, which drops the pending frames.
     fn take_step(&mut self, step: Step) -> Action {
         self.emergency.note_dropped();
         self.nmt.note_dropped();
@@ -370,7 +372,7 @@ impl Node {
         Action::SetNodeId(self.node_id())
     }
 
-    /// The NMT state may have changed.
+    /// Locks or releases LSS after a possible change of the NMT state.
     fn lock_lss(&mut self) {
         let is_operational = self.nmt_state() == nmt::State::Operational;
         self.lss.set_locked(self.device.lss_lock && is_operational);
@@ -402,7 +404,7 @@ impl Node {
         Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer)))
     }
 
-    /// Ends what clients of SDO wait for.
+    /// Discards pending SDO transfers.
     fn end_sdo(&mut self) {
         self.sdo.reset();
         self.storing.forget_sdo();
@@ -427,13 +429,13 @@ impl Node {
                         }
                     });
                 }
-                // The NMT state has changed since.
+                // The NMT state has changed since the request.
                 AnswerSdo(..) => {}
             }
         }
     }
 
-    /// Boot-up, emergency, heartbeat.
+    /// Returns the next boot-up, emergency message or heartbeat.
     fn report(&mut self, now: Instant) -> Option<Action> {
         let node = self.node_id()?;
         let frame = self.nmt.next_boot_up(node, now).or_else(|| {

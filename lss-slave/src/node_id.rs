@@ -1,8 +1,8 @@
-//! The node-ID, 1..=127, and its form in LSS messages, where FFh stands for "not configured".
+//! The node-ID, 1..=127, and its encoding in LSS messages, where FFh means "not configured".
 
 use core::{error, fmt, num::NonZeroU8};
 
-/// A valid CANopen node-ID: 1..=127. A node that has none is `None::<NodeId>` (CiA 305: FFh).
+/// A valid CANopen node-ID: 1..=127. An unconfigured node has `None::<NodeId>` (CiA 305: FFh).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NodeId(NonZeroU8);
@@ -23,7 +23,7 @@ impl NodeId {
         self.0.get()
     }
 
-    /// A node-ID as LSS writes it: 1..=127, FFh for none.
+    /// Decodes the node-ID of an LSS message: 1..=127, or FFh for none.
     ///
     /// # Errors
     /// [`InvalidNodeId`] for 0 and 80h..=FEh.
@@ -34,7 +34,7 @@ impl NodeId {
         }
     }
 
-    /// The byte with which LSS writes `id`: 1..=127, FFh for none.
+    /// Encodes `id` for an LSS message: 1..=127, or FFh for none.
     pub const fn to_lss(id: Option<Self>) -> u8 {
         match id {
             Some(id) => id.get(),

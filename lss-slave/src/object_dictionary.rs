@@ -1,9 +1,9 @@
-//! The object dictionary: the one table of what a tool can read and write by SDO (CiA 301, 7.5).
+//! The object dictionary: the table of all objects that are accessible by SDO (CiA 301, 7.5).
 
-/// An object, or a part of one, that the node holds.
+/// An object of the node, or a part of one.
 ///
-/// To add one: name it here, give it a row in [`TABLE`], and let `node::objects` read (and write) it; then add it to the
-/// EDS, which a test compares with the table.
+/// To add an object, name it here, give it a row in [`TABLE`], and handle its reads (and writes) in `node::objects`.
+/// Then add it to the EDS, which a test compares with the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[expect(missing_docs, reason = "the names are those of CiA 301")]
@@ -20,27 +20,27 @@ pub enum Object {
     RestoreDefaultParameters,
     CobIdEmergency,
     ProducerHeartbeatTime,
-    /// What a communication error does to the NMT state.
+    /// The effect of a communication error on the NMT state.
     CommunicationErrorBehaviour,
     VendorId,
     ProductCode,
     RevisionNumber,
     SerialNumber,
-    /// How often the controller has recovered from bus-off since the start.
+    /// The number of recoveries from bus-off since the start.
     BusOffs,
-    /// How often received frames were lost since the start.
+    /// The number of times received frames were lost since the start.
     Overruns,
     /// TEC of the controller (ISO 11898-1).
     TransmitErrorCounter,
     /// REC of the controller (ISO 11898-1).
     ReceiveErrorCounter,
-    /// The bit rate in kbit/s that was last commanded: stored at power-on, or activated since. 0 while it is detected.
+    /// The commanded bit rate in kbit/s: stored at power-on, or activated since. 0 during automatic detection.
     HomeBitRate,
     /// The bit rate in use, in kbit/s.
     BitRateInUse,
-    /// How often the node has found another bit rate to take part at since the start.
+    /// The number of times since the start that the node has joined the others at another bit rate.
     Rescues,
-    /// Sub-index 0 of an object with this many further ones.
+    /// Sub-index 0 of an object: the number of its further sub-indices.
     HighestSubIndex(u8),
 }
 
@@ -57,7 +57,7 @@ pub enum DataType {
 }
 
 impl DataType {
-    /// Bytes of a number of this type; 0 for a string.
+    /// The size of a number of this type in bytes; 0 for a string.
     pub const fn size(self) -> u8 {
         match self {
             Self::Unsigned8 => 1,
@@ -68,7 +68,7 @@ impl DataType {
     }
 }
 
-/// What a client may do with an object.
+/// The access that a client has to an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[expect(missing_docs, reason = "the names are those of CiA 306")]
@@ -144,12 +144,12 @@ const fn row(
     Entry { index, sub_index, data_type, access, object }
 }
 
-/// The row of an object, or why there is none.
+/// The row of an object, or the part of its address that does not exist.
 #[inline(never)] // It has two callers.
 pub(crate) fn find(index: u16, sub_index: u8) -> Result<&'static Entry, Missing> {
     let is_at_or_before = |entry: &Entry| (entry.index, entry.sub_index) <= (index, sub_index);
     let last = TABLE.partition_point(is_at_or_before).wrapping_sub(1);
-    // Each object has a sub-index 0, so that this row is the object's if there is one.
+    // Each object has a sub-index 0, so this row belongs to the object if it exists.
     match TABLE.get(last) {
         Some(entry) if entry.index != index => Err(Missing::Object),
         Some(entry) if entry.sub_index != sub_index => Err(Missing::SubIndex),
@@ -158,7 +158,7 @@ pub(crate) fn find(index: u16, sub_index: u8) -> Result<&'static Entry, Missing>
     }
 }
 
-/// What of an address in the dictionary is not there.
+/// The part of a dictionary address that does not exist.
 pub(crate) enum Missing {
     Object,
     SubIndex,

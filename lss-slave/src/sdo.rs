@@ -1,43 +1,43 @@
-//! The SDO server (CiA 301, 7.2.4): expedited transfers both ways, segmented upload for the names.
+//! The SDO server (CiA 301, 7.2.4): expedited transfers in both directions and segmented upload for the names.
 
 use core::{error, fmt};
 
 use crate::object_dictionary::{self, Access, Entry, Missing, Object};
 
-/// Requests to a node have this COB-ID plus its node-ID.
+/// The base COB-ID of requests, to which the node-ID is added.
 pub const REQUEST_COB_ID: u16 = 0x600;
-/// Answers of a node have this COB-ID plus its node-ID.
+/// The base COB-ID of answers, to which the node-ID is added.
 pub const RESPONSE_COB_ID: u16 = 0x580;
 
-/// Why a transfer is aborted, with the code that goes to the client (CiA 301, table 22).
+/// The reason for an abort, with the code that is sent to the client (CiA 301, table 22).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 #[repr(u32)]
 pub enum Abort {
-    /// A segment with the toggle bit of the one before.
+    /// The segment repeats the toggle bit of the one before.
     Toggle = 0x0503_0000,
-    /// A command that is unknown or not offered, such as block transfer.
+    /// The command is unknown or not supported, such as block transfer.
     Command = 0x0504_0001,
-    /// A write to what can only be read.
+    /// A read-only object was written.
     ReadOnly = 0x0601_0002,
-    /// No such object.
+    /// The object does not exist.
     NoObject = 0x0602_0000,
     /// The settings could not be written.
     Hardware = 0x0606_0000,
-    /// More data than the object holds.
+    /// The data is longer than the object.
     TooLong = 0x0607_0012,
-    /// Less data than the object holds.
+    /// The data is shorter than the object.
     TooShort = 0x0607_0013,
     /// The object exists, the sub-index does not.
     NoSubIndex = 0x0609_0011,
-    /// A value that the object cannot have.
+    /// The value is out of the object's range.
     InvalidValue = 0x0609_0030,
-    /// Neither "save" nor "load" where it must be.
+    /// The signature is not "save" or "load" as the object requires.
     NotStored = 0x0800_0020,
-    /// A store is on its way already.
+    /// Another store is under way.
     Busy = 0x0800_0021,
-    /// The object is there, but holds nothing now.
+    /// The object exists, but has no data now.
     NoData = 0x0800_0024,
 }
 
@@ -70,25 +70,25 @@ pub(crate) enum Value {
     Text(&'static str),
 }
 
-/// When a write has its effect.
+/// The effect of a write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Written {
     Now,
-    /// The answer follows: [`confirm`] or [`abort`].
+    /// The answer follows later: [`confirm`] or [`abort`].
     Later,
 }
 
-/// What the server reads and writes.
+/// The object dictionary behind the server.
 pub(crate) trait Objects {
     fn read(&self, object: Object) -> Result<Value, Abort>;
-    /// Of `value` the bytes that the entry has count.
+    /// Writes the first bytes of `value`, as many as the entry has.
     fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort>;
 }
 
-/// An SDO server: it remembers one request, and at most one segmented upload, which the next initiate ends.
+/// An SDO server. It holds one request and at most one segmented upload, which the next initiate ends.
 #[derive(Clone, Debug)]
 pub(crate) struct Server {
-    /// Received and not yet answered.
+    /// A received request that has not been answered.
     request: Option<[u8; 8]>,
     upload: Option<Upload>,
 }
@@ -106,17 +106,17 @@ impl Server {
         Self { request: None, upload: None }
     }
 
-    /// Ends the upload that is under way, without an answer to the client.
+    /// Ends the current upload without an answer to the client.
     pub const fn reset(&mut self) {
         self.upload = None;
     }
 
-    /// Takes a request, which [`poll`](Self::poll) answers.
+    /// Accepts a request, which [`poll`](Self::poll) answers.
     pub const fn handle(&mut self, request: [u8; 8]) {
         self.request = Some(request);
     }
 
-    /// Carries out the request and returns the answer, if there is one now.
+    /// Executes the request and returns the answer, if there is one now.
     pub fn poll(&mut self, objects: &mut impl Objects) -> Option<[u8; 8]> {
         let [command, i0, i1, sub_index, d0, d1, d2, d3] = self.request.take()?;
         let index = u16::from_le_bytes([i0, i1]);
@@ -222,7 +222,7 @@ fn download(
     objects.write(entry, number)
 }
 
-/// The answer to a download that has been carried out.
+/// The answer to a completed download.
 pub(crate) const fn confirm(index: u16, sub_index: u8) -> [u8; 8] {
     message(0x60, index, sub_index, 0)
 }

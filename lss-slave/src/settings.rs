@@ -1,4 +1,4 @@
-//! What the node keeps through a power cut, and the log in flash that keeps it.
+//! The settings that survive a power cut, and the flash log that keeps them.
 
 mod log;
 mod record;
@@ -12,33 +12,33 @@ use crate::{BitRateSetting, NodeId};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct Settings {
-    /// The node-ID; `None`: not configured.
+    /// The node-ID; `None` if not configured.
     pub node_id: Option<NodeId>,
-    /// The bit rate, or that it is to be detected.
+    /// The bit rate or automatic detection.
     pub bit_rate: BitRateSetting,
-    /// The producer heartbeat time 1017h in milliseconds; 0: no heartbeat.
+    /// The producer heartbeat time 1017h in milliseconds; 0 disables the heartbeat.
     pub heartbeat_ms: u16,
 }
 
 impl Settings {
-    /// Settings with this bit rate, without a node-ID and without a heartbeat.
+    /// Settings with this bit rate, no node-ID and no heartbeat.
     pub const fn new(bit_rate: BitRateSetting) -> Self {
         Self { node_id: None, bit_rate, heartbeat_ms: 0 }
     }
 
-    /// The same with another [`node_id`](Self::node_id).
+    /// Replaces the [`node_id`](Self::node_id).
     #[must_use]
     pub const fn with_node_id(self, node_id: Option<NodeId>) -> Self {
         Self { node_id, ..self }
     }
 
-    /// The same with another [`bit_rate`](Self::bit_rate).
+    /// Replaces the [`bit_rate`](Self::bit_rate).
     #[must_use]
     pub const fn with_bit_rate(self, bit_rate: BitRateSetting) -> Self {
         Self { bit_rate, ..self }
     }
 
-    /// The same with another [`heartbeat_ms`](Self::heartbeat_ms).
+    /// Replaces the [`heartbeat_ms`](Self::heartbeat_ms).
     #[must_use]
     pub const fn with_heartbeat_ms(self, heartbeat_ms: u16) -> Self {
         Self { heartbeat_ms, ..self }

@@ -1,86 +1,89 @@
-//! Bit-rate supervision: which bit rate the node runs at, and when it looks for another (`docs/bit-rates.md`).
+//! Bit-rate supervision: the choice of the node's bit rate and the search for another (`docs/bit-rates.md`).
 //!
-//! The *home* rate is the one last commanded: stored at power-on, or activated since. There the node behaves as a node
-//! without supervision does. Only lasting errors without one valid frame make it look elsewhere. It then listens silently at
-//! the other rates, in slices that are short enough for a master at the home rate to be answered within 100 ms. A valid frame
-//! at another rate makes the node a *guest* there, until errors or a missing acknowledge send it home.
+//! The *home* rate is the one last commanded: stored at power-on, or activated since. At home the node behaves like a
+//! node without supervision. Only lasting errors without a single valid frame start a search. The node then listens
+//! silently at the other rates, in slices that are short enough for a master at the home rate to be answered within 100
+//! ms. A valid frame at another rate makes the node a *guest* there, until errors or a missing acknowledge send it
+//! home.
 
 use core::mem;
 
 use crate::{BitRate, BitRateSetting, BitRates, BusEvent, Instant};
 
-/// What the node does next about its bit rate.
+/// The node's next step for its bit rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Step {
     /// Take part in the bus at this rate.
     TakePart(BitRate),
     /// Receive silently at this rate.
     Listen(BitRate),
-    /// Drop the frames that wait.
+    /// Drop the pending frames.
     DropFrames,
 }
 
-/// How long a commanded rate counts alone after the switch.
+/// The time after a switch in which only the commanded rate is used.
 const TRUST_MICROS: u32 = 30_000_000;
-/// How long a disturbed node withholds its frames after the latest error, and at least after bus-off: the time of the
-/// recovery (ISO 11898-1).
+/// The time for which a disturbed node withholds its frames after the latest error. After bus-off it is at least the
+/// time of the recovery (ISO 11898-1).
 const WITHHOLD_MICROS: u32 = 50_000;
 const RECOVERY_BITS: u32 = 128 * 11;
-/// How long a frame is repeated that nobody acknowledges, and the pause that follows. Without a pause a slower node never
-/// sees the 11 recessive bits that let it join the bus.
+/// The time for which an unacknowledged frame is repeated, and the pause that follows. Without a pause a slower node
+/// never sees the 11 recessive bits that let it join the bus.
 const REPEAT_MICROS: u32 = 100_000;
 const PAUSE_MICROS: u32 = 20_000;
-/// How many errors without a valid frame, and for how long, make a home rate doubtful that was proven in this power cycle. One
-/// that was not is doubtful at the first: frames may be rare.
+/// The number of errors without a valid frame, and the time they span, that make a proven home rate doubtful. A rate
+/// that was not proven in this power cycle is doubtful after the first error, since frames may be rare.
 const LASTING_ERRORS: u8 = 3;
 const LASTING_MICROS: u32 = 1_000_000;
-/// Errors further apart than this do not add up.
+/// Errors further apart than this are not added up.
 const GAP_MICROS: u32 = 2_500_000;
-/// Errors without a valid frame that send a guest home.
+/// The number of errors without a valid frame that send a guest home.
 const GUEST_ERRORS: u8 = 2;
-/// How long a guest waits for an acknowledge.
+/// The time for which a guest waits for an acknowledge.
 const ACKNOWLEDGE_MICROS: u32 = 1_000_000;
-/// How long a look elsewhere lasts once something was heard, and how long it waits for that: a network may have no more
-/// than one heartbeat a second.
+/// The length of a look at another rate once something was heard, and the longest wait for that: a network may have no
+/// more than one heartbeat a second.
 const LOOK_MICROS: u32 = 40_000;
 const WAIT_MICROS: u32 = 1_100_000;
-/// How long home is listened to between two looks: this, and the time of two frames.
+/// The time, plus that of two frames, for which the node listens at home between two looks.
 const TURN_MICROS: u32 = 20_000;
 const TURN_BITS: u32 = 2 * 135;
-/// How long the node takes part at home between two looks while the bus is quiet.
+/// The time for which the node takes part at home between two looks while the bus is quiet.
 const OPEN_TURN_MICROS: u32 = 150_000;
-/// Errors this close to one another belong to one episode: no look is longer that hears anything.
+/// Errors this close together belong to one episode. A look that hears anything lasts no longer.
 const EPISODE_GAP_MICROS: u32 = 60_000;
-/// The time of two frames at 10 kbit/s.
+/// The duration of two frames at 10 kbit/s.
 const FRAME_MICROS: u32 = 30_000;
-/// How soon new errors must follow a fruitless look for the next one to wait.
+/// The next look waits if new errors follow a fruitless look within this time.
 const DOUBT_MICROS: u32 = 3_000_000;
-/// Form errors at one rate until detection leaves it. A lone master is error passive after 16 attempts, and then heard.
+/// The number of form errors after which detection leaves a rate. A lone master is error passive after 16 attempts and
+/// can then be received.
 const FORM_ERRORS: u8 = 20;
-/// How long detection listens at one rate to a silent bus.
+/// The time for which detection listens at one rate to a silent bus.
 const DETECTION_MICROS: u32 = 1_500_000;
 
-/// Decides which bit rate the node runs at.
+/// The supervision, which chooses the node's bit rate.
 #[derive(Clone, Debug)]
 pub(crate) struct Supervision {
     rates: BitRates,
     is_enabled: bool,
     home: BitRate,
-    /// Something was received or acknowledged at home, since power-on or the latest switch.
+    /// A frame was received or acknowledged at home since power-on or the latest switch.
     is_proven: bool,
-    /// A frame was repeated at home for [`REPEAT_MICROS`], and nothing but an acknowledge was missing: nobody takes part.
+    /// A frame was repeated at home for [`REPEAT_MICROS`] and only the acknowledge was missing: no other node takes
+    /// part.
     is_alone: bool,
-    /// The rate before the latest switch, until it has been looked at.
+    /// The rate before the latest switch, until the search has visited it.
     previous: Option<BitRate>,
     trusted_until: Option<Instant>,
-    /// The next look waits for something to be heard.
+    /// Until then, a look waits until something is heard.
     doubted_until: Option<Instant>,
     place: Place,
     errors: Errors,
     sending: Sending,
-    /// Not yet taken by [`poll`](Self::poll).
+    /// The step that [`poll`](Self::poll) returns next.
     step: Option<Step>,
-    /// The rate at which the node last took part, as [`take_change`](Self::take_change) knows it.
+    /// The rate at which the node last took part, as returned by [`take_change`](Self::take_change).
     active: BitRate,
     rescues: u16,
 }
@@ -99,11 +102,11 @@ impl Place {
     }
 }
 
-/// Whether own frames may leave where the node takes part.
+/// Whether the node may send frames where it takes part.
 #[derive(Clone, Copy, Debug)]
 enum Sending {
     Free,
-    /// A frame is repeated that nobody has acknowledged.
+    /// A frame is being repeated without an acknowledge.
     Unacknowledged {
         until: Instant,
     },
@@ -112,18 +115,18 @@ enum Sending {
     },
 }
 
-/// What a search remembers from one turn to the next.
+/// The state that a search keeps from one turn to the next.
 #[derive(Clone, Copy, Debug)]
 struct Look {
-    /// The rate that is listened to when it is not home's turn.
+    /// The rate to listen at when it is not home's turn.
     candidate: BitRate,
-    /// The latest look elsewhere ended at another candidate than it began.
+    /// The latest look ended at a different candidate than it began with.
     has_moved: bool,
-    /// The next look waits for something to be heard.
+    /// The next look waits until something is heard.
     waits: bool,
     /// A look has waited.
     has_waited: bool,
-    /// The latest errors that followed one another closely.
+    /// The latest errors in close succession.
     episode: Errors,
 }
 
@@ -140,7 +143,8 @@ impl Look {
         self.episode.add(now);
     }
 
-    /// Whether what was heard lasted longer than one frame that its sender repeats: a look need not wait for the next frame.
+    /// Whether the episode lasted longer than one frame that its sender repeats. A look then need not wait for the next
+    /// frame.
     fn is_dense(&self) -> bool {
         self.episode.first.plus_micros(FRAME_MICROS).has_come(self.episode.latest)
     }
@@ -182,8 +186,8 @@ impl Errors {
 }
 
 impl Supervision {
-    /// The supervision of a node that was switched on with this setting. If it is not enabled, the node only detects its bit
-    /// rate if the setting says so.
+    /// The supervision of a node that was powered on with this setting. If disabled, the node only performs automatic
+    /// detection, if the setting demands it.
     pub const fn new(setting: BitRateSetting, rates: BitRates, is_enabled: bool) -> Self {
         let (home, place, step) = match setting {
             BitRateSetting::Fixed(rate) => (rate, Place::Home, None),
@@ -210,7 +214,7 @@ impl Supervision {
         }
     }
 
-    /// The bit rate at which the controller runs, or listens.
+    /// The bit rate at which the controller runs or listens.
     #[inline(never)] // It has several callers: 130 bytes.
     pub const fn bit_rate(&self) -> BitRate {
         match &self.place {
@@ -220,7 +224,7 @@ impl Supervision {
         }
     }
 
-    /// The active rate: the one commanded, or at which the node has found others.
+    /// The active rate: the commanded rate, or the one at which the node has found the others.
     pub const fn active(&self) -> BitRate {
         self.active
     }
@@ -233,7 +237,7 @@ impl Supervision {
         }
     }
 
-    /// How often the node has become a guest at another rate.
+    /// The number of times that the node has become a guest.
     pub const fn rescues(&self) -> u16 {
         self.rescues
     }
@@ -247,7 +251,7 @@ impl Supervision {
         }
     }
 
-    /// Whether the node sends no frame although it takes part.
+    /// Whether the node takes part but sends no frames.
     pub const fn is_withholding(&self) -> bool {
         matches!(self.sending, Sending::Withheld { .. })
     }
@@ -257,22 +261,22 @@ impl Supervision {
         matches!(self.place, Place::Detecting { .. })
     }
 
-    /// Whether something that has happened asks for a step that has not been taken.
+    /// Whether an event requires a step that has not been taken.
     pub const fn has_step(&self) -> bool {
         self.step.is_some()
     }
 
-    /// Whether the node takes part at home, and looks nowhere else.
+    /// Whether the node takes part at home and does not search.
     pub const fn is_at_home(&self) -> bool {
         matches!(self.place, Place::Home)
     }
 
-    /// Whether the controller listens at another rate than home.
+    /// Whether the controller listens at a rate other than home.
     pub const fn is_elsewhere(&self) -> bool {
         matches!(self.place, Place::Looking { turn: Turn::Elsewhere { .. }, .. })
     }
 
-    /// Whether one more valid frame makes no difference.
+    /// Whether another valid frame makes no difference.
     pub const fn is_at_ease(&self) -> bool {
         self.is_at_home()
             && self.is_proven
@@ -280,8 +284,8 @@ impl Supervision {
             && matches!(self.sending, Sending::Free)
     }
 
-    /// A rate to take part at that is another than the last one returned, or commanded: the node has become a guest, or is
-    /// home again.
+    /// The rate at which the node takes part, if it differs from the last one returned or commanded: the node has
+    /// become a guest or has returned home.
     pub fn take_change(&mut self) -> Option<BitRate> {
         let rate = match self.place {
             Place::Home => self.home,
@@ -298,7 +302,7 @@ impl Supervision {
         Some(rate)
     }
 
-    /// Activate bit timing has come to the end of its first delay: `rate` is home from now on, and counts alone until 30 s
+    /// Switches home to `rate`, at the end of the first delay of activate bit timing. No other rate is used until 30 s
     /// after `silent_until`.
     pub fn command(&mut self, rate: BitRate, silent_until: Instant) {
         let before = self.bit_rate();
@@ -337,7 +341,7 @@ impl Supervision {
         }
     }
 
-    /// Takes what the controller has observed.
+    /// Handles an observation of the controller.
     pub fn handle(&mut self, event: BusEvent, now: Instant) {
         use BusEvent::*;
         if event == BusOff && self.is_enabled {
@@ -345,7 +349,7 @@ impl Supervision {
             let micros = WITHHOLD_MICROS.max(bits_micros(RECOVERY_BITS, rate));
             self.sending = Sending::Withheld { until: now.plus_micros(micros) };
             if !self.is_listening() {
-                // Receiving cannot wait for the recovery: on a busy bus that takes hundreds of frames.
+                // Reception cannot wait for the recovery, which takes hundreds of frames on a busy bus.
                 self.step = Some(Step::TakePart(rate));
             }
             return;
@@ -444,7 +448,7 @@ impl Supervision {
         }
     }
 
-    /// The next step, if one is due at `now`.
+    /// Returns the next step, if one is due at `now`.
     pub fn poll(&mut self, now: Instant) -> Option<Step> {
         if self.step.is_none() {
             self.end_what_is_over(now);
@@ -456,7 +460,7 @@ impl Supervision {
         Some(step)
     }
 
-    /// When [`poll`](Self::poll) must be called again, if nothing else happens before.
+    /// The latest time of the next [`poll`](Self::poll), if nothing else happens before.
     pub fn poll_at(&self) -> Option<Instant> {
         let of_place = match self.place {
             Place::Home => None,
@@ -537,7 +541,7 @@ impl Supervision {
         }
     }
 
-    /// Looks elsewhere if the errors at home are reason enough.
+    /// Begins a look if the errors at home justify it.
     fn doubt(&mut self, now: Instant) {
         let are_lasting = self.errors.count >= LASTING_ERRORS
             && self.errors.first.plus_micros(LASTING_MICROS).has_come(now);
@@ -586,7 +590,7 @@ impl Supervision {
         self.step = Some(Step::TakePart(self.home));
     }
 
-    /// Takes part at home from now on, and stays.
+    /// Returns home to stay.
     fn end_look(&mut self) {
         if self.is_listening() {
             self.step = Some(Step::TakePart(self.home));
@@ -595,7 +599,7 @@ impl Supervision {
     }
 
     #[inline(never)]
-    /// Drops the frames that wait, and sends none for a while.
+    /// Drops the pending frames and withholds new ones for a while.
     fn withhold(&mut self, now: Instant) {
         let mut end = now.plus_micros(WITHHOLD_MICROS);
         match self.sending {
@@ -608,16 +612,16 @@ impl Supervision {
     fn enter(&mut self, place: Place) {
         self.place = place;
         self.errors = Errors::NONE;
-        // A bus-off is to be recovered from anywhere.
+        // A node recovers from bus-off wherever it is.
         if !self.is_withholding() {
             self.sending = Sending::Free;
         }
     }
 }
 
-/// The rate that is the next to listen at after `rate`: the next slower one, after the slowest the fastest. At a rate that is
-/// too fast each frame ends in an error, since it holds its bits longer than stuffing allows; at one that is too slow it
-/// may pass unnoticed.
+/// The rate to listen at after `rate`: the next slower one, and after the slowest the fastest. At a rate that is too
+/// fast each frame ends in a stuff error, since its bits last too long; at a rate that is too slow a frame may pass
+/// unnoticed.
 fn next_rate(rates: BitRates, rate: BitRate, except: Option<BitRate>) -> BitRate {
     let candidates =
         || BitRate::ALL.into_iter().filter(|&other| rates.contains(other) && Some(other) != except);

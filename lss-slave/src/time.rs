@@ -1,20 +1,20 @@
-//! The present time as the node is told it: a wrapping count of microseconds.
+//! The node's time: a wrapping count of microseconds.
 
 /// A point in time: microseconds of a free-running 32-bit count that wraps every 71.6 minutes.
 ///
-/// Two instants are compared as if they were less than half a turn (35.8 minutes) apart; the longest time the node
-/// ever waits is 131.07 s.
+/// Comparisons assume that two instants are less than half a turn (35.8 minutes) apart. The longest wait of the node is
+/// 131.07 s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Instant(u32);
 
 impl Instant {
-    /// The instant at which the count stands at `micros`.
+    /// The instant at which the count is `micros`.
     pub const fn from_micros(micros: u32) -> Self {
         Self(micros)
     }
 
-    /// The count: microseconds.
+    /// The count in microseconds.
     pub const fn as_micros(self) -> u32 {
         self.0
     }
@@ -25,18 +25,18 @@ impl Instant {
         Self(self.0.wrapping_add(micros))
     }
 
-    /// Microseconds from `now` to this instant, 0 if it has passed.
+    /// Microseconds from `now` to this instant; 0 if it has passed.
     pub const fn micros_after(self, now: Self) -> u32 {
         let ahead = self.0.wrapping_sub(now.0);
         if ahead <= u32::MAX / 2 { ahead } else { 0 }
     }
 
-    /// The one of the two that comes first.
+    /// The earlier of two instants.
     pub(crate) const fn earlier(self, other: Self) -> Self {
         if self.has_come(other) { self } else { other }
     }
 
-    /// The earliest of two deadlines, each of which there may not be.
+    /// The earlier of two optional deadlines.
     pub(crate) fn earliest(a: Option<Self>, b: Option<Self>) -> Option<Self> {
         match (a, b) {
             (Some(a), Some(b)) => Some(a.earlier(b)),
@@ -44,12 +44,12 @@ impl Instant {
         }
     }
 
-    /// The one of the two that comes last.
+    /// The later of two instants.
     pub(crate) const fn later(self, other: Self) -> Self {
         if self.has_come(other) { other } else { self }
     }
 
-    /// Whether this instant has come at `now`.
+    /// Whether this instant is at or before `now`.
     pub const fn has_come(self, now: Self) -> bool {
         self.micros_after(now) == 0
     }

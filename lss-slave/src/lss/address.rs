@@ -1,20 +1,20 @@
-//! The LSS address: the four numbers of the identity object 1018h, by which a master finds a slave.
+//! The LSS address: the four numbers of the identity object 1018h that identify a slave.
 
 /// A slave's LSS address, which is its identity object 1018h (CiA 301).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Address {
-    /// Given to the maker by CiA.
+    /// The vendor-ID, assigned by CiA.
     pub vendor_id: u32,
-    /// The maker's number for the product.
+    /// The vendor's number for the product.
     pub product_code: u32,
-    /// Major revision in the upper, minor in the lower 16 bits.
+    /// The major revision in the upper and the minor revision in the lower 16 bits.
     pub revision_number: u32,
-    /// Different in every device that shares the other three.
+    /// A number that differs between devices with equal other parts.
     pub serial_number: u32,
 }
 
-/// One of the four numbers of an [`Address`], in the order in which LSS names them.
+/// One of the four numbers of an [`Address`], in the order of LSS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
@@ -27,7 +27,7 @@ pub enum AddressPart {
 }
 
 impl AddressPart {
-    /// The part with the number 0..=3 that Fastscan calls LSSSub.
+    /// The part with the number 0..=3, as Fastscan's LSSSub selects it.
     pub const fn new(number: u8) -> Option<Self> {
         match number {
             0 => Some(Self::VendorId),
@@ -45,8 +45,9 @@ impl AddressPart {
 }
 
 impl Address {
-    /// A serial number for a device that has none but its chip's unique id: FNV-1a, which spreads ids that differ in a few
-    /// bits over all 32-bit numbers. Of 1000 devices two have the same with a probability of 1 in 8600.
+    /// Derives a serial number from the chip's unique id, for a device without one of its own. FNV-1a spreads ids that
+    /// differ in a few bits over all 32-bit numbers. Two of 1000 devices have equal numbers with a probability of 1 in
+    /// 8600.
     pub const fn serial_number_of(unique_id: &[u8]) -> u32 {
         let mut hash = 0x811C_9DC5_u32;
         let mut rest = unique_id;

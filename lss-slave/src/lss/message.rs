@@ -1,46 +1,46 @@
-//! LSS messages: the eight bytes of a frame to and from the values they may legally hold (CiA 305, protocols).
+//! LSS messages: conversion between the eight bytes of a frame and the legal values (CiA 305, protocols).
 
 use core::{error, fmt};
 
 use super::{AddressPart, RESPONSE_COB_ID};
 use crate::{Frame, NodeId, settings};
 
-/// What an LSS master asks for.
+/// A request of the LSS master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Request {
-    /// 04, mode 0: all slaves to LSS waiting state.
+    /// 04, mode 0: switches all slaves to LSS waiting state.
     SwitchToWaiting,
-    /// 04, mode 1: all slaves to LSS configuration state.
+    /// 04, mode 1: switches all slaves to LSS configuration state.
     SwitchToConfiguration,
-    /// 11: the pending node-ID; any byte, valid or not.
+    /// 11: sets the pending node-ID, given as any byte, valid or not.
     ConfigureNodeId(u8),
-    /// 13: the pending bit rate.
+    /// 13: sets the pending bit rate.
     ConfigureBitTiming {
         /// Table selector; 0 is the table of CiA 301.
         table: u8,
-        /// Index into that table.
+        /// Index into the selected table.
         index: u8,
     },
-    /// 15: the pending bit rate becomes active after the switch delay, 0..=65535 ms.
+    /// 15: activates the pending bit rate after the switch delay, 0..=65535 ms.
     ActivateBitTiming(u16),
-    /// 17: the pending node-ID and bit rate become persistent.
+    /// 17: makes the pending node-ID and bit rate persistent.
     StoreConfiguration,
     /// 40..43: one step of switch state selective.
     Select(AddressPart, u32),
     /// 46..4B: one step of identify remote slave.
     Identify(IdentifyKey, u32),
-    /// 4C: does any slave have no node-ID?
+    /// 4C: asks for slaves without a node-ID.
     IdentifyNonConfigured,
     /// 51: one step of Fastscan.
     Fastscan(FastscanStep),
-    /// 5A..5D: one part of the LSS address.
+    /// 5A..5D: asks for one part of the LSS address.
     Inquire(AddressPart),
-    /// 5E: the active node-ID.
+    /// 5E: asks for the active node-ID.
     InquireNodeId,
 }
 
-/// What one step of identify remote slave compares (CS 46..4B).
+/// The comparison in one step of identify remote slave (CS 46..4B).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
@@ -68,7 +68,7 @@ impl IdentifyKey {
         }
     }
 
-    /// What it is compared with.
+    /// The part of the address to compare with.
     pub(super) const fn part(self) -> AddressPart {
         match self {
             Self::VendorId => AddressPart::VendorId,
@@ -84,21 +84,21 @@ impl IdentifyKey {
     }
 }
 
-/// One step of Fastscan, as it stands in the frame; no combination is excluded here.
+/// One step of Fastscan, as in the frame; all combinations are accepted here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FastscanStep {
-    /// The number that the slaves compare with theirs.
+    /// The number for the slaves to compare with theirs.
     pub id_number: u32,
-    /// Compare the bits from this one (0..=31) upwards; 80h: begin a new scan.
+    /// The lowest bit of the comparison, 0..=31; 80h begins a new scan.
     pub bit_check: u8,
-    /// LSSSub: the part that is compared, 0..=3.
+    /// LSSSub: the part to compare, 0..=3.
     pub sub: u8,
-    /// LSSNext: the part that a matching slave awaits next, 0..=3.
+    /// LSSNext: the part that a matching slave expects next, 0..=3.
     pub next: u8,
 }
 
-/// What a slave answers.
+/// An answer of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Response {
@@ -126,7 +126,7 @@ pub enum Response {
     InquireNodeId(Option<NodeId>),
 }
 
-/// Why nothing was stored: the error codes of store configuration (CiA 305).
+/// The reason why nothing was stored: the error codes of store configuration (CiA 305).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -134,7 +134,7 @@ pub enum Response {
 pub enum StoreError {
     /// 1: this device cannot store.
     NotSupported = 1,
-    /// 2: the medium failed or is full; what was stored before is still stored.
+    /// 2: the medium failed or is full; the previous content is still stored.
     MediumAccess = 2,
 }
 
@@ -171,8 +171,8 @@ const INQUIRE: u8 = 0x5A;
 const INQUIRE_NODE_ID: u8 = 0x5E;
 
 impl Request {
-    /// The request in the data of a frame; `None` if the command specifier is unknown or a response's, or the mode of
-    /// a 04 is neither 0 nor 1. Reserved bytes are not looked at.
+    /// The request in the data of a frame; `None` if the command specifier is unknown or that of a response, or if the
+    /// mode of a 04 is neither 0 nor 1. Reserved bytes are ignored.
     #[expect(clippy::manual_range_patterns, reason = "a range is not looked up in the jump table")]
     pub fn from_bytes(bytes: &[u8; 8]) -> Option<Self> {
         let [command, b1, b2, b3, b4, b5, b6, b7] = *bytes;
@@ -198,7 +198,7 @@ impl Request {
         })
     }
 
-    /// The data of the frame that makes this request; reserved bytes are 0.
+    /// The data of the request's frame; reserved bytes are 0.
     pub const fn to_bytes(self) -> [u8; 8] {
         match self {
             Self::SwitchToWaiting => bytes(SWITCH_GLOBAL, 0),
@@ -223,9 +223,9 @@ impl Request {
 }
 
 impl Response {
-    /// The data of the frame that gives this answer; reserved bytes are 0, so that slaves that answer at once send
-    /// identical frames.
-    #[inline(always)] // Called apart, it would take its answer through memory, byte by byte.
+    /// The data of the answer's frame. Reserved bytes are 0, so that slaves that answer simultaneously send identical
+    /// frames.
+    #[inline(always)] // A separate call would pass its answer through memory, byte by byte.
     pub const fn to_bytes(self) -> [u8; 8] {
         let (command, number) = match self {
             Self::Selected => (SELECTED, 0),
@@ -241,7 +241,7 @@ impl Response {
         bytes(command, number)
     }
 
-    /// The frame that gives this answer.
+    /// The answer's frame.
     #[inline(always)]
     pub const fn to_frame(self) -> Frame {
         Frame::with_eight_bytes(RESPONSE_COB_ID, self.to_bytes())

@@ -1,4 +1,4 @@
-//! The LSS slave's state machine (CiA 305): what each request does in LSS waiting and LSS configuration state.
+//! The LSS slave's state machine (CiA 305): the effect of each request in LSS waiting and LSS configuration state.
 
 use core::mem;
 
@@ -12,56 +12,56 @@ use crate::{BitRate, BitRateSetting, BitRates, Frame, NodeId};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum State {
-    /// LSS waiting state: only the services that find or select a slave are served.
+    /// LSS waiting state: only the services that find or select a slave are available.
     Waiting,
-    /// LSS configuration state: the slave can be configured and inquired.
+    /// LSS configuration state: the slave can be configured and queried.
     Configuration,
 }
 
-/// What a request asks of the node.
+/// The reaction to a request, for the node to carry out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Reaction {
     /// Send this answer.
     Answer(Frame),
-    /// Run at the pending bit rate after the switch delay in milliseconds, without a frame in between.
+    /// Switch to the pending bit rate after the switch delay in milliseconds, without sending a frame in between.
     ActivateBitTiming(u16),
     /// Make the pending node-ID and bit rate persistent, then answer.
     StoreConfiguration,
-    /// Begin communication with the pending node-ID: until now the slave had none.
+    /// Begin communication with the pending node-ID, since the slave had none until now.
     ResetCommunication,
 }
 
-/// An LSS slave: its address, LSS state, progress of the services of several steps, the pending and the active node-ID, and
-/// the pending bit rate.
+/// An LSS slave: its address, LSS state, progress of multi-step services, pending and active node-ID, and pending bit
+/// rate.
 #[derive(Clone, Debug)]
 pub struct Slave {
     /// The LSS address, by [`AddressPart`].
     address: [u32; 4],
     bit_rates: BitRates,
     state: State,
-    /// The state stays waiting.
+    /// The LSS state stays waiting.
     is_locked: bool,
-    /// The part that the next 40..43 must name.
+    /// The part that the next request of 40..43 must name.
     select: AddressPart,
-    /// The key that the next 46..4B must name.
+    /// The key that the next request of 46..4B must name.
     identify: IdentifyKey,
-    /// LSSPos, the part that the next Fastscan step must name; `None`: the slave takes no part in Fastscan, as in LSS
-    /// configuration state and with a node-ID.
+    /// LSSPos, the part that the next Fastscan step must name. `None` while the slave takes no part in Fastscan, as in
+    /// LSS configuration state and with a node-ID.
     fastscan: Option<AddressPart>,
     pending_node_id: Option<NodeId>,
     active_node_id: Option<NodeId>,
     pending_bit_rate: BitRateSetting,
-    /// A master has configured the pending bit rate, and has not activated it.
+    /// A master has configured the pending bit rate but has not activated it.
     is_bit_rate_configured: bool,
 }
 
 impl Slave {
-    /// A slave after power-on: the stored node-ID is pending and active, the stored bit rate is pending, the LSS state is
-    /// waiting.
+    /// A slave after power-on: the stored node-ID is pending and active, the stored bit rate is pending, the LSS state
+    /// is waiting.
     ///
-    /// `bit_rates` are those that configure bit timing may ask for.
+    /// `bit_rates` are the rates that configure bit timing accepts.
     pub const fn new(
         address: Address,
         bit_rates: BitRates,
@@ -94,7 +94,7 @@ impl Slave {
 
     /// A part of the LSS address.
     pub const fn address_part(&self, part: AddressPart) -> u32 {
-        // The mask shows the compiler that there are four.
+        // The mask proves to the compiler that the index is within the four parts.
         self.address[part as usize & 3]
     }
 
@@ -103,36 +103,36 @@ impl Slave {
         self.state
     }
 
-    /// The node-ID in use.
+    /// The active node-ID.
     pub const fn active_node_id(&self) -> Option<NodeId> {
         self.active_node_id
     }
 
-    /// The node-ID that the next reset communication brings into use and store configuration stores.
+    /// The pending node-ID, which reset communication activates and store configuration stores.
     pub const fn pending_node_id(&self) -> Option<NodeId> {
         self.pending_node_id
     }
 
-    /// The bit rate that activate bit timing brings into use and store configuration stores.
+    /// The pending bit rate, which activate bit timing activates and store configuration stores.
     pub const fn pending_bit_rate(&self) -> BitRateSetting {
         self.pending_bit_rate
     }
 
-    /// Returns the pending bit rate, which is active from now on.
+    /// Activates the pending bit rate and returns it.
     pub const fn activate_bit_rate(&mut self) -> BitRateSetting {
         self.is_bit_rate_configured = false;
         self.pending_bit_rate
     }
 
-    /// The node takes part in the bus at `rate`, which no master has commanded: it is pending from now on, unless a master has
-    /// configured another one that is still to be activated.
+    /// Makes `rate`, at which the node takes part in the bus without a command, the pending bit rate. A rate that a
+    /// master has configured but not activated stays pending.
     pub const fn adopt_bit_rate(&mut self, rate: BitRate) {
         if !self.is_bit_rate_configured {
             self.pending_bit_rate = BitRateSetting::Fixed(rate);
         }
     }
 
-    /// From now on the LSS state is waiting and stays so, whatever is asked; or no longer.
+    /// Locks the LSS state to waiting, or releases it.
     pub const fn set_locked(&mut self, is_locked: bool) {
         self.is_locked = is_locked;
         if is_locked {
@@ -140,14 +140,15 @@ impl Slave {
         }
     }
 
-    /// NMT reset communication: the pending node-ID is active, the LSS state is waiting and not locked, all progress is lost.
+    /// Performs NMT reset communication: activates the pending node-ID, unlocks, enters LSS waiting state and discards
+    /// all progress.
     pub const fn reset_communication(&mut self) {
         self.is_locked = false;
         self.active_node_id = self.pending_node_id;
         self.switch_to(State::Waiting);
     }
 
-    /// Carries out the request in the data of a frame from the LSS master, as far as the LSS state allows it.
+    /// Executes a request in the data of a frame from the LSS master, if the LSS state allows it.
     #[must_use = "a reaction that is not carried out is lost"]
     pub fn handle(&mut self, data: &[u8; 8]) -> Option<Reaction> {
         use State::{Configuration, Waiting};
@@ -194,7 +195,7 @@ impl Slave {
         self.active_node_id.is_none() && self.pending_node_id.is_none()
     }
 
-    /// Every switch, even to the state that is already there, loses all progress.
+    /// Enters an LSS state. Every switch discards all progress, even one to the current state.
     const fn switch_to(&mut self, state: State) {
         self.state = state;
         self.select = AddressPart::VendorId;
@@ -213,7 +214,7 @@ impl Slave {
         was_configured_just_now.then_some(Reaction::ResetCommunication)
     }
 
-    /// The slave was found, by a service that leaves the others' progress alone.
+    /// Answers a match, by a service that keeps the progress of the others.
     const fn enter_configuration(&mut self) {
         self.state = State::Configuration;
         self.fastscan = None;
@@ -235,7 +236,7 @@ impl Slave {
 
     fn identify(&mut self, key: IdentifyKey, number: u32) -> Option<Response> {
         use IdentifyKey::*;
-        // Unless this step succeeds, the next must be the first.
+        // Unless this step succeeds, the next one must be the first.
         let awaited = mem::replace(&mut self.identify, VendorId);
         if key != VendorId && key != awaited {
             return None;
@@ -267,7 +268,8 @@ impl Slave {
         }
         let next = AddressPart::new(step.next)?;
         self.fastscan = Some(next);
-        // A master that knows some parts skips them: not the fourth part ends the scan, but the step back to an earlier.
+        // A master that knows some parts skips them, so the scan does not end with the fourth part but with the step
+        // back to an earlier one.
         if step.bit_check == 0 && next < part {
             self.enter_configuration();
         }

@@ -1,4 +1,4 @@
-//! Control of the bit rate: the switch with its two delays, the supervision, and whether frames may be sent.
+//! Control of the bit rate: the switch with its two delays, the supervision, and the permission to send frames.
 
 use core::mem;
 
@@ -7,20 +7,20 @@ use crate::{
     supervision::{Step, Supervision},
 };
 
-/// The bit rate of the node: in use, active, home; and the switch to another.
+/// The bit rates of the node (in use, active and home) and the switch to another.
 #[derive(Clone, Debug)]
 pub(super) struct BitRateControl {
     supervision: Supervision,
     /// The active setting is automatic detection.
     is_automatic: bool,
     switch: Option<Switch>,
-    /// A frame was received at home, and the supervision does not know of it yet.
+    /// A frame was received at home, but the supervision has not been informed.
     is_proof_due: bool,
-    /// Frames may be sent again, and the board does not know of it yet.
+    /// Frames may be sent again, but the board has not been informed.
     is_resume_due: bool,
 }
 
-/// An activation of bit timing under way (CiA 305, activate bit timing parameters).
+/// An activation of bit timing in progress (CiA 305, activate bit timing parameters).
 #[derive(Clone, Copy, Debug)]
 struct Switch {
     phase: Phase,
@@ -31,34 +31,34 @@ struct Switch {
 
 #[derive(Clone, Copy, Debug)]
 enum Phase {
-    /// The board does not know of it yet.
+    /// The board has not been informed.
     Requested,
     OldRate,
     NewRate,
 }
 
-/// What the node does next.
+/// The node's next step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
-    /// A switch begins: no more frames.
+    /// A switch begins: no more frames are sent.
     StopTransmitting,
-    /// Activates the pending bit rate, see [`BitRateControl::activate`].
+    /// The pending bit rate must be activated, see [`BitRateControl::activate`].
     Activate {
         /// The end of the switch.
         silent_until: Instant,
     },
-    /// A switch has come to its end.
+    /// A switch has ended.
     EndSwitch,
-    /// A step of the supervision, which drops the frames that wait.
+    /// A step of the supervision, which drops the pending frames.
     Step(Step),
     /// Frames may be sent again.
     ResumeTransmitting,
-    /// Nothing, in the silence of a switch.
+    /// Nothing happens, in the silence of a switch.
     KeepSilent,
 }
 
 impl BitRateControl {
-    /// The control of a node that was switched on with this setting.
+    /// The control of a node that was powered on with this setting.
     pub const fn new(setting: BitRateSetting, rates: BitRates, is_supervised: bool) -> Self {
         Self {
             supervision: Supervision::new(setting, rates, is_supervised),
@@ -69,7 +69,7 @@ impl BitRateControl {
         }
     }
 
-    /// The bit rate at which the controller runs, or listens.
+    /// The bit rate at which the controller runs or listens.
     pub const fn in_use(&self) -> BitRate {
         self.supervision.bit_rate()
     }
@@ -88,7 +88,7 @@ impl BitRateControl {
         self.supervision.home()
     }
 
-    /// How often the node has found another bit rate to take part at.
+    /// The number of times that the node has joined the others at another bit rate.
     pub const fn rescues(&self) -> u16 {
         self.supervision.rescues()
     }
@@ -98,47 +98,47 @@ impl BitRateControl {
         self.supervision.is_listening()
     }
 
-    /// Whether a switch is under way.
+    /// Whether a switch is in progress.
     pub const fn is_switching(&self) -> bool {
         self.switch.is_some()
     }
 
-    /// Whether frames may be sent, as far as the supervision is concerned.
+    /// Whether the supervision allows frames to be sent.
     pub const fn may_send(&self) -> bool {
         !self.supervision.is_listening() && !self.supervision.is_withholding()
     }
 
-    /// Whether one more valid frame makes no difference.
+    /// Whether another valid frame makes no difference.
     pub const fn is_at_ease(&self) -> bool {
         self.supervision.is_at_ease()
     }
 
-    /// Takes a received frame; returns whether it may be served.
+    /// Handles a received frame and returns whether it may be served.
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> bool {
         if self.supervision.is_at_home() {
-            // The answer leaves first.
+            // The answer is sent first.
             self.is_proof_due = true;
             return true;
         }
         self.handle_frame_away(frame, now)
     }
 
-    #[inline(never)] // Not on the way of an answer at home: inlined it takes 220 bytes more.
+    #[inline(never)] // An answer at home does not call it; inlined it takes 220 bytes more.
     fn handle_frame_away(&mut self, frame: &Frame, now: Instant) -> bool {
-        // Its sender may be as lost as this node, and repeat its boot-up for want of an acknowledge.
+        // The sender may be lost like this node and repeat its boot-up until someone acknowledges it.
         if self.supervision.is_elsewhere() && nmt::is_boot_up(frame) {
             return false;
         }
-        // The sender of a frame that nobody has acknowledged repeats it.
+        // A sender repeats its frame until someone acknowledges it.
         let is_acknowledged = !self.is_listening();
         self.handle_bus(BusEvent::Received, now);
         is_acknowledged
     }
 
-    /// Takes an event of the controller.
+    /// Handles an event of the controller.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         let is_proof = matches!(event, BusEvent::Received | BusEvent::Acknowledged);
-        // Within the silent periods of a switch errors are to be expected.
+        // Errors are expected in the silent periods of a switch.
         if is_proof || self.is_supervised() {
             self.supervision.handle(event, now);
         }
@@ -155,7 +155,7 @@ impl BitRateControl {
         self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });
     }
 
-    /// Makes `setting` the active one, in the switch that ends at `silent_until`.
+    /// Activates `setting`, in the switch that ends at `silent_until`.
     pub fn activate(&mut self, setting: BitRateSetting, silent_until: Instant) {
         match setting {
             BitRateSetting::Fixed(rate) => self.supervision.command(rate, silent_until),
@@ -164,17 +164,17 @@ impl BitRateControl {
         self.is_automatic = setting == BitRateSetting::Automatic;
     }
 
-    /// A rate to take part at that is another than the active one was: the node has become a guest, or is home again.
+    /// The new bit rate in use, once after a change: the node has become a guest or has returned home.
     pub fn take_change(&mut self) -> Option<BitRate> {
         self.supervision.take_change()
     }
 
-    /// The next thing to do at `now`; `None`: the bit rate asks for nothing, and the node may do what else is due.
+    /// The next step at `now`; `None` if the bit rate requires none and the node may do other work.
     pub fn poll(&mut self, now: Instant) -> Option<Next> {
         if mem::take(&mut self.is_proof_due) {
             self.handle_bus(BusEvent::Received, now);
         }
-        // Within the switch that has begun it, a detection may come to its end.
+        // A detection that the switch has begun may complete within it.
         if (self.is_supervised() || self.supervision.has_step())
             && let Some(step) = self.supervision.poll(now)
         {
@@ -191,13 +191,13 @@ impl BitRateControl {
         }
     }
 
-    /// When [`poll`](Self::poll) must be called again, if nothing else happens before.
+    /// The latest time of the next [`poll`](Self::poll), if nothing else happens before.
     pub fn poll_at(&self) -> Option<Instant> {
         let supervision = self.supervision.poll_at().filter(|_| self.is_supervised());
         Instant::earliest(supervision, self.switch.map(|switch| switch.until))
     }
 
-    /// Ends the phase of the switch that is over.
+    /// Ends the phase of the switch that has expired.
     fn advance(&mut self, switch: Switch) -> Next {
         let until = switch.until.plus_micros(switch.delay_micros);
         match switch.phase {
@@ -217,7 +217,7 @@ impl BitRateControl {
         }
     }
 
-    /// Whether the supervision may act: not within a switch, unless that has begun a detection.
+    /// Whether the supervision may act: not during a switch, unless the switch has begun a detection.
     const fn is_supervised(&self) -> bool {
         self.switch.is_none() || self.supervision.is_detecting()
     }

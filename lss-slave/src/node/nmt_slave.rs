@@ -10,23 +10,23 @@ use crate::{
 /// The NMT state of the node, and the messages that report it.
 #[derive(Clone, Debug)]
 pub(super) struct NmtSlave {
-    /// The state once the boot-up has been sent.
+    /// The state after the boot-up.
     state: State,
     boot_up: BootUp,
     heartbeat: Heartbeat,
     /// 1029h sub-index 1.
     error_behaviour: ErrorBehaviour,
-    /// A command that is still to be carried out: within a switch of the bit rate it waits.
+    /// A command that has not been executed; it waits for the end of a bit rate switch.
     command: Option<Command>,
 }
 
-/// How far the boot-up message has come.
+/// The progress of the boot-up message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum BootUp {
-    /// To be sent as soon as there is a node-ID and frames may be sent.
+    /// It is sent as soon as there is a node-ID and frames may be sent.
     Due,
     Sent,
-    /// A frame of the node was acknowledged since, so that the boot-up was too.
+    /// A frame of the node was acknowledged since, so the boot-up was too.
     Acknowledged,
 }
 
@@ -42,7 +42,7 @@ impl NmtSlave {
         }
     }
 
-    /// Begins again with the boot-up, and with this producer heartbeat time.
+    /// Restarts with the boot-up and this producer heartbeat time.
     pub const fn reset_communication(&mut self, heartbeat_ms: u16) {
         self.state = State::PreOperational;
         self.boot_up = BootUp::Due;
@@ -63,12 +63,13 @@ impl NmtSlave {
         matches!(self.state(), State::PreOperational | State::Operational)
     }
 
-    /// Whether emergency messages may be sent: one must not overtake a boot-up that waits for the bus.
+    /// Whether emergency messages may be sent: they must not overtake a boot-up that waits for the bus.
     pub const fn allows_emergencies(&self) -> bool {
         matches!(self.boot_up, BootUp::Acknowledged) && !matches!(self.state, State::Stopped)
     }
 
-    /// Takes a command. Of several that wait the latest counts, but a reset before all others and reset node before both.
+    /// Accepts a command. The latest of several waiting commands wins, but a reset takes precedence, and reset node
+    /// over reset communication.
     pub const fn handle(&mut self, command: Command) {
         let counts = match self.command {
             Some(Command::ResetNode) => false,
@@ -80,19 +81,19 @@ impl NmtSlave {
         }
     }
 
-    /// The command that is to be carried out now.
+    /// Returns the command to execute now.
     pub const fn take_command(&mut self) -> Option<Command> {
         self.command.take()
     }
 
-    /// Enters a state; in initialisation nothing.
+    /// Enters a state; does nothing in initialisation.
     pub const fn enter(&mut self, state: State) {
         if !matches!(self.boot_up, BootUp::Due) {
             self.state = state;
         }
     }
 
-    /// Does what the error behaviour says of a communication error.
+    /// Reacts to a communication error as the error behaviour demands.
     pub fn handle_communication_error(&mut self) {
         match self.error_behaviour {
             ErrorBehaviour::EnterPreOperational if self.state == State::Operational => {
@@ -110,24 +111,24 @@ impl NmtSlave {
         }
     }
 
-    /// Records that the frames that waited were dropped: a boot-up among them is due again.
+    /// Records that the pending frames were dropped; a boot-up among them is due again.
     pub const fn note_dropped(&mut self) {
         if let (BootUp::Sent, State::PreOperational) = (self.boot_up, self.state) {
             self.boot_up = BootUp::Due;
         }
     }
 
-    /// Makes one heartbeat due beside the regular ones: frames may have been dropped.
+    /// Schedules one heartbeat in addition to the regular ones, since frames may have been dropped.
     pub const fn note_resumed(&mut self) {
         self.heartbeat.is_extra_due = true;
     }
 
-    /// Makes the next heartbeat due now, and the later ones from now on.
+    /// Restarts the heartbeat period with a heartbeat now.
     pub const fn restart_heartbeat(&mut self, now: Instant) {
         self.heartbeat.due = now;
     }
 
-    /// The boot-up of `node`, if it is due.
+    /// Returns the boot-up of `node`, if it is due.
     pub fn next_boot_up(&mut self, node: NodeId, now: Instant) -> Option<Frame> {
         if self.boot_up != BootUp::Due {
             return None;
@@ -137,23 +138,23 @@ impl NmtSlave {
         Some(nmt::error_control(node, State::Initialisation))
     }
 
-    /// The heartbeat of `node`, if it is due. The boot-up goes before it.
+    /// Returns the heartbeat of `node`, if it is due. The boot-up precedes it.
     pub fn next_heartbeat(&mut self, node: NodeId, now: Instant) -> Option<Frame> {
         self.heartbeat.poll(now).then(|| nmt::error_control(node, self.state))
     }
 
-    /// When the next heartbeat is due.
+    /// The time of the next heartbeat.
     pub fn poll_at(&self) -> Option<Instant> {
         let is_produced = self.heartbeat.period_ms > 0 && self.boot_up != BootUp::Due;
         is_produced.then_some(self.heartbeat.due)
     }
 
-    /// The producer heartbeat time 1017h in milliseconds; 0: no heartbeat.
+    /// The producer heartbeat time 1017h in milliseconds; 0 disables the heartbeat.
     pub const fn heartbeat_ms(&self) -> u16 {
         self.heartbeat.period_ms
     }
 
-    /// Sets the producer heartbeat time 1017h: the next heartbeat comes after that time.
+    /// Sets the producer heartbeat time 1017h; the first heartbeat follows after that time.
     pub const fn set_heartbeat_ms(&mut self, ms: u16, now: Instant) {
         self.heartbeat.period_ms = ms;
         self.heartbeat.due = now.plus_micros(self.heartbeat.period_micros());
@@ -175,9 +176,9 @@ impl NmtSlave {
 struct Heartbeat {
     /// 1017h.
     period_ms: u16,
-    /// The next regular one.
+    /// The next regular heartbeat.
     due: Instant,
-    /// One is due beside the regular ones.
+    /// An additional heartbeat is due.
     is_extra_due: bool,
 }
 
@@ -191,18 +192,18 @@ impl Heartbeat {
     }
 
     const fn is_ahead(&self, instant: Instant, now: Instant) -> bool {
-        // What lies further ahead than a period is left over from half an hour ago.
+        // A deadline further ahead than a period is left over from half an hour ago.
         !instant.has_come(now) && instant.has_come(now.plus_micros(self.period_micros()))
     }
 
-    /// A boot-up takes the place of the extra heartbeat, or of the regular one.
+    /// Records a boot-up, which replaces the additional or the regular heartbeat.
     fn follow_boot_up(&mut self, now: Instant) {
         if !mem::take(&mut self.is_extra_due) || !self.is_ahead(self.due, now) {
             self.due = now.plus_micros(self.period_micros());
         }
     }
 
-    /// Whether one is to be sent now.
+    /// Whether a heartbeat is due now.
     fn poll(&mut self, now: Instant) -> bool {
         let is_late = !self.is_ahead(self.due, now);
         let is_due = mem::take(&mut self.is_extra_due) || is_late;
@@ -212,7 +213,7 @@ impl Heartbeat {
         if is_late {
             let period = self.period_micros();
             let next = self.due.plus_micros(period);
-            // After a long delay: one heartbeat, not all that were missed.
+            // After a long delay only one heartbeat is sent, not all that were missed.
             self.due = if self.is_ahead(next, now) { next } else { now.plus_micros(period) };
         }
         true

@@ -1,4 +1,4 @@
-//! What the node answers for each object of the dictionary, and what writing to it does.
+//! The objects of the dictionary: the values that the node returns, and the effects of writes.
 
 use super::{
     BitRateControl, Device, NmtSlave,
@@ -15,12 +15,12 @@ use crate::{
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
 const LOAD: u32 = u32::from_le_bytes(*b"load");
-/// 1010h and 1011h, read: the device stores, or restores, on command.
+/// The value of 1010h and 1011h: the device stores or restores on command.
 const ON_COMMAND: u32 = 1;
 /// 1000h: no device profile.
 const DEVICE_TYPE: u32 = 0;
 
-/// The parts of the node that objects are read from and written to, at a time.
+/// The parts of the node that objects read and write, at one time.
 pub(super) struct Parts<'a> {
     pub device: &'a Device,
     pub lss: &'a lss::Slave,
@@ -41,7 +41,7 @@ impl Objects for Parts<'_> {
             Object::DeviceType => DEVICE_TYPE,
             Object::ErrorRegister => self.emergency.error_register().into(),
             Object::NumberOfErrors => self.emergency.number_of_errors().into(),
-            // The code that CiA 301 names for object 1003h, and that CANopenNode sends: the sub-index does exist.
+            // CiA 301 names this code for object 1003h, and CANopenNode sends it, although the sub-index exists.
             Object::ErrorField(sub_index) => {
                 self.emergency.error(sub_index).ok_or(Abort::NoData)?
             }

@@ -1,4 +1,4 @@
-//! Storing: one store at a time, for LSS or for a client of SDO, and who is answered when it has come to its end.
+//! Storing: one store at a time, for LSS or an SDO client, and the answer when it has ended.
 
 use crate::{BitRateSetting, NodeId, Settings, lss::StoreError};
 
@@ -7,9 +7,9 @@ use crate::{BitRateSetting, NodeId, Settings, lss::StoreError};
 pub(super) struct Storing {
     persistent: Settings,
     store: Store,
-    /// Store configuration requests of LSS that have not been answered.
+    /// LSS store configuration requests that have not been answered.
     lss_requests: u8,
-    /// A request by SDO whose store has not begun.
+    /// An SDO request whose store has not begun.
     sdo_request: Option<SdoRequest>,
 }
 
@@ -20,12 +20,12 @@ enum Store {
     Done(Result<(), StoreError>, Requester),
 }
 
-/// Who waits for the outcome of a store.
+/// The requester that waits for the outcome of a store.
 #[derive(Clone, Copy, Debug)]
 enum Requester {
     Lss,
     Sdo(Download),
-    /// A client that was forgotten by a reset.
+    /// An SDO client that a reset has cancelled.
     Nobody,
 }
 
@@ -39,14 +39,14 @@ pub(super) struct Download {
 #[derive(Clone, Copy, Debug)]
 struct SdoRequest {
     download: Download,
-    /// What is to be stored: node-ID and bit rate belong to LSS and stay as they are.
+    /// The settings to store. Node-ID and bit rate belong to LSS and stay unchanged.
     heartbeat_ms: u16,
 }
 
-/// A store by SDO waits already.
+/// Another SDO store is already waiting.
 pub(super) struct Busy;
 
-/// What the node does next.
+/// The node's next step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
     /// Makes these settings persistent.
@@ -60,17 +60,17 @@ impl Storing {
         Self { persistent, store: Store::Idle, lss_requests: 0, sdo_request: None }
     }
 
-    /// The settings that are persistent.
+    /// The persistent settings.
     pub const fn persistent(&self) -> &Settings {
         &self.persistent
     }
 
-    /// LSS asks for a store of the pending node-ID and bit rate.
+    /// Requests a store of the pending node-ID and bit rate, for LSS.
     pub const fn request_by_lss(&mut self) {
         self.lss_requests = self.lss_requests.saturating_add(1);
     }
 
-    /// A client asks for a store of this heartbeat time.
+    /// Requests a store of this heartbeat time, for an SDO client.
     ///
     /// # Errors
     /// [`Busy`] while the store of an earlier request has not begun.
@@ -82,7 +82,7 @@ impl Storing {
         Ok(())
     }
 
-    /// Ends the waiting of whoever asked by SDO; a store that runs goes on.
+    /// Cancels the SDO client's request; a store in progress continues.
     pub const fn forget_sdo(&mut self) {
         self.sdo_request = None;
         if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
@@ -92,7 +92,7 @@ impl Storing {
         }
     }
 
-    /// Takes the outcome of the store that runs; returns whether there is one.
+    /// Records the outcome of the store in progress; returns whether there was one.
     pub const fn handle_stored(&mut self, outcome: Result<(), StoreError>) -> bool {
         let Store::Running(settings, requester) = self.store else {
             return false;
@@ -104,7 +104,7 @@ impl Storing {
         true
     }
 
-    /// Begins the next store, or answers the one that has come to its end.
+    /// Begins the next store, or answers the one that has ended.
     pub fn poll(&mut self, node_id: Option<NodeId>, bit_rate: BitRateSetting) -> Option<Next> {
         if let Store::Running(..) = self.store {
             return None;

@@ -1,16 +1,16 @@
-//! The settings log: records appended to one of two banks of flash, the newest valid one counts.
+//! The settings log: records appended to one of two banks of flash. The newest valid record holds the settings.
 //!
 //! # The promise
 //! Whenever the power fails, the next [`Log::open`] finds the settings of the last [`Log::store`] that returned `Ok`,
-//! or those of a later one that did not return; never older ones, never a mix. What an `open` has found holds until the
-//! next store. It rests on five rules:
-//! - a record is valid only with its CRC and with its commit word, which is written after the rest was read back;
-//! - a word that the power failed in may read otherwise at each start: `open` writes the commit word of the record that it
-//!   takes once more, and the record itself again if anything stands behind it that may turn out valid later;
-//! - space is written once after each erase, and only if it reads blank: never into what an interrupted store left;
-//! - a bank is erased only while the other one holds the newest record, and by `open`, never by `store`: an erase stops
-//!   the CPU for up to 800 ms, which a node on the bus cannot afford;
-//! - a bank is appended to only if it holds the newest record, which proves that its erase came to its end.
+//! or those of a later one that did not return; never older ones, never a mix. The result of an `open` holds until the
+//! next store. Five rules ensure this:
+//! - A record is valid only with its CRC and with its commit word, which is written after the rest was read back.
+//! - A word whose write was interrupted by a power cut may read differently at each start. `open` therefore rewrites
+//!   the commit word of the record that it accepts, and also the record itself if later content may turn out valid.
+//! - Space is written once after each erase, and only if it reads blank, never where an interrupted store has written.
+//! - A bank is erased only while the other one holds the newest record, and by `open`, never by `store`: an erase stops
+//!   the CPU for up to 800 ms, which a node on the bus cannot afford.
+//! - Records are appended only to the bank with the newest record, which proves that its erase was completed.
 
 use core::{error, fmt, mem, ops::Range};
 
@@ -21,46 +21,46 @@ use super::{
     record::{self, Record},
 };
 
-/// What [`Log::open`] found, for the node's log.
+/// The result of [`Log::open`], for the device's log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Found {
-    /// The newest record, and nothing after it.
+    /// The newest record is valid, with nothing after it.
     Complete,
-    /// The newest record, and after it what an interrupted store left.
+    /// The newest record is valid, with the remains of an interrupted store after it.
     Interrupted,
-    /// Blank flash, as in a new device; now formatted.
+    /// The flash was blank, as in a new device; it is now formatted.
     Blank,
-    /// No valid record, but other content; now formatted. The device's defaults hold.
+    /// No record was valid, but the flash was not blank; it is now formatted and the device's defaults apply.
     Damaged,
-    /// The flash could not be read, erased or written; what was found holds, and nothing may be storable.
+    /// The flash could not be read, erased or written. The settings that were found apply, but storing may fail.
     MediumFailed(Error),
 }
 
-/// The settings log over a flash that holds nothing else.
+/// The settings log, on a flash that holds nothing else.
 ///
 /// The flash is used as two banks of equal size, each a multiple of the erase size; a bank of 16 KB has room for 512
-/// records. `open` moves to the other bank when less than a quarter of the present one is left.
+/// records. `open` moves to the other bank when less than a quarter of the current one is left.
 pub struct Log<F> {
     flash: F,
     newest: Record,
-    /// The sequence of the last record that was written or attempted.
+    /// The sequence number of the last record written or attempted.
     sequence: u32,
-    /// Whether the last record was written but could not be read back: a later `open` may find it valid.
+    /// The last record was written but could not be read back. A later `open` may find it valid.
     is_doubtful: bool,
-    /// The blank space of the bank that holds the newest record.
+    /// The blank space in the bank with the newest record.
     space: Range<u32>,
 }
 
-/// Why the flash could not be used.
+/// A failure of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Error {
-    /// It reported an error, such as write protection.
+    /// The flash reported an error, such as write protection.
     Refused,
-    /// Space that has not been written since its erase does not read blank.
+    /// Space that was not written after its erase does not read blank.
     NotBlank,
-    /// A record reads back otherwise than it was written.
+    /// A record reads back differently than it was written.
     NotAsWritten,
     /// The bank is full until the next [`Log::open`].
     Full,
@@ -91,13 +91,13 @@ impl defmt::Format for Error {
     }
 }
 
-/// What the search of one bank showed.
+/// The result of the search in one bank.
 struct Bank {
     range: Range<u32>,
     newest: Option<Record>,
-    /// The first address after the newest record; where there is none, the start of the bank.
+    /// The first address after the newest record, or the start of the bank without one.
     newest_end: u32,
-    /// The first address after all that does not read blank.
+    /// The address from which the rest of the bank reads blank.
     blank_from: u32,
 }
 
@@ -107,17 +107,17 @@ impl Bank {
     }
 }
 
-/// Whether nothing has been written since the erase. By words: at each start a thousand records are asked.
+/// Whether `bytes` have not been written since the erase. Compares words, since each start checks a thousand records.
 fn is_blank(bytes: &[u8; record::LEN as usize]) -> bool {
     let (words, _) = bytes.as_chunks();
     words.iter().all(|word| u32::from_ne_bytes(*word) == u32::MAX)
 }
 
 impl<F: NorFlash> Log<F> {
-    /// Finds the newest settings, and makes room where little is left.
+    /// Finds the newest settings, and moves to the other bank when little space is left.
     ///
-    /// Takes as long as an erase (800 ms at most on an STM32F4) for a blank or damaged flash and once in several hundred
-    /// stores; call it before the bus is joined.
+    /// For a blank or damaged flash, and once in several hundred stores, this takes as long as an erase (800 ms at most
+    /// on an STM32F4). Call it before joining the bus.
     pub fn open(flash: F) -> (Self, Found) {
         const {
             assert!(
@@ -132,16 +132,16 @@ impl<F: NorFlash> Log<F> {
         (log, found)
     }
 
-    /// The persistent settings; `None`: nothing was ever stored, the device's defaults hold.
+    /// The persistent settings; `None` if none were ever stored and the device's defaults apply.
     pub fn settings(&self) -> Option<Settings> {
         self.newest.settings
     }
 
-    /// Makes `settings` persistent. Writes nothing if they already are; else one record, which takes 0.2 ms (0.8 ms at
+    /// Makes `settings` persistent. Writes nothing if they already are, else one record, which takes 0.2 ms (0.8 ms at
     /// worst) on an STM32F4.
     ///
     /// # Errors
-    /// If the record could not be written and read back, or the bank is full until the next `open`; the settings of before
+    /// The record could not be written and read back, or the bank is full until the next `open`. The previous settings
     /// are still persistent.
     pub fn store(&mut self, settings: Settings) -> Result<(), Error> {
         if self.newest.settings == Some(settings) && !self.is_doubtful {
@@ -149,13 +149,13 @@ impl<F: NorFlash> Log<F> {
         }
         let outcome = self.append(Some(settings));
         if outcome.is_err() && self.is_doubtful {
-            // The old settings on top of what is refused.
+            // Writes the old settings after the rejected record.
             let _ = self.append(self.newest.settings);
         }
         outcome
     }
 
-    /// Gives the flash back.
+    /// Returns the flash.
     pub fn close(self) -> F {
         self.flash
     }
@@ -172,19 +172,19 @@ impl<F: NorFlash> Log<F> {
         let (bank, other) = if second_is_newer { (second, first) } else { (first, second) };
         let Some(newest) = bank.newest else {
             let is_blank = bank.is_blank() && other.is_blank();
-            // Even a bank that reads blank: its erase may have been interrupted.
+            // Even a bank that reads blank is erased: its last erase may have been interrupted.
             self.move_to(bank.range)?;
             return Ok(if is_blank { Found::Blank } else { Found::Damaged });
         };
         let interrupted = bank.blank_from.saturating_sub(bank.newest_end) / record::LEN;
         self.newest = newest;
-        // What is written from now on is newer than what may turn out valid. And the same place gets the same sequence
-        // again: if the power failed in its first word, nothing else may be written over that.
+        // A later record must be newer than any that may turn out valid. The same place must also get the same sequence
+        // again: after a power cut in its first word, nothing else may be written there.
         self.sequence = newest.sequence.wrapping_add(interrupted);
         self.space = bank.blank_from..bank.range.end;
-        // An interrupted move: its record, of a later sequence than the next store's, may turn out valid too.
+        // The record of an interrupted move may turn out valid too; its sequence is later than that of the next store.
         let has_moved = other.newest.is_none() && !other.is_blank();
-        // The record that outranks an interrupted one takes space.
+        // The record that supersedes an interrupted one takes space.
         let least = bank_len / 4 + if interrupted > 0 { record::LEN } else { 0 };
         if has_moved || self.space.end.saturating_sub(self.space.start) < least {
             self.move_to(other.range)?;
@@ -197,7 +197,7 @@ impl<F: NorFlash> Log<F> {
     fn search(&mut self, range: Range<u32>) -> Result<Bank, Error> {
         let start = range.start;
         let mut bank = Bank { range, newest: None, newest_end: start, blank_from: start };
-        // One buffer: to return each of a thousand records costs a copy, 1 ms in all.
+        // One buffer for all: returning each of a thousand records would cost a copy, 1 ms in all.
         let mut bytes = [0; record::LEN as usize];
         for at in bank.range.clone().step_by(record::LEN as usize).rev() {
             self.flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
@@ -216,7 +216,7 @@ impl<F: NorFlash> Log<F> {
         Ok(bank)
     }
 
-    /// Erases `bank` and makes it the one that holds the newest record.
+    /// Erases `bank` and writes the newest record to it.
     fn move_to(&mut self, bank: Range<u32>) -> Result<(), Error> {
         self.flash.erase(bank.start, bank.end).map_err(|_| Error::Refused)?;
         let old_space = mem::replace(&mut self.space, bank);
@@ -236,7 +236,7 @@ impl<F: NorFlash> Log<F> {
         Ok(())
     }
 
-    /// Writes the commit word of the record that ends at `end` once more.
+    /// Rewrites the commit word of the record that ends at `end`.
     fn commit_again(&mut self, end: u32) -> Result<(), F::Error> {
         self.flash.write(end.saturating_sub(record::COMMIT.len() as u32), &record::COMMIT)
     }
@@ -251,7 +251,7 @@ impl<F: NorFlash> Log<F> {
         if !self.read(at)?.starts_with(content) {
             return Err(Error::NotAsWritten);
         }
-        // Whatever the flash says of this last word: what is read back decides, now as at the next open.
+        // The read-back decides, as at the next open, whatever the flash reports for this last word.
         let _ = self.flash.write(at + COMMIT_AT as u32, commit);
         self.is_doubtful = true;
         let written = self.read(at)?;

@@ -1,14 +1,14 @@
-//! One record of the settings log: 32 bytes that are valid as a whole or not at all.
+//! A record of the settings log: 32 bytes that are either all valid or not valid.
 
 use super::Settings;
 use crate::{BitRateSetting, NodeId};
 
-/// Bytes of a record.
+/// The size of a record in bytes.
 pub const LEN: u32 = 32;
-/// The last word, written only after all before it has been read back.
+/// The last word, written only after all the others have been read back.
 pub const COMMIT: [u8; 4] = *b"LSS1";
 
-/// A record: its place in the sequence of all records, and the settings; `None`: the defaults of the device hold.
+/// A record: its sequence number and the settings, `None` if the defaults of the device apply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
     pub sequence: u32,
@@ -16,8 +16,8 @@ pub struct Record {
 }
 
 impl Record {
-    /// The record as it stands in flash: sequence (4 bytes, little endian), kind, node-ID, bit rate index, 1 byte unused,
-    /// heartbeat time (2 bytes), 14 bytes unused, CRC-32 of all before it, commit word.
+    /// The record in flash: sequence (4 bytes, little endian), kind, node-ID, bit rate index, 1 byte unused, heartbeat
+    /// time (2 bytes), 14 bytes unused, CRC-32 of the bytes before it, commit word.
     pub fn to_bytes(self) -> [u8; LEN as usize] {
         let [s0, s1, s2, s3] = self.sequence.to_le_bytes();
         let (kind, node_id, index, [h0, h1]) = match self.settings {
@@ -44,7 +44,7 @@ impl Record {
         bytes
     }
 
-    /// The record in `bytes`, if it is complete, undamaged and holds settings that are possible.
+    /// The record in `bytes`, if it is complete, undamaged and holds possible settings.
     pub fn from_bytes(bytes: &[u8; LEN as usize]) -> Option<Self> {
         let (content, rest) = bytes.split_first_chunk::<24>()?;
         let (crc, commit) = rest.split_first_chunk()?;
@@ -64,7 +64,7 @@ impl Record {
         Some(Self { sequence: u32::from_le_bytes([s0, s1, s2, s3]), settings })
     }
 
-    /// Whether this record was written after `other`; the sequence wraps.
+    /// Whether this record was written after `other`; sequence numbers wrap.
     pub fn is_newer_than(&self, other: &Self) -> bool {
         self.sequence != other.sequence
             && self.sequence.wrapping_sub(other.sequence) <= u32::MAX / 2
@@ -74,7 +74,7 @@ impl Record {
 const KIND_SETTINGS: u8 = 0x01;
 const KIND_DEFAULTS: u8 = 0x00;
 
-/// CRC-32 as in IEEE 802.3, a bit at a time: short, and a record is checked at most a thousand times a boot.
+/// CRC-32 as in IEEE 802.3, bit by bit: the code is small, and a start checks at most a thousand records.
 fn crc32(bytes: &[u8]) -> u32 {
     let mut crc = u32::MAX;
     for byte in bytes {
