@@ -1,4 +1,4 @@
-//! Gives the linker `memory.x` and its scripts; does nothing on the computer, where only the tests are built.
+//! Passes `memory.x` and the linker scripts to the linker; does nothing on the host, where only the tests are built.
 
 use std::{env, fs, path::PathBuf};
 

@@ -4,7 +4,8 @@ use lss_slave::{BitRate, bit_rate::BitTiming};
 
 use crate::device::APB1_HZ;
 
-/// CAN_BTR for each index of the bit timing table; 0 where this clock has none, which the node never asks for.
+/// The CAN_BTR values by index of the bit timing table; 0 for a rate that this clock cannot make and the node never
+/// requests.
 pub const BTR: [u32; 10] = {
     let mut values = [0; 10];
     let mut i = 0;

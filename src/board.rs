@@ -1,4 +1,4 @@
-//! The board after a reset: watchdog, clocks, pins, and who it is.
+//! The board after a reset: watchdog, clocks, pins and identity.
 
 use lss_slave::{Device, lss::Address};
 use stm32f4xx_hal::{
@@ -13,14 +13,14 @@ use crate::{
     clock::Alarm, crystal, device, flash::SettingsFlash, supply::Supply, transmit_pin::TransmitPin,
 };
 
-/// The watchdog's patience in ms at 32 kHz; its oscillator has 17 to 47 kHz. The longest silence of a healthy board is the erase of
-/// a 16 KB sector: 800 ms.
+/// The watchdog timeout in ms at 32 kHz; its oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is
+/// the erase of a 16 KB sector: 800 ms.
 const WATCHDOG_MS: u32 = 2_000;
 
-/// Reads of a register, at the 16 MHz that the core starts with, that take 100 ms at least: five cycles each.
+/// The number of register reads that take at least 100 ms at the initial 16 MHz, at five cycles each.
 const READS_IN_100_MS: u32 = 320_000;
 
-/// What the tasks need of the board.
+/// The parts of the board that the tasks need.
 pub struct Board {
     pub rcc: Rcc,
     pub alarm: Alarm,
@@ -32,7 +32,7 @@ pub struct Board {
 }
 
 impl Board {
-    /// Sets the board up. The watchdog runs first, so that anything that hangs ends in a reset.
+    /// Sets the board up. The watchdog starts first, so that a hang in the set-up ends in a reset.
     pub fn new(chip: Peripherals) -> Self {
         log_reset_cause(&chip.RCC);
         let mut watchdog = IndependentWatchdog::new(chip.IWDG);
@@ -50,10 +50,11 @@ impl Board {
         if device::CRYSTAL_IS_EXTERNAL_CLOCK {
             clocks = clocks.bypass_hse_oscillator();
         }
-        // Waits for the PLL, 0.3 ms at most while the crystal runs; if it stops, an interrupt ends that too.
+        // Waits for the PLL, 0.3 ms at most while the crystal runs; if the crystal stops, an interrupt ends the wait
+        // too.
         let mut rcc = chip.RCC.freeze(clocks);
         let alarm = Alarm::new(chip.TIM2, &mut rcc);
-        // Before it has its pins, so that they do not twitch.
+        // Before the pins are assigned, so that they do not glitch.
         CAN1::enable(&mut rcc);
         let can_pins = device::can_pins(chip.GPIOB, &mut rcc);
         let indicators = device::indicator_pins(chip.GPIOD, &mut rcc);
@@ -62,12 +63,12 @@ impl Board {
     }
 }
 
-/// Waits until `it_is_there`, 100 ms at least, while the core runs at 16 MHz; false: in vain.
+/// Waits at least 100 ms for `it_is_there`, with the core at 16 MHz; returns false on a timeout.
 pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
     (0..READS_IN_100_MS).any(|_| it_is_there())
 }
 
-/// What the device is on the bus.
+/// The description of the device for the node.
 pub fn device() -> Device {
     let address = Address {
         vendor_id: device::VENDOR_ID,
@@ -83,7 +84,7 @@ pub fn device() -> Device {
         .with_lss_lock(device::LSS_LOCK)
 }
 
-/// From the chip's 96-bit unique id (RM0090, 39.1).
+/// The serial number, derived from the chip's 96-bit unique id (RM0090, 39.1).
 fn serial_number() -> u32 {
     const UNIQUE_ID: *const [u8; 12] = 0x1FFF_7A10 as *const _;
     // SAFETY: read-only memory of every STM32F4.
@@ -104,7 +105,7 @@ fn log_reset_cause(rcc: &RCC) {
     rcc.csr().modify(|_, w| w.rmvf().set_bit());
 }
 
-/// RTT is read while the core sleeps, and a halted core must not be reset.
+/// Keeps RTT readable while the core sleeps, and the watchdog from resetting a halted core.
 fn let_debugger_watch(watchdog: &IndependentWatchdog, debug: &DBGMCU) {
     watchdog.stop_on_debug(debug, true);
     debug.cr().modify(|_, w| w.dbg_sleep().set_bit());

@@ -1,15 +1,17 @@
-//! The CAN controller: bit timing, filters, reception, transmission, and its place on the bus.
+//! The CAN controller: bit timing, filters, reception, transmission and error state.
 //!
-//! `bxcan` is the driver. Directly accessed is what it does not offer: interrupts of errors and the error counters, how a
-//! transmission ended, and to enter and leave a mode without waiting for it. Its traps are closed here:
+//! `bxcan` is the driver. The registers are accessed directly for what it does not offer: error interrupts and error
+//! counters, the result of a transmission, and mode changes without a wait. Its traps are closed here:
 //!
-//! - The data of a received frame panics if the length code is 9 to 15, so the length code is read first.
-//! - With three full mailboxes `transmit` waits until one is aborted, which takes a frame, so the frame waits in the queue.
-//! - To change the configuration, or to drop it, waits for a mode: the first is called in that mode, the second is not.
+//! - Access to the data of a received frame panics if the length code is 9 to 15, so the length code is read first.
+//! - With three full mailboxes `transmit` waits until one is aborted, which takes a frame, so the frame waits in the
+//!   queue.
+//! - Changing the configuration and dropping it both wait for a mode: the first is called in that mode, the second
+//!   never.
 //! - `clear_request_completed_flag` returns one mailbox and clears the flags of all three, so it is not used.
 //!
-//! Compared with access to the registers alone, `bxcan` costs 444 bytes of flash and 0.8 us of an answer, and leaves two
-//! panics in the image that nothing leads to (docs/size-and-speed.md).
+//! Compared with register access alone, `bxcan` costs 444 bytes of flash and 0.8 us per answer, and leaves two
+//! unreachable panics in the image (docs/size-and-speed.md).
 
 use core::mem;
 
@@ -28,23 +30,23 @@ use stm32f4xx_hal::{
 
 use crate::{bit_timing::BTR, clock, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
 
-/// Reads of CAN_MSR after which the controller counts as not answering. Out of a reset it enters initialisation mode
-/// within a few clock cycles, or 11 of the bits that CAN_BTR then makes: 88 cycles of APB1.
+/// The number of CAN_MSR reads after which the controller is considered unresponsive. After a reset it enters
+/// initialisation mode within a few clock cycles, or 11 of the bits that CAN_BTR then defines: 88 cycles of APB1.
 const INIT_READS: u32 = 1_000;
 
-/// Resets after which a controller that does not enter initialisation mode is left alone for a while.
+/// The number of resets after which a controller that does not enter initialisation mode is left alone for a while.
 const RESETS: u32 = 4;
 
-/// Reads of CAN_RF0R until a released FIFO shows its next frame: two APB1 cycles.
+/// The number of CAN_RF0R reads until a released FIFO shows its next frame: two APB1 cycles.
 const RELEASE_READS: u32 = 16;
 
-/// From one sample of the bus level to the next, and from an error to when the next one interrupts.
+/// The time between samples of the bus level, and between an error and the next error interrupt.
 const WATCH_MICROS: u32 = 1_000;
 
-/// CAN1 as the node uses it.
+/// CAN1, as used by the node.
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
-    /// The same registers, for what `bxcan` does not offer.
+    /// The same registers, for functions that `bxcan` does not offer.
     registers: CAN1,
     transmit_pin: TransmitPin,
     bit_rate: BitRate,
@@ -55,35 +57,35 @@ pub struct Controller {
     may_transmit: bool,
     /// Whether a frame was received, or sent and acknowledged, since the last [`look`](Self::look).
     has_understood: bool,
-    /// While the controller may be lost.
+    /// The bus samples, while the controller may be out of sync with the bus.
     samples: Option<Samples>,
     watch_at: Option<Instant>,
     queue: TransmitQueue,
 }
 
-/// Samples of the bus level, one a millisecond, since the controller last understood something.
+/// Samples of the bus level, one per millisecond, since the controller last received or sent a valid frame.
 #[derive(Clone, Copy, Default)]
 struct Samples {
     count: u16,
     is_recessive: bool,
-    /// How many show the same level as the latest one.
+    /// The number of consecutive samples with the latest level.
     equal: u16,
 }
 
-/// What can be received or cannot.
+/// A result of reading the receive FIFO.
 pub enum Received {
     Frame(Frame),
-    /// A frame that no CANopen node has a use for.
+    /// A frame of no use to any CANopen node.
     Other,
-    /// A frame was lost because three others waited.
+    /// A frame was lost because the FIFO was full.
     Overrun,
 }
 
 impl Controller {
-    /// CAN1 on its pins, asleep until [`set_bit_rate`](Self::set_bit_rate) or [`listen`](Self::listen), and to receive the
-    /// COB-IDs `receives`.
+    /// CAN1 on its pins, set to receive the COB-IDs `receives`. It sleeps until [`set_bit_rate`](Self::set_bit_rate) or
+    /// [`listen`](Self::listen).
     ///
-    /// A controller that does not enter initialisation mode has the chip reset. What `bxcan` waits for is there by then.
+    /// The chip is reset if the controller does not enter initialisation mode. By then `bxcan` has nothing to wait for.
     pub fn new(
         can: CAN1,
         (transmit_pin, receive_pin): (TransmitPin, can1::Rx),
@@ -91,7 +93,7 @@ impl Controller {
         receives: [u16; 3],
     ) -> Self {
         let can = Can::rx(can, receive_pin.internal_resistor(Pull::Up), rcc);
-        // SAFETY: both handles belong to one owner, and `bxcan` keeps nothing of what the registers hold.
+        // SAFETY: both handles belong to one owner, and `bxcan` keeps no copy of the registers.
         let registers = unsafe { CAN1::steal() };
         if !enter_initialization(&registers) {
             SCB::sys_reset();
@@ -112,7 +114,7 @@ impl Controller {
         }
     }
 
-    /// Runs at `bit_rate` from now on; whatever waited to be sent is lost.
+    /// Runs at `bit_rate` from now on; pending frames are lost.
     pub fn set_bit_rate(&mut self, bit_rate: BitRate) {
         self.queue.clear();
         self.bit_rate = bit_rate;
@@ -120,8 +122,8 @@ impl Controller {
         self.start();
     }
 
-    /// Receives everything at `bit_rate`, but sends no dominant bit (silent mode, RM0090, 32.5.1). There are chips whose
-    /// controller then drives the transmit line dominant all the same, so it is not given to it.
+    /// Receives everything at `bit_rate`, but sends no dominant bit (silent mode, RM0090, 32.5.1). The controllers of
+    /// some chips nevertheless drive the transmit line dominant in this mode, so the controller does not get the pin.
     pub fn listen(&mut self, bit_rate: BitRate) {
         self.stop_transmitting();
         self.bit_rate = bit_rate;
@@ -129,14 +131,14 @@ impl Controller {
         self.start();
     }
 
-    /// Receives the COB-IDs `receives` from now on.
+    /// Sets the COB-IDs to receive.
     pub fn set_receives(&mut self, receives: [u16; 3]) {
         self.receives = receives;
         self.set_filters();
     }
 
-    /// Resets the controller and sets it up anew: of all ways to another bit rate the one that waits for nothing. It takes
-    /// part in the bus by itself after 11 recessive bits, whenever they come (RM0090, 32.4.2).
+    /// Resets the controller and sets it up, the only way to another bit rate without a wait. The controller joins the
+    /// bus by itself after 11 recessive bits (RM0090, 32.4.2).
     fn start(&mut self) {
         self.sample();
         if self.is_listening {
@@ -146,7 +148,7 @@ impl Controller {
             return;
         }
         let btr = BTR[usize::from(self.bit_rate.index())];
-        // Its drop would wait for sleep mode without limit.
+        // Its `drop` would wait for sleep mode without limit.
         mem::forget(self.can.modify_config().set_silent(self.is_listening).set_bit_timing(btr));
         self.set_filters();
         self.registers.ier().write(|w| {
@@ -159,8 +161,8 @@ impl Controller {
         self.registers.mcr().write(|w| w.sleep().clear_bit().inrq().clear_bit().abom().set_bit());
     }
 
-    /// Tries again what [`start`](Self::start) could not do, and resets a listener that hears nothing of a dominant bus.
-    /// To be called a few times a second.
+    /// Retries a failed [`start`](Self::start), and resets a listener that receives nothing on a dominant bus. Must be
+    /// called a few times a second.
     pub fn supervise(&mut self) {
         let can = &self.registers;
         let is_bus_dominant = can.msr().read().rx().bit_is_clear();
@@ -171,11 +173,11 @@ impl Controller {
         }
     }
 
-    /// FIFO 0 gets what the node wants. Into FIFO 1, which interrupts nobody, go the first three of all other frames, to
-    /// show that there are any.
+    /// Directs the node's frames to FIFO 0. The first three of all other frames go to FIFO 1, which has no interrupt,
+    /// to show that there is traffic.
     fn set_filters(&mut self) {
         let everything = BankConfig::Mask16([Mask16::accept_all(); 2]);
-        // A reset comes between listening and taking part: bank 1 is off while listening.
+        // A reset separates listening from taking part: bank 1 is off while listening.
         let mut filters = self.can.modify_filters();
         if self.is_listening {
             filters.enable_bank(0, Fifo::Fifo0, everything);
@@ -189,11 +191,11 @@ impl Controller {
         filters.enable_bank(1, Fifo::Fifo1, everything);
     }
 
-    /// Whether any valid frame that the node does not want has been received since the last call.
+    /// Whether a valid frame for others has been received since the last call.
     pub fn has_heard_others(&mut self) -> bool {
         let frames = self.registers.rfr(1).read().fmp().bits();
         for _ in 0..frames {
-            // That others were lost is no matter.
+            // Lost frames for others do not matter.
             let _ = self.can.rx1().receive();
             self.await_release(1);
         }
@@ -208,14 +210,14 @@ impl Controller {
         self.is_listening
     }
 
-    /// The next frame from the receive FIFO, or that frames were lost.
+    /// The next frame from the receive FIFO, or a loss of frames.
     pub fn receive(&mut self) -> Option<Received> {
         if self.registers.rfr(0).read().fmp().bits() == 0 {
             return None;
         }
         self.has_heard = true;
         self.note_understood();
-        // One of 9..=15 is legal on the wire; `bxcan` panics if it is asked for the data.
+        // Length codes 9..=15 are legal on the wire, but `bxcan` panics on access to their data.
         let length_code = self.registers.rx(0).rdtr().read().dlc().bits();
         let Ok(frame) = self.can.rx0().receive() else {
             return Some(Received::Overrun);
@@ -225,7 +227,7 @@ impl Controller {
         Some(frame.map_or(Received::Other, Received::Frame))
     }
 
-    /// Waits until a FIFO that has given up its oldest frame shows the next one.
+    /// Waits until the FIFO shows the next frame after the release of the oldest.
     fn await_release(&self, fifo: usize) {
         let fifo = self.registers.rfr(fifo);
         let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
@@ -245,12 +247,12 @@ impl Controller {
         self.fill_mailboxes();
     }
 
-    /// A mailbox has become empty; returns whether because its frame was sent and acknowledged.
+    /// Handles empty mailboxes; returns whether a frame was sent and acknowledged.
     pub fn handle_transmitted(&mut self) -> bool {
         const COMPLETED: u32 = 1 << 0 | 1 << 8 | 1 << 16;
         const ANY_SENT: u32 = 1 << 1 | 1 << 9 | 1 << 17;
         let status = self.registers.tsr().read().bits();
-        // Only what has been seen: what completes from now on interrupts again.
+        // Only the flags read above: a later completion interrupts again.
         // SAFETY: zeros have no effect in this register.
         self.registers.tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
         self.fill_mailboxes();
@@ -266,7 +268,7 @@ impl Controller {
         while !queue.is_empty() && queue.pop_if(|frame| put_in_mailbox(can, registers, frame)) {}
     }
 
-    /// Sends nothing until [`resume_transmitting`](Self::resume_transmitting), except for a frame that is on the bus now.
+    /// Sends nothing until [`resume_transmitting`](Self::resume_transmitting), except a frame that is on the bus now.
     pub fn stop_transmitting(&mut self) {
         const ABORT_ALL: u32 = 1 << 7 | 1 << 15 | 1 << 23;
         self.may_transmit = false;
@@ -275,7 +277,7 @@ impl Controller {
         self.registers.tsr().write(|w| unsafe { w.bits(ABORT_ALL) });
     }
 
-    /// Forgets the frames that wait but those of `cob_id`; one that is on the bus now goes on.
+    /// Drops all pending frames except those of `cob_id`; a frame on the bus now continues.
     pub fn forget_all_but(&mut self, cob_id: u16) {
         const ABORT: u32 = 1 << 7;
         self.queue.retain(cob_id);
@@ -294,8 +296,8 @@ impl Controller {
         self.may_transmit = true;
     }
 
-    /// Acknowledges a status interrupt; returns the latest error (last error code, RM0090, 32.9.2), if it concerns the
-    /// supervision of the bit rate.
+    /// Acknowledges a status interrupt; returns the latest error (last error code, RM0090, 32.9.2) if it concerns the
+    /// bit-rate supervision.
     pub fn handle_status(&mut self) -> Option<BusEvent> {
         const NO_ERROR: u8 = 0;
         const STUFF: u8 = 1;
@@ -305,7 +307,7 @@ impl Controller {
         const SET_BY_SOFTWARE: u8 = 7;
         let can = &self.registers;
         let status = can.esr().read();
-        // SAFETY: the value that software sets, to see the next error.
+        // SAFETY: the value that software sets to detect the next error.
         can.esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
         let last_error = status.lec().bits();
         let is_error = !matches!(last_error, NO_ERROR | SET_BY_SOFTWARE);
@@ -315,9 +317,9 @@ impl Controller {
             _ => None,
         };
         can.ier().modify(|_, w| {
-            // Bus-off is told once, even if the interrupt stays for as long as it does.
+            // Bus-off is reported once, although the interrupt persists.
             w.bofie().bit(status.boff().bit_is_clear());
-            // There may be tens of thousands of errors a second. A search needs each of them.
+            // There may be tens of thousands of errors a second. Only a search needs each of them.
             w.lecie().bit(self.is_listening || !is_error)
         });
         can.msr().write(|w| w.erri().set_bit());
@@ -328,20 +330,20 @@ impl Controller {
         error
     }
 
-    /// Notes that the controller is not lost.
+    /// Records that a valid frame was received or sent.
     fn note_understood(&mut self) {
         self.has_understood = true;
         self.samples = None;
     }
 
-    /// Begins to sample the bus, and to count.
+    /// Starts sampling the bus.
     #[inline(never)] // It has several callers: 36 bytes.
     fn sample(&mut self) {
         self.samples = Some(Samples::default());
         self.watch_at.get_or_insert(clock::now().plus_micros(WATCH_MICROS));
     }
 
-    /// Has the bus sampled if it is dominant and nothing was understood since the last call. To be called a few times a
+    /// Starts sampling if the bus is dominant and no valid frame came since the last call. Must be called a few times a
     /// second.
     pub fn look(&mut self) {
         let has_understood = mem::take(&mut self.has_understood);
@@ -351,14 +353,15 @@ impl Controller {
         }
     }
 
-    /// When [`watch`](Self::watch) has something to do, if it has.
+    /// The time at which [`watch`](Self::watch) has something to do.
     pub fn watch_at(&self) -> Option<Instant> {
         self.watch_at
     }
 
-    /// If it is time to, has the next error interrupt again, samples the bus, and reports what no interrupt does.
+    /// Enables the next error interrupt, samples the bus and returns an event that no interrupt reports, if the time
+    /// has come.
     ///
-    /// The bus is sampled from a start, an error or a [`look`](Self::look) on until a frame is understood, or no frame comes.
+    /// Sampling lasts from a start, an error or a [`look`](Self::look) until a valid frame, or until the bus is idle.
     pub fn watch(&mut self, now: Instant) -> Option<BusEvent> {
         self.watch_at.take_if(|at| at.has_come(now))?;
         self.registers.ier().modify(|_, w| w.lecie().set_bit());
@@ -367,11 +370,11 @@ impl Controller {
         event
     }
 
-    /// Reports a bus that is dominant for longer than any frame has recessive bits apart. Else traffic for more than two
-    /// frame times that the controller neither understands nor finds an error in: one that waits for a number of equal bits,
-    /// to join the bus or to end an error flag, may wait for ever at a wrong rate.
+    /// Reports a bus that is dominant for longer than the recessive bits of any frame are apart. Also reports traffic
+    /// for more than two frame times in which the controller finds neither a frame nor an error. A controller that
+    /// waits for a number of equal bits, to join the bus or to end an error flag, may wait for ever at a wrong rate.
     fn take_sample(&mut self) -> Option<BusEvent> {
-        /// After a frame at 10 kbit/s the bus is recessive for a millisecond at least.
+        /// After a frame at 10 kbit/s the bus is recessive for at least a millisecond.
         const LONGEST_FRAME: u16 = 16;
         const TWO_FRAMES_BITS: u16 = 2 * 135;
         let samples = self.samples.as_mut()?;
@@ -407,12 +410,12 @@ impl Controller {
         (status.tec().bits(), status.rec().bits())
     }
 
-    /// Whether what is received has made the controller error passive.
+    /// Whether receive errors have made the controller error passive.
     pub fn is_passive_by_reception(&self) -> bool {
         self.error_counters().1 > 127
     }
 
-    /// The controller's place on the bus (RM0090, 32.7.6).
+    /// The controller's fault confinement state (RM0090, 32.7.6).
     pub fn bus_state(&self) -> BusState {
         let status = self.registers.esr().read();
         match (status.boff().bit_is_set(), status.ewgf().bit_is_set()) {
@@ -423,7 +426,7 @@ impl Controller {
     }
 }
 
-/// Resets the controller, again if need be, and has it enter initialisation mode; returns whether it does.
+/// Resets the controller, repeatedly if necessary; returns whether it enters initialisation mode.
 fn enter_initialization(can: &CAN1) -> bool {
     let is_there = (0..RESETS).any(|_| {
         // SAFETY: the reset bit of CAN1 in RCC belongs to its owner.
@@ -437,9 +440,9 @@ fn enter_initialization(can: &CAN1) -> bool {
     is_there
 }
 
-/// Hands a frame to the controller; `false`: it has to wait. `bxcan` refuses all but a frame that is more urgent than those
-/// in mailboxes: of two with one COB-ID the controller would not send the older one first (RM0090, 32.7.1). Where no mailbox
-/// is empty it would abort one, and wait for the end of its frame: it is not asked then.
+/// Passes a frame to the controller; `false` if the frame must wait. `bxcan` only gets a frame that is more urgent than
+/// those in the mailboxes: of two with one COB-ID the controller might not send the older one first (RM0090, 32.7.1).
+/// Without an empty mailbox `bxcan` is not called, since it would abort a frame and wait for its end.
 fn put_in_mailbox(can: &mut bxcan::Can<Can<CAN1>>, registers: &CAN1, frame: &Frame) -> bool {
     const EMPTY: u32 = 0b111 << 26;
     let Some(data) = Data::new(frame.data()) else { return false };

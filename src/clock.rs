@@ -1,4 +1,4 @@
-//! Time: a count of microseconds that never stops, and the interrupt when it reaches what is due next.
+//! Time: a free-running count of microseconds, and an interrupt at the next deadline.
 
 use lss_slave::Instant;
 use stm32f4xx_hal::{
@@ -8,13 +8,13 @@ use stm32f4xx_hal::{
 
 use crate::device::APB1_HZ;
 
-/// Clock periods in a microsecond: the timers of an APB that is slower than the core run at twice its clock (RM0090, 7.2).
+/// Clock periods per microsecond: if an APB is slower than the core, its timers run at twice its clock (RM0090, 7.2).
 const PERIODS: u32 = 2 * APB1_HZ / 1_000_000;
 
 /// The interrupt of the [`Alarm`].
 const INTERRUPT: Interrupt = Interrupt::TIM2;
 
-/// Interrupts at an instant: TIM2, which counts all 32 bits.
+/// A timer interrupt at an instant: TIM2, which counts all 32 bits.
 pub struct Alarm {
     timer: TIM2,
 }
@@ -24,17 +24,17 @@ impl Alarm {
     pub fn new(timer: TIM2, rcc: &mut Rcc) -> Self {
         TIM2::enable(rcc);
         timer.psc().write(|w| w.psc().set((PERIODS - 1) as u16));
-        // Only an update event has the prescaler count (RM0090, 18.3.1).
+        // The prescaler takes effect only with an update event (RM0090, 18.3.1).
         timer.egr().write(|w| w.ug().set_bit());
         timer.dier().write(|w| w.cc1ie().set_bit());
         timer.cr1().write(|w| w.cen().set_bit());
         Self { timer }
     }
 
-    /// Interrupts at `instant`, at once if that has come; an earlier call counts no more.
+    /// Sets the interrupt to `instant`, or triggers it at once if that has passed; replaces an earlier instant.
     pub fn set(&mut self, instant: Instant) {
         self.timer.ccr1().write(|w| w.ccr().set(instant.as_micros()));
-        // The count may have gone past it before it was written.
+        // The count may have passed the instant before it was written.
         if instant.has_come(now()) {
             rtic::pend(INTERRUPT);
         }

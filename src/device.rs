@@ -1,4 +1,4 @@
-//! What makes the firmware your product: identity, defaults, clock and pins. This is the file to edit.
+//! The settings that make the firmware your product: identity, defaults, clock and pins. Edit this file.
 
 use lss_slave::{BitRate, BitRateSetting, BitRates, Settings};
 use stm32f4xx_hal::{
@@ -8,11 +8,11 @@ use stm32f4xx_hal::{
 
 use crate::transmit_pin::TransmitPin;
 
-/// Your company's number, from CiA.
+/// Your company's vendor-ID, from CiA.
 pub const VENDOR_ID: u32 = 0x0000_0000;
 /// Your number for this product.
 pub const PRODUCT_CODE: u32 = 0x4C53_5334;
-/// Major revision in the upper 16 bits (what changes the behaviour on the bus), minor in the lower.
+/// Major revision (changes in the behaviour on the bus) in the upper 16 bits, minor in the lower.
 pub const REVISION_NUMBER: u32 = 0x0001_0000;
 /// Manufacturer device name, object 1008h.
 pub const NAME: &str = "LSS slave";
@@ -22,46 +22,46 @@ pub const HARDWARE_VERSION: &str = "1.0";
 pub const SOFTWARE_VERSION: &str = env!("CARGO_PKG_VERSION");
 // The serial number comes from the chip's unique id, see `board::serial_number`.
 
-/// How a new device starts, until an LSS master stores something else.
+/// The settings of a new device, until an LSS master stores others.
 pub const DEFAULTS: Settings = Settings::new(BitRateSetting::Fixed(BitRate::Kbit125))
-    // None: not configured, the device waits for an LSS master. Else `NodeId::new(5)`, for example.
+    // `None`: not configured, the device waits for an LSS master. Otherwise `NodeId::new(5)`, for example.
     .with_node_id(None)
-    // Milliseconds between heartbeats; 0: none.
+    // Milliseconds between heartbeats; 0 disables the heartbeat.
     .with_heartbeat_ms(1000);
 
 /// The crystal (HSE) in Hz: a whole number of MHz from 4 to 26.
 pub const CRYSTAL_HZ: u32 = 8_000_000;
-/// Whether the clock comes from outside (a Nucleo's ST-LINK, an oscillator) and not from a crystal.
+/// Whether the clock is external (a Nucleo's ST-LINK, an oscillator) instead of a crystal.
 pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
 
-/// The pins to the CAN transceiver. CAN1 can also use PA12 and PA11: change the port in all three places. On PD1 and PD0 it
-/// shares port D, which can be split only once, with the indicators: give those another port.
+/// The pins to the CAN transceiver. CAN1 can also use PA12 and PA11: change the port in all three places. On PD1 and
+/// PD0 it would share port D, which can be split only once, with the indicators: give those another port.
 pub fn can_pins(port: GPIOB, rcc: &mut RCC) -> (TransmitPin, can1::Rx) {
     let pins = port.split(rcc);
     (pins.pb9.into(), pins.pb8.into())
 }
 
-/// The RUN (green) and ERR (red) indicators, driven high to light. These are two LEDs of an STM32F407 Discovery; where
-/// there are none, the pins move unseen.
+/// The RUN (green) and ERR (red) indicators, active high. These are two LEDs of an STM32F407 Discovery; on a board
+/// without them the pins toggle unseen.
 pub fn indicator_pins(port: GPIOD, rcc: &mut RCC) -> (ErasedPin<Output>, ErasedPin<Output>) {
     let pins = port.split(rcc);
     (pins.pd12.into_push_pull_output().erase(), pins.pd14.into_push_pull_output().erase())
 }
 
-/// The core clock. 160 MHz with an APB1 clock of a quarter is legal for every chip here, and the choice from which all eight
-/// bit rates come out exact and bear crystals that are 0.5 % off: docs/bit-rates.md.
+/// The core clock. 160 MHz with an APB1 clock of a quarter is legal for every chip here. With it all eight bit rates
+/// are exact and tolerate crystals that are 0.5 % off: docs/bit-rates.md.
 pub const SYSCLK_HZ: u32 = 160_000_000;
 /// The clock of the CAN controller.
 pub const APB1_HZ: u32 = SYSCLK_HZ / 4;
 
-/// The bit rates that LSS may ask for. Without `with_automatic()`, index 9 (automatic detection) is refused.
+/// The bit rates that LSS may select. Without `with_automatic()`, index 9 (automatic detection) is rejected.
 pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ).with_automatic();
 
-/// Whether the bit rate is supervised: a device that hears lasting errors and no valid frame looks for the rate of the
-/// others, and returns to its own: docs/bit-rates.md.
+/// Bit-rate supervision: a device that receives lasting errors and no valid frame searches for the rate of the others,
+/// and returns to its own: docs/bit-rates.md.
 pub const RESCUE: bool = true;
 
-/// Whether LSS configuration is refused while the node is NMT operational: docs/threat-model.md.
+/// LSS lock: LSS configuration is refused while the node is NMT operational: docs/threat-model.md.
 pub const LSS_LOCK: bool = false;
 
 const _: () = {

@@ -1,4 +1,4 @@
-//! Where every fault, panic and stack overflow ends: a word in the log, and a reset.
+//! The end of every fault, panic and stack overflow: a log entry and a reset.
 
 use core::arch::naked_asm;
 
@@ -9,26 +9,26 @@ use cortex_m::{
 use cortex_m_rt::ExceptionFrame;
 
 unsafe extern "C" {
-    /// First byte of the stack, and of the RAM (`memory.x`).
+    /// The first byte of the stack and of the RAM (`memory.x`).
     static _stack_end: u8;
-    /// First byte behind the stack.
+    /// The first byte behind the stack.
     static _stack_start: u8;
 }
 
-/// The lowest part of the stack, which nobody may use: more than any function takes of it at once.
+/// The size of the guard at the bottom of the stack: more than the largest stack frame.
 const GUARD_LEN: usize = 1024;
 
-/// What reporting takes of the stack, at most.
+/// The most that a report takes of the stack.
 const REPORT_LEN: usize = 512;
 
-/// Makes every access to the guard a fault (ARM DDI 0403, B3.5): not all that lies below the RAM is one.
+/// Turns every access to the guard into a fault (ARM DDI 0403, B3.5), since some addresses below the RAM cause none.
 pub fn guard_stack(mpu: &MPU) {
     const VALID: u32 = 1 << 4;
     const EXECUTE_NEVER: u32 = 1 << 28;
     const SIZE: u32 = (GUARD_LEN.ilog2() - 1) << 1;
     const ENABLE: u32 = 1 << 0;
     const DEFAULT_MAP_ELSEWHERE: u32 = 1 << 2;
-    // SAFETY: region 0, of a size and at an address that it can have, where nothing lives; no other region is used.
+    // SAFETY: region 0 has a valid size and address, and nothing lives there; no other region is used.
     unsafe {
         mpu.rbar.write(&raw const _stack_end as u32 | VALID);
         mpu.rasr.write(EXECUTE_NEVER | SIZE | ENABLE);
@@ -38,7 +38,7 @@ pub fn guard_stack(mpu: &MPU) {
     asm::isb();
 }
 
-/// The exception's entry. Where the stack has no room left for the report it begins the stack anew: nothing returns from here.
+/// The entry of the exception. Without room for the report it resets the stack pointer: nothing returns from here.
 #[unsafe(naked)]
 #[unsafe(no_mangle)]
 unsafe extern "C" fn HardFault() -> ! {

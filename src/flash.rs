@@ -14,13 +14,13 @@ const FIRST_SECTOR: u32 = 1;
 const SECTORS: u32 = 2;
 const SECTOR_LEN: u32 = 16 * 1024;
 
-/// Reads of the status register after which programming a word counts as hung: it takes 100 us at most. The core stalls when it
-/// fetches from the flash meanwhile, but what is in the instruction cache runs on.
+/// The number of status reads after which programming a word is considered hung: it takes 100 us at most. Meanwhile the
+/// core stalls when it fetches from the flash, but code in the instruction cache runs on.
 const WORD_READS: u32 = 10_000;
-/// The same for the erase of a sector, 800 ms at most: a read takes 50 ns at least.
+/// The same for the erase of a sector, 800 ms at most: a read takes at least 50 ns.
 const ERASE_READS: u32 = 20_000_000;
 
-/// FLASH_SR: busy, and the errors of programming and erasing.
+/// FLASH_SR: the busy flag, and the errors of programming and erasing.
 const BUSY: u32 = 1 << 16;
 const ERRORS: u32 = 0b1111_0010;
 const WRITE_PROTECTED: u32 = 1 << 4;
@@ -31,14 +31,14 @@ pub struct SettingsFlash {
     supply: Supply,
 }
 
-/// Why an operation failed.
+/// The reason for a failed operation.
 #[derive(Debug)]
 pub enum FlashError {
-    /// The address or length is not possible.
+    /// The address or length is invalid.
     Range(NorFlashErrorKind),
-    /// It ended, or did not end, with these bits of FLASH_SR (RM0090, 3.9.5).
+    /// The operation ended, or did not end, with these bits of FLASH_SR (RM0090, 3.9.5).
     Status(u32),
-    /// The supply is too low for it.
+    /// The supply voltage is too low.
     Supply,
 }
 
@@ -52,12 +52,12 @@ impl NorFlashError for FlashError {
 }
 
 impl SettingsFlash {
-    /// Takes the flash controller; `supply` says whether it may write.
+    /// Takes the flash controller; `supply` decides whether it may write.
     pub fn new(registers: pac::FLASH, supply: Supply) -> Self {
         Self { registers, supply }
     }
 
-    /// Runs `operation`, if the supply bears it, with the control register unlocked and no error of an earlier one left.
+    /// Runs `operation`, if the supply is sufficient, with the control register unlocked and old errors cleared.
     fn operate(
         &mut self,
         operation: impl FnOnce(&Self) -> Result<(), FlashError>,
@@ -77,7 +77,7 @@ impl SettingsFlash {
         }
         let outcome = operation(self);
         flash.cr().write(|w| w.lock().set_bit());
-        // What the data cache holds may be from before.
+        // The data cache may hold old content.
         flash.acr().modify(|_, w| w.dcen().clear_bit());
         flash.acr().modify(|_, w| w.dcrst().set_bit());
         flash.acr().modify(|_, w| w.dcrst().clear_bit());
@@ -118,7 +118,7 @@ impl ReadNorFlash for SettingsFlash {
         let (words, _) = bytes.as_chunks_mut();
         let from = (START + offset) as *const u32;
         for (i, word) in words.iter_mut().enumerate() {
-            // SAFETY: an aligned word within the sectors; volatile, since they change behind the compiler's back.
+            // SAFETY: an aligned word within the sectors; volatile, since the hardware changes them.
             *word = unsafe { from.add(i).read_volatile() }.to_le_bytes();
         }
         Ok(())
@@ -138,7 +138,7 @@ impl NorFlash for SettingsFlash {
         self.operate(|flash| {
             for sector in from / SECTOR_LEN..to / SECTOR_LEN {
                 let number = (FIRST_SECTOR + sector) as u8;
-                // SAFETY: the number of a sector that is ours; 32-bit parallelism needs 2.7 V (RM0090, table 9).
+                // SAFETY: the number of one of our sectors; 32-bit parallelism needs 2.7 V (RM0090, table 9).
                 flash.registers.cr().write(|w| unsafe {
                     w.lock()
                         .clear_bit()
@@ -168,7 +168,7 @@ impl NorFlash for SettingsFlash {
             let (words, _) = bytes.as_chunks();
             let to = (START + offset) as *mut u32;
             for (i, word) in words.iter().enumerate() {
-                // SAFETY: an aligned word within the sectors; the controller programs what is stored there.
+                // SAFETY: an aligned word within the sectors; the store programs it.
                 unsafe { to.add(i).write_volatile(u32::from_le_bytes(*word)) };
                 flash.wait(WORD_READS)?;
             }

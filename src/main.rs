@@ -1,4 +1,4 @@
-//! The firmware: an RTIC application that puts the LSS slave on an STM32F4.
+//! The firmware: an RTIC application that makes an STM32F4 an LSS slave.
 
 #![no_std]
 #![no_main]
@@ -81,12 +81,12 @@ mod app {
             runner.handle_fault(Fault::SettingsLost);
         }
         let Board { indicators, mut watchdog, .. } = board;
-        // The start may have erased a sector; the first roll call comes later.
+        // The start may have erased a sector, so the first roll call comes later.
         watchdog.feed();
         (Shared { runner }, Local { log, indicators, watchdog })
     }
 
-    /// Sleeps; the debugger reads the log all the same.
+    /// Sleeps; the debugger can still read the log.
     #[idle]
     fn idle(_: idle::Context) -> ! {
         loop {
@@ -95,31 +95,33 @@ mod app {
         }
     }
 
-    /// A frame has been received: the answer leaves from here. Late by more than three frames (150 us at 1 Mbit/s), frames
-    /// are lost.
+    /// Handles received frames and sends the answer. If it runs late by more than three frames (150 us at 1 Mbit/s),
+    /// frames are lost.
     #[task(binds = CAN1_RX0, shared = [runner], priority = 3)]
     fn received(mut cx: received::Context) {
         roll_call::answer(Task::Received);
         cx.shared.runner.lock(Runner::handle_received);
     }
 
-    /// A mailbox is empty: the next frame goes there. Late, another node's frame goes first.
+    /// Fills an empty mailbox with the next frame. If it runs late, another node's frame goes first.
     #[task(binds = CAN1_TX, shared = [runner], priority = 3)]
     fn transmitted(mut cx: transmitted::Context) {
         roll_call::answer(Task::Transmitted);
         cx.shared.runner.lock(Runner::handle_transmitted);
     }
 
-    /// The controller has become error passive or bus-off; from the latter it recovers by itself.
+    /// Handles error passive and bus-off; the controller recovers from bus-off by itself.
     #[task(binds = CAN1_SCE, shared = [runner], priority = 3)]
     fn status(mut cx: status::Context) {
         roll_call::answer(Task::Status);
         cx.shared.runner.lock(Runner::handle_status);
     }
 
-    /// Does what is due at a time: ends of switch delays, heartbeats, steps of the indicators. Late, the bit rate switches late.
+    /// Does what is due: ends of switch delays, heartbeats, steps of the indicators. If it runs late, the bit rate
+    /// switches late.
     ///
-    /// Calls the roll four times a second, and feeds the watchdog if everyone has answered; it bites after 1.4 to 3.8 s, as
+    /// Starts a roll call four times a second, and feeds the watchdog if all tasks have answered. The watchdog resets
+    /// the chip after 1.4 to 3.8 s, depending on its oscillator.
     /// its oscillator is.
     #[task(binds = TIM2, local = [indicators, watchdog, steps: u8 = 0], shared = [runner], priority = 3)]
     fn due(mut cx: due::Context) {
@@ -140,8 +142,8 @@ mod app {
         }
     }
 
-    /// Writes to the flash, below everything on the bus. Late, so is the answer to store configuration: 20 ms are allowed.
-    /// The interrupt is not the USART's, which is not used, but pended by the [`Runner`].
+    /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store
+    /// configuration: 20 ms are allowed. The [`Runner`] pends the interrupt, which belongs to an unused USART.
     #[task(binds = USART1, local = [log], shared = [runner], priority = 1)]
     fn store(mut cx: store::Context) {
         roll_call::answer(Task::Store);

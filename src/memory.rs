@@ -1,13 +1,13 @@
-//! Copying and clearing memory in a few bytes of flash. The compiler's own, 1.1 KB, are made for a speed that nothing here
-//! needs: what is copied is a log line, a record of the settings, or the node once at the start.
+//! Copying and clearing memory in a few bytes of flash. The compiler's own functions take 1.1 KB for a speed that is
+//! not needed here: they copy log lines, settings records and, once at the start, the node.
 
 use core::arch::global_asm;
 
-// The names that the ABI gives them (RTABI 32, 4.3.4); r0 is the destination, to be kept for `memcpy`.
+// The names that the ABI prescribes (RTABI 32, 4.3.4); r0 is the destination, which `memcpy` must preserve.
 global_asm!(
     ".section .text.memory, \"ax\"",
     ".thumb",
-    ".macro function name", // another name of what follows
+    ".macro function name", // another name for the code that follows
     ".global \\name",
     ".type \\name, %function",
     ".thumb_func",
@@ -18,12 +18,12 @@ global_asm!(
     "function __aeabi_memcpy4",
     "function __aeabi_memcpy8",
     "subs r2, #4", // r1: the source, r2: the length
-    "0: ittt pl",  // words from the end on, aligned or not
+    "0: ittt pl",  // words from the end, aligned or not
     "ldrpl r3, [r1, r2]",
     "strpl r3, [r0, r2]",
     "subspl r2, #4",
     "bpl 0b",
-    "adds r2, #3", // and what is left at the start
+    "adds r2, #3", // the rest at the start
     "1: ittt pl",
     "ldrbpl r3, [r1, r2]",
     "strbpl r3, [r0, r2]",

@@ -1,10 +1,10 @@
-//! The roll call before each feeding of the watchdog: only if every task has answered, all of them are alive.
+//! The roll call before each feeding of the watchdog: all tasks must have answered.
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
 use stm32f4xx_hal::pac::Interrupt;
 
-/// Who has to answer.
+/// The tasks that must answer.
 #[derive(Clone, Copy)]
 #[repr(u8)]
 pub enum Task {
@@ -18,17 +18,17 @@ pub enum Task {
 const EVERYONE: u8 = 0b1_1111;
 static PRESENT: AtomicU8 = AtomicU8::new(0);
 
-/// `task` is alive.
+/// Records that `task` is alive.
 pub fn answer(task: Task) {
     PRESENT.fetch_or(task as u8, Ordering::Relaxed);
 }
 
-/// Whether everyone has answered.
+/// Whether all tasks have answered.
 pub fn is_everyone_present() -> bool {
     PRESENT.load(Ordering::Relaxed) == EVERYONE
 }
 
-/// Begins the next roll call: calls those that do not come by themselves.
+/// Begins the next roll call and triggers the tasks that do not run by themselves.
 pub fn begin() {
     PRESENT.store(0, Ordering::Relaxed);
     for interrupt in

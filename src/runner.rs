@@ -1,4 +1,4 @@
-//! The node on its board: hands over what arrives, carries out what the node answers.
+//! The node on its board: passes inputs to the node and carries out its actions.
 
 use core::mem;
 
@@ -16,24 +16,24 @@ use crate::{
     clock::{self, Alarm},
 };
 
-/// The node, its controller, and when either has something to do next.
+/// The node, its controller, and their next deadline.
 pub struct Runner {
     node: Node,
     can: Controller,
     alarm: Alarm,
-    /// As last seen.
+    /// The error counters last seen.
     bus_state: BusState,
     was_passive: bool,
     indicators: Indicators,
-    /// When the indicators' next step begins.
+    /// The start of the indicators' next step.
     step_at: Instant,
-    /// A store that has not begun; its outcome comes back by [`Runner::handle_stored`].
+    /// A store that has not begun; [`Runner::handle_stored`] takes its outcome.
     store: Option<Settings>,
 }
 
 impl Runner {
-    /// A node that has just been switched on, and its controller, which takes part in the bus from now on, unless the node
-    /// wants to listen first.
+    /// A node after power-on, and its controller, which takes part in the bus from now on, unless the node wants to
+    /// listen first.
     pub fn new(node: Node, mut can: Controller, mut alarm: Alarm) -> Self {
         if !node.is_listening() {
             can.set_bit_rate(node.bit_rate());
@@ -52,13 +52,14 @@ impl Runner {
         }
     }
 
-    /// Frames have been received.
+    /// Handles received frames.
     pub fn handle_received(&mut self) {
         while let Some(received) = self.can.receive() {
             match received {
                 Received::Frame(frame) => {
                     let now = clock::now();
-                    // What was due before the frame came is done before; but a frame that a look has found counts where it was found.
+                    // Deadlines before the frame come first; but a frame found by a look counts at the rate where it
+                    // was found.
                     if self.node.is_due(now) && !self.can.is_listening() {
                         self.act_until_nothing_is_due();
                     }
@@ -77,7 +78,7 @@ impl Runner {
         self.set_alarm();
     }
 
-    /// A frame has been sent or aborted.
+    /// Handles frames that were sent or aborted.
     pub fn handle_transmitted(&mut self) {
         if self.can.handle_transmitted() {
             self.node.handle_bus(BusEvent::Acknowledged, clock::now());
@@ -85,14 +86,14 @@ impl Runner {
         }
     }
 
-    /// The controller's error state has changed, or it has found an error on the bus.
+    /// Handles a change of the controller's error state, or an error on the bus.
     pub fn handle_status(&mut self) {
         let (transmit, receive) = self.can.error_counters();
         let counters = BusEvent::ErrorCounters { transmit, receive };
         self.node.handle_bus(counters, clock::now());
         let error = self.can.handle_status();
         let now = clock::now();
-        // Frames that came before the error count before it.
+        // Frames received before the error come first.
         self.hear_others();
         if let Some(error) = error {
             self.node.handle_bus(error, now);
@@ -103,7 +104,7 @@ impl Runner {
         self.finish();
     }
 
-    /// Looks after the controller, a few times a second: no interrupt tells that it has recovered from bus-off.
+    /// Checks the controller, a few times a second: no interrupt reports its recovery from bus-off.
     pub fn supervise(&mut self) {
         self.can.supervise();
         self.handle_status();
@@ -134,19 +135,19 @@ impl Runner {
         }
     }
 
-    /// The board has seen a fault.
+    /// Passes a fault of the board to the node.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.node.handle_fault(fault);
         self.finish();
     }
 
-    /// A store has come to its end.
+    /// Passes the outcome of a store to the node.
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         self.node.handle_stored(outcome);
         self.finish();
     }
 
-    /// The settings that are to be stored now, if there are any.
+    /// The settings to store now, if any.
     pub fn take_store(&mut self) -> Option<Settings> {
         self.store.take()
     }
@@ -157,10 +158,10 @@ impl Runner {
         }
     }
 
-    /// Does what is due now; returns what the indicators are to show, at the beginning of each of their steps.
+    /// Does what is due now; returns the indicators to light, at the start of each of their steps.
     pub fn handle_alarm(&mut self) -> Option<Lit> {
         self.alarm.acknowledge();
-        // What was heard until now counts before what is due now.
+        // Traffic received until now counts before the deadlines.
         self.hear_others();
         self.act_until_nothing_is_due();
         let now = clock::now();
@@ -183,7 +184,7 @@ impl Runner {
         self.indicators.step(self.node.nmt_state(), is_lss_active, self.can.bus_state())
     }
 
-    /// Ends what every event leads to.
+    /// Completes the handling of every event.
     #[inline(never)] // It has several callers: 28 bytes.
     fn finish(&mut self) {
         self.act_until_nothing_is_due();

@@ -1,8 +1,8 @@
-//! The chip's supply: what the programmable voltage detector says of it (RM0090, 5.2.3).
+//! The chip's supply, as measured by the programmable voltage detector (RM0090, 5.2.3).
 
 use stm32f4xx_hal::{pac::PWR, rcc::Enable};
 
-/// PLS for 2.7 V: what five wait states at 160 MHz and programming the flash by words need.
+/// PLS for 2.7 V: required by five wait states at 160 MHz and by programming the flash in words.
 const LEVEL: u8 = 0b101;
 
 /// The voltage detector.
@@ -19,7 +19,7 @@ impl Supply {
         Self { detector }
     }
 
-    /// Whether it is below 2.7 V, or was until a moment ago.
+    /// Whether the supply is below 2.7 V, or was until a moment ago.
     pub fn is_low(&self) -> bool {
         self.detector.csr().read().pvdo().bit_is_set()
     }

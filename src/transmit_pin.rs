@@ -1,11 +1,11 @@
-//! The pin to the CAN transceiver's transmit input, which belongs to the controller or rests recessive.
+//! The transmit pin to the CAN transceiver, which the controller drives or which is held recessive.
 
 use stm32f4xx_hal::{
     gpio::{Output, Pin, PinSpeed, PinState, Speed, alt::can1},
     pac::GPIOA,
 };
 
-/// Bytes from one GPIO port's registers to the next (RM0090, 2.3).
+/// The distance of two GPIO ports' registers in bytes (RM0090, 2.3).
 const PORT_DISTANCE: usize = 0x400;
 /// Modes of a pin in GPIOx_MODER (RM0090, 8.4.1).
 const OUTPUT: u32 = 0b01;
@@ -13,9 +13,9 @@ const ALTERNATE_FUNCTION: u32 = 0b10;
 
 /// A pin that can carry CAN1's transmit line.
 pub struct TransmitPin {
-    /// Bytes from the registers of port A to those of the pin's port.
+    /// The distance of the port's registers from those of port A in bytes.
     port_offset: usize,
-    /// Where the pin's mode begins in GPIOx_MODER.
+    /// The first bit of the pin's mode in GPIOx_MODER.
     shift: u32,
 }
 
@@ -23,7 +23,7 @@ impl<const PORT: char, const NUMBER: u8> From<Pin<PORT, NUMBER>> for TransmitPin
 where
     can1::Tx: From<Pin<PORT, NUMBER, Output>>,
 {
-    /// Sets the pin up for CAN1, and has it rest. CAN1 must have its clock, as the line may twitch otherwise.
+    /// Sets the pin up for CAN1, held recessive. CAN1 must have its clock, as the line may otherwise glitch.
     fn from(pin: Pin<PORT, NUMBER>) -> Self {
         let pin = pin.into_push_pull_output_in_state(PinState::High);
         can1::Tx::from(pin).set_speed(Speed::High);
@@ -49,7 +49,7 @@ impl TransmitPin {
         // SAFETY: the ports have equal registers at equal distances.
         let port = unsafe { &*GPIOA::ptr().byte_add(self.port_offset) };
         let (mask, mode) = (0b11_u32.wrapping_shl(self.shift), mode.wrapping_shl(self.shift));
-        // SAFETY: only the bits of this pin change, and nobody else writes the modes of pins while tasks run.
+        // SAFETY: only the bits of this pin change, and no other code writes pin modes while tasks run.
         port.moder().modify(|r, w| unsafe { w.bits(r.bits() & !mask | mode) });
     }
 }

@@ -1,18 +1,18 @@
-//! The frames that wait for a mailbox: the most urgent first, those of one COB-ID in the order of their arrival.
+//! The frames that wait for a mailbox: the most urgent first, those of one COB-ID in the order of arrival.
 
 use core::cmp::Reverse;
 
 use lss_slave::{Frame, nmt};
 
-/// Frames that may wait. An LSS or SDO answer goes before the next request in the arbitration, so that only a bus that is
-/// full of other frames fills the queue.
+/// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
+/// other frames fills the queue.
 const CAPACITY: usize = 16;
 
-/// Frames that wait.
+/// The pending frames.
 pub struct TransmitQueue {
     places: [Option<Waiting>; CAPACITY],
     len: usize,
-    /// How many frames have ever waited; wraps.
+    /// The number of frames ever queued; wraps.
     arrivals: u32,
 }
 
@@ -22,22 +22,22 @@ struct Waiting {
 }
 
 impl TransmitQueue {
-    /// No frames.
+    /// An empty queue.
     pub const fn new() -> Self {
         Self { places: [const { None }; CAPACITY], len: 0, arrivals: 0 }
     }
 
-    /// Whether no frame waits.
+    /// Whether the queue is empty.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Forgets all frames.
+    /// Drops all frames.
     pub fn clear(&mut self) {
         *self = Self::new();
     }
 
-    /// Forgets all frames but those of `cob_id`.
+    /// Drops all frames except those of `cob_id`.
     pub fn retain(&mut self, cob_id: u16) {
         if self.is_empty() {
             return;
@@ -50,8 +50,8 @@ impl TransmitQueue {
         }
     }
 
-    /// Adds a frame; returns whether there was room. A heartbeat that waits already is not added again: a board that is alone
-    /// on its bus does not save them up.
+    /// Adds a frame; returns whether there was room. A heartbeat that is already waiting is not added again, so that a
+    /// board that is alone on its bus does not accumulate them.
     pub fn push(&mut self, frame: Frame) -> bool {
         let is_error_control = frame.cob_id() & !0x7F == nmt::ERROR_CONTROL_COB_ID;
         if is_error_control && self.places.iter().flatten().any(|waiting| waiting.frame == frame) {
@@ -66,7 +66,7 @@ impl TransmitQueue {
         true
     }
 
-    /// Takes the most urgent frame if `send` says that it is on its way; returns whether it was.
+    /// Removes the most urgent frame if `send` accepts it; returns whether it did.
     pub fn pop_if(&mut self, send: impl FnOnce(&Frame) -> bool) -> bool {
         let now = self.arrivals;
         let urgency = |w: &Waiting| (w.frame.cob_id(), Reverse(now.wrapping_sub(w.arrival)));
