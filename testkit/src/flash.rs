@@ -1,5 +1,5 @@
-//! A NOR flash in memory: its power can fail in every program and erase step, and then what was programmed reads otherwise at
-//! each power-on; its operations can fail, its bits can stick.
+//! A NOR flash in memory. Its power can fail in every program and erase step; what was being programmed then reads
+//! differently at each power-on. Its operations can fail, and its bits can stick.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -9,24 +9,24 @@ use embedded_storage::nor_flash::{
 
 use super::random::Random;
 
-/// Two sectors of 16 KB that are written a word at a time: what the board has.
+/// Two sectors of 16 KB, written a word at a time, as on the board.
 pub type BoardFlash = Flash<4, 0x4000>;
 
 /// A flash of two sectors of `ERASE` bytes, written in units of `WRITE` bytes; clones are handles to the same chip.
 #[derive(Clone)]
 pub struct Flash<const WRITE: usize, const ERASE: usize>(Rc<RefCell<Chip>>);
 
-/// A kind of operation that can fail.
+/// A kind of operation that can be made to fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operation {
     Read,
-    /// The programming of one unit; one that fails programs any of its bits.
+    /// The programming of one unit; a failure programs any of its bits.
     Write,
-    /// The erasure of one sector; one that fails leaves anything.
+    /// The erasure of one sector; a failure leaves any content.
     Erase,
 }
 
-/// Cells between two values, because the power failed while they were programmed.
+/// Cells between two values, left by a power cut during programming.
 #[derive(Clone)]
 struct Marginal {
     at: usize,
@@ -37,23 +37,23 @@ struct Marginal {
 #[derive(Clone)]
 struct Chip {
     bytes: Vec<u8>,
-    /// What they would be if every program step had come to its end.
+    /// The content if every program step had been completed.
     intended: Vec<u8>,
     marginal: Vec<Marginal>,
-    /// Bits that read as 0 (as 1) whatever was programmed, by address.
+    /// The bits that are stuck at 0 (at 1), by address.
     stuck: Vec<(usize, u8, bool)>,
     random: Random,
     powered: bool,
-    /// Program and erase steps that come to their end before the power fails.
+    /// The number of program and erase steps that are completed before the power fails.
     steps_until_cut: Option<usize>,
-    /// The operation that fails, after so many that do not, and whether only once.
+    /// The operation to fail, the number of successful ones before it, and whether it fails only once.
     fault: Option<(Operation, usize, bool)>,
     writes: usize,
     erases: usize,
 }
 
 impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
-    /// A new, blank chip. `seed` decides what interrupted operations leave.
+    /// A new, blank chip. `seed` determines the results of interrupted operations.
     pub fn blank(seed: u64) -> Self {
         Self::with_content(vec![0xFF; 2 * ERASE], seed)
     }
@@ -74,7 +74,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         })))
     }
 
-    /// Another chip with the same cells, and the power on.
+    /// A copy of the chip with the same cells, powered on.
     pub fn duplicate(&self, seed: u64) -> Self {
         let duplicate = Self::with_content(self.content(), seed);
         {
@@ -91,19 +91,19 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         self.0.borrow().bytes.clone()
     }
 
-    /// Changes what a cell holds behind the log's back.
+    /// Changes the content of a cell behind the log's back.
     pub fn corrupt(&self, at: usize, byte: u8) {
         let mut chip = self.0.borrow_mut();
         chip.bytes[at] = byte;
         chip.intended[at] = byte;
     }
 
-    /// The bits `mask` of the byte at `at` read as `value` from now on, whatever is programmed.
+    /// Makes the bits `mask` of the byte at `at` stick at `value`.
     pub fn stick(&self, at: usize, mask: u8, value: bool) {
         self.0.borrow_mut().stuck.push((at, mask, value));
     }
 
-    /// The power fails in the program or erase step after the next `steps`.
+    /// Makes the power fail in the program or erase step after the next `steps`.
     pub fn cut_power_after(&self, steps: usize) {
         self.0.borrow_mut().steps_until_cut = Some(steps);
     }
@@ -112,7 +112,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         self.0.borrow().powered
     }
 
-    /// Power is back, and does not fail again.
+    /// Restores the power, without another failure.
     pub fn power_on(&self) {
         let mut chip = self.0.borrow_mut();
         chip.powered = true;
@@ -120,27 +120,27 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         chip.flip();
     }
 
-    /// The power is cycled: what it once failed in reads otherwise.
+    /// Cycles the power: interrupted cells read differently.
     pub fn cycle_power(&self) {
         self.0.borrow_mut().flip();
     }
 
-    /// Every operation of this kind fails from now on.
+    /// Makes every operation of this kind fail from now on.
     pub fn fail(&self, operation: Operation) {
         self.fail_after(operation, 0);
     }
 
-    /// Every operation of this kind fails, after `others` that succeed.
+    /// Makes every operation of this kind fail, after `others` that succeed.
     pub fn fail_after(&self, operation: Operation, others: usize) {
         self.0.borrow_mut().fault = Some((operation, others, false));
     }
 
-    /// One operation of this kind fails, after `others` that succeed.
+    /// Makes one operation of this kind fail, after `others` that succeed.
     pub fn fail_once(&self, operation: Operation, others: usize) {
         self.0.borrow_mut().fault = Some((operation, others, true));
     }
 
-    /// Whether the failure that was asked for is still to come or lasts.
+    /// Whether the requested failure is still to come or persists.
     pub fn is_faulty(&self) -> bool {
         self.0.borrow().fault.is_some()
     }
@@ -151,12 +151,12 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         chip.stuck.clear();
     }
 
-    /// How many units have been programmed.
+    /// The number of units programmed.
     pub fn writes(&self) -> usize {
         self.0.borrow().writes
     }
 
-    /// How many sectors have been erased.
+    /// The number of sectors erased.
     pub fn erases(&self) -> usize {
         self.0.borrow().erases
     }
@@ -169,7 +169,7 @@ impl Chip {
         })
     }
 
-    /// Whether the next operation comes to its end.
+    /// Whether the next operation is completed.
     fn succeeds(&mut self, operation: Operation) -> bool {
         if operation != Operation::Read {
             match &mut self.steps_until_cut {
@@ -202,7 +202,7 @@ impl Chip {
         let before = self.bytes[place].to_vec();
         self.writes += 1;
         let succeeds = self.succeeds(Operation::Write);
-        // In a power cut the step may also have come to its end, or not have begun.
+        // In a power cut the step may also have been completed or not begun.
         let tear = if self.powered { 0 } else { self.random.within(0..4) };
         for (at, byte) in (at..).zip(unit) {
             let left = match tear {
@@ -221,7 +221,7 @@ impl Chip {
         if succeeds { Ok(()) } else { Err(NorFlashErrorKind::Other) }
     }
 
-    /// Lets what is between two values read as either, or as anything between.
+    /// Makes interrupted cells read as either value, or as any mixture.
     fn flip(&mut self) {
         for Marginal { at, before, unit } in &self.marginal {
             let kind = self.random.within(0..4);

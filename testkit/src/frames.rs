@@ -1,13 +1,13 @@
-//! Frames as text, in the notation of the CANopen manuals: `704: 00`, or only `04 01` where the COB-ID is clear.
+//! Frames as text, in the notation of the CANopen manuals: `704: 00`, or just `04 01` where the COB-ID is obvious.
 
 use std::fmt;
 
 use lss_slave::{Frame, lss, nmt};
 
-/// What a test compares with when nothing may be sent.
+/// The expected frames if nothing may be sent.
 pub const SILENCE: [&str; 0] = [];
 
-/// A request of the LSS master: `text` is its bytes, the missing ones of the eight are 0.
+/// A request of the LSS master: `text` is its bytes, padded with 0 to eight.
 pub fn request(text: &str) -> Frame {
     padded(lss::REQUEST_COB_ID, text)
 }
@@ -17,7 +17,7 @@ pub fn command(text: &str) -> Frame {
     Frame::new(nmt::COMMAND_COB_ID, &bytes(text)).expect("a frame")
 }
 
-/// A frame that the node has no use for.
+/// A frame of no use to the node.
 pub fn stranger() -> Frame {
     Frame::new(0x181, &[1, 2, 3]).expect("a frame")
 }
@@ -39,7 +39,7 @@ fn padded(cob_id: u16, text: &str) -> Frame {
     Frame::new(cob_id, &bytes).expect("a frame")
 }
 
-/// The bytes that `text` names in hexadecimal.
+/// The bytes of `text`, in hexadecimal.
 pub fn bytes(text: &str) -> Vec<u8> {
     text.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).expect("hex")).collect()
 }
@@ -50,13 +50,13 @@ pub fn number(number: u32) -> String {
     format!("{a:02X} {b:02X} {c:02X} {d:02X}")
 }
 
-/// `frame` as text, all of its bytes.
+/// The text of `frame`, with all of its bytes.
 pub fn text(frame: &Frame) -> String {
     let bytes: String = frame.data().iter().map(|byte| format!(" {byte:02X}")).collect();
     format!("{:03X}:{bytes}", frame.cob_id())
 }
 
-/// The frames that a node has sent, to be compared with their text: `[]`, `["5E 40", "704: 00"]`.
+/// The frames that a node has sent, comparable with their text: `[]`, `["5E 40", "704: 00"]`.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Frames(pub Vec<Frame>);
 

@@ -1,4 +1,4 @@
-//! Builds the workspace's firmware for a part, and says what to do where that fails.
+//! Builds the workspace's firmware for a part, and suggests a remedy if that fails.
 
 use std::{
     env, error, fmt,
@@ -15,15 +15,15 @@ use emulator::{
 };
 
 const TARGET: &str = "thumbv7em-none-eabihf";
-/// A build that takes longer says that it is going on.
+/// The time after which a build prints a notice that it is running.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Why there is no image of the firmware.
+/// The reason for a failed build of the image.
 #[derive(Debug)]
 pub enum BuildError {
-    /// `cargo` could not be run or failed: what it said, and what to do.
+    /// `cargo` could not be run or failed: its message and a remedy.
     Cargo(String),
-    /// What `cargo` built is no image.
+    /// The output of `cargo` is no image.
     Image(ImageError),
 }
 
@@ -44,15 +44,15 @@ pub fn image() -> &'static Image {
     IMAGE.get_or_init(|| build(Part::Stm32f405).unwrap_or_else(|error| panic!("{error}")))
 }
 
-/// Builds the release firmware for `part` with the `cargo` that runs us, and loads it.
+/// Builds the release firmware for `part` with the running `cargo`, and loads it.
 ///
 /// # Errors
-/// What `cargo` said. A missing compilation target is installed with `rustup` first.
+/// The message of `cargo`. A missing compilation target is first installed with `rustup`.
 pub fn build(part: Part) -> Result<Image, BuildError> {
     build_with(part, || cargo_build(part))
 }
 
-/// Builds the release firmware for `part` from a copy of its sources in `directory`, and into the `target` in there.
+/// Builds the release firmware for `part` from a copy of its sources in `directory`, with the `target` directory there.
 ///
 /// # Errors
 /// Those of [`build`].
@@ -95,7 +95,7 @@ fn cargo_build(part: Part) -> Command {
             "--message-format",
             "json-render-diagnostics",
         ])
-        // What the host's build was given is not meant for the firmware.
+        // The host build's settings are not meant for the firmware.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .env_remove("CARGO_BUILD_TARGET");

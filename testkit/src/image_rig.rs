@@ -1,4 +1,5 @@
-//! A bench for the release image: emulated boards and an LSS master on one bus, and what the boards must never do.
+//! A test rig for the release image: emulated boards and an LSS master on one bus, with checks of the boards'
+//! behaviour.
 
 use std::thread;
 
@@ -16,21 +17,21 @@ use super::{
     image::image,
 };
 
-/// What the image runs at on a board whose flash is blank: `DEFAULTS` of src/device.rs.
+/// The bit rate of the image on a board with blank flash: `DEFAULTS` of src/device.rs.
 pub const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
-/// Offset of the settings log in the flash, as memory.x has it.
+/// The offset of the settings log in the flash, as in memory.x.
 pub const SETTINGS_OFFSET: u32 = 0x4000;
 /// The core clock of the image in MHz.
 pub const CORE_MHZ: u64 = 160;
-/// How long an answer is waited for after its request, beside the time that its frame takes.
+/// The wait for an answer after its request, in addition to the frame's own time.
 const PATIENCE: Time = Time::from_ms(5);
-/// A board has joined the bus so long after power-on, even if its flash is slow and must be erased first.
+/// The time in which a board joins the bus after power-on, even if its flash is slow and must be erased first.
 const BOOT: Time = Time::from_ms(600);
-/// More bits than any frame has, intermission included.
+/// More bits than any frame, intermission included.
 const FRAME_BITS: u64 = 160;
 
-/// Boards with the release image, and the LSS master's adapter. When it is dropped it checks that no board did what a
-/// real chip would not have forgiven, is locked up, or was reset when no reset was expected.
+/// Boards with the release image, and the LSS master's adapter. Its `drop` checks that no board misused its chip,
+/// locked up, or was reset unexpectedly.
 pub struct ImageRig {
     pub network: Network,
     pub master: AdapterId,
@@ -38,20 +39,20 @@ pub struct ImageRig {
     expected_resets: Vec<Vec<ResetCause>>,
 }
 
-/// A board with blank settings flash; boards of different `number` have different serial numbers.
+/// A board with a blank settings flash; boards with different `number` have different serial numbers.
 pub fn blank_board(number: u8) -> board::Board {
     let settings = board::Settings { unique_id: [number; 12], ..Default::default() };
     board::Board::new(Part::Stm32f405, image(), settings)
 }
 
-/// A board that has stored `settings`.
+/// A board with stored `settings`.
 pub fn board_with(number: u8, settings: Settings) -> board::Board {
     let mut board = blank_board(number);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
 }
 
-/// The settings log after these stores.
+/// The content of the settings log after these stores.
 pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
     let (mut log, _) = Log::open(BoardFlash::blank(0));
     for &settings in stores {
@@ -70,7 +71,7 @@ pub fn bit_per_s(bit_rate: BitRate) -> u32 {
     u32::from(bit_rate.kbit_per_s()) * 1000
 }
 
-/// A frame of the node's library as the bus has it.
+/// The bus frame for a frame of the library.
 pub fn on_the_wire(frame: &lss_slave::Frame) -> Frame {
     Frame::data(Id::Standard(frame.cob_id()), frame.data())
 }
@@ -85,7 +86,7 @@ fn from_the_wire(frame: &Frame) -> lss_slave::Frame {
 }
 
 impl ImageRig {
-    /// Switches these boards on, with the master at `bit_rate`, and lets them boot.
+    /// Powers these boards on, with the master at `bit_rate`, and lets them boot.
     pub fn new(bit_rate: BitRate, boards: impl IntoIterator<Item = board::Board>) -> Self {
         let mut network = Network::new();
         let master = network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
@@ -100,12 +101,12 @@ impl ImageRig {
         bench
     }
 
-    /// One board that was never configured.
+    /// A single unconfigured board.
     pub fn blank() -> Self {
         Self::new(DEFAULT_BIT_RATE, [blank_board(0)])
     }
 
-    /// One board with these settings, and the master at its bit rate.
+    /// A single board with these settings, and the master at its bit rate.
     pub fn with(settings: Settings) -> Self {
         let BitRateSetting::Fixed(bit_rate) = settings.bit_rate else {
             panic!("the master needs a bit rate");
@@ -113,7 +114,7 @@ impl ImageRig {
         Self::new(bit_rate, [board_with(0, settings)])
     }
 
-    /// Lets a board that was switched on or reset after `since` come to the bus.
+    /// Waits until a board that was powered on or reset after `since` has joined the bus.
     pub fn boot(&mut self, board: usize, since: Time) {
         let until = self.network.now() + BOOT;
         let joined = |bench: &Self| {
@@ -127,14 +128,14 @@ impl ImageRig {
         }
     }
 
-    /// Takes the supply of a board away for 10 ms and lets it boot.
+    /// Cuts the supply of a board for 10 ms and lets it boot.
     pub fn power_cycle(&mut self, board: usize) {
         self.network.power_off(board);
         self.network.run_for(Time::from_ms(10));
         self.power_on(board);
     }
 
-    /// Gives the supply back to a board and lets it boot.
+    /// Restores the supply of a board and lets it boot.
     pub fn power_on(&mut self, board: usize) {
         let since = self.network.now();
         self.network.power_on(board);
@@ -142,17 +143,17 @@ impl ImageRig {
         self.boot(board, since);
     }
 
-    /// The board is to be reset once, for this cause.
+    /// Expects one reset of the board, for this cause.
     pub fn expect_reset(&mut self, board: usize, cause: ResetCause) {
         self.expected_resets[board].push(cause);
     }
 
-    /// Sends a request of the LSS master; returns what the boards send within 5 ms.
+    /// Sends a request of the LSS master; returns the frames that the boards send within 5 ms.
     pub fn lss(&mut self, request: &str) -> Frames {
         self.exchange(on_the_wire(&frames::request(request)))
     }
 
-    /// Sends an NMT command; returns what the boards send within 5 ms.
+    /// Sends an NMT command; returns the frames that the boards send within 5 ms.
     pub fn nmt(&mut self, command: &str) -> Frames {
         self.exchange(on_the_wire(&frames::command(command)))
     }
@@ -163,20 +164,20 @@ impl ImageRig {
         self.collect(span)
     }
 
-    /// Sends an NMT command and returns its end on the bus.
+    /// Sends an NMT command; returns the time of its end on the bus.
     pub fn transmit_command(&mut self, command: &str) -> Time {
         self.transmit(on_the_wire(&frames::command(command)))
     }
 
-    /// Sends a request of the LSS master and returns its end on the bus.
+    /// Sends a request of the LSS master; returns the time of its end on the bus.
     pub fn transmit_request(&mut self, request: &str) -> Time {
         self.transmit(on_the_wire(&frames::request(request)))
     }
 
-    /// Sends a frame from the master and returns its end on the bus.
+    /// Sends a frame from the master; returns the time of its end on the bus.
     ///
     /// # Panics
-    /// It does not get through within a second.
+    /// If the frame is not sent within a second.
     pub fn transmit(&mut self, frame: Frame) -> Time {
         let from = self.network.now();
         self.network.send(self.master, frame);
@@ -191,7 +192,7 @@ impl ImageRig {
         panic!("{frame} does not get through");
     }
 
-    /// What the boards send until `span` has passed, as the master receives it.
+    /// The frames that the master receives within `span`.
     pub fn collect(&mut self, span: Time) -> Frames {
         self.network.run_for(span);
         let mut received = Vec::new();
@@ -201,7 +202,7 @@ impl ImageRig {
         Frames(received)
     }
 
-    /// The next frame that the master receives within a second, and when.
+    /// The next frame that the master receives within a second, and its time.
     pub fn next_frame(&mut self) -> (Time, Frames) {
         match self.network.run_until_received(self.master, Time::from_s(1)) {
             Some((time, frame)) => (time, Frames(vec![from_the_wire(&frame)])),
@@ -209,14 +210,14 @@ impl ImageRig {
         }
     }
 
-    /// Adds a node at a bit rate that nobody uses; it is not on the bus.
+    /// Adds a node at a bit rate that no other node uses, disconnected from the bus.
     pub fn add_disturber(&mut self) -> AdapterId {
         let disturber = self.network.add_adapter(Adapter::new(333_000));
         self.network.adapter_mut(disturber).close();
         disturber
     }
 
-    /// Instead of the master the disturber is on the bus for `span`, and has one more frame to send `every` so often.
+    /// Replaces the master on the bus by the disturber for `span`, which queues a frame at each interval of `every`.
     pub fn disturb(&mut self, disturber: AdapterId, id: Id, every: Time, span: Time) {
         self.network.adapter_mut(self.master).close();
         self.network.adapter_mut(disturber).open();
@@ -229,25 +230,25 @@ impl ImageRig {
         self.network.adapter_mut(self.master).open();
     }
 
-    /// The master goes on at another bit rate.
+    /// Sets the master's bit rate.
     pub fn set_master_bit_rate(&mut self, bit_rate: BitRate) {
         self.bit_rate = bit_rate;
         self.network.adapter_mut(self.master).set_bit_rate(bit_per_s(bit_rate));
     }
 
-    /// The time of a bit at the master's rate.
+    /// The duration of a bit at the master's rate.
     pub fn bit_time(&self) -> Time {
         Time::from_ps(1_000_000_000 / u64::from(self.bit_rate.kbit_per_s()))
     }
 
-    /// What a board did from `since` on.
+    /// The events of a board since `since`.
     pub fn did(&self, board: usize, since: Time) -> impl Iterator<Item = &Event> {
         let of_board =
             move |event: &&Event| event.source == Source::Board(board) && event.time >= since;
         self.network.trace().iter().filter(of_board)
     }
 
-    /// When a board asked for transmissions from `since` on, and of what.
+    /// The transmission requests of a board since `since`: time and frame.
     pub fn requested(&self, board: usize, since: Time) -> impl Iterator<Item = (Time, Frame)> {
         self.did(board, since).filter_map(|event| match event.what {
             What::Requested { frame, .. } => Some((event.time, frame)),
@@ -255,7 +256,7 @@ impl ImageRig {
         })
     }
 
-    /// When a board changed its bit rate from `since` on, and to which, in bit/s.
+    /// The bit rate changes of a board since `since`: time and rate in bit/s.
     pub fn bit_rates(&self, board: usize, since: Time) -> Vec<(Time, u32)> {
         let changes = self.did(board, since).filter_map(|event| match event.what {
             What::BitTiming { bit_rate, .. } => Some((event.time, bit_rate)),

@@ -1,5 +1,5 @@
-//! What the tests and tools share: a node in the process, the release image on emulated boards, a flash whose power can fail,
-//! frames as text, random numbers.
+//! Shared parts of the tests and tools: a node in the process, the release image on emulated boards, a flash with power
+//! cuts, frames as text, random numbers.
 
 pub mod flash;
 pub mod frames;

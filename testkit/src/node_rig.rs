@@ -1,4 +1,5 @@
-//! A board in the process: drives a [`Node`] as its documentation prescribes, in virtual time, with its settings in a flash.
+//! A board in the process: drives a [`Node`] in virtual time as its documentation prescribes, with its settings in a
+//! flash.
 
 use lss_slave::{
     Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId, Settings,
@@ -11,7 +12,7 @@ use super::{
     frames::{self, Frames},
 };
 
-/// The LSS address of a board that does not say otherwise: no byte occurs twice, the serial number has its top bit set.
+/// The default LSS address of a board: no byte occurs twice, the serial number has its top bit set.
 pub const ADDRESS: Address = Address {
     vendor_id: 0x1122_3344,
     product_code: 0x5566_7788,
@@ -22,27 +23,27 @@ pub const ADDRESS: Address = Address {
 /// A board with a node on it.
 pub struct NodeRig {
     pub node: Node,
-    /// The chip that holds the settings: a handle to it.
+    /// A handle to the chip that holds the settings.
     pub flash: BoardFlash,
-    /// What the search for the settings found at the last power-on.
+    /// The result of opening the settings log at the last power-on.
     pub found: Found,
-    /// Whether others acknowledge the frames of the node.
+    /// Whether other nodes acknowledge the node's frames.
     pub is_acknowledged: bool,
     device: Device,
     log: Log<BoardFlash>,
-    /// Microseconds since the board was made.
+    /// Microseconds since the rig was created.
     now: u64,
-    /// What the node's clock said then.
+    /// The node's clock at that time.
     clock_at_start: u32,
-    /// The controller.
+    /// The controller's state.
     bit_rate: BitRate,
     may_transmit: bool,
     receives_for: Option<NodeId>,
-    /// The store that is being carried out, if stores take time.
+    /// The store in progress, if stores take time.
     running_store: Option<Settings>,
     stores_take_time: bool,
     actions: Vec<(u64, Action)>,
-    /// When `timeline` was called last.
+    /// The time of the last call of `timeline`.
     timeline_from: u64,
 }
 
@@ -53,19 +54,19 @@ pub const fn device(address: Address) -> Device {
         .with_versions("A", "1.2.3")
 }
 
-/// The defaults of a board as it leaves the factory: 1 Mbit/s, no heartbeat.
+/// The factory defaults of a board: 1 Mbit/s, no heartbeat.
 pub fn defaults(node_id: u8) -> Settings {
     let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
     Settings::new(BitRate::Kbit1000.into()).with_node_id(node_id)
 }
 
 impl NodeRig {
-    /// A new board that leaves the factory without a node-ID, just powered on.
+    /// A new board without a node-ID, just powered on.
     pub fn unconfigured() -> Self {
         Self::with_defaults(defaults(0xFF))
     }
 
-    /// A new board whose default is this node-ID, just powered on.
+    /// A new board with this default node-ID, just powered on.
     pub fn with_node_id(node_id: u8) -> Self {
         Self::with_defaults(defaults(node_id))
     }
@@ -82,7 +83,7 @@ impl NodeRig {
         Self::new(address, defaults(0xFF), BoardFlash::blank(0), 0)
     }
 
-    /// A board that is powered on when its clock says `clock_at_start` microseconds.
+    /// A board that is powered on when its clock is at `clock_at_start` microseconds.
     pub fn new(
         address: Address,
         defaults: Settings,
@@ -116,12 +117,12 @@ impl NodeRig {
         board
     }
 
-    /// Sends the node a request of the LSS master; returns what the node sends at once.
+    /// Sends the node a request of the LSS master; returns the frames that the node sends at once.
     pub fn lss(&mut self, request: &str) -> Frames {
         self.receive(&frames::request(request))
     }
 
-    /// Sends the node an NMT command; returns what the node sends at once.
+    /// Sends the node an NMT command; returns the frames that the node sends at once.
     pub fn nmt(&mut self, command: &str) -> Frames {
         self.receive(&frames::command(command))
     }
@@ -134,18 +135,18 @@ impl NodeRig {
         self.sent_since(before)
     }
 
-    /// The controller reports an event, and nothing is done about it yet.
+    /// Reports an event of the controller, without polling the node.
     pub fn report(&mut self, event: BusEvent) {
         self.node.handle_bus(event, self.instant());
     }
 
-    /// The controller reports an event; returns what the node sends at once.
+    /// Reports an event of the controller; returns the frames that the node sends at once.
     pub fn see(&mut self, event: BusEvent) -> Frames {
         self.report(event);
         self.pass_us(0)
     }
 
-    /// The node-ID that the node says it has; `None` in LSS waiting state, where it does not say.
+    /// The node-ID that the node reports; `None` in LSS waiting state, where it does not answer.
     pub fn inquired_node_id(&mut self) -> Option<u8> {
         self.lss("5E").0.first().map(|answer| answer.data()[1])
     }
@@ -154,7 +155,7 @@ impl NodeRig {
         self.inquired_node_id().is_some()
     }
 
-    /// Lets time pass, with a call at each deadline; returns what the node sends.
+    /// Lets time pass, with a call at each deadline; returns the frames that the node sends.
     pub fn pass_ms(&mut self, ms: u64) -> Frames {
         self.pass_us(ms * 1000)
     }
@@ -173,7 +174,7 @@ impl NodeRig {
         self.sent_since(before)
     }
 
-    /// Lets time pass without a call until its end, as on a board that is busy.
+    /// Lets time pass without a call until its end, as on a busy board.
     pub fn be_late_ms(&mut self, ms: u64) -> Frames {
         let before = self.actions.len();
         self.now += ms * 1000;
@@ -185,7 +186,7 @@ impl NodeRig {
         Some(self.node.poll_at()?.micros_after(self.instant()).into())
     }
 
-    /// Cuts the power and brings it back; returns what the node sends then.
+    /// Cuts and restores the power; returns the frames that the node sends then.
     pub fn power_cycle(&mut self) -> Frames {
         let before = self.actions.len();
         self.restart();
@@ -193,19 +194,19 @@ impl NodeRig {
         self.sent_since(before)
     }
 
-    /// From now on a store lasts until [`finish_store`](Self::finish_store).
+    /// Makes stores last until [`finish_store`](Self::finish_store).
     pub fn let_stores_take_time(&mut self) {
         self.stores_take_time = true;
     }
 
-    /// Carries out the store that is running; returns what the node sends then.
+    /// Executes the store in progress; returns the frames that the node sends then.
     pub fn finish_store(&mut self) -> Frames {
         let settings = self.running_store.take().expect("a store is running");
         let outcome = self.log.store(settings).map_err(StoreError::from);
         self.end_store(outcome)
     }
 
-    /// Ends the store that is running with an outcome of the test's choice; returns what the node sends then.
+    /// Ends the store in progress with the given outcome; returns the frames that the node sends then.
     pub fn end_store(&mut self, outcome: Result<(), StoreError>) -> Frames {
         let before = self.actions.len();
         self.running_store = None;
@@ -214,37 +215,37 @@ impl NodeRig {
         self.sent_since(before)
     }
 
-    /// The settings that are persistent.
+    /// The persistent settings.
     pub fn stored(&self) -> Option<Settings> {
         self.log.settings()
     }
 
-    /// What the controller runs at.
+    /// The bit rate of the controller.
     pub fn bit_rate(&self) -> BitRate {
         self.bit_rate
     }
 
-    /// What the node asked for since the last call of this or of `timeline`.
+    /// The node's actions since the last call of this or of `timeline`.
     pub fn take_actions(&mut self) -> Vec<Action> {
         self.take_timed_actions().map(|(_, action)| action).collect()
     }
 
-    /// The same, each with its time: microseconds since the board was made.
+    /// The same, each with its time in microseconds since the rig was created.
     pub fn take_timed_actions(&mut self) -> impl Iterator<Item = (u64, Action)> {
         self.actions.drain(..)
     }
 
-    /// What `take_actions` would return.
+    /// The actions that `take_actions` would return.
     pub fn actions(&self) -> impl Iterator<Item = Action> {
         self.actions.iter().map(|&(_, action)| action)
     }
 
-    /// Microseconds since the board was made.
+    /// Microseconds since the rig was created.
     pub fn now(&self) -> u64 {
         self.now
     }
 
-    /// What the board did since the last call, with its time from that call on: `2 ms 704: 7F`.
+    /// The board's actions since the last call, with their times relative to it: `2 ms 704: 7F`.
     pub fn timeline(&mut self) -> Vec<String> {
         let from = self.timeline_from;
         self.timeline_from = self.now;

@@ -1,4 +1,4 @@
-//! Random numbers for tests, from a seed that every test prints, so that a failure can be repeated.
+//! Random numbers for tests. Every test prints its seed, so that a failure can be repeated.
 
 use std::{
     env,
@@ -11,7 +11,7 @@ use std::{
 pub struct Random(u64);
 
 impl Random {
-    /// A generator with a new seed, which is printed, or with the one in the environment variable `SEED`.
+    /// A generator with a new seed, or with the one in the environment variable `SEED`. Prints the seed.
     pub fn from_environment() -> Self {
         let seed = match env::var("SEED") {
             Ok(seed) => seed.parse().expect("SEED is a number"),
@@ -49,7 +49,7 @@ impl Random {
         range.start + self.u64() % (range.end - range.start)
     }
 
-    /// True once in `n` times.
+    /// True with a probability of 1 in `n`.
     pub fn one_in(&mut self, n: u64) -> bool {
         self.u64().is_multiple_of(n)
     }

@@ -1,4 +1,5 @@
-//! An SDO client (CiA 301, 7.2.4) for the tests, written apart from the server: it checks each byte of the answers.
+//! An SDO client (CiA 301, 7.2.4) for the tests, written independently of the server. It checks each byte of the
+//! answers.
 
 use lss_slave::Frame;
 
@@ -7,7 +8,7 @@ use super::{
     node_rig::NodeRig,
 };
 
-/// An SDO request to the node `node_id`: `text` is its bytes, the missing ones of the eight are 0.
+/// An SDO request to the node `node_id`: `text` is its bytes, padded with 0 to eight.
 pub fn request(node_id: u8, text: &str) -> Frame {
     let mut bytes = bytes(text);
     bytes.resize(8, 0);
@@ -15,7 +16,7 @@ pub fn request(node_id: u8, text: &str) -> Frame {
 }
 
 impl NodeRig {
-    /// Sends the node, whose node-ID must be 40h, an SDO request; returns what it sends at once.
+    /// Sends an SDO request to the node, whose node-ID must be 40h; returns the frames that it sends at once.
     pub fn sdo(&mut self, text: &str) -> Frames {
         self.receive(&request(0x40, text))
     }
@@ -50,7 +51,7 @@ impl NodeRig {
         u32::from_le_bytes(bytes.try_into().unwrap())
     }
 
-    /// Writes an object, with its size.
+    /// Writes an object and indicates its size.
     ///
     /// # Errors
     /// The abort code.
@@ -79,7 +80,7 @@ impl NodeRig {
         unreachable!()
     }
 
-    /// The answer to a request that names an object; it names the same object.
+    /// The answer to a request; checks that it names the same object.
     fn transfer(
         &mut self,
         mut request: [u8; 8],

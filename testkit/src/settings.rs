@@ -1,4 +1,4 @@
-//! Settings to store, and the log's records and flashes made by hand.
+//! Settings to store, and handmade records and flashes of the log.
 
 use lss_slave::{
     BitRate, NodeId, Settings,
@@ -7,20 +7,20 @@ use lss_slave::{
 
 use super::flash::Flash;
 
-/// Settings that differ for each `n`, in more than one field from those of `n` + 1.
+/// Settings for number `n`, which differ in more than one field from those for `n` + 1.
 pub fn settings(n: u16) -> Settings {
     Settings::new(BitRate::ALL[usize::from(n % 8)].into())
         .with_node_id(NodeId::new((n % 128) as u8))
         .with_heartbeat_ms(n)
 }
 
-/// What a power-on finds.
+/// The settings that a power-on finds.
 pub fn open<const W: usize, const E: usize>(flash: &Flash<W, E>) -> (Option<Settings>, Found) {
     let (log, found) = Log::open(flash.clone());
     (log.settings(), found)
 }
 
-/// The record of the documentation: sequence, kind, node-ID, bit rate index, heartbeat time, CRC, commit word.
+/// The record format of the documentation: sequence, kind, node-ID, bit rate index, heartbeat time, CRC, commit word.
 pub fn record(sequence: u32, kind: u8, node_id: u8, index: u8, heartbeat_ms: u16) -> [u8; 32] {
     let mut bytes = [0xFF; 32];
     bytes[..4].copy_from_slice(&sequence.to_le_bytes());
@@ -29,7 +29,7 @@ pub fn record(sequence: u32, kind: u8, node_id: u8, index: u8, heartbeat_ms: u16
     sealed(bytes)
 }
 
-/// A record of these contents, with their CRC and the commit word.
+/// A record with this content, its CRC and the commit word.
 pub fn sealed(mut bytes: [u8; 32]) -> [u8; 32] {
     let mut crc = u32::MAX;
     for bit in bytes[..24].iter().flat_map(|byte| (0..8).map(move |i| u32::from(byte >> i & 1))) {
@@ -40,7 +40,7 @@ pub fn sealed(mut bytes: [u8; 32]) -> [u8; 32] {
     bytes
 }
 
-/// A flash with these records, each in its place: bank and number in the bank.
+/// A flash with these records, each at a bank and a number in the bank.
 pub fn flash_with<const W: usize, const E: usize>(
     records: &[(usize, usize, [u8; 32])],
 ) -> Flash<W, E> {

@@ -1,4 +1,4 @@
-//! Storms: random frames of every kind, from sensible requests to noise, and what they may bring about.
+//! Storms: random frames of every kind, from valid requests to noise, and their permitted effects.
 
 pub mod image;
 pub mod node;
@@ -12,7 +12,7 @@ const LSS: Id = Id::Standard(lss::REQUEST_COB_ID);
 const NMT: Id = Id::Standard(0x000);
 const SDO_COB_ID: u16 = 0x600;
 
-/// Command specifiers of requests; those that change most about a node come less often.
+/// Command specifiers of requests; those with large effects are rarer.
 const COMMANDS: [u8; 36] = [
     0x04, 0x04, 0x04, 0x04, 0x04, 0x04, 0x11, 0x11, 0x13, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43,
     0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B, 0x4C, 0x4C, 0x51, 0x51, 0x51, 0x51, 0x5A, 0x5B, 0x5C, 0x5D,
@@ -24,7 +24,7 @@ const SDO_COMMANDS: [u8; 12] =
 const OBJECTS: [u16; 11] =
     [0x1000, 0x1001, 0x1003, 0x1008, 0x100A, 0x1010, 0x1011, 0x1017, 0x1018, 0x1029, 0x2000];
 
-/// Who is in the storm, as far as frames that mean something need to know it.
+/// The node in the storm, as described to the generator of meaningful frames.
 struct Target {
     /// Vendor-ID, product code, revision number, serial number.
     address: [u32; 4],
@@ -32,7 +32,7 @@ struct Target {
     node_id: u8,
 }
 
-/// A frame: a request of LSS, NMT or SDO, nearly one, or anything.
+/// A random frame: a valid or nearly valid request of LSS, NMT or SDO, or noise.
 fn frame(random: &mut Random, target: &Target) -> Frame {
     match random.within(0..20) {
         0..9 => lss_request(random, target),
@@ -61,7 +61,7 @@ fn lss_request(random: &mut Random, target: &Target) -> Frame {
     Frame::data(LSS, &data)
 }
 
-/// The number in a request that compares it with the LSS address `address`, the right one; and how Fastscan compares it.
+/// The correct number for a request that compares it with the LSS address `address`, and the comparison for Fastscan.
 pub fn address_number(random: &mut Random, data: &mut [u8; 8], address: [u32; 4]) -> u32 {
     let [vendor, product, revision, serial] = address;
     match data[0] {
@@ -80,7 +80,7 @@ pub fn address_number(random: &mut Random, data: &mut [u8; 8], address: [u32; 4]
 }
 
 fn nmt_command(random: &mut Random, target: &Target) -> Frame {
-    // A reset of the node lasts longer than a hundred frames.
+    // A reset of the node takes longer than a hundred frames.
     let commands = if random.one_in(12) { &NMT_COMMANDS[..] } else { &NMT_COMMANDS[..4] };
     let other = random.byte();
     let node_id = random.pick(&[0, target.node_id, other]);
@@ -98,7 +98,7 @@ fn sdo_request(random: &mut Random, target: &Target) -> Frame {
     Frame::data(Id::Standard(SDO_COB_ID + u16::from(target.node_id)), &data)
 }
 
-/// A frame that means something, but for one thing.
+/// A meaningful frame with one thing changed.
 fn nearly(random: &mut Random, target: &Target) -> Frame {
     let mut frame = match random.within(0..3) {
         0 => lss_request(random, target),
@@ -139,7 +139,7 @@ fn clean(mut frame: Frame) -> Frame {
     frame
 }
 
-/// What the driver hands to the node of `frame`, if it is one for a node.
+/// The frame that the driver passes to the node for `frame`, if any.
 fn delivered(frame: &Frame) -> Option<lss_slave::Frame> {
     match frame.id {
         Id::Standard(id) if !frame.remote && frame.dlc <= 8 => {
@@ -149,7 +149,7 @@ fn delivered(frame: &Frame) -> Option<lss_slave::Frame> {
     }
 }
 
-/// The LSS request in `frame`, if it is one: a command specifier and its parameters.
+/// The LSS request in `frame`, if there is one: command specifier and parameters.
 fn lss_data(frame: &Frame) -> Option<[u8; 8]> {
     (frame.id == LSS && !frame.remote && frame.dlc == 8).then_some(frame.data)
 }

@@ -1,4 +1,4 @@
-//! Boards whose bit rate is supervised, in the states that its tests begin with.
+//! Boards with bit-rate supervision, in the initial states of its tests.
 
 use lss_slave::{
     BitRate,
@@ -10,14 +10,14 @@ use super::{
     node_rig::{ADDRESS, NodeRig, defaults, device},
 };
 
-/// A board with node-ID 40h at `home`, supervised, just powered on.
+/// A supervised board with node-ID 40h at `home`, just powered on.
 pub fn powered_on(home: BitRate, heartbeat_ms: u16) -> NodeRig {
     let settings = defaults(0x40).with_bit_rate(home.into()).with_heartbeat_ms(heartbeat_ms);
     let device = device(ADDRESS).with_rescue(true);
     NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0)
 }
 
-/// A board at 125 kbit/s that has heard nothing and whose boot-up nobody has acknowledged, with an empty timeline.
+/// A board at 125 kbit/s that has received nothing and whose boot-up was not acknowledged, with an empty timeline.
 pub fn unproven() -> NodeRig {
     let mut board = powered_on(BitRate::Kbit125, 0);
     board.is_acknowledged = false;
@@ -33,7 +33,7 @@ pub fn proven() -> NodeRig {
     board
 }
 
-/// A board that has gone from 250 to 50 kbit/s, is in configuration state and has an empty timeline: `15` is 20 ms ago.
+/// A board in configuration state that has switched from 250 to 50 kbit/s, with an empty timeline: `15` is 20 ms ago.
 pub fn switched() -> NodeRig {
     let mut board = powered_on(BitRate::Kbit250, 0);
     for request in ["04 01", "13 00 06", "15 0A 00"] {
@@ -45,7 +45,7 @@ pub fn switched() -> NodeRig {
     board
 }
 
-/// A board that has just begun to listen at 1000 kbit/s because of errors at 125 kbit/s, which is proven.
+/// A board that has just begun to listen at 1000 kbit/s because of errors at the proven rate of 125 kbit/s.
 pub fn looking() -> NodeRig {
     let mut board = proven();
     doubt(&mut board);
@@ -53,7 +53,7 @@ pub fn looking() -> NodeRig {
     board
 }
 
-/// Lets a proven home rate look wrong.
+/// Makes a proven home rate appear wrong.
 pub fn doubt(board: &mut NodeRig) {
     for ms in [500, 500, 0] {
         assert!(!board.node.is_listening());
@@ -63,10 +63,10 @@ pub fn doubt(board: &mut NodeRig) {
     assert!(board.node.is_listening());
 }
 
-/// The silent turn of home at 125 kbit/s, in microseconds: 20 ms and 270 bits.
+/// The silent turn at home at 125 kbit/s, in microseconds: 20 ms and 270 bits.
 pub const TURN_US: u64 = 22_160;
 
-/// A board whose home rate is 125 kbit/s and that has become a guest at 1000 kbit/s, with an empty timeline.
+/// A board with home rate 125 kbit/s that has become a guest at 1000 kbit/s, with an empty timeline.
 pub fn guest() -> NodeRig {
     let mut board = looking();
     board.see(Received);

@@ -1,5 +1,5 @@
-//! A storm of random frames against the release image, back to back at 1 Mbit/s, and what the node in the process makes of
-//! the same frames: both must send the same and leave the same in their flash.
+//! A storm of random frames against the release image, back to back at 1 Mbit/s, with a node in the process as its
+//! model: both must send the same frames and leave the same content in their flash.
 
 use emulator::{
     Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
@@ -16,28 +16,28 @@ use crate::{
     stack,
 };
 
-/// Frames without a pause at most; then answers and flash are compared.
+/// The most frames without a pause; then answers and flash are compared.
 const BURST: usize = 200;
-/// Frames that are sent into a silent period.
+/// The number of frames sent into a silent period.
 const FRAMES_IN_SILENCE: u64 = 6;
-/// The longest time from a request to its answer, a store's.
+/// The longest time from a request to its answer, that of a store.
 const PATIENCE: Time = Time::from_ms(3);
-/// Frames of a burst, in the report of one that went wrong.
+/// The number of latest frames in a failure report.
 const LAST_FRAMES: usize = 12;
 
-/// An emulated board with the release image, the node in the process as its model, and the frames that come to both.
+/// An emulated board with the release image, the node in the process as its model, and the frames sent to both.
 pub struct ImageStorm {
     bench: ImageRig,
     model: NodeRig,
     random: Random,
     address: [u32; 4],
-    /// What the model has sent and the board has to.
+    /// The frames that the model has sent and the board still has to send.
     expected: Vec<lss_slave::Frame>,
     burst: Vec<Frame>,
     rate: BitRate,
-    /// Frames so far.
+    /// The number of frames so far.
     pub frames: u64,
-    /// Stores, resets and switches of the bit rate so far.
+    /// The number of stores, resets and bit rate switches so far.
     pub stores: u64,
     pub resets: u64,
     pub switches: u64,
@@ -58,7 +58,7 @@ impl ImageStorm {
         });
         bench.lss("04 00");
         let [vendor_id, product_code, revision_number, serial_number] = address;
-        // As `device.rs` of the firmware says.
+        // The options of the firmware's `device.rs`.
         let device =
             model::device(Address { vendor_id, product_code, revision_number, serial_number })
                 .with_name("LSS slave")
@@ -82,10 +82,10 @@ impl ImageStorm {
         }
     }
 
-    /// So many more frames.
+    /// Sends this number of further frames.
     ///
     /// # Panics
-    /// The board sends or stores something else than the model, or does not answer any more.
+    /// If the board sends or stores something different from the model, or no longer answers.
     pub fn rage(&mut self, frames: u64) {
         let until = self.frames + frames;
         while self.frames < until {
@@ -104,7 +104,7 @@ impl ImageStorm {
         assert!(findings.is_empty(), "{findings:?}");
     }
 
-    /// The stack that was used since power-on, in bytes.
+    /// The number of stack bytes used since power-on.
     pub fn stack_depth(&self, image: &Image) -> usize {
         stack::deepest(self.bench.network.board(0), image)
     }
@@ -120,7 +120,7 @@ impl ImageStorm {
         let mut frame = frame(&mut self.random, &target);
         if let Some(data) = lss_data(&frame) {
             match data[0] {
-                // The model has no bit rate detection.
+                // The model has no bit-rate detection.
                 0x13 if data[1..3] == [0, 9] => frame.data[2] = 10,
                 // Long enough for the master to follow to another bit rate.
                 0x15 => {
@@ -139,7 +139,7 @@ impl ImageStorm {
         self.put(on_the_wire(&frames::request(text)));
     }
 
-    /// Gives a frame to the model and to the board, and waits for the board where what follows depends on when.
+    /// Sends a frame to the model and to the board. Waits for the board if the order of what follows depends on it.
     fn put(&mut self, frame: Frame) {
         let actions = self.feed_model(&frame);
         if actions.contains(&Action::ResetDevice) {
@@ -150,7 +150,7 @@ impl ImageStorm {
             self.follow_switch(frame);
         } else {
             if actions.iter().any(|action| matches!(action, Action::SetNodeId(_))) {
-                // Answers that have not left by then never leave.
+                // Answers that have not been sent by then are never sent.
                 self.settle_before(&actions);
             }
             self.send(frame);
@@ -183,7 +183,7 @@ impl ImageStorm {
         self.frames += 1;
     }
 
-    /// Settles what came before the frame that made the model do `actions`.
+    /// Completes everything before the frame that made the model do `actions`.
     fn settle_before(&mut self, actions: &[Action]) {
         let own = actions.iter().filter(|action| match action {
             Action::Transmit(frame) => compared(frame).is_some(),
@@ -194,7 +194,7 @@ impl ImageStorm {
         self.expected = later;
     }
 
-    /// Waits until everything is sent and answered, and compares.
+    /// Waits until everything is sent and answered, then compares.
     fn settle(&mut self) {
         let content = self.model.flash.content();
         self.settle_with(Some(content));
@@ -206,7 +206,7 @@ impl ImageStorm {
         let until = self.bench.network.now() + patience;
         let mut sent = Vec::new();
         let mut is_quiet = false;
-        // One look more after the last answer: there must not be another.
+        // One more check after the last answer, since there must not be another.
         while !is_quiet && self.bench.network.now() < until {
             is_quiet = sent.len() >= self.expected.len();
             let received = self.bench.collect(Time::from_ms(1));
@@ -248,7 +248,7 @@ impl ImageStorm {
         self.boot(since);
     }
 
-    /// The board is about to be reset.
+    /// Prepares for a reset of the board.
     fn boot(&mut self, since: Time) {
         self.resets += 1;
         self.set_rate();
@@ -257,7 +257,7 @@ impl ImageStorm {
         self.return_to_the_rate_of_the_storm();
     }
 
-    /// A switch of the bit rate: frames into the silence, the master follows, and both are back.
+    /// Follows a bit rate switch: sends frames into the silence, sets the master's rate, and waits for both.
     fn follow_switch(&mut self, frame: Frame) {
         self.switches += 1;
         let delay = Time::from_ms(u64::from(u16::from_le_bytes([frame.data[1], frame.data[2]])));
@@ -279,7 +279,7 @@ impl ImageStorm {
         self.model.pass_us(us / 2 + 1_000);
         let actions = self.take_actions();
         if actions.contains(&Action::ResetDevice) {
-            // It was kept until the end of the silence.
+            // The frame waited until the end of the silence.
             self.bench.expect_reset(0, ResetCause::Software);
             self.bench.network.run_until(t0 + Time::from_us(2 * us + 500));
             return self.boot(t0);
@@ -289,7 +289,7 @@ impl ImageStorm {
         self.return_to_the_rate_of_the_storm();
     }
 
-    /// The master goes to the bit rate of the model.
+    /// Sets the master to the bit rate of the model.
     fn set_rate(&mut self) {
         if self.model.bit_rate() != self.rate {
             self.rate = self.model.bit_rate();
@@ -306,9 +306,9 @@ impl ImageStorm {
     }
 }
 
-/// `frame` if the model tells its content and order: not heartbeats and emergencies, which depend on time, nor boot-ups, of
-/// which two that wait for a full bus become one, nor what the controller has seen: error register 1001h, error history 1003h,
-/// and 2000h.
+/// Returns `frame` if the model predicts its content and order. It does not for time-dependent frames (heartbeats,
+/// emergencies), for boot-ups, of which two that wait for a full bus become one, and for the controller's observations:
+/// error register 1001h, error history 1003h, and 2000h.
 fn compared(frame: &lss_slave::Frame) -> Option<lss_slave::Frame> {
     let is_sdo = frame.cob_id() & !0x7F == 0x580;
     let is_of_controller = matches!(frame.data(), [_, 0x01 | 0x03, 0x10, ..] | [_, 0x00, 0x20, ..]);

@@ -11,21 +11,21 @@ use crate::{
     random::Random,
 };
 
-/// The time from one frame to the next, in microseconds, on a bus that is full.
+/// The interval between frames in microseconds, on a full bus.
 const FRAME_US: u64 = 130;
-/// The end of a silent period of which the storm takes notice.
+/// The last part of a silent period, in which the storm continues.
 const STORMY_SILENCE_US: u64 = 5_000;
-/// Frames after which everything is looked at that takes time.
+/// The number of frames between the slow checks.
 const ROUND: u64 = 20_000;
 
-/// A board in the process, and the frames that come to it.
+/// A board in the process, and the frames sent to it.
 pub struct NodeStorm {
     board: NodeRig,
     defaults: Settings,
     random: Random,
-    /// Frames so far.
+    /// The number of frames so far.
     pub frames: u64,
-    /// Stores that the node asked for.
+    /// The number of stores that the node requested.
     pub stores: u64,
 }
 
@@ -36,10 +36,10 @@ impl NodeStorm {
         Self { board, defaults, random: Random::from_seed(seed), frames: 0, stores: 0 }
     }
 
-    /// So many more frames. The board itself checks that nothing is sent in a silent period.
+    /// Sends this number of further frames. The board itself checks that nothing is sent in a silent period.
     ///
     /// # Panics
-    /// Anything was stored without a request, or the node does not answer any more.
+    /// If anything was stored without a request, or the node no longer answers.
     pub fn rage(&mut self, frames: u64) {
         for _ in 0..frames {
             self.one_more();
@@ -70,7 +70,7 @@ impl NodeStorm {
         let stores = actions.iter().filter(|action| matches!(action, Action::Store(_))).count();
         self.stores += stores as u64;
         if actions.contains(&Action::StopTransmitting) {
-            // Of a long silence only the end is stormy: else most frames would fall into one.
+            // Only the end of a long silence is stormy; otherwise most frames would fall into one.
             let [low, high] = [delivered.data()[1], delivered.data()[2]];
             let silence_us = 2_000 * u64::from(u16::from_le_bytes([low, high]));
             self.board.pass_us(silence_us.saturating_sub(STORMY_SILENCE_US));
