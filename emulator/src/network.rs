@@ -1,4 +1,4 @@
-//! Boards and CAN adapters on one bus, and the order in which they live through the same time.
+//! Boards and CAN adapters on one bus, and the order in which they advance in time.
 
 mod trace;
 
@@ -15,46 +15,44 @@ use crate::{
 };
 use trace::Trace;
 
-/// How far a CPU that is awake runs ahead of the bus and of the other boards.
+/// The longest lead of an awake CPU over the bus and the other boards.
 const LOOKAHEAD: Time = Time::from_us(1);
 
-/// Names an adapter of a [`Network`].
+/// The identifier of an adapter of a [`Network`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AdapterId(usize);
 
-/// Boards and adapters on a CAN bus, in virtual time; the same calls give the same run.
+/// Boards and adapters on a CAN bus, in virtual time. The same calls always produce the same run.
 ///
-/// While every CPU sleeps the bus goes first, up to the next wake-up or interrupt. One CPU that is
-/// awake on a quiet bus goes first, until it writes to its CAN controller. Else the CPUs run ahead
-/// of the bus, by at most a microsecond, in the order of the boards: what a program writes to its
-/// CAN controller takes effect at its own time, what happens on the bus reaches a CPU that is awake
-/// up to a microsecond late.
+/// While every CPU sleeps the bus advances first, up to the next wake-up or interrupt. If one CPU is awake on a quiet
+/// bus, it advances first, until it writes to its CAN controller. Otherwise the CPUs run ahead of the bus by at most a
+/// microsecond, in the order of the boards. A write to a CAN controller takes effect at its own time; a bus event
+/// reaches an awake CPU up to a microsecond late.
 #[derive(Default)]
 pub struct Network {
     now: Time,
     bus: Bus,
-    /// A station may act earlier than the bus knows.
+    /// A station may act earlier than the bus expects.
     touched: bool,
     boards: Vec<Board>,
-    /// When each board has something to do; one that sleeps longer is left behind in time.
+    /// The time of each board's next event; a board that sleeps longer stays behind in time.
     wake: Vec<Time>,
     adapters: Vec<Adapter>,
     trace: Trace,
 }
 
 impl Network {
-    /// An empty bus at the start of time, which records everything.
+    /// An empty bus at the start of time, which records all events.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// How far everybody has come.
+    /// The time that all have reached.
     pub fn now(&self) -> Time {
         self.now
     }
 
-    /// Joins a board to the bus and returns its number. In a network that has run already it is
-    /// switched on now.
+    /// Connects a board to the bus and returns its number. If the network has already run, the board is powered on now.
     pub fn add_board(&mut self, mut board: Board) -> usize {
         if board.now() < self.now() {
             board.power_off();
@@ -66,7 +64,7 @@ impl Network {
         self.boards.len() - 1
     }
 
-    /// Joins an adapter to the bus.
+    /// Connects an adapter to the bus.
     pub fn add_adapter(&mut self, mut adapter: Adapter) -> AdapterId {
         adapter.plug_in(self.now, self.bus.level());
         self.adapters.push(adapter);
@@ -100,12 +98,12 @@ impl Network {
         self.adapter_mut(adapter).send(frame);
     }
 
-    /// The oldest frame that an adapter received and nobody took, and when it became valid.
+    /// The oldest unread frame of an adapter, and the time at which it became valid.
     pub fn receive(&mut self, adapter: AdapterId) -> Option<(Time, Frame)> {
         self.adapters[adapter.0].receive()
     }
 
-    /// Takes the supply of a board away: RAM is lost, flash kept.
+    /// Cuts the supply of a board: RAM is lost, flash is kept.
     pub fn power_off(&mut self, board: usize) {
         if self.boards[board].is_powered() {
             self.boards[board].power_off();
@@ -113,7 +111,7 @@ impl Network {
         }
     }
 
-    /// Gives the supply of a board back.
+    /// Restores the supply of a board.
     pub fn power_on(&mut self, board: usize) {
         if !self.boards[board].is_powered() {
             self.boards[board].power_on();
@@ -121,32 +119,32 @@ impl Network {
         }
     }
 
-    /// Shorts the bus from now on, or mends it.
+    /// Short-circuits the bus from now on, or repairs it.
     pub fn set_short(&mut self, short: Option<Short>) {
         self.bus.set_short(short, self.now);
     }
 
-    /// Puts noise on the bus from now on, or ends it.
+    /// Starts or stops noise on the bus.
     pub fn set_noise(&mut self, noise: Option<Noise>) {
         self.bus.set_noise(noise, self.now);
     }
 
-    /// Cuts a station off the bus from now on: it hears only what it drives itself.
+    /// Disconnects a station from the bus: it then receives only its own output.
     pub fn cut_wire(&mut self, station: Source) {
         self.with_controller(station, |controller| controller.cut(true));
     }
 
-    /// Joins a station that was cut off to the bus again.
+    /// Reconnects a station to the bus.
     pub fn mend_wire(&mut self, station: Source) {
         self.with_controller(station, |controller| controller.cut(false));
     }
 
-    /// Inverts what a station samples first at or after `at`: a bit error that it alone sees.
+    /// Inverts a station's first sample at or after `at`: a bit error that only it sees.
     pub fn flip_bit(&mut self, station: Source, at: Time) {
         self.with_controller(station, |controller| controller.flip(at));
     }
 
-    /// Does something to a station's controller when the bus has come to now.
+    /// Applies `f` to a station's controller when the bus has reached the current time.
     fn with_controller(&mut self, station: Source, act: impl FnOnce(&mut Controller)) {
         self.bus.settle(self.now);
         match station {
@@ -155,7 +153,7 @@ impl Network {
         }
     }
 
-    /// Lets everybody live until `until`.
+    /// Runs until `until`.
     pub fn run_until(&mut self, until: Time) {
         self.begin();
         while self.now < until {
@@ -164,13 +162,12 @@ impl Network {
         self.catch_up();
     }
 
-    /// Lets everybody live for a span.
+    /// Runs for a span.
     pub fn run_for(&mut self, span: Time) {
         self.run_until(self.now + span);
     }
 
-    /// Lets everybody live until an adapter has a frame to receive, at most for the span `timeout`,
-    /// and takes it.
+    /// Runs until an adapter has received a frame, for at most `timeout`, and returns the frame.
     pub fn run_until_received(
         &mut self,
         adapter: AdapterId,
@@ -187,17 +184,17 @@ impl Network {
         received
     }
 
-    /// What happened, in order of time.
+    /// The recorded events, in order of time.
     pub fn trace(&self) -> &[Event] {
         self.trace.events()
     }
 
-    /// Chooses how much of the trace is kept from now on.
+    /// Sets the amount of trace to keep from now on.
     pub fn record(&mut self, recording: Recording) {
         self.trace.record(recording);
     }
 
-    /// Looks at boards and adapters anew, as anything may have been done to them.
+    /// Checks all boards and adapters again, since anything may have been done to them.
     fn begin(&mut self) {
         self.touched = true;
         for (board, wake) in self.boards.iter().zip(&mut self.wake) {
@@ -205,14 +202,14 @@ impl Network {
         }
     }
 
-    /// Lets the boards that sleep do so until now.
+    /// Brings the sleeping boards up to the current time.
     fn catch_up(&mut self) {
         for board in 0..self.boards.len() {
             self.run_board(board, self.now, self.now);
         }
     }
 
-    /// Lets everybody live up to `until` or an earlier instant where it is time to look again.
+    /// Runs up to `until`, or to an earlier time that needs a new decision.
     fn step(&mut self, until: Time) {
         let quiet_until = if self.touched { self.now } else { self.bus.next_action() };
         let soon = until.min(self.now + LOOKAHEAD);
@@ -232,8 +229,7 @@ impl Network {
             if self.touched || self.bus.next_action() <= end { self.run_bus(end) } else { end };
     }
 
-    /// Lets a board live until `end`, or to its first write to the CAN controller from `soon` on;
-    /// returns which.
+    /// Runs a board until `end`, or to its first write to the CAN controller from `soon` on; returns which.
     fn run_board(&mut self, number: usize, mut end: Time, soon: Time) -> Time {
         let board = &mut self.boards[number];
         while board.now() < end {
@@ -254,8 +250,7 @@ impl Network {
         end
     }
 
-    /// Lets the bus live until `until` or to an instant that concerns a CPU or an adapter's user;
-    /// returns which.
+    /// Runs the bus until `until`, or to an event that concerns a CPU or an adapter's user; returns which.
     fn run_bus(&mut self, until: Time) -> Time {
         let powered = |(_, board): &(usize, &Board)| board.is_powered();
         let boards: Vec<usize> =

@@ -1,41 +1,41 @@
-//! What firmware did that the emulated chip does not model, or that a real chip would not forgive.
+//! Findings: actions of the firmware that the emulated chip does not model or that a real chip would not tolerate.
 
 use core::fmt;
 
 use super::{Access, Chip, Width};
 use crate::Time;
 
-/// One kind of trouble at one place in the program; repetitions are counted, not listed.
+/// A kind of problem at one place in the program; repetitions are counted, not listed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// When it was seen first.
+    /// The time of the first occurrence.
     pub time: Time,
     /// Address of the instruction.
     pub pc: u32,
-    /// Address that was accessed.
+    /// The accessed address.
     pub address: u32,
-    /// Width of the access.
+    /// The width of the access.
     pub width: Width,
-    /// Whether it was a write.
+    /// Whether the access was a write.
     pub write: bool,
     /// The value written, or 0 for a read.
     pub value: u32,
-    /// What is wrong.
+    /// The problem.
     pub problem: Problem,
-    /// How often it was seen.
+    /// The number of occurrences.
     pub count: u64,
 }
 
-/// What is wrong with an access.
+/// A problem with an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Problem {
-    /// The emulator has no such register: it read as 0, or the write was lost.
+    /// The emulator has no such register: a read returned 0, or a write was lost.
     Unmodelled,
     /// The peripheral's clock is off in RCC: a real chip reads 0 and loses the write.
     ClockOff,
-    /// The register does not take this access width.
+    /// The register does not support this access width.
     Width,
-    /// Legal to execute, but outside what the reference manual allows: the text says why.
+    /// Executed, but not allowed by the reference manual: the text is the reason.
     Misuse(&'static str),
 }
 
@@ -68,7 +68,7 @@ impl fmt::Display for Finding {
 }
 
 impl Chip {
-    /// Adds a finding, of the chip or of the engine that runs its core; `written` is the value of a store.
+    /// Adds a finding of the chip or of the engine that runs its core; `written` is the value of a store.
     pub fn report(&mut self, access: Access, written: Option<u32>, problem: Problem) {
         let Access { address, width, now, pc } = access;
         let write = written.is_some();

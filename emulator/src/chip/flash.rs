@@ -1,4 +1,4 @@
-//! The flash interface (RM0090 chapter 3): keys, programming, erasing, their times and their faults.
+//! The flash interface (RM0090 chapter 3): keys, programming, erasing, timing and faults.
 
 mod array;
 mod options;
@@ -44,7 +44,7 @@ const CR_LOCK: u32 = 1 << 31;
 enum Kind {
     Program,
     Erase,
-    /// The programming of the option bytes, which stay as they were if it is cut off.
+    /// The programming of the option bytes, which remain unchanged if it is interrupted.
     Options,
 }
 
@@ -85,7 +85,7 @@ impl Flash {
     /// Offset of FLASH_SR.
     pub(super) const SR: u32 = 0x0C;
 
-    /// Whether the register takes writes of bytes and half-words: all but the keys do (RM0090 3.9).
+    /// Whether the register accepts writes of bytes and half-words; all but the keys do (RM0090 3.9).
     pub(super) fn takes_narrow_writes(offset: u32) -> bool {
         matches!(offset, ACR | Self::SR | CR | OPTCR | OPTCR1)
     }
@@ -116,7 +116,7 @@ impl Flash {
         }
     }
 
-    /// Everything that is stored.
+    /// The entire content.
     pub fn bytes(&self) -> &[u8] {
         self.array.bytes()
     }
@@ -126,17 +126,17 @@ impl Flash {
         self.options.word(offset)
     }
 
-    /// The range that changed since the last call, for whoever keeps a copy.
+    /// The range that changed since the last call, for the owner of a copy.
     pub fn take_changed(&mut self) -> Option<Range<usize>> {
         self.changed.take()
     }
 
-    /// Number of wait states that are set.
+    /// The number of wait states.
     pub fn latency(&self) -> u32 {
         self.acr & 0xF
     }
 
-    /// When the bank that holds `offset` can be read again, if it is busy at `now`.
+    /// The time at which the bank that holds `offset` can be read again, if it is busy at `now`.
     pub fn busy_until(&self, offset: u32, now: Time) -> Option<Time> {
         let operation = self.operation.as_ref().filter(|operation| now < operation.end)?;
         let bank = |offset: u32| offset / self.part.flash_bank_size();
@@ -144,30 +144,30 @@ impl Flash {
         busy.contains(&bank(offset)).then_some(operation.end)
     }
 
-    /// Whether a driver has finished, locked the flash, and left in the data cache what it erased (RM0090 3.5.2).
-    /// True only once after each erase.
+    /// Whether a driver has finished and locked the flash but left erased content in the data cache (RM0090 3.5.2).
+    /// True only once per erase.
     pub fn take_stale_data_cache(&mut self) -> bool {
         let stale = self.stale_data_cache && self.cr & CR_LOCK != 0 && self.acr & ACR_DCEN != 0;
         self.stale_data_cache &= !stale;
         stale
     }
 
-    /// When the staged power cut happens, once its operation has begun.
+    /// The time of the staged power cut, once its operation has begun.
     pub fn power_cut_at(&self) -> Option<Time> {
         self.power_cut_at
     }
 
-    /// When the present operation ends.
+    /// The end of the current operation.
     pub fn operation_end(&self) -> Option<Time> {
         self.operation.as_ref().map(|operation| operation.end)
     }
 
-    /// Level of interrupt 4, FLASH.
+    /// The level of interrupt 4, FLASH.
     pub fn irq(&self) -> bool {
         self.sr & SR_EOP != 0 && self.cr & CR_EOPIE != 0
     }
 
-    /// Ends the present operation if its time has come.
+    /// Ends the current operation if its time has come.
     pub fn advance(&mut self, now: Time) {
         if let Some(ended) = self.operation.take_if(|operation| now >= operation.end) {
             if ended.kind == Kind::Options {
@@ -181,7 +181,7 @@ impl Flash {
         }
     }
 
-    /// Reset values in every register; an operation that was under way leaves torn cells.
+    /// Resets every register; an interrupted operation leaves torn cells.
     pub fn reset(&mut self, now: Time) {
         self.advance(now);
         if let Some(operation) = self.operation.take() {
@@ -211,7 +211,7 @@ impl Flash {
         self.stale_data_cache = false;
     }
 
-    /// The supply comes up: what was cut off may read otherwise now.
+    /// Handles the return of the supply: interrupted cells may read differently now.
     pub(super) fn power_on(&mut self) {
         for range in self.array.flip_marginal() {
             self.note_change(range);
@@ -225,7 +225,7 @@ impl Flash {
         });
     }
 
-    /// A register's value, or `None` where there is none.
+    /// The value of a register, or `None` if it does not exist.
     pub fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
         self.advance(now);
         let busy = if self.operation.is_some() { SR_BSY } else { 0 };
@@ -332,7 +332,7 @@ impl Flash {
         Ok(())
     }
 
-    /// Whether the supply allows the width that PSIZE chooses (RM0090 table 9).
+    /// Whether the supply allows the width that PSIZE selects (RM0090 table 9).
     fn check_parallelism(&self) -> Result<(), Problem> {
         let least_mv = match self.cr >> 8 & 3 {
             0 => 1_700,
@@ -387,7 +387,7 @@ impl Flash {
         self.check_parallelism()
     }
 
-    /// A store of the CPU to flash address `offset`: programs it, or sets the flag that says why not.
+    /// A store of the CPU to flash address `offset`: programs it or sets the appropriate error flag.
     pub fn program(
         &mut self,
         offset: u32,
@@ -411,7 +411,7 @@ impl Flash {
             let mut programmed = value;
             if self.failing_programs > 0 {
                 self.failing_programs -= 1;
-                // The lowest bit that was to become 0 stays.
+                // The lowest bit to be cleared stays set.
                 programmed |= !value & value.wrapping_add(1);
             }
             self.array.program(offset, &programmed.to_le_bytes()[..size as usize]);

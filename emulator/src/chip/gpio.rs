@@ -1,4 +1,4 @@
-//! GPIO ports (RM0090 chapter 8): mode, output with the time of the last change, input from outside.
+//! GPIO ports (RM0090 chapter 8): mode, output with the time of the last change, external input.
 
 use super::Part;
 use crate::Time;
@@ -15,12 +15,12 @@ const AFRH: u32 = 0x24;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Pin(pub char, pub u8);
 
-/// What the chip drives on a pin.
+/// The output of the chip on a pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Output {
     /// The level, or `None` while the pin is not a general purpose output.
     pub level: Option<bool>,
-    /// When that came about.
+    /// The time of the last change.
     pub since: Time,
 }
 
@@ -88,12 +88,12 @@ impl Port {
 }
 
 impl Gpio {
-    /// The ports of `part` after power-on, nothing connected.
+    /// The ports of `part` after power-on, with nothing connected.
     pub fn new(part: Part) -> Self {
         Self { ports: (0..part.gpio_ports()).map(Port::new).collect() }
     }
 
-    /// Resets every port; what is connected from outside stays.
+    /// Resets every port; external connections remain.
     pub fn reset(&mut self, now: Time) {
         for index in 0..self.ports.len() {
             self.reset_port(index, now);
@@ -105,12 +105,12 @@ impl Gpio {
         self.ports[index].reset(index, now);
     }
 
-    /// How many ports there are.
+    /// The number of ports.
     pub fn ports(&self) -> usize {
         self.ports.len()
     }
 
-    /// A register of port `index`, or `None` where there is none.
+    /// A register of port `index`, or `None` if it does not exist.
     pub fn read(&self, index: usize, offset: u32) -> Option<u32> {
         let port = self.ports.get(index)?;
         match offset {
@@ -121,7 +121,7 @@ impl Gpio {
         }
     }
 
-    /// Writes a register of port `index`; false where there is none.
+    /// Writes a register of port `index`; returns false if it does not exist.
     pub fn write(&mut self, index: usize, offset: u32, value: u32, now: Time) -> bool {
         let Some(port) = self.ports.get_mut(index) else {
             return false;
@@ -140,17 +140,17 @@ impl Gpio {
         true
     }
 
-    /// What the chip drives on `pin`. Panics if the part has no such pin.
+    /// The output of the chip on `pin`. Panics if the part has no such pin.
     pub fn output(&self, pin: Pin) -> Output {
         self.ports[port_index(pin)].outputs[usize::from(pin.1)]
     }
 
-    /// Connects `pin` to a level from outside, or leaves it open. Panics if the part has no such pin.
+    /// Connects `pin` to an external level, or leaves it open. Panics if the part has no such pin.
     pub fn set_input(&mut self, pin: Pin, level: Option<bool>) {
         self.ports[port_index(pin)].outside[usize::from(pin.1)] = level;
     }
 
-    /// The alternate function that `pin` is switched to, if there is such a pin and it is.
+    /// The alternate function selected for `pin`, if the pin exists and has one selected.
     pub fn alternate_function(&self, pin: Pin) -> Option<u32> {
         let port = self.ports.get(port_index(pin))?;
         let number = usize::from(pin.1);

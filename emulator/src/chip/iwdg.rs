@@ -20,7 +20,7 @@ pub struct Iwdg {
 }
 
 impl Iwdg {
-    /// After a reset: off, 4 x 4096 periods of an LSI of `lsi` Hz (32 kHz typical, 17..47 kHz).
+    /// The state after a reset: off, 4 x 4096 periods of an LSI of `lsi` Hz (32 kHz typical, 17..47 kHz).
     pub fn new(lsi: u32) -> Self {
         Self {
             lsi,
@@ -33,7 +33,7 @@ impl Iwdg {
         }
     }
 
-    /// Puts all back to reset values, at the same LSI.
+    /// Resets all registers; the LSI remains the same.
     pub fn reset(&mut self) {
         *self = Self::new(self.lsi);
     }
@@ -43,7 +43,7 @@ impl Iwdg {
         self.lsi = hz;
     }
 
-    /// When it will reset the chip, if it runs.
+    /// The time of the watchdog reset, if the watchdog runs.
     pub fn deadline(&self) -> Option<Time> {
         self.deadline
     }
@@ -57,7 +57,7 @@ impl Iwdg {
         self.deadline = Some(now + self.lsi_periods(divider * u64::from(from + 1)));
     }
 
-    /// A register's value, or `None` where there is none.
+    /// The value of a register, or `None` if it does not exist.
     pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
         match offset {
             KR => Some(0),
@@ -70,14 +70,14 @@ impl Iwdg {
         }
     }
 
-    /// Writes a register; false where there is none or the write is not accepted now.
+    /// Writes a register; returns false if it does not exist or cannot be written now.
     pub fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
         match offset {
             KR => {
                 let key = value & 0xFFFF;
                 self.unlocked = key == 0x5555;
                 match key {
-                    // RM0090 21.3: the first count is from the reset value, whatever RLR holds.
+                    // RM0090 21.3: the first count starts from the reset value, whatever RLR holds.
                     0xCCCC if !self.running() => self.count_down(0xFFF, now),
                     0xAAAA if self.running() => self.count_down(self.reload, now),
                     _ => {}

@@ -1,4 +1,4 @@
-//! The address map: what an access is, and which block answers where.
+//! The address map: the properties of an access and the block that each address belongs to.
 
 use super::rcc::Gate;
 use crate::Time;
@@ -10,11 +10,11 @@ pub const RAM_BASE: u32 = 0x2000_0000;
 /// First address of the core-coupled memory.
 pub const CCM_BASE: u32 = 0x1000_0000;
 
-/// Where the bus answers with an error: the CPU takes a BusFault.
+/// The bus responds with an error, and the CPU takes a BusFault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BusFault;
 
-/// Width of an access.
+/// The width of an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Width {
     /// 8 bits.
@@ -26,7 +26,7 @@ pub enum Width {
 }
 
 impl Width {
-    /// Number of bytes.
+    /// The number of bytes.
     pub const fn bytes(self) -> u32 {
         match self {
             Self::Byte => 1,
@@ -47,17 +47,17 @@ impl Width {
 /// A load or store by the CPU, naturally aligned.
 #[derive(Clone, Copy, Debug)]
 pub struct Access {
-    /// Address of the first byte.
+    /// The address of the first byte.
     pub address: u32,
-    /// How many bytes.
+    /// The width.
     pub width: Width,
-    /// When it happens.
+    /// The time of the access.
     pub now: Time,
-    /// Address of the instruction.
+    /// The address of the instruction.
     pub pc: u32,
 }
 
-/// What an address belongs to.
+/// The block that an address belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Block {
     Flash,
@@ -108,7 +108,7 @@ impl Block {
         }
     }
 
-    /// Whether it hangs on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).
+    /// Whether the block is on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).
     pub const fn on_apb(self) -> bool {
         matches!(
             self,

@@ -1,6 +1,6 @@
-//! The STM32F4 parts that can be put on a board, and how they differ.
+//! The STM32F4 parts that can be put on a board, and their differences.
 
-/// A microcontroller, in its package with the largest memory that the firmware's `memory.x` counts on.
+/// A microcontroller, in the package with the largest memory that the firmware's `memory.x` relies on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Part {
     /// STM32F405xG: 168 MHz, 1 MB flash, 128 KB + 64 KB RAM.
@@ -38,7 +38,7 @@ impl Part {
         }
     }
 
-    /// Bytes of flash in one bank: the CPU stalls only while it needs the bank that is busy.
+    /// Bytes of flash per bank: the CPU stalls only when it needs the busy bank.
     pub const fn flash_bank_size(self) -> u32 {
         match self {
             Self::Stm32f427 => 1024 * KB,
@@ -71,7 +71,7 @@ impl Part {
         }
     }
 
-    /// How many interrupt lines lead to the NVIC.
+    /// The number of interrupt lines of the NVIC.
     pub const fn irq_count(self) -> u16 {
         match self {
             Self::Stm32f405 | Self::Stm32f407 => 82,
@@ -80,7 +80,7 @@ impl Part {
         }
     }
 
-    /// The highest legal (SYSCLK, APB1, APB2) in Hz, over-drive on where the part has it.
+    /// The highest legal (SYSCLK, APB1, APB2) in Hz, with over-drive if the part has it.
     pub const fn clock_limits(self) -> (u32, u32, u32) {
         match self {
             Self::Stm32f405 | Self::Stm32f407 => (168_000_000, 42_000_000, 84_000_000),
@@ -93,7 +93,7 @@ impl Part {
         matches!(self, Self::Stm32f427 | Self::Stm32f446)
     }
 
-    /// How many GPIO ports there are, from A on.
+    /// The number of GPIO ports, from A on.
     pub const fn gpio_ports(self) -> usize {
         match self {
             Self::Stm32f405 | Self::Stm32f407 => 9,

@@ -27,10 +27,10 @@ const CSSF: u32 = 1 << 7;
 const PLL_LOCK: Time = Time::from_us(100);
 const LSI_START: Time = Time::from_us(20);
 
-/// The internal oscillator, taken as exact.
+/// The internal oscillator, assumed to be exact.
 const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
 
-/// What made the chip start over.
+/// The cause of a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ResetCause {
     /// The supply came up.
@@ -55,7 +55,7 @@ impl ResetCause {
     }
 }
 
-/// The clocks of the present RCC settings, each with the error of the oscillator that it comes from.
+/// The clocks of the current RCC settings, each with the error of its oscillator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clocks {
     /// System clock.
@@ -64,7 +64,7 @@ pub struct Clocks {
     pub hclk: Clock,
     /// APB1: CAN, IWDG's registers, PWR.
     pub pclk1: Clock,
-    /// The timers of APB1: its clock, twice as fast where APB1 is slower than AHB.
+    /// The timers of APB1: its clock, or twice that if APB1 is slower than AHB.
     pub timclk1: Clock,
     /// APB2: SYSCFG, EXTI.
     pub pclk2: Clock,
@@ -102,7 +102,7 @@ impl Gate {
 pub struct Rcc {
     part: Part,
     crystal: Clock,
-    /// The crystal swings once it is switched on.
+    /// The crystal oscillates when switched on.
     crystal_works: bool,
     hse_start: Time,
     regs: [u32; 38],
@@ -112,7 +112,7 @@ pub struct Rcc {
 }
 
 impl Rcc {
-    /// After power-on, with `crystal` as HSE, which takes `hse_start` to become ready.
+    /// The state after power-on, with `crystal` as HSE, which takes `hse_start` to become ready.
     pub fn new(part: Part, crystal: Clock, hse_start: Time) -> Self {
         let mut rcc = Self {
             part,
@@ -128,7 +128,7 @@ impl Rcc {
         rcc
     }
 
-    /// Puts every register at its reset value; reset flags add up until RMVF or a power-on.
+    /// Resets every register; reset flags accumulate until RMVF or a power-on.
     pub fn reset(&mut self, cause: ResetCause) {
         let flags = match cause {
             ResetCause::PowerOn => 0,
@@ -174,7 +174,7 @@ impl Rcc {
         self.reg(register - 0x20) >> bit & 1 == 1
     }
 
-    /// A register's value, or `None` where the part has none.
+    /// The value of a register, or `None` if the part does not have it.
     pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
         if !self.exists(offset) {
             return None;
@@ -202,7 +202,7 @@ impl Rcc {
         })
     }
 
-    /// Writes a register; what a real chip would not accept is returned as a problem and, as there, ignored.
+    /// Writes a register. A write that a real chip would not accept is ignored, as there, and returned as a problem.
     pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
         if !self.exists(offset) {
             return Err(Problem::Unmodelled);
@@ -226,7 +226,7 @@ impl Rcc {
                 }
                 value &= !0xC;
             }
-            // Flags are cleared by the upper bits, which read as 0.
+            // The upper bits, which read as 0, clear flags.
             CIR => value = value & 0x7F00 | old & 0xFF & !(value >> 16),
             CSR => {
                 if value & LSION != 0 && old & LSION == 0 {
@@ -280,7 +280,8 @@ impl Rcc {
         }
     }
 
-    /// The crystal stops at `now`. The clock security system, if it is on, switches to HSI and interrupts (RM0090 7.2.7).
+    /// Stops the crystal at `now`. The clock security system, if it is on, switches to HSI and interrupts (RM0090
+    /// 7.2.7).
     pub fn stop_crystal(&mut self, now: Time) {
         self.crystal_works = false;
         let was_ready = now >= self.hse_ready;
@@ -301,7 +302,7 @@ impl Rcc {
         self.regs[CIR as usize / 4] |= CSSF;
     }
 
-    /// The crystal can swing again from `now` on.
+    /// Allows the crystal to oscillate again from `now` on.
     pub fn start_crystal(&mut self, now: Time) {
         self.crystal_works = self.crystal.hz > 0;
         if self.reg(CR) & HSEON != 0 {
@@ -309,12 +310,12 @@ impl Rcc {
         }
     }
 
-    /// Whether SYSCLK has stopped, with the crystal that it comes from.
+    /// Whether SYSCLK has stopped because its crystal has.
     pub fn is_stopped(&self) -> bool {
         !self.crystal_works && self.sysclk_needs_hse()
     }
 
-    /// Level of the non-maskable interrupt: the clock security system has seen the crystal fail.
+    /// The level of the non-maskable interrupt: the clock security system has detected a failure of the crystal.
     pub fn nmi(&self) -> bool {
         self.reg(CIR) & CSSF != 0
     }
@@ -339,12 +340,12 @@ impl Rcc {
         }
     }
 
-    /// What feeds the PLL.
+    /// The PLL's input clock.
     fn pll_source(&self) -> Clock {
         if self.reg(PLLCFGR) >> 22 & 1 == 1 { self.crystal } else { HSI }
     }
 
-    /// Nominal frequencies of the PLL's input and its VCO.
+    /// The nominal frequencies of the PLL's input and its VCO.
     fn pll(&self) -> (u64, u64) {
         let pllcfgr = self.reg(PLLCFGR);
         let source = u64::from(self.pll_source().hz);

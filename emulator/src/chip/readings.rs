@@ -1,23 +1,23 @@
-//! What manuals and reports leave open about the chip, as switches: a program must work under each of them.
+//! Switches for the properties that manuals and errata leave open. A program must work with any combination.
 
 use super::Timing;
 use crate::Time;
 
-/// How one chip may differ from another; the default is the nominal chip.
+/// The variations between chips; the default is the nominal chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Readings {
-    /// The 16 KB below the SRAM answer: loads read 0, stores are lost. Otherwise they are bus faults.
+    /// The 16 KB below the SRAM respond: loads read 0, stores are lost. Otherwise an access is a bus fault.
     pub no_fault_below_ram: bool,
-    /// How many times its cycles an instruction takes, for flash wait states and cache misses: 1 to 3.
+    /// The factor for the cycles of an instruction, for flash wait states and cache misses: 1 to 3.
     pub slowdown: u8,
-    /// A word whose programming was cut off reads as anything between its old and its new value, otherwise at each
+    /// A word whose programming was interrupted reads as any value between the old and the new one, differently at each
     /// power-on, until it is programmed again or erased.
     pub cut_words_flip: bool,
     /// The frequency of LSI in Hz: 17,000 to 47,000 (F405 data sheet, table 35).
     pub lsi_hz: u32,
-    /// From HSEON to HSERDY: 0.1 to 10 ms with a crystal that works; [`Time::MAX`]: never.
+    /// From HSEON to HSERDY: 0.1 to 10 ms for a working crystal; [`Time::MAX`] for one that never starts.
     pub hse_start: Time,
-    /// How long the flash takes to program and to erase.
+    /// The programming and erase times of the flash.
     pub flash_timing: Timing,
 }
 

@@ -1,27 +1,27 @@
-//! What a chip needs of its board: the supply and the crystal.
+//! The chip's external circuit: the supply and the crystal.
 
 use super::Chip;
 use crate::Time;
 
 impl Chip {
-    /// Sets the supply in mV. It has no effect but on the voltage detector and on what is legal; a reset at too low a supply
-    /// is the board's.
+    /// Sets the supply in mV. It affects only the voltage detector and the checks of what is legal; the board decides
+    /// on a reset at low supply.
     pub fn set_supply(&mut self, mv: u32) {
         self.pwr.set_supply(mv);
         self.flash.set_supply(mv);
     }
 
-    /// The crystal stops at `now`.
+    /// Stops the crystal at `now`.
     pub fn stop_crystal(&mut self, now: Time) {
         self.rcc.stop_crystal(now);
         self.follow_clocks(now);
         if self.is_stopped() {
-            // No clock moves its pin any more; taken as recessive.
+            // The controller has no clock and its pin is constant; it is assumed to be recessive.
             self.can1.reset();
         }
     }
 
-    /// The crystal can swing again from `now` on.
+    /// Allows the crystal to oscillate again from `now` on.
     pub fn start_crystal(&mut self, now: Time) {
         self.rcc.start_crystal(now);
     }
@@ -31,7 +31,7 @@ impl Chip {
         self.rcc.is_stopped()
     }
 
-    /// Level of the non-maskable interrupt.
+    /// The level of the non-maskable interrupt.
     pub fn nmi(&self) -> bool {
         self.rcc.nmi()
     }

@@ -2,8 +2,8 @@
 
 use super::Part;
 
-/// PWR (RM0090 chapter 5): the voltage detector, and the voltage scale and over-drive bits that clock set-up waits for, all
-/// settled at once.
+/// PWR (RM0090 chapter 5): the voltage detector, and the voltage scale and over-drive bits that clock set-up waits for,
+/// which take effect at once.
 #[derive(Debug)]
 pub struct Pwr {
     part: Part,
@@ -17,19 +17,19 @@ impl Pwr {
     const CSR: u32 = 0x04;
     const PVDE: u32 = 1 << 4;
     const PVDO: u32 = 1 << 2;
-    /// The thresholds that PLS chooses, in mV (RM0090 5.4.1); their hysteresis is left out.
+    /// The thresholds that PLS selects, in mV (RM0090 5.4.1), without hysteresis.
     const THRESHOLDS_MV: [u32; 8] = [2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900];
     const VOSRDY: u32 = 1 << 14;
     /// ODEN and ODSWEN in CR, ODRDY and ODSWRDY in CSR.
     const OVERDRIVE: u32 = 1 << 16 | 1 << 17;
 
-    /// After a reset, with 3.3 V.
+    /// The state after a reset, with 3.3 V.
     pub fn new(part: Part) -> Self {
         let cr = if part.has_overdrive() { 0xC000 } else { 0x4000 };
         Self { part, supply_mv: 3_300, cr, csr: 0 }
     }
 
-    /// Puts all back to reset values, at the same supply.
+    /// Resets all registers; the supply remains the same.
     pub fn reset(&mut self) {
         *self = Self { supply_mv: self.supply_mv, ..Self::new(self.part) };
     }
@@ -44,7 +44,7 @@ impl Pwr {
         if self.cr & Self::PVDE != 0 && self.supply_mv < threshold { Self::PVDO } else { 0 }
     }
 
-    /// A register's value, or `None` where there is none.
+    /// The value of a register, or `None` if it does not exist.
     pub fn read(&self, offset: u32) -> Option<u32> {
         match offset {
             Self::CR => Some(self.cr),
@@ -53,7 +53,7 @@ impl Pwr {
         }
     }
 
-    /// Writes a register; false where there is none.
+    /// Writes a register; returns false if it does not exist.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
             Self::CR => {
@@ -73,14 +73,14 @@ pub struct Syscfg {
 }
 
 impl Syscfg {
-    /// A register's value, or `None` where there is none.
+    /// The value of a register, or `None` if it does not exist.
     pub fn read(&self, offset: u32) -> Option<u32> {
         let value = *self.regs.get(offset as usize / 4)?;
         // The compensation cell is ready as soon as it is on.
         Some(if offset == 0x20 { value | (value & 1) << 8 } else { value })
     }
 
-    /// Writes a register; false where there is none, or for a memory remap, which the emulator has not.
+    /// Writes a register; returns false if it does not exist, or for a memory remap, which is not modelled.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         let Some(register) = self.regs.get_mut(offset as usize / 4) else {
             return false;
@@ -90,7 +90,7 @@ impl Syscfg {
     }
 }
 
-/// EXTI (RM0090 chapter 12): masks and software events; no pin leads to it.
+/// EXTI (RM0090 chapter 12): masks and software events; no pin is connected to it.
 #[derive(Debug, Default)]
 pub struct Exti {
     regs: [u32; 6],
@@ -101,12 +101,12 @@ impl Exti {
     const SWIER: usize = 4;
     const PR: usize = 5;
 
-    /// A register's value, or `None` where there is none.
+    /// The value of a register, or `None` if it does not exist.
     pub fn read(&self, offset: u32) -> Option<u32> {
         self.regs.get(offset as usize / 4).copied()
     }
 
-    /// Writes a register; false where there is none.
+    /// Writes a register; returns false if it does not exist.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         let value = value & 0x007F_FFFF;
         match offset as usize / 4 {
@@ -125,7 +125,7 @@ impl Exti {
         true
     }
 
-    /// Levels of the interrupts that EXTI drives, bit n for interrupt n.
+    /// The levels of the interrupts that EXTI drives, bit n for interrupt n.
     pub fn irqs(&self) -> u128 {
         let pending = self.regs[Self::PR] & self.regs[Self::IMR];
         const LINES: [(u32, u32); 14] = [
@@ -148,24 +148,24 @@ impl Exti {
     }
 }
 
-/// DBGMCU (RM0090 38.16): identification, and the freeze bits, which do nothing without a debugger.
+/// DBGMCU (RM0090 38.16): identification and the freeze bits, which have no effect without a debugger.
 #[derive(Debug)]
 pub struct Dbgmcu {
     regs: [u32; 4],
 }
 
 impl Dbgmcu {
-    /// After power-on.
+    /// The state after power-on.
     pub fn new(part: Part) -> Self {
         Self { regs: [part.id_code(), 0, 0, 0] }
     }
 
-    /// A register's value, or `None` where there is none.
+    /// The value of a register, or `None` if it does not exist.
     pub fn read(&self, offset: u32) -> Option<u32> {
         self.regs.get(offset as usize / 4).copied()
     }
 
-    /// Writes a register; false where there is none.
+    /// Writes a register; returns false if it does not exist.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset as usize / 4 {
             index @ 1..4 => self.regs[index] = value,
@@ -175,7 +175,7 @@ impl Dbgmcu {
     }
 }
 
-/// What the factory wrote into system memory (RM0090 chapter 39): read only.
+/// The factory data in system memory (RM0090 chapter 39), read only.
 #[derive(Debug)]
 pub struct Factory {
     unique_id: [u8; 12],
@@ -183,7 +183,7 @@ pub struct Factory {
 }
 
 impl Factory {
-    /// First address of the one-time programmable bytes, which are all blank.
+    /// The first address of the one-time programmable bytes, which are all blank.
     const OTP: u32 = 0x1FFF_7800;
     const UNIQUE_ID: u32 = 0x1FFF_7A10;
     const FLASH_SIZE: u32 = 0x1FFF_7A22;
@@ -193,7 +193,7 @@ impl Factory {
         Self { unique_id, flash_kb: (part.flash_size() / 1024) as u16 }
     }
 
-    /// One byte, or `None` where nothing is known to be stored.
+    /// One byte, or `None` if its content is unknown.
     pub fn byte(&self, address: u32) -> Option<u8> {
         let id = address.wrapping_sub(Self::UNIQUE_ID) as usize;
         match address {

@@ -1,4 +1,4 @@
-//! TIM2 and TIM5 (RM0090 chapter 18): 32-bit counters that count up, and interrupt where they reach a compare value.
+//! TIM2 and TIM5 (RM0090 chapter 18): 32-bit up-counters with compare interrupts.
 
 use super::Problem;
 use crate::{Time, can::Clock};
@@ -20,7 +20,7 @@ const CCR4: u32 = 0x40;
 
 const CEN: u32 = 1 << 0;
 const URS: u32 = 1 << 2;
-/// In SR, EGR and DIER alike: the update and the four channels.
+/// The bits of SR, EGR and DIER: the update and the four channels.
 const UPDATE: u32 = 1 << 0;
 const EVENTS: u32 = 0b1_1111;
 
@@ -34,22 +34,22 @@ pub struct Timer {
     cr1: u32,
     dier: u32,
     sr: u32,
-    /// PSC as written, and as the latest update event has loaded it: an overflow does not.
+    /// PSC as written, and as loaded by the latest update event; an overflow does not load it.
     prescaler: u32,
     divider: u32,
     reload: u32,
     compare: [u32; 4],
-    /// What the counter held at `since`, a count's beginning.
+    /// The counter at `since`, the beginning of a count.
     origin: u32,
     since: Time,
-    /// Counts from there on whose events are in SR.
+    /// The number of counts since then whose events are in SR.
     seen: u64,
-    /// When an event that interrupts comes next.
+    /// The time of the next event that interrupts.
     deadline: Time,
 }
 
 impl Timer {
-    /// After a reset: stopped, on a clock of 16 MHz.
+    /// The state after a reset: stopped, on a clock of 16 MHz.
     pub fn new() -> Self {
         Self {
             clock: Clock { hz: 16_000_000, ppm: 0 },
@@ -67,12 +67,12 @@ impl Timer {
         }
     }
 
-    /// Puts all back to reset values, on the same clock.
+    /// Resets all registers; the clock remains the same.
     pub fn reset(&mut self) {
         *self = Self { clock: self.clock, ..Self::new() };
     }
 
-    /// Changes the clock, that of the timers of APB1 (RM0090 7.2).
+    /// Sets the clock, that of the timers of APB1 (RM0090 7.2).
     pub fn set_clock(&mut self, clock: Clock, now: Time) {
         if self.clock != clock {
             self.advance(now);
@@ -82,17 +82,17 @@ impl Timer {
         }
     }
 
-    /// When it interrupts next.
+    /// The time of the next interrupt.
     pub fn deadline(&self) -> Time {
         self.deadline
     }
 
-    /// Level of its interrupt line, as of the latest access or [`advance`](Self::advance).
+    /// The level of the interrupt line, as of the latest access or [`advance`](Self::advance).
     pub fn irq(&self) -> bool {
         self.sr & self.dier != 0
     }
 
-    /// Has SR show what happened until `now`.
+    /// Updates SR with the events until `now`.
     pub fn advance(&mut self, now: Time) {
         let counts = self.counts_until(now);
         let passed = counts.saturating_sub(self.seen);
@@ -108,7 +108,7 @@ impl Timer {
         self.plan();
     }
 
-    /// A register's value, or `None` where there is none or it is not modelled.
+    /// The value of a register, or `None` if it does not exist or is not modelled.
     pub fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
         self.advance(now);
         Some(match offset {
@@ -127,7 +127,8 @@ impl Timer {
     /// Writes a register.
     ///
     /// # Errors
-    /// What is not modelled, or counts otherwise than it looks. Bits that are not modelled have no effect.
+    /// The register or setting is not modelled, or the timer does not count as its settings suggest. Bits that are not
+    /// modelled have no effect.
     pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
         self.advance(now);
         if matches!(offset, CR1 | EGR | CNT | ARR) {
@@ -160,7 +161,7 @@ impl Timer {
         self.check()
     }
 
-    /// Generates events; that of an update loads the prescaler and clears the counter.
+    /// Generates events; an update event loads the prescaler and clears the counter.
     fn generate(&mut self, events: u32) {
         if events & UPDATE != 0 {
             self.divider = self.prescaler;
@@ -185,7 +186,7 @@ impl Timer {
         Ok(())
     }
 
-    /// Clock periods of the timer in a second, in millionths, and what makes a count.
+    /// The number of timer clock periods per second, in millionths, and per count.
     fn rate(&self) -> (u128, u128) {
         let rate = u128::from(self.clock.hz) * (1_000_000 + i128::from(self.clock.ppm)) as u128;
         (rate, SCALE * u128::from(self.divider + 1))
@@ -199,25 +200,25 @@ impl Timer {
         (u128::from(now.saturating_sub(self.since).as_ps()) * rate / count) as u64
     }
 
-    /// What the counter holds so many counts after `since`.
+    /// The counter after this number of counts since `since`.
     fn count_after(&self, counts: u64) -> u32 {
         ((u64::from(self.origin) + counts) % (u64::from(self.reload) + 1)) as u32
     }
 
-    /// The flags of SR, and the counter's value at which each rises.
+    /// The flags of SR, and the counter value that sets each.
     fn events(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
         let channels = self.compare.into_iter().enumerate();
         channels.map(|(channel, value)| (UPDATE << (1 + channel), value)).chain([(UPDATE, 0)])
     }
 
-    /// Counts from those that were seen until the counter comes to `value`, one at least.
+    /// The number of counts from those in SR until the counter reaches `value`, at least one.
     fn counts_to(&self, value: u32) -> Option<u64> {
         let period = u64::from(self.reload) + 1;
         let ahead = u64::from(value) + period - u64::from(self.count_after(self.seen));
         (value <= self.reload).then_some(if ahead > period { ahead - period } else { ahead })
     }
 
-    /// Makes the present count the origin, so that anything may change.
+    /// Makes the current count the origin, so that any setting may change.
     fn settle(&mut self, now: Time) {
         let (rate, count) = self.rate();
         let whole = (u128::from(self.seen) * count).div_ceil(rate);
@@ -227,7 +228,7 @@ impl Timer {
         self.seen = 0;
     }
 
-    /// Finds the next interrupt.
+    /// Determines the next interrupt.
     fn plan(&mut self) {
         let waits = |&(bit, _): &(u32, u32)| self.dier & !self.sr & bit != 0;
         let next = self.events().filter(waits).filter_map(|(_, value)| self.counts_to(value)).min();

@@ -1,5 +1,4 @@
-//! The record of a network's life: frames, error frames, and what boards did to their CAN
-//! controllers.
+//! The trace of a network: frames, error frames, and the boards' actions on their CAN controllers.
 
 use std::fmt;
 
@@ -10,10 +9,10 @@ use crate::{
     chip::{Chip, ResetCause},
 };
 
-/// Errors that others find within so many bits after the first belong to the same error frame.
+/// The number of bits after the first error within which errors of others belong to the same error frame.
 const ERROR_FRAME_BITS: u64 = 20;
 
-/// Who made an [`Event`].
+/// The source of an [`Event`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Source {
     /// The board of this number.
@@ -31,57 +30,57 @@ impl fmt::Display for Source {
     }
 }
 
-/// Something that happened.
+/// An entry of the trace.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Event {
-    /// When; of a frame, the end of its last EOF bit.
+    /// The time; for a frame, the end of its last EOF bit.
     pub time: Time,
-    /// Who did it; of a frame the first of its senders, of an error frame who raised it first.
+    /// The source; for a frame its first sender, for an error frame the station that raised it first.
     pub source: Source,
-    /// What.
+    /// The event itself.
     pub what: What,
 }
 
-/// What happened.
+/// The kind of an event.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum What {
-    /// A frame passed over the bus.
+    /// A frame was sent on the bus.
     Frame {
         /// The frame.
         frame: Frame,
-        /// When its SOF began.
+        /// The start of its SOF.
         start: Time,
-        /// Nominal bit rate of its sender, in bit/s.
+        /// The nominal bit rate of its sender, in bit/s.
         bit_rate: u32,
-        /// Others who sent the same frame at the same time.
+        /// Other stations that sent the same frame at the same time.
         also: Vec<Source>,
     },
     /// An error frame began, active or passive.
     Error {
-        /// What was found wrong.
+        /// The kind of error.
         kind: ErrorKind,
-        /// Whether it was the transmitter who found it.
+        /// Whether the transmitter detected it.
         transmitting: bool,
     },
-    /// A board asked for a transmission.
+    /// A board requested a transmission.
     Requested {
-        /// Number of the mailbox, 0..=2.
+        /// The number of the mailbox, 0..=2.
         mailbox: usize,
-        /// What is in it.
+        /// The frame in the mailbox.
         frame: Frame,
     },
-    /// A board emptied a mailbox whose frame was not under way.
+    /// A board emptied a mailbox whose frame was not being sent.
     Aborted {
-        /// Number of the mailbox, 0..=2.
+        /// The number of the mailbox, 0..=2.
         mailbox: usize,
-        /// What was in it.
+        /// The frame that was in the mailbox.
         frame: Frame,
     },
     /// A board changed its bit timing.
     BitTiming {
         /// BTR as written.
         btr: u32,
-        /// The nominal bit rate that it stands for, in bit/s.
+        /// The corresponding nominal bit rate, in bit/s.
         bit_rate: u32,
     },
     /// INAK was set.
@@ -96,11 +95,11 @@ pub enum What {
     Reset(ResetCause),
     /// A board lost its supply.
     PowerOff,
-    /// A board got its supply back.
+    /// The supply of a board was restored.
     PowerOn,
 }
 
-/// A line of a log: time in milliseconds, who, what.
+/// A line of a log: time in milliseconds, source, event.
 impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:>14}  {:10}  ", self.time, self.source.to_string())?;
@@ -127,15 +126,15 @@ impl fmt::Display for Event {
     }
 }
 
-/// How much of a trace is kept.
+/// The amount of trace that is kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Recording {
-    /// Everything.
+    /// All events.
     #[default]
     All,
-    /// At least this number of latest events, and at most twice as many.
+    /// At least this number of the latest events, and at most twice as many.
     Latest(usize),
-    /// Nothing.
+    /// No events.
     Off,
 }
 
@@ -144,7 +143,7 @@ pub enum Recording {
 pub(super) struct Trace {
     recording: Recording,
     events: Vec<Event>,
-    /// Who raised the latest error frame, and until when errors of others belong to it.
+    /// The station that raised the latest error frame, and the time until which errors of others belong to it.
     error_frame: Option<(Source, Time)>,
 }
 
@@ -158,7 +157,7 @@ impl Trace {
         self.trim();
     }
 
-    /// Adds an event at its place in time: boards run ahead of the bus, so it need not be the last.
+    /// Adds an event at its place in time, which need not be the last: boards run ahead of the bus.
     pub fn push(&mut self, time: Time, source: Source, what: What) {
         if self.recording == Recording::Off {
             return;
@@ -179,7 +178,7 @@ impl Trace {
         }
     }
 
-    /// Takes what a controller on the wire reports.
+    /// Records a report of a controller on the wire.
     pub fn observe(&mut self, source: Source, controller: &Controller, event: &can::Event) {
         let now = controller.now();
         match *event {
@@ -216,7 +215,7 @@ impl Trace {
         self.push(end, source, What::Frame { frame, start, bit_rate, also: Vec::new() });
     }
 
-    /// Takes what a board's program did to its controller.
+    /// Records an action of a board's program on its controller.
     pub fn take_notes(&mut self, board: usize, chip: &mut Chip) {
         let bxcan = chip.can1_mut();
         for (time, note) in bxcan.take_notes() {

@@ -1,21 +1,21 @@
-//! The flash cells: sectors, programming that only clears bits, and what is left when power fails.
+//! The flash cells: sectors, programming that only clears bits, and the content after a power cut.
 
 use std::ops::Range;
 
 use crate::chip::Part;
 
-/// Bits of the flash that no longer change.
+/// Stuck bits of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StuckBits {
     /// Byte offset from the start of the flash.
     pub offset: u32,
-    /// Which bits of the byte are stuck.
+    /// The stuck bits of the byte.
     pub mask: u8,
-    /// What they read as, in the bits of `mask`.
+    /// The values of the bits in `mask`.
     pub value: u8,
 }
 
-/// Cells between two values, because their programming was cut off.
+/// Cells between two values, because their programming was interrupted.
 #[derive(Debug)]
 struct Marginal {
     start: usize,
@@ -34,18 +34,18 @@ pub struct Array {
 }
 
 impl Array {
-    /// Erased flash.
+    /// An erased flash.
     pub fn new(part: Part) -> Self {
         let bytes = vec![0xFF; part.flash_size() as usize];
         Self { part, bytes, stuck: Vec::new(), marginal: Vec::new() }
     }
 
-    /// Everything that is stored.
+    /// The entire content.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// Replaces what is stored from `offset` on, as a programming tool does.
+    /// Replaces the content from `offset` on, as a programming tool does.
     pub fn load(&mut self, offset: u32, bytes: &[u8]) {
         let start = offset as usize;
         self.bytes[start..start + bytes.len()].copy_from_slice(bytes);
@@ -53,7 +53,7 @@ impl Array {
         self.apply_stuck(start..start + bytes.len());
     }
 
-    /// Adds bits that do not change any more.
+    /// Adds stuck bits.
     pub fn add_stuck(&mut self, bits: StuckBits) {
         self.stuck.push(bits);
         self.apply_stuck(bits.offset as usize..bits.offset as usize + 1);
@@ -94,7 +94,7 @@ impl Array {
         bank * 12 + sector
     }
 
-    /// Programs bytes: bits go from 1 to 0 and never back.
+    /// Programs bytes: bits can change from 1 to 0 only.
     pub fn program(&mut self, offset: u32, bytes: &[u8]) {
         let start = offset as usize;
         for (cell, byte) in self.bytes[start..].iter_mut().zip(bytes) {
@@ -121,7 +121,7 @@ impl Array {
         self.apply_stuck(range);
     }
 
-    /// Remembers that the programming of cells, which is to be torn, leaves them between two values.
+    /// Marks cells whose programming will be interrupted as between two values.
     pub fn add_marginal(&mut self, start: usize, before: &[u8], seed: u64) {
         let programmed = self.bytes[start..start + before.len()].to_vec();
         let (before, random) = (before.to_vec(), Random(!seed));
@@ -132,7 +132,7 @@ impl Array {
         self.marginal.retain(|marginal| !range.contains(&marginal.start));
     }
 
-    /// Lets every cell that is between two values read as either; returns where they are.
+    /// Makes every cell between two values read as either; returns their positions.
     pub fn flip_marginal(&mut self) -> Vec<Range<usize>> {
         let mut ranges = Vec::new();
         for Marginal { start, before, programmed, random } in &mut self.marginal {
@@ -152,7 +152,7 @@ impl Array {
         ranges
     }
 
-    /// What a program operation leaves that was cut off: each bit that was to be cleared may or may not be.
+    /// The result of an interrupted program operation: each bit to be cleared may or may not be.
     pub fn tear_program(&mut self, start: usize, before: &[u8], seed: u64) {
         let mut random = Random(seed);
         for (cell, &old) in self.bytes[start..].iter_mut().zip(before) {
@@ -162,7 +162,7 @@ impl Array {
         self.apply_stuck(start..start + before.len());
     }
 
-    /// What an erase leaves that was cut off: per 32 bytes the old content, erased cells, or anything.
+    /// The result of an interrupted erase: for each 32 bytes the old content, erased cells, or anything.
     pub fn tear_erase(&mut self, start: usize, before: &[u8], seed: u64) {
         let mut random = Random(seed);
         for (cells, old) in

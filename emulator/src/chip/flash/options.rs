@@ -4,13 +4,13 @@ use crate::chip::{BusFault, Part, Problem};
 
 const OPTLOCK: u32 = 1 << 0;
 const OPTSTRT: u32 = 1 << 1;
-/// What the emulator gives a meaning to, or what has none without a reset pin: BOR_LEV and nWRP.
+/// The options that the emulator models or that have no effect without a reset pin: BOR_LEV and nWRP.
 const MODELLED: u32 = 0x0FFF_000C;
 
-/// Which of the two registers.
+/// One of the two registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Register {
-    /// OPTCR: user option bytes, and protection of the first 12 sectors.
+    /// OPTCR: user option bytes and protection of the first 12 sectors.
     Optcr,
     /// OPTCR1 of parts with two banks: protection of the other sectors.
     Optcr1,
@@ -19,7 +19,7 @@ pub enum Register {
 /// The option bytes.
 #[derive(Debug)]
 pub struct Options {
-    /// What is programmed, as OPTCR and OPTCR1 show it after a reset.
+    /// The programmed content, as OPTCR and OPTCR1 show it after a reset.
     stored: [u32; 2],
     registers: [u32; 2],
     half_unlocked: bool,
@@ -27,14 +27,14 @@ pub struct Options {
 }
 
 impl Options {
-    /// As the factory leaves them: nothing protected, no brown-out reset.
+    /// The factory settings: no protection, no brown-out reset.
     pub fn new(part: Part) -> Self {
         let second = if part == Part::Stm32f427 { 0x0FFF_0000 } else { 0 };
         let stored = [0x0FFF_AAEC | OPTLOCK, second];
         Self { stored, registers: stored, half_unlocked: false, locked_until_reset: false }
     }
 
-    /// Loads the registers from what is programmed.
+    /// Loads the registers from the programmed content.
     pub fn reset(&mut self) {
         self.registers = self.stored;
         self.half_unlocked = false;
@@ -54,7 +54,7 @@ impl Options {
         self.stored[sector as usize / 12] >> (16 + sector % 12) & 1 == 0
     }
 
-    /// A register's value.
+    /// The value of a register.
     pub fn read(&self, register: Register) -> u32 {
         self.registers[register as usize]
     }
@@ -68,7 +68,7 @@ impl Options {
         }
     }
 
-    /// Takes a key.
+    /// Accepts a key.
     pub fn write_key(&mut self, value: u32) -> Result<(), BusFault> {
         match (value, self.half_unlocked, self.locked_until_reset) {
             (0x0819_2A3B, false, false) => self.half_unlocked = true,
@@ -85,7 +85,7 @@ impl Options {
         Ok(())
     }
 
-    /// Writes a register. True: the option bytes are to be programmed now.
+    /// Writes a register. Returns true if the option bytes must be programmed now.
     pub fn write(&mut self, register: Register, value: u32) -> Result<bool, Problem> {
         if self.registers[0] & OPTLOCK != 0 {
             return Err(Problem::Misuse("option bytes written while they are locked"));
@@ -99,7 +99,7 @@ impl Options {
         Ok(register == Register::Optcr && value & OPTSTRT != 0)
     }
 
-    /// Programs what the registers hold.
+    /// Programs the content of the registers.
     pub fn program(&mut self) {
         self.stored = [self.registers[0] | OPTLOCK, self.registers[1]];
     }

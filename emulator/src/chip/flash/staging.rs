@@ -1,16 +1,16 @@
-//! What happens to the flash from outside of the program: a programming tool, faults to be staged, and what was counted.
+//! External control of the flash: a programming tool, staged faults, and counters.
 
 use std::ops::Range;
 
 use super::{Flash, StuckBits, Timing};
 use crate::Time;
 
-/// A failure to be staged: the supply goes away in the middle of an operation.
+/// A staged failure: the supply is cut in the middle of an operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PowerCut {
-    /// Which operation (program or erase) since the board was made, counted from 0.
+    /// The number of the operation (program or erase) since the board was made, from 0.
     pub operation: u64,
-    /// Chooses the moment within the operation and what it leaves.
+    /// Determines the moment within the operation and the content that remains.
     pub seed: u64,
 }
 
@@ -21,7 +21,7 @@ impl Flash {
         self.note_change(offset as usize..offset as usize + bytes.len());
     }
 
-    /// Chooses typical, guaranteed or longest times.
+    /// Selects typical, guaranteed or longest times.
     pub fn set_timing(&mut self, timing: Timing) {
         self.timing = timing;
     }
@@ -31,44 +31,44 @@ impl Flash {
         self.options.protect(sectors);
     }
 
-    /// Sets the supply in mV, on which the possible width of programming depends.
+    /// Sets the supply in mV, which limits the width of programming.
     pub(in crate::chip) fn set_supply(&mut self, mv: u32) {
         self.supply_mv = mv;
     }
 
-    /// Lets words whose programming is cut off from now on read otherwise at each power-on.
+    /// Makes interrupted words read differently at each power-on, from now on.
     pub fn let_cut_words_flip(&mut self, flip: bool) {
         self.cut_words_flip = flip;
     }
 
-    /// Cuts the power at an operation to come.
+    /// Cuts the power at a future operation.
     pub fn cut_power(&mut self, cut: PowerCut) {
         self.power_cut = Some(cut);
     }
 
-    /// Makes bits that do not change any more.
+    /// Adds stuck bits.
     pub fn add_stuck_bits(&mut self, bits: StuckBits) {
         self.array.add_stuck(bits);
         self.note_change(bits.offset as usize..bits.offset as usize + 1);
     }
 
-    /// Lets the next `count` erases leave anything, made from `seed`, in the sector, without an error flag.
+    /// Makes the next `count` erases leave random content, made from `seed`, in the sector, without an error flag.
     pub fn fail_erases(&mut self, count: u32, seed: u64) {
         self.failing_erases = count;
         self.failing_erase_seed = seed;
     }
 
-    /// Lets each of the next `count` program operations leave a bit unprogrammed, without an error flag.
+    /// Makes each of the next `count` program operations leave a bit unprogrammed, without an error flag.
     pub fn fail_programs(&mut self, count: u32) {
         self.failing_programs = count;
     }
 
-    /// How many program and erase operations were started since the board was made.
+    /// The number of program and erase operations started since the board was made.
     pub fn operations(&self) -> u64 {
         self.operations.len() as u64
     }
 
-    /// When each of them ran, or would have if the power had not failed.
+    /// The time span of each operation, or its intended one if the power failed.
     pub fn operation_times(&self) -> &[Range<Time>] {
         &self.operations
     }

@@ -1,21 +1,21 @@
-//! How long the flash takes to program and to erase (STM32F405 data sheet, flash memory programming).
+//! The program and erase times of the flash (STM32F405 data sheet, flash memory programming).
 
 use crate::Time;
 
-/// Which column of the data sheet counts.
+/// The column of the data sheet that applies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Timing {
-    /// The typical times: 16 us a word; 250, 300 or 400 ms a 16 KB sector at x32, x16 or x8.
+    /// The typical times: 16 us per word; 250, 300 or 400 ms per 16 KB sector at x32, x16 or x8.
     #[default]
     Typical,
-    /// The guaranteed times: 100 us a word; 500, 600 or 800 ms a 16 KB sector.
+    /// The guaranteed times: 100 us per word; 500, 600 or 800 ms per 16 KB sector.
     Worst,
-    /// The longest of all: 100 us a word; 800 ms a 16 KB sector, whatever the width.
+    /// The longest times: 100 us per word; 800 ms per 16 KB sector at any width.
     Slowest,
 }
 
 impl Timing {
-    /// One program operation, whatever its width.
+    /// The time of a program operation of any width.
     pub const fn program(self) -> Time {
         match self {
             Self::Typical => Time::from_us(16),
@@ -23,7 +23,7 @@ impl Timing {
         }
     }
 
-    /// The erase of a sector, by its number and PSIZE (0 = x8, 1 = x16, 2 = x32).
+    /// The erase time of a sector, by its number and PSIZE (0 = x8, 1 = x16, 2 = x32).
     pub const fn erase(self, sector: u32, psize: u32) -> Time {
         let psize = if matches!(self, Self::Slowest) { 0 } else { psize };
         let typical = match (sector % 12, psize) {
