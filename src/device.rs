@@ -61,7 +61,7 @@ pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ).with_automatic();
 /// and returns to its own: docs/bit-rates.md.
 pub const RESCUE: bool = true;
 
-/// LSS lock: LSS configuration is refused while the node is NMT operational: docs/threat-model.md.
+/// LSS lock, which refuses LSS configuration while the node is NMT operational: docs/threat-model.md.
 pub const LSS_LOCK: bool = false;
 
 const _: () = {

@@ -144,7 +144,7 @@ impl Network {
         self.with_controller(station, |controller| controller.flip(at));
     }
 
-    /// Applies `f` to a station's controller when the bus has reached the current time.
+    /// Applies `act` to a station's controller when the bus has reached the current time.
     fn with_controller(&mut self, station: Source, act: impl FnOnce(&mut Controller)) {
         self.bus.settle(self.now);
         match station {

@@ -45,7 +45,7 @@ const ACKNOWLEDGE_MICROS: u32 = 1_000_000;
 /// more than one heartbeat a second.
 const LOOK_MICROS: u32 = 40_000;
 const WAIT_MICROS: u32 = 1_100_000;
-/// The time, plus that of two frames, for which the node listens at home between two looks.
+/// The time for which the node listens at home between two looks, in addition to the time of two frames.
 const TURN_MICROS: u32 = 20_000;
 const TURN_BITS: u32 = 2 * 135;
 /// The time for which the node takes part at home between two looks while the bus is quiet.

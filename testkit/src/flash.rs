@@ -197,7 +197,7 @@ impl Chip {
         let place = at..at + unit.len();
         let intended = &mut self.intended[place.clone()];
         let is_blank = intended.iter().all(|&byte| byte == 0xFF);
-        assert!(is_blank || intended == unit, "address {at:#x} is programmed twice, otherwise");
+        assert!(is_blank || intended == unit, "address {at:#x} is programmed twice, differently");
         intended.copy_from_slice(unit);
         let before = self.bytes[place].to_vec();
         self.writes += 1;

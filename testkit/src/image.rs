@@ -55,7 +55,7 @@ pub fn build(part: Part) -> Result<Image, BuildError> {
 /// Builds the release firmware for `part` from a copy of its sources in `directory`, with the `target` directory there.
 ///
 /// # Errors
-/// Those of [`build`].
+/// The same as for [`build`].
 pub fn build_in(directory: &Path, part: Part) -> Result<Image, BuildError> {
     build_with(part, || {
         let mut command = cargo_build(part);

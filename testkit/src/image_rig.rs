@@ -81,7 +81,7 @@ fn from_the_wire(frame: &Frame) -> lss_slave::Frame {
         Id::Standard(id) if !frame.remote && frame.dlc <= 8 => {
             lss_slave::Frame::new(id, frame.payload()).expect("at most eight bytes")
         }
-        _ => panic!("{frame} is none that a node sends"),
+        _ => panic!("a node does not send {frame}"),
     }
 }
 
@@ -256,7 +256,7 @@ impl ImageRig {
         })
     }
 
-    /// The bit rate changes of a board since `since`: time and rate in bit/s.
+    /// The bit rate changes of a board since `since`: their time and the new rate in bit/s.
     pub fn bit_rates(&self, board: usize, since: Time) -> Vec<(Time, u32)> {
         let changes = self.did(board, since).filter_map(|event| match event.what {
             What::BitTiming { bit_rate, .. } => Some((event.time, bit_rate)),

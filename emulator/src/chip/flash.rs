@@ -308,7 +308,7 @@ impl Flash {
             self.half_unlocked = false;
             if value & (CR_PG | CR_SER | CR_MER | CR_STRT) != 0 {
                 return Err(Problem::Misuse(
-                    "FLASH_CR locked in the write that asks for an operation",
+                    "FLASH_CR locked in the write that requests an operation",
                 ));
             }
             return Ok(());
@@ -338,7 +338,7 @@ impl Flash {
             0 => 1_700,
             1 => 2_100,
             2 => 2_700,
-            _ => return Err(Problem::Misuse("x64 needs Vpp, which the board has not")),
+            _ => return Err(Problem::Misuse("x64 needs Vpp, which the board lacks")),
         };
         if self.supply_mv < least_mv {
             return Err(Problem::Misuse("the supply is too low for this PSIZE"));

@@ -1,4 +1,4 @@
-//! Switches for the properties that manuals and errata leave open. A program must work with any combination.
+//! Switches for the properties that manuals and reports leave open. A program must work under each of them.
 
 use super::Timing;
 use crate::Time;

@@ -4,8 +4,8 @@ use super::Chip;
 use crate::Time;
 
 impl Chip {
-    /// Sets the supply in mV. It affects only the voltage detector and the checks of what is legal; the board decides
-    /// on a reset at low supply.
+    /// Sets the supply in mV. It affects only the voltage detector and the checks of legal settings; a reset at low
+    /// supply is left to the board.
     pub fn set_supply(&mut self, mv: u32) {
         self.pwr.set_supply(mv);
         self.flash.set_supply(mv);

@@ -72,7 +72,7 @@ impl Timer {
         *self = Self { clock: self.clock, ..Self::new() };
     }
 
-    /// Sets the clock, that of the timers of APB1 (RM0090 7.2).
+    /// Sets the clock of the APB1 timers (RM0090 7.2).
     pub fn set_clock(&mut self, clock: Clock, now: Time) {
         if self.clock != clock {
             self.advance(now);

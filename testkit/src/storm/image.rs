@@ -306,9 +306,9 @@ impl ImageStorm {
     }
 }
 
-/// Returns `frame` if the model predicts its content and order. It does not for time-dependent frames (heartbeats,
-/// emergencies), for boot-ups, of which two that wait for a full bus become one, and for the controller's observations:
-/// error register 1001h, error history 1003h, and 2000h.
+/// Returns `frame` if the model predicts its content and order. Excluded are heartbeats and emergencies, which depend
+/// on time; boot-ups, since two that wait for a full bus become one; and the controller's observations in the error
+/// register 1001h, the error history 1003h and 2000h.
 fn compared(frame: &lss_slave::Frame) -> Option<lss_slave::Frame> {
     let is_sdo = frame.cob_id() & !0x7F == 0x580;
     let is_of_controller = matches!(frame.data(), [_, 0x01 | 0x03, 0x10, ..] | [_, 0x00, 0x20, ..]);

@@ -79,7 +79,7 @@ impl NodeStorm {
         if !is_store {
             assert!(
                 (before.node_id, before.bit_rate) == (after.node_id, after.bit_rate),
-                "{frame} after {} frames makes of {before:?} {after:?}",
+                "{frame} after {} frames turns {before:?} into {after:?}",
                 self.frames
             );
             let is_reset = actions.contains(&Action::ResetDevice);
