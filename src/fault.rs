@@ -18,7 +18,7 @@ unsafe extern "C" {
 /// The size of the guard at the bottom of the stack: more than the largest stack frame.
 const GUARD_LEN: usize = 1024;
 
-/// The most that a report takes of the stack.
+/// The most stack that a report takes.
 const REPORT_LEN: usize = 512;
 
 /// Turns every access to the guard into a fault (ARM DDI 0403, B3.5), since some addresses below the RAM cause none.

@@ -214,7 +214,7 @@ impl Slave {
         was_configured_just_now.then_some(Reaction::ResetCommunication)
     }
 
-    /// Answers a match, by a service that keeps the progress of the others.
+    /// Enters LSS configuration state after a match, without affecting the progress of other services.
     const fn enter_configuration(&mut self) {
         self.state = State::Configuration;
         self.fastscan = None;

@@ -155,7 +155,7 @@ impl<F: NorFlash> Log<F> {
         outcome
     }
 
-    /// Returns the flash.
+    /// Closes the log and returns its flash.
     pub fn close(self) -> F {
         self.flash
     }
