@@ -40,7 +40,7 @@ pub enum Note {
         /// The frame in the mailbox.
         frame: Frame,
     },
-    /// ABRQ emptied a mailbox whose frame was not under way.
+    /// ABRQ emptied a mailbox whose frame was not sent.
     Aborted {
         /// Number of the mailbox, 0..=2.
         mailbox: usize,
@@ -239,13 +239,8 @@ impl Bxcan {
                 self.latch_errors(false);
             }
             TSR => {
-                for (mailbox, frame) in
-                    self.mailboxes.write_tsr(value, self.has_chosen()).into_iter().enumerate()
-                {
-                    if let Some(frame) = frame {
-                        self.notes.push((now, Note::Aborted { mailbox, frame }));
-                    }
-                }
+                let aborted = self.mailboxes.write_tsr(value, self.has_chosen());
+                self.note_aborted(aborted, now);
                 self.offer();
             }
             RF0R => self.fifos[0].write_rfr(value),
@@ -268,6 +263,12 @@ impl Bxcan {
             _ => return false,
         }
         true
+    }
+
+    fn note_aborted(&mut self, frames: [Option<Frame>; 3], now: Time) {
+        let frames = frames.into_iter().enumerate();
+        let aborted = frames.filter_map(|(mailbox, frame)| Some((mailbox, frame?)));
+        self.notes.extend(aborted.map(|(mailbox, frame)| (now, Note::Aborted { mailbox, frame })));
     }
 
     /// Whether INAK is set.

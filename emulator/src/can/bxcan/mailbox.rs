@@ -145,12 +145,16 @@ impl Mailboxes {
     }
 
     /// Empties mailboxes whose abort waited for a start of transmission that did not happen.
-    pub fn finish_aborts(&mut self) {
+    /// Returns their frames.
+    pub fn finish_aborts(&mut self) -> [Option<Frame>; 3] {
+        let mut aborted = [None; 3];
         for (number, mailbox) in self.mailboxes.iter_mut().enumerate() {
             if mailbox.status & ABRQ != 0 && self.sending != Some(number) {
+                aborted[number] = Some(mailbox.frame());
                 mailbox.complete(0);
             }
         }
+        aborted
     }
 
     /// Chooses the next mailbox to send: its frame and the time of its request.
@@ -177,13 +181,13 @@ impl Mailboxes {
         }
     }
 
-    /// Notes that the frame under way was not sent. Its mailbox becomes empty if it is one-shot or to be aborted.
+    /// Notes that the frame under way was not sent. Its mailbox becomes empty if it is one-shot.
     pub fn failed(&mut self, failure: Failure, one_shot: bool) {
         if let Some(failed) = self.sending.take() {
             let mailbox = &mut self.mailboxes[failed];
             mailbox.status &= !(ALST | TERR);
             mailbox.status |= if failure == Failure::Arbitration { ALST } else { TERR };
-            if one_shot || mailbox.status & ABRQ != 0 {
+            if one_shot {
                 mailbox.complete(0);
             }
         }

@@ -15,7 +15,8 @@ impl Bxcan {
         if self.has_chosen() {
             return;
         }
-        self.mailboxes.finish_aborts();
+        let aborted = self.mailboxes.finish_aborts();
+        self.note_aborted(aborted, self.controller.now());
         match self.mailboxes.schedule(self.mcr & MCR_TXFP != 0) {
             Some((frame, since)) => self.controller.offer(Some(frame), since),
             None => self.controller.offer(None, Time::ZERO),
