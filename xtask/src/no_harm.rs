@@ -36,7 +36,7 @@ const PRINTED: usize = 6;
 /// listening for heartbeats.
 ///
 /// Where the plain slave is reached, the product must be reached at most 100 ms later (25 frame times at slow rates;
-/// 1 s after a foreign device has left; 500 ms where a board at another rate disturbs). A plain slave at a different
+/// 1 s after a foreign device has left; 1.25 s where a board at another rate disturbs). A plain slave at a different
 /// rate from the master's is lost; the product must be found within 10 s of the first evidence, after a commanded
 /// switch 30 s later, unless other sending boards share its rate.
 ///

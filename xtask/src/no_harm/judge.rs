@@ -13,9 +13,9 @@ use testkit::image_rig::bit_per_s;
 /// The allowed delay against the plain slave, unless [`LATE_FRAMES`] take longer.
 const LATE: Time = Time::from_ms(100);
 const LATE_FRAMES: u64 = 25;
-/// The same on a contested bus, where a board at another rate disturbs until it is error passive. That comes sooner the
-/// more the others send: after bus-off the plain slave continues at once, while the product withholds its frames.
-const LATE_IF_CONTESTED: Time = Time::from_ms(500);
+/// The same on a contested bus, where a board at another rate disturbs. It does so until it is error passive, which comes
+/// sooner the more the others send, or until it has had errors for a second and looks elsewhere.
+const LATE_IF_CONTESTED: Time = Time::from_ms(1_250);
 /// The time for which a foreign device may keep a board away after it has left. A master that only listens sends
 /// nothing: the board's next heartbeat, up to a second later, must first go without an acknowledge for a second.
 const AFTER_DEPARTURE: Time = Time::from_s(1);
@@ -171,6 +171,7 @@ fn latest(situation: &Situation, homes: &[u32], plain: Time) -> Time {
 /// The deadline for a lost board that switched at this instant.
 fn latest_rescue(situation: &Situation, switched: Option<Time>) -> Time {
     let probe = ms(situation.probe.at);
+    let switched = switched.max(situation.last_switch().map(ms).filter(|end| *end > probe));
     let trusted = switched.map_or(Time::ZERO, |switched| switched + TRUST);
     let evidence = ms(situation.evidence_at()).max(trusted);
     (evidence + FOUND).max(probe + AT_ONCE) - probe

@@ -5,6 +5,8 @@ use std::fmt;
 use emulator::{Time, network::Short};
 use lss_slave::BitRate;
 
+use super::life::SWITCH_LEAD_MS;
+
 /// Boards, events and the time at which the master starts to look for the boards.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Situation {
@@ -169,6 +171,17 @@ impl Situation {
                 _ => None,
             });
         departures.max()
+    }
+
+    /// The end of the last switch, in milliseconds.
+    pub fn last_switch(&self) -> Option<u32> {
+        let end = |event: &Event| match event.what {
+            What::Switch { delay_ms, .. } => {
+                Some(event.at + SWITCH_LEAD_MS + 2 * u32::from(delay_ms))
+            }
+            _ => None,
+        };
+        self.events.iter().filter_map(end).max()
     }
 
     /// The time from which the master sends at the probe's rate without disturbance, in milliseconds.
