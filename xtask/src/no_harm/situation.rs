@@ -173,11 +173,12 @@ impl Situation {
         departures.max()
     }
 
-    /// The end of the last switch, in milliseconds.
+    /// The end of the last switch, in milliseconds. The request itself takes up to 13 ms.
     pub fn last_switch(&self) -> Option<u32> {
+        const REQUEST_MS: u32 = 15;
         let end = |event: &Event| match event.what {
             What::Switch { delay_ms, .. } => {
-                Some(event.at + SWITCH_LEAD_MS + 2 * u32::from(delay_ms))
+                Some(event.at + SWITCH_LEAD_MS + 2 * u32::from(delay_ms) + REQUEST_MS)
             }
             _ => None,
         };
