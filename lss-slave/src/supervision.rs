@@ -48,6 +48,8 @@ const WAIT_MICROS: u32 = 1_100_000;
 /// The time for which the node listens at home between two looks, in addition to the time of two frames.
 const TURN_MICROS: u32 = 20_000;
 const TURN_BITS: u32 = 2 * 135;
+/// Errors that go on open home in spite of them: a master that only listens has to hear the node.
+const DISTURBANCE_MICROS: u32 = 500_000;
 /// The time for which the node takes part at home between two looks while the bus is quiet.
 const OPEN_TURN_MICROS: u32 = 150_000;
 /// Errors this close together belong to one episode. A look that hears anything lasts no longer.
@@ -143,10 +145,9 @@ impl Look {
         self.episode.add(now);
     }
 
-    /// Whether the episode lasted longer than one frame that its sender repeats. A look then need not wait for the next
-    /// frame.
-    fn is_dense(&self) -> bool {
-        self.episode.first.plus_micros(FRAME_MICROS).has_come(self.episode.latest)
+    /// Whether the episode has lasted for a number of microseconds.
+    fn lasts(&self, micros: u32) -> bool {
+        self.episode.first.plus_micros(micros).has_come(self.episode.latest)
     }
 }
 
@@ -421,7 +422,7 @@ impl Supervision {
                     self.withhold(now);
                     self.step = Some(Step::TakePart(self.home));
                 }
-                (Turn::HomeOpen, Error | FormError) => {
+                (Turn::HomeOpen, Error | FormError) if !look.lasts(DISTURBANCE_MICROS) => {
                     look.waits = true;
                     *until = until.earlier(now.plus_micros(turn_micros(self.home)));
                     self.withhold(now);
@@ -524,15 +525,17 @@ impl Supervision {
                 let waits = look.waits && (has_heard || !look.has_waited);
                 self.listen_at_home(Look { waits, ..look }, now);
             }
-            Turn::HomeSilent { has_heard: true } => {
+            Turn::HomeSilent { has_heard: true } if !look.lasts(DISTURBANCE_MICROS) => {
                 let next = || next_rate(self.rates, look.candidate, Some(self.home));
                 let candidate = if look.has_moved { look.candidate } else { next() };
                 self.look_elsewhere(Look { candidate, ..look }, LOOK_MICROS, now);
             }
-            Turn::HomeSilent { has_heard: false } => self.open_home(look, now),
+            Turn::HomeSilent { .. } => self.open_home(look, now),
             Turn::HomeOpen if look.waits => {
-                let micros = if look.is_dense() { LOOK_MICROS } else { WAIT_MICROS };
-                self.look_elsewhere(Look { has_waited: true, ..look }, micros, now);
+                // Errors that lasted longer than one frame and its repetition were no rare frame to wait for.
+                let micros = if look.lasts(FRAME_MICROS) { LOOK_MICROS } else { WAIT_MICROS };
+                let look = Look { has_waited: true, episode: Errors::NONE, ..look };
+                self.look_elsewhere(look, micros, now);
             }
             Turn::HomeOpen => {
                 self.place = Place::Home;

@@ -365,3 +365,16 @@ fn an_unacknowledged_boot_up_is_repeated_in_an_open_turn_at_home() {
     doubt(&mut board);
     assert_eq!(board.pass_ms(1_000), SILENCE, "after an acknowledge it does not");
 }
+
+#[test]
+fn after_half_a_second_of_errors_home_is_open_in_spite_of_them() {
+    let mut board = unproven();
+    let mut open_ms = 0;
+    for _ in 0..1_000 {
+        board.see(Error);
+        open_ms += u32::from(!board.node.is_listening());
+        board.pass_ms(1);
+    }
+    assert!((150..=300).contains(&open_ms), "open for {open_ms} ms of a second");
+    assert!(board.timeline().iter().any(|act| act.contains("740: 00")), "it boots up");
+}
