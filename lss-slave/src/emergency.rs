@@ -50,6 +50,7 @@ const END: u8 = 1 << 7;
 /// The faults that last until their end is reported. The others are over when they are reported.
 const LASTING: u8 = SETTINGS_LOST | ERROR_PASSIVE | AWAY_FROM_HOME_RATE;
 
+#[inline(never)] // It has several callers: 20 bytes.
 const fn error_code(fault: u8) -> u16 {
     match fault {
         SETTINGS_LOST => 0x6310,
