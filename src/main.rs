@@ -122,7 +122,6 @@ mod app {
     ///
     /// Starts a roll call four times a second, and feeds the watchdog if all tasks have answered. The watchdog resets
     /// the chip after 1.4 to 3.8 s, depending on its oscillator.
-    /// its oscillator is.
     #[task(binds = TIM2, local = [indicators, watchdog, steps: u8 = 0], shared = [runner], priority = 3)]
     fn due(mut cx: due::Context) {
         const ROLL_CALL_STEPS: u8 = 250 / indicator::STEP_MS as u8;

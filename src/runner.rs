@@ -21,7 +21,7 @@ pub struct Runner {
     node: Node,
     can: Controller,
     alarm: Alarm,
-    /// The error counters last seen.
+    /// The fault confinement state last seen.
     bus_state: BusState,
     was_passive: bool,
     indicators: Indicators,
@@ -199,8 +199,7 @@ impl Runner {
 
     fn set_alarm(&mut self) {
         let others = [self.node.poll_at(), self.can.watch_at()].into_iter().flatten();
-        let earlier = |a: Instant, b: Instant| if a.has_come(b) { a } else { b };
-        self.alarm.set(others.fold(self.step_at, earlier));
+        self.alarm.set(others.fold(self.step_at, Instant::earlier));
     }
 
     fn act(&mut self, action: Action) {

@@ -106,8 +106,9 @@ impl Server {
         Self { request: None, upload: None }
     }
 
-    /// Ends the current upload without an answer to the client.
+    /// Discards the request and the current upload without an answer to the client.
     pub const fn reset(&mut self) {
+        self.request = None;
         self.upload = None;
     }
 

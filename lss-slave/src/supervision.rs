@@ -369,17 +369,13 @@ impl Supervision {
             }
             (Place::Home, Error | FormError) if self.is_enabled => {
                 self.errors.add(now);
-                if self.is_withholding() {
+                // At a proven rate noise must not keep the node silent.
+                if !self.is_proven && self.is_withholding() {
                     self.withhold(now);
                 }
                 self.doubt(now);
             }
-            (Place::Home, HeldDominant) => {
-                self.errors = Errors::NONE;
-                if !matches!(self.sending, Sending::Free) {
-                    self.withhold(now);
-                }
-            }
+            (Place::Home, HeldDominant) => self.errors = Errors::NONE,
             (Place::Home, ErrorPassive)
                 if self.is_enabled && !matches!(self.sending, Sending::Withheld { .. }) =>
             {
@@ -418,9 +414,8 @@ impl Supervision {
                 (Turn::HomeSilent { has_heard }, Error) => *has_heard = true,
                 (Turn::HomeSilent { has_heard: false }, FormError) => {
                     let look = *look;
-                    self.open_home(look, now);
                     self.withhold(now);
-                    self.step = Some(Step::TakePart(self.home));
+                    self.open_home(look, now);
                 }
                 (Turn::HomeOpen, Error | FormError) if !look.lasts(DISTURBANCE_MICROS) => {
                     look.waits = true;

@@ -32,7 +32,8 @@ impl Instant {
     }
 
     /// The earlier of two instants.
-    pub(crate) const fn earlier(self, other: Self) -> Self {
+    #[must_use]
+    pub const fn earlier(self, other: Self) -> Self {
         if self.has_come(other) { self } else { other }
     }
 

@@ -3,7 +3,7 @@
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
-    network::{AdapterId, Event, Recording, Short, What},
+    network::{AdapterId, Event, Noise, Recording, Short, What},
 };
 use lss_slave::BitRate;
 use testkit::{
@@ -283,6 +283,56 @@ fn a_short_circuit_costs_at_most_100_ms_more_than_it_lasts() {
                 assert!(time.is_some_and(|time| time <= limit), "{what}");
             }
         }
+    }
+}
+
+/// A board with a heartbeat every 100 ms, which has been acknowledged.
+fn proven_board() -> ImageRig {
+    let mut bench = boards(1, 100, BitRate::Kbit125);
+    bench.network.run_for(Time::from_ms(1_500));
+    while bench.network.receive(bench.master).is_some() {}
+    bench
+}
+
+/// Asserts that heartbeats come while `disturb` is repeated for 10 s. Those of a plain slave are up to 155 ms apart.
+fn assert_stays_audible(mut bench: ImageRig, what: &str, disturb: impl Fn(&mut ImageRig)) {
+    const LIMIT: Time = Time::from_ms(200);
+    let mut heard = bench.network.now();
+    let end = heard + Time::from_s(10);
+    while bench.network.now() < end {
+        disturb(&mut bench);
+        while let Some((time, frame)) = bench.network.receive(bench.master) {
+            if frame.id == Id::Standard(0x701) {
+                assert!(time <= heard + LIMIT, "{what}: no heartbeat for {:?}", time - heard);
+                heard = time;
+            }
+        }
+        let now = bench.network.now();
+        assert!(now <= heard + LIMIT * 2, "{what}: no heartbeat for {:?}", now - heard);
+    }
+}
+
+#[test]
+fn a_flapping_short_circuit_does_not_silence_a_proven_board() {
+    for (short_ms, free_ms) in [(20, 40), (20, 200), (40, 40)] {
+        let what = format!("a short circuit of {short_ms} ms every {} ms", short_ms + free_ms);
+        assert_stays_audible(proven_board(), &what, |bench| {
+            bench.network.set_short(Some(Short::Dominant));
+            bench.network.run_for(Time::from_ms(short_ms));
+            bench.network.set_short(None);
+            bench.network.run_for(Time::from_ms(free_ms));
+        });
+    }
+}
+
+#[test]
+fn lasting_noise_does_not_silence_a_proven_board() {
+    for ms in [5, 20, 100] {
+        let mut bench = proven_board();
+        let (mean_interval, length) = (Time::from_ms(ms), Time::from_us(10));
+        bench.network.set_noise(Some(Noise { seed: 3, mean_interval, length }));
+        let what = format!("a pulse every {ms} ms");
+        assert_stays_audible(bench, &what, |bench| bench.network.run_for(Time::from_ms(100)));
     }
 }
 

@@ -1,6 +1,11 @@
 //! Requests that the SDO server refuses, with their abort codes (CiA 301, table 22); no client blocks it.
 
-use testkit::{frames::SILENCE, node_rig::NodeRig};
+use lss_slave::{BusEvent, Frame, Instant};
+use testkit::{
+    flash::BoardFlash,
+    frames::SILENCE,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
 
 /// A board with node-ID 40h; checks that the next transfer works like the first.
 fn assert_serves(board: &mut NodeRig) {
@@ -184,4 +189,14 @@ fn a_reset_ends_the_transfer() {
         assert_eq!(board.sdo("70"), ["5C0: 80 00 00 00 01 00 04 05"]);
         assert_serves(&mut board);
     }
+}
+
+#[test]
+fn a_reset_discards_a_request_that_waits_for_the_bus() {
+    let device = device(ADDRESS).with_rescue(true).with_defaults(defaults(0x40));
+    let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
+    let request = Frame::new(0x640, &[0x40, 0x18, 0x10, 0x04, 0, 0, 0, 0]).unwrap();
+    assert!(board.node.handle_frame(&request, Instant::from_micros(0)).is_none());
+    board.report(BusEvent::BusOff);
+    assert_eq!(board.nmt("82 00"), ["740: 00"]);
 }

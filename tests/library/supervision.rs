@@ -3,7 +3,9 @@
 
 use lss_slave::{
     BitRate,
-    BusEvent::{self, Acknowledged, BusOff, Error, ErrorPassive, FormError, Received},
+    BusEvent::{
+        self, Acknowledged, BusOff, Error, ErrorPassive, FormError, HeldDominant, Received,
+    },
 };
 use testkit::{
     flash::BoardFlash,
@@ -217,16 +219,34 @@ fn a_receiver_that_is_error_passive_drops_its_frames_and_waits_50_ms() {
 }
 
 #[test]
-fn frames_wait_50_ms_after_the_latest_error() {
+fn after_a_switch_frames_wait_50_ms_after_the_latest_error() {
     for (by, error) in [(BusOff, Error), (ErrorPassive, FormError)] {
-        let mut board = disturbed(BitRate::Kbit125, by);
-        board.see(Received);
+        let mut board = powered_on(BitRate::Kbit250, 10);
+        board.is_acknowledged = false;
+        for request in ["04 01", "13 00 04", "15 0A 00"] {
+            board.lss(request);
+        }
+        board.pass_ms(20);
         board.see(by);
         for _ in 0..20 {
             assert_eq!(board.pass_us(40_000), SILENCE);
             board.see(error);
         }
         assert_eq!(board.pass_us(49_999), SILENCE, "{by:?}");
+        assert_eq!(board.pass_us(1), ["740: 7F"], "{by:?}");
+    }
+}
+
+#[test]
+fn at_a_proven_rate_errors_do_not_extend_the_wait() {
+    for by in [BusOff, ErrorPassive] {
+        let mut board = disturbed(BitRate::Kbit125, by);
+        for _ in 0..4 {
+            assert_eq!(board.pass_us(10_000), SILENCE);
+            board.see(Error);
+            board.see(HeldDominant);
+        }
+        assert_eq!(board.pass_us(9_999), SILENCE, "{by:?}");
         assert_eq!(board.pass_us(1), ["740: 7F"], "{by:?}");
     }
 }

@@ -319,14 +319,12 @@ fn bus_off_is_recovered_from_also_while_the_node_looks() {
     let mut board = unproven();
     board.see(Error);
     board.see(BusOff);
-    for _ in 0..10 {
-        board.pass_ms(16);
-        board.see(HeldDominant);
-    }
+    board.pass_ms(16);
+    board.see(HeldDominant);
     assert_eq!(board.bit_rate(), BitRate::Kbit125);
     board.timeline();
-    board.pass_ms(49);
-    assert_eq!(board.timeline(), SILENCE, "the bus was short-circuited all the time");
+    board.pass_ms(33);
+    assert_eq!(board.timeline(), SILENCE, "the controller recovers");
     board.pass_ms(1);
     assert_eq!(board.timeline(), ["1 ms 740: 00"]);
 }
