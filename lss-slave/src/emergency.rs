@@ -179,6 +179,7 @@ impl Emergency {
     }
 
     /// Ends a lasting fault; does nothing if the fault is not present.
+    #[inline(always)]
     pub const fn end(&mut self, fault: Fault) {
         let bit = fault.bit();
         if self.lasting & bit != 0 {

@@ -39,6 +39,7 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+pub mod application;
 pub mod bit_rate;
 pub mod emergency;
 pub mod indicator;
@@ -60,6 +61,7 @@ mod node_id;
 mod supervision;
 mod time;
 
+pub use application::Application;
 pub use bit_rate::{BitRate, BitRateSetting, BitRates};
 pub use bus_event::BusEvent;
 pub use can::Frame;

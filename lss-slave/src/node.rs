@@ -8,6 +8,7 @@ mod storing;
 
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
+    application::{Application, NoApplication},
     emergency::{Emergency, ErrorCounters, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
@@ -61,7 +62,7 @@ pub enum Action {
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives the node's COB-IDs. A
 /// late or unnecessary call does no harm.
 #[derive(Clone, Debug)]
-pub struct Node {
+pub struct Node<A = NoApplication> {
     device: Device,
     lss: Slave,
     bit_rate: BitRateControl,
@@ -69,6 +70,7 @@ pub struct Node {
     emergency: Emergency,
     sdo: sdo::Server,
     storing: Storing,
+    application: A,
     due: Due,
 }
 
@@ -84,6 +86,17 @@ enum Due {
 impl Node {
     /// A node after power-on, with the stored settings or the device's defaults.
     pub const fn new(device: Device, stored: Option<Settings>) -> Self {
+        Self::with_application(device, stored, NoApplication)
+    }
+}
+
+impl<A: Application> Node<A> {
+    /// A node after power-on, as [`new`](Node::new) makes it, with an application.
+    pub const fn with_application(
+        device: Device,
+        stored: Option<Settings>,
+        application: A,
+    ) -> Self {
         let persistent = match stored {
             Some(settings) => settings,
             None => device.defaults,
@@ -103,8 +116,20 @@ impl Node {
             sdo: sdo::Server::new(),
             storing: Storing::new(persistent),
             device,
+            application,
             due: Due::Now,
         }
+    }
+
+    /// The application of the node.
+    pub const fn application(&self) -> &A {
+        &self.application
+    }
+
+    /// The application of the node, to be changed. [`poll`](Self::poll) must follow.
+    pub const fn application_mut(&mut self) -> &mut A {
+        self.due = Due::Now;
+        &mut self.application
     }
 
     /// The LSS slave of the node.
@@ -373,6 +398,7 @@ impl Node {
     }
 
     /// Locks or releases LSS after a possible change of the NMT state.
+    #[inline(never)] // It has two callers.
     fn lock_lss(&mut self) {
         let is_operational = self.nmt_state() == nmt::State::Operational;
         self.lss.set_locked(self.device.lss_lock && is_operational);
@@ -394,6 +420,7 @@ impl Node {
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
             storing: &mut self.storing,
+            application: &mut self.application,
             now,
         })?;
         self.transmit_by_sdo(answer)

@@ -42,28 +42,41 @@ pub enum Object {
     Rescues,
     /// Sub-index 0 of an object: the number of its further sub-indices.
     HighestSubIndex(u8),
+    /// The value of an application with this number.
+    Application(u8),
 }
 
 /// A CiA 301 data type; the value is its index in the dictionary, as an EDS names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[repr(u16)]
+#[repr(u8)]
 #[expect(missing_docs, reason = "the names are those of CiA 301")]
 pub enum DataType {
+    Boolean = 0x01,
+    Integer8 = 0x02,
+    Integer16 = 0x03,
+    Integer32 = 0x04,
     Unsigned8 = 0x05,
     Unsigned16 = 0x06,
     Unsigned32 = 0x07,
+    Real32 = 0x08,
     VisibleString = 0x09,
+    OctetString = 0x0A,
+    Domain = 0x0F,
+    Real64 = 0x11,
+    Integer64 = 0x15,
+    Unsigned64 = 0x1B,
 }
 
 impl DataType {
-    /// The size of a number of this type in bytes; 0 for a string.
+    /// The size of a number of this type in bytes; 0 for a string or a domain.
     pub const fn size(self) -> u8 {
         match self {
-            Self::Unsigned8 => 1,
-            Self::Unsigned16 => 2,
-            Self::Unsigned32 => 4,
-            Self::VisibleString => 0,
+            Self::Boolean | Self::Integer8 | Self::Unsigned8 => 1,
+            Self::Integer16 | Self::Unsigned16 => 2,
+            Self::Integer32 | Self::Unsigned32 | Self::Real32 => 4,
+            Self::Integer64 | Self::Unsigned64 | Self::Real64 => 8,
+            Self::VisibleString | Self::OctetString | Self::Domain => 0,
         }
     }
 }
@@ -76,6 +89,41 @@ pub enum Access {
     Const,
     ReadOnly,
     ReadWrite,
+    WriteOnly,
+}
+
+/// The properties of an object beside its access.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Options(u8);
+
+impl Options {
+    /// Neither mappable nor stored.
+    pub const NONE: Self = Self(0);
+    const MAPPABLE: u8 = 1;
+    const STORED: u8 = 2;
+
+    /// Adds that the object can be mapped into a PDO.
+    #[must_use]
+    pub const fn mappable(self) -> Self {
+        Self(self.0 | Self::MAPPABLE)
+    }
+
+    /// Adds that 1010h stores the value.
+    #[must_use]
+    pub const fn stored(self) -> Self {
+        Self(self.0 | Self::STORED)
+    }
+
+    /// Whether the object can be mapped into a PDO.
+    pub const fn is_mappable(self) -> bool {
+        self.0 & Self::MAPPABLE != 0
+    }
+
+    /// Whether 1010h stores the value.
+    pub const fn is_stored(self) -> bool {
+        self.0 & Self::STORED != 0
+    }
 }
 
 /// A row of the table.
@@ -87,6 +135,7 @@ pub struct Entry {
     pub sub_index: u8,
     pub data_type: DataType,
     pub access: Access,
+    pub options: Options,
     pub object: Object,
 }
 
@@ -141,16 +190,20 @@ const fn row(
     access: Access,
     object: Object,
 ) -> Entry {
-    Entry { index, sub_index, data_type, access, object }
+    Entry { index, sub_index, data_type, access, options: Options::NONE, object }
 }
 
-/// The row of an object, or the part of its address that does not exist.
+/// The row of an object in `table`, or the part of its address that does not exist.
 #[inline(never)] // It has two callers.
-pub(crate) fn find(index: u16, sub_index: u8) -> Result<&'static Entry, Missing> {
+pub(crate) fn find(
+    table: &'static [Entry],
+    index: u16,
+    sub_index: u8,
+) -> Result<&'static Entry, Missing> {
     let is_at_or_before = |entry: &Entry| (entry.index, entry.sub_index) <= (index, sub_index);
-    let last = TABLE.partition_point(is_at_or_before).wrapping_sub(1);
+    let last = table.partition_point(is_at_or_before).wrapping_sub(1);
     // Each object has a sub-index 0, so this row belongs to the object if it exists.
-    match TABLE.get(last) {
+    match table.get(last) {
         Some(entry) if entry.index != index => Err(Missing::Object),
         Some(entry) if entry.sub_index != sub_index => Err(Missing::SubIndex),
         Some(entry) => Ok(entry),

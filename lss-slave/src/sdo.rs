@@ -2,7 +2,7 @@
 
 use core::{error, fmt};
 
-use crate::object_dictionary::{self, Access, Entry, Missing, Object};
+use crate::object_dictionary::{Access, Entry, Missing, Object};
 
 /// The base COB-ID of requests, to which the node-ID is added.
 pub const REQUEST_COB_ID: u16 = 0x600;
@@ -19,11 +19,15 @@ pub enum Abort {
     Toggle = 0x0503_0000,
     /// The command is unknown or not supported, such as block transfer.
     Command = 0x0504_0001,
+    /// There is no memory for the data.
+    Memory = 0x0504_0005,
+    /// A write-only object was read.
+    WriteOnly = 0x0601_0001,
     /// A read-only object was written.
     ReadOnly = 0x0601_0002,
     /// The object does not exist.
     NoObject = 0x0602_0000,
-    /// The settings could not be written.
+    /// The hardware failed: the settings could not be written.
     Hardware = 0x0606_0000,
     /// The data is longer than the object.
     TooLong = 0x0607_0012,
@@ -33,10 +37,16 @@ pub enum Abort {
     NoSubIndex = 0x0609_0011,
     /// The value is out of the object's range.
     InvalidValue = 0x0609_0030,
+    /// The value is above the object's upper limit.
+    TooHigh = 0x0609_0031,
+    /// The value is below the object's lower limit.
+    TooLow = 0x0609_0032,
     /// The signature is not "save" or "load" as the object requires.
     NotStored = 0x0800_0020,
     /// Another store is under way.
     Busy = 0x0800_0021,
+    /// The state of the device does not allow it.
+    DeviceState = 0x0800_0022,
     /// The object exists, but has no data now.
     NoData = 0x0800_0024,
 }
@@ -46,15 +56,20 @@ impl fmt::Display for Abort {
         let reason = match self {
             Self::Toggle => "the toggle bit has not changed",
             Self::Command => "unknown command",
+            Self::Memory => "no memory for the data",
+            Self::WriteOnly => "the object can only be written",
             Self::ReadOnly => "the object can only be read",
             Self::NoObject => "no such object",
-            Self::Hardware => "the settings could not be written",
+            Self::Hardware => "the hardware failed",
             Self::TooLong => "too much data",
             Self::TooShort => "too little data",
             Self::NoSubIndex => "no such sub-index",
             Self::InvalidValue => "invalid value",
+            Self::TooHigh => "the value is above the upper limit",
+            Self::TooLow => "the value is below the lower limit",
             Self::NotStored => "wrong signature",
             Self::Busy => "another store is under way",
+            Self::DeviceState => "the state of the device does not allow it",
             Self::NoData => "no data available",
         };
         write!(f, "{reason} ({:08X}h)", *self as u32)
@@ -80,6 +95,7 @@ pub(crate) enum Written {
 
 /// The object dictionary behind the server.
 pub(crate) trait Objects {
+    fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort>;
     fn read(&self, object: Object) -> Result<Value, Abort>;
     /// Writes the first bytes of `value`, as many as the entry has.
     fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort>;
@@ -148,10 +164,13 @@ impl Server {
         sub_index: u8,
         objects: &impl Objects,
     ) -> Result<[u8; 8], Abort> {
-        let entry = object_dictionary::find(index, sub_index)?;
+        let entry = objects.find(index, sub_index)?;
+        if entry.access == Access::WriteOnly {
+            return Err(Abort::WriteOnly);
+        }
         match objects.read(entry.object)? {
             Value::Number(number) => {
-                let unused = 4 - entry.data_type.size();
+                let unused = 4_u8.saturating_sub(entry.data_type.size());
                 Ok(message(0x43 | unused << 2, index, sub_index, number))
             }
             Value::Text(text) => {
@@ -199,8 +218,8 @@ fn download(
 ) -> Result<Written, Abort> {
     const EXPEDITED: u8 = 0x02;
     const SIZE_INDICATED: u8 = 0x01;
-    let entry = object_dictionary::find(index, sub_index)?;
-    if entry.access != Access::ReadWrite {
+    let entry = objects.find(index, sub_index)?;
+    if !matches!(entry.access, Access::ReadWrite | Access::WriteOnly) {
         return Err(Abort::ReadOnly);
     }
     let number = u32::from_le_bytes(data);

@@ -2,7 +2,9 @@
 //! flash.
 
 use lss_slave::{
-    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId, Settings,
+    Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
+    Settings,
+    application::NoApplication,
     lss::{Address, StoreError},
     settings::{Found, Log},
 };
@@ -21,8 +23,10 @@ pub const ADDRESS: Address = Address {
 };
 
 /// A board with a node on it.
-pub struct NodeRig {
-    pub node: Node,
+pub struct NodeRig<A = NoApplication> {
+    pub node: Node<A>,
+    /// The application as it is at each power-on.
+    new_application: A,
     /// A handle to the chip that holds the settings.
     pub flash: BoardFlash,
     /// The result of opening the settings log at the last power-on.
@@ -94,9 +98,22 @@ impl NodeRig {
     }
 
     pub fn with_device(device: Device, flash: BoardFlash, clock_at_start: u32) -> Self {
+        Self::with_application(device, flash, clock_at_start, NoApplication)
+    }
+}
+
+impl<A: Application + Clone> NodeRig<A> {
+    /// A board with an application.
+    pub fn with_application(
+        device: Device,
+        flash: BoardFlash,
+        clock_at_start: u32,
+        application: A,
+    ) -> Self {
         let (log, found) = Log::open(flash.clone());
-        let node = Node::new(device, log.settings());
+        let node = Node::with_application(device, log.settings(), application.clone());
         let mut board = Self {
+            new_application: application,
             bit_rate: node.bit_rate(),
             receives_for: node.node_id(),
             node,
@@ -322,7 +339,8 @@ impl NodeRig {
 
     fn restart(&mut self) {
         (self.log, self.found) = Log::open(self.flash.clone());
-        self.node = Node::new(self.device, self.log.settings());
+        let application = self.new_application.clone();
+        self.node = Node::with_application(self.device, self.log.settings(), application);
         self.bit_rate = self.node.bit_rate();
         self.receives_for = self.node.node_id();
         self.may_transmit = true;

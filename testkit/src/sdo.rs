@@ -1,7 +1,7 @@
 //! An SDO client (CiA 301, 7.2.4) for the tests, written independently of the server. It checks each byte of the
 //! answers.
 
-use lss_slave::Frame;
+use lss_slave::{Application, Frame};
 
 use super::{
     frames::{Frames, bytes},
@@ -15,7 +15,7 @@ pub fn request(node_id: u8, text: &str) -> Frame {
     Frame::new(0x600 + u16::from(node_id), &bytes).expect("a frame")
 }
 
-impl NodeRig {
+impl<A: Application + Clone> NodeRig<A> {
     /// Sends an SDO request to the node, whose node-ID must be 40h; returns the frames that it sends at once.
     pub fn sdo(&mut self, text: &str) -> Frames {
         self.receive(&request(0x40, text))

@@ -131,6 +131,7 @@ fn each_object_has_a_section_with_its_data_type_and_access() {
             DataType::Unsigned16 => "0x0006",
             DataType::Unsigned32 => "0x0007",
             DataType::VisibleString => "0x0009",
+            other => panic!("{other:?}"),
         };
         assert_eq!(section["DataType"], data_type, "[{name}]");
         assert_eq!(number(data_type), entry.data_type as u32);
@@ -138,6 +139,7 @@ fn each_object_has_a_section_with_its_data_type_and_access() {
             Access::Const => "const",
             Access::ReadOnly => "ro",
             Access::ReadWrite => "rw",
+            Access::WriteOnly => "wo",
         };
         assert_eq!(section["AccessType"], access, "[{name}]");
         assert_eq!(section["PDOMapping"], "0", "[{name}]");

@@ -1,5 +1,6 @@
 //! Tests of the library through its public surface: frames in, frames out, time passed in.
 
+mod application;
 mod bit_rate_solver;
 mod bus_listening;
 mod eds;

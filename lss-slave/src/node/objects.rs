@@ -6,10 +6,11 @@ use super::{
 };
 use crate::{
     Instant,
+    application::Application,
     emergency::{self, Emergency},
     lss::{self, AddressPart},
     nmt::ErrorBehaviour,
-    object_dictionary::{Entry, Object},
+    object_dictionary::{self, Entry, Object, TABLE},
     sdo::{Abort, Objects, Value, Written},
 };
 
@@ -21,17 +22,24 @@ const ON_COMMAND: u32 = 1;
 const DEVICE_TYPE: u32 = 0;
 
 /// The parts of the node that objects read and write, at one time.
-pub(super) struct Parts<'a> {
+pub(super) struct Parts<'a, A> {
     pub device: &'a Device,
     pub lss: &'a lss::Slave,
     pub bit_rate: &'a BitRateControl,
     pub nmt: &'a mut NmtSlave,
     pub emergency: &'a mut Emergency,
     pub storing: &'a mut Storing,
+    pub application: &'a mut A,
     pub now: Instant,
 }
 
-impl Objects for Parts<'_> {
+impl<A: Application> Objects for Parts<'_, A> {
+    fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
+        let is_of_application = A::OBJECTS.first().is_some_and(|first| first.index <= index);
+        let table = if is_of_application { A::OBJECTS } else { TABLE };
+        Ok(object_dictionary::find(table, index, sub_index)?)
+    }
+
     fn read(&self, object: Object) -> Result<Value, Abort> {
         let node_id = self.lss.active_node_id().map_or(0, |id| u32::from(id.get()));
         Ok(Value::Number(match object {
@@ -61,6 +69,8 @@ impl Objects for Parts<'_> {
             Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
             Object::Rescues => self.bit_rate.rescues().into(),
             Object::HighestSubIndex(highest) => highest.into(),
+            Object::Application(_) if A::OBJECTS.is_empty() => return Err(Abort::NoObject),
+            Object::Application(field) => self.read_application(field)?,
         }))
     }
 
@@ -87,12 +97,30 @@ impl Objects for Parts<'_> {
             (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
                 Err(Abort::NotStored)
             }
+            (Object::Application(field), value) if !A::OBJECTS.is_empty() => self
+                .write_application(
+                    field,
+                    value.to_le_bytes().get(..entry.data_type.size().into()).unwrap_or_default(),
+                ),
             _ => Err(Abort::ReadOnly),
         }
     }
 }
 
-impl Parts<'_> {
+impl<A: Application> Parts<'_, A> {
+    fn read_application(&self, field: u8) -> Result<u32, Abort> {
+        let mut bytes = [0; 4];
+        self.application.read(field, 0, &mut bytes);
+        Ok(u32::from_le_bytes(bytes))
+    }
+
+    fn write_application(&mut self, field: u8, bytes: &[u8]) -> Result<Written, Abort> {
+        let value = A::parse(field, bytes)?;
+        self.application.accept(&value)?;
+        self.application.set(value);
+        Ok(Written::Now)
+    }
+
     fn request_store(&mut self, entry: &Entry, heartbeat_ms: u16) -> Result<Written, Abort> {
         let download = Download { index: entry.index, sub_index: entry.sub_index };
         self.storing.request_by_sdo(download, heartbeat_ms)?;

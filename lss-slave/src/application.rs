@@ -1,0 +1,172 @@
+//! The application beside the node: a product's own objects (2000h to 9FFFh) as typed Rust values.
+//!
+//! [`objects!`](crate::objects) declares the objects; their values are the fields of a struct. The product implements
+//! [`Application`] for it and gives it to [`Node::with_application`](crate::Node::with_application).
+//!
+//! ```
+//! use lss_slave::{Application, objects, sdo::Abort};
+//!
+//! objects! {
+//!     /// The objects of a dimmer.
+//!     pub struct Dimmer, values DimmerValue;
+//!
+//!     0x2100 {
+//!         0 "Brightness in percent" brightness: u8 = 50, rw, 0..=100, stored;
+//!     }
+//!     0x6000 "Inputs" {
+//!         1 "Buttons" buttons: u8 = 0, ro, mappable;
+//!     }
+//! }
+//!
+//! impl Application for Dimmer {
+//!     fn accept(&mut self, value: &DimmerValue) -> Result<(), Abort> {
+//!         match value {
+//!             DimmerValue::brightness(1..=4) => Err(Abort::InvalidValue), // It would flicker.
+//!             _ => Ok(()),
+//!         }
+//!     }
+//! }
+//!
+//! assert_eq!(Dimmer::new().brightness, 50);
+//! ```
+
+mod declaration;
+mod text;
+mod value;
+
+pub use declaration::{check, check_limits, complete};
+pub use text::{OctetString, Text};
+pub use value::{Domain, Value};
+
+use crate::{BitRate, nmt, object_dictionary::Entry, sdo::Abort};
+
+/// The objects of a product: what [`objects!`](crate::objects) implements.
+pub trait Dictionary {
+    /// A value on its way into the dictionary, with the name of its field.
+    type Value;
+    /// The objects, by index and sub-index.
+    const OBJECTS: &'static [Entry];
+    /// What the image does not need of the objects: names, defaults and limits, in the order of
+    /// [`OBJECTS`](Self::OBJECTS).
+    const DESCRIPTIONS: &'static [Description];
+
+    /// The length of the value of a field in bytes.
+    fn len(&self, field: u8) -> usize;
+
+    /// Copies the bytes of the value of a field from `offset` to `to`; returns their number.
+    fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize;
+
+    /// The value of a field in these bytes.
+    ///
+    /// # Errors
+    /// The length is wrong, or the value is out of its limits.
+    fn parse(field: u8, bytes: &[u8]) -> Result<Self::Value, Abort>;
+
+    /// Replaces the value of a field.
+    fn set(&mut self, value: Self::Value);
+}
+
+/// A product's behaviour beside the node. Each method does nothing by default.
+pub trait Application: Dictionary {
+    /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
+    /// the start.
+    ///
+    /// # Errors
+    /// The abort code for the client, such as [`Abort::InvalidValue`], [`Abort::DeviceState`] or [`Abort::Hardware`].
+    fn accept(&mut self, value: &Self::Value) -> Result<(), Abort> {
+        let _ = value;
+        Ok(())
+    }
+
+    /// Handles an event of the node.
+    fn handle(&mut self, event: Event) {
+        let _ = event;
+    }
+
+    /// The length of a [`Domain`] in bytes.
+    ///
+    /// # Errors
+    /// The abort code for the client, such as [`Abort::NoData`].
+    fn domain_len(&self, index: u16, sub_index: u8) -> Result<u32, Abort> {
+        let _ = (index, sub_index);
+        Err(Abort::NoData)
+    }
+
+    /// Copies a part of a [`Domain`], from `offset` to `to`; returns the number of bytes, which is that of `to` unless
+    /// the domain ends.
+    fn read_domain(&self, index: u16, sub_index: u8, offset: u32, to: &mut [u8]) -> usize {
+        let _ = (index, sub_index, offset, to);
+        0
+    }
+
+    /// Accepts the next part of a [`Domain`] from a client. The first part has offset 0; after the last one
+    /// [`end_domain`](Self::end_domain) is called.
+    ///
+    /// # Errors
+    /// The abort code for the client, such as [`Abort::Memory`].
+    fn write_domain(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        offset: u32,
+        bytes: &[u8],
+    ) -> Result<(), Abort> {
+        let _ = (index, sub_index, offset, bytes);
+        Err(Abort::Hardware)
+    }
+
+    /// Completes a [`Domain`] that a client has written: `len` bytes. A transfer that is cut short does not get here.
+    ///
+    /// # Errors
+    /// The abort code for the client.
+    fn end_domain(&mut self, index: u16, sub_index: u8, len: u32) -> Result<(), Abort> {
+        let _ = (index, sub_index, len);
+        Ok(())
+    }
+}
+
+/// An event of the node that an application may need.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Event {
+    /// The node has entered another NMT state.
+    Nmt(nmt::State),
+    /// The node runs or listens at another bit rate.
+    BitRate(BitRate),
+}
+
+/// What an EDS says of a value, beside its [`Entry`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Description {
+    /// The name of the value, or of the object at its highest sub-index (sub-index 0).
+    pub name: &'static str,
+    /// The lowest and the highest legal number, if there are limits.
+    pub limits: Option<(i64, i64)>,
+}
+
+/// The application of a node without one.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoApplication;
+
+impl Dictionary for NoApplication {
+    type Value = ();
+    const OBJECTS: &'static [Entry] = &[];
+    const DESCRIPTIONS: &'static [Description] = &[];
+
+    fn len(&self, _: u8) -> usize {
+        0
+    }
+
+    fn read(&self, _: u8, _: usize, _: &mut [u8]) -> usize {
+        0
+    }
+
+    fn parse(_: u8, _: &[u8]) -> Result<(), Abort> {
+        Err(Abort::NoObject)
+    }
+
+    fn set(&mut self, (): ()) {}
+}
+
+impl Application for NoApplication {}

@@ -1,0 +1,138 @@
+//! A product's own objects, declared by `objects!`: every type, access, limit and refusal, read and written by SDO.
+
+use lss_slave::{
+    Application,
+    application::{Dictionary, Domain, OctetString, Text},
+    objects,
+    sdo::Abort,
+};
+use testkit::{
+    flash::BoardFlash,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+objects! {
+    /// One object of each type.
+    pub struct Objects, values ObjectValue;
+
+    0x2001 {
+        0 "Boolean" boolean: bool = true, rw;
+    }
+    0x2100 "Signed numbers" {
+        1 "8 bits" i8: i8 = -8, rw, -10..=10;
+        2 "16 bits" i16: i16 = -16, rw, mappable;
+        3 "32 bits" i32: i32 = -32, rw, stored;
+        5 "64 bits" i64: i64 = -64, rw, -100..=100, mappable, stored;
+    }
+    0x2101 "Unsigned numbers" {
+        1 "8 bits" u8: u8 = 8, rw, 5..=250;
+        2 "16 bits" u16: u16 = 16, rw;
+        3 "32 bits" u32: u32 = 32, ro;
+        4 "64 bits" u64: u64 = 0x1122_3344_5566_7788, rw;
+    }
+    0x2200 {
+        0 "Real number" f32: f32 = 1.5, rw, 0.0..=2.0;
+    }
+    0x2201 {
+        0 "Long real number" f64: f64 = -2.5, rw;
+    }
+    0x6000 {
+        0 "Command" command: u16 = 0, wo;
+    }
+    0x6001 {
+        0 "Constant text" constant: &'static str = "constant", constant;
+    }
+    0x6002 {
+        0 "Text" text: Text<12> = Text::EMPTY, rw;
+    }
+    0x9FFE {
+        0 "Octets" octets: OctetString<3> = OctetString::EMPTY, rw;
+    }
+    0x9FFF {
+        0 "Domain" domain: Domain = Domain, rw;
+    }
+}
+
+impl Application for Objects {
+    fn accept(&mut self, value: &ObjectValue) -> Result<(), Abort> {
+        match value {
+            ObjectValue::u16(0xDEAD) => Err(Abort::DeviceState),
+            ObjectValue::command(_) if !self.boolean => Err(Abort::Hardware),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A board with node-ID 40h and these objects.
+fn board() -> NodeRig<Objects> {
+    let device = device(ADDRESS).with_defaults(defaults(0x40));
+    NodeRig::with_application(device, BoardFlash::blank(0), 0, Objects::new())
+}
+
+#[test]
+fn short_numbers_are_read_and_written_as_typed_values() {
+    let mut board = board();
+    assert_eq!(board.sdo("40 00 21 01"), ["5C0: 4F 00 21 01 F8 00 00 00"]);
+    assert_eq!(board.sdo("40 00 21 02"), ["5C0: 4B 00 21 02 F0 FF 00 00"]);
+    assert_eq!(board.sdo("40 00 21 03"), ["5C0: 43 00 21 03 E0 FF FF FF"]);
+    assert_eq!(board.sdo("40 00 22 00"), ["5C0: 43 00 22 00 00 00 C0 3F"]);
+    assert_eq!(board.sdo("2B 00 21 02 34 12"), ["5C0: 60 00 21 02 00 00 00 00"]);
+    assert_eq!(board.node.application().i16, 0x1234);
+    board.node.application_mut().i16 = -2;
+    assert_eq!(board.sdo("40 00 21 02"), ["5C0: 4B 00 21 02 FE FF 00 00"]);
+}
+
+#[test]
+fn an_object_with_a_name_has_its_highest_sub_index() {
+    let mut board = board();
+    assert_eq!(board.number(0x2100, 0), 5);
+    assert_eq!(board.number(0x2101, 0), 4);
+    assert_eq!(board.upload(0x2100, 4), Err(0x0609_0011), "there is a gap");
+    assert_eq!(board.upload(0x2102, 0), Err(0x0602_0000));
+    assert_eq!(board.upload(0x2001, 1), Err(0x0609_0011));
+}
+
+#[test]
+fn a_value_out_of_its_limits_is_refused() {
+    let mut board = board();
+    for (value, outcome) in
+        [(4, Err(0x0609_0032)), (5, Ok(())), (250, Ok(())), (251, Err(0x0609_0031))]
+    {
+        assert_eq!(board.download(0x2101, 1, &[value]), outcome, "{value}");
+    }
+    assert_eq!(board.node.application().u8, 250);
+    assert_eq!(board.download(0x2100, 1, &[0xF5]), Err(0x0609_0032), "-11");
+    assert_eq!(board.download(0x2200, 0, &2.5_f32.to_le_bytes()), Err(0x0609_0031));
+    assert_eq!(board.download(0x2001, 0, &[2]), Err(0x0609_0030), "a boolean is 0 or 1");
+}
+
+#[test]
+fn the_application_refuses_a_value_by_its_own_reason() {
+    let mut board = board();
+    assert_eq!(board.download(0x2101, 2, &[0xAD, 0xDE]), Err(0x0800_0022));
+    assert_eq!(board.node.application().u16, 16, "the old value stays");
+    board.node.application_mut().boolean = false;
+    assert_eq!(board.download(0x6000, 0, &[1, 0]), Err(0x0606_0000));
+}
+
+#[test]
+fn the_access_of_an_object_is_respected() {
+    let mut board = board();
+    assert_eq!(board.download(0x2101, 3, &[1, 0, 0, 0]), Err(0x0601_0002));
+    assert_eq!(board.upload(0x6000, 0), Err(0x0601_0001));
+    assert_eq!(board.download(0x6000, 0, &[0x34, 0x12]), Ok(()));
+    assert_eq!(board.node.application().command, 0x1234);
+}
+
+#[test]
+fn each_object_has_a_description() {
+    let (objects, descriptions) = (Objects::OBJECTS, Objects::DESCRIPTIONS);
+    assert_eq!(objects.len(), descriptions.len());
+    let of = |index, sub_index| {
+        let is_it = |at: &usize| (objects[*at].index, objects[*at].sub_index) == (index, sub_index);
+        descriptions[(0..objects.len()).find(is_it).unwrap()]
+    };
+    assert_eq!(of(0x2100, 0).name, "Signed numbers");
+    assert_eq!((of(0x2100, 1).name, of(0x2100, 1).limits), ("8 bits", Some((-10, 10))));
+    assert_eq!((of(0x2101, 3).name, of(0x2101, 3).limits), ("32 bits", None));
+}
