@@ -1,5 +1,6 @@
 //! One STM32F4: its peripherals behind their addresses, independent of the engine that runs the CPU.
 
+mod adc;
 mod can_pins;
 mod finding;
 mod flash;
@@ -13,6 +14,7 @@ mod surroundings;
 mod system;
 mod timer;
 
+pub use adc::{Adc, Analogue};
 pub use finding::{Finding, Problem};
 pub use flash::{Flash, PowerCut, StuckBits, Timing};
 pub use gpio::{Gpio, Output, Pin};
@@ -56,6 +58,7 @@ pub struct Chip {
     exti: Exti,
     dbgmcu: Dbgmcu,
     factory: Factory,
+    adc: Adc,
     can1: Bxcan,
     /// Its pins as it knows them.
     can1_joined: Pins,
@@ -96,6 +99,7 @@ impl Chip {
             exti: Exti::default(),
             dbgmcu: Dbgmcu::new(part),
             factory: Factory::new(part, unique_id),
+            adc: Adc::new(part),
             can1: Bxcan::new(),
             can1_joined: Pins { transmit: true, receive: true },
             readings,
@@ -143,6 +147,11 @@ impl Chip {
         &mut self.gpio
     }
 
+    /// ADC1, to set what it measures.
+    pub fn adc_mut(&mut self) -> &mut Adc {
+        &mut self.adc
+    }
+
     /// The independent watchdog, to detune LSI.
     pub fn iwdg_mut(&mut self) -> &mut Iwdg {
         &mut self.iwdg
@@ -168,6 +177,7 @@ impl Chip {
         let can = self.can1.irq();
         self.exti.irqs()
             | u128::from(self.flash.irq()) << 4
+            | u128::from(self.adc.irq()) << 18
             | u128::from(can.tx) << 19
             | u128::from(can.rx0) << 20
             | u128::from(can.rx1) << 21
@@ -183,6 +193,7 @@ impl Chip {
             .into_iter()
             .flatten()
             .chain(timers)
+            .chain([self.adc.deadline()])
             .fold(Time::MAX, Time::min)
     }
 
@@ -195,6 +206,7 @@ impl Chip {
         } else {
             self.flash.advance(now);
             self.timers.iter_mut().for_each(|timer| timer.advance(now));
+            self.adc.advance(now);
         }
     }
 
@@ -223,6 +235,7 @@ impl Chip {
         self.pwr.reset();
         self.iwdg.reset();
         self.timers.iter_mut().for_each(Timer::reset);
+        self.adc.reset();
         self.gpio.reset(now);
         self.syscfg = Syscfg::default();
         self.exti = Exti::default();
@@ -265,6 +278,7 @@ impl Chip {
             Block::Pwr => self.pwr.read(offset),
             Block::Timer(timer) => self.timers[usize::from(timer)].read(offset, now),
             Block::Iwdg => self.iwdg.read(offset, now),
+            Block::Adc => self.adc.read(offset, now),
             Block::Can1 => self.can1.read(offset, now),
             Block::Syscfg => self.syscfg.read(offset),
             Block::Exti => self.exti.read(offset),
@@ -351,6 +365,7 @@ impl Chip {
             Block::Timer(timer) => {
                 return Ok(self.timers[usize::from(timer)].write(offset, value, now));
             }
+            Block::Adc => return Ok(self.adc.write(offset, value, now)),
             Block::Iwdg => {
                 let accepted = self.iwdg.write(offset, value, now);
                 if self.iwdg.running() {
@@ -390,6 +405,7 @@ impl Chip {
     fn follow_clocks(&mut self, now: Time) {
         let clocks = self.clocks();
         self.can1.set_clock(clocks.pclk1);
+        self.adc.set_clock(clocks.pclk2);
         for timer in &mut self.timers {
             timer.set_clock(clocks.timclk1, now);
         }
@@ -404,6 +420,9 @@ impl Chip {
             if self.rcc.held_in_reset(Gate::Timer(number as u8)) {
                 timer.reset();
             }
+        }
+        if self.rcc.held_in_reset(Gate::Adc) {
+            self.adc.reset();
         }
         for port in 0..self.gpio.ports() {
             if self.rcc.held_in_reset(Gate::Gpio(port as u8)) {

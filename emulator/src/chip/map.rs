@@ -68,6 +68,8 @@ pub(super) enum Block {
     Timer(u8),
     Iwdg,
     Can1,
+    /// ADC1 and the common registers.
+    Adc,
     Syscfg,
     Exti,
     Gpio(u8),
@@ -84,6 +86,7 @@ impl Block {
             0x4000_3000..0x4000_3400 => Self::Iwdg,
             0x4000_6400..0x4000_6800 => Self::Can1,
             0x4000_7000..0x4000_7400 => Self::Pwr,
+            0x4001_2000..0x4001_2400 => Self::Adc,
             0x4001_3800..0x4001_3C00 => Self::Syscfg,
             0x4001_3C00..0x4001_4000 => Self::Exti,
             0x4002_0000..0x4002_2C00 => Self::Gpio((address >> 10 & 0xF) as u8),
@@ -102,6 +105,7 @@ impl Block {
             Self::Timer(timer) => Some(Gate::Timer(timer)),
             Self::Pwr => Some(Gate::Pwr),
             Self::Can1 => Some(Gate::Can1),
+            Self::Adc => Some(Gate::Adc),
             Self::Syscfg => Some(Gate::Syscfg),
             Self::Gpio(port) => Some(Gate::Gpio(port)),
             _ => None,
@@ -112,7 +116,7 @@ impl Block {
     pub const fn on_apb(self) -> bool {
         matches!(
             self,
-            Self::Timer(_) | Self::Iwdg | Self::Can1 | Self::Pwr | Self::Syscfg | Self::Exti
+            Self::Timer(_) | Self::Iwdg | Self::Can1 | Self::Adc | Self::Pwr | Self::Syscfg | Self::Exti
         )
     }
 }

@@ -66,7 +66,7 @@ pub struct Clocks {
     pub pclk1: Clock,
     /// The timers of APB1: its clock, or twice that if APB1 is slower than AHB.
     pub timclk1: Clock,
-    /// APB2: SYSCFG, EXTI.
+    /// APB2: ADC, SYSCFG, EXTI.
     pub pclk2: Clock,
 }
 
@@ -81,6 +81,8 @@ pub enum Gate {
     Can1,
     /// PWR.
     Pwr,
+    /// ADC1; its reset is that of all ADCs.
+    Adc,
     /// SYSCFG.
     Syscfg,
 }
@@ -92,6 +94,7 @@ impl Gate {
             Self::Timer(timer) => (APB1ENR, 3 * timer as u32),
             Self::Can1 => (APB1ENR, 25),
             Self::Pwr => (APB1ENR, 28),
+            Self::Adc => (APB2ENR, 8),
             Self::Syscfg => (APB2ENR, 14),
         }
     }

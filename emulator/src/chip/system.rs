@@ -1,6 +1,6 @@
 //! Small blocks: PWR, SYSCFG, EXTI, DBGMCU, and the factory data (unique id, flash size).
 
-use super::Part;
+use super::{Part, adc};
 
 /// PWR (RM0090 chapter 5): the voltage detector, and the voltage scale and over-drive bits that clock set-up waits for,
 /// which take effect at once.
@@ -187,6 +187,8 @@ impl Factory {
     const OTP: u32 = 0x1FFF_7800;
     const UNIQUE_ID: u32 = 0x1FFF_7A10;
     const FLASH_SIZE: u32 = 0x1FFF_7A22;
+    /// The calibration of the voltage reference, then of the temperature sensor (data sheet).
+    const CALIBRATION: u32 = 0x1FFF_7A2A;
 
     /// The data of one chip.
     pub fn new(part: Part, unique_id: [u8; 12]) -> Self {
@@ -201,6 +203,10 @@ impl Factory {
             _ if id < 12 => Some(self.unique_id[id]),
             Self::FLASH_SIZE => Some(self.flash_kb.to_le_bytes()[0]),
             0x1FFF_7A23 => Some(self.flash_kb.to_le_bytes()[1]),
+            Self::CALIBRATION..0x1FFF_7A30 => {
+                let at = (address - Self::CALIBRATION) as usize;
+                Some(adc::calibration()[at / 2].to_le_bytes()[at % 2])
+            }
             _ => None,
         }
     }
