@@ -5,6 +5,8 @@ use lss_slave::{BitRate, BitRateSetting, BitRates, Settings};
 
 /// Your company's name. Only the EDS contains it.
 pub const VENDOR_NAME: &str = "Not registered";
+/// The product in one line. Only the EDS contains it.
+pub const DESCRIPTION: &str = "CANopen LSS slave on an STM32F4";
 /// Your company's vendor-ID, from CiA.
 pub const VENDOR_ID: u32 = 0x0000_0000;
 /// Your number for this product.

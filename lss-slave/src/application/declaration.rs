@@ -21,6 +21,7 @@ pub const fn check(objects: &[Entry]) {
             !matches!(entry.data_type, DataType::Domain) || !entry.options.is_stored(),
             "a DOMAIN is not stored: its application keeps it"
         );
+        let mut is_part = false;
         if at > 0 {
             let before = &objects[at - 1];
             assert!(
@@ -28,11 +29,11 @@ pub const fn check(objects: &[Entry]) {
                     || before.index == entry.index && before.sub_index < entry.sub_index,
                 "the objects must be sorted by index and sub-index, and none may occur twice"
             );
-            assert!(
-                before.index == entry.index || entry.sub_index == 0,
-                "an object needs a sub-index 0: a name gives it one"
-            );
+            let is_whole =
+                before.sub_index == 0 && !matches!(before.object, Object::HighestSubIndex(_));
+            is_part = before.index == entry.index && !is_whole;
         }
+        assert!(entry.sub_index == 0 || is_part, "an object with sub-indices needs a name");
         at += 1;
     }
 }
@@ -120,7 +121,7 @@ pub const fn complete<const N: usize>(mut objects: [Entry; N]) -> [Entry; N] {
 /// # }
 /// ```
 ///
-/// A sub-index above 0 of an object without a name:
+/// A sub-index beside 0 of an object without a name:
 /// ```compile_fail,E0080
 /// # lss_slave::objects! { struct Objects, values Value;
 /// 0x2100 { 1 "Speed" speed: u16 = 0, rw; }
@@ -132,7 +133,19 @@ pub const fn complete<const N: usize>(mut objects: [Entry; N]) -> [Entry; N] {
 /// # }
 /// ```
 ///
-/// A default out of its limits, below or above:
+/// A value with sub-index 0 and another beside it:
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A default out of its limits:
 /// ```compile_fail,E0080
 /// # lss_slave::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Speed" speed: u16 = 101, rw, 0..=100; }
