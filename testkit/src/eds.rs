@@ -197,12 +197,11 @@ fn is_record(values: &[Value]) -> bool {
 
 fn write_value(eds: &mut String, section: &str, value: &Value) {
     let Value { entry, description, default } = value;
-    let object_type = if entry.data_type == DataType::Domain { DOMAIN } else { VAR };
+    let is_domain = entry.data_type == DataType::Domain;
+    let object_type = if is_domain { DOMAIN } else { VAR };
     line(eds, format_args!("\n[{section}]\nParameterName={}", description.name));
-    line(
-        eds,
-        format_args!("ObjectType={object_type:#X}\nDataType=0x{:04X}", entry.data_type as u8),
-    );
+    line(eds, format_args!("ObjectType={object_type:#X}"));
+    line(eds, format_args!("DataType=0x{:04X}", entry.data_type as u8));
     line(eds, format_args!("AccessType={}", access(entry)));
     if let Some((low, high)) = description.limits {
         line(eds, format_args!("LowLimit={low}\nHighLimit={high}"));
@@ -210,7 +209,9 @@ fn write_value(eds: &mut String, section: &str, value: &Value) {
     if let Some(default) = default {
         line(eds, format_args!("DefaultValue={default}"));
     }
-    line(eds, format_args!("PDOMapping={}", u8::from(entry.options.is_mappable())));
+    if !is_domain {
+        line(eds, format_args!("PDOMapping={}", u8::from(entry.options.is_mappable())));
+    }
     if acts(entry) {
         // "Refuse write on download": a tool that configures a device leaves the object out.
         line(eds, "ObjFlags=1");

@@ -178,7 +178,7 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
             "AccessType=rw DataType=0x000A DefaultValue=00AB ObjectType=0x7 PDOMapping=0 \
              ParameterName=Octets",
         ),
-        ("9FFF", "AccessType=ro DataType=0x000F ObjectType=0x2 PDOMapping=0 ParameterName=Log"),
+        ("9FFF", "AccessType=ro DataType=0x000F ObjectType=0x2 ParameterName=Log"),
     ] {
         assert_eq!(section(&sections, name), expected, "[{name}]");
     }
