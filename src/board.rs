@@ -1,6 +1,7 @@
 //! The board after a reset: watchdog, clocks, pins and identity.
 
-use lss_slave::{Device, lss::Address};
+use lss_slave::lss::Address;
+use lss_slave_firmware::device;
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Output, alt::can1},
     pac::{CAN1, DBGMCU, Peripherals, RCC},
@@ -10,7 +11,7 @@ use stm32f4xx_hal::{
 };
 
 use crate::{
-    clock::Alarm, crystal, device, flash::SettingsFlash, supply::Supply, transmit_pin::TransmitPin,
+    clock::Alarm, crystal, flash::SettingsFlash, pins, supply::Supply, transmit_pin::TransmitPin,
 };
 
 /// The watchdog timeout in ms at 32 kHz; its oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is
@@ -56,8 +57,8 @@ impl Board {
         let alarm = Alarm::new(chip.TIM2, &mut rcc);
         // Before the pins are assigned, so that they do not glitch.
         CAN1::enable(&mut rcc);
-        let can_pins = device::can_pins(chip.GPIOB, &mut rcc);
-        let indicators = device::indicator_pins(chip.GPIOD, &mut rcc);
+        let can_pins = pins::can(chip.GPIOB, &mut rcc);
+        let indicators = pins::indicators(chip.GPIOD, &mut rcc);
         let settings_flash = SettingsFlash::new(chip.FLASH, supply);
         Self { rcc, alarm, can: chip.CAN1, can_pins, indicators, settings_flash, watchdog }
     }
@@ -68,24 +69,8 @@ pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
     (0..READS_IN_100_MS).any(|_| it_is_there())
 }
 
-/// The description of the device for the node.
-pub fn device() -> Device {
-    let address = Address {
-        vendor_id: device::VENDOR_ID,
-        product_code: device::PRODUCT_CODE,
-        revision_number: device::REVISION_NUMBER,
-        serial_number: serial_number(),
-    };
-    Device::new(address, device::BIT_RATES)
-        .with_defaults(device::DEFAULTS)
-        .with_name(device::NAME)
-        .with_versions(device::HARDWARE_VERSION, device::SOFTWARE_VERSION)
-        .with_rescue(device::RESCUE)
-        .with_lss_lock(device::LSS_LOCK)
-}
-
 /// The serial number, derived from the chip's 96-bit unique id (RM0090, 39.1).
-fn serial_number() -> u32 {
+pub fn serial_number() -> u32 {
     const UNIQUE_ID: *const [u8; 12] = 0x1FFF_7A10 as *const _;
     // SAFETY: read-only memory of every STM32F4.
     Address::serial_number_of(&unsafe { UNIQUE_ID.read() })

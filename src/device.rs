@@ -1,13 +1,12 @@
-//! The settings that make the firmware your product: identity, defaults, clock and pins. Edit this file.
+//! The settings that make the firmware your product: identity, defaults and clock. Edit this file first, then
+//! `pins.rs` and `application.rs`.
 
 use lss_slave::{BitRate, BitRateSetting, BitRates, Settings};
-use stm32f4xx_hal::{
-    gpio::{ErasedPin, GpioExt, Output, alt::can1},
-    pac::{GPIOB, GPIOD, RCC},
-};
 
-use crate::transmit_pin::TransmitPin;
-
+/// Your company's name. Only the EDS contains it.
+pub const VENDOR_NAME: &str = "Not registered";
+/// The product in one line. Only the EDS contains it.
+pub const DESCRIPTION: &str = "CANopen LSS slave on an STM32F4";
 /// Your company's vendor-ID, from CiA.
 pub const VENDOR_ID: u32 = 0x0000_0000;
 /// Your number for this product.
@@ -33,20 +32,6 @@ pub const DEFAULTS: Settings = Settings::new(BitRateSetting::Fixed(BitRate::Kbit
 pub const CRYSTAL_HZ: u32 = 8_000_000;
 /// Whether the clock is external (a Nucleo's ST-LINK, an oscillator) instead of a crystal.
 pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
-
-/// The pins to the CAN transceiver. CAN1 can also use PA12 and PA11: change the port in all three places. On PD1 and
-/// PD0 it would share port D, which can be split only once, with the indicators: give those another port.
-pub fn can_pins(port: GPIOB, rcc: &mut RCC) -> (TransmitPin, can1::Rx) {
-    let pins = port.split(rcc);
-    (pins.pb9.into(), pins.pb8.into())
-}
-
-/// The RUN (green) and ERR (red) indicators, active high. These are two LEDs of an STM32F407 Discovery; on a board
-/// without them the pins toggle unseen.
-pub fn indicator_pins(port: GPIOD, rcc: &mut RCC) -> (ErasedPin<Output>, ErasedPin<Output>) {
-    let pins = port.split(rcc);
-    (pins.pd12.into_push_pull_output().erase(), pins.pd14.into_push_pull_output().erase())
-}
 
 /// The core clock. 160 MHz with an APB1 clock of a quarter is legal for every chip here. With it all eight bit rates
 /// are exact and tolerate crystals that are 0.5 % off: docs/bit-rates.md.

@@ -8,10 +8,10 @@ mod board;
 mod can;
 mod clock;
 mod crystal;
-mod device;
 mod fault;
 mod flash;
 mod memory;
+mod pins;
 mod roll_call;
 mod runner;
 mod supply;
@@ -39,6 +39,7 @@ mod app {
         lss::StoreError,
         settings::{Found, Log},
     };
+    use lss_slave_firmware::{Application, describe, device};
     use stm32f4xx_hal::{
         gpio::{ErasedPin, Output},
         watchdog::IndependentWatchdog,
@@ -47,7 +48,7 @@ mod app {
     use crate::{
         board::{self, Board},
         can::Controller,
-        device, fault,
+        fault,
         flash::SettingsFlash,
         roll_call::{self, Task},
         runner::Runner,
@@ -74,7 +75,8 @@ mod app {
         let stored = log.settings();
         report(found, &stored.unwrap_or(device::DEFAULTS));
 
-        let node = Node::new(board::device(), stored);
+        let node =
+            Node::with_application(describe(board::serial_number()), stored, Application::new());
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
         let mut runner = Runner::new(node, can, board.alarm);
         if found == Found::Damaged {

@@ -9,6 +9,7 @@ use lss_slave::{
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
 };
+use lss_slave_firmware::Application;
 use stm32f4xx_hal::pac::Interrupt;
 
 use crate::{
@@ -18,7 +19,7 @@ use crate::{
 
 /// The node, its controller, and their next deadline.
 pub struct Runner {
-    node: Node,
+    node: Node<Application>,
     can: Controller,
     alarm: Alarm,
     /// The fault confinement state last seen.
@@ -34,7 +35,7 @@ pub struct Runner {
 impl Runner {
     /// A node after power-on, and its controller, which takes part in the bus from now on, unless the node wants to
     /// listen first.
-    pub fn new(node: Node, mut can: Controller, mut alarm: Alarm) -> Self {
+    pub fn new(node: Node<Application>, mut can: Controller, mut alarm: Alarm) -> Self {
         if !node.is_listening() {
             can.set_bit_rate(node.bit_rate());
         }
@@ -133,6 +134,14 @@ impl Runner {
             }
             _ => {}
         }
+    }
+
+    /// Reads or changes the application's values.
+    #[allow(dead_code, reason = "the tasks of a product call it")]
+    pub fn application<R>(&mut self, access: impl FnOnce(&mut Application) -> R) -> R {
+        let result = access(self.node.application_mut());
+        self.finish();
+        result
     }
 
     /// Passes a fault of the board to the node.

@@ -34,11 +34,17 @@ mod declaration;
 mod text;
 mod value;
 
-pub use declaration::{check, check_limits, complete};
+pub use declaration::{check, complete};
 pub use text::{OctetString, Text};
 pub use value::{Domain, Value};
 
-use crate::{BitRate, nmt, object_dictionary::Entry, sdo::Abort};
+use core::iter;
+
+use crate::{
+    BitRate, Device, nmt,
+    object_dictionary::{self, Description, Entry, TABLE},
+    sdo::Abort,
+};
 
 /// The objects of a product: what [`objects!`](crate::objects) implements.
 pub trait Dictionary {
@@ -46,9 +52,9 @@ pub trait Dictionary {
     type Value;
     /// The objects, by index and sub-index.
     const OBJECTS: &'static [Entry];
-    /// What the image does not need of the objects: names, defaults and limits, in the order of
-    /// [`OBJECTS`](Self::OBJECTS).
-    const DESCRIPTIONS: &'static [Description];
+
+    /// The descriptions of [`OBJECTS`](Self::OBJECTS), in the same order.
+    fn descriptions() -> impl Iterator<Item = Description>;
 
     /// The length of the value of a field in bytes.
     fn len(&self, field: u8) -> usize;
@@ -136,13 +142,13 @@ pub enum Event {
     BitRate(BitRate),
 }
 
-/// What an EDS says of a value, beside its [`Entry`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Description {
-    /// The name of the value, or of the object at its highest sub-index (sub-index 0).
-    pub name: &'static str,
-    /// The lowest and the highest legal number, if there are limits.
-    pub limits: Option<(i64, i64)>,
+/// The objects of a node with the application `A`, the node's own first, for an EDS or a page of documentation. The
+/// image does not contain them.
+pub fn entries<A: Dictionary>(
+    device: &Device,
+) -> impl Iterator<Item = (Entry, Description)> + use<A> {
+    let own = TABLE.iter().copied().zip(object_dictionary::descriptions(device));
+    own.chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
 }
 
 /// The application of a node without one.
@@ -152,7 +158,10 @@ pub struct NoApplication;
 impl Dictionary for NoApplication {
     type Value = ();
     const OBJECTS: &'static [Entry] = &[];
-    const DESCRIPTIONS: &'static [Description] = &[];
+
+    fn descriptions() -> impl Iterator<Item = Description> {
+        iter::empty()
+    }
 
     fn len(&self, _: u8) -> usize {
         0

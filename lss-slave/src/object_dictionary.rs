@@ -1,9 +1,15 @@
-//! The object dictionary: the table of all objects that are accessible by SDO (CiA 301, 7.5).
+//! The object dictionary: the table of the node's own objects that are accessible by SDO (CiA 301, 7.5).
+
+mod description;
+
+pub use description::{DefaultValue, Description, Number};
+
+use crate::Device;
 
 /// An object of the node, or a part of one.
 ///
-/// To add an object, name it here, give it a row in [`TABLE`], and handle its reads (and writes) in `node::objects`.
-/// Then add it to the EDS, which a test compares with the table.
+/// To add an object, name it here, declare it in the table, and handle its reads (and writes) in `node::objects`. The
+/// objects of a product are declared by [`objects!`](crate::objects) instead.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[expect(missing_docs, reason = "the names are those of CiA 301")]
@@ -139,58 +145,110 @@ pub struct Entry {
     pub object: Object,
 }
 
-/// All objects, by index and sub-index.
-pub const TABLE: &[Entry] = &{
-    use Access::*;
-    use DataType::*;
-    use Object::*;
-    [
-        row(0x1000, 0, Unsigned32, Const, DeviceType),
-        row(0x1001, 0, Unsigned8, ReadOnly, ErrorRegister),
-        row(0x1003, 0, Unsigned8, ReadWrite, NumberOfErrors),
-        row(0x1003, 1, Unsigned32, ReadOnly, ErrorField(1)),
-        row(0x1003, 2, Unsigned32, ReadOnly, ErrorField(2)),
-        row(0x1003, 3, Unsigned32, ReadOnly, ErrorField(3)),
-        row(0x1003, 4, Unsigned32, ReadOnly, ErrorField(4)),
-        row(0x1003, 5, Unsigned32, ReadOnly, ErrorField(5)),
-        row(0x1003, 6, Unsigned32, ReadOnly, ErrorField(6)),
-        row(0x1003, 7, Unsigned32, ReadOnly, ErrorField(7)),
-        row(0x1003, 8, Unsigned32, ReadOnly, ErrorField(8)),
-        row(0x1008, 0, VisibleString, Const, DeviceName),
-        row(0x1009, 0, VisibleString, Const, HardwareVersion),
-        row(0x100A, 0, VisibleString, Const, SoftwareVersion),
-        row(0x1010, 0, Unsigned8, Const, HighestSubIndex(1)),
-        row(0x1010, 1, Unsigned32, ReadWrite, StoreParameters),
-        row(0x1011, 0, Unsigned8, Const, HighestSubIndex(1)),
-        row(0x1011, 1, Unsigned32, ReadWrite, RestoreDefaultParameters),
-        row(0x1014, 0, Unsigned32, ReadOnly, CobIdEmergency),
-        row(0x1017, 0, Unsigned16, ReadWrite, ProducerHeartbeatTime),
-        row(0x1018, 0, Unsigned8, Const, HighestSubIndex(4)),
-        row(0x1018, 1, Unsigned32, Const, VendorId),
-        row(0x1018, 2, Unsigned32, Const, ProductCode),
-        row(0x1018, 3, Unsigned32, Const, RevisionNumber),
-        row(0x1018, 4, Unsigned32, Const, SerialNumber),
-        row(0x1029, 0, Unsigned8, Const, HighestSubIndex(1)),
-        row(0x1029, 1, Unsigned8, ReadWrite, CommunicationErrorBehaviour),
-        row(0x2000, 0, Unsigned8, Const, HighestSubIndex(7)),
-        row(0x2000, 1, Unsigned16, ReadOnly, BusOffs),
-        row(0x2000, 2, Unsigned16, ReadOnly, Overruns),
-        row(0x2000, 3, Unsigned8, ReadOnly, TransmitErrorCounter),
-        row(0x2000, 4, Unsigned8, ReadOnly, ReceiveErrorCounter),
-        row(0x2000, 5, Unsigned16, ReadOnly, HomeBitRate),
-        row(0x2000, 6, Unsigned16, ReadOnly, BitRateInUse),
-        row(0x2000, 7, Unsigned16, ReadOnly, Rescues),
-    ]
-};
+/// Declares the node's objects. A row has a sub-index, a name, for sub-index 0 the name `of` an object with further
+/// sub-indices, a data type, an access, the [`Object`], and optionally its default and its limits.
+macro_rules! table {
+    (|$device:ident| $($index:literal {
+        $(
+            $sub_index:literal $name:literal $(of $object_name:literal)?
+            : $data_type:ident, $access:ident, $object:ident $(($part:literal))?
+            $(= $default:ident($value:expr))? $(, $low:literal ..= $high:literal)?;
+        )+
+    })*) => {
+        /// The node's own objects, by index and sub-index.
+        pub const TABLE: &[Entry] = &[$($(
+            Entry {
+                index: $index,
+                sub_index: $sub_index,
+                data_type: DataType::$data_type,
+                access: Access::$access,
+                options: Options::NONE,
+                object: Object::$object $(($part))?,
+            },
+        )+)*];
 
-const fn row(
-    index: u16,
-    sub_index: u8,
-    data_type: DataType,
-    access: Access,
-    object: Object,
-) -> Entry {
-    Entry { index, sub_index, data_type, access, options: Options::NONE, object }
+        /// The descriptions of the rows of [`TABLE`], in the same order. The image does not contain them.
+        pub fn descriptions($device: &Device) -> impl Iterator<Item = Description> + use<> {
+            [$($(
+                Description {
+                    object: table!(@option $($object_name)?),
+                    name: $name,
+                    default: table!(@default $($default($value))?),
+                    limits: table!(@option $((Number::Integer($low), Number::Integer($high)))?),
+                },
+            )+)*]
+            .into_iter()
+        }
+    };
+    (@option) => { None };
+    (@option $value:expr) => { Some($value) };
+    (@default) => { DefaultValue::Varies };
+    (@default $default:ident($value:expr)) => { DefaultValue::$default($value) };
+}
+
+table! { |device|
+    0x1000 {
+        0 "Device type": Unsigned32, Const, DeviceType = Number(0);
+    }
+    0x1001 {
+        0 "Error register": Unsigned8, ReadOnly, ErrorRegister = Number(0);
+    }
+    0x1003 {
+        0 "Number of errors" of "Pre-defined error field": Unsigned8, ReadWrite, NumberOfErrors = Number(0);
+        1 "Standard error field 1": Unsigned32, ReadOnly, ErrorField(1);
+        2 "Standard error field 2": Unsigned32, ReadOnly, ErrorField(2);
+        3 "Standard error field 3": Unsigned32, ReadOnly, ErrorField(3);
+        4 "Standard error field 4": Unsigned32, ReadOnly, ErrorField(4);
+        5 "Standard error field 5": Unsigned32, ReadOnly, ErrorField(5);
+        6 "Standard error field 6": Unsigned32, ReadOnly, ErrorField(6);
+        7 "Standard error field 7": Unsigned32, ReadOnly, ErrorField(7);
+        8 "Standard error field 8": Unsigned32, ReadOnly, ErrorField(8);
+    }
+    0x1008 {
+        0 "Manufacturer device name": VisibleString, Const, DeviceName = Text(device.name);
+    }
+    0x1009 {
+        0 "Manufacturer hardware version": VisibleString, Const, HardwareVersion = Text(device.hardware_version);
+    }
+    0x100A {
+        0 "Manufacturer software version": VisibleString, Const, SoftwareVersion = Text(device.software_version);
+    }
+    0x1010 {
+        0 "Highest sub-index supported" of "Store parameters": Unsigned8, Const, HighestSubIndex(1);
+        1 "Save all parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
+    }
+    0x1011 {
+        0 "Highest sub-index supported" of "Restore default parameters": Unsigned8, Const, HighestSubIndex(1);
+        1 "Restore all default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
+    }
+    0x1014 {
+        0 "COB-ID EMCY": Unsigned32, ReadOnly, CobIdEmergency = NodeIdPlus(0x80);
+    }
+    0x1017 {
+        0 "Producer heartbeat time": Unsigned16, ReadWrite, ProducerHeartbeatTime
+            = Number(device.defaults.heartbeat_ms.into());
+    }
+    0x1018 {
+        0 "Highest sub-index supported" of "Identity object": Unsigned8, Const, HighestSubIndex(4);
+        1 "Vendor-ID": Unsigned32, Const, VendorId = Number(device.address.vendor_id);
+        2 "Product code": Unsigned32, Const, ProductCode = Number(device.address.product_code);
+        3 "Revision number": Unsigned32, Const, RevisionNumber = Number(device.address.revision_number);
+        4 "Serial number": Unsigned32, Const, SerialNumber;
+    }
+    0x1029 {
+        0 "Highest sub-index supported" of "Error behaviour": Unsigned8, Const, HighestSubIndex(1);
+        1 "Communication error": Unsigned8, ReadWrite, CommunicationErrorBehaviour = Number(0), 0..=2;
+    }
+    0x2000 {
+        0 "Highest sub-index supported" of "CAN controller": Unsigned8, Const, HighestSubIndex(7);
+        1 "Recoveries from bus-off": Unsigned16, ReadOnly, BusOffs;
+        2 "Receive overruns": Unsigned16, ReadOnly, Overruns;
+        3 "Transmit error counter": Unsigned8, ReadOnly, TransmitErrorCounter;
+        4 "Receive error counter": Unsigned8, ReadOnly, ReceiveErrorCounter;
+        5 "Home bit rate": Unsigned16, ReadOnly, HomeBitRate;
+        6 "Bit rate in use": Unsigned16, ReadOnly, BitRateInUse;
+        7 "Rescues": Unsigned16, ReadOnly, Rescues;
+    }
 }
 
 /// The row of an object in `table`, or the part of its address that does not exist.

@@ -1,6 +1,7 @@
 //! Shared parts of the tests and tools: a node in the process, the release image on emulated boards, a flash with power
-//! cuts, frames as text, random numbers.
+//! cuts, frames as text, data sheets, random numbers.
 
+pub mod eds;
 pub mod flash;
 pub mod frames;
 #[cfg(feature = "image")]

@@ -17,7 +17,7 @@ use testkit::{
     image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
 };
 
-/// The line to the transceiver, as in device.rs.
+/// The line to the transceiver, as in pins.rs.
 const TRANSMIT: Pin = Pin('B', 9);
 
 fn board(settings: Settings, can_readings: Readings) -> Board {

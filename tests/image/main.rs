@@ -7,6 +7,7 @@ mod can_traps;
 mod chip_traps;
 mod commissioning;
 mod do_no_harm;
+mod eds;
 mod errors;
 mod indicators;
 mod medium_faults;

@@ -2,7 +2,8 @@
 
 use lss_slave::{
     Application,
-    application::{Dictionary, Domain, OctetString, Text},
+    application::{Dictionary, Domain, OctetString, Text, entries},
+    object_dictionary::{Entry, Number},
     objects,
     sdo::Abort,
 };
@@ -126,13 +127,16 @@ fn the_access_of_an_object_is_respected() {
 
 #[test]
 fn each_object_has_a_description() {
-    let (objects, descriptions) = (Objects::OBJECTS, Objects::DESCRIPTIONS);
-    assert_eq!(objects.len(), descriptions.len());
     let of = |index, sub_index| {
-        let is_it = |at: &usize| (objects[*at].index, objects[*at].sub_index) == (index, sub_index);
-        descriptions[(0..objects.len()).find(is_it).unwrap()]
+        let is_it = |(entry, _): &(Entry, _)| (entry.index, entry.sub_index) == (index, sub_index);
+        entries::<Objects>(&device(ADDRESS)).find(is_it).unwrap().1
     };
-    assert_eq!(of(0x2100, 0).name, "Signed numbers");
-    assert_eq!((of(0x2100, 1).name, of(0x2100, 1).limits), ("8 bits", Some((-10, 10))));
-    assert_eq!((of(0x2101, 3).name, of(0x2101, 3).limits), ("32 bits", None));
+    assert_eq!(Objects::descriptions().count(), Objects::OBJECTS.len());
+    assert_eq!(of(0x1029, 1).name, "Communication error");
+    assert_eq!(of(0x2001, 0).object, None);
+    assert_eq!(of(0x2100, 0).object, Some("Signed numbers"));
+    assert_eq!(of(0x2100, 1).name, "8 bits");
+    assert_eq!(of(0x2100, 1).limits, Some((Number::Integer(-10), Number::Integer(10))));
+    assert_eq!(of(0x2101, 3).limits, None);
+    assert_eq!(of(0x2200, 0).limits, Some((Number::Real32(0.0), Number::Real32(2.0))));
 }

@@ -1,285 +1,353 @@
-//! The EDS (CiA 306) compared with the object dictionary, the node and the identity in the firmware's device.rs.
+//! The electronic data sheet (CiA 306) that the tables give: the committed file, the form, and each kind of value.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use lss_slave::{
-    BitRate, BitRates, Device,
-    lss::Address,
-    object_dictionary::{Access, DataType, Entry, Object, TABLE},
+    Application, BitRates, Device,
+    application::{Domain, OctetString, Text, entries},
+    object_dictionary::{
+        Access, DataType, DefaultValue, Description, Entry, Object, Options, TABLE,
+    },
+    objects,
 };
+use lss_slave_firmware::{Application as Firmware, describe, device};
 use testkit::{
+    eds::{DataSheet, Product, Sections, parse},
     flash::BoardFlash,
-    node_rig::{NodeRig, defaults},
+    node_rig::{ADDRESS, NodeRig, defaults},
 };
 
-const EDS: &str = include_str!("../../eds/lss-slave.eds");
-const DEVICE_RS: &str = include_str!("../../src/device.rs");
+const COMMITTED: &str = include_str!("../../eds/lss-slave.eds");
+const PAGE: &str = include_str!("../../docs/object-dictionary.md");
 
-type Section = BTreeMap<&'static str, &'static str>;
+objects! {
+    /// One value of each kind.
+    pub struct Kinds, values KindValue;
 
-/// The sections of the EDS by name. Neither a section nor a key may occur twice.
-fn sections() -> BTreeMap<&'static str, Section> {
-    let mut sections = BTreeMap::new();
-    let mut name = None;
-    for line in EDS.lines().filter(|line| !line.is_empty()) {
-        if let Some(section) = line.strip_prefix('[').and_then(|line| line.strip_suffix(']')) {
-            assert!(sections.insert(section, Section::new()).is_none(), "[{section}] twice");
-            name = Some(section);
-        } else {
-            let (key, value) = line.split_once('=').expect("key=value");
-            let section = sections.get_mut(name.expect("a section")).unwrap();
-            assert!(section.insert(key, value).is_none(), "{key} twice in {name:?}");
+    0x2001 {
+        0 "Boolean" boolean: bool = true, rw;
+    }
+    0x2100 "Signed numbers" {
+        1 "8 bits" i8: i8 = -8, rw, -10..=10;
+        2 "16 bits" i16: i16 = -300, ro, mappable;
+        0xB "64 bits" i64: i64 = i64::MIN, rw;
+    }
+    0x2101 "Percentages" {
+        1 "First" first: u8 = 50, rw, 0..=100, stored;
+        2 "Second" second: u8 = 60, rw;
+    }
+    0x5FFF {
+        0 "Large number" u64: u64 = u64::MAX, rw, 1..=0xFFFF_FFFF_FFFF_FFFF;
+    }
+    0x6000 {
+        0 "Real number" f32: f32 = 0.1, rw, 0.05..=2.5, mappable;
+    }
+    0x6001 {
+        0 "Command" command: u16 = 0, wo;
+    }
+    0x6002 {
+        0 "Text" text: Text<12> = Text::EMPTY, rw;
+    }
+    0x6003 {
+        0 "Label" label: &'static str = "A | B", constant;
+    }
+    0x6004 {
+        0 "Octets" octets: OctetString<3> = OctetString::EMPTY, rw;
+    }
+    0x9FFF {
+        0 "Log" log: Domain = Domain, ro;
+    }
+}
+
+impl Application for Kinds {}
+
+fn product() -> Product<'static> {
+    Product {
+        file_name: "lss-slave.eds",
+        vendor_name: device::VENDOR_NAME,
+        description: device::DESCRIPTION,
+        device: describe(0),
+    }
+}
+
+/// The data sheet of the firmware.
+fn firmware() -> DataSheet<'static> {
+    let product = product();
+    DataSheet::new(product, entries::<Firmware>(&product.device), &Firmware::new())
+}
+
+/// The data sheet of a node with one value of each kind.
+fn kinds() -> DataSheet<'static> {
+    let product = product();
+    let mut kinds = Kinds::new();
+    kinds.octets = OctetString::from_bytes(&[0x00, 0xAB]).unwrap();
+    DataSheet::new(product, entries::<Kinds>(&product.device), &kinds)
+}
+
+/// The keys of a section as one line, sorted.
+fn section(sections: &Sections, name: &str) -> String {
+    let text: Vec<_> = sections[name].iter().map(|(key, value)| format!("{key}={value}")).collect();
+    text.join(" ")
+}
+
+#[test]
+fn the_committed_files_are_what_the_tables_give() {
+    let outdated = "run `cargo xtask eds`";
+    assert!(firmware().eds() == COMMITTED, "eds/lss-slave.eds: {outdated}");
+    assert!(firmware().page() == PAGE, "docs/object-dictionary.md: {outdated}");
+}
+
+#[test]
+fn every_object_is_in_the_list_of_its_range() {
+    let sections = parse(&kinds().eds());
+    assert_eq!(
+        section(&sections, "MandatoryObjects"),
+        "1=0x1000 2=0x1001 3=0x1018 SupportedObjects=3"
+    );
+    assert_eq!(
+        section(&sections, "ManufacturerObjects"),
+        "1=0x2000 2=0x2001 3=0x2100 4=0x2101 5=0x5FFF SupportedObjects=5"
+    );
+    let optional = &sections["OptionalObjects"];
+    assert_eq!((&*optional["1"], &*optional["9"]), ("0x1003", "0x1029"));
+    assert_eq!((&*optional["10"], &*optional["15"]), ("0x6000", "0x9FFF"));
+    assert_eq!(optional.len(), 1 + 15);
+}
+
+#[test]
+fn every_value_has_one_section_and_no_section_is_left_over() {
+    let sections = parse(&kinds().eds());
+    let is_object = |name: &&String| u16::from_str_radix(&name[..4], 16).is_ok();
+    let objects = sections.keys().filter(is_object).count();
+    assert_eq!(sections.len() - objects, 7, "FileInfo to ManufacturerObjects");
+    let all: Vec<_> = entries::<Kinds>(&product().device).collect();
+    let with_sub_indices = all.iter().filter(|(_, description)| description.object.is_some());
+    assert_eq!(objects, all.len() + with_sub_indices.count());
+}
+
+#[test]
+fn each_kind_of_value_is_described_as_cia_306_says() {
+    let sections = parse(&kinds().eds());
+    for (name, expected) in [
+        (
+            "1018sub1",
+            "AccessType=const DataType=0x0007 DefaultValue=0x00000000 ObjectType=0x7 PDOMapping=0 \
+             ParameterName=Vendor-ID",
+        ),
+        ("2100", "ObjectType=0x9 ParameterName=Signed numbers SubNumber=4"),
+        (
+            "2100sub0",
+            "AccessType=const DataType=0x0005 DefaultValue=11 ObjectType=0x7 PDOMapping=0 \
+             ParameterName=Highest sub-index supported",
+        ),
+        (
+            "2100sub1",
+            "AccessType=rw DataType=0x0002 DefaultValue=-8 HighLimit=10 LowLimit=-10 \
+             ObjectType=0x7 PDOMapping=0 ParameterName=8 bits",
+        ),
+        (
+            "2100sub2",
+            "AccessType=ro DataType=0x0003 DefaultValue=-300 ObjectType=0x7 PDOMapping=1 \
+             ParameterName=16 bits",
+        ),
+        (
+            "2100subB",
+            "AccessType=rw DataType=0x0015 DefaultValue=-9223372036854775808 ObjectType=0x7 \
+             PDOMapping=0 ParameterName=64 bits",
+        ),
+        ("2101", "ObjectType=0x8 ParameterName=Percentages SubNumber=3"),
+        (
+            "5FFF",
+            "AccessType=rw DataType=0x001B DefaultValue=18446744073709551615 \
+             HighLimit=18446744073709551615 LowLimit=1 ObjectType=0x7 PDOMapping=0 \
+             ParameterName=Large number",
+        ),
+        (
+            "6000",
+            "AccessType=rw DataType=0x0008 DefaultValue=0.1 HighLimit=2.5 LowLimit=0.05 \
+             ObjectType=0x7 PDOMapping=1 ParameterName=Real number",
+        ),
+        ("6001", "AccessType=wo DataType=0x0006 ObjectType=0x7 PDOMapping=0 ParameterName=Command"),
+        (
+            "6003",
+            "AccessType=const DataType=0x0009 DefaultValue=A | B ObjectType=0x7 PDOMapping=0 \
+             ParameterName=Label",
+        ),
+        (
+            "6004",
+            "AccessType=rw DataType=0x000A DefaultValue=00AB ObjectType=0x7 PDOMapping=0 \
+             ParameterName=Octets",
+        ),
+        ("9FFF", "AccessType=ro DataType=0x000F ObjectType=0x2 ParameterName=Log"),
+    ] {
+        assert_eq!(section(&sections, name), expected, "[{name}]");
+    }
+    assert_eq!(sections["2001"]["DefaultValue"], "1");
+    assert_eq!(sections["6002"]["DefaultValue"], "");
+}
+
+#[test]
+fn objects_of_the_standard_are_arrays_and_records_as_it_says() {
+    let sections = parse(COMMITTED);
+    for (record, names) in
+        [("0x9", &["1018", "2000"][..]), ("0x8", &["1003", "1010", "1011", "1029"])]
+    {
+        for name in names {
+            assert_eq!(sections[*name]["ObjectType"], record, "[{name}]");
         }
     }
-    sections
 }
 
-/// Parses a number in the notation of EDS or Rust.
-fn number(text: &str) -> u32 {
-    let text = text.replace('_', "");
-    match text.strip_prefix("0x") {
-        Some(hex) => u32::from_str_radix(hex, 16),
-        None => text.parse(),
-    }
-    .unwrap_or_else(|_| panic!("{text} is a number"))
-}
-
-/// The text that follows `before` in device.rs, up to `end`.
-fn in_device_rs(before: &str, end: char) -> &'static str {
-    let (_, rest) = DEVICE_RS.split_once(before).unwrap_or_else(|| panic!("{before} is there"));
-    rest.split(end).next().unwrap()
-}
-
-fn number_in_device_rs(name: &str) -> u32 {
-    number(in_device_rs(&format!("pub const {name}: u32 = "), ';'))
-}
-
-fn text_in_device_rs(name: &str) -> &'static str {
-    match in_device_rs(&format!("pub const {name}: &str = "), ';') {
-        "env!(\"CARGO_PKG_VERSION\")" => env!("CARGO_PKG_VERSION"),
-        literal => literal.trim_matches('"'),
-    }
-}
-
-/// The rates that the clock of the CAN controller can produce, which device.rs offers. An EDS has no key for automatic
-/// detection.
-fn bit_rates() -> BitRates {
-    assert!(DEVICE_RS.contains("pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ)"));
-    let divisor = in_device_rs("pub const APB1_HZ: u32 = SYSCLK_HZ / ", ';');
-    BitRates::possible(number_in_device_rs("SYSCLK_HZ") / number(divisor))
-}
-
-/// A board with the identity and the defaults of the firmware, and node-ID 40h.
-fn board_of_device_rs() -> NodeRig {
-    let heartbeat_ms = number(in_device_rs("with_heartbeat_ms(", ')')) as u16;
-    let address = Address {
-        vendor_id: number_in_device_rs("VENDOR_ID"),
-        product_code: number_in_device_rs("PRODUCT_CODE"),
-        revision_number: number_in_device_rs("REVISION_NUMBER"),
-        serial_number: 0,
+#[test]
+fn pdos_are_counted_and_their_parameters_are_records() {
+    let pdo = |index| {
+        [(0, Object::HighestSubIndex(1)), (1, Object::DeviceType)].map(|(sub_index, object)| {
+            let entry = Entry {
+                index,
+                sub_index,
+                data_type: DataType::Unsigned32,
+                access: Access::ReadOnly,
+                options: Options::NONE,
+                object,
+            };
+            let description = Description {
+                object: (sub_index == 0).then_some("PDO"),
+                name: "COB-ID",
+                default: DefaultValue::NodeIdPlus(0x4000_0180),
+                limits: None,
+            };
+            (entry, description)
+        })
     };
-    let device = Device::new(address, bit_rates())
-        .with_defaults(defaults(0x40).with_heartbeat_ms(heartbeat_ms))
-        .with_name(text_in_device_rs("NAME"))
-        .with_versions(text_in_device_rs("HARDWARE_VERSION"), text_in_device_rs("SOFTWARE_VERSION"))
-        .with_rescue(true);
-    NodeRig::with_device(device, BoardFlash::blank(0), 0)
-}
-
-/// The name of the section that describes `entry`.
-fn section_of(entry: &Entry) -> String {
-    let has_sub_indices = TABLE.iter().filter(|other| other.index == entry.index).count() > 1;
-    match has_sub_indices {
-        true => format!("{:04X}sub{:X}", entry.index, entry.sub_index),
-        false => format!("{:04X}", entry.index),
-    }
-}
-
-/// The indices in the list `name`.
-fn list(name: &str) -> Vec<u32> {
-    let sections = sections();
-    let list = &sections[name];
-    let len = number(list["SupportedObjects"]);
-    assert_eq!(list.len(), len as usize + 1, "[{name}] gives the right number");
-    (1..=len).map(|n| number(list[n.to_string().as_str()])).collect()
-}
-
-#[test]
-fn the_lists_name_every_object_of_the_dictionary_and_no_other() {
-    let indices: BTreeSet<u32> = TABLE.iter().map(|entry| entry.index.into()).collect();
-    let mandatory = [0x1000, 0x1001, 0x1018];
-    assert_eq!(list("MandatoryObjects"), mandatory);
-    let is_optional = |index: &u32| {
-        let is_of_the_manufacturer = (0x2000..0x6000).contains(index);
-        !mandatory.contains(index) && !is_of_the_manufacturer
-    };
-    let optional: Vec<u32> = indices.iter().copied().filter(is_optional).collect();
-    assert_eq!(list("OptionalObjects"), optional);
-    let manufacturer: Vec<u32> = indices.range(0x2000..0x6000).copied().collect();
-    assert_eq!(list("ManufacturerObjects"), manufacturer);
-}
-
-#[test]
-fn each_object_has_a_section_with_its_data_type_and_access() {
-    let sections = sections();
-    for entry in TABLE {
-        let name = section_of(entry);
-        let section = &sections[name.as_str()];
-        assert_eq!(number(section["ObjectType"]), 7, "[{name}] VAR");
-        let data_type = match entry.data_type {
-            DataType::Unsigned8 => "0x0005",
-            DataType::Unsigned16 => "0x0006",
-            DataType::Unsigned32 => "0x0007",
-            DataType::VisibleString => "0x0009",
-            other => panic!("{other:?}"),
-        };
-        assert_eq!(section["DataType"], data_type, "[{name}]");
-        assert_eq!(number(data_type), entry.data_type as u32);
-        let access = match entry.access {
-            Access::Const => "const",
-            Access::ReadOnly => "ro",
-            Access::ReadWrite => "rw",
-            Access::WriteOnly => "wo",
-        };
-        assert_eq!(section["AccessType"], access, "[{name}]");
-        assert_eq!(section["PDOMapping"], "0", "[{name}]");
-        assert!(!section["ParameterName"].is_empty(), "[{name}]");
-    }
-}
-
-#[test]
-fn an_object_with_sub_indices_gives_their_number_and_array_or_record() {
-    let sections = sections();
-    for entry in TABLE.iter().filter(|entry| section_of(entry).ends_with("sub0")) {
-        let name = format!("{:04X}", entry.index);
-        let section = &sections[name.as_str()];
-        let subs: Vec<_> = TABLE.iter().filter(|other| other.index == entry.index).collect();
-        assert_eq!(number(section["SubNumber"]) as usize, subs.len(), "[{name}]");
-        let record = 9;
-        let array = 8;
-        let expected = if [0x1018, 0x2000].contains(&entry.index) { record } else { array };
-        assert_eq!(number(section["ObjectType"]), expected, "[{name}]");
-        assert!(!section["ParameterName"].is_empty(), "[{name}]");
-    }
-}
-
-#[test]
-fn no_section_is_left_over() {
-    let mut expected: BTreeSet<String> = [
-        "FileInfo",
-        "DeviceInfo",
-        "DummyUsage",
-        "Comments",
-        "MandatoryObjects",
-        "OptionalObjects",
-        "ManufacturerObjects",
-    ]
-    .map(String::from)
-    .into();
-    expected.extend(TABLE.iter().map(|entry| format!("{:04X}", entry.index)));
-    expected.extend(TABLE.iter().map(section_of));
-    let found: BTreeSet<String> = sections().into_keys().map(String::from).collect();
-    assert_eq!(found, expected);
+    let product = product();
+    let pdos = [0x1400, 0x1600, 0x1800, 0x1803, 0x1A00, 0x1A03].into_iter().flat_map(pdo);
+    let all = entries::<Firmware>(&product.device).chain(pdos);
+    let eds = DataSheet::new(product, all, &Firmware::new()).eds();
+    let sections = parse(&eds);
+    let info = &sections["DeviceInfo"];
+    assert_eq!((&*info["NrOfRXPDO"], &*info["NrOfTXPDO"], &*info["Granularity"]), ("1", "2", "8"));
+    assert_eq!(sections["1A03"]["ObjectType"], "0x9");
+    assert_eq!(sections["1803sub1"]["DefaultValue"], "$NODEID+0x40000180");
+    assert!(eds.find("[1A03]") < eds.find("[2000]"), "sorted");
+    let info = &parse(COMMITTED)["DeviceInfo"];
+    assert_eq!((&*info["NrOfRXPDO"], &*info["NrOfTXPDO"], &*info["Granularity"]), ("0", "0", "0"));
 }
 
 #[test]
 fn each_default_value_is_the_answer_of_a_new_device_by_sdo() {
-    let sections = sections();
-    let mut board = board_of_device_rs();
+    let sections = parse(COMMITTED);
+    let of_device = defaults(0x40).with_heartbeat_ms(device::DEFAULTS.heartbeat_ms);
+    let mut board =
+        NodeRig::with_device(describe(0).with_defaults(of_device), BoardFlash::blank(0), 0);
+    let mut without = Vec::new();
     for entry in TABLE {
-        let name = section_of(entry);
-        let Some(default) = sections[name.as_str()].get("DefaultValue") else {
-            let is_of_the_past = [0x1003, 0x2000].contains(&entry.index) && entry.sub_index > 0;
-            assert!(name == "1018sub4" || is_of_the_past, "[{name}] has no default");
+        let plain = format!("{:04X}", entry.index);
+        let with_sub_index = format!("{plain}sub{:X}", entry.sub_index);
+        let has_sub_indices = sections.contains_key(&with_sub_index);
+        let name = if has_sub_indices { with_sub_index } else { plain };
+        let Some(default) = sections[&name].get("DefaultValue") else {
+            without.push((entry.index, entry.sub_index));
             continue;
         };
         let value = board.upload(entry.index, entry.sub_index).unwrap();
         if entry.data_type == DataType::VisibleString {
-            let value = String::from_utf8_lossy(&value);
-            assert_eq!(value, *default, "device.rs, then eds/lss-slave.eds [{name}] DefaultValue");
+            assert_eq!(String::from_utf8_lossy(&value), *default, "[{name}]");
             continue;
         }
-        let expected = match default.strip_prefix("$NODEID+") {
-            Some(offset) => 0x40 + number(offset),
-            None => number(default),
+        let (node_id, number) = match default.strip_prefix("$NODEID+") {
+            Some(number) => (0x40, number),
+            None => (0, default.as_str()),
         };
-        let value = board.number(entry.index, entry.sub_index);
-        assert_eq!(value, expected, "device.rs, then eds/lss-slave.eds [{name}] DefaultValue");
+        let number = match number.strip_prefix("0x") {
+            Some(hex) => u32::from_str_radix(hex, 16),
+            None => number.parse(),
+        };
+        let expected = node_id + number.unwrap();
+        assert_eq!(board.number(entry.index, entry.sub_index), expected, "[{name}]");
     }
+    let mut expected: Vec<_> = (1..=8).map(|sub_index| (0x1003, sub_index)).collect();
+    expected.push((0x1018, 4));
+    expected.extend((1..=7).map(|sub_index| (0x2000, sub_index)));
+    assert_eq!(without, expected, "values that differ from device to device or change");
 }
 
 #[test]
 fn tools_leave_out_objects_whose_write_triggers_an_action() {
-    const REFUSE_WRITE_ON_DOWNLOAD: &str = "1";
-    let sections = sections();
-    for entry in TABLE {
-        let name = section_of(entry);
-        let acts = matches!(
-            entry.object,
-            Object::StoreParameters | Object::RestoreDefaultParameters | Object::NumberOfErrors
-        );
-        let flags = sections[name.as_str()].get("ObjFlags").copied();
-        assert_eq!(flags, acts.then_some(REFUSE_WRITE_ON_DOWNLOAD), "[{name}]");
-    }
+    let mut sections = parse(COMMITTED);
+    sections.retain(|_, section| section.contains_key("ObjFlags"));
+    let found: Vec<_> =
+        sections.iter().map(|(name, section)| (name.as_str(), &*section["ObjFlags"])).collect();
+    assert_eq!(found, [("1003sub0", "1"), ("1010sub1", "1"), ("1011sub1", "1")]);
 }
 
 #[test]
-fn the_identity_is_the_one_in_device_rs() {
-    let info = &sections()["DeviceInfo"];
-    for (key, name) in [
-        ("VendorNumber", "VENDOR_ID"),
-        ("ProductNumber", "PRODUCT_CODE"),
-        ("RevisionNumber", "REVISION_NUMBER"),
-    ] {
-        let (eds, device) = (number(info[key]), number_in_device_rs(name));
-        assert_eq!(eds, device, "eds/lss-slave.eds {key}, then device.rs {name}");
-    }
-    let (eds, device) = (info["ProductName"], text_in_device_rs("NAME"));
-    assert_eq!(eds, device, "eds/lss-slave.eds ProductName, then device.rs NAME");
-}
-
-#[test]
-fn the_bit_rates_are_those_that_the_clock_can_produce() {
-    let info = &sections()["DeviceInfo"];
-    let possible = bit_rates();
-    let found: Vec<_> = info.keys().filter(|key| key.starts_with("BaudRate_")).collect();
-    assert_eq!(found.len(), BitRate::ALL.len());
-    for rate in BitRate::ALL {
-        let expected = if possible.contains(rate) { "1" } else { "0" };
-        let key = format!("BaudRate_{}", rate.kbit_per_s());
-        assert_eq!(info[key.as_str()], expected, "{key}");
-    }
-}
-
-#[test]
-fn the_device_is_an_lss_slave_that_boots_up_by_itself_and_has_no_pdo() {
-    let info = &sections()["DeviceInfo"];
-    for (key, value) in [
+fn the_device_is_the_one_that_the_product_describes() {
+    // 800 kbit/s cannot be made of 42 MHz.
+    let device = Device::new(ADDRESS, BitRates::possible(42_000_000)).with_name("Valve");
+    let product =
+        Product { file_name: "valve.eds", vendor_name: "Example", description: "A valve", device };
+    let sheet = DataSheet::new(product, entries::<Firmware>(&device), &Firmware::new());
+    let sections = parse(&sheet.eds());
+    let expected: BTreeMap<_, _> = [
+        ("VendorName", "Example"),
+        ("VendorNumber", "0x11223344"),
+        ("ProductName", "Valve"),
+        ("ProductNumber", "0x55667788"),
+        ("RevisionNumber", "0x00010203"),
+        ("BaudRate_1000", "1"),
+        ("BaudRate_800", "0"),
+        ("BaudRate_10", "1"),
         ("LSS_Supported", "1"),
         ("SimpleBootUpMaster", "0"),
         ("SimpleBootUpSlave", "1"),
-        ("NrOfRXPDO", "0"),
-        ("NrOfTXPDO", "0"),
-        ("Granularity", "0"),
-    ] {
-        assert_eq!(info[key], value, "{key}");
+    ]
+    .into();
+    for (key, value) in expected {
+        assert_eq!(sections["DeviceInfo"][key], value, "{key}");
+    }
+    assert_eq!(sections["FileInfo"]["FileName"], "valve.eds");
+    assert_eq!(sections["FileInfo"]["Description"], "A valve");
+    assert_eq!(sections["1008"]["DefaultValue"], "Valve");
+    assert_eq!(sections["1018sub2"]["DefaultValue"], "0x55667788");
+}
+
+#[test]
+fn the_file_keeps_to_the_form_of_cia_306() {
+    for eds in [COMMITTED, &kinds().eds()] {
+        let sections = parse(eds);
+        assert_eq!(sections["FileInfo"]["EDSVersion"], "4.0");
+        for key in ["CreationDate", "ModificationDate"] {
+            let digit = |c: char| if c.is_ascii_digit() { '9' } else { c };
+            let form: String = sections["FileInfo"][key].chars().map(digit).collect();
+            assert_eq!(form, "99-99-9999", "{key}: mm-dd-yyyy");
+        }
+        let comments = &sections["Comments"];
+        assert_eq!(comments.len(), comments["Lines"].parse::<usize>().unwrap() + 1);
+        assert!(eds.lines().all(|line| line == line.trim()));
+        assert!(eds.ends_with('\n') && !eds.ends_with("\n\n") && !eds.contains("\n\n\n"));
     }
 }
 
 #[test]
-fn the_file_knows_its_name_and_keeps_to_the_form_of_cia_306() {
-    let sections = sections();
-    assert_eq!(sections["FileInfo"]["FileName"], "lss-slave.eds");
-    assert_eq!(sections["FileInfo"]["EDSVersion"], "4.0");
-    for key in ["CreationDate", "ModificationDate"] {
-        let form: String = sections["FileInfo"][key]
-            .chars()
-            .map(|c| if c.is_ascii_digit() { '9' } else { c })
-            .collect();
-        assert_eq!(form, "99-99-9999", "{key}: mm-dd-yyyy");
+#[should_panic = "not possible in an EDS: ProductName=Gerät"]
+fn a_name_that_is_not_ascii_is_refused() {
+    let device = describe(0).with_name("Gerät");
+    let product = Product { device, ..product() };
+    DataSheet::new(product, entries::<Firmware>(&device), &Firmware::new()).eds();
+}
+
+#[test]
+fn the_page_has_one_line_for_each_value() {
+    let page = kinds().page();
+    for line in [
+        "| 2100h | | **Signed numbers** | RECORD | | | | |",
+        "| 2100h | 1 | 8 bits | INTEGER8 | rw | -8 | -10 to 10 | |",
+        "| 2100h | 2 | 16 bits | INTEGER16 | ro | -300 | | mappable |",
+        "| 2101h | 1 | First | UNSIGNED8 | rw | 50 | 0 to 100 | stored |",
+        "| 6003h | 0 | Label | VISIBLE_STRING | const | A \\| B | | |",
+    ] {
+        assert!(page.lines().any(|found| found == line), "{line}");
     }
-    let comments = &sections["Comments"];
-    assert_eq!(comments.len(), number(comments["Lines"]) as usize + 1);
-    assert!(EDS.is_ascii());
-    assert!(EDS.lines().all(|line| line.len() <= 255 && line == line.trim()));
+    let rows = page.lines().filter(|line| line.starts_with("| ") && !line.contains("**"));
+    assert_eq!(rows.count(), 1 + entries::<Kinds>(&product().device).count());
 }

@@ -1,10 +1,11 @@
 //! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask fuzz`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
-//! `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask bench`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask no-harm`, `cargo xtask power-cut`,
+//! `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
 mod boards;
 mod demo;
+mod eds;
 mod emulate;
 mod explain;
 mod flash;
@@ -41,6 +42,7 @@ struct Arguments {
 enum Command {
     Bench(bench::Arguments),
     Demo(demo::Arguments),
+    Eds(eds::Arguments),
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
     Fuzz(fuzz::Arguments),
@@ -56,6 +58,7 @@ fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
+        Command::Eds(arguments) => eds::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
         Command::Fuzz(arguments) => fuzz::run(&arguments),

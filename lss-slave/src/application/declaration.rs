@@ -5,6 +5,7 @@ use crate::object_dictionary::{DataType, Entry, Object};
 /// Checks the table of a product; panics, at compile time, with what is wrong.
 #[doc(hidden)]
 pub const fn check(objects: &[Entry]) {
+    assert!(objects.len() <= 256, "there are more than 256 objects");
     let mut at = 0;
     while at < objects.len() {
         let entry = &objects[at];
@@ -20,6 +21,7 @@ pub const fn check(objects: &[Entry]) {
             !matches!(entry.data_type, DataType::Domain) || !entry.options.is_stored(),
             "a DOMAIN is not stored: its application keeps it"
         );
+        let mut is_part = false;
         if at > 0 {
             let before = &objects[at - 1];
             assert!(
@@ -27,19 +29,13 @@ pub const fn check(objects: &[Entry]) {
                     || before.index == entry.index && before.sub_index < entry.sub_index,
                 "the objects must be sorted by index and sub-index, and none may occur twice"
             );
-            assert!(
-                before.index == entry.index || entry.sub_index == 0,
-                "an object needs a sub-index 0: a name gives it one"
-            );
+            let is_whole =
+                before.sub_index == 0 && !matches!(before.object, Object::HighestSubIndex(_));
+            is_part = before.index == entry.index && !is_whole;
         }
+        assert!(entry.sub_index == 0 || is_part, "an object with sub-indices needs a name");
         at += 1;
     }
-}
-
-/// Checks a default; panics, at compile time, if it is out of its limits.
-#[doc(hidden)]
-pub const fn check_limits(default: i64, low: i64, high: i64) {
-    assert!(low <= default && default <= high, "a default is out of its limits");
 }
 
 /// Fills in the highest sub-index of each object that has one.
@@ -70,8 +66,122 @@ pub const fn complete<const N: usize>(mut objects: [Entry; N]) -> [Entry; N] {
 /// default, its access (`constant`, `ro`, `rw`, `wo`), optional limits of a number, and options: `mappable` into a PDO,
 /// `stored` by 1010h.
 ///
-/// A declaration does not compile if an object occurs twice or out of order, if its index is not one of 2001h to 9FFFh,
-/// or if a default is out of its limits.
+/// # What does not compile
+/// Each of these declarations is wrong in one place; its twin differs from it in that place only.
+///
+/// An object that occurs twice:
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; }
+/// 0x2100 { 0 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; }
+/// 0x2101 { 0 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A sub-index that occurs twice:
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// Objects that are not sorted:
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2101 { 0 "Speed" speed: u16 = 0, rw; }
+/// 0x2100 { 0 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2101 { 0 "Speed" speed: u16 = 0, rw; }
+/// 0x2102 { 0 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// An index of the node (2000h and below) or of nobody (above 9FFFh):
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2000 { 0 "Speed" speed: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2001 { 0 "Speed" speed: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A sub-index beside 0 of an object without a name:
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 1 "Speed" speed: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A value with sub-index 0 and another beside it:
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A default out of its limits:
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 101, rw, 0..=100; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 100, rw, 0..=100; }
+/// # }
+/// ```
+///
+/// A text that is mapped into a PDO:
+/// ```compile_fail,E0080
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Label" label: &'static str = "", ro, mappable; }
+/// # }
+/// ```
+/// ```
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Label" label: &'static str = "", ro; }
+/// # }
+/// ```
+///
+/// A stored domain:
+/// ```compile_fail,E0080
+/// # use lss_slave::application::Domain;
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Log" log: Domain = Domain, ro, stored; }
+/// # }
+/// ```
+/// ```
+/// # use lss_slave::application::Domain;
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Log" log: Domain = Domain, ro; }
+/// # }
+/// ```
 #[macro_export]
 macro_rules! objects {
     (
@@ -117,68 +227,74 @@ macro_rules! objects {
         }
 
         const _: () = {
-            use $crate::{
-                application::{self, Description, Dictionary, Value},
-                object_dictionary::{Access, Entry, Object, Options},
-                sdo::Abort,
-            };
+            use $crate::{application, object_dictionary, sdo};
 
             #[allow(non_camel_case_types)]
-            #[repr(u8)]
             enum Field { $($($field,)+)* }
 
-            impl Dictionary for $name {
+            #[allow(unused_variables, reason = "there may be no object yet")]
+            impl application::Dictionary for $name {
                 type Value = $value;
 
-                const OBJECTS: &'static [Entry] = &application::complete([$(
+                const OBJECTS: &'static [object_dictionary::Entry] = &application::complete([$(
                     $($crate::objects!(@highest $index $object),)?
-                    $(Entry {
+                    $(object_dictionary::Entry {
                         index: $index,
                         sub_index: $sub_index,
-                        data_type: <$type as Value>::DATA_TYPE,
+                        data_type: <$type as application::Value>::DATA_TYPE,
                         access: $crate::objects!(@access $access),
-                        options: Options::NONE$(.$option())*,
-                        object: Object::Application(Field::$field as u8),
+                        options: object_dictionary::Options::NONE$(.$option())*,
+                        object: object_dictionary::Object::Application(Field::$field as u8),
                     },)+
                 )*]);
 
-                const DESCRIPTIONS: &'static [Description] = &[$(
-                    $(Description { name: $object, limits: None },)?
-                    $(Description {
-                        name: $text,
-                        limits: $crate::objects!(@limits $($low, $high)?),
-                    },)+
-                )*];
+                fn descriptions() -> impl Iterator<Item = object_dictionary::Description> {
+                    [$(
+                        $(object_dictionary::Description {
+                            object: Some($object),
+                            name: "Highest sub-index supported",
+                            default: object_dictionary::DefaultValue::Varies,
+                            limits: None,
+                        },)?
+                        $(object_dictionary::Description {
+                            object: None,
+                            name: $text,
+                            default: object_dictionary::DefaultValue::OfApplication,
+                            limits: $crate::objects!(@limits $type $(, $low, $high)?),
+                        },)+
+                    )*]
+                    .into_iter()
+                }
 
                 fn len(&self, field: u8) -> usize {
                     match field {
-                        $($(_ if field == Field::$field as u8 => Value::len(&self.$field),)+)*
+                        $($(_ if field == Field::$field as u8 => application::Value::len(&self.$field),)+)*
                         _ => 0,
                     }
                 }
 
                 fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize {
                     match field {
-                        $($(_ if field == Field::$field as u8 => Value::read(&self.$field, offset, to),)+)*
+                        $($(_ if field == Field::$field as u8 => application::Value::read(&self.$field, offset, to),)+)*
                         _ => 0,
                     }
                 }
 
-                fn parse(field: u8, bytes: &[u8]) -> Result<$value, Abort> {
+                fn parse(field: u8, bytes: &[u8]) -> Result<$value, sdo::Abort> {
                     match field {
                         $($(_ if field == Field::$field as u8 => {
-                            let value: $type = Value::parse(bytes)?;
+                            let value: $type = application::Value::parse(bytes)?;
                             $(
                                 if value < $low {
-                                    return Err(Abort::TooLow);
+                                    return Err(sdo::Abort::TooLow);
                                 }
                                 if value > $high {
-                                    return Err(Abort::TooHigh);
+                                    return Err(sdo::Abort::TooHigh);
                                 }
                             )?
                             Ok($value::$field(value))
                         })+)*
-                        _ => Err(Abort::NoObject),
+                        _ => Err(sdo::Abort::NoObject),
                     }
                 }
 
@@ -189,24 +305,29 @@ macro_rules! objects {
                 }
             }
 
-            application::check(<$name as Dictionary>::OBJECTS);
-            $($($(application::check_limits($default as i64, $low as i64, $high as i64);)?)+)*
+            application::check(<$name as application::Dictionary>::OBJECTS);
+            $($($(
+                let (default, low, high): ($type, $type, $type) = ($default, $low, $high);
+                assert!(low <= default && default <= high, "a default is out of its limits");
+            )?)+)*
         };
     };
     (@highest $index:literal $object:literal) => {
-        Entry {
+        object_dictionary::Entry {
             index: $index,
             sub_index: 0,
-            data_type: $crate::object_dictionary::DataType::Unsigned8,
-            access: Access::Const,
-            options: Options::NONE,
-            object: Object::HighestSubIndex(0),
+            data_type: object_dictionary::DataType::Unsigned8,
+            access: object_dictionary::Access::Const,
+            options: object_dictionary::Options::NONE,
+            object: object_dictionary::Object::HighestSubIndex(0),
         }
     };
-    (@access constant) => { Access::Const };
-    (@access ro) => { Access::ReadOnly };
-    (@access rw) => { Access::ReadWrite };
-    (@access wo) => { Access::WriteOnly };
-    (@limits) => { None };
-    (@limits $low:literal, $high:literal) => { Some(($low as i64, $high as i64)) };
+    (@access constant) => { object_dictionary::Access::Const };
+    (@access ro) => { object_dictionary::Access::ReadOnly };
+    (@access rw) => { object_dictionary::Access::ReadWrite };
+    (@access wo) => { object_dictionary::Access::WriteOnly };
+    (@limits $type:ty) => { None };
+    (@limits $type:ty, $low:literal, $high:literal) => {
+        Some((<$type>::into($low), <$type>::into($high)))
+    };
 }
