@@ -11,7 +11,12 @@ use stm32f4xx_hal::{
 };
 
 use crate::{
-    clock::Alarm, crystal, flash::SettingsFlash, pins, supply::Supply, transmit_pin::TransmitPin,
+    clock::Alarm,
+    crystal,
+    flash::SettingsFlash,
+    pins::{Pins, Ports},
+    supply::Supply,
+    transmit_pin::TransmitPin,
 };
 
 /// The watchdog timeout in ms at 32 kHz; its oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is
@@ -20,6 +25,12 @@ const WATCHDOG_MS: u32 = 2_000;
 
 /// The number of register reads that take at least 100 ms at the initial 16 MHz, at five cycles each.
 const READS_IN_100_MS: u32 = 320_000;
+
+#[cfg(feature = "io")]
+pub use crate::io_board::IoBoard;
+/// The I/O of the example `io`.
+#[cfg(not(feature = "io"))]
+pub type IoBoard = ();
 
 /// The parts of the board that the tasks need.
 pub struct Board {
@@ -30,6 +41,7 @@ pub struct Board {
     pub indicators: (ErasedPin<Output>, ErasedPin<Output>),
     pub settings_flash: SettingsFlash,
     pub watchdog: IndependentWatchdog,
+    pub io: IoBoard,
 }
 
 impl Board {
@@ -57,10 +69,22 @@ impl Board {
         let alarm = Alarm::new(chip.TIM2, &mut rcc);
         // Before the pins are assigned, so that they do not glitch.
         CAN1::enable(&mut rcc);
-        let can_pins = pins::can(chip.GPIOB, &mut rcc);
-        let indicators = pins::indicators(chip.GPIOD, &mut rcc);
+        let ports = Ports { a: chip.GPIOA, b: chip.GPIOB, c: chip.GPIOC, d: chip.GPIOD };
+        let pins = Pins::new(ports, &mut rcc);
         let settings_flash = SettingsFlash::new(chip.FLASH, supply);
-        Self { rcc, alarm, can: chip.CAN1, can_pins, indicators, settings_flash, watchdog }
+        Self {
+            #[cfg(feature = "io")]
+            io: IoBoard::new(pins.io, chip.ADC1, chip.TIM5, &mut rcc),
+            #[cfg(not(feature = "io"))]
+            io: (),
+            rcc,
+            alarm,
+            can: chip.CAN1,
+            can_pins: pins.can,
+            indicators: pins.indicators,
+            settings_flash,
+            watchdog,
+        }
     }
 }
 

@@ -1,12 +1,18 @@
 //! The part of the product that also runs on a computer: its identity, its defaults and its application. Tools and
 //! tests take them from here, such as `cargo xtask eds` for the electronic data sheet.
 
-#![no_std]
+#![cfg_attr(not(test), no_std)]
 
+#[cfg(not(feature = "io"))]
 pub mod application;
 pub mod device;
+#[cfg(feature = "io")]
+pub mod io;
 
+#[cfg(not(feature = "io"))]
 pub use application::Application;
+#[cfg(feature = "io")]
+pub use io::Application;
 
 use lss_slave::{Device, lss::Address};
 

@@ -10,6 +10,8 @@ mod clock;
 mod crystal;
 mod fault;
 mod flash;
+#[cfg(feature = "io")]
+mod io_board;
 mod memory;
 mod pins;
 mod roll_call;
@@ -46,7 +48,7 @@ mod app {
     };
 
     use crate::{
-        board::{self, Board},
+        board::{self, Board, IoBoard},
         can::Controller,
         fault,
         flash::SettingsFlash,
@@ -64,6 +66,7 @@ mod app {
         log: Log<SettingsFlash>,
         indicators: (ErasedPin<Output>, ErasedPin<Output>),
         watchdog: IndependentWatchdog,
+        io: IoBoard,
     }
 
     #[init]
@@ -82,10 +85,10 @@ mod app {
         if found == Found::Damaged {
             runner.handle_fault(Fault::SettingsLost);
         }
-        let Board { indicators, mut watchdog, .. } = board;
+        let Board { indicators, mut watchdog, io, .. } = board;
         // The start may have erased a sector, so the first roll call comes later.
         watchdog.feed();
-        (Shared { runner }, Local { log, indicators, watchdog })
+        (Shared { runner }, Local { log, indicators, watchdog, io })
     }
 
     /// Sleeps; the debugger can still read the log.
@@ -141,6 +144,17 @@ mod app {
             roll_call::begin();
             cx.shared.runner.lock(Runner::supervise);
         }
+    }
+
+    /// Samples the inputs of the example `io` and lights its LEDs.
+    #[cfg(feature = "io")]
+    #[task(binds = TIM5, local = [io], shared = [runner], priority = 2)]
+    fn sample(mut cx: sample::Context) {
+        let sample = cx.local.io.sample();
+        let filter = &mut cx.local.io.filter;
+        let outputs =
+            cx.shared.runner.lock(|runner| runner.application(|io| io.step(sample, filter)));
+        cx.local.io.light(outputs);
     }
 
     /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store

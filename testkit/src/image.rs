@@ -4,7 +4,7 @@ use std::{
     env, error, fmt,
     path::Path,
     process::{Command, Output, Stdio},
-    sync::{OnceLock, mpsc},
+    sync::{Mutex, OnceLock, mpsc},
     thread,
     time::Duration,
 };
@@ -49,7 +49,15 @@ pub fn image() -> &'static Image {
 /// # Errors
 /// The message of `cargo`. A missing compilation target is first installed with `rustup`.
 pub fn build(part: Part) -> Result<Image, BuildError> {
-    build_with(part, || cargo_build(part))
+    build_with(part, || cargo_build(part, &[]))
+}
+
+/// Builds the release firmware for `part` with an example of an application, a feature of the firmware.
+///
+/// # Errors
+/// The same as for [`build`].
+pub fn build_example(part: Part, example: &str) -> Result<Image, BuildError> {
+    build_with(part, || cargo_build(part, &[example]))
 }
 
 /// Builds the release firmware for `part` from a copy of its sources in `directory`, with the `target` directory there.
@@ -58,13 +66,16 @@ pub fn build(part: Part) -> Result<Image, BuildError> {
 /// The same as for [`build`].
 pub fn build_in(directory: &Path, part: Part) -> Result<Image, BuildError> {
     build_with(part, || {
-        let mut command = cargo_build(part);
+        let mut command = cargo_build(part, &[]);
         command.current_dir(directory).arg("--target-dir").arg(directory.join("target"));
         command
     })
 }
 
 fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildError> {
+    // All images of the part have one path.
+    static BUILDING: Mutex<()> = Mutex::new(());
+    let _building = BUILDING.lock();
     let mut output = run_with_notice(&mut command(), part)?;
     if !output.status.success() && stderr(&output).contains("target may not be installed") {
         add_target()?;
@@ -80,7 +91,7 @@ fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildE
     Image::load(path).map_err(BuildError::Image)
 }
 
-fn cargo_build(part: Part) -> Command {
+fn cargo_build(part: Part, features: &[&str]) -> Command {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
     let mut command = Command::new(cargo);
@@ -89,7 +100,7 @@ fn cargo_build(part: Part) -> Command {
         .args(["build", "--package", "lss-slave-firmware", "--release", "--target", TARGET])
         .args([
             "--features",
-            part.name(),
+            &[&[part.name()], features].concat().join(","),
             "--bin",
             "lss-slave",
             "--message-format",

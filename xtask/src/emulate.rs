@@ -1,6 +1,7 @@
 //! `cargo emulate`: boards in real time, and their CAN bus as SLCAN adapters over TCP.
 
 mod client;
+mod console;
 mod memory;
 mod pace;
 mod slcan;
@@ -23,6 +24,7 @@ use lss_slave::{BitRate, NodeId, Settings};
 
 use crate::boards;
 use client::{Client, ClientId, Input};
+use console::Leds;
 use memory::Memory;
 use pace::Pace;
 
@@ -60,9 +62,19 @@ pub struct Arguments {
     /// Bit rate in kbit/s of a board without stored settings
     #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
     bit_rate: Option<BitRate>,
+    /// Run an example of an application: io, which takes commands from the standard input
+    #[arg(long)]
+    example: Option<Example>,
     /// The chip on the boards
     #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
     chip: Part,
+}
+
+/// An application that the firmware has in place of `src/application.rs`.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Example {
+    /// Digital and analogue I/O, `src/io.rs`
+    Io,
 }
 
 /// The node-ID of the first board; `None`: the boards are stored as unconfigured.
@@ -121,7 +133,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let presets = (0..usize::from(arguments.boards))
         .map(|number| arguments.preset(number))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let image = testkit::image::build(arguments.chip)?;
+    let image = match arguments.example {
+        None => testkit::image::build(arguments.chip)?,
+        Some(Example::Io) => testkit::image::build_example(arguments.chip, "io")?,
+    };
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);
@@ -134,10 +149,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     memory.save(&network)?;
 
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
-    let stop = sender.clone();
+    let (stop, console_sender) = (sender.clone(), sender.clone());
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
     client::accept(listener, sender);
     println!("ready: SLCAN on {address}; {}", describe(&network));
+    if arguments.example.is_some() {
+        println!("commands:\n{}", console::HELP);
+        console::read(console_sender);
+    }
     serve(&mut network, &inputs, &mut memory, arguments.bit_rate.unwrap_or(DEFAULT_BIT_RATE))
 }
 
@@ -164,6 +183,7 @@ fn serve(
     let bit_rate = u32::from(bit_rate.kbit_per_s()) * 1000;
     let mut clients: BTreeMap<ClientId, Client> = BTreeMap::new();
     let mut unused = Vec::new();
+    let mut leds = Leds::default();
     let mut pace = Pace::new(network.now());
     loop {
         let first = inputs.recv_timeout(TICK);
@@ -171,6 +191,7 @@ fn serve(
         for client in clients.values_mut() {
             client.deliver(network);
         }
+        leds.show(network);
         memory.save(network)?;
         // Take all waiting inputs: on a busy computer each run takes long.
         for input in first.into_iter().chain(inputs.try_iter().take(client::WAITING)) {
@@ -187,6 +208,11 @@ fn serve(
                 Input::Gone(id) => {
                     if let Some(client) = clients.remove(&id) {
                         unused.push(client.leave(network));
+                    }
+                }
+                Input::Console(line) => {
+                    if let Err(error) = console::execute(&line, network) {
+                        eprintln!("{error}");
                     }
                 }
                 Input::Stop => return memory.save(network),

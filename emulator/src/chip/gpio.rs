@@ -145,6 +145,11 @@ impl Gpio {
         self.ports[port_index(pin)].outputs[usize::from(pin.1)]
     }
 
+    /// The level on `pin`, as its input register shows it. Panics if the part has no such pin.
+    pub fn level(&self, pin: Pin) -> bool {
+        self.ports[port_index(pin)].input(pin.1.into())
+    }
+
     /// Connects `pin` to an external level, or leaves it open. Panics if the part has no such pin.
     pub fn set_input(&mut self, pin: Pin, level: Option<bool>) {
         self.ports[port_index(pin)].outside[usize::from(pin.1)] = level;

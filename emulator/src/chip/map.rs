@@ -116,7 +116,13 @@ impl Block {
     pub const fn on_apb(self) -> bool {
         matches!(
             self,
-            Self::Timer(_) | Self::Iwdg | Self::Can1 | Self::Adc | Self::Pwr | Self::Syscfg | Self::Exti
+            Self::Timer(_)
+                | Self::Iwdg
+                | Self::Can1
+                | Self::Adc
+                | Self::Pwr
+                | Self::Syscfg
+                | Self::Exti
         )
     }
 }

@@ -33,6 +33,8 @@ pub enum Input {
     Line(ClientId, Vec<u8>),
     /// It has disconnected.
     Gone(ClientId),
+    /// A line on the standard input.
+    Console(String),
     /// Ctrl-C.
     Stop,
 }

@@ -1,0 +1,71 @@
+//! The inputs and outputs of the example `io`: a button, two LEDs and the temperature sensor of the chip.
+
+use lss_slave_firmware::io::{Filter, Sample};
+use stm32f4xx_hal::{
+    Listen,
+    adc::{
+        Adc, Temperature,
+        config::{AdcConfig, SampleTime},
+    },
+    gpio::{ErasedPin, Input, Output},
+    pac::{ADC1, TIM5},
+    rcc::Rcc,
+    signature::{VtempCal30, VtempCal110},
+    timer::{CounterHz, Event, TimerExt},
+};
+
+/// The pins of the I/O.
+pub struct IoPins {
+    pub button: ErasedPin<Input>,
+    /// Whether the pressed button connects its pin to ground.
+    pub is_button_active_low: bool,
+    /// The LEDs for the bits of 6200h.
+    pub leds: [ErasedPin<Output>; 2],
+}
+
+/// The I/O of the board, sampled 100 times a second.
+pub struct IoBoard {
+    pins: IoPins,
+    adc: Adc<ADC1>,
+    timer: CounterHz<TIM5>,
+    pub filter: Filter,
+}
+
+/// The supply at which the factory has calibrated the sensor (data sheet).
+const CALIBRATION_MV: i32 = 3_300;
+
+impl IoBoard {
+    /// Starts the timer, whose interrupt asks for the samples, and the converter.
+    pub fn new(pins: IoPins, adc: ADC1, timer: TIM5, rcc: &mut Rcc) -> Self {
+        let mut adc = Adc::new(adc, true, AdcConfig::default(), rcc);
+        adc.enable_temperature_and_vref();
+        let mut timer = timer.counter_hz(rcc);
+        timer.listen(Event::Update);
+        // The period fits the timer.
+        let _ = timer.start(stm32f4xx_hal::time::Hertz::from_raw(100));
+        Self { pins, adc, timer, filter: Filter::default() }
+    }
+
+    /// Reads the inputs, which takes 25 us.
+    pub fn sample(&mut self) -> Sample {
+        let _ = self.timer.wait();
+        let is_pressed = self.pins.button.is_low() == self.pins.is_button_active_low;
+        Sample { is_pressed, temperature: self.temperature() }
+    }
+
+    /// The temperature in 0.1 degrees Celsius, on the line through the factory's values at 30 and 110 degrees.
+    fn temperature(&mut self) -> i16 {
+        let sample = self.adc.convert(&Temperature, SampleTime::Cycles_480);
+        let at_3300_mv = i32::from(sample) * self.adc.reference_voltage() as i32 / CALIBRATION_MV;
+        let (at_30, at_110) = (VtempCal30::get().read(), VtempCal110::get().read());
+        let slope = (i32::from(at_110) - i32::from(at_30)).max(1);
+        (300 + 800 * (at_3300_mv - i32::from(at_30)) / slope) as i16
+    }
+
+    /// Lights the LEDs for the set bits.
+    pub fn light(&mut self, outputs: u8) {
+        for (number, led) in self.pins.leds.iter_mut().enumerate() {
+            led.set_state((outputs >> number & 1 == 1).into());
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! The console of `cargo emulate --example io`: presses the button, sets the temperature, and shows the LEDs.
+
+use std::{io, thread};
+
+use anyhow::{Context, bail};
+use emulator::{
+    board::Board,
+    chip::{Part, Pin},
+    network::Network,
+};
+
+use super::client::Input;
+
+/// The commands, for a person.
+pub const HELP: &str = "button down|up [BOARD]        press or release the button\n\
+     temperature CELSIUS [BOARD]   set the temperature of the chip";
+
+/// The pins of the example on the board with this chip, as `src/pins.rs` of the firmware assigns them.
+struct Wiring {
+    button: Pin,
+    is_button_active_low: bool,
+    leds: [Pin; 2],
+}
+
+const fn wiring(part: Part) -> Wiring {
+    match part {
+        Part::Stm32f446 => Wiring {
+            button: Pin('C', 13),
+            is_button_active_low: true,
+            leds: [Pin('A', 5), Pin('D', 15)],
+        },
+        _ => Wiring {
+            button: Pin('A', 0),
+            is_button_active_low: false,
+            leds: [Pin('D', 13), Pin('D', 15)],
+        },
+    }
+}
+
+/// Passes the lines of the standard input on, in the background.
+pub fn read(inputs: std::sync::mpsc::SyncSender<Input>) {
+    thread::spawn(move || {
+        for line in io::stdin().lines().map_while(Result::ok) {
+            if inputs.send(Input::Console(line)).is_err() {
+                return;
+            }
+        }
+    });
+}
+
+/// Carries out a command.
+///
+/// # Errors
+/// It is none, with a list of those that are.
+pub fn execute(line: &str, network: &mut Network) -> anyhow::Result<()> {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    match words[..] {
+        [] => Ok(()),
+        ["button", position @ ("down" | "up"), ref number @ ..] => {
+            press(board(network, number)?, position == "down");
+            Ok(())
+        }
+        ["temperature", celsius, ref number @ ..] => {
+            let celsius = celsius.parse().ok().filter(|celsius| (-40..=125).contains(celsius));
+            let celsius = celsius.context("CELSIUS is a whole number from -40 to 125")?;
+            board(network, number)?.chip().adc_mut().analogue.temperature = celsius;
+            Ok(())
+        }
+        _ => bail!("the commands are:\n{HELP}"),
+    }
+}
+
+fn board<'a>(network: &'a mut Network, number: &[&str]) -> anyhow::Result<&'a mut Board> {
+    let number: usize = match number {
+        [] => 0,
+        [number] => number.parse().context("BOARD is a number, 0 for the first")?,
+        _ => bail!("the commands are:\n{HELP}"),
+    };
+    let count = network.boards().len();
+    if number >= count {
+        bail!("there is no board {number}: the last one is {}", count.saturating_sub(1));
+    }
+    Ok(network.board_mut(number))
+}
+
+fn press(board: &mut Board, is_pressed: bool) {
+    let mut chip = board.chip();
+    let Wiring { button, is_button_active_low, .. } = wiring(chip.part());
+    chip.gpio_mut().set_input(button, Some(is_pressed != is_button_active_low));
+}
+
+/// The LEDs of the boards, as last shown.
+#[derive(Default)]
+pub struct Leds(Vec<[bool; 2]>);
+
+impl Leds {
+    /// Prints the LEDs that have changed.
+    pub fn show(&mut self, network: &Network) {
+        self.0.resize(network.boards().len(), [false; 2]);
+        for (number, shown) in self.0.iter_mut().enumerate() {
+            let chip = network.board(number).chip();
+            let lit =
+                wiring(chip.part()).leds.map(|pin| chip.gpio().output(pin).level == Some(true));
+            if *shown != lit {
+                let [first, second] = lit.map(|is_lit| if is_lit { "on" } else { "off" });
+                println!("board {number}: LED 1 {first}, LED 2 {second}");
+                *shown = lit;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use testkit::image;
+
+    use super::*;
+    use crate::boards;
+
+    fn network() -> Network {
+        let mut network = Network::new();
+        network.add_board(boards::board(Part::Stm32f405, image::image(), 0));
+        network
+    }
+
+    #[test]
+    fn commands_reach_the_pins_of_the_board() {
+        let mut network = network();
+        for (line, level) in [("button down", true), (" button  up 0 ", false)] {
+            execute(line, &mut network).expect("a command");
+            assert_eq!(network.board(0).chip().gpio().level(Pin('A', 0)), level, "{line}");
+        }
+        execute("temperature -10", &mut network).expect("a command");
+        assert_eq!(network.board(0).chip().adc_mut().analogue.temperature, -10);
+        execute("", &mut network).expect("an empty line does nothing");
+    }
+
+    #[test]
+    fn what_is_no_command_is_refused_with_help() {
+        let mut network = network();
+        for (line, why) in [
+            ("help", "the commands are"),
+            ("button", "the commands are"),
+            ("button pressed", "the commands are"),
+            ("button down 0 0", "the commands are"),
+            ("button down 1", "there is no board 1"),
+            ("button down first", "BOARD is a number"),
+            ("temperature hot", "CELSIUS"),
+            ("temperature 200", "CELSIUS"),
+        ] {
+            let error = execute(line, &mut network).expect_err(line);
+            assert!(error.to_string().contains(why), "{line}: {error}");
+        }
+    }
+}
