@@ -294,45 +294,49 @@ fn proven_board() -> ImageRig {
     bench
 }
 
-/// Asserts that heartbeats come while `disturb` is repeated for 10 s. Those of a plain slave are up to 155 ms apart.
-fn assert_stays_audible(mut bench: ImageRig, what: &str, disturb: impl Fn(&mut ImageRig)) {
-    const LIMIT: Time = Time::from_ms(200);
+/// The times without a heartbeat while `disturb` is repeated for 20 s. Heartbeats of a plain slave are up to 155 ms
+/// apart.
+fn gaps(mut bench: ImageRig, disturb: impl Fn(&mut ImageRig)) -> Vec<Time> {
     let mut heard = bench.network.now();
-    let end = heard + Time::from_s(10);
+    let end = heard + Time::from_s(20);
+    let mut gaps = Vec::new();
     while bench.network.now() < end {
         disturb(&mut bench);
         while let Some((time, frame)) = bench.network.receive(bench.master) {
             if frame.id == Id::Standard(0x701) {
-                assert!(time <= heard + LIMIT, "{what}: no heartbeat for {:?}", time - heard);
+                gaps.push(time - heard);
                 heard = time;
             }
         }
-        let now = bench.network.now();
-        assert!(now <= heard + LIMIT * 2, "{what}: no heartbeat for {:?}", now - heard);
     }
+    gaps.push(bench.network.now() - heard);
+    gaps.retain(|&gap| gap > Time::from_ms(200));
+    gaps
 }
 
 #[test]
 fn a_flapping_short_circuit_does_not_silence_a_proven_board() {
     for (short_ms, free_ms) in [(20, 40), (20, 200), (40, 40)] {
-        let what = format!("a short circuit of {short_ms} ms every {} ms", short_ms + free_ms);
-        assert_stays_audible(proven_board(), &what, |bench| {
+        let gaps = gaps(proven_board(), |bench| {
             bench.network.set_short(Some(Short::Dominant));
             bench.network.run_for(Time::from_ms(short_ms));
             bench.network.set_short(None);
             bench.network.run_for(Time::from_ms(free_ms));
         });
+        assert!(gaps.is_empty(), "{short_ms} ms every {} ms: {gaps:?}", short_ms + free_ms);
     }
 }
 
 #[test]
-fn lasting_noise_does_not_silence_a_proven_board() {
+fn lasting_noise_silences_a_proven_board_at_most_once() {
     for ms in [5, 20, 100] {
         let mut bench = proven_board();
         let (mean_interval, length) = (Time::from_ms(ms), Time::from_us(10));
         bench.network.set_noise(Some(Noise { seed: 3, mean_interval, length }));
-        let what = format!("a pulse every {ms} ms");
-        assert_stays_audible(bench, &what, |bench| bench.network.run_for(Time::from_ms(100)));
+        let gaps = gaps(bench, |bench| bench.network.run_for(Time::from_ms(100)));
+        // A master at another rate looks the same, so the board searches once.
+        let is_one_search = matches!(gaps[..], [gap] if gap < Time::from_ms(1_700));
+        assert!(gaps.is_empty() || is_one_search, "a pulse every {ms} ms: {gaps:?}");
     }
 }
 
