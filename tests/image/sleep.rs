@@ -7,7 +7,7 @@ use emulator::{
 use lss_slave::BitRate;
 use testkit::{
     frames,
-    image_rig::{ImageRig, on_the_wire, settings},
+    image_rig::{ImageRig, bit_per_s, on_the_wire, settings},
 };
 
 /// The share of time asleep while `act` lasts, in thousandths of a percent.
@@ -44,8 +44,7 @@ fn an_idle_board_is_asleep_for_more_than_99_5_percent_of_the_time() {
 fn a_bus_full_of_foreign_frames_wakes_the_core_no_more_often() {
     for bit_rate in [BitRate::Kbit1000, BitRate::Kbit10] {
         let mut bench = node_40(bit_rate);
-        let other =
-            bench.network.add_adapter(Adapter::new(u32::from(bit_rate.kbit_per_s()) * 1000));
+        let other = bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
         let what = format!("a full bus of foreign frames, {} kbit/s", bit_rate.kbit_per_s());
         let share = share_asleep(&mut bench, &what, |bench| {
             let until = bench.network.now() + Time::from_s(3);
