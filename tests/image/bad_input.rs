@@ -193,7 +193,7 @@ fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
         board.set_flash(SETTINGS_OFFSET, &garbage);
         let mut bench = ImageRig::new(DEFAULT_BIT_RATE, [board]);
         let log = bench.network.board(0).log();
-        let why = "the settings in flash are damaged; using the defaults";
+        let why = "the settings in the flash are damaged; using the defaults";
         assert!(log.iter().any(|line| line.level == "error" && line.text == why), "{log:#?}");
         assert_eq!(bench.lss("4C"), ["50"]);
         bench.lss("04 01");
@@ -222,7 +222,7 @@ fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
     let mut bench = ImageRig::new(BitRate::Kbit1000, [board]);
     assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
     let log = bench.network.board(0).log();
-    let why = "an incomplete or unknown record behind the last store; using that store";
+    let why = "a store was interrupted or its record is unknown; using the settings before it";
     assert!(log.iter().any(|line| line.level == "warn" && line.text == why), "{log:#?}");
 }
 
@@ -294,5 +294,6 @@ fn a_board_that_is_driven_bus_off_recovers_and_reports_it() {
     let answers = bench.lss("5E");
     assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40")));
     let log = bench.network.board(0).log();
-    assert!(log.iter().any(|line| line.level == "error" && line.text == "CAN: bus-off"));
+    let mut errors = log.iter().filter(|line| line.level == "error");
+    assert!(errors.any(|line| line.text.starts_with("CAN: bus-off")));
 }
