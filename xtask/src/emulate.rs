@@ -42,7 +42,7 @@ const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Number of boards on the bus
+    /// Number of boards on the bus: 1..=127
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=127))]
     boards: u8,
     /// Address on which to wait for CAN programs
@@ -54,7 +54,7 @@ pub struct Arguments {
     /// Node-ID of a board without stored settings: 1..=127, counting up from board to board; or none
     #[arg(long, value_name = "ID|none", value_parser = node_id)]
     node_id: Option<FirstNodeId>,
-    /// Bit rate in kbit/s of a board without stored settings
+    /// Bit rate in kbit/s of a board without stored settings; 125 if only --node-id is given
     #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
     bit_rate: Option<BitRate>,
     /// The chip on the boards

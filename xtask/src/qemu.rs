@@ -52,6 +52,7 @@ impl Seen {
 /// Run a session on QEMU's CPU and on the emulator's, and check that they agree
 ///
 /// QEMU runs the release image with the emulator's peripherals and bus as a plugin. Both must produce the same frames.
+/// Needs `qemu-system-arm` 7.2 to 10.0.
 #[derive(clap::Args)]
 pub struct Arguments;
 

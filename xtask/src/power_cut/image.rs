@@ -185,7 +185,7 @@ fn session(
     if is_powered {
         outcome?;
     }
-    ensure!(is_powered == cut.is_none(), "the power fails if and only if it is cut");
+    ensure!(is_powered == cut.is_none(), "the power failed without a cut, or not at the cut");
     Ok(rig)
 }
 
@@ -193,7 +193,7 @@ fn session(
 fn check(part: Part, image: &Image, content: &[u8], mut expected: Expected) -> anyhow::Result<()> {
     let Expected { known, attempted } = expected;
     let mut rig = Rig::new(part, image, content);
-    ensure!(rig.boot()?, "no power");
+    ensure!(rig.boot()?, "the power failed during the boot");
     let found = rig.found()?;
     ensure!(
         expected.admits(found),
@@ -275,9 +275,9 @@ impl Rig {
 
     /// Power-on and all commissionings. A power failure is an error.
     fn commission_all(&mut self, expected: &mut Expected) -> anyhow::Result<()> {
-        ensure!(self.boot()?, "no power");
+        ensure!(self.boot()?, "the power failed during the boot");
         let found = self.found()?;
-        ensure!(expected.admits(found), "at power-on there is {}", Named(found));
+        ensure!(expected.admits(found), "the board has {} at power-on", Named(found));
         for commissioning in COMMISSIONINGS {
             expected.attempt(settings(commissioning));
             self.commission(commissioning)?;
@@ -322,7 +322,7 @@ impl Rig {
 pub fn worst_answer_time(part: Part, image: &Image) -> anyhow::Result<Time> {
     let stored = flash_with(&[settings(LAST_COMMISSIONING)]);
     let mut rig = Rig::new(part, image, &stored);
-    ensure!(rig.boot()?, "no power");
+    ensure!(rig.boot()?, "the power failed during the boot");
     rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
     rig.request(Request::SwitchToConfiguration);
     // It looks like an answer, with the COB-ID of requests: of lower priority than answers, examined and ignored.
