@@ -165,7 +165,7 @@ fn without_a_delay_boards_switch_and_send_at_once() {
 }
 
 #[test]
-fn the_longest_delay_is_kept_to_the_millisecond_and_the_watchdog_is_quiet() {
+fn the_longest_delay_is_kept_to_20_us_and_the_watchdog_is_quiet() {
     let mut bench = two_boards(BitRate::Kbit1000, 100);
     configure(&mut bench, BitRate::Kbit20);
     let t0 = activate(&mut bench, 0xFFFF);
