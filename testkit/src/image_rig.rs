@@ -98,15 +98,15 @@ impl ImageRig {
     pub fn new(bit_rate: BitRate, boards: impl IntoIterator<Item = board::Board>) -> Self {
         let mut network = Network::new();
         let master = network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
-        let mut bench = Self { network, master, bit_rate, expected_resets: Vec::new() };
+        let mut rig = Self { network, master, bit_rate, expected_resets: Vec::new() };
         for board in boards {
-            bench.network.add_board(board);
-            bench.expected_resets.push(vec![ResetCause::PowerOn]);
+            rig.network.add_board(board);
+            rig.expected_resets.push(vec![ResetCause::PowerOn]);
         }
-        for board in 0..bench.expected_resets.len() {
-            bench.boot(board, Time::ZERO);
+        for board in 0..rig.expected_resets.len() {
+            rig.boot(board, Time::ZERO);
         }
-        bench
+        rig
     }
 
     /// A single unconfigured board.
