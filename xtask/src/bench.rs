@@ -14,6 +14,7 @@ use sizes::Sizes;
 ///
 /// Each slave is built in the same harness and runs on an emulated Cortex-M4. docs/size-and-speed.md explains the tables.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {}
 
 /// The measurements of one slave.

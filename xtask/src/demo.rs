@@ -52,9 +52,9 @@ const PRE_OPERATIONAL: u8 = 0x7F;
 /// Show how a board is found, configured and power-cycled, frame by frame, on an emulated CAN bus
 ///
 /// The boards are emulated STM32F4s with the release firmware, one of them blank. The LSS master is the crate
-/// zencan-client.
-/// Fails if anything differs from CiA 305.
+/// zencan-client. Fails if anything differs from CiA 305.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Show every frame of the Fastscan, not only the start and end of its parts
     #[arg(long)]

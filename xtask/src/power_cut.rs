@@ -33,6 +33,7 @@ const INSTANTS_LONG: usize = 2_000;
 ///
 /// Fails if settings are lost.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// More power-ons in a history, and on the board two cuts in a row and more instants; takes some minutes
     #[arg(long)]

@@ -54,6 +54,7 @@ impl Seen {
 /// QEMU runs the release image with the emulator's peripherals and bus as a plugin. Both must produce the same frames.
 /// Needs `qemu-system-arm` 7.2 to 10.0.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments;
 
 /// Prints the session. Fails if the runs differ in anything but times.

@@ -20,6 +20,7 @@ use matrix::Reading;
 /// survive power cuts while it stores, and recover from bus-off. For each reading the table shows success or the first
 /// difference.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Leave out the longest sessions: power cuts, detection on a quiet bus, a rescue, three boards, more switches
     #[arg(long)]
