@@ -103,13 +103,13 @@ pub fn serial_number() -> u32 {
 fn log_reset_cause(rcc: &RCC) {
     let cause = rcc.csr().read();
     if cause.wdgrstf().bit_is_set() {
-        defmt::warn!("reset by the watchdog: a task hung");
+        defmt::warn!("reset by the watchdog: a task did not run in time");
     } else if crystal::has_failed() {
-        defmt::error!("reset because the crystal failed");
+        defmt::error!("reset because the crystal stopped");
     } else if cause.sftrstf().bit_is_set() {
-        defmt::info!("reset by software");
+        defmt::info!("reset by the firmware");
     } else {
-        defmt::info!("reset by power or by the reset pin");
+        defmt::info!("power-on, or reset by the pin");
     }
     rcc.csr().modify(|_, w| w.rmvf().set_bit());
 }

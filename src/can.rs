@@ -242,7 +242,10 @@ impl Controller {
             return;
         }
         if !self.queue.push(frame) {
-            defmt::warn!("CAN: too many frames wait, {=u16:#x} is lost", frame.cob_id());
+            defmt::warn!(
+                "CAN: the transmit queue is full, frame {=u16:#x} was dropped",
+                frame.cob_id()
+            );
         }
         self.fill_mailboxes();
     }
@@ -435,7 +438,7 @@ fn enter_initialization(can: &CAN1) -> bool {
         (0..INIT_READS).any(|_| can.msr().read().inak().bit_is_set())
     });
     if !is_there {
-        defmt::error!("CAN: the controller does not enter initialisation mode, will try again");
+        defmt::error!("CAN: the controller does not enter initialisation mode, trying again later");
     }
     is_there
 }

@@ -19,7 +19,9 @@ const HAS_FAILED: u32 = 0xC0FF_5709;
 pub fn start(rcc: &RCC) {
     rcc.cr().modify(|_, w| w.hsebyp().bit(CRYSTAL_IS_EXTERNAL_CLOCK).hseon().set_bit());
     if !board::comes_in_100_ms(|| rcc.cr().read().hserdy().bit_is_set()) {
-        defmt::error!("the crystal does not start, resetting");
+        defmt::error!(
+            "the crystal does not start, resetting: check it and CRYSTAL_IS_EXTERNAL_CLOCK in device.rs"
+        );
         SCB::sys_reset();
     }
     rcc.cr().modify(|_, w| w.csson().set_bit());

@@ -63,7 +63,7 @@ impl SettingsFlash {
         operation: impl FnOnce(&Self) -> Result<(), FlashError>,
     ) -> Result<(), FlashError> {
         if self.supply.is_low() {
-            defmt::error!("flash: the supply is too low to write");
+            defmt::error!("flash: not written, the supply is below 2.7 V");
             return Err(FlashError::Supply);
         }
         let flash = &self.registers;
@@ -98,9 +98,11 @@ impl SettingsFlash {
             return Ok(());
         }
         if status & WRITE_PROTECTED != 0 {
-            defmt::error!("flash: the sector is write-protected");
+            defmt::error!(
+                "flash: not written, the sector is write-protected; clear its protection in the option bytes"
+            );
         } else {
-            defmt::error!("flash: failed with FLASH_SR {=u32:#x}", status);
+            defmt::error!("flash: the operation failed with FLASH_SR {=u32:#x}", status);
         }
         Err(FlashError::Status(status))
     }

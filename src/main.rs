@@ -170,7 +170,7 @@ mod app {
         match outcome {
             Ok(()) => defmt::info!("settings stored"),
             Err(error) => {
-                defmt::error!("the settings are not stored, the old ones are kept: {}", error);
+                defmt::error!("the settings were not stored, the old ones stay: {}", error);
             }
         }
     }
@@ -180,25 +180,28 @@ mod app {
             Found::Complete => {}
             Found::Interrupted => {
                 defmt::warn!(
-                    "an incomplete or unknown record behind the last store; using that store"
+                    "a store was interrupted or its record is unknown; using the settings before it"
                 )
             }
             Found::Blank => defmt::info!("no settings stored yet; using the defaults"),
             Found::Damaged => {
-                defmt::error!("the settings in flash are damaged; using the defaults")
+                defmt::error!("the settings in the flash are damaged; using the defaults")
             }
             Found::MediumFailed(error) => {
-                defmt::error!("the flash fails, nothing can be stored: {}", error);
+                defmt::error!("the flash failed, a store may fail too: {}", error);
             }
         }
         let node_id = NodeId::to_lss(settings.node_id);
         match settings.bit_rate {
             BitRateSetting::Fixed(rate) => {
                 let kbit_per_s = rate.kbit_per_s();
-                defmt::info!("node-ID {=u8} (255 is none), {=u16} kbit/s", node_id, kbit_per_s);
+                defmt::info!("node-ID {=u8} (255: none), {=u16} kbit/s", node_id, kbit_per_s);
             }
             BitRateSetting::Automatic => {
-                defmt::info!("node-ID {=u8} (255 is none), listens for the bit rate", node_id);
+                defmt::info!(
+                    "node-ID {=u8} (255: none), listening until the bit rate is found",
+                    node_id
+                );
             }
         }
     }

@@ -70,7 +70,7 @@ impl Runner {
                 }
                 Received::Other => self.node.handle_bus(BusEvent::Received, clock::now()),
                 Received::Overrun => {
-                    defmt::warn!("CAN: overrun, a received frame is lost");
+                    defmt::warn!("CAN: overrun, a received frame was lost");
                     self.node.handle_bus(BusEvent::Overrun, clock::now());
                 }
             }
@@ -122,7 +122,9 @@ impl Runner {
         let was_passive = mem::replace(&mut self.was_passive, is_passive);
         match (before == BusState::BusOff, state == BusState::BusOff) {
             (false, true) => {
-                defmt::error!("CAN: bus-off");
+                defmt::error!(
+                    "CAN: bus-off, too many frames failed; check bit rate, wiring and termination"
+                );
                 self.node.handle_bus(BusEvent::BusOff, clock::now());
             }
             (true, false) => {
@@ -215,7 +217,7 @@ impl Runner {
         match action {
             Action::Transmit(frame) => self.can.transmit(frame),
             Action::SetNodeId(id) => {
-                defmt::info!("node-ID {=u8} (255 is none)", NodeId::to_lss(id));
+                defmt::info!("node-ID {=u8} (255: none)", NodeId::to_lss(id));
                 self.can.forget_all_but(lss::RESPONSE_COB_ID);
                 self.can.set_receives(self.node.receives());
             }
@@ -223,14 +225,14 @@ impl Runner {
                 self.can.stop_transmitting();
             }
             Action::SetBitRate(rate) => {
-                defmt::info!("bit rate {=u16} kbit/s", rate.kbit_per_s());
+                defmt::info!("CAN: at {=u16} kbit/s", rate.kbit_per_s());
                 self.can.set_bit_rate(rate);
             }
             Action::ResumeTransmitting => {
                 self.can.resume_transmitting();
             }
             Action::Listen(rate) => {
-                defmt::debug!("listening at {=u16} kbit/s", rate.kbit_per_s());
+                defmt::debug!("CAN: listening at {=u16} kbit/s", rate.kbit_per_s());
                 self.can.listen(rate);
             }
             Action::Store(settings) => {
@@ -238,7 +240,7 @@ impl Runner {
                 rtic::pend(Interrupt::USART1);
             }
             Action::ResetDevice => {
-                defmt::info!("NMT reset node");
+                defmt::info!("NMT reset node, resetting");
                 SCB::sys_reset();
             }
         }

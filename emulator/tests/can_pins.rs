@@ -18,23 +18,23 @@ const TX_IS_INPUT: u32 = 0b0010 << 16;
 /// 500 kbit/s on 16 MHz.
 const BTR: u32 = 0x001C_0001;
 
-struct Bench {
+struct PinRig {
     bus: Bus,
     chip: Chip,
     adapter: Adapter,
 }
 
-impl Bench {
+impl PinRig {
     /// A running chip with these pin modes, and an adapter.
     fn new(moder: u32, btr: u32) -> Self {
         let chip = Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
-        let mut bench = Self { bus: Bus::new(), chip, adapter: Adapter::new(500_000) };
-        bench.write(RCC_AHB1ENR, 1 << 1);
-        bench.write(RCC_APB1ENR, 1 << 25);
-        bench.write(GPIOB + 0x24, 0x99);
-        bench.write(GPIOB, moder);
-        bench.start(btr);
-        bench
+        let mut rig = Self { bus: Bus::new(), chip, adapter: Adapter::new(500_000) };
+        rig.write(RCC_AHB1ENR, 1 << 1);
+        rig.write(RCC_APB1ENR, 1 << 25);
+        rig.write(GPIOB + 0x24, 0x99);
+        rig.write(GPIOB, moder);
+        rig.start(btr);
+        rig
     }
 
     fn start(&mut self, btr: u32) {
@@ -68,53 +68,53 @@ impl Bench {
 
 #[test]
 fn a_chip_acknowledges_only_by_a_pin_in_its_alternate_function() {
-    let mut bench = Bench::new(BOTH, BTR);
-    assert!(bench.is_heard());
+    let mut rig = PinRig::new(BOTH, BTR);
+    assert!(rig.is_heard());
     for moder in [TX_IS_OUTPUT, TX_IS_INPUT] {
-        bench.write(GPIOB, moder);
-        assert!(!bench.is_heard());
-        bench.write(GPIOB, BOTH);
-        bench.run(Time::from_ms(30));
-        assert!(bench.is_heard());
+        rig.write(GPIOB, moder);
+        assert!(!rig.is_heard());
+        rig.write(GPIOB, BOTH);
+        rig.run(Time::from_ms(30));
+        assert!(rig.is_heard());
     }
 }
 
 #[test]
 fn no_chip_joins_the_bus_without_a_receive_pin() {
-    let mut bench = Bench::new(0b1000 << 16, BTR);
-    assert!(!bench.is_heard());
-    bench.write(GPIOB, BOTH);
-    bench.adapter.close();
-    bench.run(Time::from_ms(1));
-    assert!(bench.is_heard());
+    let mut rig = PinRig::new(0b1000 << 16, BTR);
+    assert!(!rig.is_heard());
+    rig.write(GPIOB, BOTH);
+    rig.adapter.close();
+    rig.run(Time::from_ms(1));
+    assert!(rig.is_heard());
 }
 
 #[test]
 fn a_chip_that_only_listens_needs_no_pin_to_transmit() {
-    let mut bench = Bench::new(TX_IS_OUTPUT, 1 << 31 | BTR);
-    bench.is_heard();
-    assert_eq!(bench.chip.findings(), []);
-    let bench = Bench::new(TX_IS_OUTPUT, BTR);
-    assert_eq!(bench.chip.findings().len(), 1);
+    let mut rig = PinRig::new(TX_IS_OUTPUT, 1 << 31 | BTR);
+    rig.is_heard();
+    assert_eq!(rig.chip.findings(), []);
+    let rig = PinRig::new(TX_IS_OUTPUT, BTR);
+    assert_eq!(rig.chip.findings().len(), 1);
 }
 
 #[test]
 fn a_locked_transmit_pin_reaches_the_bus_only_in_its_alternate_function() {
     use emulator::can::bxcan::{Readings, TransmitLock};
-    let mut bench = Bench::new(TX_IS_OUTPUT, BTR);
+    let mut rig = PinRig::new(TX_IS_OUTPUT, BTR);
     let transmit_lock = Some(TransmitLock { every: 1, frame: 1 });
-    bench.chip.can1_mut().set_readings(Readings { transmit_lock, ..Readings::default() });
-    bench.write(RCC_APB1RSTR, 1 << 25);
-    bench.write(RCC_APB1RSTR, 0);
-    bench.start(1 << 31 | BTR);
-    bench.is_heard();
-    bench.adapter.close();
-    bench.run(Time::from_ms(1));
-    assert_eq!(bench.bus.level(), Level::Recessive);
-    bench.write(GPIOB, BOTH);
-    bench.run(Time::from_us(1));
-    assert_eq!(bench.bus.level(), Level::Dominant);
-    bench.write(GPIOB, TX_IS_INPUT);
-    bench.run(Time::from_us(1));
-    assert_eq!(bench.bus.level(), Level::Recessive);
+    rig.chip.can1_mut().set_readings(Readings { transmit_lock, ..Readings::default() });
+    rig.write(RCC_APB1RSTR, 1 << 25);
+    rig.write(RCC_APB1RSTR, 0);
+    rig.start(1 << 31 | BTR);
+    rig.is_heard();
+    rig.adapter.close();
+    rig.run(Time::from_ms(1));
+    assert_eq!(rig.bus.level(), Level::Recessive);
+    rig.write(GPIOB, BOTH);
+    rig.run(Time::from_us(1));
+    assert_eq!(rig.bus.level(), Level::Dominant);
+    rig.write(GPIOB, TX_IS_INPUT);
+    rig.run(Time::from_us(1));
+    assert_eq!(rig.bus.level(), Level::Recessive);
 }

@@ -30,21 +30,21 @@ const SER: u32 = 2;
 const STRT: u32 = 1 << 16;
 
 /// A chip and the time of its next access.
-struct Bench {
+struct FlashRig {
     chip: Chip,
     now: Time,
 }
 
-impl Bench {
+impl FlashRig {
     fn new(part: Part) -> Self {
         let crystal = Clock { hz: 8_000_000, ppm: 0 };
         Self { chip: Chip::new(part, crystal, [0; 12]), now: Time::ZERO }
     }
 
     fn unlocked(part: Part) -> Self {
-        let mut bench = Self::new(part);
-        bench.unlock();
-        bench
+        let mut rig = Self::new(part);
+        rig.unlock();
+        rig
     }
 
     fn unlock(&mut self) {
@@ -100,13 +100,13 @@ impl Bench {
 
 #[test]
 fn programming_clears_bits_and_never_sets_them() {
-    let mut bench = Bench::unlocked(Part::Stm32f405);
-    bench.program(0x4000, 0x00FF_1234);
-    assert!(bench.wait() >= Time::from_us(16));
-    bench.program(0x4000, 0xFF0F_FFF0);
-    bench.wait();
-    assert_eq!(bench.flash(0x4000), 0x000F_1230);
-    assert_eq!(bench.read(SR), 0);
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
+    rig.program(0x4000, 0x00FF_1234);
+    assert!(rig.wait() >= Time::from_us(16));
+    rig.program(0x4000, 0xFF0F_FFF0);
+    rig.wait();
+    assert_eq!(rig.flash(0x4000), 0x000F_1230);
+    assert_eq!(rig.read(SR), 0);
 }
 
 #[test]
@@ -120,11 +120,11 @@ fn an_erase_sets_its_sector_and_no_other() {
         (Part::Stm32f427, 16, 0x10_0000..0x10_4000),
         (Part::Stm32f427, 27, 0x1E_0000..0x20_0000),
     ] {
-        let mut bench = Bench::unlocked(part);
-        bench.chip.flash_mut().load(0, &vec![0; part.flash_size() as usize]);
-        bench.erase(number);
-        bench.wait();
-        let bytes = bench.chip.flash().bytes();
+        let mut rig = FlashRig::unlocked(part);
+        rig.chip.flash_mut().load(0, &vec![0; part.flash_size() as usize]);
+        rig.erase(number);
+        rig.wait();
+        let bytes = rig.chip.flash().bytes();
         for (offset, &byte) in bytes.iter().enumerate() {
             assert_eq!(byte == 0xFF, range.contains(&offset), "{part:?} {number} {offset:#x}");
         }
@@ -134,10 +134,10 @@ fn an_erase_sets_its_sector_and_no_other() {
 #[test]
 fn a_sector_that_the_part_lacks_is_a_sequence_error() {
     for (part, number) in [(Part::Stm32f405, 12), (Part::Stm32f446, 8), (Part::Stm32f427, 12)] {
-        let mut bench = Bench::unlocked(part);
-        bench.erase(number);
-        assert_eq!(bench.read(SR), PGSERR, "{part:?}");
-        assert_eq!(bench.chip.flash().operations(), 0);
+        let mut rig = FlashRig::unlocked(part);
+        rig.erase(number);
+        assert_eq!(rig.read(SR), PGSERR, "{part:?}");
+        assert_eq!(rig.chip.flash().operations(), 0);
     }
 }
 
@@ -149,69 +149,69 @@ fn times_follow_the_data_sheet() {
         (Timing::Worst, 1, 600),
         (Timing::Worst, 0, 800),
     ] {
-        let mut bench = Bench::unlocked(Part::Stm32f405);
-        bench.chip.flash_mut().set_timing(timing);
-        bench.set(CR, size << 8 | SER | 1 << 3 | STRT);
-        assert_eq!(bench.wait().as_ms(), ms, "{timing:?}");
+        let mut rig = FlashRig::unlocked(Part::Stm32f405);
+        rig.chip.flash_mut().set_timing(timing);
+        rig.set(CR, size << 8 | SER | 1 << 3 | STRT);
+        assert_eq!(rig.wait().as_ms(), ms, "{timing:?}");
     }
 }
 
 #[test]
 fn a_store_without_pg_or_in_the_wrong_width_is_reported_and_does_nothing() {
-    let mut bench = Bench::unlocked(Part::Stm32f405);
-    bench.set(0x0800_4000, 0);
-    assert_eq!((bench.read(SR), bench.flash(0x4000)), (PGSERR, u32::MAX));
-    bench.set(SR, PGSERR);
-    bench.set(CR, X32 | PG);
-    bench.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
-    assert_eq!((bench.read(SR), bench.flash(0x4000)), (PGPERR, u32::MAX));
-    bench.set(SR, PGPERR);
-    assert_eq!(bench.read(SR), 0);
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
+    rig.set(0x0800_4000, 0);
+    assert_eq!((rig.read(SR), rig.flash(0x4000)), (PGSERR, u32::MAX));
+    rig.set(SR, PGSERR);
+    rig.set(CR, X32 | PG);
+    rig.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
+    assert_eq!((rig.read(SR), rig.flash(0x4000)), (PGPERR, u32::MAX));
+    rig.set(SR, PGPERR);
+    assert_eq!(rig.read(SR), 0);
 }
 
 #[test]
 fn a_protected_sector_can_be_neither_programmed_nor_erased() {
-    let mut bench = Bench::unlocked(Part::Stm32f405);
-    bench.chip.flash_mut().protect_sectors(1 << 2);
-    assert_eq!(bench.read(OPTCR) >> 16, 0x0FFB);
-    bench.program(0x8000, 0);
-    assert_eq!(bench.read(SR), WRPERR);
-    bench.set(SR, WRPERR);
-    bench.erase(2);
-    assert_eq!(bench.read(SR), WRPERR);
-    bench.set(SR, WRPERR);
-    bench.program(0x4000, 0);
-    bench.wait();
-    assert_eq!((bench.flash(0x8000), bench.flash(0x4000)), (u32::MAX, 0));
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
+    rig.chip.flash_mut().protect_sectors(1 << 2);
+    assert_eq!(rig.read(OPTCR) >> 16, 0x0FFB);
+    rig.program(0x8000, 0);
+    assert_eq!(rig.read(SR), WRPERR);
+    rig.set(SR, WRPERR);
+    rig.erase(2);
+    assert_eq!(rig.read(SR), WRPERR);
+    rig.set(SR, WRPERR);
+    rig.program(0x4000, 0);
+    rig.wait();
+    assert_eq!((rig.flash(0x8000), rig.flash(0x4000)), (u32::MAX, 0));
 }
 
 #[test]
 fn a_wrong_key_is_a_bus_error_and_locks_until_reset() {
-    let mut bench = Bench::new(Part::Stm32f405);
-    assert_eq!(bench.write(KEYR, 0x4567_0124), Err(BusFault));
-    assert_eq!(bench.write(KEYR, 0x4567_0123), Err(BusFault));
-    assert_eq!(bench.write(KEYR, 0xCDEF_89AB), Err(BusFault));
-    assert_eq!(bench.read(CR), 1 << 31);
-    bench.chip.reset(ResetCause::Software, bench.now);
-    bench.set(KEYR, 0x4567_0123);
-    bench.set(KEYR, 0xCDEF_89AB);
-    assert_eq!(bench.read(CR), 0);
+    let mut rig = FlashRig::new(Part::Stm32f405);
+    assert_eq!(rig.write(KEYR, 0x4567_0124), Err(BusFault));
+    assert_eq!(rig.write(KEYR, 0x4567_0123), Err(BusFault));
+    assert_eq!(rig.write(KEYR, 0xCDEF_89AB), Err(BusFault));
+    assert_eq!(rig.read(CR), 1 << 31);
+    rig.chip.reset(ResetCause::Software, rig.now);
+    rig.set(KEYR, 0x4567_0123);
+    rig.set(KEYR, 0xCDEF_89AB);
+    assert_eq!(rig.read(CR), 0);
 }
 
 #[test]
 fn a_locked_control_register_keeps_its_value_and_the_write_is_found() {
-    let mut bench = Bench::new(Part::Stm32f405);
-    bench.set(CR, PG);
-    assert_eq!(bench.read(CR), 1 << 31);
-    assert_eq!(bench.chip.findings().len(), 1);
+    let mut rig = FlashRig::new(Part::Stm32f405);
+    rig.set(CR, PG);
+    assert_eq!(rig.read(CR), 1 << 31);
+    assert_eq!(rig.chip.findings().len(), 1);
 }
 
 #[test]
 fn a_write_that_locks_starts_nothing_and_is_found() {
-    let mut bench = Bench::unlocked(Part::Stm32f405);
-    bench.set(CR, 1 << 31 | X32 | SER | 1 << 3 | STRT);
-    assert_eq!(bench.read(CR), 1 << 31);
-    assert_eq!((bench.chip.flash().operations(), bench.chip.findings().len()), (0, 1));
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
+    rig.set(CR, 1 << 31 | X32 | SER | 1 << 3 | STRT);
+    assert_eq!(rig.read(CR), 1 << 31);
+    assert_eq!((rig.chip.flash().operations(), rig.chip.findings().len()), (0, 1));
 }
 
 #[test]
@@ -219,69 +219,69 @@ fn an_erase_behind_the_data_cache_is_found_unless_the_cache_is_reset() {
     const DCEN: u32 = 1 << 10;
     const DCRST: u32 = 1 << 12;
     for reset in [false, true] {
-        let mut bench = Bench::unlocked(Part::Stm32f405);
-        bench.set(ACR, DCEN);
-        bench.erase(1);
-        bench.wait();
-        bench.set(CR, 1 << 31);
+        let mut rig = FlashRig::unlocked(Part::Stm32f405);
+        rig.set(ACR, DCEN);
+        rig.erase(1);
+        rig.wait();
+        rig.set(CR, 1 << 31);
         if reset {
-            bench.set(ACR, 0);
-            bench.set(ACR, DCRST);
-            bench.set(ACR, 0);
-            bench.set(ACR, DCEN);
+            rig.set(ACR, 0);
+            rig.set(ACR, DCRST);
+            rig.set(ACR, 0);
+            rig.set(ACR, DCEN);
         }
-        bench.set(RCC_AHB1ENR, 1);
-        assert_eq!(bench.chip.findings().is_empty(), reset);
+        rig.set(RCC_AHB1ENR, 1);
+        assert_eq!(rig.chip.findings().is_empty(), reset);
     }
 }
 
 #[test]
 fn only_the_bank_that_works_stalls_its_readers() {
-    let mut bench = Bench::unlocked(Part::Stm32f427);
-    bench.erase(16);
-    let now = bench.now;
-    assert_eq!(bench.chip.stalled_until(0x0800_C000, now), None);
-    assert!(bench.chip.stalled_until(0x0810_0000, now).is_some());
-    assert_eq!(bench.chip.stalled_until(0x2000_0000, now), None);
+    let mut rig = FlashRig::unlocked(Part::Stm32f427);
+    rig.erase(16);
+    let now = rig.now;
+    assert_eq!(rig.chip.stalled_until(0x0800_C000, now), None);
+    assert!(rig.chip.stalled_until(0x0810_0000, now).is_some());
+    assert_eq!(rig.chip.stalled_until(0x2000_0000, now), None);
 }
 
 #[test]
 fn stuck_bits_survive_programming_and_erasing() {
-    let mut bench = Bench::unlocked(Part::Stm32f405);
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
     let stuck = StuckBits { offset: 0x4001, mask: 0x11, value: 0x01 };
-    bench.chip.flash_mut().add_stuck_bits(stuck);
-    bench.erase(1);
-    bench.wait();
-    assert_eq!(bench.flash(0x4000), 0xFFFF_EFFF);
-    bench.program(0x4000, 0);
-    bench.wait();
-    assert_eq!(bench.flash(0x4000), 0x0000_0100);
+    rig.chip.flash_mut().add_stuck_bits(stuck);
+    rig.erase(1);
+    rig.wait();
+    assert_eq!(rig.flash(0x4000), 0xFFFF_EFFF);
+    rig.program(0x4000, 0);
+    rig.wait();
+    assert_eq!(rig.flash(0x4000), 0x0000_0100);
 }
 
 #[test]
 fn a_failing_erase_leaves_other_than_blank_without_a_flag() {
-    let mut bench = Bench::unlocked(Part::Stm32f405);
-    bench.chip.flash_mut().load(0x4000, &[0; 0x4000]);
-    bench.chip.flash_mut().fail_erases(1, 0);
-    bench.erase(1);
-    bench.wait();
-    let sector = |bench: &Bench| bench.chip.flash().bytes()[0x4000..0x8000].to_vec();
-    assert!(sector(&bench).iter().any(|&byte| byte != 0xFF));
-    assert_eq!(bench.read(SR), 0);
-    bench.erase(1);
-    bench.wait();
-    assert!(sector(&bench).iter().all(|&byte| byte == 0xFF));
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
+    rig.chip.flash_mut().load(0x4000, &[0; 0x4000]);
+    rig.chip.flash_mut().fail_erases(1, 0);
+    rig.erase(1);
+    rig.wait();
+    let sector = |rig: &FlashRig| rig.chip.flash().bytes()[0x4000..0x8000].to_vec();
+    assert!(sector(&rig).iter().any(|&byte| byte != 0xFF));
+    assert_eq!(rig.read(SR), 0);
+    rig.erase(1);
+    rig.wait();
+    assert!(sector(&rig).iter().all(|&byte| byte == 0xFF));
 }
 
 #[test]
 fn a_failing_program_operation_leaves_a_bit_without_a_flag() {
-    let mut bench = Bench::unlocked(Part::Stm32f405);
-    bench.chip.flash_mut().fail_programs(1);
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
+    rig.chip.flash_mut().fail_programs(1);
     for (at, left) in [(0x4000_u32, 0x1234_5679), (0x4004, 0x1234_5678)] {
-        bench.program(at, 0x1234_5678);
-        bench.wait();
-        assert_eq!(bench.flash(at as usize), left);
-        assert_eq!(bench.read(SR), 0);
+        rig.program(at, 0x1234_5678);
+        rig.wait();
+        assert_eq!(rig.flash(at as usize), left);
+        assert_eq!(rig.read(SR), 0);
     }
 }
 
@@ -289,21 +289,21 @@ fn a_failing_program_operation_leaves_a_bit_without_a_flag() {
 fn a_power_cut_leaves_a_word_between_its_old_and_its_new_value() {
     let mut torn = 0;
     for seed in 0..200 {
-        let mut bench = Bench::unlocked(Part::Stm32f405);
-        bench.chip.flash_mut().cut_power(PowerCut { operation: 1, seed });
-        bench.program(0x4000, 0x1234_5678);
-        bench.wait();
-        bench.program(0x4004, 0x0F0F_0000);
-        let cut = bench.chip.next_event();
-        assert!(cut > bench.now && cut < bench.now + Time::from_us(17), "seed {seed}");
-        bench.chip.advance(cut);
-        assert_eq!(bench.chip.take_request(), Some(Request::PowerCut), "seed {seed}");
-        bench.chip.reset(ResetCause::PowerOn, cut);
-        assert_eq!(bench.flash(0x4000), 0x1234_5678, "seed {seed}");
-        let word = bench.flash(0x4004);
+        let mut rig = FlashRig::unlocked(Part::Stm32f405);
+        rig.chip.flash_mut().cut_power(PowerCut { operation: 1, seed });
+        rig.program(0x4000, 0x1234_5678);
+        rig.wait();
+        rig.program(0x4004, 0x0F0F_0000);
+        let cut = rig.chip.next_event();
+        assert!(cut > rig.now && cut < rig.now + Time::from_us(17), "seed {seed}");
+        rig.chip.advance(cut);
+        assert_eq!(rig.chip.take_request(), Some(Request::PowerCut), "seed {seed}");
+        rig.chip.reset(ResetCause::PowerOn, cut);
+        assert_eq!(rig.flash(0x4000), 0x1234_5678, "seed {seed}");
+        let word = rig.flash(0x4004);
         assert_eq!(word & 0x0F0F_0000, 0x0F0F_0000, "seed {seed}");
         torn += u32::from(word != 0x0F0F_0000 && word != u32::MAX);
-        assert_eq!(bench.chip.next_event(), Time::MAX, "seed {seed}");
+        assert_eq!(rig.chip.next_event(), Time::MAX, "seed {seed}");
     }
     assert!(torn > 150, "{torn} of 200 words were torn");
 }
@@ -311,14 +311,14 @@ fn a_power_cut_leaves_a_word_between_its_old_and_its_new_value() {
 #[test]
 fn a_power_cut_in_an_erase_leaves_any_state_but_spares_other_sectors() {
     for seed in 0..20 {
-        let mut bench = Bench::unlocked(Part::Stm32f405);
-        let flash = bench.chip.flash_mut();
+        let mut rig = FlashRig::unlocked(Part::Stm32f405);
+        let flash = rig.chip.flash_mut();
         flash.load(0, &[0x5A; 0xC000]);
         flash.cut_power(PowerCut { operation: 0, seed });
-        bench.erase(1);
-        let cut = bench.chip.next_event();
-        bench.chip.reset(ResetCause::PowerOn, cut);
-        let bytes = bench.chip.flash().bytes();
+        rig.erase(1);
+        let cut = rig.chip.next_event();
+        rig.chip.reset(ResetCause::PowerOn, cut);
+        let bytes = rig.chip.flash().bytes();
         assert!(bytes[..0x4000].iter().all(|&byte| byte == 0x5A), "seed {seed}");
         assert!(bytes[0x8000..0xC000].iter().all(|&byte| byte == 0x5A), "seed {seed}");
         let sector = &bytes[0x4000..0x8000];
@@ -332,14 +332,14 @@ fn a_word_that_was_cut_flips_until_it_is_programmed_again() {
     let readings = Readings { cut_words_flip: true, ..Readings::default() };
     let crystal = Clock { hz: 8_000_000, ppm: 0 };
     let chip = Chip::with_readings(Part::Stm32f405, crystal, [0; 12], readings);
-    let mut bench = Bench { chip, now: Time::ZERO };
-    bench.unlock();
-    bench.chip.flash_mut().cut_power(PowerCut { operation: 0, seed: 100 });
-    bench.program(0x4000, 0x1234_5678);
+    let mut rig = FlashRig { chip, now: Time::ZERO };
+    rig.unlock();
+    rig.chip.flash_mut().cut_power(PowerCut { operation: 0, seed: 100 });
+    rig.program(0x4000, 0x1234_5678);
     let mut seen = BTreeSet::new();
     for _ in 0..50 {
-        bench.chip.reset(ResetCause::PowerOn, bench.now);
-        let word = bench.flash(0x4000);
+        rig.chip.reset(ResetCause::PowerOn, rig.now);
+        let word = rig.flash(0x4000);
         assert_eq!(word & 0x1234_5678, 0x1234_5678, "{word:#x}");
         seen.insert(word);
     }
@@ -347,68 +347,68 @@ fn a_word_that_was_cut_flips_until_it_is_programmed_again() {
         seen.len() > 10 && seen.contains(&0x1234_5678) && seen.contains(&u32::MAX),
         "{seen:x?}"
     );
-    bench.unlock();
-    bench.program(0x4000, 0x1234_5678);
-    bench.wait();
+    rig.unlock();
+    rig.program(0x4000, 0x1234_5678);
+    rig.wait();
     for _ in 0..20 {
-        bench.chip.reset(ResetCause::PowerOn, bench.now);
-        assert_eq!(bench.flash(0x4000), 0x1234_5678);
+        rig.chip.reset(ResetCause::PowerOn, rig.now);
+        assert_eq!(rig.flash(0x4000), 0x1234_5678);
     }
 }
 
 #[test]
 fn all_registers_but_the_keys_take_bytes_and_half_words() {
-    let mut bench = Bench::unlocked(Part::Stm32f405);
-    bench.set(ACR, 0x0700);
-    bench.store(ACR, Width::Byte, 5).expect("no bus error");
-    assert_eq!(bench.read(ACR), 0x0705);
-    bench.store(CR + 1, Width::Byte, 2).expect("no bus error");
-    bench.store(CR, Width::Byte, 1).expect("no bus error");
-    assert_eq!(bench.read(CR), X32 | PG);
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
+    rig.set(ACR, 0x0700);
+    rig.store(ACR, Width::Byte, 5).expect("no bus error");
+    assert_eq!(rig.read(ACR), 0x0705);
+    rig.store(CR + 1, Width::Byte, 2).expect("no bus error");
+    rig.store(CR, Width::Byte, 1).expect("no bus error");
+    assert_eq!(rig.read(CR), X32 | PG);
     // A byte store while PSIZE selects words.
-    bench.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
-    bench.set(CR, X32);
-    bench.set(0x0800_4000, 0);
-    assert_eq!(bench.read(SR), PGPERR | PGSERR);
-    bench.store(SR, Width::Half, PGPERR).expect("no bus error");
-    assert_eq!(bench.read(SR), PGSERR);
-    assert_eq!(bench.chip.findings(), []);
-    bench.store(KEYR, Width::Half, 0x0123).expect("no bus error");
-    assert_eq!(bench.chip.findings().len(), 1);
+    rig.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
+    rig.set(CR, X32);
+    rig.set(0x0800_4000, 0);
+    assert_eq!(rig.read(SR), PGPERR | PGSERR);
+    rig.store(SR, Width::Half, PGPERR).expect("no bus error");
+    assert_eq!(rig.read(SR), PGSERR);
+    assert_eq!(rig.chip.findings(), []);
+    rig.store(KEYR, Width::Half, 0x0123).expect("no bus error");
+    assert_eq!(rig.chip.findings().len(), 1);
 }
 
 #[test]
 fn option_bytes_hold_through_a_power_cycle() {
     const BOR_OFF: u32 = 0x0FFF_AAED;
     const BOR_LEVEL_3: u32 = 0x0FFF_AAE0;
-    let mut bench = Bench::new(Part::Stm32f405);
-    assert_eq!((bench.read(OPTCR), bench.read(0x1FFF_C000) & 0xFFFF), (BOR_OFF, 0xAAEF));
-    bench.set(OPTCR, BOR_LEVEL_3 | 2);
-    assert_eq!((bench.read(OPTCR), bench.chip.findings().len()), (BOR_OFF, 1), "locked");
-    bench.set(OPTKEYR, 0x0819_2A3B);
-    bench.set(OPTKEYR, 0x4C5D_6E7F);
+    let mut rig = FlashRig::new(Part::Stm32f405);
+    assert_eq!((rig.read(OPTCR), rig.read(0x1FFF_C000) & 0xFFFF), (BOR_OFF, 0xAAEF));
+    rig.set(OPTCR, BOR_LEVEL_3 | 2);
+    assert_eq!((rig.read(OPTCR), rig.chip.findings().len()), (BOR_OFF, 1), "locked");
+    rig.set(OPTKEYR, 0x0819_2A3B);
+    rig.set(OPTKEYR, 0x4C5D_6E7F);
     // Write protection of sector 1, too.
-    bench.set(OPTCR, BOR_LEVEL_3 & !(1 << 17));
-    bench.set(OPTCR, BOR_LEVEL_3 & !(1 << 17) | 2);
-    assert!(bench.wait() > Time::from_ms(100));
-    bench.chip.reset(ResetCause::PowerOn, bench.now);
-    assert_eq!(bench.read(OPTCR), BOR_LEVEL_3 & !(1 << 17) | 1);
-    assert_eq!((bench.read(0x1FFF_C000) & 0xFFFF, bench.read(0x1FFF_C008)), (0xAAE3, 0xFFFF_FFFD));
-    bench.unlock();
-    bench.program(0x4000, 0);
-    assert_eq!(bench.read(SR), WRPERR);
-    assert_eq!(bench.chip.findings().len(), 1);
+    rig.set(OPTCR, BOR_LEVEL_3 & !(1 << 17));
+    rig.set(OPTCR, BOR_LEVEL_3 & !(1 << 17) | 2);
+    assert!(rig.wait() > Time::from_ms(100));
+    rig.chip.reset(ResetCause::PowerOn, rig.now);
+    assert_eq!(rig.read(OPTCR), BOR_LEVEL_3 & !(1 << 17) | 1);
+    assert_eq!((rig.read(0x1FFF_C000) & 0xFFFF, rig.read(0x1FFF_C008)), (0xAAE3, 0xFFFF_FFFD));
+    rig.unlock();
+    rig.program(0x4000, 0);
+    assert_eq!(rig.read(SR), WRPERR);
+    assert_eq!(rig.chip.findings().len(), 1);
 }
 
 #[test]
 fn words_below_2_7_v_and_double_words_without_vpp_are_found() {
     let finds = |mv: u32, psize: u32| {
-        let mut bench = Bench::unlocked(Part::Stm32f405);
-        bench.chip.set_supply(mv);
-        bench.set(CR, psize << 8 | PG);
+        let mut rig = FlashRig::unlocked(Part::Stm32f405);
+        rig.chip.set_supply(mv);
+        rig.set(CR, psize << 8 | PG);
         let width = [Width::Byte, Width::Half, Width::Word, Width::Word][psize as usize];
-        bench.store(0x0800_4000, width, 0).expect("no bus error");
-        bench.chip.findings().len()
+        rig.store(0x0800_4000, width, 0).expect("no bus error");
+        rig.chip.findings().len()
     };
     let cases = [(3_300, 2, 0), (2_700, 2, 0), (2_699, 2, 1), (2_699, 1, 0), (2_000, 1, 1)];
     for (mv, psize, findings) in cases.into_iter().chain([(1_800, 0, 0), (3_300, 3, 1)]) {
@@ -420,11 +420,11 @@ fn words_below_2_7_v_and_double_words_without_vpp_are_found() {
 fn the_end_of_an_operation_interrupts_only_if_asked_to() {
     const EOPIE: u32 = 1 << 24;
     for enable in [0, EOPIE] {
-        let mut bench = Bench::unlocked(Part::Stm32f405);
-        bench.set(CR, X32 | PG | enable);
-        bench.set(0x0800_4000, 0);
-        bench.wait();
-        assert_eq!(bench.read(SR), u32::from(enable != 0));
-        assert_eq!(bench.chip.irqs() >> 4 & 1, u128::from(enable != 0));
+        let mut rig = FlashRig::unlocked(Part::Stm32f405);
+        rig.set(CR, X32 | PG | enable);
+        rig.set(0x0800_4000, 0);
+        rig.wait();
+        assert_eq!(rig.read(SR), u32::from(enable != 0));
+        assert_eq!(rig.chip.irqs() >> 4 & 1, u128::from(enable != 0));
     }
 }

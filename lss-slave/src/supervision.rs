@@ -75,6 +75,8 @@ pub(crate) struct Supervision {
     /// A frame was repeated at home for [`REPEAT_MICROS`] and only the acknowledge was missing: no other node takes
     /// part.
     is_alone: bool,
+    /// A search ended at home, and no frame was received since: lasting noise must not keep the node silent.
+    has_searched: bool,
     /// The rate before the latest switch, until the search has visited it.
     previous: Option<BitRate>,
     trusted_until: Option<Instant>,
@@ -203,6 +205,7 @@ impl Supervision {
             home,
             is_proven: false,
             is_alone: false,
+            has_searched: false,
             previous: None,
             trusted_until: None,
             doubted_until: None,
@@ -281,6 +284,7 @@ impl Supervision {
     pub const fn is_at_ease(&self) -> bool {
         self.is_at_home()
             && self.is_proven
+            && !self.has_searched
             && self.errors.count == 0
             && matches!(self.sending, Sending::Free)
     }
@@ -315,6 +319,7 @@ impl Supervision {
             self.step = Some(Step::TakePart(rate));
         }
         self.is_alone = false;
+        self.has_searched = false;
         self.home = rate;
         self.active = rate;
         self.enter(Place::Home);
@@ -366,11 +371,11 @@ impl Supervision {
             (Place::Home, Received | Acknowledged) => {
                 self.is_proven = true;
                 self.previous = None;
+                self.has_searched &= event == Acknowledged;
             }
             (Place::Home, Error | FormError) if self.is_enabled => {
                 self.errors.add(now);
-                // At a proven rate noise must not keep the node silent.
-                if !self.is_proven && self.is_withholding() {
+                if !self.has_searched && self.is_withholding() {
                     self.withhold(now);
                 }
                 self.doubt(now);
@@ -533,6 +538,7 @@ impl Supervision {
                 self.look_elsewhere(look, micros, now);
             }
             Turn::HomeOpen => {
+                self.has_searched = true;
                 self.place = Place::Home;
                 self.doubted_until = Some(now.plus_micros(DOUBT_MICROS));
             }
@@ -590,6 +596,7 @@ impl Supervision {
 
     /// Returns home to stay.
     fn end_look(&mut self) {
+        self.has_searched = true;
         if self.is_listening() {
             self.step = Some(Step::TakePart(self.home));
         }

@@ -22,10 +22,19 @@ pub fn stranger() -> Frame {
     Frame::new(0x181, &[1, 2, 3]).expect("a frame")
 }
 
+/// A frame of the master: an LSS request, unless `text` names another COB-ID before a colon.
+pub fn of_master(text: &str) -> Frame {
+    frame(text, lss::REQUEST_COB_ID)
+}
+
 /// A frame of a node: an LSS answer, unless `text` names another COB-ID before a colon.
-fn sent_by_node(text: &str) -> Frame {
+pub fn of_node(text: &str) -> Frame {
+    frame(text, lss::RESPONSE_COB_ID)
+}
+
+fn frame(text: &str, lss_cob_id: u16) -> Frame {
     match text.split_once(": ") {
-        None => padded(lss::RESPONSE_COB_ID, text),
+        None => padded(lss_cob_id, text),
         Some((cob_id, text)) => {
             let cob_id = u16::from_str_radix(cob_id, 16).expect("a COB-ID");
             Frame::new(cob_id, &bytes(text)).expect("a frame")
@@ -68,7 +77,7 @@ impl<const N: usize> PartialEq<[&str; N]> for Frames {
 
 impl PartialEq<&[&str]> for Frames {
     fn eq(&self, texts: &&[&str]) -> bool {
-        self.0.iter().copied().eq(texts.iter().map(|text| sent_by_node(text)))
+        self.0.iter().copied().eq(texts.iter().map(|text| of_node(text)))
     }
 }
 

@@ -21,12 +21,14 @@ use super::{
 pub const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
 /// The offset of the settings log in the flash, as in memory.x.
 pub const SETTINGS_OFFSET: u32 = 0x4000;
+/// The length of the settings log in bytes: sectors 1 and 2.
+pub const SETTINGS_LENGTH: usize = 0x8000;
 /// The core clock of the image in MHz.
 pub const CORE_MHZ: u64 = 160;
 /// The wait for an answer after its request, in addition to the frame's own time.
 const PATIENCE: Time = Time::from_ms(5);
 /// The time in which a board joins the bus after power-on, even if its flash is slow and must be erased first.
-const BOOT: Time = Time::from_ms(600);
+pub const BOOT: Time = Time::from_ms(600);
 /// More bits than any frame, intermission included.
 const FRAME_BITS: u64 = 160;
 
@@ -76,6 +78,12 @@ pub fn on_the_wire(frame: &lss_slave::Frame) -> Frame {
     Frame::data(Id::Standard(frame.cob_id()), frame.data())
 }
 
+/// Whether a board has set its bit timing and then joined the bus, by its events since power-on or reset.
+pub fn has_joined<'a>(events: impl Iterator<Item = &'a Event>) -> bool {
+    let mut events = events.skip_while(|event| !matches!(event.what, What::BitTiming { .. }));
+    events.any(|event| event.what == What::InitializationLeft)
+}
+
 fn from_the_wire(frame: &Frame) -> lss_slave::Frame {
     match frame.id {
         Id::Standard(id) if !frame.remote && frame.dlc <= 8 => {
@@ -90,15 +98,15 @@ impl ImageRig {
     pub fn new(bit_rate: BitRate, boards: impl IntoIterator<Item = board::Board>) -> Self {
         let mut network = Network::new();
         let master = network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
-        let mut bench = Self { network, master, bit_rate, expected_resets: Vec::new() };
+        let mut rig = Self { network, master, bit_rate, expected_resets: Vec::new() };
         for board in boards {
-            bench.network.add_board(board);
-            bench.expected_resets.push(vec![ResetCause::PowerOn]);
+            rig.network.add_board(board);
+            rig.expected_resets.push(vec![ResetCause::PowerOn]);
         }
-        for board in 0..bench.expected_resets.len() {
-            bench.boot(board, Time::ZERO);
+        for board in 0..rig.expected_resets.len() {
+            rig.boot(board, Time::ZERO);
         }
-        bench
+        rig
     }
 
     /// A single unconfigured board.
@@ -117,12 +125,7 @@ impl ImageRig {
     /// Waits until a board that was powered on or reset after `since` has joined the bus.
     pub fn boot(&mut self, board: usize, since: Time) {
         let until = self.network.now() + BOOT;
-        let joined = |bench: &Self| {
-            let is_of_program = |event: &&Event| matches!(event.what, What::BitTiming { .. });
-            let mut events = bench.did(board, since).skip_while(|event| !is_of_program(event));
-            events.any(|event| event.what == What::InitializationLeft)
-        };
-        while !joined(self) {
+        while !has_joined(self.did(board, since)) {
             assert!(self.network.now() < until, "board {board} does not come to the bus");
             self.network.run_for(Time::from_ms(1));
         }

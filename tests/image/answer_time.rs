@@ -28,30 +28,29 @@ const MOST_LOAD_PERCENT: u64 = 10;
 const MASTER_TIMEOUT: Time = Time::from_ms(20);
 
 /// Core cycles from the time at which `request` is valid to the board's request to transmit the answer.
-fn cycles_to_answer(bench: &mut ImageRig, request: &NodeFrame) -> u64 {
+fn cycles_to_answer(rig: &mut ImageRig, request: &NodeFrame) -> u64 {
     // A frame is valid for a receiver when the last bit but one of its end is sampled, at 7/8 of the bit.
-    let valid_before_end = Time::from_ps(bench.bit_time().as_ps() * 9 / 8);
-    let end = bench.transmit(on_the_wire(request));
-    bench.collect(MASTER_TIMEOUT);
+    let valid_before_end = Time::from_ps(rig.bit_time().as_ps() * 9 / 8);
+    let end = rig.transmit(on_the_wire(request));
+    rig.collect(MASTER_TIMEOUT);
     let valid = end.saturating_sub(valid_before_end);
-    let (time, _) = bench.requested(0, valid).next().expect("an answer");
+    let (time, _) = rig.requested(0, valid).next().expect("an answer");
     (time - valid).as_ps() * CORE_MHZ / 1_000_000
 }
 
 /// The same for the answer that begins with `command`, regardless of other frames.
-fn cycles_to(bench: &mut ImageRig, request: &str, command: u8) -> u64 {
-    let valid_before_end = Time::from_ps(bench.bit_time().as_ps() * 9 / 8);
-    let valid = bench.transmit_request(request).saturating_sub(valid_before_end);
-    bench.collect(Time::from_ms(3));
+fn cycles_to(rig: &mut ImageRig, request: &str, command: u8) -> u64 {
+    let valid_before_end = Time::from_ps(rig.bit_time().as_ps() * 9 / 8);
+    let valid = rig.transmit_request(request).saturating_sub(valid_before_end);
+    rig.collect(Time::from_ms(3));
     let is_answer = |frame: &Frame| frame.id == Id::Standard(0x7E4) && frame.data[0] == command;
-    let (time, _) =
-        bench.requested(0, valid).find(|(_, frame)| is_answer(frame)).expect("an answer");
+    let (time, _) = rig.requested(0, valid).find(|(_, frame)| is_answer(frame)).expect("an answer");
     (time - valid).as_ps() * CORE_MHZ / 1_000_000
 }
 
 #[test]
 fn every_lss_answer_but_the_one_to_store_takes_less_than_4_us() {
-    let mut bench = ImageRig::with(settings(0xFF, BitRate::Kbit1000));
+    let mut rig = ImageRig::with(settings(0xFF, BitRate::Kbit1000));
     let waiting = [
         ("identify non-configured", "4C"),
         ("Fastscan, begin", "51 00 00 00 00 80"),
@@ -68,53 +67,53 @@ fn every_lss_answer_but_the_one_to_store_takes_less_than_4_us() {
         ("inquire serial number", "5D"),
         ("inquire node-ID", "5E"),
     ];
-    let measure = |bench: &mut ImageRig, name, request: NodeFrame, most| {
-        let cycles = cycles_to_answer(bench, &request);
+    let measure = |rig: &mut ImageRig, name, request: NodeFrame, most| {
+        let cycles = cycles_to_answer(rig, &request);
         println!("{name:30} {cycles:5} cycles, {:4.1} us", cycles as f64 / CORE_MHZ as f64);
         assert!(cycles < most, "{name}: {cycles} cycles");
     };
     for (name, request) in waiting {
-        measure(&mut bench, name, frames::request(request), ANSWER_CYCLES);
+        measure(&mut rig, name, frames::request(request), ANSWER_CYCLES);
     }
-    bench.lss("04 01");
+    rig.lss("04 01");
     let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
-        let answer = frames::text(&bench.lss(inquiry).0[0]);
+        let answer = frames::text(&rig.lss(inquiry).0[0]);
         answer.split_whitespace().skip(2).take(4).collect::<Vec<_>>().join(" ")
     });
-    bench.lss("04 00");
+    rig.lss("04 00");
     for (command, part) in (0x40..0x43).zip(&address) {
-        assert_eq!(bench.lss(&format!("{command:02X} {part}")), SILENCE);
+        assert_eq!(rig.lss(&format!("{command:02X} {part}")), SILENCE);
     }
     let last_step = format!("43 {}", address[3]);
-    measure(&mut bench, "switch state selective", frames::request(&last_step), ANSWER_CYCLES);
+    measure(&mut rig, "switch state selective", frames::request(&last_step), ANSWER_CYCLES);
     for (command, part) in (0x46..0x4B).zip([0, 1, 2, 2, 3]) {
-        assert_eq!(bench.lss(&format!("{command:02X} {}", address[part])), SILENCE);
+        assert_eq!(rig.lss(&format!("{command:02X} {}", address[part])), SILENCE);
     }
     let last_step = format!("4B {}", address[3]);
-    measure(&mut bench, "identify remote slave", frames::request(&last_step), ANSWER_CYCLES);
+    measure(&mut rig, "identify remote slave", frames::request(&last_step), ANSWER_CYCLES);
     for (name, request) in configuration {
-        measure(&mut bench, name, frames::request(request), ANSWER_CYCLES);
+        measure(&mut rig, name, frames::request(request), ANSWER_CYCLES);
     }
-    bench.lss("11 04");
-    measure(&mut bench, "waiting, first boot-up", frames::request("04 00"), BOOT_UP_CYCLES);
-    measure(&mut bench, "NMT reset communication", frames::command("82 00"), BOOT_UP_CYCLES);
+    rig.lss("11 04");
+    measure(&mut rig, "waiting, first boot-up", frames::request("04 00"), BOOT_UP_CYCLES);
+    measure(&mut rig, "NMT reset communication", frames::command("82 00"), BOOT_UP_CYCLES);
     let read = NodeFrame::new(0x604, &[0x40, 0x18, 0x10, 0x01, 0, 0, 0, 0]).expect("a frame");
-    measure(&mut bench, "SDO upload of the vendor-ID", read, SDO_CYCLES);
+    measure(&mut rig, "SDO upload of the vendor-ID", read, SDO_CYCLES);
 }
 
 #[test]
 fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
     for (timing, most) in [(Timing::Typical, Time::from_ms(1)), (Timing::Worst, Time::from_ms(2))] {
-        let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-        bench.network.board(0).chip().flash_mut().set_timing(timing);
-        bench.network.run_for(Time::from_ms(20));
-        bench.lss("04 01");
-        bench.lss("11 04");
-        let cycles = cycles_to_answer(&mut bench, &frames::request("17"));
+        let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+        rig.network.board(0).chip().flash_mut().set_timing(timing);
+        rig.network.run_for(Time::from_ms(20));
+        rig.lss("04 01");
+        rig.lss("11 04");
+        let cycles = cycles_to_answer(&mut rig, &frames::request("17"));
         let time = Time::from_ns(cycles * 1_000 / CORE_MHZ);
         println!("store, {timing:?} flash: {cycles} cycles, {time} ms");
         assert!(time < most, "{time}");
-        let cycles = cycles_to_answer(&mut bench, &frames::request("17"));
+        let cycles = cycles_to_answer(&mut rig, &frames::request("17"));
         println!("store of unchanged settings: {cycles} cycles");
         assert!(cycles < 4 * ANSWER_CYCLES);
     }
@@ -122,14 +121,14 @@ fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
 
 #[test]
 fn an_answer_takes_as_long_in_every_nmt_state() {
-    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-    bench.collect(MASTER_TIMEOUT);
-    bench.lss("04 01");
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    rig.collect(MASTER_TIMEOUT);
+    rig.lss("04 01");
     for (state, command) in
         [("pre-operational", "80 40"), ("operational", "01 40"), ("stopped", "02 40")]
     {
-        bench.nmt(command);
-        let spans = (0..50).map(|_| cycles_to(&mut bench, "5A", 0x5A));
+        rig.nmt(command);
+        let spans = (0..50).map(|_| cycles_to(&mut rig, "5A", 0x5A));
         let worst = spans.max().expect("there are fifty");
         println!("{state:30} {worst:5} cycles at most");
         // A tick may be under way.
@@ -142,16 +141,16 @@ fn a_store_delays_an_answer_by_at_most_two_words_of_the_slowest_flash() {
     const WORD_US: u64 = 100;
     let mut worst = 0;
     for node_id in 1..=20 {
-        let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-        bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-        bench.lss("04 01");
-        bench.lss(&format!("11 {node_id:02X}"));
-        bench.transmit_request("17");
+        let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+        rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+        rig.lss("04 01");
+        rig.lss(&format!("11 {node_id:02X}"));
+        rig.transmit_request("17");
         let still_stores =
-            |bench: &mut ImageRig| bench.requested(0, Time::ZERO).all(|(_, f)| f.data[0] != 0x17);
-        bench.network.run_for(Time::from_us(10 * node_id));
-        assert!(still_stores(&mut bench));
-        worst = worst.max(cycles_to(&mut bench, "5A", 0x5A));
+            |rig: &mut ImageRig| rig.requested(0, Time::ZERO).all(|(_, f)| f.data[0] != 0x17);
+        rig.network.run_for(Time::from_us(10 * node_id));
+        assert!(still_stores(&mut rig));
+        worst = worst.max(cycles_to(&mut rig, "5A", 0x5A));
     }
     println!("{:30} {worst:5} cycles at most", "during a store");
     assert!(worst < ANSWER_CYCLES + 2 * WORD_US * CORE_MHZ, "{worst} cycles");
@@ -167,28 +166,28 @@ fn command_specifiers(answers: &Frames) -> Vec<u8> {
 
 #[test]
 fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
-    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-    bench.collect(MASTER_TIMEOUT);
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    rig.collect(MASTER_TIMEOUT);
     for _ in 0..20 {
         for request in REQUESTS {
-            bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
         }
-        let answers = bench.collect(Time::from_ms(3));
+        let answers = rig.collect(Time::from_ms(3));
         assert_eq!(command_specifiers(&answers), [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
-        assert_eq!(bench.lss("04 00"), SILENCE);
+        assert_eq!(rig.lss("04 00"), SILENCE);
     }
 }
 
 #[test]
 fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
     let mut random = Random::from_environment();
-    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(7));
-    let other = bench.network.add_adapter(Adapter::new(1_000_000));
-    bench.collect(MASTER_TIMEOUT);
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(7));
+    let other = rig.network.add_adapter(Adapter::new(1_000_000));
+    rig.collect(MASTER_TIMEOUT);
     let (mut sent, mut sdo_requests, mut sdo_answers) = (0, 0, 0);
     for _ in 0..50 {
         for request in REQUESTS.into_iter().chain(["04 00"]) {
-            bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
         }
         // Bursts of urgent frames, some to the node, with gaps that are too short for a frame or just long enough.
         for _ in 0..40 {
@@ -199,20 +198,20 @@ fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
                     data = [0x40, 0, 0x10, 0, 0, 0, 0, 0];
                     sdo_requests += 1;
                 }
-                bench.network.send(other, Frame::data(Id::Standard(cob_id), &data));
+                rig.network.send(other, Frame::data(Id::Standard(cob_id), &data));
                 sent += 1;
             }
-            while bench.network.adapter_mut(other).unsent() > 0 {
-                bench.network.run_for(Time::from_us(10));
+            while rig.network.adapter_mut(other).unsent() > 0 {
+                rig.network.run_for(Time::from_us(10));
             }
-            bench.network.run_for(Time::from_us(random.within(0..150)));
+            rig.network.run_for(Time::from_us(random.within(0..150)));
         }
-        let answers = bench.collect(Time::from_ms(3));
+        let answers = rig.collect(Time::from_ms(3));
         assert_eq!(command_specifiers(&answers), [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
         sdo_answers += answers.0.iter().filter(|frame| frame.cob_id() == 0x5C0).count();
     }
     assert_eq!(sdo_answers, sdo_requests);
-    let urgent = bench.network.trace().iter().filter(|event| {
+    let urgent = rig.network.trace().iter().filter(|event| {
         event.source == Source::Adapter(other) && matches!(event.what, What::Frame { .. })
     });
     assert_eq!(urgent.count(), sent);
@@ -220,43 +219,43 @@ fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
 
 #[test]
 fn requests_right_behind_a_change_of_the_node_id_are_not_lost() {
-    let mut bench = ImageRig::with(settings(0xFF, BitRate::Kbit1000));
+    let mut rig = ImageRig::with(settings(0xFF, BitRate::Kbit1000));
     for node_id in 1..=20 {
         let configure = format!("11 {node_id:02X}");
         for request in ["04 01", &configure, "04 00", "04 01", "5E", "11 FF", "04 00"] {
-            bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
         }
-        bench.network.send(bench.master, on_the_wire(&frames::command("82 00")));
-        let sent = bench.collect(Time::from_ms(5)).0;
+        rig.network.send(rig.master, on_the_wire(&frames::command("82 00")));
+        let sent = rig.collect(Time::from_ms(5)).0;
         let text: Vec<_> = sent.iter().map(frames::text).collect();
         assert!(text.contains(&format!("{:03X}: 00", 0x700 + node_id)), "{text:#?}");
         assert!(text.contains(&format!("7E4: 5E {node_id:02X} 00 00 00 00 00 00")), "{text:#?}");
-        assert_eq!(bench.lss("4C"), ["50"]);
+        assert_eq!(rig.lss("4C"), ["50"]);
     }
 }
 
 #[test]
 fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
     let boards = [1, 2].map(|number| board_with(number, settings(number, BitRate::Kbit1000)));
-    let mut bench = ImageRig::new(BitRate::Kbit1000, boards);
-    bench.collect(MASTER_TIMEOUT);
-    bench.lss("04 01");
-    let from = bench.network.now();
-    let (cycles_before, busy_before) = bench.network.board(0).cycles();
+    let mut rig = ImageRig::new(BitRate::Kbit1000, boards);
+    rig.collect(MASTER_TIMEOUT);
+    rig.lss("04 01");
+    let from = rig.network.now();
+    let (cycles_before, busy_before) = rig.network.board(0).cycles();
     const REQUESTS: usize = 500;
     (0..REQUESTS).for_each(|_| {
-        bench.network.send(bench.master, on_the_wire(&frames::request("11 80")));
+        rig.network.send(rig.master, on_the_wire(&frames::request("11 80")));
     });
-    while bench.network.adapter_mut(bench.master).unsent() > 0 {
-        bench.network.run_for(Time::from_ms(1));
+    while rig.network.adapter_mut(rig.master).unsent() > 0 {
+        rig.network.run_for(Time::from_ms(1));
     }
-    let (cycles, busy) = bench.network.board(0).cycles();
+    let (cycles, busy) = rig.network.board(0).cycles();
     let load = (busy - busy_before) * 100 / (cycles - cycles_before);
     println!("{:30} {load:5} % of the CPU", "a full bus, all to be answered");
     assert!(load < MOST_LOAD_PERCENT, "{load} %");
-    bench.collect(Time::from_ms(3));
+    rig.collect(Time::from_ms(3));
     for board in [0, 1] {
-        assert_eq!(bench.requested(board, from).count(), REQUESTS);
+        assert_eq!(rig.requested(board, from).count(), REQUESTS);
     }
 }
 
@@ -267,14 +266,14 @@ fn a_node_boots_up_within_5_ms_even_with_a_full_bank_of_settings() {
         (0..383_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();
     let mut board = blank_board(0);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&stores));
-    let mut bench = ImageRig::new(BitRate::Kbit1000, [board]);
-    bench.collect(Time::from_ms(20));
-    bench.expect_reset(0, ResetCause::Software);
-    let from = bench.transmit_command("81 00");
-    bench.collect(Time::from_ms(20));
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    rig.collect(Time::from_ms(20));
+    rig.expect_reset(0, ResetCause::Software);
+    let from = rig.transmit_command("81 00");
+    rig.collect(Time::from_ms(20));
     let reset = |event: &&Event| event.what == What::Reset(ResetCause::Software);
-    let reset = bench.did(0, from).find(reset).expect("a reset").time;
-    let (time, boot_up) = bench.requested(0, reset).next().expect("a boot-up");
+    let reset = rig.did(0, from).find(reset).expect("a reset").time;
+    let (time, boot_up) = rig.requested(0, reset).next().expect("a boot-up");
     assert_eq!(boot_up, Frame::data(Id::Standard(0x701), &[0]));
     println!("boot-up {} ms after a reset", time - reset);
     assert!(time - reset < Time::from_ms(5));

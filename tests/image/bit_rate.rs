@@ -14,18 +14,18 @@ use testkit::{
 };
 
 /// Two other nodes that exchange a frame every 10 ms for a duration.
-fn talk(bench: &mut ImageRig, others: [AdapterId; 2], span: Time) {
-    let until = bench.network.now() + span;
-    while bench.network.now() < until {
+fn talk(rig: &mut ImageRig, others: [AdapterId; 2], span: Time) {
+    let until = rig.network.now() + span;
+    while rig.network.now() < until {
         for (adapter, cob_id) in others.into_iter().zip([0x181, 0x182]) {
-            bench.network.send(adapter, Frame::data(Id::Standard(cob_id), &[0x5A; 8]));
+            rig.network.send(adapter, Frame::data(Id::Standard(cob_id), &[0x5A; 8]));
         }
-        bench.network.run_for(Time::from_ms(40));
+        rig.network.run_for(Time::from_ms(40));
     }
 }
 
-fn others(bench: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
-    [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
+fn others(rig: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
+    [(); 2].map(|()| rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
 }
 
 fn automatic() -> Settings {
@@ -33,35 +33,35 @@ fn automatic() -> Settings {
 }
 
 /// Makes the master repeat a frame, as CAN controllers do, until another node acknowledges it.
-fn wait_until_acknowledged(bench: &mut ImageRig) {
-    let from = bench.network.now();
-    bench.network.send(bench.master, on_the_wire(&frames::request("04 00")));
-    while bench.network.adapter_mut(bench.master).unsent() > 0 {
-        assert!(bench.network.now() < from + Time::from_s(10), "no acknowledge");
-        bench.network.run_for(Time::from_ms(1));
+fn wait_until_acknowledged(rig: &mut ImageRig) {
+    let from = rig.network.now();
+    rig.network.send(rig.master, on_the_wire(&frames::request("04 00")));
+    while rig.network.adapter_mut(rig.master).unsent() > 0 {
+        assert!(rig.network.now() < from + Time::from_s(10), "no acknowledge");
+        rig.network.run_for(Time::from_ms(1));
     }
-    println!("{} ms at {} ms a bit", bench.network.now() - from, bench.bit_time());
-    bench.collect(Time::from_ms(200));
+    println!("{} ms at {} ms a bit", rig.network.now() - from, rig.bit_time());
+    rig.collect(Time::from_ms(200));
 }
 
 /// Whether node 40 answers the master, once it is in configuration state.
-fn answers(bench: &mut ImageRig) -> bool {
-    bench.lss("04 01");
-    let answers = bench.lss("5E");
+fn answers(rig: &mut ImageRig) -> bool {
+    rig.lss("04 01");
+    let answers = rig.lss("5E");
     answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
 }
 
 #[test]
 fn a_board_detects_each_bit_rate_without_an_error_frame() {
     for bit_rate in BitRate::ALL {
-        let mut bench = ImageRig::new(bit_rate, [board_with(0, automatic())]);
-        let others = others(&mut bench, bit_rate);
-        talk(&mut bench, others, Time::from_s(3));
-        assert!(answers(&mut bench), "{bit_rate:?}");
+        let mut rig = ImageRig::new(bit_rate, [board_with(0, automatic())]);
+        let others = others(&mut rig, bit_rate);
+        talk(&mut rig, others, Time::from_s(3));
+        assert!(answers(&mut rig), "{bit_rate:?}");
         let is_by_board = |event: &&emulator::network::Event| {
             event.source == Source::Board(0) && matches!(event.what, What::Error { .. })
         };
-        let errors: Vec<_> = bench.network.trace().iter().filter(is_by_board).collect();
+        let errors: Vec<_> = rig.network.trace().iter().filter(is_by_board).collect();
         assert!(errors.is_empty(), "{bit_rate:?}: {errors:#?}");
     }
 }
@@ -69,35 +69,35 @@ fn a_board_detects_each_bit_rate_without_an_error_frame() {
 #[test]
 fn a_board_that_detects_the_bit_rate_finds_that_of_a_master_that_is_alone() {
     for bit_rate in BitRate::ALL {
-        let mut bench = ImageRig::new(bit_rate, [board_with(0, automatic())]);
-        wait_until_acknowledged(&mut bench);
-        assert!(answers(&mut bench), "{bit_rate:?}");
+        let mut rig = ImageRig::new(bit_rate, [board_with(0, automatic())]);
+        wait_until_acknowledged(&mut rig);
+        assert!(answers(&mut rig), "{bit_rate:?}");
     }
 }
 
 #[test]
 fn automatic_detection_can_be_configured_stored_and_taken_back() {
-    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-    bench.collect(Time::from_ms(20));
-    bench.lss("04 01");
-    assert_eq!(bench.lss("13 00 09"), ["13 00"]);
-    assert_eq!(bench.lss("17"), ["17 00"]);
-    bench.network.power_off(0);
-    bench.set_master_bit_rate(BitRate::Kbit250);
-    let others = others(&mut bench, BitRate::Kbit250);
-    bench.power_on(0);
-    assert_eq!(bench.collect(Time::from_s(2)), SILENCE, "the bus is silent");
-    talk(&mut bench, others, Time::from_s(3));
-    bench.collect(Time::from_ms(100));
-    assert!(answers(&mut bench));
-    assert_eq!(bench.lss("13 00 02"), ["13 00"]);
-    assert_eq!(bench.lss("17"), ["17 00"]);
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    rig.collect(Time::from_ms(20));
+    rig.lss("04 01");
+    assert_eq!(rig.lss("13 00 09"), ["13 00"]);
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    rig.network.power_off(0);
+    rig.set_master_bit_rate(BitRate::Kbit250);
+    let others = others(&mut rig, BitRate::Kbit250);
+    rig.power_on(0);
+    assert_eq!(rig.collect(Time::from_s(2)), SILENCE, "the bus is silent");
+    talk(&mut rig, others, Time::from_s(3));
+    rig.collect(Time::from_ms(100));
+    assert!(answers(&mut rig));
+    assert_eq!(rig.lss("13 00 02"), ["13 00"]);
+    assert_eq!(rig.lss("17"), ["17 00"]);
     for other in others {
-        bench.network.adapter_mut(other).close();
+        rig.network.adapter_mut(other).close();
     }
-    bench.set_master_bit_rate(BitRate::Kbit500);
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+    rig.set_master_bit_rate(BitRate::Kbit500);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
 }
 
 #[test]
@@ -109,19 +109,19 @@ fn a_configured_board_joins_a_busy_network_of_another_rate() {
         (BitRate::Kbit125, BitRate::Kbit1000),
     ] {
         let board = board_with(0, settings(0x40, own).with_heartbeat_ms(100));
-        let mut bench = ImageRig::new(theirs, [board]);
-        let others = others(&mut bench, theirs);
-        talk(&mut bench, others, Time::from_s(6));
-        bench.collect(Time::from_ms(200));
-        assert!(answers(&mut bench), "{own:?} among {theirs:?}");
+        let mut rig = ImageRig::new(theirs, [board]);
+        let others = others(&mut rig, theirs);
+        talk(&mut rig, others, Time::from_s(6));
+        rig.collect(Time::from_ms(200));
+        assert!(answers(&mut rig), "{own:?} among {theirs:?}");
     }
 }
 
 #[test]
 fn a_new_board_is_found_by_a_master_at_any_rate() {
     for bit_rate in BitRate::ALL.into_iter().filter(|&rate| rate != DEFAULT_BIT_RATE) {
-        let mut bench = ImageRig::new(bit_rate, [blank_board(0)]);
-        wait_until_acknowledged(&mut bench);
-        assert_eq!(bench.lss("4C"), ["50"], "{bit_rate:?}");
+        let mut rig = ImageRig::new(bit_rate, [blank_board(0)]);
+        wait_until_acknowledged(&mut rig);
+        assert_eq!(rig.lss("4C"), ["50"], "{bit_rate:?}");
     }
 }

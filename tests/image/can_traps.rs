@@ -32,9 +32,9 @@ fn listener() -> Settings {
 }
 
 /// Whether node 40 answers the master, once it is in configuration state.
-fn answers(bench: &mut ImageRig) -> bool {
-    bench.lss("04 01");
-    bench.lss("5E").0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
+fn answers(rig: &mut ImageRig) -> bool {
+    rig.lss("04 01");
+    rig.lss("5E").0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
 }
 
 /// Checks that other nodes detect no error with the board if they detect none without it.
@@ -43,17 +43,17 @@ fn a_listener_whose_transmit_pin_is_locked_never_holds_the_bus_dominant() {
     for (every, frame) in [(1, 1), (1, 3), (2, 1), (3, 2)] {
         let transmit_lock = Some(TransmitLock { every, frame });
         let readings = Readings { transmit_lock, ..Readings::default() };
-        let mut bench = ImageRig::new(BitRate::Kbit250, [board(listener(), readings)]);
-        let other = bench.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
+        let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), readings)]);
+        let other = rig.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
         for _ in 0..150 {
-            bench.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
-            bench.network.run_for(Time::from_ms(20));
+            rig.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
+            rig.network.run_for(Time::from_ms(20));
         }
-        assert_eq!(bench.network.adapter_mut(other).unsent(), 0);
-        bench.collect(Time::from_ms(200));
-        assert!(answers(&mut bench), "{every} {frame}");
+        assert_eq!(rig.network.adapter_mut(other).unsent(), 0);
+        rig.collect(Time::from_ms(200));
+        assert!(answers(&mut rig), "{every} {frame}");
         let is_error = |event: &&Event| matches!(event.what, What::Error { .. });
-        let errors: Vec<_> = bench.network.trace().iter().filter(is_error).collect();
+        let errors: Vec<_> = rig.network.trace().iter().filter(is_error).collect();
         assert!(errors.is_empty(), "{every} {frame}: {errors:#?}");
     }
 }
@@ -64,9 +64,9 @@ fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
     for acknowledge in lost.into_iter().chain([1, 11].map(Acknowledge::Late)) {
         let readings = Readings { acknowledge, ..Readings::default() };
         let board = board(settings(0x40, BitRate::Kbit500), readings);
-        let mut bench = ImageRig::new(BitRate::Kbit500, [board]);
-        bench.collect(Time::from_ms(100));
-        assert!(answers(&mut bench), "{acknowledge:?}");
+        let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
+        rig.collect(Time::from_ms(100));
+        assert!(answers(&mut rig), "{acknowledge:?}");
     }
 }
 
@@ -80,33 +80,33 @@ fn a_board_is_configured_under_each_other_reading() {
         Readings { late_choice: true, ..off },
     ] {
         let board = board(settings(0x40, BitRate::Kbit500), readings);
-        let mut bench = ImageRig::new(BitRate::Kbit500, [board]);
-        bench.collect(Time::from_ms(20));
-        assert!(answers(&mut bench), "{readings:?}");
-        assert_eq!(bench.lss("11 41"), ["11 00"], "{readings:?}");
-        assert_eq!(bench.lss("17"), ["17 00"], "{readings:?}");
-        bench.power_cycle(0);
-        assert_eq!(bench.collect(Time::from_ms(20)), ["741: 00"], "{readings:?}");
+        let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
+        rig.collect(Time::from_ms(20));
+        assert!(answers(&mut rig), "{readings:?}");
+        assert_eq!(rig.lss("11 41"), ["11 00"], "{readings:?}");
+        assert_eq!(rig.lss("17"), ["17 00"], "{readings:?}");
+        rig.power_cycle(0);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["741: 00"], "{readings:?}");
     }
 }
 
 #[test]
 fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
-    let mut bench = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
-    bench.network.set_short(Some(Short::Dominant));
-    let since = bench.network.now();
-    bench.network.run_for(Time::from_s(3));
-    let resets = bench.did(0, since).filter(|event| event.what == What::InitializationEntered);
+    let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
+    rig.network.set_short(Some(Short::Dominant));
+    let since = rig.network.now();
+    rig.network.run_for(Time::from_s(3));
+    let resets = rig.did(0, since).filter(|event| event.what == What::InitializationEntered);
     let count = resets.count();
     assert!((8..=13).contains(&count), "at most four times a second: {count} in 3 s");
-    bench.network.set_short(None);
-    let other = bench.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
+    rig.network.set_short(None);
+    let other = rig.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
     for _ in 0..150 {
-        bench.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
-        bench.network.run_for(Time::from_ms(20));
+        rig.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
+        rig.network.run_for(Time::from_ms(20));
     }
-    bench.collect(Time::from_ms(200));
-    assert!(answers(&mut bench));
+    rig.collect(Time::from_ms(200));
+    assert!(answers(&mut rig));
 }
 
 /// The interrupt of bus-off lasts as long as bus-off does: it must not block everything else.
@@ -114,38 +114,37 @@ fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
 fn a_board_in_bus_off_for_long_is_not_starved_by_its_interrupt() {
     let readings = Readings { bus_off_holds_interrupt: true, ..Readings::default() };
     let heartbeats = settings(0x40, BitRate::Kbit250).with_heartbeat_ms(100);
-    let mut bench = ImageRig::new(BitRate::Kbit250, [board(heartbeats, readings)]);
-    bench.collect(Time::from_ms(100));
-    assert!(answers(&mut bench));
-    bench.network.set_short(Some(Short::Recessive));
-    let since = bench.network.now();
-    while !bench.did(0, since).any(|event| event.what == What::BusOff) {
-        bench.network.run_for(Time::from_us(100));
-        assert!(bench.network.now() < since + Time::from_s(1));
+    let mut rig = ImageRig::new(BitRate::Kbit250, [board(heartbeats, readings)]);
+    rig.collect(Time::from_ms(100));
+    assert!(answers(&mut rig));
+    rig.network.set_short(Some(Short::Recessive));
+    let since = rig.network.now();
+    while !rig.did(0, since).any(|event| event.what == What::BusOff) {
+        rig.network.run_for(Time::from_us(100));
+        assert!(rig.network.now() < since + Time::from_s(1));
     }
-    bench.network.set_short(Some(Short::Dominant));
-    bench.network.run_for(Time::from_s(6));
-    bench.network.set_short(None);
-    bench.collect(Time::from_s(2));
-    assert!(answers(&mut bench));
-    let (cycles, busy) = bench.network.board(0).cycles();
+    rig.network.set_short(Some(Short::Dominant));
+    rig.network.run_for(Time::from_s(6));
+    rig.network.set_short(None);
+    rig.collect(Time::from_s(2));
+    assert!(answers(&mut rig));
+    let (cycles, busy) = rig.network.board(0).cycles();
     assert!(busy < cycles / 20, "{busy} of {cycles} cycles");
 }
 
 /// The board's line is recessive in every mode except normal mode.
 #[test]
 fn a_listener_gives_the_line_back_to_the_controller_when_it_takes_part() {
-    let mut bench = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
-    bench.network.run_for(Time::from_ms(10));
-    let is_alternate = |bench: &ImageRig| {
-        bench.network.board(0).chip().gpio().alternate_function(TRANSMIT).is_some()
-    };
-    assert!(!is_alternate(&bench));
-    assert_eq!(bench.network.board(0).output(TRANSMIT).level, Some(true));
-    let other = bench.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
+    let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
+    rig.network.run_for(Time::from_ms(10));
+    let is_alternate =
+        |rig: &ImageRig| rig.network.board(0).chip().gpio().alternate_function(TRANSMIT).is_some();
+    assert!(!is_alternate(&rig));
+    assert_eq!(rig.network.board(0).output(TRANSMIT).level, Some(true));
+    let other = rig.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
     for _ in 0..150 {
-        bench.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
-        bench.network.run_for(Time::from_ms(20));
+        rig.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
+        rig.network.run_for(Time::from_ms(20));
     }
-    assert!(is_alternate(&bench));
+    assert!(is_alternate(&rig));
 }

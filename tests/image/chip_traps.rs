@@ -28,13 +28,13 @@ fn board_with(chip_readings: Readings, stored: &[Settings]) -> Board {
 
 /// Node 40 on such a chip.
 fn node_40(chip_readings: Readings) -> ImageRig {
-    let mut bench = ImageRig::new(RATE, [board_with(chip_readings, &[settings(0x40, RATE)])]);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
-    bench
+    let mut rig = ImageRig::new(RATE, [board_with(chip_readings, &[settings(0x40, RATE)])]);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    rig
 }
 
 fn says(board: &Board, text: &str) -> usize {
-    board.log().iter().filter(|line| line.text == text).count()
+    board.log().iter().filter(|line| line.text.starts_with(text)).count()
 }
 
 fn run(board: &mut Board, until: Time) {
@@ -45,73 +45,69 @@ fn run(board: &mut Board, until: Time) {
 
 #[test]
 fn a_store_at_a_low_supply_is_refused_and_works_when_the_supply_is_back() {
-    let mut bench = node_40(Readings::default());
-    bench.network.board_mut(0).set_supply(2_600);
-    let operations = bench.network.board(0).chip().flash().operations();
-    bench.lss("04 01");
-    bench.lss("11 04");
-    assert_eq!(bench.lss("17"), ["17 02"]);
-    assert_eq!(says(bench.network.board(0), "flash: the supply is too low to write"), 1);
-    assert_eq!(
-        bench.network.board(0).chip().flash().operations(),
-        operations,
-        "nothing is written"
-    );
-    bench.network.board_mut(0).set_supply(2_700);
-    assert_eq!(bench.lss("17"), ["17 00"]);
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"]);
+    let mut rig = node_40(Readings::default());
+    rig.network.board_mut(0).set_supply(2_600);
+    let operations = rig.network.board(0).chip().flash().operations();
+    rig.lss("04 01");
+    rig.lss("11 04");
+    assert_eq!(rig.lss("17"), ["17 02"]);
+    assert_eq!(says(rig.network.board(0), "flash: not written, the supply is below 2.7 V"), 1);
+    assert_eq!(rig.network.board(0).chip().flash().operations(), operations, "nothing is written");
+    rig.network.board_mut(0).set_supply(2_700);
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
 }
 
 #[test]
 fn a_supply_that_rises_slowly_is_waited_for_before_the_flash_is_erased() {
-    let mut bench = ImageRig::blank();
-    bench.network.power_off(0);
-    bench.network.board_mut(0).set_flash(SETTINGS_OFFSET, &[0xFF; 0x8000]);
-    bench.network.board_mut(0).set_supply(2_000);
-    let operations = |bench: &ImageRig| bench.network.board(0).chip().flash().operations();
-    let before = operations(&bench);
-    let since = bench.network.now();
-    bench.expect_reset(0, ResetCause::PowerOn);
-    bench.network.power_on(0);
-    bench.network.run_for(Time::from_ms(80));
-    assert_eq!(operations(&bench), before);
-    bench.network.board_mut(0).set_supply(3_300);
-    bench.boot(0, since);
-    assert!(operations(&bench) > before, "it has formatted");
-    bench.lss("04 01");
-    bench.lss("11 04");
-    assert_eq!(bench.lss("17"), ["17 00"]);
+    let mut rig = ImageRig::blank();
+    rig.network.power_off(0);
+    rig.network.board_mut(0).set_flash(SETTINGS_OFFSET, &[0xFF; 0x8000]);
+    rig.network.board_mut(0).set_supply(2_000);
+    let operations = |rig: &ImageRig| rig.network.board(0).chip().flash().operations();
+    let before = operations(&rig);
+    let since = rig.network.now();
+    rig.expect_reset(0, ResetCause::PowerOn);
+    rig.network.power_on(0);
+    rig.network.run_for(Time::from_ms(80));
+    assert_eq!(operations(&rig), before);
+    rig.network.board_mut(0).set_supply(3_300);
+    rig.boot(0, since);
+    assert!(operations(&rig) > before, "it has formatted");
+    rig.lss("04 01");
+    rig.lss("11 04");
+    assert_eq!(rig.lss("17"), ["17 00"]);
 }
 
 #[test]
 fn a_node_whose_supply_stays_low_is_on_the_bus_but_stores_nothing() {
     let mut board = board_with(Readings::default(), &[settings(0x40, RATE)]);
     board.set_supply(2_500);
-    let mut bench = ImageRig::new(RATE, [board]);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+    let mut rig = ImageRig::new(RATE, [board]);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
     let low = "the supply is below 2.7 V: nothing can be stored until it rises";
-    assert_eq!(says(bench.network.board(0), low), 1);
-    bench.lss("04 01");
-    bench.lss("11 04");
-    assert_eq!(bench.lss("17"), ["17 02"]);
-    assert_eq!(bench.network.board(0).chip().flash().operations(), 0);
+    assert_eq!(says(rig.network.board(0), low), 1);
+    rig.lss("04 01");
+    rig.lss("11 04");
+    assert_eq!(rig.lss("17"), ["17 02"]);
+    assert_eq!(rig.network.board(0).chip().flash().operations(), 0);
 }
 
 /// After the failure the board must not send; a frame under way ends as an error.
 #[test]
 fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
     for under_way in [false, true] {
-        let mut bench = node_40(Readings::default());
+        let mut rig = node_40(Readings::default());
         if under_way {
-            bench.transmit_command("82 40");
-            bench.network.run_for(Time::from_us(30));
+            rig.transmit_command("82 40");
+            rig.network.run_for(Time::from_us(30));
         }
-        let from = bench.network.now();
-        bench.expect_reset(0, ResetCause::Software);
-        bench.network.board_mut(0).stop_crystal();
-        bench.network.run_for(Time::from_ms(50));
-        let resets = bench.network.board(0).resets();
+        let from = rig.network.now();
+        rig.expect_reset(0, ResetCause::Software);
+        rig.network.board_mut(0).stop_crystal();
+        rig.network.run_for(Time::from_ms(50));
+        let resets = rig.network.board(0).resets();
         assert_eq!(resets.len(), 2);
         assert!(resets[1].0 < from + Time::from_us(10), "after {}", resets[1].0 - from);
         let is_sent = |event: &&Event| {
@@ -119,16 +115,17 @@ fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
                 && matches!(event.what, What::Frame { .. } | What::InitializationLeft)
                 && event.source == Source::Board(0)
         };
-        assert_eq!(bench.network.trace().iter().filter(is_sent).count(), 0);
-        let restart = bench.network.now();
-        bench.network.board_mut(0).start_crystal();
-        bench.boot(0, restart);
-        bench.collect(Time::from_ms(20));
-        assert_eq!(bench.lss("5E"), SILENCE);
-        bench.lss("04 01");
-        assert_eq!(bench.lss("5E"), ["5E 40"]);
-        let log = bench.network.board(0).log();
-        assert_eq!(says(bench.network.board(0), "reset because the crystal failed"), 1, "{log:#?}");
+        assert_eq!(rig.network.trace().iter().filter(is_sent).count(), 0);
+        let restart = rig.network.now();
+        rig.network.board_mut(0).start_crystal();
+        rig.boot(0, restart);
+        rig.collect(Time::from_ms(20));
+        assert_eq!(rig.lss("5E"), SILENCE);
+        rig.lss("04 01");
+        assert_eq!(rig.lss("5E"), ["5E 40"]);
+        let log = rig.network.board(0).log();
+        let says = says(rig.network.board(0), "reset because the crystal stopped");
+        assert_eq!(says, 1, "{log:#?}");
     }
 }
 
@@ -149,9 +146,9 @@ fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_each_100_ms() {
 #[test]
 fn a_crystal_may_take_from_0_1_to_90_ms_to_start() {
     for hse_start in [100, 10_000, 90_000].map(Time::from_us) {
-        let mut bench = node_40(Readings { hse_start, ..Readings::default() });
-        bench.lss("04 01");
-        assert_eq!(bench.lss("5E"), ["5E 40"]);
+        let mut rig = node_40(Readings { hse_start, ..Readings::default() });
+        rig.lss("04 01");
+        assert_eq!(rig.lss("5E"), ["5E 40"]);
     }
 }
 
@@ -161,26 +158,26 @@ const PUSH_FOR_EVER: [u8; 4] = [0xFF, 0xB4, 0xFD, 0xE7];
 #[test]
 fn a_stack_overflow_is_a_fault_even_where_nothing_faults_below_the_ram() {
     for no_fault_below_ram in [false, true] {
-        let mut bench = node_40(Readings { no_fault_below_ram, ..Readings::default() });
+        let mut rig = node_40(Readings { no_fault_below_ram, ..Readings::default() });
         let handler = image().symbol("TIM2").expect("a handler") & !1;
         let offset = handler - FLASH_BASE;
-        let code = bench.network.board(0).flash()[offset as usize..][..4].to_vec();
+        let code = rig.network.board(0).flash()[offset as usize..][..4].to_vec();
         let mut guard = [0; 1024];
-        assert!(bench.network.board(0).read_memory(RAM_BASE, &mut guard));
-        bench.expect_reset(0, ResetCause::Software);
-        let from = bench.network.now();
-        bench.network.board_mut(0).set_flash(offset, &PUSH_FOR_EVER);
-        while bench.network.board(0).resets().len() == 1 {
-            assert!(bench.network.now() < from + Time::from_ms(60), "no reset");
-            bench.network.run_for(Time::from_us(20));
+        assert!(rig.network.board(0).read_memory(RAM_BASE, &mut guard));
+        rig.expect_reset(0, ResetCause::Software);
+        let from = rig.network.now();
+        rig.network.board_mut(0).set_flash(offset, &PUSH_FOR_EVER);
+        while rig.network.board(0).resets().len() == 1 {
+            assert!(rig.network.now() < from + Time::from_ms(60), "no reset");
+            rig.network.run_for(Time::from_us(20));
         }
-        bench.network.board_mut(0).set_flash(offset, &code);
+        rig.network.board_mut(0).set_flash(offset, &code);
         let mut after = [0; 1024];
-        assert!(bench.network.board(0).read_memory(RAM_BASE, &mut after));
+        assert!(rig.network.board(0).read_memory(RAM_BASE, &mut after));
         assert!(guard == after, "nothing writes to the guard");
-        bench.boot(0, from);
-        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
-        assert_eq!(says(bench.network.board(0), "stack overflow, resetting"), 1);
+        rig.boot(0, from);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+        assert_eq!(says(rig.network.board(0), "stack overflow, resetting"), 1);
     }
 }
 
@@ -190,21 +187,21 @@ fn settings_found_after_a_cut_are_found_at_every_power_on() {
     let mut found_new = 0;
     for _ in 0..24 {
         let readings = Readings { cut_words_flip: true, ..Readings::default() };
-        let mut bench = node_40(readings);
-        bench.lss("04 01");
-        bench.lss("11 04");
-        let last_word = bench.network.board(0).chip().flash().operations() + 7;
+        let mut rig = node_40(readings);
+        rig.lss("04 01");
+        rig.lss("11 04");
+        let last_word = rig.network.board(0).chip().flash().operations() + 7;
         let cut = PowerCut { operation: last_word, seed: random.u64() };
-        bench.network.board(0).chip().flash_mut().cut_power(cut);
-        assert_eq!(bench.lss("17"), SILENCE);
-        bench.power_on(0);
-        let first = bench.collect(Time::from_ms(20));
+        rig.network.board(0).chip().flash_mut().cut_power(cut);
+        assert_eq!(rig.lss("17"), SILENCE);
+        rig.power_on(0);
+        let first = rig.collect(Time::from_ms(20));
         let is_new = first == ["704: 00"];
         assert!(is_new || first == ["740: 00"], "{first:?}");
         found_new += u32::from(is_new);
         for _ in 0..4 {
-            bench.power_cycle(0);
-            assert_eq!(bench.collect(Time::from_ms(20)), first);
+            rig.power_cycle(0);
+            assert_eq!(rig.collect(Time::from_ms(20)), first);
         }
     }
     assert!((1..24).contains(&found_new), "{found_new} of 24 cut words read valid");
@@ -213,12 +210,12 @@ fn settings_found_after_a_cut_are_found_at_every_power_on() {
 #[test]
 fn a_core_that_is_two_or_three_times_slower_answers_and_stores() {
     for slowdown in [2, 3] {
-        let mut bench = node_40(Readings { slowdown, ..Readings::default() });
-        bench.lss("04 01");
-        assert_eq!(bench.lss("5E"), ["5E 40"]);
-        bench.lss("11 04");
-        assert_eq!(bench.lss("17"), ["17 00"]);
-        bench.power_cycle(0);
-        assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"]);
+        let mut rig = node_40(Readings { slowdown, ..Readings::default() });
+        rig.lss("04 01");
+        assert_eq!(rig.lss("5E"), ["5E 40"]);
+        rig.lss("11 04");
+        assert_eq!(rig.lss("17"), ["17 00"]);
+        rig.power_cycle(0);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
     }
 }

@@ -27,7 +27,7 @@ const INTERMISSION_BITS: u64 = 4;
 
 /// A master that is alone on the bus with the boards.
 struct Master {
-    bench: ImageRig,
+    rig: ImageRig,
     /// The number of requests, and of those that were answered.
     requests: u32,
     answers: u32,
@@ -36,13 +36,13 @@ struct Master {
 impl Master {
     fn new(boards: u8) -> Self {
         let blank = |number| board_with(number, settings(0xFF, BIT_RATE));
-        let mut bench = ImageRig::new(BIT_RATE, (0..boards).map(blank));
-        bench.network.record(Recording::Latest(1_000));
-        Self { bench, requests: 0, answers: 0 }
+        let mut rig = ImageRig::new(BIT_RATE, (0..boards).map(blank));
+        rig.network.record(Recording::Latest(1_000));
+        Self { rig, requests: 0, answers: 0 }
     }
 
     fn bits(&self, frame: &Frame) -> Time {
-        self.bench.bit_time() * (u64::from(frame.wire_bits()) + INTERMISSION_BITS)
+        self.rig.bit_time() * (u64::from(frame.wire_bits()) + INTERMISSION_BITS)
     }
 
     /// Sends a request; returns the answer, or `None` if there was none within the time for `expected`.
@@ -51,9 +51,9 @@ impl Master {
         let mut answer = frames::request(expected);
         answer = lss_slave::Frame::new(lss::RESPONSE_COB_ID, answer.data()).expect("eight bytes");
         let span = self.bits(&request) + answer_time + self.bits(&on_the_wire(&answer));
-        self.bench.network.send(self.bench.master, request);
+        self.rig.network.send(self.rig.master, request);
         self.requests += 1;
-        let received = self.bench.network.run_until_received(self.bench.master, span);
+        let received = self.rig.network.run_until_received(self.rig.master, span);
         self.answers += u32::from(received.is_some());
         received.map(|(_, frame)| frame)
     }
@@ -62,9 +62,9 @@ impl Master {
     fn send(&mut self, request: &str) {
         let request = on_the_wire(&frames::request(request));
         let span = self.bits(&request);
-        self.bench.network.send(self.bench.master, request);
+        self.rig.network.send(self.rig.master, request);
         self.requests += 1;
-        self.bench.network.run_for(span);
+        self.rig.network.run_for(span);
     }
 
     /// A Fastscan step: whether an unconfigured board has the bits of `number` from `bit` up in part `sub` of its LSS
@@ -106,7 +106,7 @@ impl Master {
 
     /// Gives all boards node-IDs from 1 on, and prints the time for each.
     fn commission(&mut self, boards: u8, what: &str, known: [Option<u32>; 4], floor_ms: f64) {
-        let began = self.bench.network.now();
+        let began = self.rig.network.now();
         let mut serials = Vec::new();
         while let Some([.., serial]) = self.find(known) {
             serials.push(serial);
@@ -116,7 +116,7 @@ impl Master {
                 let _ = io::stderr().flush();
             }
         }
-        let span = (self.bench.network.now() - began).as_ms() as f64;
+        let span = (self.rig.network.now() - began).as_ms() as f64;
         let each = span / f64::from(boards);
         println!(
             "{boards} boards, {what}: {:.2} s, {each:.1} ms a node, {:.2} of the floor ({floor_ms} ms); \

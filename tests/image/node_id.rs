@@ -14,33 +14,33 @@ use testkit::{
 
 /// Node 5, operational, with a heartbeat.
 fn node_5(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
-    let mut bench = ImageRig::with(settings(5, bit_rate).with_heartbeat_ms(heartbeat_ms));
-    bench.transmit_command("01 05");
-    bench
+    let mut rig = ImageRig::with(settings(5, bit_rate).with_heartbeat_ms(heartbeat_ms));
+    rig.transmit_command("01 05");
+    rig
 }
 
 /// The frames that the board began to send from `since` on.
-fn frames_of_board(bench: &ImageRig, since: Time) -> Vec<String> {
+fn frames_of_board(rig: &ImageRig, since: Time) -> Vec<String> {
     let frame = |event: &Event| match event.what {
         What::Frame { frame, start, .. } if start >= since => {
             (event.source == Source::Board(0)).then(|| frame.to_string())
         }
         _ => None,
     };
-    bench.network.trace().iter().filter_map(frame).collect()
+    rig.network.trace().iter().filter_map(frame).collect()
 }
 
 /// Whether the command that ended at `end` removed a frame from its mailbox. A board receives it one bit earlier.
-fn has_dropped(bench: &ImageRig, end: Time) -> bool {
-    bench.did(0, end - bench.bit_time() * 2).any(|event| matches!(event.what, What::Aborted { .. }))
+fn has_dropped(rig: &ImageRig, end: Time) -> bool {
+    rig.did(0, end - rig.bit_time() * 2).any(|event| matches!(event.what, What::Aborted { .. }))
 }
 
 #[test]
 fn on_a_loaded_bus_a_boot_up_with_a_new_node_id_ends_the_old_one() {
-    let mut bench = node_5(BitRate::Kbit500, 50);
-    bench.transmit_request("04 01");
-    bench.transmit_request("11 04");
-    bench.collect(Time::from_ms(10));
+    let mut rig = node_5(BitRate::Kbit500, 50);
+    rig.transmit_request("04 01");
+    rig.transmit_request("11 04");
+    rig.collect(Time::from_ms(10));
     // These frames wait behind urgent ones: an answer of LSS and one of SDO in mailboxes, heartbeats in the queue.
     let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
     let inquire = on_the_wire(&frames::request("5E"));
@@ -48,36 +48,36 @@ fn on_a_loaded_bus_a_boot_up_with_a_new_node_id_ends_the_old_one() {
     let reset = on_the_wire(&frames::command("82 00"));
     let load = [urgent; 250].into_iter();
     let frames = load.clone().chain([inquire, read]).chain(load).chain([reset]).chain([urgent; 8]);
-    frames.for_each(|frame| bench.network.send(bench.master, frame));
-    while bench.network.adapter_mut(bench.master).unsent() > 0 {
-        bench.network.run_for(Time::from_us(100));
+    frames.for_each(|frame| rig.network.send(rig.master, frame));
+    while rig.network.adapter_mut(rig.master).unsent() > 0 {
+        rig.network.run_for(Time::from_us(100));
     }
     let is_reset =
         |event: &&Event| matches!(event.what, What::Frame { frame, .. } if frame == reset);
-    let end = bench.network.trace().iter().find(is_reset).expect("the reset").time;
-    assert!(has_dropped(&bench, end));
-    bench.network.run_for(Time::from_ms(49));
+    let end = rig.network.trace().iter().find(is_reset).expect("the reset").time;
+    assert!(has_dropped(&rig, end));
+    rig.network.run_for(Time::from_ms(49));
     let answer = "7E4#5E05000000000000";
-    assert_eq!(frames_of_board(&bench, end), ["704#00", answer, "704#7F"]);
+    assert_eq!(frames_of_board(&rig, end), ["704#00", answer, "704#7F"]);
 }
 
 /// Configures node 5, and resets communication at each point of its heartbeat period; calls `check` with the frames
 /// that the board begins to send after the reset.
 fn reset_with_pending(node_id: &str, check: impl Fn(&[String])) {
     const HEARTBEAT_MS: u16 = 40;
-    let mut bench = node_5(BitRate::Kbit10, HEARTBEAT_MS);
+    let mut rig = node_5(BitRate::Kbit10, HEARTBEAT_MS);
     let mut dropped = 0;
     for phase in 0..HEARTBEAT_MS {
-        bench.transmit_request("04 01");
-        bench.transmit_request(&format!("11 {node_id}"));
-        bench.collect(Time::from_ms(100));
-        bench.network.run_until_received(bench.master, Time::from_ms(100)).expect("a heartbeat");
-        bench.network.run_for(Time::from_ms(phase.into()));
-        let end = bench.transmit_command("82 00");
-        bench.collect(Time::from_ms(200));
-        check(&frames_of_board(&bench, end));
-        dropped += u32::from(has_dropped(&bench, end));
-        bench.power_cycle(0);
+        rig.transmit_request("04 01");
+        rig.transmit_request(&format!("11 {node_id}"));
+        rig.collect(Time::from_ms(100));
+        rig.network.run_until_received(rig.master, Time::from_ms(100)).expect("a heartbeat");
+        rig.network.run_for(Time::from_ms(phase.into()));
+        let end = rig.transmit_command("82 00");
+        rig.collect(Time::from_ms(200));
+        check(&frames_of_board(&rig, end));
+        dropped += u32::from(has_dropped(&rig, end));
+        rig.power_cycle(0);
     }
     assert!(dropped > 0, "no heartbeat fell due while the command was on the bus");
 }

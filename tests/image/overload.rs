@@ -21,52 +21,51 @@ const LONG: Time = Time::from_s(4);
 const INTERMISSION: Time = Time::from_us(4);
 
 fn node_40(heartbeat_ms: u16) -> ImageRig {
-    let mut bench =
-        ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
-    bench.collect(Time::from_ms(20));
-    bench
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
+    rig.collect(Time::from_ms(20));
+    rig
 }
 
-fn send(bench: &mut ImageRig, request: &str) {
-    bench.network.send(bench.master, on_the_wire(&frames::request(request)));
+fn send(rig: &mut ImageRig, request: &str) {
+    rig.network.send(rig.master, on_the_wire(&frames::request(request)));
 }
 
 /// The frames on the bus from `since` on: their senders, starts and ends.
-fn frames_on_the_bus(bench: &ImageRig, since: Time) -> Vec<(Source, Frame, Time, Time)> {
+fn frames_on_the_bus(rig: &ImageRig, since: Time) -> Vec<(Source, Frame, Time, Time)> {
     let frame = |event: &Event| match event.what {
         What::Frame { frame, start, .. } if start >= since => {
             Some((event.source, frame, start, event.time))
         }
         _ => None,
     };
-    bench.network.trace().iter().filter_map(frame).collect()
+    rig.network.trace().iter().filter_map(frame).collect()
 }
 
-fn logs(bench: &ImageRig, text: &str) -> bool {
-    bench.network.board(0).log().iter().any(|line| line.text.starts_with(text))
+fn logs(rig: &ImageRig, text: &str) -> bool {
+    rig.network.board(0).log().iter().any(|line| line.text.starts_with(text))
 }
 
 #[test]
 fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
-    let mut bench = node_40(500);
-    bench.lss("04 01");
-    bench.lss("11 04");
-    let since = bench.network.now();
-    send(&mut bench, "17");
-    send(&mut bench, "5E");
+    let mut rig = node_40(500);
+    rig.lss("04 01");
+    rig.lss("11 04");
+    let since = rig.network.now();
+    send(&mut rig, "17");
+    send(&mut rig, "5E");
     let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
     let read = on_the_wire(&sdo::request(0x40, "40 17 10 00"));
     // Frames of eight bytes take at least 0.11 ms.
     let count = LONG.as_ps() / Time::from_us(110).as_ps();
     for number in 0..count {
         let frame = if number == 5 { read } else { urgent };
-        bench.network.send(bench.master, frame);
+        rig.network.send(rig.master, frame);
     }
-    while bench.network.adapter_mut(bench.master).unsent() > 0 {
-        bench.network.run_for(Time::from_ms(10));
+    while rig.network.adapter_mut(rig.master).unsent() > 0 {
+        rig.network.run_for(Time::from_ms(10));
     }
-    bench.collect(Time::from_ms(5));
-    let frames = frames_on_the_bus(&bench, since);
+    rig.collect(Time::from_ms(5));
+    let frames = frames_on_the_bus(&rig, since);
     for pair in frames.windows(2) {
         let ((.., end), (_, frame, start, _)) = (pair[0], pair[1]);
         let is_heartbeat_of_later = start - end > INTERMISSION && frame.id == Id::Standard(0x740);
@@ -89,47 +88,47 @@ fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
 
 #[test]
 fn a_full_bus_of_the_shortest_frames_loses_none_during_a_slow_flash_write() {
-    let mut bench = node_40(0);
-    bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-    send(&mut bench, "04 01");
+    let mut rig = node_40(0);
+    rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+    send(&mut rig, "04 01");
     let shortest = Frame::data(Id::Standard(0x7E5), &[]);
     const STORES: usize = 20;
     for node_id in 1..=STORES {
-        send(&mut bench, &format!("11 {node_id:02X}"));
-        send(&mut bench, "17");
-        (0..40).for_each(|_| bench.network.send(bench.master, shortest));
+        send(&mut rig, &format!("11 {node_id:02X}"));
+        send(&mut rig, "17");
+        (0..40).for_each(|_| rig.network.send(rig.master, shortest));
     }
-    while bench.network.adapter_mut(bench.master).unsent() > 0 {
-        bench.network.run_for(Time::from_ms(1));
+    while rig.network.adapter_mut(rig.master).unsent() > 0 {
+        rig.network.run_for(Time::from_ms(1));
     }
-    let answers = bench.collect(Time::from_ms(5)).0;
+    let answers = rig.collect(Time::from_ms(5)).0;
     let count = |text: &str| {
         let is_one = |frame: &&lss_slave::Frame| frames::text(frame).starts_with(text);
         answers.iter().filter(is_one).count()
     };
     assert_eq!([count("7E4: 11 00"), count("7E4: 17 00")], [STORES; 2]);
-    assert!(!logs(&bench, "CAN: overrun"));
+    assert!(!logs(&rig, "CAN: overrun"));
 }
 
 /// For a long time the other nodes see only errors.
-fn disturb(bench: &mut ImageRig) {
-    let disturber = bench.add_disturber();
-    bench.disturb(disturber, Id::Standard(0), Time::from_us(300), LONG);
+fn disturb(rig: &mut ImageRig) {
+    let disturber = rig.add_disturber();
+    rig.disturb(disturber, Id::Standard(0), Time::from_us(300), LONG);
 }
 
-fn errors(bench: &ImageRig, since: Time) -> usize {
-    bench.did(0, since).filter(|event| matches!(event.what, What::Error { .. })).count()
+fn errors(rig: &ImageRig, since: Time) -> usize {
+    rig.did(0, since).filter(|event| matches!(event.what, What::Error { .. })).count()
 }
 
 #[test]
 fn after_a_bus_of_error_frames_only_the_board_answers_again() {
-    let mut bench = node_40(20);
-    bench.lss("04 01");
-    let since = bench.network.now();
-    disturb(&mut bench);
-    assert!(errors(&bench, since) > 1_000, "{} errors", errors(&bench, since));
-    bench.collect(Time::from_s(1));
-    let answers = bench.lss("5E").0;
+    let mut rig = node_40(20);
+    rig.lss("04 01");
+    let since = rig.network.now();
+    disturb(&mut rig);
+    assert!(errors(&rig, since) > 1_000, "{} errors", errors(&rig, since));
+    rig.collect(Time::from_s(1));
+    let answers = rig.lss("5E").0;
     assert!(
         answers.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40")),
         "{answers:?}"
@@ -139,42 +138,42 @@ fn after_a_bus_of_error_frames_only_the_board_answers_again() {
 #[test]
 fn noise_without_end_does_not_end_the_search_for_the_bit_rate() {
     let automatic = settings(0x40, BitRate::Kbit1000).with_bit_rate(BitRateSetting::Automatic);
-    let mut bench = ImageRig::new(BitRate::Kbit500, [board_with(0, automatic)]);
-    let since = bench.network.now();
-    disturb(&mut bench);
-    let tried = bench.bit_rates(0, since).len();
+    let mut rig = ImageRig::new(BitRate::Kbit500, [board_with(0, automatic)]);
+    let since = rig.network.now();
+    disturb(&mut rig);
+    let tried = rig.bit_rates(0, since).len();
     assert!(tried > 10, "{tried} bit rates were tried");
     for _ in 0..100 {
-        send(&mut bench, "4C");
-        bench.network.run_for(Time::from_ms(20));
+        send(&mut rig, "4C");
+        rig.network.run_for(Time::from_ms(20));
     }
-    bench.collect(Time::from_ms(100));
-    bench.lss("04 01");
-    assert_eq!(bench.lss("5E"), ["5E 40"]);
+    rig.collect(Time::from_ms(100));
+    rig.lss("04 01");
+    assert_eq!(rig.lss("5E"), ["5E 40"]);
 }
 
 #[test]
 fn an_interrupt_every_50_us_without_end_starves_no_task() {
-    let mut bench = node_40(5);
-    bench.lss("04 01");
+    let mut rig = node_40(5);
+    rig.lss("04 01");
     // No frame that passes the filters is shorter.
     let shortest = Frame::data(Id::Standard(0x7E5), &[]);
-    let since = bench.network.now();
-    let (cycles, busy) = bench.network.board(0).cycles();
+    let since = rig.network.now();
+    let (cycles, busy) = rig.network.board(0).cycles();
     let mut answers = Vec::new();
     for node_id in 1..=8 {
         for request in [format!("11 {node_id:02X}").as_str(), "17"] {
-            send(&mut bench, request);
+            send(&mut rig, request);
             (0..LONG.as_ps() / Time::from_us(16 * 50).as_ps())
-                .for_each(|_| bench.network.send(bench.master, shortest));
-            while bench.network.adapter_mut(bench.master).unsent() > 0 {
-                answers.extend(bench.collect(Time::from_ms(10)).0);
+                .for_each(|_| rig.network.send(rig.master, shortest));
+            while rig.network.adapter_mut(rig.master).unsent() > 0 {
+                answers.extend(rig.collect(Time::from_ms(10)).0);
             }
         }
     }
-    let span = bench.network.now() - since;
+    let span = rig.network.now() - since;
     let (cycles, busy) =
-        (bench.network.board(0).cycles().0 - cycles, bench.network.board(0).cycles().1 - busy);
+        (rig.network.board(0).cycles().0 - cycles, rig.network.board(0).cycles().1 - busy);
     println!("{} ms, busy for {} % of them", span, 100 * busy / cycles);
     assert!(span > Time::from_s(3) && 100 * busy / cycles > 3, "it is busy");
     let count =
@@ -187,7 +186,7 @@ fn an_interrupt_every_50_us_without_end_starves_no_task() {
         "{} of {due} heartbeats",
         count("740: 7F")
     );
-    assert!(!logs(&bench, "CAN: overrun"));
+    assert!(!logs(&rig, "CAN: overrun"));
 }
 
 /// `bx lr`: returns at once.
@@ -197,20 +196,20 @@ const RETURN: [u8; 2] = [0x70, 0x47];
 fn the_watchdog_resets_a_board_whose_tasks_run_but_do_nothing() {
     // The last is the task that stores.
     for handler in ["CAN1_TX", "CAN1_SCE", "TIM2", "USART1"] {
-        let mut bench = node_40(0);
+        let mut rig = node_40(0);
         let code = (image().symbol(handler).expect("a handler") & !1) - FLASH_BASE;
-        let before = bench.network.board(0).flash()[code as usize..][..2].to_vec();
-        bench.expect_reset(0, ResetCause::Watchdog);
-        let from = bench.network.now();
-        bench.network.board_mut(0).set_flash(code, &RETURN);
-        while bench.network.board(0).resets().len() == 1 {
-            assert!(bench.network.now() < from + Time::from_ms(2_600), "{handler}: no reset");
-            bench.network.run_for(Time::from_us(20));
+        let before = rig.network.board(0).flash()[code as usize..][..2].to_vec();
+        rig.expect_reset(0, ResetCause::Watchdog);
+        let from = rig.network.now();
+        rig.network.board_mut(0).set_flash(code, &RETURN);
+        while rig.network.board(0).resets().len() == 1 {
+            assert!(rig.network.now() < from + Time::from_ms(2_600), "{handler}: no reset");
+            rig.network.run_for(Time::from_us(20));
         }
-        bench.network.board_mut(0).set_flash(code, &before);
-        let (reset_at, _) = bench.network.board(0).resets()[1];
-        bench.boot(0, reset_at);
-        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
-        assert_eq!(bench.lss("5E"), SILENCE, "in waiting state");
+        rig.network.board_mut(0).set_flash(code, &before);
+        let (reset_at, _) = rig.network.board(0).resets()[1];
+        rig.boot(0, reset_at);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
+        assert_eq!(rig.lss("5E"), SILENCE, "in waiting state");
     }
 }

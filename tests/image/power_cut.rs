@@ -22,50 +22,50 @@ const FORMAT_STEPS: u64 = 9;
 const STORE_STEPS: u64 = 8;
 
 /// Switches the supply on; returns the board's settings, and leaves it in LSS configuration state.
-fn power_on(bench: &mut ImageRig) -> Shown {
+fn power_on(rig: &mut ImageRig) -> Shown {
     // The master takes no part until it knows the bit rate: its errors would make the board search for another.
-    bench.network.adapter_mut(bench.master).close();
-    let since = bench.network.now();
-    bench.power_on(0);
-    let (_, first) = bench.bit_rates(0, since)[0];
+    rig.network.adapter_mut(rig.master).close();
+    let since = rig.network.now();
+    rig.power_on(0);
+    let (_, first) = rig.bit_rates(0, since)[0];
     let rate = BitRate::ALL.into_iter().find(|&rate| bit_per_s(rate) == first).expect("a bit rate");
-    bench.set_master_bit_rate(rate);
-    bench.network.adapter_mut(bench.master).open();
-    bench.collect(Time::from_ms(20));
-    bench.lss("04 01");
-    let answers = bench.lss("5E");
+    rig.set_master_bit_rate(rate);
+    rig.network.adapter_mut(rig.master).open();
+    rig.collect(Time::from_ms(20));
+    rig.lss("04 01");
+    let answers = rig.lss("5E");
     let [answer] = answers.0.as_slice() else { panic!("one answer, not {answers:?}") };
     (answer.data()[1], rate)
 }
 
-fn power_cycle(bench: &mut ImageRig) -> Shown {
-    bench.network.power_off(0);
-    power_on(bench)
+fn power_cycle(rig: &mut ImageRig) -> Shown {
+    rig.network.power_off(0);
+    power_on(rig)
 }
 
 /// Replaces the content of the settings' flash, then powers on with a cut in the flash operation after the next
 /// `steps`.
-fn power_on_in_vain(bench: &mut ImageRig, content: &[u8], steps: u64, random: &mut Random) {
-    bench.network.power_off(0);
-    bench.network.board_mut(0).set_flash(SETTINGS_OFFSET, content);
-    cut_power_after(bench, steps, random);
-    bench.network.power_on(0);
-    bench.expect_reset(0, ResetCause::PowerOn);
-    bench.collect(Time::from_ms(300));
-    assert!(!bench.network.board(0).is_powered(), "step {steps}");
+fn power_on_in_vain(rig: &mut ImageRig, content: &[u8], steps: u64, random: &mut Random) {
+    rig.network.power_off(0);
+    rig.network.board_mut(0).set_flash(SETTINGS_OFFSET, content);
+    cut_power_after(rig, steps, random);
+    rig.network.power_on(0);
+    rig.expect_reset(0, ResetCause::PowerOn);
+    rig.collect(Time::from_ms(300));
+    assert!(!rig.network.board(0).is_powered(), "step {steps}");
 }
 
 /// Configures and stores; returns whether the store was confirmed.
-fn commission(bench: &mut ImageRig, (node_id, rate): Shown) -> bool {
-    bench.lss("04 01");
-    bench.lss(&format!("11 {node_id:02X}"));
-    bench.lss(&format!("13 00 {:02X}", rate.index()));
-    bench.lss("17") == ["17 00"]
+fn commission(rig: &mut ImageRig, (node_id, rate): Shown) -> bool {
+    rig.lss("04 01");
+    rig.lss(&format!("11 {node_id:02X}"));
+    rig.lss(&format!("13 00 {:02X}", rate.index()));
+    rig.lss("17") == ["17 00"]
 }
 
 /// Cuts the power in the flash operation after the next `steps`.
-fn cut_power_after(bench: &ImageRig, steps: u64, random: &mut Random) {
-    let board = bench.network.board(0);
+fn cut_power_after(rig: &ImageRig, steps: u64, random: &mut Random) {
+    let board = rig.network.board(0);
     let operation = board.chip().flash().operations() + steps;
     board.chip().flash_mut().cut_power(PowerCut { operation, seed: random.u64() });
 }
@@ -76,17 +76,17 @@ fn a_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
     let mut kept = 0;
     for step in 0..STORE_STEPS {
         for _ in 0..3 {
-            let mut bench = ImageRig::with(settings(OLD.0, OLD.1));
-            cut_power_after(&bench, step, &mut random);
-            assert!(!commission(&mut bench, NEW), "confirmed without power, step {step}");
-            assert!(!bench.network.board(0).is_powered(), "step {step}");
-            let found = power_on(&mut bench);
+            let mut rig = ImageRig::with(settings(OLD.0, OLD.1));
+            cut_power_after(&rig, step, &mut random);
+            assert!(!commission(&mut rig, NEW), "confirmed without power, step {step}");
+            assert!(!rig.network.board(0).is_powered(), "step {step}");
+            let found = power_on(&mut rig);
             // The last word makes a record valid.
             let may_be_new = step == STORE_STEPS - 1;
             assert!(found == OLD || may_be_new && found == NEW, "{found:02X?} after step {step}");
             kept += u32::from(found == OLD);
-            assert!(commission(&mut bench, NEW), "step {step}");
-            assert_eq!(power_cycle(&mut bench), NEW);
+            assert!(commission(&mut rig, NEW), "step {step}");
+            assert_eq!(power_cycle(&mut rig), NEW);
         }
     }
     println!("{kept} of {} kept the old settings", 3 * STORE_STEPS);
@@ -94,9 +94,9 @@ fn a_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
 
 #[test]
 fn a_cut_behind_the_last_step_of_a_store_leaves_the_new_settings() {
-    let mut bench = ImageRig::with(settings(OLD.0, OLD.1));
-    assert!(commission(&mut bench, NEW));
-    assert_eq!(power_cycle(&mut bench), NEW);
+    let mut rig = ImageRig::with(settings(OLD.0, OLD.1));
+    assert!(commission(&mut rig, NEW));
+    assert_eq!(power_cycle(&mut rig), NEW);
 }
 
 #[test]
@@ -104,13 +104,13 @@ fn cuts_in_formatting_and_the_first_store_leave_defaults_or_new_settings() {
     let mut random = Random::from_environment();
     let defaults = (0xFF, DEFAULT_BIT_RATE);
     for step in 0..FORMAT_STEPS {
-        let mut bench = ImageRig::blank();
-        power_on_in_vain(&mut bench, &[0xFF; 0x8000], step, &mut random);
-        assert_eq!(power_on(&mut bench), defaults, "step {step}");
+        let mut rig = ImageRig::blank();
+        power_on_in_vain(&mut rig, &[0xFF; 0x8000], step, &mut random);
+        assert_eq!(power_on(&mut rig), defaults, "step {step}");
         let second = random.within(0..STORE_STEPS);
-        cut_power_after(&bench, second, &mut random);
-        assert!(!commission(&mut bench, NEW), "confirmed without power, steps {step}, {second}");
-        let found = power_on(&mut bench);
+        cut_power_after(&rig, second, &mut random);
+        assert!(!commission(&mut rig, NEW), "confirmed without power, steps {step}, {second}");
+        let found = power_on(&mut rig);
         assert!(found == defaults || found == NEW, "{found:02X?} after steps {step}, {second}");
     }
 }
@@ -123,10 +123,10 @@ fn a_cut_in_any_step_of_the_move_to_the_other_sector_leaves_the_settings() {
     let content = flash_with(&stores);
     let last = (384_u16 as u8 % 100 + 1, OLD.1);
     for step in 0..FORMAT_STEPS {
-        let mut bench = ImageRig::with(settings(OLD.0, OLD.1));
-        power_on_in_vain(&mut bench, &content, step, &mut random);
-        assert_eq!(power_on(&mut bench), last, "step {step}");
-        assert!(commission(&mut bench, NEW), "step {step}");
-        assert_eq!(power_cycle(&mut bench), NEW);
+        let mut rig = ImageRig::with(settings(OLD.0, OLD.1));
+        power_on_in_vain(&mut rig, &content, step, &mut random);
+        assert_eq!(power_on(&mut rig), last, "step {step}");
+        assert!(commission(&mut rig, NEW), "step {step}");
+        assert_eq!(power_cycle(&mut rig), NEW);
     }
 }

@@ -28,64 +28,59 @@ struct Traffic {
 
 impl Traffic {
     /// One heartbeat a second.
-    fn sparse(bench: &mut ImageRig, bit_rate: BitRate) -> Self {
+    fn sparse(rig: &mut ImageRig, bit_rate: BitRate) -> Self {
         let heartbeat = |_| Frame::data(Id::Standard(0x701), &[0x05]);
-        Self::new(bench, bit_rate, heartbeat, Time::from_s(1))
+        Self::new(rig, bit_rate, heartbeat, Time::from_s(1))
     }
 
     /// A bus load of 90 %.
-    fn dense(bench: &mut ImageRig, bit_rate: BitRate) -> Self {
+    fn dense(rig: &mut ImageRig, bit_rate: BitRate) -> Self {
         let frame = |count: usize| {
             let data = (count as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
             Frame::data(Id::Standard(0x181 + count as u16 % 2), &data.to_le_bytes())
         };
-        let period = bench.bit_time() * LONG_FRAME_BITS * 10;
-        Self::new(bench, bit_rate, frame, Time::from_ps(period.as_ps() / 9))
+        let period = rig.bit_time() * LONG_FRAME_BITS * 10;
+        Self::new(rig, bit_rate, frame, Time::from_ps(period.as_ps() / 9))
     }
 
-    fn new(
-        bench: &mut ImageRig,
-        bit_rate: BitRate,
-        frame: fn(usize) -> Frame,
-        period: Time,
-    ) -> Self {
-        let others = [(); 2].map(|()| bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate))));
-        Self { others, frame, period, next: bench.network.now(), count: 0 }
+    fn new(rig: &mut ImageRig, bit_rate: BitRate, frame: fn(usize) -> Frame, period: Time) -> Self {
+        let others = [(); 2].map(|()| rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate))));
+        Self { others, frame, period, next: rig.network.now(), count: 0 }
     }
 
-    fn run_for(&mut self, bench: &mut ImageRig, span: Time) {
-        let until = bench.network.now() + span;
-        while bench.network.now() < until {
-            if self.next <= bench.network.now() {
+    fn run_for(&mut self, rig: &mut ImageRig, span: Time) {
+        let until = rig.network.now() + span;
+        while rig.network.now() < until {
+            if self.next <= rig.network.now() {
                 let frame = (self.frame)(self.count);
-                bench.network.send(self.others[self.count % 2], frame);
+                rig.network.send(self.others[self.count % 2], frame);
                 self.count += 1;
                 self.next += self.period;
             }
-            bench.network.run_until(self.next.min(until));
+            rig.network.run_until(self.next.min(until));
         }
     }
 }
 
 /// A board that detects the bit rate, without power, on a bus at `bit_rate`.
-fn bench(bit_rate: BitRate, node_id: u8) -> ImageRig {
+fn rig(bit_rate: BitRate, node_id: u8) -> ImageRig {
     let automatic = BitRateSetting::Automatic;
     let settings = settings(node_id, bit_rate).with_bit_rate(automatic);
-    let mut bench = ImageRig::new(bit_rate, [board_with(0, settings)]);
-    bench.network.power_off(0);
-    bench
+    let mut rig = ImageRig::new(bit_rate, [board_with(0, settings)]);
+    rig.network.power_off(0);
+    rig
 }
 
 /// Switches the board on while the bus is in use; returns the time.
-fn switch_on(bench: &mut ImageRig) -> Time {
-    bench.network.power_on(0);
-    bench.expect_reset(0, ResetCause::PowerOn);
-    bench.network.now()
+fn switch_on(rig: &mut ImageRig) -> Time {
+    rig.network.power_on(0);
+    rig.expect_reset(0, ResetCause::PowerOn);
+    rig.network.now()
 }
 
 /// The time at which the board knew the bit rate, and the rate.
-fn found(bench: &ImageRig, on: Time) -> Option<(Time, u32)> {
-    let timings = bench.did(0, on).filter_map(|event| match event.what {
+fn found(rig: &ImageRig, on: Time) -> Option<(Time, u32)> {
+    let timings = rig.did(0, on).filter_map(|event| match event.what {
         What::BitTiming { btr, bit_rate } => Some((event.time, btr & SILM != 0, bit_rate)),
         _ => None,
     });
@@ -96,30 +91,29 @@ fn found(bench: &ImageRig, on: Time) -> Option<(Time, u32)> {
 
 /// Checks that before `until` the board requested no transmission, raised no error frame, and was always in silent
 /// mode, so that it did not acknowledge either.
-fn assert_silent(bench: &ImageRig, on: Time, until: Time) {
+fn assert_silent(rig: &ImageRig, on: Time, until: Time) {
     let is_loud = |event: &&Event| match event.what {
         What::Requested { .. } | What::Error { .. } | What::Frame { .. } => true,
         What::BitTiming { btr, .. } => btr & SILM == 0,
         _ => false,
     };
-    let loud: Vec<_> =
-        bench.did(0, on).filter(|event| event.time < until).filter(is_loud).collect();
+    let loud: Vec<_> = rig.did(0, on).filter(|event| event.time < until).filter(is_loud).collect();
     assert!(loud.is_empty(), "{loud:#?}");
 }
 
 /// Lets the board find the rate; returns the time from power-on.
-fn detect(bench: &mut ImageRig, traffic: &mut Traffic, bit_rate: BitRate) -> Time {
-    let on = switch_on(bench);
+fn detect(rig: &mut ImageRig, traffic: &mut Traffic, bit_rate: BitRate) -> Time {
+    let on = switch_on(rig);
     let (time, found_rate) = loop {
-        traffic.run_for(bench, Time::from_ms(10));
-        if let Some(found) = found(bench, on) {
+        traffic.run_for(rig, Time::from_ms(10));
+        if let Some(found) = found(rig, on) {
             break found;
         }
-        assert!(bench.network.now() < on + Time::from_s(30), "{bit_rate:?} is not found");
+        assert!(rig.network.now() < on + Time::from_s(30), "{bit_rate:?} is not found");
     };
     assert_eq!(found_rate, bit_per_s(bit_rate));
-    assert_silent(bench, on, time);
-    bench.network.power_off(0);
+    assert_silent(rig, on, time);
+    rig.network.power_off(0);
     time - on
 }
 
@@ -133,12 +127,12 @@ fn every_rate_is_found_in_sparse_and_dense_traffic_without_a_dominant_bit() {
             (Traffic::sparse as fn(&mut ImageRig, BitRate) -> Traffic, 4, SPARSE_BOUND),
             (Traffic::dense, 4, DENSE_BOUND),
         ] {
-            let mut bench = bench(bit_rate, 0x40);
-            let mut traffic = make(&mut bench, bit_rate);
+            let mut rig = rig(bit_rate, 0x40);
+            let mut traffic = make(&mut rig, bit_rate);
             let times: Vec<Time> = (0..phases)
                 .map(|phase| {
-                    traffic.run_for(&mut bench, Time::from_us(10_000 + phase * 236_770));
-                    detect(&mut bench, &mut traffic, bit_rate)
+                    traffic.run_for(&mut rig, Time::from_us(10_000 + phase * 236_770));
+                    detect(&mut rig, &mut traffic, bit_rate)
                 })
                 .collect();
             let shortest = times.iter().min().expect("phases");
@@ -157,21 +151,21 @@ const DENSE_BOUND: Time = Time::from_s(1);
 fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
     println!("time from power-on until a lone master is acknowledged, in ms");
     for bit_rate in BitRate::ALL {
-        let mut bench = bench(bit_rate, 0x40);
-        bench.network.send(bench.master, on_the_wire(&frames::request("04 01")));
-        bench.network.run_for(Time::from_ms(5));
-        let on = switch_on(&mut bench);
-        while bench.network.adapter_mut(bench.master).unsent() > 0 {
-            assert!(bench.network.now() < on + Time::from_s(30), "{bit_rate:?} is not found");
-            bench.network.run_for(Time::from_ms(1));
+        let mut rig = rig(bit_rate, 0x40);
+        rig.network.send(rig.master, on_the_wire(&frames::request("04 01")));
+        rig.network.run_for(Time::from_ms(5));
+        let on = switch_on(&mut rig);
+        while rig.network.adapter_mut(rig.master).unsent() > 0 {
+            assert!(rig.network.now() < on + Time::from_s(30), "{bit_rate:?} is not found");
+            rig.network.run_for(Time::from_ms(1));
         }
-        let (time, found_rate) = found(&bench, on).expect("only the board can acknowledge");
+        let (time, found_rate) = found(&rig, on).expect("only the board can acknowledge");
         assert_eq!(found_rate, bit_per_s(bit_rate));
-        assert_silent(&bench, on, time);
-        let master = Source::Adapter(bench.master);
+        assert_silent(&rig, on, time);
+        let master = Source::Adapter(rig.master);
         let is_frame =
             |event: &&Event| event.source == master && matches!(event.what, What::Frame { .. });
-        let sent = bench.network.trace().iter().find(is_frame).expect("it was sent").time;
+        let sent = rig.network.trace().iter().find(is_frame).expect("it was sent").time;
         assert!(sent > time, "acknowledged at {sent}, known at {time}");
         println!("{:>7} kbit/s  {:>6}", bit_rate.kbit_per_s(), (sent - on).as_ms());
     }
@@ -180,27 +174,27 @@ fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
 #[test]
 fn on_a_silent_bus_a_board_listens_until_a_frame_gives_the_rate() {
     let bit_rate = BitRate::Kbit20;
-    let mut bench = bench(bit_rate, 0x40);
-    let on = switch_on(&mut bench);
-    bench.network.run_for(Time::from_s(40));
-    assert_silent(&bench, on, Time::MAX);
-    assert_eq!(found(&bench, on), None);
-    let mut traffic = Traffic::dense(&mut bench, bit_rate);
-    traffic.run_for(&mut bench, Time::from_s(3));
-    assert_eq!(found(&bench, on).expect("a frame was sent").1, bit_per_s(bit_rate));
+    let mut rig = rig(bit_rate, 0x40);
+    let on = switch_on(&mut rig);
+    rig.network.run_for(Time::from_s(40));
+    assert_silent(&rig, on, Time::MAX);
+    assert_eq!(found(&rig, on), None);
+    let mut traffic = Traffic::dense(&mut rig, bit_rate);
+    traffic.run_for(&mut rig, Time::from_s(3));
+    assert_eq!(found(&rig, on).expect("a frame was sent").1, bit_per_s(bit_rate));
 }
 
 #[test]
 fn a_board_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
     for bit_rate in BitRate::ALL {
-        let mut bench = bench(bit_rate, 0xFF);
-        let mut traffic = Traffic::dense(&mut bench, bit_rate);
-        traffic.run_for(&mut bench, Time::from_ms(5));
-        let on = switch_on(&mut bench);
-        traffic.run_for(&mut bench, Time::from_s(1));
-        let (time, _) = found(&bench, on).expect("dense traffic");
-        assert_silent(&bench, on, time);
-        bench.collect(Time::from_ms(50));
-        assert_eq!(bench.lss("4C"), ["50"], "{bit_rate:?}");
+        let mut rig = rig(bit_rate, 0xFF);
+        let mut traffic = Traffic::dense(&mut rig, bit_rate);
+        traffic.run_for(&mut rig, Time::from_ms(5));
+        let on = switch_on(&mut rig);
+        traffic.run_for(&mut rig, Time::from_s(1));
+        let (time, _) = found(&rig, on).expect("dense traffic");
+        assert_silent(&rig, on, time);
+        rig.collect(Time::from_ms(50));
+        assert_eq!(rig.lss("4C"), ["50"], "{bit_rate:?}");
     }
 }

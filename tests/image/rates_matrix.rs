@@ -26,7 +26,7 @@ const LOAD_FRAMES: u64 = 10;
 
 /// Nodes 1 and 2 in configuration state, and an adapter that loads the bus.
 struct Site {
-    bench: ImageRig,
+    rig: ImageRig,
     load: AdapterId,
     bit_rate: BitRate,
     is_loaded: bool,
@@ -35,34 +35,34 @@ struct Site {
 impl Site {
     fn new(bit_rate: BitRate, is_loaded: bool) -> Self {
         let boards = [1, 2].map(|number| board_with(number, settings(number, bit_rate)));
-        let mut bench = ImageRig::new(bit_rate, boards);
-        let load = bench.network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
-        bench.transmit_request("04 01");
-        bench.network.run_for(Time::from_ms(3));
-        bench.collect(Time::ZERO);
-        Self { bench, load, bit_rate, is_loaded }
+        let mut rig = ImageRig::new(bit_rate, boards);
+        let load = rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
+        rig.transmit_request("04 01");
+        rig.network.run_for(Time::from_ms(3));
+        rig.collect(Time::ZERO);
+        Self { rig, load, bit_rate, is_loaded }
     }
 
     /// Loads the bus to 90 %, and makes the master send a frame in the middle of it.
     fn load_while(&mut self, request: Option<Frame>) {
-        let period = self.bench.bit_time() * LONG_FRAME_BITS * 10;
+        let period = self.rig.bit_time() * LONG_FRAME_BITS * 10;
         let period = Time::from_ps(period.as_ps() / 9);
         for count in 0..LOAD_FRAMES {
             if self.is_loaded {
                 let data = count.wrapping_mul(0x9E37_79B9_7F4A_7C15).to_le_bytes();
-                self.bench.network.send(self.load, Frame::data(Id::Standard(0x181), &data));
+                self.rig.network.send(self.load, Frame::data(Id::Standard(0x181), &data));
             }
             if count == LOAD_FRAMES / 2
                 && let Some(request) = request
             {
-                self.bench.network.send(self.bench.master, request);
+                self.rig.network.send(self.rig.master, request);
             }
             if self.is_loaded || request.is_some() {
-                self.bench.network.run_for(period);
+                self.rig.network.run_for(period);
             }
         }
-        while self.bench.network.adapter_mut(self.bench.master).unsent() > 0 {
-            self.bench.network.run_for(self.bench.bit_time() * 10);
+        while self.rig.network.adapter_mut(self.rig.master).unsent() > 0 {
+            self.rig.network.run_for(self.rig.bit_time() * 10);
         }
     }
 
@@ -70,25 +70,25 @@ impl Site {
     fn switch(&mut self, to: BitRate, delay_ms: u16) {
         let configure = frames::request(&format!("13 00 {:02X}", to.index()));
         self.load_while(Some(on_the_wire(&configure)));
-        let patience = ACCURACY + self.bench.bit_time() * LONG_FRAME_BITS * 2;
-        assert_eq!(self.bench_answers(patience), ["13 00"]);
+        let patience = ACCURACY + self.rig.bit_time() * LONG_FRAME_BITS * 2;
+        assert_eq!(self.answers(patience), ["13 00"]);
 
         let [low, high] = delay_ms.to_le_bytes();
-        let end = self.bench.transmit_request(&format!("15 {low:02X} {high:02X}"));
+        let end = self.rig.transmit_request(&format!("15 {low:02X} {high:02X}"));
         let delay = Time::from_ms(delay_ms.into());
-        self.bench.network.run_until(end + delay);
-        self.bench.set_master_bit_rate(to);
-        self.bench.network.adapter_mut(self.load).set_bit_rate(bit_per_s(to));
+        self.rig.network.run_until(end + delay);
+        self.rig.set_master_bit_rate(to);
+        self.rig.network.adapter_mut(self.load).set_bit_rate(bit_per_s(to));
         self.bit_rate = to;
-        self.bench.network.run_until(end + delay * 2 + ACCURACY);
+        self.rig.network.run_until(end + delay * 2 + ACCURACY);
 
         self.load_while(None);
-        self.bench_answers(patience);
+        self.answers(patience);
     }
 
     /// The frames that the nodes have sent, without the load.
-    fn bench_answers(&mut self, span: Time) -> frames::Frames {
-        let mut frames = self.bench.collect(span + self.bench.bit_time() * LONG_FRAME_BITS);
+    fn answers(&mut self, span: Time) -> frames::Frames {
+        let mut frames = self.rig.collect(span + self.rig.bit_time() * LONG_FRAME_BITS);
         frames.0.retain(|frame| frame.cob_id() != 0x181);
         frames
     }
@@ -97,8 +97,8 @@ impl Site {
     fn assert_all_reached(&mut self, what: &str) {
         for (id, address) in [(1, 0x581), (2, 0x582)] {
             let request = Frame::data(Id::Standard(0x600 + id), &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
-            self.bench.transmit(request);
-            let answers = self.bench_answers(ACCURACY);
+            self.rig.transmit(request);
+            let answers = self.answers(ACCURACY);
             let is_there = answers.0.iter().any(|frame| frame.cob_id() == address);
             assert!(is_there, "node {id} is lost, {what}");
         }
@@ -140,7 +140,7 @@ fn all_pairs(delay_ms: u16, is_loaded: bool) {
         let what = format!("{} to {} kbit/s", pair[0].kbit_per_s(), pair[1].kbit_per_s());
         site.switch(pair[1], delay_ms);
         site.assert_all_reached(&what);
-        assert_no_error_frame(&site.bench.network, &what);
+        assert_no_error_frame(&site.rig.network, &what);
     }
 }
 
@@ -194,33 +194,33 @@ fn a_delay_of_50_ms_does_not_disturb_a_neighbour_that_needs_40_ms() {
         let (processing, delay) = (Time::from_ms(40), Time::from_ms(50));
         let boards =
             [1, 2].map(|number| board_with(number, settings(number, from).with_heartbeat_ms(5)));
-        let mut bench = ImageRig::new(from, boards);
-        let slow = bench.network.add_adapter(Adapter::new(bit_per_s(from)));
-        bench.transmit_request("04 01");
-        bench.transmit_request(&format!("13 00 {:02X}", to.index()));
-        bench.network.run_for(Time::from_ms(5));
+        let mut rig = ImageRig::new(from, boards);
+        let slow = rig.network.add_adapter(Adapter::new(bit_per_s(from)));
+        rig.transmit_request("04 01");
+        rig.transmit_request(&format!("13 00 {:02X}", to.index()));
+        rig.network.run_for(Time::from_ms(5));
         let frame = Frame::data(Id::Standard(0x183), &[0x5A; 8]);
-        let end = bench.transmit_request("15 32 00");
+        let end = rig.transmit_request("15 32 00");
         // It continues as before until it has processed the request, and counts both delays from then on.
-        while bench.network.now() + Time::from_ms(3) < end + processing {
-            bench.network.send(slow, frame);
-            bench.network.run_for(Time::from_ms(3));
-            assert_eq!(bench.network.adapter_mut(slow).unsent(), 0, "it is acknowledged");
+        while rig.network.now() + Time::from_ms(3) < end + processing {
+            rig.network.send(slow, frame);
+            rig.network.run_for(Time::from_ms(3));
+            assert_eq!(rig.network.adapter_mut(slow).unsent(), 0, "it is acknowledged");
         }
-        bench.network.run_until(end + delay);
-        bench.set_master_bit_rate(to);
-        bench.network.run_until(end + processing + delay);
-        bench.network.adapter_mut(slow).set_bit_rate(bit_per_s(to));
-        bench.network.run_until(end + processing + delay * 2);
+        rig.network.run_until(end + delay);
+        rig.set_master_bit_rate(to);
+        rig.network.run_until(end + processing + delay);
+        rig.network.adapter_mut(slow).set_bit_rate(bit_per_s(to));
+        rig.network.run_until(end + processing + delay * 2);
         for _ in 0..10 {
-            bench.network.send(slow, frame);
-            bench.network.run_for(Time::from_ms(3));
+            rig.network.send(slow, frame);
+            rig.network.run_for(Time::from_ms(3));
         }
-        bench.network.run_for(Time::from_ms(20));
-        assert_eq!(bench.network.adapter_mut(slow).unsent(), 0, "it is acknowledged");
-        assert_no_error_frame(&bench.network, "a slow neighbour");
-        bench.collect(Time::ZERO);
-        let heartbeats = bench.collect(Time::from_ms(12));
+        rig.network.run_for(Time::from_ms(20));
+        assert_eq!(rig.network.adapter_mut(slow).unsent(), 0, "it is acknowledged");
+        assert_no_error_frame(&rig.network, "a slow neighbour");
+        rig.collect(Time::ZERO);
+        let heartbeats = rig.collect(Time::from_ms(12));
         for cob_id in [0x701, 0x702] {
             assert!(heartbeats.0.iter().any(|frame| frame.cob_id() == cob_id), "{cob_id:03X}");
         }
@@ -244,8 +244,8 @@ fn each_bit_rate_has_its_value_in_can_btr() {
         (BitRate::Kbit20, 0x022F_0063),
         (BitRate::Kbit10, 0x022F_00C7),
     ] {
-        let bench = ImageRig::with(settings(0x40, bit_rate));
-        let written = bench.did(0, Time::ZERO).filter_map(|event| match event.what {
+        let rig = ImageRig::with(settings(0x40, bit_rate));
+        let written = rig.did(0, Time::ZERO).filter_map(|event| match event.what {
             What::BitTiming { btr, .. } => Some(btr),
             _ => None,
         });

@@ -40,31 +40,31 @@ fn nodes(count: u8) -> Vec<Probe> {
 }
 
 /// Makes the master ask all of them in turn until each has answered; returns the time, `None` if it is over the limit.
-fn reach(bench: &mut ImageRig, mut missing: Vec<Probe>, limit: Time) -> Option<Time> {
-    let since = bench.network.now();
-    while bench.network.receive(bench.master).is_some() {}
+fn reach(rig: &mut ImageRig, mut missing: Vec<Probe>, limit: Time) -> Option<Time> {
+    let since = rig.network.now();
+    while rig.network.receive(rig.master).is_some() {}
     for turn in 0.. {
         if missing.is_empty() {
             break;
         }
-        if bench.network.now() > since + limit {
+        if rig.network.now() > since + limit {
             return None;
         }
-        if bench.network.adapter_mut(bench.master).unsent() == 0 {
+        if rig.network.adapter_mut(rig.master).unsent() == 0 {
             let probe = &missing[turn % missing.len()];
-            bench.network.send(bench.master, probe.request);
+            rig.network.send(rig.master, probe.request);
         }
-        bench.network.run_for(POLL);
-        while let Some((_, frame)) = bench.network.receive(bench.master) {
+        rig.network.run_for(POLL);
+        while let Some((_, frame)) = rig.network.receive(rig.master) {
             missing.retain(|probe| probe.answer != frame.id);
         }
     }
-    Some(bench.network.now() - since)
+    Some(rig.network.now() - since)
 }
 
 /// Prints the time until the master has reached all of them.
-fn all_reached(scenario: &str, bench: &mut ImageRig, missing: Vec<Probe>) {
-    let span = reach(bench, missing, LIMIT);
+fn all_reached(scenario: &str, rig: &mut ImageRig, missing: Vec<Probe>) {
+    let span = reach(rig, missing, LIMIT);
     match span {
         Some(span) => println!("{scenario:<62} {:>6.1} s", span.as_ms() as f64 / 1000.0),
         None => panic!("{scenario}: a node is stranded"),
@@ -79,30 +79,30 @@ fn four(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
 }
 
 /// The master switches all nodes in configuration state, and itself, to another rate.
-fn switch_over(bench: &mut ImageRig, to: BitRate, is_to_be_stored: bool) {
+fn switch_over(rig: &mut ImageRig, to: BitRate, is_to_be_stored: bool) {
     const DELAY_MS: u64 = 50;
-    bench.transmit_request(&format!("13 00 {:02X}", to.index()));
-    bench.network.run_for(Time::from_ms(20));
+    rig.transmit_request(&format!("13 00 {:02X}", to.index()));
+    rig.network.run_for(Time::from_ms(20));
     if is_to_be_stored {
-        bench.transmit_request("17");
-        bench.network.run_for(Time::from_ms(50));
+        rig.transmit_request("17");
+        rig.network.run_for(Time::from_ms(50));
     }
-    let end = bench.transmit_request(&format!("15 {DELAY_MS:02X} 00"));
-    bench.network.run_until(end + Time::from_ms(DELAY_MS));
-    bench.set_master_bit_rate(to);
-    bench.network.run_until(end + Time::from_ms(2 * DELAY_MS + 1));
+    let end = rig.transmit_request(&format!("15 {DELAY_MS:02X} 00"));
+    rig.network.run_until(end + Time::from_ms(DELAY_MS));
+    rig.set_master_bit_rate(to);
+    rig.network.run_until(end + Time::from_ms(2 * DELAY_MS + 1));
 }
 
 /// Puts only nodes 1 to 3 into configuration state: node 4 was switched back alone.
-fn leave_node_4_out(bench: &mut ImageRig) {
-    bench.network.power_off(3);
-    bench.transmit_request("04 01");
-    bench.network.run_for(Time::from_ms(20));
+fn leave_node_4_out(rig: &mut ImageRig) {
+    rig.network.power_off(3);
+    rig.transmit_request("04 01");
+    rig.network.run_for(Time::from_ms(20));
 }
 
-fn power_on_at_any_rate(bench: &mut ImageRig, board: usize) {
-    bench.network.power_on(board);
-    bench.expect_reset(board, ResetCause::PowerOn);
+fn power_on_at_any_rate(rig: &mut ImageRig, board: usize) {
+    rig.network.power_on(board);
+    rig.expect_reset(board, ResetCause::PowerOn);
 }
 
 #[test]
@@ -113,13 +113,13 @@ fn a_node_without_power_during_the_switch_is_reached_after_it() {
         (BitRate::Kbit500, BitRate::Kbit20),
         (BitRate::Kbit50, BitRate::Kbit250),
     ] {
-        let mut bench = four(from, 1000);
-        leave_node_4_out(&mut bench);
-        switch_over(&mut bench, to, true);
-        power_on_at_any_rate(&mut bench, 3);
+        let mut rig = four(from, 1000);
+        leave_node_4_out(&mut rig);
+        switch_over(&mut rig, to, true);
+        power_on_at_any_rate(&mut rig, 3);
         let (from, to) = (from.kbit_per_s(), to.kbit_per_s());
         let scenario = format!("1 of 4 without power while {from} became {to} kbit/s");
-        all_reached(&scenario, &mut bench, nodes(4));
+        all_reached(&scenario, &mut rig, nodes(4));
     }
 }
 
@@ -139,11 +139,11 @@ fn a_node_with_another_rate_stored_is_reached() {
                 let bit_rate = if number == 2 { stored } else { bus };
                 board_with(number, settings(number, bit_rate).with_heartbeat_ms(heartbeat_ms))
             };
-            let mut bench = ImageRig::new(bus, (1..=4).map(with));
+            let mut rig = ImageRig::new(bus, (1..=4).map(with));
             let (stored, bus) = (stored.kbit_per_s(), bus.kbit_per_s());
             let scenario =
                 format!("1 of 4 has {stored}, not {bus} kbit/s, heartbeat {heartbeat_ms} ms");
-            all_reached(&scenario, &mut bench, nodes(4));
+            all_reached(&scenario, &mut rig, nodes(4));
         }
     }
 }
@@ -157,15 +157,15 @@ fn alone_with_the_master(node_id: u8, probe: fn() -> Probe) -> usize {
     for board in BitRate::ALL {
         print!("{:>5} kbit/s, master at", board.kbit_per_s());
         for master in BitRate::ALL.into_iter().filter(|&master| master != board) {
-            let mut bench = ImageRig::new(master, [board_with(0, settings(node_id, board))]);
-            bench.network.record(Recording::Latest(10));
+            let mut rig = ImageRig::new(master, [board_with(0, settings(node_id, board))]);
+            rig.network.record(Recording::Latest(10));
             print!(" {}:", master.kbit_per_s());
-            match reach(&mut bench, vec![probe()], SOON) {
+            match reach(&mut rig, vec![probe()], SOON) {
                 Some(span) => print!(" {:.1} s", span.as_ms() as f64 / 1000.0),
                 None => {
                     count += 1;
-                    bench.set_master_bit_rate(board);
-                    let span = reach(&mut bench, vec![probe()], LIMIT);
+                    rig.set_master_bit_rate(board);
+                    let span = reach(&mut rig, vec![probe()], LIMIT);
                     assert!(span.is_some(), "{board:?} with a master at {master:?} is stranded");
                     print!(" at its own");
                 }
@@ -194,73 +194,73 @@ fn a_node_that_sits_alone_with_the_master_is_reached_but_at_two_pairs() {
 fn a_node_without_acknowledges_stays_at_its_rate_and_answers_at_once() {
     let bit_rate = BitRate::Kbit125;
     let board = board_with(1, settings(1, bit_rate).with_heartbeat_ms(100));
-    let mut bench = ImageRig::new(bit_rate, [board]);
-    bench.network.adapter_mut(bench.master).close();
-    let since = bench.network.now();
-    bench.network.run_for(Time::from_s(60));
-    assert_eq!(bench.bit_rates(0, since), [], "missing acknowledges are no reason to listen");
-    bench.network.adapter_mut(bench.master).open();
-    all_reached("1 node without a neighbour for a minute", &mut bench, nodes(1));
+    let mut rig = ImageRig::new(bit_rate, [board]);
+    rig.network.adapter_mut(rig.master).close();
+    let since = rig.network.now();
+    rig.network.run_for(Time::from_s(60));
+    assert_eq!(rig.bit_rates(0, since), [], "missing acknowledges are no reason to listen");
+    rig.network.adapter_mut(rig.master).open();
+    all_reached("1 node without a neighbour for a minute", &mut rig, nodes(1));
 }
 
 #[test]
 fn a_network_that_was_without_power_comes_back_at_its_rate() {
-    let mut bench = four(BitRate::Kbit125, 1000);
-    (0..4).for_each(|board| bench.network.power_off(board));
-    bench.network.run_for(Time::from_s(2));
-    (0..4).for_each(|board| power_on_at_any_rate(&mut bench, board));
-    let since = bench.network.now();
-    all_reached("4 nodes whose power failed", &mut bench, nodes(4));
+    let mut rig = four(BitRate::Kbit125, 1000);
+    (0..4).for_each(|board| rig.network.power_off(board));
+    rig.network.run_for(Time::from_s(2));
+    (0..4).for_each(|board| power_on_at_any_rate(&mut rig, board));
+    let since = rig.network.now();
+    all_reached("4 nodes whose power failed", &mut rig, nodes(4));
     for board in 0..4 {
-        let rates = bench.bit_rates(board, since);
+        let rates = rig.bit_rates(board, since);
         assert!(matches!(rates[..], [(_, 125_000)]), "set once: {rates:?}");
     }
 }
 
 #[test]
 fn an_unstored_switch_ends_at_power_off_and_all_are_at_the_old_rate() {
-    let mut bench = four(BitRate::Kbit125, 1000);
-    bench.transmit_request("04 01");
-    switch_over(&mut bench, BitRate::Kbit500, false);
-    all_reached("4 nodes after a switch", &mut bench, nodes(4));
-    (0..4).for_each(|board| bench.network.power_off(board));
-    bench.set_master_bit_rate(BitRate::Kbit125);
-    (0..4).for_each(|board| power_on_at_any_rate(&mut bench, board));
-    all_reached("4 nodes whose power failed before 17", &mut bench, nodes(4));
+    let mut rig = four(BitRate::Kbit125, 1000);
+    rig.transmit_request("04 01");
+    switch_over(&mut rig, BitRate::Kbit500, false);
+    all_reached("4 nodes after a switch", &mut rig, nodes(4));
+    (0..4).for_each(|board| rig.network.power_off(board));
+    rig.set_master_bit_rate(BitRate::Kbit125);
+    (0..4).for_each(|board| power_on_at_any_rate(&mut rig, board));
+    all_reached("4 nodes whose power failed before 17", &mut rig, nodes(4));
 }
 
 #[test]
 fn a_node_that_switched_alone_comes_back() {
     for heartbeat_ms in [1000, 0] {
-        let mut bench = four(BitRate::Kbit250, heartbeat_ms);
-        (0..3).for_each(|board| bench.network.power_off(board));
-        bench.transmit_request("04 01");
-        bench.transmit_request("13 00 00");
-        bench.network.run_for(Time::from_ms(5));
-        bench.transmit_request("15 0A 00");
-        (0..3).for_each(|board| power_on_at_any_rate(&mut bench, board));
+        let mut rig = four(BitRate::Kbit250, heartbeat_ms);
+        (0..3).for_each(|board| rig.network.power_off(board));
+        rig.transmit_request("04 01");
+        rig.transmit_request("13 00 00");
+        rig.network.run_for(Time::from_ms(5));
+        rig.transmit_request("15 0A 00");
+        (0..3).for_each(|board| power_on_at_any_rate(&mut rig, board));
         let scenario = format!("1 of 4 switched alone, heartbeat {heartbeat_ms} ms");
-        all_reached(&scenario, &mut bench, nodes(4));
+        all_reached(&scenario, &mut rig, nodes(4));
     }
 }
 
 /// Nodes 1 to 3 switch from 125 to 500 kbit/s; node 4 has proven 125 kbit/s and stays in waiting state.
 fn node_4_misses_the_switch(heartbeat_ms: u16) -> ImageRig {
-    let mut bench = four(BitRate::Kbit125, heartbeat_ms);
-    all_reached("4 nodes before a switch", &mut bench, nodes(4));
-    bench.network.power_off(3);
-    bench.transmit_request("04 01");
-    bench.power_on(3);
-    assert!(reach(&mut bench, nodes(4), LIMIT).is_some());
-    switch_over(&mut bench, BitRate::Kbit500, true);
-    bench
+    let mut rig = four(BitRate::Kbit125, heartbeat_ms);
+    all_reached("4 nodes before a switch", &mut rig, nodes(4));
+    rig.network.power_off(3);
+    rig.transmit_request("04 01");
+    rig.power_on(3);
+    assert!(reach(&mut rig, nodes(4), LIMIT).is_some());
+    switch_over(&mut rig, BitRate::Kbit500, true);
+    rig
 }
 
 #[test]
 fn a_node_that_missed_the_switch_is_reached_with_any_heartbeat() {
     for heartbeat_ms in [1000, 0] {
-        let mut bench = node_4_misses_the_switch(heartbeat_ms);
+        let mut rig = node_4_misses_the_switch(heartbeat_ms);
         let scenario = format!("1 of 4 missed the switch, heartbeat {heartbeat_ms} ms");
-        all_reached(&scenario, &mut bench, nodes(4));
+        all_reached(&scenario, &mut rig, nodes(4));
     }
 }

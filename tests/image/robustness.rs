@@ -27,66 +27,66 @@ fn code(symbol: &str) -> u32 {
 
 /// Replaces an instruction until the board is reset for `cause`; returns the time taken.
 fn replace_until_reset(
-    bench: &mut ImageRig,
+    rig: &mut ImageRig,
     offset: u32,
     instruction: &[u8],
     cause: ResetCause,
 ) -> Time {
-    let from = bench.network.now();
-    let before = bench.network.board(0).flash()[offset as usize..][..instruction.len()].to_vec();
-    let resets = bench.network.board(0).resets().len();
-    bench.expect_reset(0, cause);
-    bench.network.board_mut(0).set_flash(offset, instruction);
-    while bench.network.board(0).resets().len() == resets {
-        assert!(bench.network.now() < from + Time::from_s(5), "no reset");
-        bench.network.run_for(Time::from_us(20));
+    let from = rig.network.now();
+    let before = rig.network.board(0).flash()[offset as usize..][..instruction.len()].to_vec();
+    let resets = rig.network.board(0).resets().len();
+    rig.expect_reset(0, cause);
+    rig.network.board_mut(0).set_flash(offset, instruction);
+    while rig.network.board(0).resets().len() == resets {
+        assert!(rig.network.now() < from + Time::from_s(5), "no reset");
+        rig.network.run_for(Time::from_us(20));
     }
-    bench.network.board_mut(0).set_flash(offset, &before);
-    let (reset_at, _) = bench.network.board(0).resets()[resets];
-    bench.boot(0, reset_at);
+    rig.network.board_mut(0).set_flash(offset, &before);
+    let (reset_at, _) = rig.network.board(0).resets()[resets];
+    rig.boot(0, reset_at);
     reset_at - from
 }
 
 fn node_40() -> ImageRig {
-    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
-    bench
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    rig
 }
 
-fn says(bench: &ImageRig, text: &str) -> bool {
-    bench.network.board(0).log().iter().any(|line| line.text.starts_with(text))
+fn says(rig: &ImageRig, text: &str) -> bool {
+    rig.network.board(0).log().iter().any(|line| line.text.starts_with(text))
 }
 
 #[test]
 fn the_watchdog_resets_a_board_whose_interrupts_or_tasks_hang() {
     // The last one is the task that stores.
     for handler in ["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "TIM2", "USART1"] {
-        let mut bench = node_40();
+        let mut rig = node_40();
         let hung = code(handler);
-        let time = replace_until_reset(&mut bench, hung, &JUMP_TO_ITSELF, ResetCause::Watchdog);
+        let time = replace_until_reset(&mut rig, hung, &JUMP_TO_ITSELF, ResetCause::Watchdog);
         assert!(time < Time::from_ms(2_500), "{handler}: {time}");
-        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
-        assert!(says(&bench, "reset by the watchdog"), "{handler}");
+        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
+        assert!(says(&rig, "reset by the watchdog"), "{handler}");
     }
 }
 
 #[test]
 fn the_watchdog_resets_a_board_that_does_not_get_to_sleep() {
-    let mut bench = node_40();
-    let asleep_at = bench.network.board(0).pc() - FLASH_BASE;
-    let time = replace_until_reset(&mut bench, asleep_at, &JUMP_TO_ITSELF, ResetCause::Watchdog);
+    let mut rig = node_40();
+    let asleep_at = rig.network.board(0).pc() - FLASH_BASE;
+    let time = replace_until_reset(&mut rig, asleep_at, &JUMP_TO_ITSELF, ResetCause::Watchdog);
     assert!(time < Time::from_ms(2_500), "{time}");
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
 }
 
 #[test]
 fn a_fault_is_logged_and_ends_in_a_reset_at_once() {
-    let mut bench = node_40();
+    let mut rig = node_40();
     let faulty = code("CAN1_RX0");
-    let time = replace_until_reset(&mut bench, faulty, &UNDEFINED, ResetCause::Software);
+    let time = replace_until_reset(&mut rig, faulty, &UNDEFINED, ResetCause::Software);
     assert!(time < Time::from_ms(300), "{time}");
-    assert!(says(&bench, &format!("hard fault at {:#x}", FLASH_BASE + faulty)));
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+    assert!(says(&rig, &format!("hard fault at {:#x}", FLASH_BASE + faulty)));
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
 }
 
 /// A jump to `to` in the place of the instruction at `at` (B.W, ARM DDI 0403, A7.7.12).
@@ -99,15 +99,15 @@ fn jump(at: u32, to: u32) -> [u8; 4] {
 
 #[test]
 fn a_panic_ends_in_a_logged_hard_fault_and_a_reset_at_once() {
-    let mut bench = node_40();
+    let mut rig = node_40();
     let handler = code("CAN1_RX0");
     // Ending a log line that has not begun makes the logger panic.
     let panics = jump(handler, code("_defmt_release"));
-    let time = replace_until_reset(&mut bench, handler, &panics, ResetCause::Software);
+    let time = replace_until_reset(&mut rig, handler, &panics, ResetCause::Software);
     assert!(time < Time::from_ms(300), "{time}");
-    let log = bench.network.board(0).log();
+    let log = rig.network.board(0).log();
     assert!(log.iter().any(|line| line.text.starts_with("hard fault at ")));
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
 }
 
 #[test]
@@ -117,30 +117,30 @@ fn the_fastest_watchdog_clock_bears_the_slowest_flash() {
     board.set_flash(SETTINGS_OFFSET, &[0; 0x8000]);
     board.chip().iwdg_mut().set_lsi(47_000);
     board.chip().flash_mut().set_timing(Timing::Worst);
-    let mut bench = ImageRig::new(BitRate::Kbit125, [board]);
-    assert_eq!(bench.collect(Time::from_s(30)), SILENCE);
-    assert_eq!(bench.lss("4C"), ["50"]);
+    let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
+    assert_eq!(rig.collect(Time::from_s(30)), SILENCE);
+    assert_eq!(rig.lss("4C"), ["50"]);
 }
 
 #[test]
 fn settings_survive_power_cycles_and_resets() {
     let mut random = Random::from_environment();
-    let mut bench = node_40();
+    let mut rig = node_40();
     for _ in 0..20 {
         let node_id = random.within(1..128);
         let bit_rate = random.pick(&BitRate::ALL[..5]);
-        bench.lss("04 01");
-        assert_eq!(bench.lss(&format!("11 {node_id:02X}")), ["11 00"]);
-        assert_eq!(bench.lss(&format!("13 00 {:02X}", bit_rate.index())), ["13 00"]);
-        assert_eq!(bench.lss("17"), ["17 00"]);
-        bench.network.power_off(0);
-        bench.set_master_bit_rate(bit_rate);
-        bench.power_on(0);
+        rig.lss("04 01");
+        assert_eq!(rig.lss(&format!("11 {node_id:02X}")), ["11 00"]);
+        assert_eq!(rig.lss(&format!("13 00 {:02X}", bit_rate.index())), ["13 00"]);
+        assert_eq!(rig.lss("17"), ["17 00"]);
+        rig.network.power_off(0);
+        rig.set_master_bit_rate(bit_rate);
+        rig.power_on(0);
         let boot_up = format!("{:03X}: 00", 0x700 + node_id);
-        assert_eq!(bench.collect(Time::from_ms(20)), [boot_up.as_str()]);
-        bench.expect_reset(0, ResetCause::Pin);
-        bench.network.board_mut(0).reset(ResetCause::Pin);
-        assert_eq!(bench.collect(Time::from_ms(20)), [boot_up.as_str()]);
+        assert_eq!(rig.collect(Time::from_ms(20)), [boot_up.as_str()]);
+        rig.expect_reset(0, ResetCause::Pin);
+        rig.network.board_mut(0).reset(ResetCause::Pin);
+        assert_eq!(rig.collect(Time::from_ms(20)), [boot_up.as_str()]);
     }
 }
 
@@ -150,45 +150,45 @@ fn a_full_log_refuses_with_17_02_until_the_next_power_on_makes_room() {
     let stores: Vec<Settings> = (0..380).map(|n| settings((n % 127) as u8 + 1, rate)).collect();
     let mut board = blank_board(0);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&stores));
-    let mut bench = ImageRig::new(rate, [board]);
-    bench.lss("04 01");
-    let store = |bench: &mut ImageRig, n: usize| {
-        bench.lss(&format!("11 {:02X}", n % 127 + 1));
-        bench.lss("17")
+    let mut rig = ImageRig::new(rate, [board]);
+    rig.lss("04 01");
+    let store = |rig: &mut ImageRig, n: usize| {
+        rig.lss(&format!("11 {:02X}", n % 127 + 1));
+        rig.lss("17")
     };
-    let stored = (0..200).take_while(|&n| store(&mut bench, n) == ["17 00"]).count();
+    let stored = (0..200).take_while(|&n| store(&mut rig, n) == ["17 00"]).count();
     assert!((100..=132).contains(&stored), "{stored} stores");
-    assert_eq!(store(&mut bench, stored), ["17 02"]);
-    bench.power_cycle(0);
-    bench.collect(Time::from_ms(20));
-    bench.lss("04 01");
-    assert_eq!(bench.lss("5E"), [format!("5E {:02X}", (stored - 1) % 127 + 1).as_str()]);
-    assert_eq!(store(&mut bench, 0x4F), ["17 00"]);
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["750: 00"]);
+    assert_eq!(store(&mut rig, stored), ["17 02"]);
+    rig.power_cycle(0);
+    rig.collect(Time::from_ms(20));
+    rig.lss("04 01");
+    assert_eq!(rig.lss("5E"), [format!("5E {:02X}", (stored - 1) % 127 + 1).as_str()]);
+    assert_eq!(store(&mut rig, 0x4F), ["17 00"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["750: 00"]);
 }
 
 #[test]
 fn after_a_power_cut_during_formatting_the_board_formats_again() {
     let mut random = Random::from_environment();
     for step in 0..=8 {
-        let mut bench = ImageRig::blank();
-        bench.network.board_mut(0).set_flash(SETTINGS_OFFSET, &[0x5A; 0x8000]);
-        let operation = bench.network.board(0).chip().flash().operations() + step;
+        let mut rig = ImageRig::blank();
+        rig.network.board_mut(0).set_flash(SETTINGS_OFFSET, &[0x5A; 0x8000]);
+        let operation = rig.network.board(0).chip().flash().operations() + step;
         let cut = PowerCut { operation, seed: random.u64() };
-        bench.network.board(0).chip().flash_mut().cut_power(cut);
-        bench.network.power_off(0);
-        bench.network.power_on(0);
-        bench.expect_reset(0, ResetCause::PowerOn);
-        bench.collect(Time::from_ms(300));
-        assert!(!bench.network.board(0).is_powered(), "step {step}");
-        bench.power_on(0);
-        assert_eq!(bench.lss("4C"), ["50"]);
-        bench.lss("04 01");
-        bench.lss("11 04");
-        assert_eq!(bench.lss("17"), ["17 00"]);
-        bench.power_cycle(0);
-        assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"]);
+        rig.network.board(0).chip().flash_mut().cut_power(cut);
+        rig.network.power_off(0);
+        rig.network.power_on(0);
+        rig.expect_reset(0, ResetCause::PowerOn);
+        rig.collect(Time::from_ms(300));
+        assert!(!rig.network.board(0).is_powered(), "step {step}");
+        rig.power_on(0);
+        assert_eq!(rig.lss("4C"), ["50"]);
+        rig.lss("04 01");
+        rig.lss("11 04");
+        assert_eq!(rig.lss("17"), ["17 00"]);
+        rig.power_cycle(0);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
     }
 }
 
@@ -203,21 +203,21 @@ fn boards_with_crystals_3000_ppm_apart_communicate_at_every_bit_rate() {
             board.set_flash(SETTINGS_OFFSET, &stored);
             board
         });
-        let mut bench = ImageRig::new(bit_rate, boards);
-        bench.lss("04 01");
-        let from = bench.network.now();
+        let mut rig = ImageRig::new(bit_rate, boards);
+        rig.lss("04 01");
+        let from = rig.network.now();
         for _ in 0..5 {
             for (request, answer) in [("11 FF", "11 00"), ("13 00 05", "13 01"), ("5E", "5E FF")] {
                 // One after the other, or the same bits at once.
-                let answers = bench.lss(request);
+                let answers = rig.lss(request);
                 assert!(answers == [answer] || answers == [answer; 2], "{request}: {answers:?}");
             }
         }
         for board in [0, 1] {
-            assert_eq!(bench.requested(board, from).count(), 15, "{bit_rate:?}");
+            assert_eq!(rig.requested(board, from).count(), 15, "{bit_rate:?}");
         }
         let is_error = |event: &Event| matches!(event.what, What::Error { .. });
-        assert!(!bench.network.trace().iter().any(is_error), "{bit_rate:?}");
+        assert!(!rig.network.trace().iter().any(is_error), "{bit_rate:?}");
     }
 }
 
@@ -226,15 +226,15 @@ fn the_images_for_all_chips_boot_answer_and_store() {
     for part in Part::ALL {
         let image = testkit::image::build(part).unwrap_or_else(|error| panic!("{error}"));
         let board = Board::new(part, &image, board::Settings::default());
-        let mut bench = ImageRig::new(BitRate::Kbit125, [board]);
-        assert_eq!(bench.lss("4C"), ["50"], "{}", part.name());
-        bench.lss("04 01");
-        bench.lss("11 04");
-        bench.lss("13 00 00");
-        assert_eq!(bench.lss("17"), ["17 00"], "{}", part.name());
-        bench.set_master_bit_rate(BitRate::Kbit1000);
-        bench.power_cycle(0);
-        assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"], "{}", part.name());
+        let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
+        assert_eq!(rig.lss("4C"), ["50"], "{}", part.name());
+        rig.lss("04 01");
+        rig.lss("11 04");
+        rig.lss("13 00 00");
+        assert_eq!(rig.lss("17"), ["17 00"], "{}", part.name());
+        rig.set_master_bit_rate(BitRate::Kbit1000);
+        rig.power_cycle(0);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"], "{}", part.name());
     }
 }
 
@@ -245,17 +245,17 @@ fn the_same_session_has_the_same_trace_twice() {
             let heartbeat_ms = 10 * u16::from(number);
             board_with(number, settings(number, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms))
         });
-        let mut bench = ImageRig::new(BitRate::Kbit1000, boards);
+        let mut rig = ImageRig::new(BitRate::Kbit1000, boards);
         for request in ["04 01", "5A", "11 04", "13 00 02", "17", "5E"] {
-            bench.lss(request);
+            rig.lss(request);
         }
-        bench.power_cycle(1);
-        bench.nmt("01 00");
-        bench.lss("15 32 00");
-        bench.collect(Time::from_ms(300));
-        let logs: Vec<_> = bench.network.boards().iter().map(|b| b.log().to_vec()).collect();
-        let cycles: Vec<_> = bench.network.boards().iter().map(Board::cycles).collect();
-        (bench.network.trace().to_vec(), logs, cycles)
+        rig.power_cycle(1);
+        rig.nmt("01 00");
+        rig.lss("15 32 00");
+        rig.collect(Time::from_ms(300));
+        let logs: Vec<_> = rig.network.boards().iter().map(|b| b.log().to_vec()).collect();
+        let cycles: Vec<_> = rig.network.boards().iter().map(Board::cycles).collect();
+        (rig.network.trace().to_vec(), logs, cycles)
     };
     assert!(live() == live());
 }

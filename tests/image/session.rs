@@ -14,65 +14,65 @@ fn inquired(answers: &Frames) -> u32 {
 }
 
 /// The LSS address of the only board, which is in configuration state.
-fn address(bench: &mut ImageRig) -> [u32; 4] {
-    ["5A", "5B", "5C", "5D"].map(|inquiry| inquired(&bench.lss(inquiry)))
+fn address(rig: &mut ImageRig) -> [u32; 4] {
+    ["5A", "5B", "5C", "5D"].map(|inquiry| inquired(&rig.lss(inquiry)))
 }
 
 /// Sends all steps of a select; returns the answer to the last.
-fn select(bench: &mut ImageRig, address: [u32; 4]) -> Frames {
+fn select(rig: &mut ImageRig, address: [u32; 4]) -> Frames {
     let [vendor, product, revision, serial] = address.map(number);
-    assert_eq!(bench.lss(&format!("40 {vendor}")), SILENCE);
-    assert_eq!(bench.lss(&format!("41 {product}")), SILENCE);
-    assert_eq!(bench.lss(&format!("42 {revision}")), SILENCE);
-    bench.lss(&format!("43 {serial}"))
+    assert_eq!(rig.lss(&format!("40 {vendor}")), SILENCE);
+    assert_eq!(rig.lss(&format!("41 {product}")), SILENCE);
+    assert_eq!(rig.lss(&format!("42 {revision}")), SILENCE);
+    rig.lss(&format!("43 {serial}"))
 }
 
 /// The same for an identify.
-fn identify(bench: &mut ImageRig, numbers: [u32; 6]) -> Frames {
+fn identify(rig: &mut ImageRig, numbers: [u32; 6]) -> Frames {
     let [vendor, product, revision_low, revision_high, serial_low, serial_high] =
         numbers.map(number);
-    assert_eq!(bench.lss(&format!("46 {vendor}")), SILENCE);
-    assert_eq!(bench.lss(&format!("47 {product}")), SILENCE);
-    assert_eq!(bench.lss(&format!("48 {revision_low}")), SILENCE);
-    assert_eq!(bench.lss(&format!("49 {revision_high}")), SILENCE);
-    assert_eq!(bench.lss(&format!("4A {serial_low}")), SILENCE);
-    bench.lss(&format!("4B {serial_high}"))
+    assert_eq!(rig.lss(&format!("46 {vendor}")), SILENCE);
+    assert_eq!(rig.lss(&format!("47 {product}")), SILENCE);
+    assert_eq!(rig.lss(&format!("48 {revision_low}")), SILENCE);
+    assert_eq!(rig.lss(&format!("49 {revision_high}")), SILENCE);
+    assert_eq!(rig.lss(&format!("4A {serial_low}")), SILENCE);
+    rig.lss(&format!("4B {serial_high}"))
 }
 
 /// Sends one Fastscan step; returns whether there is an answer.
-fn fastscan_step(bench: &mut ImageRig, id_number: u32, bit_check: u8, sub: u8, next: u8) -> bool {
+fn fastscan_step(rig: &mut ImageRig, id_number: u32, bit_check: u8, sub: u8, next: u8) -> bool {
     let step = format!("51 {} {bit_check:02X} {sub:02X} {next:02X}", number(id_number));
-    let answers = bench.lss(&step);
+    let answers = rig.lss(&step);
     assert!(answers == SILENCE || answers == ["4F"], "{step}: {answers:?}");
     answers != SILENCE
 }
 
 /// Finds the LSS address of a slave without a node-ID, bit by bit, which leaves that slave in configuration state.
-fn fastscan(bench: &mut ImageRig) -> Option<[u32; 4]> {
-    if !fastscan_step(bench, 0, 0x80, 0, 0) {
+fn fastscan(rig: &mut ImageRig) -> Option<[u32; 4]> {
+    if !fastscan_step(rig, 0, 0x80, 0, 0) {
         return None;
     }
     let mut address = [0; 4];
     for sub in 0..4 {
         let part = &mut address[usize::from(sub)];
         for bit in (0..32).rev() {
-            if !fastscan_step(bench, *part, bit, sub, sub) {
+            if !fastscan_step(rig, *part, bit, sub, sub) {
                 *part |= 1 << bit;
             }
         }
         let part = *part;
-        assert!(fastscan_step(bench, part, 0, sub, (sub + 1) % 4), "the part that was found");
+        assert!(fastscan_step(rig, part, 0, sub, (sub + 1) % 4), "the part that was found");
     }
     Some(address)
 }
 
 /// Restarts the board by NMT; returns its boot-up at its new bit rate.
-fn reset_node(bench: &mut ImageRig, node_id: u8, then: BitRate) -> Frames {
-    bench.expect_reset(0, ResetCause::Software);
-    bench.transmit_command(&format!("81 {node_id:02X}"));
-    bench.set_master_bit_rate(then);
-    let boot_up = bench.collect(Time::from_ms(20));
-    let rate = bench.did(0, Time::ZERO).filter_map(|event| match event.what {
+fn reset_node(rig: &mut ImageRig, node_id: u8, then: BitRate) -> Frames {
+    rig.expect_reset(0, ResetCause::Software);
+    rig.transmit_command(&format!("81 {node_id:02X}"));
+    rig.set_master_bit_rate(then);
+    let boot_up = rig.collect(Time::from_ms(20));
+    let rate = rig.did(0, Time::ZERO).filter_map(|event| match event.what {
         What::Frame { bit_rate, .. } => Some(bit_rate),
         _ => None,
     });
@@ -82,143 +82,143 @@ fn reset_node(bench: &mut ImageRig, node_id: u8, then: BitRate) -> Frames {
 
 #[test]
 fn node_40_at_1_mbit_per_s_becomes_node_4_at_500_kbit_per_s() {
-    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-    assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
-    assert_eq!(bench.lss("04 01"), SILENCE);
-    assert_eq!(bench.lss("5E"), ["5E 40"]);
-    assert_eq!(bench.lss("11 04"), ["11 00"]);
-    assert_eq!(bench.lss("13 00 02"), ["13 00"]);
-    assert_eq!(bench.lss("17"), ["17 00"]);
-    assert_eq!(bench.lss("04 00"), SILENCE, "no answer and no boot-up");
-    assert_eq!(bench.collect(Time::from_ms(1000)), SILENCE);
-    assert_eq!(reset_node(&mut bench, 0x40, BitRate::Kbit500), ["704: 00"]);
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"]);
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    assert_eq!(rig.lss("04 01"), SILENCE);
+    assert_eq!(rig.lss("5E"), ["5E 40"]);
+    assert_eq!(rig.lss("11 04"), ["11 00"]);
+    assert_eq!(rig.lss("13 00 02"), ["13 00"]);
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    assert_eq!(rig.lss("04 00"), SILENCE, "no answer and no boot-up");
+    assert_eq!(rig.collect(Time::from_ms(1000)), SILENCE);
+    assert_eq!(reset_node(&mut rig, 0x40, BitRate::Kbit500), ["704: 00"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
 }
 
 #[test]
 fn a_new_board_gets_its_node_id_and_bit_rate_and_comes_back_with_them() {
-    let mut bench = ImageRig::blank();
-    assert_eq!(bench.collect(Time::from_ms(1500)), SILENCE, "neither boot-up nor heartbeat");
-    assert_eq!(bench.lss("4C"), ["50"]);
-    assert_eq!(bench.lss("04 01"), SILENCE);
-    assert_eq!(bench.lss("5E"), ["5E FF"]);
-    assert_eq!(bench.lss("11 04"), ["11 00"]);
-    assert_eq!(bench.lss("13 00 02"), ["13 00"]);
-    assert_eq!(bench.lss("17"), ["17 00"]);
-    assert_eq!(bench.lss("4C"), SILENCE);
-    assert_eq!(bench.lss("04 00"), ["704: 00"], "boots up at once, at the previous bit rate");
-    assert_eq!(bench.collect(Time::from_ms(1500)), ["704: 7F"], "the default heartbeat");
-    assert_eq!(reset_node(&mut bench, 0x04, BitRate::Kbit500), ["704: 00"]);
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["704: 00"]);
-    assert_eq!(bench.lss("4C"), SILENCE);
+    let mut rig = ImageRig::blank();
+    assert_eq!(rig.collect(Time::from_ms(1500)), SILENCE, "neither boot-up nor heartbeat");
+    assert_eq!(rig.lss("4C"), ["50"]);
+    assert_eq!(rig.lss("04 01"), SILENCE);
+    assert_eq!(rig.lss("5E"), ["5E FF"]);
+    assert_eq!(rig.lss("11 04"), ["11 00"]);
+    assert_eq!(rig.lss("13 00 02"), ["13 00"]);
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    assert_eq!(rig.lss("4C"), SILENCE);
+    assert_eq!(rig.lss("04 00"), ["704: 00"], "boots up at once, at the previous bit rate");
+    assert_eq!(rig.collect(Time::from_ms(1500)), ["704: 7F"], "the default heartbeat");
+    assert_eq!(reset_node(&mut rig, 0x04, BitRate::Kbit500), ["704: 00"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
+    assert_eq!(rig.lss("4C"), SILENCE);
 }
 
 #[test]
 fn a_new_board_in_configuration_state_answers_every_inquiry() {
-    let mut bench = ImageRig::blank();
-    bench.lss("04 01");
-    let [vendor, product, revision, serial] = address(&mut bench).map(number);
-    assert_eq!(bench.lss("5A"), [format!("5A {vendor} 00 00 00").as_str()]);
-    assert_eq!(bench.lss("5B"), [format!("5B {product} 00 00 00").as_str()]);
-    assert_eq!(bench.lss("5C"), [format!("5C {revision} 00 00 00").as_str()]);
-    assert_eq!(bench.lss("5D"), [format!("5D {serial} 00 00 00").as_str()]);
-    assert_eq!(bench.lss("5E"), ["5E FF 00 00 00 00 00 00"]);
-    bench.lss("04 00");
+    let mut rig = ImageRig::blank();
+    rig.lss("04 01");
+    let [vendor, product, revision, serial] = address(&mut rig).map(number);
+    assert_eq!(rig.lss("5A"), [format!("5A {vendor} 00 00 00").as_str()]);
+    assert_eq!(rig.lss("5B"), [format!("5B {product} 00 00 00").as_str()]);
+    assert_eq!(rig.lss("5C"), [format!("5C {revision} 00 00 00").as_str()]);
+    assert_eq!(rig.lss("5D"), [format!("5D {serial} 00 00 00").as_str()]);
+    assert_eq!(rig.lss("5E"), ["5E FF 00 00 00 00 00 00"]);
+    rig.lss("04 00");
     for inquiry in ["5A", "5B", "5C", "5D", "5E"] {
-        assert_eq!(bench.lss(inquiry), SILENCE, "{inquiry} in waiting state");
+        assert_eq!(rig.lss(inquiry), SILENCE, "{inquiry} in waiting state");
     }
 }
 
 #[test]
 fn select_and_identify_find_the_board_by_its_address_and_only_by_that() {
     let configured = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-    for (mut bench, node_id) in [(configured, "5E 40"), (ImageRig::blank(), "5E FF")] {
-        bench.collect(Time::from_ms(20));
-        bench.lss("04 01");
-        let own = address(&mut bench);
+    for (mut rig, node_id) in [(configured, "5E 40"), (ImageRig::blank(), "5E FF")] {
+        rig.collect(Time::from_ms(20));
+        rig.lss("04 01");
+        let own = address(&mut rig);
         let [vendor, product, revision, serial] = own;
-        bench.lss("04 00");
+        rig.lss("04 00");
 
         let exactly = [vendor, product, revision, revision, serial, serial];
-        assert_eq!(identify(&mut bench, exactly), ["4F"]);
-        assert_eq!(identify(&mut bench, [vendor, product, 0, !0, 0, !0]), ["4F"]);
-        assert_eq!(identify(&mut bench, [vendor, product + 1, 0, !0, 0, !0]), SILENCE);
-        assert_eq!(identify(&mut bench, [vendor, product, 0, !0, 0, serial - 1]), SILENCE);
-        assert_eq!(identify(&mut bench, [vendor, product, 0, !0, serial + 1, !0]), SILENCE);
+        assert_eq!(identify(&mut rig, exactly), ["4F"]);
+        assert_eq!(identify(&mut rig, [vendor, product, 0, !0, 0, !0]), ["4F"]);
+        assert_eq!(identify(&mut rig, [vendor, product + 1, 0, !0, 0, !0]), SILENCE);
+        assert_eq!(identify(&mut rig, [vendor, product, 0, !0, 0, serial - 1]), SILENCE);
+        assert_eq!(identify(&mut rig, [vendor, product, 0, !0, serial + 1, !0]), SILENCE);
 
-        assert_eq!(select(&mut bench, [vendor, product, revision, serial ^ 1]), SILENCE);
-        assert_eq!(bench.lss("5E"), SILENCE);
-        assert_eq!(select(&mut bench, own), ["44"]);
-        assert_eq!(bench.lss("5E"), [node_id]);
-        assert_eq!(select(&mut bench, own), SILENCE, "in configuration state");
+        assert_eq!(select(&mut rig, [vendor, product, revision, serial ^ 1]), SILENCE);
+        assert_eq!(rig.lss("5E"), SILENCE);
+        assert_eq!(select(&mut rig, own), ["44"]);
+        assert_eq!(rig.lss("5E"), [node_id]);
+        assert_eq!(select(&mut rig, own), SILENCE, "in configuration state");
     }
 }
 
 #[test]
 fn fastscan_finds_three_new_boards_and_each_gets_a_node_id() {
-    let mut bench = ImageRig::new(
+    let mut rig = ImageRig::new(
         BitRate::Kbit1000,
         [1, 2, 3].map(|number| board_with(number, settings(0xFF, BitRate::Kbit1000))),
     );
     let mut found = Vec::new();
-    while let Some(address) = fastscan(&mut bench) {
+    while let Some(address) = fastscan(&mut rig) {
         let node_id = found.len() + 1;
-        assert_eq!(bench.lss("5E"), ["5E FF"]);
-        assert_eq!(bench.lss(&format!("11 {node_id:02X}")), ["11 00"]);
-        assert_eq!(bench.lss("17"), ["17 00"]);
-        assert_eq!(bench.lss("04 00"), [format!("70{node_id}: 00").as_str()]);
+        assert_eq!(rig.lss("5E"), ["5E FF"]);
+        assert_eq!(rig.lss(&format!("11 {node_id:02X}")), ["11 00"]);
+        assert_eq!(rig.lss("17"), ["17 00"]);
+        assert_eq!(rig.lss("04 00"), [format!("70{node_id}: 00").as_str()]);
         found.push(address);
     }
     assert_eq!(found.len(), 3);
     assert!(found.iter().all(|address| address[..3] == found[0][..3]), "one product");
-    assert_eq!(bench.lss("4C"), SILENCE);
+    assert_eq!(rig.lss("4C"), SILENCE);
     for (address, node_id) in found.into_iter().zip(1..) {
-        assert_eq!(select(&mut bench, address), ["44"]);
-        assert_eq!(bench.lss("5E"), [format!("5E {node_id:02X}").as_str()]);
-        assert_eq!(bench.lss("04 00"), SILENCE);
+        assert_eq!(select(&mut rig, address), ["44"]);
+        assert_eq!(rig.lss("5E"), [format!("5E {node_id:02X}").as_str()]);
+        assert_eq!(rig.lss("04 00"), SILENCE);
     }
 }
 
 #[test]
 fn equal_answers_of_several_boards_are_one_frame() {
-    let mut bench = ImageRig::new(BitRate::Kbit125, [1, 2, 3, 4].map(blank_board));
-    assert_eq!(bench.lss("4C"), ["50"]);
-    assert_eq!(bench.lss("51 00 00 00 00 80"), ["4F"]);
-    assert_eq!(bench.lss("04 01"), SILENCE);
-    assert_eq!(bench.lss("13 00 00"), ["13 00"]);
-    assert_eq!(bench.lss("5A").0.len(), 1);
-    assert!(bench.network.trace().iter().all(|event| !matches!(event.what, What::Error { .. })));
+    let mut rig = ImageRig::new(BitRate::Kbit125, [1, 2, 3, 4].map(blank_board));
+    assert_eq!(rig.lss("4C"), ["50"]);
+    assert_eq!(rig.lss("51 00 00 00 00 80"), ["4F"]);
+    assert_eq!(rig.lss("04 01"), SILENCE);
+    assert_eq!(rig.lss("13 00 00"), ["13 00"]);
+    assert_eq!(rig.lss("5A").0.len(), 1);
+    assert!(rig.network.trace().iter().all(|event| !matches!(event.what, What::Error { .. })));
 }
 
 #[test]
 fn values_out_of_range_are_refused_and_the_old_ones_stay() {
-    let mut bench = ImageRig::blank();
-    bench.lss("04 01");
-    assert_eq!(bench.lss("11 05"), ["11 00"]);
+    let mut rig = ImageRig::blank();
+    rig.lss("04 01");
+    assert_eq!(rig.lss("11 05"), ["11 00"]);
     for node_id in ["00", "80", "FE"] {
-        assert_eq!(bench.lss(&format!("11 {node_id}")), ["11 01"]);
+        assert_eq!(rig.lss(&format!("11 {node_id}")), ["11 01"]);
     }
-    assert_eq!(bench.lss("13 00 02"), ["13 00"]);
+    assert_eq!(rig.lss("13 00 02"), ["13 00"]);
     for rate in ["00 05", "00 0A", "00 FF", "01 00", "01 09"] {
-        assert_eq!(bench.lss(&format!("13 {rate}")), ["13 01"]);
+        assert_eq!(rig.lss(&format!("13 {rate}")), ["13 01"]);
     }
-    assert_eq!(bench.lss("17"), ["17 00"]);
-    bench.set_master_bit_rate(BitRate::Kbit500);
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(20)), ["705: 00"]);
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    rig.set_master_bit_rate(BitRate::Kbit500);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["705: 00"]);
 }
 
 #[test]
 fn the_node_id_ff_takes_a_board_out_of_the_network() {
-    let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100));
-    assert_eq!(bench.collect(Time::from_ms(150)), ["740: 00", "740: 7F"]);
-    bench.lss("04 01");
-    assert_eq!(bench.lss("11 FF"), ["11 00"]);
-    assert_eq!(bench.lss("17"), ["17 00"]);
-    assert_eq!(bench.lss("4C"), SILENCE, "node-ID 40 is still active");
-    bench.power_cycle(0);
-    assert_eq!(bench.collect(Time::from_ms(1000)), SILENCE);
-    assert_eq!(bench.lss("4C"), ["50"]);
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100));
+    assert_eq!(rig.collect(Time::from_ms(150)), ["740: 00", "740: 7F"]);
+    rig.lss("04 01");
+    assert_eq!(rig.lss("11 FF"), ["11 00"]);
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    assert_eq!(rig.lss("4C"), SILENCE, "node-ID 40 is still active");
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(1000)), SILENCE);
+    assert_eq!(rig.lss("4C"), ["50"]);
 }

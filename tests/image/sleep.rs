@@ -7,14 +7,14 @@ use emulator::{
 use lss_slave::BitRate;
 use testkit::{
     frames,
-    image_rig::{ImageRig, on_the_wire, settings},
+    image_rig::{ImageRig, bit_per_s, on_the_wire, settings},
 };
 
 /// The share of time asleep while `act` lasts, in thousandths of a percent.
-fn share_asleep(bench: &mut ImageRig, what: &str, act: impl FnOnce(&mut ImageRig)) -> u64 {
-    let (cycles_before, busy_before) = bench.network.board(0).cycles();
-    act(bench);
-    let (cycles, busy) = bench.network.board(0).cycles();
+fn share_asleep(rig: &mut ImageRig, what: &str, act: impl FnOnce(&mut ImageRig)) -> u64 {
+    let (cycles_before, busy_before) = rig.network.board(0).cycles();
+    act(rig);
+    let (cycles, busy) = rig.network.board(0).cycles();
     let share = 100_000 - (busy - busy_before) * 100_000 / (cycles - cycles_before);
     println!("{what:40} asleep for {:3}.{:03} % of the time", share / 1000, share % 1000);
     share
@@ -22,13 +22,13 @@ fn share_asleep(bench: &mut ImageRig, what: &str, act: impl FnOnce(&mut ImageRig
 
 /// Node 40 with a heartbeat each second, after its boot-up.
 fn node_40(bit_rate: BitRate) -> ImageRig {
-    let mut bench = ImageRig::with(settings(0x40, bit_rate).with_heartbeat_ms(1000));
-    bench.collect(Time::from_ms(200));
-    bench
+    let mut rig = ImageRig::with(settings(0x40, bit_rate).with_heartbeat_ms(1000));
+    rig.collect(Time::from_ms(200));
+    rig
 }
 
-fn run_for_10_s(bench: &mut ImageRig) {
-    bench.network.run_for(Time::from_s(10));
+fn run_for_10_s(rig: &mut ImageRig) {
+    rig.network.run_for(Time::from_s(10));
 }
 
 #[test]
@@ -43,17 +43,16 @@ fn an_idle_board_is_asleep_for_more_than_99_5_percent_of_the_time() {
 #[test]
 fn a_bus_full_of_foreign_frames_wakes_the_core_no_more_often() {
     for bit_rate in [BitRate::Kbit1000, BitRate::Kbit10] {
-        let mut bench = node_40(bit_rate);
-        let other =
-            bench.network.add_adapter(Adapter::new(u32::from(bit_rate.kbit_per_s()) * 1000));
+        let mut rig = node_40(bit_rate);
+        let other = rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
         let what = format!("a full bus of foreign frames, {} kbit/s", bit_rate.kbit_per_s());
-        let share = share_asleep(&mut bench, &what, |bench| {
-            let until = bench.network.now() + Time::from_s(3);
-            while bench.network.now() < until {
-                while bench.network.adapter_mut(other).unsent() < 20 {
-                    bench.network.send(other, Frame::data(Id::Standard(0x123), &[0x5A; 8]));
+        let share = share_asleep(&mut rig, &what, |rig| {
+            let until = rig.network.now() + Time::from_s(3);
+            while rig.network.now() < until {
+                while rig.network.adapter_mut(other).unsent() < 20 {
+                    rig.network.send(other, Frame::data(Id::Standard(0x123), &[0x5A; 8]));
                 }
-                bench.network.run_for(Time::from_ms(1));
+                rig.network.run_for(Time::from_ms(1));
             }
         });
         assert!(share > 99_950, "{share}");
@@ -62,13 +61,13 @@ fn a_bus_full_of_foreign_frames_wakes_the_core_no_more_often() {
 
 #[test]
 fn a_bus_full_of_requests_leaves_the_core_asleep_for_most_of_the_time() {
-    let mut bench = node_40(BitRate::Kbit1000);
-    bench.lss("04 01");
-    let share = share_asleep(&mut bench, "a full bus, all to be answered", |bench| {
+    let mut rig = node_40(BitRate::Kbit1000);
+    rig.lss("04 01");
+    let share = share_asleep(&mut rig, "a full bus, all to be answered", |rig| {
         let request = on_the_wire(&frames::request("11 80"));
-        (0..2000).for_each(|_| bench.network.send(bench.master, request));
-        while bench.network.adapter_mut(bench.master).unsent() > 0 {
-            bench.network.run_for(Time::from_ms(1));
+        (0..2000).for_each(|_| rig.network.send(rig.master, request));
+        while rig.network.adapter_mut(rig.master).unsent() > 0 {
+            rig.network.run_for(Time::from_ms(1));
         }
     });
     assert!(share > 90_000, "{share}");

@@ -42,67 +42,67 @@ const PUSH_FOR_EVER: [u8; 4] = [0xFF, 0xB4, 0xFD, 0xE7];
 fn a_stack_that_overflows_is_logged_and_ends_in_a_reset_at_once() {
     // By priority, the highest first.
     for handler in ["TIM2", "CAN1_RX0", "USART1"] {
-        let mut bench = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"]);
+        let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
         let offset = (symbol(handler) & !1) - FLASH_BASE;
-        let code = bench.network.board(0).flash()[offset as usize..][..4].to_vec();
-        let log_control = |bench: &ImageRig| {
+        let code = rig.network.board(0).flash()[offset as usize..][..4].to_vec();
+        let log_control = |rig: &ImageRig| {
             let mut bytes = [0; 16];
-            assert!(bench.network.board(0).read_memory(symbol("_SEGGER_RTT"), &mut bytes));
+            assert!(rig.network.board(0).read_memory(symbol("_SEGGER_RTT"), &mut bytes));
             bytes
         };
-        let before = log_control(&bench);
-        let from = bench.network.now();
-        bench.expect_reset(0, ResetCause::Software);
-        bench.network.board_mut(0).set_flash(offset, &PUSH_FOR_EVER);
-        while bench.network.board(0).resets().len() == 1 {
-            assert!(bench.network.now() < from + Time::from_ms(600), "{handler}: no reset");
-            bench.network.run_for(Time::from_us(20));
+        let before = log_control(&rig);
+        let from = rig.network.now();
+        rig.expect_reset(0, ResetCause::Software);
+        rig.network.board_mut(0).set_flash(offset, &PUSH_FOR_EVER);
+        while rig.network.board(0).resets().len() == 1 {
+            assert!(rig.network.now() < from + Time::from_ms(600), "{handler}: no reset");
+            rig.network.run_for(Time::from_us(20));
         }
-        assert_eq!(log_control(&bench), before, "{handler}: a variable above the stack");
-        bench.network.board_mut(0).set_flash(offset, &code);
-        let (reset_at, _) = bench.network.board(0).resets()[1];
-        bench.boot(0, reset_at);
-        assert_eq!(bench.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
-        let log = bench.network.board(0).log();
+        assert_eq!(log_control(&rig), before, "{handler}: a variable above the stack");
+        rig.network.board_mut(0).set_flash(offset, &code);
+        let (reset_at, _) = rig.network.board(0).resets()[1];
+        rig.boot(0, reset_at);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
+        let log = rig.network.board(0).log();
         let says = log.iter().any(|line| line.text == "stack overflow, resetting");
         assert!(says, "{handler}: {log:#?}");
     }
 }
 
 /// Prints the depth of the stack since the last call.
-fn note(bench: &mut ImageRig, what: &str) {
-    let depth = stack::deepest(bench.network.board(0), image());
+fn note(rig: &mut ImageRig, what: &str) {
+    let depth = stack::deepest(rig.network.board(0), image());
     println!("{depth:5} of {} bytes: {what}", stack::stack(image()).len());
     assert!((100..=MOST).contains(&depth), "{what}: {depth} bytes");
-    stack::paint(bench.network.board_mut(0), image());
+    stack::paint(rig.network.board_mut(0), image());
 }
 
 /// Frames without a pause on a disturbed bus: every interrupt comes while others are served, and a slow flash is
 /// written at the lowest priority.
-fn storm(bench: &mut ImageRig, random: &mut Random) {
-    let other = bench.network.add_adapter(Adapter::new(1_000_000));
-    let disturber = bench.add_disturber();
-    bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+fn storm(rig: &mut ImageRig, random: &mut Random) {
+    let other = rig.network.add_adapter(Adapter::new(1_000_000));
+    let disturber = rig.add_disturber();
+    rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
     for round in 0..150 {
         let requests = ["04 01", "11 40", "11 04", "17", "5E", "51", "47", "4C"];
         for _ in 0..40 {
             let request = random.pick(&requests);
-            bench.network.send(bench.master, on_the_wire(&testkit::frames::request(request)));
-            bench.network.send(bench.master, on_the_wire(&sdo::request(0x40, "40 08 10 00")));
+            rig.network.send(rig.master, on_the_wire(&testkit::frames::request(request)));
+            rig.network.send(rig.master, on_the_wire(&sdo::request(0x40, "40 08 10 00")));
             let urgent = random.pick(&[0x001, 0x080, 0x640, 0x7E4]);
-            bench.network.send(other, Frame::data(Id::Standard(urgent), &random.bytes::<8>()));
+            rig.network.send(other, Frame::data(Id::Standard(urgent), &random.bytes::<8>()));
         }
         if round % 10 == 9 {
-            bench.network.adapter_mut(disturber).open();
-            bench.network.send(disturber, Frame::data(Id::Standard(0), &[0xA5; 8]));
-            bench.network.run_for(Time::from_us(random.within(100..3_000)));
-            bench.network.adapter_mut(disturber).close();
+            rig.network.adapter_mut(disturber).open();
+            rig.network.send(disturber, Frame::data(Id::Standard(0), &[0xA5; 8]));
+            rig.network.run_for(Time::from_us(random.within(100..3_000)));
+            rig.network.adapter_mut(disturber).close();
         }
-        bench.network.run_for(Time::from_us(random.within(5_000..15_000)));
-        bench.nmt(random.pick(&["01 00", "80 00", "82 00", "02 00"]));
+        rig.network.run_for(Time::from_us(random.within(5_000..15_000)));
+        rig.nmt(random.pick(&["01 00", "80 00", "82 00", "02 00"]));
     }
-    bench.collect(Time::from_ms(500));
+    rig.collect(Time::from_ms(500));
 }
 
 #[test]
@@ -115,17 +115,17 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
     let mut board = blank_board(0);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[&stores[..], &[last]].concat()));
     stack::paint(&mut board, image());
-    let mut bench = ImageRig::new(rate, [board]);
-    note(&mut bench, "a boot that erases");
+    let mut rig = ImageRig::new(rate, [board]);
+    note(&mut rig, "a boot that erases");
 
     for request in ["04 01", "5A", "5B", "5C", "5D", "5E", "11 41", "11 80", "13 00 02", "13 00 05"]
     {
-        bench.lss(request);
+        rig.lss(request);
     }
     for request in ["46", "47", "48", "49", "4A", "4B", "4C", "51"] {
-        bench.lss(request);
+        rig.lss(request);
     }
-    note(&mut bench, "LSS");
+    note(&mut rig, "LSS");
     let requests = [
         "40 08 10 00",
         "60 00",
@@ -135,25 +135,25 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
         "23 10 10 01 73 61 76 65",
     ];
     for request in requests {
-        bench.transmit(on_the_wire(&sdo::request(0x40, request)));
-        bench.collect(Time::from_ms(5));
+        rig.transmit(on_the_wire(&sdo::request(0x40, request)));
+        rig.collect(Time::from_ms(5));
     }
-    note(&mut bench, "SDO");
-    bench.lss("17");
-    note(&mut bench, "a store");
-    bench.lss("13 00 00");
-    bench.lss("15 05 00");
-    bench.collect(Time::from_ms(15));
-    note(&mut bench, "a switch of the bit rate");
-    bench.lss("11 40");
-    bench.lss("17");
-    bench.expect_reset(0, ResetCause::Software);
-    bench.nmt("81 00");
-    bench.collect(Time::from_ms(20));
-    note(&mut bench, "a reset of the node");
-    storm(&mut bench, &mut random);
-    note(&mut bench, "storms of every interrupt");
-    bench.lss("04 01");
-    let answers = bench.lss("5A").0;
+    note(&mut rig, "SDO");
+    rig.lss("17");
+    note(&mut rig, "a store");
+    rig.lss("13 00 00");
+    rig.lss("15 05 00");
+    rig.collect(Time::from_ms(15));
+    note(&mut rig, "a switch of the bit rate");
+    rig.lss("11 40");
+    rig.lss("17");
+    rig.expect_reset(0, ResetCause::Software);
+    rig.nmt("81 00");
+    rig.collect(Time::from_ms(20));
+    note(&mut rig, "a reset of the node");
+    storm(&mut rig, &mut random);
+    note(&mut rig, "storms of every interrupt");
+    rig.lss("04 01");
+    let answers = rig.lss("5A").0;
     assert!(answers.iter().any(|frame| frame.cob_id() == 0x7E4), "{answers:?}");
 }

@@ -44,23 +44,23 @@ fn booted_at(count: u32) -> ImageRig {
 
 /// Requests, a store, a switch of the bit rate whose delays last over the middle, heartbeats; returns all events.
 fn session(count: u32) -> Vec<Event> {
-    let mut bench = booted_at(count);
+    let mut rig = booted_at(count);
     for request in ["04 01", "5A", "11 04", "17"] {
-        bench.lss(request);
-        bench.network.run_for(Time::from_ms(100));
+        rig.lss(request);
+        rig.network.run_for(Time::from_ms(100));
     }
-    bench.lss("13 00 02");
-    bench.network.run_until(Time::from_ms(MIDDLE_MS - 300));
-    bench.transmit_request("15 C8 00");
-    bench.network.run_for(Time::from_ms(200));
-    bench.set_master_bit_rate(BitRate::Kbit500);
-    bench.network.run_until(Time::from_ms(MIDDLE_MS + 300));
-    assert!(!bench.lss("5E").0.is_empty());
-    bench.network.run_until(Time::from_ms(2 * MIDDLE_MS));
-    let passed = read(bench.network.board(0), TIM2_CNT).wrapping_sub(count);
+    rig.lss("13 00 02");
+    rig.network.run_until(Time::from_ms(MIDDLE_MS - 300));
+    rig.transmit_request("15 C8 00");
+    rig.network.run_for(Time::from_ms(200));
+    rig.set_master_bit_rate(BitRate::Kbit500);
+    rig.network.run_until(Time::from_ms(MIDDLE_MS + 300));
+    assert!(!rig.lss("5E").0.is_empty());
+    rig.network.run_until(Time::from_ms(2 * MIDDLE_MS));
+    let passed = read(rig.network.board(0), TIM2_CNT).wrapping_sub(count);
     let expected = 2 * MIDDLE_MS as u32 * 1000;
     assert!((expected - 20_000..expected).contains(&passed), "{passed} us");
-    bench.network.trace().to_vec()
+    rig.network.trace().to_vec()
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use lss_slave::lss::Address;
 use testkit::{
-    frames::{SILENCE, number},
+    frames::{self, SILENCE, number},
     node_rig::{ADDRESS, NodeRig},
     random::Random,
 };
@@ -181,18 +181,14 @@ fn each_accepted_04_and_each_reset_awaits_the_first_part_again() {
     for (event, is_reset) in [
         ("04 00", true),
         ("04 02", false),
-        ("81 00", true),
-        ("82 00", true),
-        ("01 00", false),
-        ("82 05", false),
+        ("000: 81 00", true),
+        ("000: 82 00", true),
+        ("000: 01 00", false),
+        ("000: 82 05", false),
     ] {
         let mut board = begun();
         assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
-        if event.starts_with("04") {
-            board.lss(event)
-        } else {
-            board.nmt(event)
-        };
+        board.receive(&frames::of_master(event));
         let first = board.lss(&step(ADDRESS.vendor_id, 0, 0, 0));
         assert_eq!(first, if is_reset { &["4F"][..] } else { &[][..] }, "{event}");
     }

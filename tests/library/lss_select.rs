@@ -2,7 +2,7 @@
 
 use lss_slave::lss::Address;
 use testkit::{
-    frames::{SILENCE, number},
+    frames::{self, Frames, SILENCE, number},
     node_rig::{ADDRESS, NodeRig},
     random::Random,
 };
@@ -164,48 +164,32 @@ fn the_bounds_of_identify_are_unsigned_and_belong_to_the_range() {
     assert!(!identify(&mut board, [0x7FFF_FFFF, 0x7FFF_FFFF], [0, 0]));
 }
 
+/// The answers to the last of `steps`, with `event` before it.
+fn answers_after(event: &str, steps: &[&str]) -> Frames {
+    let (last, others) = steps.split_last().expect("several steps");
+    let mut board = NodeRig::with_node_id(0x40);
+    send_all(&mut board, others);
+    board.receive(&frames::of_master(event));
+    board.lss(last)
+}
+
 #[test]
 fn each_accepted_04_and_each_reset_ends_a_select_that_has_begun() {
-    for (event, is_reset) in [
-        ("04 00", true),
-        ("04 02", false),
-        ("81 00", true),
-        ("82 00", true),
-        ("01 00", false),
-        ("80 00", false),
-    ] {
-        let mut board = NodeRig::with_node_id(0x40);
-        send_all(&mut board, &SELECT[..3]);
-        if event.starts_with("04") {
-            board.lss(event)
-        } else {
-            board.nmt(event)
-        };
-        let answers = board.lss(SERIAL);
-        assert_eq!(answers, if is_reset { &[][..] } else { &["44"][..] }, "{event}");
+    for reset in ["04 00", "000: 81 00", "000: 82 00"] {
+        assert_eq!(answers_after(reset, &SELECT), SILENCE, "{reset}");
+    }
+    for other in ["04 02", "000: 01 00", "000: 80 00"] {
+        assert_eq!(answers_after(other, &SELECT), ["44"], "{other}");
     }
 }
 
 #[test]
 fn each_accepted_04_and_each_reset_ends_an_identify_that_has_begun() {
-    for (event, is_reset) in [
-        ("04 00", true),
-        ("04 01", true),
-        ("04 02", false),
-        ("81 00", true),
-        ("82 00", true),
-        ("01 00", false),
-        ("80 00", false),
-    ] {
-        let mut board = NodeRig::with_node_id(0x40);
-        send_all(&mut board, &IDENTIFY[..5]);
-        if event.starts_with("04") {
-            board.lss(event)
-        } else {
-            board.nmt(event)
-        };
-        let answers = board.lss(IDENTIFY[5]);
-        assert_eq!(answers, if is_reset { &[][..] } else { &["4F"][..] }, "{event}");
+    for reset in ["04 00", "04 01", "000: 81 00", "000: 82 00"] {
+        assert_eq!(answers_after(reset, &IDENTIFY), SILENCE, "{reset}");
+    }
+    for other in ["04 02", "000: 01 00", "000: 80 00"] {
+        assert_eq!(answers_after(other, &IDENTIFY), ["4F"], "{other}");
     }
 }
 

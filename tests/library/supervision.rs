@@ -219,14 +219,10 @@ fn a_receiver_that_is_error_passive_drops_its_frames_and_waits_50_ms() {
 }
 
 #[test]
-fn after_a_switch_frames_wait_50_ms_after_the_latest_error() {
+fn frames_wait_50_ms_after_the_latest_error() {
     for (by, error) in [(BusOff, Error), (ErrorPassive, FormError)] {
-        let mut board = powered_on(BitRate::Kbit250, 10);
-        board.is_acknowledged = false;
-        for request in ["04 01", "13 00 04", "15 0A 00"] {
-            board.lss(request);
-        }
-        board.pass_ms(20);
+        let mut board = disturbed(BitRate::Kbit125, by);
+        board.see(Received);
         board.see(by);
         for _ in 0..20 {
             assert_eq!(board.pass_us(40_000), SILENCE);
@@ -238,16 +234,30 @@ fn after_a_switch_frames_wait_50_ms_after_the_latest_error() {
 }
 
 #[test]
-fn at_a_proven_rate_errors_do_not_extend_the_wait() {
+fn a_bus_that_is_held_dominant_does_not_extend_the_wait() {
     for by in [BusOff, ErrorPassive] {
         let mut board = disturbed(BitRate::Kbit125, by);
-        for _ in 0..4 {
-            assert_eq!(board.pass_us(10_000), SILENCE);
-            board.see(Error);
-            board.see(HeldDominant);
-        }
+        board.pass_us(40_000);
+        board.see(HeldDominant);
         assert_eq!(board.pass_us(9_999), SILENCE, "{by:?}");
         assert_eq!(board.pass_us(1), ["740: 7F"], "{by:?}");
+    }
+}
+
+#[test]
+fn after_a_fruitless_search_errors_do_not_extend_the_wait() {
+    let mut board = powered_on(BitRate::Kbit125, 10);
+    board.is_acknowledged = false;
+    doubt(&mut board);
+    board.see(HeldDominant);
+    assert!(!board.node.is_listening(), "the search has ended");
+    for is_extended in [false, true] {
+        board.see(ErrorPassive);
+        board.pass_us(40_000);
+        board.see(Error);
+        assert_eq!(board.pass_us(9_999), SILENCE);
+        assert_eq!(board.pass_us(1).0.is_empty(), is_extended);
+        board.see(Received);
     }
 }
 

@@ -248,6 +248,18 @@ fn a_guest_that_goes_home_looks_once_more_where_it_was() {
 }
 
 #[test]
+fn an_error_at_home_does_not_change_where_a_guest_looks_once_more() {
+    let mut board = guest();
+    board.see(Error);
+    board.see(Error);
+    assert_eq!(board.bit_rate(), BitRate::Kbit125);
+    board.see(Error);
+    board.timeline();
+    board.pass_ms(25);
+    assert_eq!(board.timeline(), ["22.16 ms listen at 1000 kbit/s"]);
+}
+
+#[test]
 fn a_valid_frame_in_a_turn_of_home_ends_a_guests_stay() {
     let mut board = guest();
     board.see(Error);

@@ -11,7 +11,10 @@ use session::Costs;
 use sizes::Sizes;
 
 /// Show the cost of the LSS slave in instructions and bytes, compared with others
+///
+/// Each slave is built in the same harness and runs on an emulated Cortex-M4. docs/size-and-speed.md explains the tables.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {}
 
 /// The measurements of one slave.

@@ -4,15 +4,21 @@ use std::ops::Range;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use emulator::{
+    Time,
     board::{self, Board},
     chip::Part,
     image::Image,
 };
 use lss_slave::{Settings, lss::Address, settings::Log};
-use testkit::flash::BoardFlash;
+use testkit::{
+    flash::BoardFlash,
+    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
+};
 
-/// Sectors 1 and 2 of the flash, where the firmware keeps its settings (`memory.x`), from the start of the flash.
-const SETTINGS: Range<usize> = 0x4000..0xC000;
+/// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
+pub const FIRST_START: Time = Time::from_s(1);
+/// The place of the settings log in the flash.
+const SETTINGS: Range<usize> = SETTINGS_OFFSET as usize..SETTINGS_OFFSET as usize + SETTINGS_LENGTH;
 
 /// Parser for the name of a chip on the command line.
 pub fn part() -> impl TypedValueParser<Value = Part> {

@@ -1,8 +1,8 @@
 //! `cargo demo`: an independent LSS master configures emulated boards with the release firmware.
 
-mod bench;
 mod diagram;
 mod screen;
+mod tokio_bus;
 
 use std::{
     fs,
@@ -21,6 +21,7 @@ use lss_slave::{
     BitRate, BitRateSetting, Settings,
     lss::{self, Request},
 };
+use testkit::image_rig::{DEFAULT_BIT_RATE, SETTINGS_OFFSET, flash_with};
 use zencan_client::{
     LssMaster,
     common::{
@@ -30,15 +31,14 @@ use zencan_client::{
 };
 
 use crate::{boards, record};
-use bench::Bench;
 use screen::Screen;
+use tokio_bus::TokioBus;
 
-const OLD_RATE: BitRate = BitRate::Kbit125;
+const OLD_RATE: BitRate = DEFAULT_BIT_RATE;
 const NEW_RATE: BitRate = BitRate::Kbit500;
 const NODE_ID: u8 = 5;
 const SWITCH_DELAY_MS: u16 = 100;
-/// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
-const START: Duration = Duration::from_secs(1);
+const START: Duration = Duration::from_millis(boards::FIRST_START.as_ms());
 /// The master's time-out for each Fastscan step.
 const FASTSCAN_TIMEOUT: Duration = Duration::from_millis(20);
 /// The time after the second switch delay until every slave's clock has reached it too.
@@ -52,9 +52,9 @@ const PRE_OPERATIONAL: u8 = 0x7F;
 /// Show how a board is found, configured and power-cycled, frame by frame, on an emulated CAN bus
 ///
 /// The boards are emulated STM32F4s with the release firmware, one of them blank. The LSS master is the crate
-/// zencan-client.
-/// Fails if anything differs from CiA 305.
+/// zencan-client. Fails if anything differs from CiA 305.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Show every frame of the Fastscan, not only the start and end of its parts
     #[arg(long)]
@@ -102,40 +102,38 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut screen = Screen::new(arguments.all);
     runtime.block_on(async {
         let [blank, mut old] = [0, 1].map(|number| boards::board(arguments.chip, &image, number));
-        let mut flash = old.flash();
-        boards::store_settings(&mut flash, OLD_BOARD);
-        old.set_flash(0, &flash);
-        let bench = Bench::new([blank, old], OLD_RATE);
-        let outcome = session(&bench, &mut screen).await;
+        old.set_flash(SETTINGS_OFFSET, &flash_with(&[OLD_BOARD]));
+        let bus = TokioBus::new([blank, old], OLD_RATE);
+        let outcome = session(&bus, &mut screen).await;
         // Show the events up to the failure.
-        screen.show(&bench.events())?;
+        screen.show(&bus.events())?;
         outcome?;
-        arguments.write_records(&bench.events())?;
+        arguments.write_records(&bus.events())?;
         screen.chapter(&format!(
             "As expected: {:.1} s on the board, {:.1} s here.",
-            bench.now().as_ms() as f64 / 1000.0,
+            bus.now().as_ms() as f64 / 1000.0,
             begin.elapsed().as_secs_f64()
         ))
     })
 }
 
-async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
-    let mut master = LssMaster::new(bench.clone(), bench.clone());
+async fn session(bus: &TokioBus, screen: &mut Screen) -> anyhow::Result<()> {
+    let mut master = LssMaster::new(bus.clone(), bus.clone());
 
     screen.chapter(
         "Two boards are switched on at 125 kbit/s: node 9, and a blank one, which is silent",
     )?;
-    bench.pass(START).await;
-    let sent = bench.events().iter().filter(|event| is_frame_of_blank_board(event)).count();
+    bus.pass(START).await;
+    let sent = bus.events().iter().filter(|event| is_frame_of_blank_board(event)).count();
     ensure!(sent == 0, "a board without a node-ID sent {sent} frames unasked");
-    expect_boot_up(bench, OLD_BOARD_ID).await?;
-    screen.show(&bench.events())?;
+    expect_boot_up(bus, OLD_BOARD_ID).await?;
+    screen.show(&bus.events())?;
 
     screen.chapter("The master finds it by Fastscan: 128 bits of LSS address, one by one")?;
     let found = master.fast_scan(FASTSCAN_TIMEOUT).await;
     let LssIdentity { vendor_id, product_code, revision, serial } =
         found.context("Fastscan found no board")?;
-    screen.show(&bench.events())?;
+    screen.show(&bus.events())?;
     screen.remark(&format!(
         "found: vendor-ID {vendor_id:08X}, product code {product_code:08X}, revision number \
          {revision:08X}, serial number {serial:08X}"
@@ -149,38 +147,38 @@ async fn session(bench: &Bench, screen: &mut Screen) -> anyhow::Result<()> {
     master.set_global_mode(LssState::Configuring).await;
     master.set_baud_rate(0, NEW_RATE.index()).await.context("configure bit timing")?;
     master.store_config().await.context("store configuration")?;
-    screen.show(&bench.events())?;
+    screen.show(&bus.events())?;
 
     screen.chapter("All switch to 500 kbit/s; zencan has no such service: the demo sends it")?;
-    bench.send(lss_request(Request::ActivateBitTiming(SWITCH_DELAY_MS))).await;
+    bus.send(lss_request(Request::ActivateBitTiming(SWITCH_DELAY_MS))).await;
     let delay = Duration::from_millis(SWITCH_DELAY_MS.into());
-    bench.pass(delay).await;
-    bench.set_bit_rate(NEW_RATE);
-    bench.pass(delay + TOLERANCE).await;
-    screen.show(&bench.events())?;
+    bus.pass(delay).await;
+    bus.set_bit_rate(NEW_RATE);
+    bus.pass(delay + TOLERANCE).await;
+    screen.show(&bus.events())?;
 
     screen.chapter("Back to LSS waiting state: the new board takes its node-ID and boots up")?;
-    while bench.receive(Duration::ZERO).await.is_some() {}
+    while bus.receive(Duration::ZERO).await.is_some() {}
     master.set_global_mode(LssState::Waiting).await;
-    expect_boot_up(bench, NODE_ID).await?;
-    screen.show(&bench.events())?;
+    expect_boot_up(bus, NODE_ID).await?;
+    screen.show(&bus.events())?;
 
     screen.chapter("The power fails for half a second: node-ID and bit rate were stored")?;
-    bench.power_off();
-    bench.pass(Duration::from_millis(500)).await;
-    bench.power_on();
-    expect_boot_up(bench, NODE_ID).await?;
-    let heartbeat = bench.receive(Duration::from_secs(2)).await.context("no heartbeat came")?;
+    bus.power_off();
+    bus.pass(Duration::from_millis(500)).await;
+    bus.power_on();
+    expect_boot_up(bus, NODE_ID).await?;
+    let heartbeat = bus.receive(Duration::from_secs(2)).await.context("no heartbeat came")?;
     ensure!(
         heartbeat == error_control(NODE_ID, PRE_OPERATIONAL),
         "{heartbeat} came instead of a heartbeat"
     );
-    screen.show(&bench.events())?;
-    check_conduct(bench)
+    screen.show(&bus.events())?;
+    check_conduct(bus)
 }
 
-async fn expect_boot_up(bench: &Bench, node_id: u8) -> anyhow::Result<()> {
-    let boot_up = bench.receive(START).await.context("no boot-up came")?;
+async fn expect_boot_up(bus: &TokioBus, node_id: u8) -> anyhow::Result<()> {
+    let boot_up = bus.receive(START).await.context("no boot-up came")?;
     ensure!(
         boot_up == error_control(node_id, 0),
         "{boot_up} came instead of the boot-up of node {node_id}"
@@ -193,13 +191,13 @@ fn error_control(node_id: u8, state: u8) -> Frame {
 }
 
 /// Checks that nothing unexpected happened.
-fn check_conduct(bench: &Bench) -> anyhow::Result<()> {
-    for event in bench.events() {
+fn check_conduct(bus: &TokioBus) -> anyhow::Result<()> {
+    for event in bus.events() {
         if let What::Error { kind, .. } = event.what {
             bail!("an error frame, {kind:?}, at {} ms", event.time);
         }
     }
-    match bench.findings().first() {
+    match bus.findings().first() {
         Some(finding) => {
             bail!("the firmware did something that a real chip does not tolerate: {finding}")
         }

@@ -16,13 +16,14 @@ use std::{
 
 use anyhow::{Context, ensure};
 use emulator::{
-    Time,
     chip::Part,
     network::{Network, Recording},
 };
 use lss_slave::{BitRate, NodeId, Settings};
 
-use crate::boards;
+use testkit::image_rig::{DEFAULT_BIT_RATE, bit_per_s};
+
+use crate::boards::{self, FIRST_START};
 use client::{Client, ClientId, Input};
 use console::Leds;
 use memory::Memory;
@@ -30,10 +31,6 @@ use pace::Pace;
 
 /// The longest time until the programs get a received frame.
 const TICK: Duration = Duration::from_millis(1);
-/// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
-const START: Time = Time::from_s(1);
-/// The bit rate of a new board: `DEFAULTS` in the firmware's `device.rs`.
-const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
 const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 
 /// Offer the CAN bus of emulated boards to any CAN program, as SLCAN adapters over TCP
@@ -47,7 +44,7 @@ const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Number of boards on the bus
+    /// Number of boards on the bus: 1..=127
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=127))]
     boards: u8,
     /// Address on which to wait for CAN programs
@@ -59,7 +56,7 @@ pub struct Arguments {
     /// Node-ID of a board without stored settings: 1..=127, counting up from board to board; or none
     #[arg(long, value_name = "ID|none", value_parser = node_id)]
     node_id: Option<FirstNodeId>,
-    /// Bit rate in kbit/s of a board without stored settings
+    /// Bit rate in kbit/s of a board without stored settings; 125 if only --node-id is given
     #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
     bit_rate: Option<BitRate>,
     /// Run an example of an application: io, which takes commands from the standard input
@@ -145,7 +142,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         memory.restore(&mut board, &image, number, preset)?;
         network.add_board(board);
     }
-    network.run_for(START);
+    network.run_for(FIRST_START);
     memory.save(&network)?;
 
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
@@ -180,7 +177,7 @@ fn serve(
     memory: &mut Memory,
     bit_rate: BitRate,
 ) -> anyhow::Result<()> {
-    let bit_rate = u32::from(bit_rate.kbit_per_s()) * 1000;
+    let bit_rate = bit_per_s(bit_rate);
     let mut clients: BTreeMap<ClientId, Client> = BTreeMap::new();
     let mut unused = Vec::new();
     let mut leds = Leds::default();

@@ -12,7 +12,7 @@ use crate::boards;
 
 /// Write the firmware to a board, with probe-rs, and show its log
 ///
-/// The board is not halted at a reset or a fault, so that the log continues.
+/// The log runs until Ctrl-C. The board is not halted at a reset or a fault, so that the log continues.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip on the board

@@ -31,6 +31,7 @@ const ERROR: Style = AnsiColor::Red.on_default().bold();
     name = "cargo xtask",
     bin_name = "cargo xtask",
     about = "The commands of the project",
+    after_help = "`cargo demo`, `cargo emulate` and `cargo flash` are short for these commands.",
     disable_help_subcommand = true
 )]
 struct Arguments {

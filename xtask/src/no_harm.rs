@@ -42,6 +42,7 @@ const PRINTED: usize = 6;
 ///
 /// The first failing situations are minimised and printed as a list of events, with the seed that replays them.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Number of situations
     #[arg(long, default_value_t = 50)]

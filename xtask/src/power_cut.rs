@@ -23,12 +23,17 @@ const INSTANTS_LONG: usize = 2_000;
 
 /// Cut the power at every step of writing the settings, and check that none are lost
 ///
-/// In the library: every history of four power-ons (--long: six) with up to three stores each, the power cut in any one
-/// or two of its program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase
-/// anything. In the release image on an emulated board, in two commissionings by LSS, from a blank flash and from one
-/// that has to be erased: in every flash operation, in every pause between two, and at random instants from power-on to
-/// the last answer. Fails if settings are lost.
+/// In the library: every history of four power-ons (--long: six) with up to three stores each. The power fails in any
+/// one or two of the program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase
+/// anything.
+///
+/// In the release image on an emulated board: two commissionings by LSS, from a blank flash and from one that has to be
+/// erased. The power fails in every flash operation, in every pause between two, and at random instants from power-on
+/// to the last answer.
+///
+/// Fails if settings are lost.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// More power-ons in a history, and on the board two cuts in a row and more instants; takes some minutes
     #[arg(long)]
@@ -112,7 +117,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let kinds = [
             ("in every flash operation", course.in_operations(&mut random), arguments.long),
             ("in every pause between them", course.between_operations(&mut random), false),
-            ("at any instants", course.at_instants(instants, &mut random), false),
+            ("at random instants", course.at_instants(instants, &mut random), false),
         ];
         for (place, cuts, twice) in kinds {
             let tally = session.run(arguments.chip, &image, &cuts, &mut random, twice)?;
@@ -120,7 +125,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
     }
     let worst = image::worst_answer_time(arguments.chip, &image)?;
-    println!("\nFrom 17 to its answer, slowest flash, bus full at 1 Mbit/s: at most {worst} ms");
+    let worst = worst.as_us() as f64 / 1000.0;
+    println!("\nFrom 17 to its answer, slowest flash, bus full at 1 Mbit/s: at most {worst:.3} ms");
 
     let stores = library::stores_an_erase();
     let years = stores * SECTORS * ENDURANCE / HOURS_A_YEAR;

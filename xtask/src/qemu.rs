@@ -16,7 +16,12 @@ use emulator::{
 };
 use lss_slave::{lss, nmt};
 
-use crate::{boards, explain::explain};
+use testkit::image_rig::{DEFAULT_BIT_RATE, bit_per_s};
+
+use crate::{
+    boards::{self, FIRST_START},
+    explain::explain,
+};
 
 const QEMU: &str = "qemu-system-arm";
 /// The QEMU machine with an STM32F405.
@@ -25,10 +30,6 @@ const PART: Part = Part::Stm32f405;
 /// An instruction takes 2^3 ns, little more than a cycle at 160 MHz. Only the duration of a reset varies by some
 /// microseconds from run to run.
 const TIME: &str = "shift=3,sleep=off";
-/// The firmware's default bit rate.
-const BIT_RATE: u32 = 125_000;
-/// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
-const START: Time = Time::from_s(1);
 /// The interval between requests: enough for an answer, a store and a restart.
 const INTERVAL: Time = Time::from_ms(50);
 const NODE_ID: u8 = 5;
@@ -51,7 +52,9 @@ impl Seen {
 /// Run a session on QEMU's CPU and on the emulator's, and check that they agree
 ///
 /// QEMU runs the release image with the emulator's peripherals and bus as a plugin. Both must produce the same frames.
+/// Needs `qemu-system-arm` 7.2 to 10.0.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments;
 
 /// Prints the session. Fails if the runs differ in anything but times.
@@ -157,9 +160,10 @@ fn qemu(plugin: &str) -> anyhow::Result<Command> {
 fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
     let unique_id: String = boards::unique_id(0).iter().map(|byte| format!("{byte:02x}")).collect();
     let mut argument = format!(
-        "{},bit-rate={BIT_RATE},unique-id={unique_id},start={},interval={}",
+        "{},bit-rate={},unique-id={unique_id},start={},interval={}",
         plugin.display(),
-        START.as_ms(),
+        bit_per_s(DEFAULT_BIT_RATE),
+        FIRST_START.as_ms(),
         INTERVAL.as_ms()
     );
     for frame in session() {
@@ -183,9 +187,9 @@ fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
 fn run_emulator(image: &Image) -> anyhow::Result<Vec<Seen>> {
     let mut network = Network::new();
     let board = network.add_board(boards::board(PART, image, 0));
-    let adapter = network.add_adapter(Adapter::new(BIT_RATE));
+    let adapter = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
     let mut seen = Vec::new();
-    network.run_until(START);
+    network.run_until(FIRST_START);
     for frame in session() {
         seen.push(Seen { time: network.now(), direction: '>', frame });
         network.send(adapter, frame);

@@ -1,7 +1,7 @@
 //! `cargo xtask readings`: the image's sessions under each doubtful reading of the manuals.
 
+mod bus;
 mod matrix;
-mod rig;
 mod sessions;
 
 use std::time::Instant;
@@ -10,8 +10,8 @@ use anyhow::ensure;
 use emulator::chip::Part;
 
 use crate::{boards, parallel};
+use bus::Variant;
 use matrix::Reading;
-use rig::Rig;
 
 /// Run the image's sessions under each doubtful reading of the manuals
 ///
@@ -20,6 +20,7 @@ use rig::Rig;
 /// survive power cuts while it stores, and recover from bus-off. For each reading the table shows success or the first
 /// difference.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Leave out the longest sessions: power cuts, detection on a quiet bus, a rescue, three boards, more switches
     #[arg(long)]
@@ -36,9 +37,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let sessions = sessions::all(arguments.quick);
     let readings = matrix::readings();
     let try_out = |reading: &Reading| -> Option<String> {
-        let rig = Rig { image: &image, part: arguments.chip, settings: reading.settings };
+        let variant = Variant { image: &image, part: arguments.chip, settings: reading.settings };
         sessions.iter().find_map(|(name, session)| {
-            session(&rig).err().map(|error| format!("{name}: {error:#}"))
+            session(&variant).err().map(|error| format!("{name}: {error:#}"))
         })
     };
     let mut failed = 0;

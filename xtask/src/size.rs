@@ -11,6 +11,8 @@ use object::{
 use crate::boards;
 
 /// Show the firmware's memory use, and check it against the budget
+///
+/// Fails if the flash takes more than xtask/size-budget.toml allows.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip to build for
@@ -52,7 +54,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     println!("{:28} {flash:>8}", "total");
     if flash > budget {
         bail!(
-            "the firmware takes {} bytes more flash than size-budget.toml allows",
+            "the firmware takes {} bytes more flash than xtask/size-budget.toml allows",
             flash - budget
         );
     }

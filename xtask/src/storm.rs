@@ -22,6 +22,7 @@ const PARTS: u64 = 10;
 /// settings in its flash, without a panic, a fault, a reset of its own, or an access that a real chip does not
 /// tolerate. Both must answer at the end.
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Frames to the node in the process
     #[arg(long, default_value_t = 10_000_000)]

@@ -57,6 +57,8 @@ fn act(node: &mut Node, action: Action) {
     match action {
         Action::Transmit(frame) => {
             transmit(frame.cob_id(), frame.data().len(), frame.padded_data());
+            // The firmware reports it in the transmit interrupt.
+            node.handle_bus(BusEvent::Acknowledged, Instant::from_micros(0));
         }
         Action::Store(_) => node.handle_stored(Ok(())),
         Action::SetBitRate(_) | Action::ResumeTransmitting => {

@@ -2,13 +2,11 @@
 
 use emulator::can::{Frame, Id, bxcan::Readings};
 
-use crate::bench::{
-    Bench, F0R1, FA1R, FFA1R, FM1R, FMR, FS1R, MEGABIT, RF0R, RI0R, RI1R, standard,
-};
+use crate::rig::{CanRig, F0R1, FA1R, FFA1R, FM1R, FMR, FS1R, MEGABIT, RF0R, RI0R, RI1R, standard};
 
 /// Four banks, one of each kind.
-fn with_filters(fifo_1: u32, active: u32) -> Bench {
-    let mut bench = Bench::new();
+fn with_filters(fifo_1: u32, active: u32) -> CanRig {
+    let mut rig = CanRig::new();
     let bank = |n: u32| F0R1 + 8 * n;
     for (register, value) in [
         (FMR, 0x2A1C_0E01),
@@ -29,17 +27,17 @@ fn with_filters(fifo_1: u32, active: u32) -> Bench {
         (FA1R, active),
         (FMR, 0x2A1C_0E00),
     ] {
-        assert!(bench.write(register, value));
+        assert!(rig.write(register, value));
     }
-    bench.join(0, MEGABIT);
-    bench
+    rig.join(0, MEGABIT);
+    rig
 }
 
-fn match_indices(bench: &mut Bench, fifo: u32, frames: &[Frame]) -> Vec<Option<u32>> {
+fn match_indices(rig: &mut CanRig, fifo: u32, frames: &[Frame]) -> Vec<Option<u32>> {
     let ask = |frame: &Frame| {
-        bench.adapter.send(*frame);
-        bench.run_us(300);
-        bench.fifo(fifo).first().map(|message| message[1] >> 8)
+        rig.adapter.send(*frame);
+        rig.run_us(300);
+        rig.fifo(fifo).first().map(|message| message[1] >> 8)
     };
     frames.iter().map(ask).collect()
 }
@@ -61,7 +59,7 @@ fn asked() -> [Frame; 9] {
 #[test]
 fn each_kind_of_filter_accepts_its_identifiers() {
     // Alone in FIFO 0, with the numbers that inactive banks still occupy.
-    let all = |bench: &mut Bench| match_indices(bench, 0, &asked());
+    let all = |rig: &mut CanRig| match_indices(rig, 0, &asked());
     assert_eq!(
         all(&mut with_filters(0, 0b0001)),
         [Some(0), Some(1), Some(2), Some(3), None, None, None, None, None],
@@ -96,77 +94,77 @@ fn of_several_matches_the_wider_wins_and_then_the_list() {
 #[test]
 fn each_fifo_numbers_its_own_filters() {
     let frames = asked();
-    let mut bench = with_filters(0b0110, 0b1111);
+    let mut rig = with_filters(0b0110, 0b1111);
     assert_eq!(
-        match_indices(&mut bench, 1, &frames),
+        match_indices(&mut rig, 1, &frames),
         [Some(3), None, None, None, Some(0), Some(1), Some(2), None, None]
     );
-    assert!(bench.read(RI1R) != 0, "the output mailbox keeps what was released");
-    let mut bench = with_filters(0b0110, 0b1111);
+    assert!(rig.read(RI1R) != 0, "the output mailbox keeps what was released");
+    let mut rig = with_filters(0b0110, 0b1111);
     assert_eq!(
-        match_indices(&mut bench, 0, &frames),
+        match_indices(&mut rig, 0, &frames),
         [None, Some(1), Some(2), Some(3), None, None, None, Some(4), None]
     );
 }
 
 #[test]
 fn no_active_filter_no_frame_but_an_acknowledgement() {
-    let mut bench = Bench::new();
-    bench.write(FMR, 0x2A1C_0E00);
-    bench.join(0, MEGABIT);
-    bench.adapter.send(standard(0x7E5, &[]));
-    bench.run_us(200);
-    assert_eq!(bench.adapter.unsent(), 0);
-    assert_eq!(bench.fifo(0), Vec::<[u32; 3]>::new());
+    let mut rig = CanRig::new();
+    rig.write(FMR, 0x2A1C_0E00);
+    rig.join(0, MEGABIT);
+    rig.adapter.send(standard(0x7E5, &[]));
+    rig.run_us(200);
+    assert_eq!(rig.adapter.unsent(), 0);
+    assert_eq!(rig.fifo(0), Vec::<[u32; 3]>::new());
 }
 
 #[test]
 fn filter_initialisation_stops_reception_and_guards_the_banks() {
-    let mut bench = Bench::running(0);
-    bench.write(FMR, 0x2A1C_0E01);
-    bench.adapter.send(standard(0x7E5, &[]));
-    bench.run_us(200);
-    assert_eq!(bench.read(RF0R), 0);
-    bench.write(FMR, 0x2A1C_0E00);
-    bench.write(F0R1, 0x1234);
-    assert_eq!(bench.read(F0R1), 0, "the bank is active");
-    bench.write(FM1R, 1);
-    assert_eq!(bench.read(FM1R), 0);
-    bench.write(FA1R, 0);
-    bench.write(F0R1, 0x1234);
-    assert_eq!(bench.read(F0R1), 0x1234);
+    let mut rig = CanRig::running(0);
+    rig.write(FMR, 0x2A1C_0E01);
+    rig.adapter.send(standard(0x7E5, &[]));
+    rig.run_us(200);
+    assert_eq!(rig.read(RF0R), 0);
+    rig.write(FMR, 0x2A1C_0E00);
+    rig.write(F0R1, 0x1234);
+    assert_eq!(rig.read(F0R1), 0, "the bank is active");
+    rig.write(FM1R, 1);
+    assert_eq!(rig.read(FM1R), 0);
+    rig.write(FA1R, 0);
+    rig.write(F0R1, 0x1234);
+    assert_eq!(rig.read(F0R1), 0x1234);
 }
 
 #[test]
 fn banks_from_can2sb_on_belong_to_the_other_peripheral() {
-    let mut bench = Bench::new();
+    let mut rig = CanRig::new();
     let bank_14 = F0R1 + 8 * 14;
     for (register, value) in [(FS1R, 1 << 14), (bank_14, 0), (FA1R, 1 << 14), (FMR, 0x2A1C_0E00)] {
-        bench.write(register, value);
+        rig.write(register, value);
     }
-    bench.join(0, MEGABIT);
-    bench.adapter.send(standard(1, &[]));
-    bench.run_us(200);
-    assert_eq!(bench.read(RF0R), 0);
-    bench.write(FMR, 28 << 8);
-    bench.adapter.send(standard(1, &[]));
-    bench.run_us(200);
-    assert_eq!(bench.read(RF0R), 1);
-    assert_eq!(bench.read(RI0R + 4) >> 8, 28, "14 banks of two 16-bit filters come before");
+    rig.join(0, MEGABIT);
+    rig.adapter.send(standard(1, &[]));
+    rig.run_us(200);
+    assert_eq!(rig.read(RF0R), 0);
+    rig.write(FMR, 28 << 8);
+    rig.adapter.send(standard(1, &[]));
+    rig.run_us(200);
+    assert_eq!(rig.read(RF0R), 1);
+    assert_eq!(rig.read(RI0R + 4) >> 8, 28, "14 banks of two 16-bit filters come before");
 }
 
 /// Renode's model stores the frame in both.
 #[test]
 fn a_frame_that_both_fifos_let_in_goes_into_one() {
     let held = |readings| {
-        let mut bench = with_filters(0b0010, 0b0011);
-        bench.can.set_readings(readings);
-        bench.write(FA1R, 0);
-        bench.write(F0R1 + 8, 0);
-        bench.write(FA1R, 0b0011);
-        bench.adapter.send(standard(0x7E5, &[]));
-        bench.run_us(300);
-        [bench.read(RF0R) & 3, bench.read(RF0R + 4) & 3]
+        let mut rig = with_filters(0b0010, 0b0011);
+        rig.can.set_readings(readings);
+        rig.write(FA1R, 0);
+        rig.write(F0R1 + 8, 0);
+        rig.write(FA1R, 0b0011);
+        rig.adapter.send(standard(0x7E5, &[]));
+        rig.run_us(300);
+        [rig.read(RF0R) & 3, rig.read(RF0R + 4) & 3]
     };
     assert_eq!(held(Readings::default()), [1, 0], "a list goes before a mask");
     assert_eq!(held(Readings { both_fifos: true, ..Readings::default() }), [1, 1]);

@@ -1,9 +1,9 @@
 //! CAN1 as seen by a program through its registers.
 
-mod bench;
 mod errors;
 mod filters;
 mod modes;
 mod receive;
 mod registers;
+mod rig;
 mod transmit;

@@ -2,91 +2,91 @@
 
 use emulator::can::{Frame, Id};
 
-use crate::bench::{Bench, IER, RF0R, RFLM, RI0R, standard};
+use crate::rig::{CanRig, IER, RF0R, RFLM, RI0R, standard};
 
 #[test]
 fn a_frame_is_readable_from_the_last_but_one_bit_of_eof() {
-    let mut bench = Bench::running(0);
-    bench.write(IER, 2);
+    let mut rig = CanRig::running(0);
+    rig.write(IER, 2);
     let frame = Frame::data(Id::Extended(0x1234_5678), &[1, 2, 3, 4, 5]);
-    bench.adapter.send(frame);
-    let asked = bench.bus.now();
-    bench.step_until("a message", |bench| bench.read(RF0R) & 3 == 1);
-    let took = (bench.bus.now() - asked).as_ns();
+    rig.adapter.send(frame);
+    let asked = rig.bus.now();
+    rig.step_until("a message", |rig| rig.read(RF0R) & 3 == 1);
+    let took = (rig.bus.now() - asked).as_ns();
     let valid = u64::from(frame.wire_bits()) * 1000 - 1_125;
     assert!((valid..valid + 1_600).contains(&took), "{took}");
-    assert!(bench.can.irq().rx0);
-    assert_eq!(bench.read(RI0R), 0x1234_5678 << 3 | 4);
-    assert_eq!(bench.read(RI0R + 4), 5);
-    assert_eq!(bench.read(RI0R + 8), 0x0403_0201);
-    assert_eq!(bench.read(RI0R + 12), 5);
-    bench.write(RF0R, 1 << 5);
-    assert_eq!(bench.read(RF0R), 0);
-    assert!(!bench.can.irq().rx0);
+    assert!(rig.can.irq().rx0);
+    assert_eq!(rig.read(RI0R), 0x1234_5678 << 3 | 4);
+    assert_eq!(rig.read(RI0R + 4), 5);
+    assert_eq!(rig.read(RI0R + 8), 0x0403_0201);
+    assert_eq!(rig.read(RI0R + 12), 5);
+    rig.write(RF0R, 1 << 5);
+    assert_eq!(rig.read(RF0R), 0);
+    assert!(!rig.can.irq().rx0);
 }
 
 #[test]
 fn a_data_length_code_above_eight_is_stored_and_sent_as_it_is() {
-    let mut bench = Bench::running(0);
-    bench.adapter.send(standard(0x123, &[7; 8]).with_dlc(12));
-    bench.run_us(200);
-    assert_eq!(bench.read(RI0R + 4), 12);
-    assert_eq!(bench.read(RI0R + 12), 0x0707_0707);
-    bench.mailbox(0, standard(0x124, &[9; 8]).with_dlc(15));
-    bench.run_us(200);
-    assert_eq!(bench.received(), [standard(0x124, &[9; 8]).with_dlc(15)]);
+    let mut rig = CanRig::running(0);
+    rig.adapter.send(standard(0x123, &[7; 8]).with_dlc(12));
+    rig.run_us(200);
+    assert_eq!(rig.read(RI0R + 4), 12);
+    assert_eq!(rig.read(RI0R + 12), 0x0707_0707);
+    rig.mailbox(0, standard(0x124, &[9; 8]).with_dlc(15));
+    rig.run_us(200);
+    assert_eq!(rig.received(), [standard(0x124, &[9; 8]).with_dlc(15)]);
 }
 
 #[test]
 fn the_fourth_message_replaces_the_third() {
-    let mut bench = Bench::running(0);
-    bench.write(IER, 1 << 3);
-    (1..=3).for_each(|n| bench.adapter.send(standard(0x100, &[n])));
-    bench.run_us(300);
-    assert_eq!(bench.read(RF0R), 3 | 1 << 3, "FULL");
-    assert!(!bench.can.irq().rx0);
-    (4..=5).for_each(|n| bench.adapter.send(standard(0x100, &[n])));
-    bench.run_us(300);
-    assert_eq!(bench.read(RF0R), 3 | 1 << 3 | 1 << 4, "FOVR");
-    assert!(bench.can.irq().rx0);
-    bench.write(RF0R, 3 << 3);
-    assert_eq!(bench.read(RF0R), 3);
-    let data: Vec<u32> = bench.fifo(0).iter().map(|message| message[2]).collect();
+    let mut rig = CanRig::running(0);
+    rig.write(IER, 1 << 3);
+    (1..=3).for_each(|n| rig.adapter.send(standard(0x100, &[n])));
+    rig.run_us(300);
+    assert_eq!(rig.read(RF0R), 3 | 1 << 3, "FULL");
+    assert!(!rig.can.irq().rx0);
+    (4..=5).for_each(|n| rig.adapter.send(standard(0x100, &[n])));
+    rig.run_us(300);
+    assert_eq!(rig.read(RF0R), 3 | 1 << 3 | 1 << 4, "FOVR");
+    assert!(rig.can.irq().rx0);
+    rig.write(RF0R, 3 << 3);
+    assert_eq!(rig.read(RF0R), 3);
+    let data: Vec<u32> = rig.fifo(0).iter().map(|message| message[2]).collect();
     assert_eq!(data, [1, 2, 5]);
 }
 
 /// Contrary to "cleared by software" in RM0090, 32.9.2 (confidence 0.85).
 #[test]
 fn full_falls_when_a_frame_is_released() {
-    let mut bench = Bench::running(0);
-    bench.write(IER, 1 << 2);
-    (1..=3).for_each(|n| bench.adapter.send(standard(0x100, &[n])));
-    bench.run_us(300);
-    assert_eq!((bench.read(RF0R), bench.can.irq().rx0), (3 | 1 << 3, true));
-    bench.write(RF0R, 1 << 5);
-    assert_eq!((bench.read(RF0R), bench.can.irq().rx0), (2, false));
+    let mut rig = CanRig::running(0);
+    rig.write(IER, 1 << 2);
+    (1..=3).for_each(|n| rig.adapter.send(standard(0x100, &[n])));
+    rig.run_us(300);
+    assert_eq!((rig.read(RF0R), rig.can.irq().rx0), (3 | 1 << 3, true));
+    rig.write(RF0R, 1 << 5);
+    assert_eq!((rig.read(RF0R), rig.can.irq().rx0), (2, false));
 }
 
 #[test]
 fn a_frame_has_the_time_of_its_sof_in_time_triggered_mode() {
     const TTCM: u32 = 1 << 7;
     for (mcr, apart) in [(TTCM, 300), (0, 0)] {
-        let mut bench = Bench::running(mcr);
-        bench.adapter.send(standard(0x100, &[1]));
-        bench.run_us(300);
-        bench.adapter.send(standard(0x100, &[2]));
-        bench.run_us(300);
-        let stamps: Vec<u32> = bench.fifo(0).iter().map(|message| message[1] >> 16).collect();
+        let mut rig = CanRig::running(mcr);
+        rig.adapter.send(standard(0x100, &[1]));
+        rig.run_us(300);
+        rig.adapter.send(standard(0x100, &[2]));
+        rig.run_us(300);
+        let stamps: Vec<u32> = rig.fifo(0).iter().map(|message| message[1] >> 16).collect();
         assert_eq!(stamps[1] - stamps[0], apart, "{stamps:?}");
     }
 }
 
 #[test]
 fn a_locked_fifo_keeps_its_first_three() {
-    let mut bench = Bench::running(RFLM);
-    (1..=5).for_each(|n| bench.adapter.send(standard(0x100, &[n])));
-    bench.run_us(500);
-    assert_eq!(bench.read(RF0R), 3 | 1 << 3 | 1 << 4);
-    let data: Vec<u32> = bench.fifo(0).iter().map(|message| message[2]).collect();
+    let mut rig = CanRig::running(RFLM);
+    (1..=5).for_each(|n| rig.adapter.send(standard(0x100, &[n])));
+    rig.run_us(500);
+    assert_eq!(rig.read(RF0R), 3 | 1 << 3 | 1 << 4);
+    let data: Vec<u32> = rig.fifo(0).iter().map(|message| message[2]).collect();
     assert_eq!(data, [1, 2, 3]);
 }

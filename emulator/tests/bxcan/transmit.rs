@@ -5,89 +5,89 @@ use emulator::{
     can::bxcan::{Note, Readings},
 };
 
-use crate::bench::{Bench, ESR, IER, INRQ, MCR, MSR, NART, TI0R, TSR, TXFP, standard};
+use crate::rig::{CanRig, ESR, IER, INRQ, MCR, MSR, NART, TI0R, TSR, TXFP, standard};
 
 #[test]
 fn a_transmission_sets_its_bits_at_the_end_of_the_frame_and_interrupts() {
-    let mut bench = Bench::running(0);
-    bench.write(IER, 1);
-    bench.mailbox(0, standard(0x123, &[1, 2, 3]));
-    assert_eq!(bench.read(TSR), 0x1900_0000, "mailbox 1 is the next free one");
-    assert_eq!(bench.read(TI0R) & 1, 1);
-    let asked = bench.bus.now();
-    bench.step_until("RQCP0", |bench| bench.read(TSR) & 1 != 0);
+    let mut rig = CanRig::running(0);
+    rig.write(IER, 1);
+    rig.mailbox(0, standard(0x123, &[1, 2, 3]));
+    assert_eq!(rig.read(TSR), 0x1900_0000, "mailbox 1 is the next free one");
+    assert_eq!(rig.read(TI0R) & 1, 1);
+    let asked = rig.bus.now();
+    rig.step_until("RQCP0", |rig| rig.read(TSR) & 1 != 0);
     let bits = u64::from(standard(0x123, &[1, 2, 3]).wire_bits());
-    let took = bench.bus.now() - asked;
+    let took = rig.bus.now() - asked;
     assert!((Time::from_us(bits - 1)..=Time::from_us(bits + 1)).contains(&took), "{took}");
-    assert_eq!(bench.read(TSR), 0x1C00_0003);
-    assert!(bench.can.irq().tx);
-    bench.write(TSR, 1);
-    assert_eq!(bench.read(TSR), 0x1C00_0000);
-    assert!(!bench.can.irq().tx);
-    assert_eq!(bench.received(), [standard(0x123, &[1, 2, 3])]);
-    assert_eq!(bench.read(ESR), 0);
+    assert_eq!(rig.read(TSR), 0x1C00_0003);
+    assert!(rig.can.irq().tx);
+    rig.write(TSR, 1);
+    assert_eq!(rig.read(TSR), 0x1C00_0000);
+    assert!(!rig.can.irq().tx);
+    assert_eq!(rig.received(), [standard(0x123, &[1, 2, 3])]);
+    assert_eq!(rig.read(ESR), 0);
 }
 
 #[test]
 fn mailboxes_go_by_identifier_then_by_number() {
-    let mut bench = Bench::running(0);
-    bench.write(MCR, INRQ);
-    bench.mailbox(0, standard(0x300, &[0]));
-    bench.mailbox(1, standard(0x100, &[1]));
-    bench.mailbox(2, standard(0x300, &[2]));
-    assert_eq!(bench.read(TSR) >> 24, 0b1000_0010, "mailbox 2 has the lowest priority");
-    bench.write(MCR, 0);
-    bench.run_us(500);
-    let order: Vec<u8> = bench.received().iter().map(|frame| frame.data[0]).collect();
+    let mut rig = CanRig::running(0);
+    rig.write(MCR, INRQ);
+    rig.mailbox(0, standard(0x300, &[0]));
+    rig.mailbox(1, standard(0x100, &[1]));
+    rig.mailbox(2, standard(0x300, &[2]));
+    assert_eq!(rig.read(TSR) >> 24, 0b1000_0010, "mailbox 2 has the lowest priority");
+    rig.write(MCR, 0);
+    rig.run_us(500);
+    let order: Vec<u8> = rig.received().iter().map(|frame| frame.data[0]).collect();
     assert_eq!(order, [1, 0, 2]);
 }
 
 #[test]
 fn mailboxes_go_by_order_of_request_with_txfp() {
-    let mut bench = Bench::running(TXFP);
-    bench.write(MCR, TXFP | INRQ);
-    bench.mailbox(1, standard(0x300, &[1]));
-    bench.mailbox(2, standard(0x100, &[2]));
-    bench.mailbox(0, standard(0x200, &[0]));
-    assert_eq!(bench.read(TSR) >> 24, 0b0010_0000, "mailbox 0 was last");
-    bench.write(MCR, TXFP);
-    bench.run_us(500);
-    let order: Vec<u8> = bench.received().iter().map(|frame| frame.data[0]).collect();
+    let mut rig = CanRig::running(TXFP);
+    rig.write(MCR, TXFP | INRQ);
+    rig.mailbox(1, standard(0x300, &[1]));
+    rig.mailbox(2, standard(0x100, &[2]));
+    rig.mailbox(0, standard(0x200, &[0]));
+    assert_eq!(rig.read(TSR) >> 24, 0b0010_0000, "mailbox 0 was last");
+    rig.write(MCR, TXFP);
+    rig.run_us(500);
+    let order: Vec<u8> = rig.received().iter().map(|frame| frame.data[0]).collect();
     assert_eq!(order, [1, 2, 0]);
 }
 
 /// Two requests on an idle bus, a third while the first of them is sent.
-fn order_of_three_requests(bench: &mut Bench) -> Vec<u8> {
-    bench.mailbox(0, standard(0x300, &[0]));
-    bench.mailbox(1, standard(0x200, &[1]));
-    bench.run_us(10);
-    bench.mailbox(2, standard(0x100, &[2]));
-    bench.run_us(500);
-    bench.received().iter().map(|frame| frame.data[0]).collect()
+fn order_of_three_requests(rig: &mut CanRig) -> Vec<u8> {
+    rig.mailbox(0, standard(0x300, &[0]));
+    rig.mailbox(1, standard(0x200, &[1]));
+    rig.run_us(10);
+    rig.mailbox(2, standard(0x100, &[2]));
+    rig.run_us(500);
+    rig.received().iter().map(|frame| frame.data[0]).collect()
 }
 
 /// The modelled reading of RM0090, 32.7.1: an idle bus makes a mailbox "transmit" at once (confidence 0.85).
 #[test]
 fn a_higher_priority_overtakes_waiting_mailboxes_but_not_the_chosen_one() {
-    assert_eq!(order_of_three_requests(&mut Bench::running(0)), [0, 2, 1]);
+    assert_eq!(order_of_three_requests(&mut CanRig::running(0)), [0, 2, 1]);
 }
 
 /// The other reading: the mailbox is chosen at SOF.
 #[test]
 fn with_a_late_choice_a_higher_priority_overtakes_on_an_idle_bus() {
     let readings = Readings { late_choice: true, ..Readings::default() };
-    assert_eq!(order_of_three_requests(&mut Bench::reading(readings, 0)), [1, 2, 0]);
+    assert_eq!(order_of_three_requests(&mut CanRig::reading(readings, 0)), [1, 2, 0]);
 }
 
 #[test]
 fn an_abort_comes_too_late_for_a_request_on_an_idle_bus() {
     let sent = |readings| {
-        let mut bench = Bench::reading(readings, 0);
-        bench.mailbox(0, standard(0x123, &[1]));
-        bench.write(TSR, 1 << 7);
-        let pending = bench.read(TSR) & 0xFF;
-        bench.run_us(100);
-        (pending, bench.read(TSR) & 0xF, bench.received().len())
+        let mut rig = CanRig::reading(readings, 0);
+        rig.mailbox(0, standard(0x123, &[1]));
+        rig.write(TSR, 1 << 7);
+        let pending = rig.read(TSR) & 0xFF;
+        rig.run_us(100);
+        (pending, rig.read(TSR) & 0xF, rig.received().len())
     };
     assert_eq!(sent(Readings::default()), (1 << 7, 0b0011, 1));
     let late_choice = Readings { late_choice: true, ..Readings::default() };
@@ -98,97 +98,97 @@ fn an_abort_comes_too_late_for_a_request_on_an_idle_bus() {
 /// place.
 #[test]
 fn a_choice_ends_when_another_station_starts_first() {
-    let mut bench = Bench::running(0);
-    bench.adapter.send(standard(0x7F, &[7]));
-    bench.step_until("a frame", |bench| bench.read(MSR) >> 9 & 1 == 1);
-    bench.mailbox(0, standard(0x300, &[0]));
-    bench.mailbox(1, standard(0x200, &[1]));
-    bench.mailbox(2, standard(0x100, &[2]));
-    bench.write(TSR, 1 << 15);
-    bench.run_us(500);
-    let order: Vec<u8> = bench.received().iter().map(|frame| frame.data[0]).collect();
+    let mut rig = CanRig::running(0);
+    rig.adapter.send(standard(0x7F, &[7]));
+    rig.step_until("a frame", |rig| rig.read(MSR) >> 9 & 1 == 1);
+    rig.mailbox(0, standard(0x300, &[0]));
+    rig.mailbox(1, standard(0x200, &[1]));
+    rig.mailbox(2, standard(0x100, &[2]));
+    rig.write(TSR, 1 << 15);
+    rig.run_us(500);
+    let order: Vec<u8> = rig.received().iter().map(|frame| frame.data[0]).collect();
     assert_eq!(order, [2, 0]);
 }
 
 #[test]
 fn a_sent_frame_has_the_time_of_its_sof_in_time_triggered_mode() {
     const TTCM: u32 = 1 << 7;
-    let mut bench = Bench::running(TTCM);
-    bench.mailbox(0, standard(0x123, &[1]));
-    bench.run_us(200);
-    let first = bench.read(TI0R + 4);
-    bench.mailbox(0, standard(0x123, &[2]));
-    bench.run_us(200);
-    let second = bench.read(TI0R + 4);
+    let mut rig = CanRig::running(TTCM);
+    rig.mailbox(0, standard(0x123, &[1]));
+    rig.run_us(200);
+    let first = rig.read(TI0R + 4);
+    rig.mailbox(0, standard(0x123, &[2]));
+    rig.run_us(200);
+    let second = rig.read(TI0R + 4);
     assert_eq!((second >> 16) - (first >> 16), 200, "{first:#x} {second:#x}");
     assert_eq!(second & 0xFFFF, 1);
 }
 
 #[test]
 fn a_mailbox_that_waits_is_protected_and_aborted_at_once() {
-    let mut bench = Bench::running(0);
-    bench.adapter.send(standard(0, &[0; 8]));
-    bench.run_us(10);
-    bench.mailbox(0, standard(0x123, &[1]));
-    bench.can.take_notes();
-    bench.write(TI0R + 8, 0xFF);
-    assert_eq!(bench.read(TI0R + 8), 1);
-    bench.write(TSR, 1 << 7);
-    assert_eq!(bench.read(TSR), 0x1C00_0001, "RQCP without TXOK");
-    let now = bench.bus.now();
+    let mut rig = CanRig::running(0);
+    rig.adapter.send(standard(0, &[0; 8]));
+    rig.run_us(10);
+    rig.mailbox(0, standard(0x123, &[1]));
+    rig.can.take_notes();
+    rig.write(TI0R + 8, 0xFF);
+    assert_eq!(rig.read(TI0R + 8), 1);
+    rig.write(TSR, 1 << 7);
+    assert_eq!(rig.read(TSR), 0x1C00_0001, "RQCP without TXOK");
+    let now = rig.bus.now();
     assert_eq!(
-        bench.can.take_notes(),
+        rig.can.take_notes(),
         [(now, Note::Aborted { mailbox: 0, frame: standard(0x123, &[1]) })]
     );
-    bench.run_us(500);
-    assert_eq!(bench.received(), []);
+    rig.run_us(500);
+    assert_eq!(rig.received(), []);
 }
 
 #[test]
 fn an_abort_under_way_lets_a_good_frame_succeed() {
-    let mut bench = Bench::running(0);
-    bench.mailbox(0, standard(0x123, &[1]));
-    bench.run_us(10);
-    bench.write(TSR, 1 << 7);
-    assert_eq!(bench.read(TSR) & 0xFF, 1 << 7);
-    bench.run_us(100);
-    assert_eq!(bench.read(TSR), 0x1C00_0003);
-    assert_eq!(bench.received().len(), 1);
+    let mut rig = CanRig::running(0);
+    rig.mailbox(0, standard(0x123, &[1]));
+    rig.run_us(10);
+    rig.write(TSR, 1 << 7);
+    assert_eq!(rig.read(TSR) & 0xFF, 1 << 7);
+    rig.run_us(100);
+    assert_eq!(rig.read(TSR), 0x1C00_0003);
+    assert_eq!(rig.received().len(), 1);
 }
 
 #[test]
 fn an_abort_under_way_ends_the_repetition_of_a_failing_frame() {
-    let mut bench = Bench::running(0);
-    bench.adapter.close();
-    bench.mailbox(0, standard(0x123, &[1]));
-    bench.run_us(250);
-    assert_eq!(bench.read(TSR) & 0xF, 1 << 3, "TERR without RQCP: it is repeated");
-    bench.step_until("a transmission", |bench| bench.read(MSR) >> 8 & 1 == 1);
-    bench.write(TSR, 1 << 7);
-    assert_eq!(bench.read(TSR) >> 26 & 1, 0);
-    bench.run_us(100);
-    assert_eq!(bench.read(TSR), 0x1C00_0009, "RQCP and TERR");
-    let tec = bench.read(ESR) >> 16 & 0xFF;
-    bench.run_us(1000);
-    assert_eq!(bench.read(ESR) >> 16 & 0xFF, tec);
+    let mut rig = CanRig::running(0);
+    rig.adapter.close();
+    rig.mailbox(0, standard(0x123, &[1]));
+    rig.run_us(250);
+    assert_eq!(rig.read(TSR) & 0xF, 1 << 3, "TERR without RQCP: it is repeated");
+    rig.step_until("a transmission", |rig| rig.read(MSR) >> 8 & 1 == 1);
+    rig.write(TSR, 1 << 7);
+    assert_eq!(rig.read(TSR) >> 26 & 1, 0);
+    rig.run_us(100);
+    assert_eq!(rig.read(TSR), 0x1C00_0009, "RQCP and TERR");
+    let tec = rig.read(ESR) >> 16 & 0xFF;
+    rig.run_us(1000);
+    assert_eq!(rig.read(ESR) >> 16 & 0xFF, tec);
 }
 
 #[test]
 fn one_shot_gives_up_after_an_error_or_lost_arbitration() {
-    let mut bench = Bench::running(NART);
-    bench.write(MCR, NART | INRQ);
-    bench.mailbox(0, standard(0x123, &[1]));
+    let mut rig = CanRig::running(NART);
+    rig.write(MCR, NART | INRQ);
+    rig.mailbox(0, standard(0x123, &[1]));
     // Both join now, and so start together after eleven bits.
-    bench.adapter.open();
-    bench.adapter.send(standard(0x100, &[]));
-    bench.write(MCR, NART);
-    bench.run_us(300);
-    assert_eq!(bench.read(TSR), 0x1C00_0005, "RQCP and ALST");
-    assert_eq!(bench.received(), []);
+    rig.adapter.open();
+    rig.adapter.send(standard(0x100, &[]));
+    rig.write(MCR, NART);
+    rig.run_us(300);
+    assert_eq!(rig.read(TSR), 0x1C00_0005, "RQCP and ALST");
+    assert_eq!(rig.received(), []);
 
-    bench.adapter.close();
-    bench.mailbox(0, standard(0x123, &[1]));
-    bench.run_us(1000);
-    assert_eq!(bench.read(TSR), 0x1C00_0009, "RQCP and TERR");
-    assert_eq!(bench.read(ESR), 0x0008_0030, "one acknowledgement error");
+    rig.adapter.close();
+    rig.mailbox(0, standard(0x123, &[1]));
+    rig.run_us(1000);
+    assert_eq!(rig.read(TSR), 0x1C00_0009, "RQCP and TERR");
+    assert_eq!(rig.read(ESR), 0x0008_0030, "one acknowledgement error");
 }

@@ -27,7 +27,7 @@ const LAST_FRAMES: usize = 12;
 
 /// An emulated board with the release image, the node in the process as its model, and the frames sent to both.
 pub struct ImageStorm {
-    bench: ImageRig,
+    rig: ImageRig,
     model: NodeRig,
     random: Random,
     address: [u32; 4],
@@ -49,14 +49,14 @@ impl ImageStorm {
         let content = flash_with(&[settings(0xFF, RATE)]);
         board.set_flash(SETTINGS_OFFSET, &content);
         stack::paint(&mut board, image);
-        let mut bench = ImageRig::new(RATE, [board]);
-        bench.network.record(Recording::Latest(2_000));
-        bench.lss("04 01");
+        let mut rig = ImageRig::new(RATE, [board]);
+        rig.network.record(Recording::Latest(2_000));
+        rig.lss("04 01");
         let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
-            let answer = bench.lss(inquiry);
+            let answer = rig.lss(inquiry);
             u32::from_le_bytes(*answer.0[0].data()[1..].first_chunk().expect("eight bytes"))
         });
-        bench.lss("04 00");
+        rig.lss("04 00");
         let [vendor_id, product_code, revision_number, serial_number] = address;
         // The options of the firmware's `device.rs`.
         let device =
@@ -68,7 +68,7 @@ impl ImageStorm {
         let mut model = NodeRig::with_device(device, flash, 0);
         model.take_actions();
         Self {
-            bench,
+            rig,
             model,
             random: Random::from_seed(seed),
             address,
@@ -99,19 +99,19 @@ impl ImageStorm {
         self.put_request("04 01");
         self.put_request("5A");
         self.settle();
-        assert_eq!(self.bench.network.board(0).lockup(), None);
-        let findings = self.bench.network.board(0).findings();
+        assert_eq!(self.rig.network.board(0).lockup(), None);
+        let findings = self.rig.network.board(0).findings();
         assert!(findings.is_empty(), "{findings:?}");
     }
 
     /// The number of stack bytes used since power-on.
     pub fn stack_depth(&self, image: &Image) -> usize {
-        stack::deepest(self.bench.network.board(0), image)
+        stack::deepest(self.rig.network.board(0), image)
     }
 
     /// Virtual time since power-on.
     pub fn now(&self) -> Time {
-        self.bench.network.now()
+        self.rig.network.now()
     }
 
     fn next_frame(&mut self) -> Frame {
@@ -178,7 +178,7 @@ impl ImageStorm {
     }
 
     fn send(&mut self, frame: Frame) {
-        self.bench.network.send(self.bench.master, frame);
+        self.rig.network.send(self.rig.master, frame);
         self.burst.push(frame);
         self.frames += 1;
     }
@@ -202,14 +202,14 @@ impl ImageStorm {
 
     fn settle_with(&mut self, content: Option<Vec<u8>>) {
         self.wait_until_sent();
-        let patience = PATIENCE + self.bench.bit_time() * (160 * (self.expected.len() as u64 + 4));
-        let until = self.bench.network.now() + patience;
+        let patience = PATIENCE + self.rig.bit_time() * (160 * (self.expected.len() as u64 + 4));
+        let until = self.rig.network.now() + patience;
         let mut sent = Vec::new();
         let mut is_quiet = false;
         // One more check after the last answer, since there must not be another.
-        while !is_quiet && self.bench.network.now() < until {
+        while !is_quiet && self.rig.network.now() < until {
             is_quiet = sent.len() >= self.expected.len();
-            let received = self.bench.collect(Time::from_ms(1));
+            let received = self.rig.collect(Time::from_ms(1));
             sent.extend(received.0.iter().filter_map(compared));
         }
         let by_cob_id = |mut frames: Vec<lss_slave::Frame>| {
@@ -227,7 +227,7 @@ impl ImageStorm {
             context
         );
         if let Some(content) = content {
-            let flash = self.bench.network.board(0).flash();
+            let flash = self.rig.network.board(0).flash();
             let stored = &flash[SETTINGS_OFFSET as usize..][..content.len()];
             assert!(stored == content, "the settings in flash differ; {}", context);
         }
@@ -235,14 +235,14 @@ impl ImageStorm {
     }
 
     fn wait_until_sent(&mut self) {
-        while self.bench.network.adapter_mut(self.bench.master).unsent() > 0 {
-            self.bench.network.run_for(Time::from_us(200));
+        while self.rig.network.adapter_mut(self.rig.master).unsent() > 0 {
+            self.rig.network.run_for(Time::from_us(200));
         }
     }
 
     fn follow_reset(&mut self, frame: Frame) {
-        let since = self.bench.network.now();
-        self.bench.expect_reset(0, ResetCause::Software);
+        let since = self.rig.network.now();
+        self.rig.expect_reset(0, ResetCause::Software);
         self.send(frame);
         self.wait_until_sent();
         self.boot(since);
@@ -252,7 +252,7 @@ impl ImageStorm {
     fn boot(&mut self, since: Time) {
         self.resets += 1;
         self.set_rate();
-        self.bench.boot(0, since);
+        self.rig.boot(0, since);
         self.settle();
         self.return_to_the_rate_of_the_storm();
     }
@@ -263,7 +263,7 @@ impl ImageStorm {
         let delay = Time::from_ms(u64::from(u16::from_le_bytes([frame.data[1], frame.data[2]])));
         self.send(frame);
         self.wait_until_sent();
-        let t0 = self.bench.network.now();
+        let t0 = self.rig.network.now();
         if delay > Time::ZERO && self.rate == RATE {
             for _ in 0..self.random.within(0..FRAMES_IN_SILENCE) {
                 let frame = self.next_frame();
@@ -274,17 +274,17 @@ impl ImageStorm {
         }
         let us = delay.as_ps() / 1_000_000;
         self.model.pass_us(us + us / 2);
-        self.bench.network.run_until(t0 + Time::from_us(us + us / 2));
+        self.rig.network.run_until(t0 + Time::from_us(us + us / 2));
         self.set_rate();
         self.model.pass_us(us / 2 + 1_000);
         let actions = self.take_actions();
         if actions.contains(&Action::ResetDevice) {
             // The frame waited until the end of the silence.
-            self.bench.expect_reset(0, ResetCause::Software);
-            self.bench.network.run_until(t0 + Time::from_us(2 * us + 500));
+            self.rig.expect_reset(0, ResetCause::Software);
+            self.rig.network.run_until(t0 + Time::from_us(2 * us + 500));
             return self.boot(t0);
         }
-        self.bench.network.run_until(t0 + Time::from_us(2 * us + 1_000));
+        self.rig.network.run_until(t0 + Time::from_us(2 * us + 1_000));
         self.settle();
         self.return_to_the_rate_of_the_storm();
     }
@@ -293,7 +293,7 @@ impl ImageStorm {
     fn set_rate(&mut self) {
         if self.model.bit_rate() != self.rate {
             self.rate = self.model.bit_rate();
-            self.bench.set_master_bit_rate(self.rate);
+            self.rig.set_master_bit_rate(self.rate);
         }
     }
 

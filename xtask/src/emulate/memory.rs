@@ -23,7 +23,7 @@ impl Memory {
     pub fn open(directory: Option<&Path>) -> anyhow::Result<Self> {
         if let Some(directory) = directory {
             fs::create_dir_all(directory)
-                .with_context(|| format!("cannot make {}", directory.display()))?;
+                .with_context(|| format!("cannot create {}", directory.display()))?;
         }
         Ok(Self { directory: directory.map(Path::to_owned), saved: Vec::new() })
     }

@@ -7,7 +7,7 @@ use super::{
     life::SWITCH_LEAD_MS,
     situation::{Event, Foreign, Kind, Master, Node, Probe, Situation, Traffic, What},
 };
-use testkit::random::Random;
+use testkit::{image_rig::bit_per_s, random::Random};
 
 /// Slow rates, at which a frame takes up to 13 ms, are rare; so are fast rates, at which errors keep the emulated cores
 /// busy.
@@ -300,7 +300,7 @@ impl Draft {
 
     /// A foreign device at another rate than `rate`; returns the time at which it leaves.
     fn foreign(&mut self, at: u32, rate: BitRate) -> u32 {
-        let others = BitRate::ALL.map(|rate| u32::from(rate.kbit_per_s()) * 1000);
+        let others = BitRate::ALL.map(bit_per_s);
         let others = others.into_iter().chain([333_000, 83_000]);
         let others: Vec<u32> =
             others.filter(|other| other / 1000 != u32::from(rate.kbit_per_s())).collect();

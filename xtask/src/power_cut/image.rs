@@ -6,29 +6,26 @@ use std::{iter, ops::Range};
 use anyhow::{Context, bail, ensure};
 use emulator::{
     Time,
-    board::Board,
     can::{Adapter, Frame, Id},
     chip::{Part, PowerCut, Timing},
     image::Image,
-    network::{AdapterId, Event, Network, Source, What},
+    network::{AdapterId, Network, Source, What},
 };
 use lss_slave::{
     BitRate, NodeId, Settings,
     lss::{REQUEST_COB_ID, RESPONSE_COB_ID, Request},
-    settings::Log,
 };
 
 use super::{Expected, Named, Tally};
-use testkit::{flash::BoardFlash, random::Random};
+use testkit::{
+    image_rig::{
+        BOOT, DEFAULT_BIT_RATE, SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, flash_with, has_joined,
+    },
+    random::Random,
+};
 
 use crate::boards;
 
-/// The bit rate of the image on a blank board: `DEFAULTS` of the firmware's `device.rs`.
-const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
-/// The settings' place in the flash, as in `memory.x`.
-const SETTINGS_OFFSET: u32 = 0x4000;
-/// The time from power-on until a board has joined the bus, even if its flash has to be erased first.
-const BOOT: Time = Time::from_ms(600);
 /// The time-out for an answer; a store takes 1 ms.
 const PATIENCE: Time = Time::from_ms(20);
 /// The number of stores after which the next power-on moves to the other half of the flash.
@@ -91,7 +88,7 @@ fn instant(range: Range<Time>, random: &mut Random) -> Time {
 }
 
 /// A board and an LSS master on one bus.
-struct Bench {
+struct Rig {
     network: Network,
     master: AdapterId,
 }
@@ -114,26 +111,20 @@ impl Session {
 
     /// The content of the settings' flash, and its meaning.
     fn begin(self) -> (Vec<u8>, Expected) {
-        let flash = BoardFlash::blank(0);
         if matches!(self, Self::Blank) {
-            return (flash.content(), Expected::NOTHING);
+            return (vec![0xFF; SETTINGS_LENGTH], Expected::NOTHING);
         }
-        let mut known = None;
-        let (mut log, _) = Log::open(flash.clone());
-        for number in 0..STORES_TO_MOVE {
-            let stored = settings(((number % 127) as u8 + 1, BitRate::Kbit125));
-            log.store(stored).expect("there is room for 511");
-            known = Some(stored);
-        }
-        (flash.content(), Expected { known, attempted: None })
+        let settings = |number| settings(((number % 127) as u8 + 1, BitRate::Kbit125));
+        let stores: Vec<_> = (0..STORES_TO_MOVE).map(settings).collect();
+        (flash_with(&stores), Expected { known: stores.last().copied(), attempted: None })
     }
 
     /// The session without a cut.
     pub fn course(self, part: Part, image: &Image) -> anyhow::Result<Course> {
         let (content, mut expected) = self.begin();
-        let bench = session(part, image, &content, None, &mut expected)?;
-        let operations = bench.network.board(0).chip().flash().operation_times().to_vec();
-        Ok(Course { operations, end: bench.network.now() })
+        let rig = session(part, image, &content, None, &mut expected)?;
+        let operations = rig.network.board(0).chip().flash().operation_times().to_vec();
+        Ok(Course { operations, end: rig.network.now() })
     }
 
     /// Runs a session for each of `cuts`; if `twice`, each is followed by sessions with a second cut in every flash
@@ -150,9 +141,9 @@ impl Session {
         let (content, begin) = self.begin();
         for &cut in cuts {
             let mut expected = begin.clone();
-            let bench = session(part, image, &content, Some(cut), &mut expected)?;
+            let rig = session(part, image, &content, Some(cut), &mut expected)?;
             tally.cuts += 1;
-            let left = bench.settings_flash();
+            let left = rig.settings_flash();
             if let Err(loss) = check(part, image, &left, expected.clone()) {
                 tally.losses.push(format!("{cut:?}: {loss:#}"));
                 continue;
@@ -164,9 +155,9 @@ impl Session {
             for operation in 0..operations {
                 let mut expected = expected.clone();
                 let second = PowerCut { operation, seed: random.u64() };
-                let bench = session(part, image, &left, Some(Cut::In(second)), &mut expected)?;
+                let rig = session(part, image, &left, Some(Cut::In(second)), &mut expected)?;
                 tally.cuts += 1;
-                if let Err(loss) = check(part, image, &bench.settings_flash(), expected) {
+                if let Err(loss) = check(part, image, &rig.settings_flash(), expected) {
                     tally.losses.push(format!("{cut:?}, {second:?}: {loss:#}"));
                 }
             }
@@ -182,28 +173,28 @@ fn session(
     content: &[u8],
     cut: Option<Cut>,
     expected: &mut Expected,
-) -> anyhow::Result<Bench> {
-    let mut bench = Bench::new(part, image, content);
+) -> anyhow::Result<Rig> {
+    let mut rig = Rig::new(part, image, content);
     match cut {
-        Some(Cut::In(cut)) => bench.network.board(0).chip().flash_mut().cut_power(cut),
-        Some(Cut::At(time)) => bench.network.board_mut(0).cut_power_at(time),
+        Some(Cut::In(cut)) => rig.network.board(0).chip().flash_mut().cut_power(cut),
+        Some(Cut::At(time)) => rig.network.board_mut(0).cut_power_at(time),
         None => {}
     }
-    let outcome = bench.commission_all(expected);
-    let is_powered = bench.network.board(0).is_powered();
+    let outcome = rig.commission_all(expected);
+    let is_powered = rig.network.board(0).is_powered();
     if is_powered {
         outcome?;
     }
-    ensure!(is_powered == cut.is_none(), "the power fails if and only if it is cut");
-    Ok(bench)
+    ensure!(is_powered == cut.is_none(), "the power failed without a cut, or not at the cut");
+    Ok(rig)
 }
 
 /// Checks after power returns: the board is reachable with legal settings, and can be commissioned.
 fn check(part: Part, image: &Image, content: &[u8], mut expected: Expected) -> anyhow::Result<()> {
     let Expected { known, attempted } = expected;
-    let mut bench = Bench::new(part, image, content);
-    ensure!(bench.boot()?, "no power");
-    let found = bench.found()?;
+    let mut rig = Rig::new(part, image, content);
+    ensure!(rig.boot()?, "the power failed during the boot");
+    let found = rig.found()?;
     ensure!(
         expected.admits(found),
         "{}, not {} or {}",
@@ -211,20 +202,20 @@ fn check(part: Part, image: &Image, content: &[u8], mut expected: Expected) -> a
         Named(known),
         Named(attempted)
     );
-    bench.commission(LAST_COMMISSIONING)?;
-    let mut bench = Bench::new(part, image, &bench.settings_flash());
-    bench.boot()?;
-    let found = bench.found()?;
+    rig.commission(LAST_COMMISSIONING)?;
+    let mut rig = Rig::new(part, image, &rig.settings_flash());
+    rig.boot()?;
+    let found = rig.found()?;
     ensure!(found == Some(settings(LAST_COMMISSIONING)), "{} after the cut", Named(found));
-    let findings = bench.network.board(0).findings();
+    let findings = rig.network.board(0).findings();
     ensure!(findings.is_empty(), "{findings:?}");
     Ok(())
 }
 
-impl Bench {
+impl Rig {
     /// A board with this content of the settings' flash, just switched on.
     fn new(part: Part, image: &Image, content: &[u8]) -> Self {
-        let mut board: Board = boards::board(part, image, 0);
+        let mut board = boards::board(part, image, 0);
         board.set_flash(SETTINGS_OFFSET, content);
         let mut network = Network::new();
         network.add_board(board);
@@ -240,7 +231,7 @@ impl Bench {
 
     fn settings_flash(&self) -> Vec<u8> {
         let from = SETTINGS_OFFSET as usize;
-        self.network.board(0).flash()[from..from + 0x8000].to_vec()
+        self.network.board(0).flash()[from..][..SETTINGS_LENGTH].to_vec()
     }
 
     /// Waits until the board is on the bus, and changes to its bit rate; `false` if the power fails before.
@@ -250,9 +241,7 @@ impl Bench {
             if !self.network.board(0).is_powered() {
                 return Ok(false);
             }
-            let is_set_up = |event: &&Event| matches!(event.what, What::BitTiming { .. });
-            let mut events = self.network.trace().iter().skip_while(|event| !is_set_up(event));
-            if events.any(|event| event.what == What::InitializationLeft) {
+            if has_joined(self.network.trace().iter()) {
                 let rate = self.bit_rate()?;
                 let master = self.network.adapter_mut(self.master);
                 master.set_bit_rate(bit_per_s(rate));
@@ -286,9 +275,9 @@ impl Bench {
 
     /// Power-on and all commissionings. A power failure is an error.
     fn commission_all(&mut self, expected: &mut Expected) -> anyhow::Result<()> {
-        ensure!(self.boot()?, "no power");
+        ensure!(self.boot()?, "the power failed during the boot");
         let found = self.found()?;
-        ensure!(expected.admits(found), "at power-on there is {}", Named(found));
+        ensure!(expected.admits(found), "the board has {} at power-on", Named(found));
         for commissioning in COMMISSIONINGS {
             expected.attempt(settings(commissioning));
             self.commission(commissioning)?;
@@ -328,35 +317,29 @@ impl Bench {
     }
 }
 
-fn bit_per_s(bit_rate: BitRate) -> u32 {
-    u32::from(bit_rate.kbit_per_s()) * 1000
-}
-
 /// The longest time from the end of a store request to the end of its answer. The flash is as slow as the data sheet
 /// allows, and the bus is full of frames that the node must examine and that have a lower priority than its answer.
 pub fn worst_answer_time(part: Part, image: &Image) -> anyhow::Result<Time> {
-    let flash = BoardFlash::blank(0);
-    let (mut log, _) = Log::open(flash.clone());
-    log.store(settings(LAST_COMMISSIONING)).expect("the flash works");
-    let mut bench = Bench::new(part, image, &flash.content());
-    ensure!(bench.boot()?, "no power");
-    bench.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-    bench.request(Request::SwitchToConfiguration);
+    let stored = flash_with(&[settings(LAST_COMMISSIONING)]);
+    let mut rig = Rig::new(part, image, &stored);
+    ensure!(rig.boot()?, "the power failed during the boot");
+    rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+    rig.request(Request::SwitchToConfiguration);
     // It looks like an answer, with the COB-ID of requests: of lower priority than answers, examined and ignored.
     let ignored = Frame::data(Id::Standard(REQUEST_COB_ID), &[0x44; 8]);
     for number in 1..=MEASUREMENTS {
-        bench.request(Request::ConfigureNodeId(number));
-        bench.request(Request::StoreConfiguration);
-        (0..FULL_BUS_FRAMES).for_each(|_| bench.network.send(bench.master, ignored));
-        while bench.network.adapter_mut(bench.master).unsent() > 0 {
-            bench.network.run_for(Time::from_ms(1));
+        rig.request(Request::ConfigureNodeId(number));
+        rig.request(Request::StoreConfiguration);
+        (0..FULL_BUS_FRAMES).for_each(|_| rig.network.send(rig.master, ignored));
+        while rig.network.adapter_mut(rig.master).unsent() > 0 {
+            rig.network.run_for(Time::from_ms(1));
         }
     }
     let mut answers = 0;
     let store = Request::StoreConfiguration.to_bytes();
     let mut asked = Time::ZERO;
     let mut worst = Time::ZERO;
-    for event in bench.network.trace() {
+    for event in rig.network.trace() {
         let What::Frame { frame, .. } = &event.what else { continue };
         match (frame.id, event.source) {
             (Id::Standard(REQUEST_COB_ID), _) if frame.data == store => asked = event.time,

@@ -8,7 +8,7 @@ use emulator::{
 };
 use lss_slave::{BitRate, BitRateSetting, NodeId, Settings};
 
-use super::rig::{AWAY, Bus, Rig};
+use super::bus::{AWAY, Bus, Variant};
 use testkit::{frames::number, image_rig::bit_per_s};
 
 use crate::boards;
@@ -24,21 +24,21 @@ const OTHER_RATES: [BitRate; 4] =
 /// The time from 17 to its answer.
 const STORE: Time = Time::from_ms(20);
 
-type Session = fn(&Rig) -> anyhow::Result<()>;
+type Session = fn(&Variant) -> anyhow::Result<()>;
 
 /// The sessions by name.
 pub fn all(quick: bool) -> Vec<(&'static str, Session)> {
     let mut sessions: Vec<(&'static str, Session)> = vec![
         ("boot", boot),
-        ("configuration", |rig| configure(rig, 1)),
-        ("switch", |rig| switch(rig, &[BitRate::Kbit500, BitRate::Kbit125], 50)),
+        ("configuration", |variant| configure(variant, 1)),
+        ("switch", |variant| switch(variant, &[BitRate::Kbit500, BitRate::Kbit125], 50)),
         ("detection under load", detect_under_load),
         ("bus-off", bus_off),
         ("reset", reset),
     ];
     if !quick {
-        sessions.push(("configuration of three", |rig| configure(rig, 3)));
-        sessions.push(("switch without delay", |rig| switch(rig, &OTHER_RATES, 0)));
+        sessions.push(("configuration of three", |variant| configure(variant, 3)));
+        sessions.push(("switch without delay", |variant| switch(variant, &OTHER_RATES, 0)));
         sessions.push(("detection", detect));
         sessions.push(("rescue", rescue));
         sessions.push(("power cuts", cut_power));
@@ -53,22 +53,22 @@ fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>, heartbeat_ms: u16)
 }
 
 /// A node with a node-ID boots up and sends heartbeats, also without answers.
-fn boot(rig: &Rig) -> anyhow::Result<()> {
+fn boot(variant: &Variant) -> anyhow::Result<()> {
     let stored = settings(0x40, BitRate::Kbit1000, 100);
-    let mut bus = rig.bus(BitRate::Kbit1000, [rig.board(0, Some(stored))]);
+    let mut bus = variant.bus(BitRate::Kbit1000, [variant.board(0, Some(stored))]);
     bus.hear("740: 00", AWAY)?;
     bus.hear("740: 7F", Time::from_ms(110))?;
     bus.check()?;
 
-    let mut bus = rig.bus(BitRate::Kbit125, [rig.board(0, None)]);
+    let mut bus = variant.bus(BitRate::Kbit125, [variant.board(0, None)]);
     bus.reach("4C", "50", AWAY)?;
     bus.check()
 }
 
 /// New boards are found one after the other by Fastscan, get a node-ID and store it.
-fn configure(rig: &Rig, boards: u8) -> anyhow::Result<()> {
-    let new = (0..boards).map(|number| rig.board(number.into(), None));
-    let mut bus = rig.bus(BitRate::Kbit125, new);
+fn configure(variant: &Variant, boards: u8) -> anyhow::Result<()> {
+    let new = (0..boards).map(|number| variant.board(number.into(), None));
+    let mut bus = variant.bus(BitRate::Kbit125, new);
     for _ in 0..boards {
         bus.reach("4C", "50", AWAY)?;
     }
@@ -108,9 +108,9 @@ fn fastscan(bus: &mut Bus) -> anyhow::Result<[u32; 4]> {
 }
 
 /// Two nodes are switched from rate to rate and answer at each.
-fn switch(rig: &Rig, rates: &[BitRate], delay_ms: u8) -> anyhow::Result<()> {
-    let nodes = [1, 2].map(|id| rig.board(id, Some(settings(id as u8, BitRate::Kbit125, 100))));
-    let mut bus = rig.bus(BitRate::Kbit125, nodes);
+fn switch(variant: &Variant, rates: &[BitRate], delay_ms: u8) -> anyhow::Result<()> {
+    let nodes = [1, 2].map(|id| variant.board(id, Some(settings(id as u8, BitRate::Kbit125, 100))));
+    let mut bus = variant.bus(BitRate::Kbit125, nodes);
     for id in 1..=2 {
         bus.hear(&format!("70{id}: 7F"), AWAY)?;
     }
@@ -130,25 +130,25 @@ fn switch(rig: &Rig, rates: &[BitRate], delay_ms: u8) -> anyhow::Result<()> {
 }
 
 /// Detection at 90 % load.
-fn detect_under_load(rig: &Rig) -> anyhow::Result<()> {
+fn detect_under_load(variant: &Variant) -> anyhow::Result<()> {
     for rate in [BitRate::Kbit500, BitRate::Kbit50] {
-        detect_at(rig, rate, 122 * 10 / 9)?;
+        detect_at(variant, rate, 122 * 10 / 9)?;
     }
     Ok(())
 }
 
 /// Detection with a frame a second.
-fn detect(rig: &Rig) -> anyhow::Result<()> {
+fn detect(variant: &Variant) -> anyhow::Result<()> {
     for rate in [BitRate::Kbit1000, BitRate::Kbit125] {
-        detect_at(rig, rate, u64::from(bit_per_s(rate)))?;
+        detect_at(variant, rate, u64::from(bit_per_s(rate)))?;
     }
     Ok(())
 }
 
 /// A node that detects the rate joins a bus where two others exchange a frame every `every_bits` bits.
-fn detect_at(rig: &Rig, rate: BitRate, every_bits: u64) -> anyhow::Result<()> {
-    let board = rig.board(0, Some(settings(5, BitRateSetting::Automatic, 0)));
-    let mut bus = rig.bus(rate, [board]);
+fn detect_at(variant: &Variant, rate: BitRate, every_bits: u64) -> anyhow::Result<()> {
+    let board = variant.board(0, Some(settings(5, BitRateSetting::Automatic, 0)));
+    let mut bus = variant.bus(rate, [board]);
     let other = bus.network.add_adapter(Adapter::new(bit_per_s(rate)));
     let every = Time::from_ps(every_bits * 1_000_000_000_000 / u64::from(bit_per_s(rate)));
     let until = bus.network.now() + SEARCH;
@@ -168,9 +168,9 @@ fn detect_at(rig: &Rig, rate: BitRate, every_bits: u64) -> anyhow::Result<()> {
 }
 
 /// A foreign node drives a node bus-off; the node recovers soon after the other has left.
-fn bus_off(rig: &Rig) -> anyhow::Result<()> {
+fn bus_off(variant: &Variant) -> anyhow::Result<()> {
     let mut bus =
-        rig.bus(BitRate::Kbit500, [rig.board(0, Some(settings(5, BitRate::Kbit500, 20)))]);
+        variant.bus(BitRate::Kbit500, [variant.board(0, Some(settings(5, BitRate::Kbit500, 20)))]);
     bus.hear("705: 00", AWAY)?;
     let foreign = bus.network.add_adapter(Adapter::new(333_000));
     bus.network.adapter_mut(bus.master).close();
@@ -187,37 +187,38 @@ fn bus_off(rig: &Rig) -> anyhow::Result<()> {
 }
 
 /// NMT reset node and reset communication.
-fn reset(rig: &Rig) -> anyhow::Result<()> {
-    let mut bus = rig.bus(BitRate::Kbit500, [rig.board(0, Some(settings(5, BitRate::Kbit500, 0)))]);
+fn reset(variant: &Variant) -> anyhow::Result<()> {
+    let mut bus =
+        variant.bus(BitRate::Kbit500, [variant.board(0, Some(settings(5, BitRate::Kbit500, 0)))]);
     bus.hear("705: 00", AWAY)?;
-    bus.command("82 05");
+    bus.send("000: 82 05");
     bus.hear("705: 00", Time::from_ms(20))?;
-    bus.command("81 05");
+    bus.send("000: 81 05");
     bus.resets[0].push(ResetCause::Software);
     bus.hear("705: 00", AWAY)?;
     bus.check()
 }
 
 /// A node with another stored rate joins the bus of the master and a third node that sends.
-fn rescue(rig: &Rig) -> anyhow::Result<()> {
+fn rescue(variant: &Variant) -> anyhow::Result<()> {
     let rates = [BitRate::Kbit125, BitRate::Kbit500];
     let boards =
-        rates.map(|rate| rig.board(rate as usize, Some(settings(rate.index(), rate, 1000))));
-    let mut bus = rig.bus(BitRate::Kbit500, boards);
+        rates.map(|rate| variant.board(rate as usize, Some(settings(rate.index(), rate, 1000))));
+    let mut bus = variant.bus(BitRate::Kbit500, boards);
     bus.hear("704: 00", SEARCH)?;
     bus.hear("704: 7F", SEARCH)?;
     bus.check()
 }
 
 /// The power fails in each flash operation of a store; the next power-on finds the settings from before or after.
-fn cut_power(rig: &Rig) -> anyhow::Result<()> {
+fn cut_power(variant: &Variant) -> anyhow::Result<()> {
     const SEEDS: u64 = 2;
     let old = settings(4, BitRate::Kbit500, 0);
     let mut operation = 0;
     loop {
         for seed in 0..SEEDS {
-            let board = rig.board(0, Some(old));
-            let mut bus = rig.bus(BitRate::Kbit500, [board]);
+            let board = variant.board(0, Some(old));
+            let mut bus = variant.bus(BitRate::Kbit500, [board]);
             bus.hear("704: 00", AWAY)?;
             // The start may have programmed something.
             let before = bus.network.board(0).chip().flash().operation_times().len() as u64;

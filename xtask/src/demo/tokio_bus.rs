@@ -14,6 +14,7 @@ use emulator::{
     network::{AdapterId, Event, Network},
 };
 use lss_slave::BitRate;
+use testkit::image_rig::bit_per_s;
 use tokio::time::Instant;
 use zencan_client::common::{
     CanId, CanMessage,
@@ -27,7 +28,7 @@ const POLL: Duration = Duration::from_millis(1);
 
 /// The boards, and the master's adapter. Clones share both.
 #[derive(Clone)]
-pub struct Bench(Arc<Mutex<Inner>>);
+pub struct TokioBus(Arc<Mutex<Inner>>);
 
 struct Inner {
     network: Network,
@@ -35,7 +36,7 @@ struct Inner {
     begin: Instant,
 }
 
-impl Bench {
+impl TokioBus {
     /// A bus with boards that are switched on now, and an adapter at `bit_rate`.
     pub fn new(boards: impl IntoIterator<Item = Board>, bit_rate: BitRate) -> Self {
         let mut network = Network::new();
@@ -48,7 +49,7 @@ impl Bench {
 
     /// The network, advanced to tokio's current time.
     fn now_inner(&self) -> MutexGuard<'_, Inner> {
-        let mut inner = self.0.lock().expect("no panic while the bench was in use");
+        let mut inner = self.0.lock().expect("no panic while the bus was in use");
         let now = span(inner.begin.elapsed());
         inner.network.run_until(now);
         inner
@@ -127,11 +128,7 @@ impl Inner {
     }
 }
 
-fn bit_per_s(bit_rate: BitRate) -> u32 {
-    u32::from(bit_rate.kbit_per_s()) * 1000
-}
-
-impl AsyncCanSender for Bench {
+impl AsyncCanSender for TokioBus {
     type Error = NotSent;
 
     async fn send(&mut self, message: CanMessage) -> Result<(), NotSent> {
@@ -140,7 +137,7 @@ impl AsyncCanSender for Bench {
     }
 }
 
-impl AsyncCanReceiver for Bench {
+impl AsyncCanReceiver for TokioBus {
     type Error = Infallible;
 
     fn try_recv(&mut self) -> Option<CanMessage> {

@@ -40,13 +40,13 @@ pub const MEGABIT: u32 = 0x001C_0001;
 pub const HALF_MEGABIT: u32 = 0x001C_0003;
 
 /// A bxCAN, an adapter and the bus between them.
-pub struct Bench {
+pub struct CanRig {
     pub bus: Bus,
     pub can: Bxcan,
     pub adapter: Adapter,
 }
 
-impl Bench {
+impl CanRig {
     /// After reset, APB1 at 32 MHz.
     pub fn new() -> Self {
         let mut can = Bxcan::new();
@@ -56,19 +56,19 @@ impl Bench {
 
     /// In normal mode with these bits of MCR and a filter that accepts everything into FIFO 0.
     pub fn running(mcr: u32) -> Self {
-        let mut bench = Self::new();
-        bench.open_filter();
-        bench.join(mcr, MEGABIT);
-        bench
+        let mut rig = Self::new();
+        rig.open_filter();
+        rig.join(mcr, MEGABIT);
+        rig
     }
 
     /// Like [`running`](Self::running), with other readings of the manual.
     pub fn reading(readings: Readings, mcr: u32) -> Self {
-        let mut bench = Self::new();
-        bench.can.set_readings(readings);
-        bench.open_filter();
-        bench.join(mcr, MEGABIT);
-        bench
+        let mut rig = Self::new();
+        rig.can.set_readings(readings);
+        rig.open_filter();
+        rig.join(mcr, MEGABIT);
+        rig
     }
 
     pub fn open_filter(&mut self) {

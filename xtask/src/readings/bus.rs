@@ -27,8 +27,8 @@ pub const AWAY: Time = Time::from_s(3);
 /// The interval between questions to a node that may be away.
 const POLL: Time = Time::from_ms(20);
 
-/// The parts of a board.
-pub struct Rig<'a> {
+/// A board to be emulated: its chip and crystal, and the reading of the manuals.
+pub struct Variant<'a> {
     pub image: &'a Image,
     pub part: Part,
     pub settings: board::Settings,
@@ -43,7 +43,7 @@ pub struct Bus {
     pub resets: Vec<Vec<ResetCause>>,
 }
 
-impl Rig<'_> {
+impl Variant<'_> {
     /// The board with this number, with the given settings stored or none.
     pub fn board(&self, number: usize, stored: Option<Settings>) -> Board {
         let settings = board::Settings { unique_id: boards::unique_id(number), ..self.settings };
@@ -64,32 +64,14 @@ impl Rig<'_> {
     }
 }
 
-/// A request of the LSS master, or an answer; missing bytes are 0.
-pub fn lss(cob_id: u16, text: &str) -> Frame {
-    let mut bytes = frames::bytes(text);
-    bytes.resize(8, 0);
-    Frame::data(Id::Standard(cob_id), &bytes)
-}
-
-/// A frame given as complete text, such as `704: 00`.
-fn named(text: &str) -> Frame {
-    match text.split_once(": ") {
-        None => lss(0x7E4, text),
-        Some((cob_id, bytes)) => {
-            let cob_id = u16::from_str_radix(cob_id, 16).expect("a COB-ID");
-            Frame::data(Id::Standard(cob_id), &frames::bytes(bytes))
-        }
-    }
+fn of_node(text: &str) -> Frame {
+    on_the_wire(&frames::of_node(text))
 }
 
 impl Bus {
+    /// Sends a frame of the master.
     pub fn send(&mut self, request: &str) {
-        self.network.send(self.master, lss(0x7E5, request));
-    }
-
-    /// Sends an NMT command.
-    pub fn command(&mut self, command: &str) {
-        self.network.send(self.master, on_the_wire(&frames::command(command)));
+        self.network.send(self.master, on_the_wire(&frames::of_master(request)));
     }
 
     pub fn run_ms(&mut self, span: u64) {
@@ -121,7 +103,7 @@ impl Bus {
     pub fn ask(&mut self, request: &str, expected: &str) -> anyhow::Result<()> {
         match self.answer(request) {
             Some(frame) => {
-                ensure!(frame == named(expected), "{request}: answer {frame}, not {expected}")
+                ensure!(frame == of_node(expected), "{request}: answer {frame}, not {expected}")
             }
             None => bail!("{request}: no answer"),
         }
@@ -143,7 +125,7 @@ impl Bus {
             }
             self.network.run_for(POLL);
             while let Some((time, frame)) = self.network.receive(self.master) {
-                if frame == named(expected) {
+                if frame == of_node(expected) {
                     self.run_ms(50);
                     return Ok(time.saturating_sub(begin));
                 }
@@ -158,7 +140,7 @@ impl Bus {
         loop {
             let left = until.saturating_sub(self.network.now());
             match self.network.run_until_received(self.master, left) {
-                Some((_, frame)) if frame == named(expected) => return Ok(()),
+                Some((_, frame)) if frame == of_node(expected) => return Ok(()),
                 Some(_) => {}
                 None => bail!("{expected} is not received in {} ms", limit.as_ms()),
             }
