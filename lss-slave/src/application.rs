@@ -50,6 +50,10 @@ pub trait Dictionary {
     /// [`OBJECTS`](Self::OBJECTS).
     const DESCRIPTIONS: &'static [Description];
 
+    /// The greatest number of bytes that the stored values take, with
+    /// [`HEADER`](crate::settings::parameters::HEADER) bytes for each.
+    const STORED_LEN: usize;
+
     /// The length of the value of a field in bytes.
     fn len(&self, field: u8) -> usize;
 
@@ -153,6 +157,7 @@ impl Dictionary for NoApplication {
     type Value = ();
     const OBJECTS: &'static [Entry] = &[];
     const DESCRIPTIONS: &'static [Description] = &[];
+    const STORED_LEN: usize = 0;
 
     fn len(&self, _: u8) -> usize {
         0

@@ -183,6 +183,24 @@ pub const TABLE: &[Entry] = &{
     ]
 };
 
+/// The objects 1010h and 1011h of a node with an application, instead of those in [`TABLE`]: all parameters, those of
+/// communication (1000h to 1FFFh), those of the application (2000h to 9FFFh).
+pub const PARAMETERS: &[Entry] = &{
+    use Access::*;
+    use DataType::*;
+    use Object::*;
+    [
+        row(0x1010, 0, Unsigned8, Const, HighestSubIndex(3)),
+        row(0x1010, 1, Unsigned32, ReadWrite, StoreParameters),
+        row(0x1010, 2, Unsigned32, ReadWrite, StoreParameters),
+        row(0x1010, 3, Unsigned32, ReadWrite, StoreParameters),
+        row(0x1011, 0, Unsigned8, Const, HighestSubIndex(3)),
+        row(0x1011, 1, Unsigned32, ReadWrite, RestoreDefaultParameters),
+        row(0x1011, 2, Unsigned32, ReadWrite, RestoreDefaultParameters),
+        row(0x1011, 3, Unsigned32, ReadWrite, RestoreDefaultParameters),
+    ]
+};
+
 const fn row(
     index: u16,
     sub_index: u8,

@@ -1,6 +1,6 @@
 //! The macro that declares the objects of a product, and the checks of a declaration at compile time.
 
-use crate::object_dictionary::{DataType, Entry, Object};
+use crate::object_dictionary::{Access, DataType, Entry, Object};
 
 /// Checks the table of a product; panics, at compile time, with what is wrong.
 #[doc(hidden)]
@@ -19,6 +19,10 @@ pub const fn check(objects: &[Entry]) {
         assert!(
             !matches!(entry.data_type, DataType::Domain) || !entry.options.is_stored(),
             "a DOMAIN is not stored: its application keeps it"
+        );
+        assert!(
+            !matches!(entry.access, Access::Const) || !entry.options.is_stored(),
+            "a constant is not stored"
         );
         if at > 0 {
             let before = &objects[at - 1];
@@ -121,6 +125,7 @@ macro_rules! objects {
                 application::{self, Description, Dictionary, Value},
                 object_dictionary::{Access, Entry, Object, Options},
                 sdo::Abort,
+                settings::parameters::HEADER,
             };
 
             #[allow(non_camel_case_types)]
@@ -149,6 +154,13 @@ macro_rules! objects {
                         limits: $crate::objects!(@limits $($low, $high)?),
                     },)+
                 )*];
+
+                const STORED_LEN: usize = {
+                    const fn len<T: Value>(options: Options) -> usize {
+                        if options.is_stored() { HEADER + T::MAX_LEN } else { 0 }
+                    }
+                    0 $($( + len::<$type>(Options::NONE$(.$option())*))+)*
+                };
 
                 fn len(&self, field: u8) -> usize {
                     match field {

@@ -7,6 +7,8 @@ use crate::{object_dictionary::DataType, sdo::Abort};
 pub trait Value: Sized {
     /// The CiA 301 data type.
     const DATA_TYPE: DataType;
+    /// The greatest length of a value in bytes.
+    const MAX_LEN: usize = size_of::<Self>();
 
     /// The length of the value in bytes.
     fn len(&self) -> usize;
@@ -103,6 +105,7 @@ impl Value for &'static str {
 
 impl<const N: usize> Value for Text<N> {
     const DATA_TYPE: DataType = DataType::VisibleString;
+    const MAX_LEN: usize = N;
 
     fn len(&self) -> usize {
         self.as_bytes().len()
@@ -119,6 +122,7 @@ impl<const N: usize> Value for Text<N> {
 
 impl<const N: usize> Value for OctetString<N> {
     const DATA_TYPE: DataType = DataType::OctetString;
+    const MAX_LEN: usize = N;
 
     fn len(&self) -> usize {
         self.as_bytes().len()
