@@ -157,7 +157,7 @@ macro_rules! objects {
 
                 const STORED_LEN: usize = {
                     const fn len<T: Value>(options: Options) -> usize {
-                        if options.is_stored() { HEADER + T::MAX_LEN } else { 0 }
+                        if options.is_stored() { HEADER + T::CAPACITY } else { 0 }
                     }
                     0 $($( + len::<$type>(Options::NONE$(.$option())*))+)*
                 };

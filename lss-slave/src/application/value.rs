@@ -4,11 +4,12 @@ use super::text::{OctetString, Text};
 use crate::{object_dictionary::DataType, sdo::Abort};
 
 /// A type of value in the dictionary (CiA 301, 7.1.4).
+#[expect(clippy::len_without_is_empty, reason = "only strings can be empty")]
 pub trait Value: Sized {
     /// The CiA 301 data type.
     const DATA_TYPE: DataType;
-    /// The greatest length of a value in bytes.
-    const MAX_LEN: usize = size_of::<Self>();
+    /// The length of the longest value that a client can write, in bytes.
+    const CAPACITY: usize;
 
     /// The length of the value in bytes.
     fn len(&self) -> usize;
@@ -33,6 +34,7 @@ macro_rules! numbers {
     ($($number:ty => $data_type:ident,)*) => {$(
         impl Value for $number {
             const DATA_TYPE: DataType = DataType::$data_type;
+            const CAPACITY: usize = size_of::<Self>();
 
             fn len(&self) -> usize {
                 size_of::<Self>()
@@ -68,6 +70,7 @@ fn parse_number<const N: usize>(bytes: &[u8]) -> Result<[u8; N], Abort> {
 
 impl Value for bool {
     const DATA_TYPE: DataType = DataType::Boolean;
+    const CAPACITY: usize = 1;
 
     fn len(&self) -> usize {
         1
@@ -89,6 +92,7 @@ impl Value for bool {
 /// A constant text, which a client cannot write.
 impl Value for &'static str {
     const DATA_TYPE: DataType = DataType::VisibleString;
+    const CAPACITY: usize = 0;
 
     fn len(&self) -> usize {
         str::len(self)
@@ -105,7 +109,7 @@ impl Value for &'static str {
 
 impl<const N: usize> Value for Text<N> {
     const DATA_TYPE: DataType = DataType::VisibleString;
-    const MAX_LEN: usize = N;
+    const CAPACITY: usize = N;
 
     fn len(&self) -> usize {
         self.as_bytes().len()
@@ -122,7 +126,7 @@ impl<const N: usize> Value for Text<N> {
 
 impl<const N: usize> Value for OctetString<N> {
     const DATA_TYPE: DataType = DataType::OctetString;
-    const MAX_LEN: usize = N;
+    const CAPACITY: usize = N;
 
     fn len(&self) -> usize {
         self.as_bytes().len()
@@ -143,6 +147,7 @@ pub struct Domain;
 
 impl Value for Domain {
     const DATA_TYPE: DataType = DataType::Domain;
+    const CAPACITY: usize = 0;
 
     fn len(&self) -> usize {
         0

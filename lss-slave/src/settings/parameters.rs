@@ -60,7 +60,9 @@ impl<'a> Packer<'a> {
     /// Appends a parameter.
     pub fn put(&mut self, parameter: &Parameter<'_>) {
         let Parameter { index, sub_index, data_type, value } = *parameter;
-        self.put_with(index, sub_index, data_type, value.len(), |to| to.copy_from_slice(value));
+        self.put_with(index, sub_index, data_type, value.len(), |to| {
+            to.iter_mut().zip(value).for_each(|(to, from)| *to = *from);
+        });
     }
 
     /// Appends a parameter whose value `write` fills in. One that does not fit is left out, which cannot happen in a
