@@ -54,6 +54,7 @@ pub enum Action {
 /// A CANopen node that an LSS master can configure.
 ///
 /// These calls drive it:
+/// - [`restore`](Self::restore) with each stored parameter, before all others, if it has an application;
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
 /// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the controller's other
 ///   events;
@@ -247,12 +248,15 @@ impl<A: Application> Node<A> {
     }
 
     /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
-    /// `persistent` ones, where the request renews a part by the current values or, for 1011h, leaves it out. The buffer
-    /// must have [`PARAMETERS`](Self::PARAMETERS) bytes.
+    /// `persistent` ones, where the request renews a part by the current values or, for 1011h, leaves it out. The
+    /// buffer must have [`PARAMETERS`](Self::PARAMETERS) bytes.
     ///
     /// Call it in one piece with taking the [`Action::Store`], so that all values are of the same time.
     pub fn write_parameters(&self, persistent: &[u8], to: &mut [u8]) -> usize {
         let mut packer = Packer::new(to);
+        if Self::PARAMETERS == 0 {
+            return 0;
+        }
         for part in Part::ALL {
             match (part.change(self.storing.download()), part) {
                 (Change::Keep, _) => part.keep(persistent, &mut packer),
@@ -473,7 +477,7 @@ impl<A: Application> Node<A> {
         use storing::Next::*;
         loop {
             let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
-            match self.storing.poll(node_id, bit_rate)? {
+            match self.storing.poll(node_id, bit_rate, !A::OBJECTS.is_empty())? {
                 Store(settings) => return Some(Action::Store(settings)),
                 AnswerLss(outcome) => {
                     return Some(Action::Transmit(

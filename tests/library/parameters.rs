@@ -436,3 +436,27 @@ fn the_parameters_are_packed_as_documented() {
     assert_eq!(content[78..82], crc.to_le_bytes());
     assert_eq!(content[82..88], [0xFF; 6]);
 }
+
+objects! {
+    /// An application that stores nothing.
+    pub struct Volatile, values VolatileValue;
+
+    0x6001 {
+        0 "Enabled" enabled: bool = false, rw;
+    }
+}
+
+impl Application for Volatile {}
+
+#[test]
+fn a_save_of_the_part_of_an_application_that_stores_nothing_changes_nothing() {
+    let mut board = board_with(&BoardFlash::blank(0), Volatile::new());
+    board.download(0x1017, 0, &[1, 0]).unwrap();
+    assert_eq!(save(&mut board, 3), Ok(()));
+    board.power_cycle();
+    assert_eq!(board.number(0x1017, 0), 500);
+    board.download(0x1017, 0, &[1, 0]).unwrap();
+    assert_eq!(save(&mut board, 2), Ok(()));
+    board.power_cycle();
+    assert_eq!(board.number(0x1017, 0), 1);
+}

@@ -1,10 +1,10 @@
 //! Parameters in the settings log, without power cuts: places written, failing flash, damaged content, older firmware.
 
-use lss_slave::settings::{Error, Found, Log};
+use lss_slave::settings::{Error, Found, Log, parameters};
 use testkit::{
     flash::{Flash, Operation},
     random::Random,
-    settings::{Content, open, open_with_parameters, parameters, settings},
+    settings::{Content, open, open_with_parameters, parameters as packed, settings},
 };
 
 /// The longest parameters, which take three places of 32 bytes.
@@ -14,7 +14,7 @@ type Chip = Flash<4, 512>;
 type ParametersLog = Log<Chip, LEN>;
 
 fn content(n: u16) -> Content {
-    (Some(settings(n)), parameters(n, 60))
+    (Some(settings(n)), packed(n, 60))
 }
 
 fn start(flash: &Chip) -> (ParametersLog, Content, Found) {
@@ -68,11 +68,25 @@ fn parameters_of_any_length_are_found_again_also_in_the_other_bank() {
             let (mut log, found, result) = start(&flash);
             assert_eq!(found, last, "{len} bytes");
             assert!(matches!(result, Found::Complete | Found::Blank));
-            last = (Some(settings(n)), parameters(n, len));
+            last = (Some(settings(n)), packed(n, len));
             assert_eq!(store(&mut log, &last), Ok(()), "the start has made room");
         }
         assert!(len == 0 || flash.erases() > 1, "it has moved");
     }
+}
+
+#[test]
+fn parameters_up_to_the_capacity_of_a_bank_can_be_stored_after_every_start() {
+    const CAPACITY: usize = parameters::capacity(512);
+    let flash = Chip::blank(0);
+    let mut last = (None, Vec::new());
+    for n in 1..20 {
+        let (mut log, found, _) = open_with_parameters::<CAPACITY, 4, 512>(&flash);
+        assert_eq!(found, last);
+        last = (Some(settings(n)), packed(n, CAPACITY - 6));
+        assert_eq!(log.store_with_parameters(settings(n), &last.1), Ok(()), "store {n}");
+    }
+    assert_eq!(packed(1, CAPACITY - 6).len(), CAPACITY);
 }
 
 #[test]

@@ -25,9 +25,10 @@ const INSTANTS_LONG: usize = 2_000;
 ///
 /// In the library: every history of four power-ons (--long: six) with up to three stores each, the power cut in any one
 /// or two of its program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase
-/// anything. The same for stores of parameters, in turn with stores of settings, in three power-ons (--long: four). In the release image on an emulated board, in two commissionings by LSS, from a blank flash and from one
-/// that has to be erased: in every flash operation, in every pause between two, and at random instants from power-on to
-/// the last answer. Fails if settings are lost.
+/// anything. The same for stores of parameters, in turn with stores of settings, in three power-ons (--long: four). In
+/// the release image on an emulated board, in two commissionings by LSS, from a blank flash and from one that has to be
+/// erased: in every flash operation, in every pause between two, and at random instants from power-on to the last
+/// answer. Fails if settings are lost.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// More power-ons in a history, and on the board two cuts in a row and more instants; takes some minutes

@@ -1,5 +1,5 @@
-//! Stored parameters: the parts of the dictionary that 1010h and 1011h concern, what a store does to each, and the values of
-//! the application.
+//! Stored parameters: the parts of the dictionary that 1010h and 1011h concern, the effect of a store on each, and the
+//! values of the application.
 
 use super::storing::Download;
 use crate::{
@@ -17,7 +17,7 @@ pub(super) enum Part {
     Application,
 }
 
-/// What a store does to the stored values of a part.
+/// The effect of a store on the stored values of a part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Change {
     Keep,
@@ -44,7 +44,7 @@ impl Part {
         }
     }
 
-    /// What a store for this client does to the part, or one for LSS if there is none.
+    /// The effect on the part of a store for this client, or for LSS if there is none.
     pub fn change(self, client: Option<Download>) -> Change {
         match client {
             Some(Download { index, sub_index }) if self.is_concerned(sub_index) => {

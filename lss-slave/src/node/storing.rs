@@ -115,8 +115,14 @@ impl Storing {
         true
     }
 
-    /// Begins the next store, or answers the one that has ended.
-    pub fn poll(&mut self, node_id: Option<NodeId>, bit_rate: BitRateSetting) -> Option<Next> {
+    /// Begins the next store, or answers the one that has ended. `in_parts`: a client can ask for a part of the
+    /// parameters.
+    pub fn poll(
+        &mut self,
+        node_id: Option<NodeId>,
+        bit_rate: BitRateSetting,
+        in_parts: bool,
+    ) -> Option<Next> {
         if let Store::Running(..) = self.store {
             return None;
         }
@@ -135,7 +141,7 @@ impl Storing {
             (Settings { node_id, bit_rate, ..self.persistent }, Requester::Lss)
         } else {
             let SdoRequest { download, mut heartbeat_ms } = self.sdo_request.take()?;
-            if !Part::Communication.is_concerned(download.sub_index) {
+            if in_parts && !Part::Communication.is_concerned(download.sub_index) {
                 heartbeat_ms = self.persistent.heartbeat_ms;
             }
             (Settings { heartbeat_ms, ..self.persistent }, Requester::Sdo(download))
@@ -155,7 +161,7 @@ mod tests {
     const PENDING: BitRateSetting = BitRateSetting::Fixed(BitRate::Kbit500);
 
     fn poll(storing: &mut Storing) -> Option<Next> {
-        storing.poll(NodeId::new(5), PENDING)
+        storing.poll(NodeId::new(5), PENDING, false)
     }
 
     #[test]

@@ -49,7 +49,7 @@ pub enum Found {
 /// with all parameters.
 ///
 /// `PARAMETERS` is the greatest number of bytes of the parameters, see [`Node::PARAMETERS`](crate::Node::PARAMETERS).
-/// With the record they must not take more than half a bank, where 24 bytes of them take 32.
+/// It must not exceed the [`capacity`](parameters::capacity) of a bank: then a store finds the flash full.
 pub struct Log<F, const PARAMETERS: usize = 0> {
     flash: F,
     newest: Record,

@@ -1,8 +1,17 @@
 //! Parameters: the values that object 1010h stores, packed one after another.
 
+use super::record;
+
 /// The bytes that a parameter takes beside its value: index, sub-index, data type and length.
 #[doc(hidden)]
 pub const HEADER: usize = 6;
+
+/// The most bytes of parameters for which a bank of the settings log of `bank_len` bytes has room. They take half of it
+/// with their record, so that others can be stored without an erase.
+pub const fn capacity(bank_len: usize) -> usize {
+    let places = bank_len / 2 / record::LEN as usize;
+    places.saturating_sub(1) * record::PARAMETERS_LEN
+}
 
 /// The value of an object, to be stored or as it was stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -21,7 +21,8 @@ pub struct Record {
 
 impl Record {
     /// The record in flash: sequence (4 bytes, little endian), kind, node-ID, bit rate index, 1 byte unused, heartbeat
-    /// time (2 bytes), reference to the parameters (8 bytes), 6 bytes unused, CRC-32 of the bytes before it, commit word.
+    /// time (2 bytes), reference to the parameters (8 bytes), 6 bytes unused, CRC-32 of the bytes before it, commit
+    /// word.
     pub fn to_bytes(self, parameters: Option<Reference>) -> [u8; LEN as usize] {
         let [s0, s1, s2, s3] = self.sequence.to_le_bytes();
         let (kind, node_id, index, [h0, h1]) = match self.settings {
