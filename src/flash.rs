@@ -4,9 +4,8 @@ use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash, check_erase, check_read,
     check_write,
 };
-use stm32f4xx_hal::pac;
-
 use lss_slave::settings::parameters::capacity;
+use stm32f4xx_hal::pac;
 
 use crate::{runner::PARAMETERS, supply::Supply};
 
@@ -17,7 +16,7 @@ const SECTORS: u32 = 2;
 const SECTOR_LEN: u32 = 16 * 1024;
 
 const _: () = assert!(
-    PARAMETERS <= capacity(SECTOR_LEN as usize),
+    capacity(SECTOR_LEN as usize).checked_sub(PARAMETERS).is_some(),
     "the flash has no room for the stored parameters of the application"
 );
 
