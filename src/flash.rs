@@ -4,15 +4,21 @@ use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash, check_erase, check_read,
     check_write,
 };
+use lss_slave::settings::parameters::capacity;
 use stm32f4xx_hal::pac;
 
-use crate::supply::Supply;
+use crate::{runner::PARAMETERS, supply::Supply};
 
 /// Sectors 1 and 2, which `memory.x` keeps free of code.
 const START: u32 = 0x0800_4000;
 const FIRST_SECTOR: u32 = 1;
 const SECTORS: u32 = 2;
 const SECTOR_LEN: u32 = 16 * 1024;
+
+const _: () = assert!(
+    capacity(SECTOR_LEN as usize).checked_sub(PARAMETERS).is_some(),
+    "the flash has no room for the stored parameters of the application"
+);
 
 /// The number of status reads after which programming a word is considered hung: it takes 100 us at most. Meanwhile the
 /// core stalls when it fetches from the flash, but code in the instruction cache runs on.

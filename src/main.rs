@@ -53,7 +53,7 @@ mod app {
         fault,
         flash::SettingsFlash,
         roll_call::{self, Task},
-        runner::Runner,
+        runner::{PARAMETERS, Runner},
     };
 
     #[shared]
@@ -63,7 +63,7 @@ mod app {
 
     #[local]
     struct Local {
-        log: Log<SettingsFlash>,
+        log: Log<SettingsFlash, PARAMETERS>,
         indicators: (ErasedPin<Output>, ErasedPin<Output>),
         watchdog: IndependentWatchdog,
         io: IoBoard,
@@ -74,15 +74,18 @@ mod app {
         fault::guard_stack(&cx.core.MPU);
         let mut board = Board::new(cx.device);
 
-        let (log, found) = Log::open(board.settings_flash);
+        let (mut log, mut found) = Log::open_with_parameters(board.settings_flash);
         let stored = log.settings();
+        let mut node =
+            Node::with_application(describe(board::serial_number()), stored, Application::new());
+        if let Err(error) = log.restore(|parameter| node.restore(parameter)) {
+            found = Found::MediumFailed(error);
+        }
         report(found, &stored.unwrap_or(device::DEFAULTS));
 
-        let node =
-            Node::with_application(describe(board::serial_number()), stored, Application::new());
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
         let mut runner = Runner::new(node, can, board.alarm);
-        if found == Found::Damaged {
+        if matches!(found, Found::Damaged | Found::ParametersDamaged) {
             runner.handle_fault(Fault::SettingsLost);
         }
         let Board { indicators, mut watchdog, io, .. } = board;
@@ -162,10 +165,15 @@ mod app {
     #[task(binds = USART1, local = [log], shared = [runner], priority = 1)]
     fn store(mut cx: store::Context) {
         roll_call::answer(Task::Store);
-        let Some(settings) = cx.shared.runner.lock(Runner::take_store) else {
+        let log = cx.local.log;
+        let mut parameters = [0; PARAMETERS];
+        let Some((settings, len)) =
+            cx.shared.runner.lock(|runner| runner.take_store(log.parameters(), &mut parameters))
+        else {
             return;
         };
-        let outcome = cx.local.log.store(settings);
+        let parameters = parameters.get(..len).unwrap_or_default();
+        let outcome = log.store_with_parameters(settings, parameters);
         cx.shared.runner.lock(|runner| runner.handle_stored(outcome.map_err(StoreError::from)));
         match outcome {
             Ok(()) => defmt::info!("settings stored"),
@@ -186,6 +194,9 @@ mod app {
             Found::Blank => defmt::info!("no settings stored yet; using the defaults"),
             Found::Damaged => {
                 defmt::error!("the settings in the flash are damaged; using the defaults")
+            }
+            Found::ParametersDamaged => {
+                defmt::error!("the parameters in flash are damaged; using their defaults");
             }
             Found::MediumFailed(error) => {
                 defmt::error!("the flash failed, a store may fail too: {}", error);

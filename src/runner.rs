@@ -17,6 +17,9 @@ use crate::{
     clock::{self, Alarm},
 };
 
+/// The greatest number of bytes that the stored parameters take.
+pub const PARAMETERS: usize = Node::<Application>::PARAMETERS;
+
 /// The node, its controller, and their next deadline.
 pub struct Runner {
     node: Node<Application>,
@@ -158,9 +161,15 @@ impl Runner {
         self.finish();
     }
 
-    /// The settings to store now, if any.
-    pub fn take_store(&mut self) -> Option<Settings> {
-        self.store.take()
+    /// The settings to store now, if any. Puts the parameters to store with them in place of the `persistent` ones, and
+    /// returns their length.
+    pub fn take_store(
+        &mut self,
+        persistent: &[u8],
+        parameters: &mut [u8; PARAMETERS],
+    ) -> Option<(Settings, usize)> {
+        let settings = self.store.take()?;
+        Some((settings, self.node.write_parameters(persistent, parameters)))
     }
 
     fn hear_others(&mut self) {

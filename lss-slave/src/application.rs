@@ -42,7 +42,7 @@ use core::iter;
 
 use crate::{
     BitRate, Device, nmt,
-    object_dictionary::{self, Description, Entry, TABLE},
+    object_dictionary::{self, Description, Entry, PARAMETERS, TABLE},
     sdo::Abort,
 };
 
@@ -55,6 +55,10 @@ pub trait Dictionary {
 
     /// The descriptions of [`OBJECTS`](Self::OBJECTS), in the same order.
     fn descriptions() -> impl Iterator<Item = Description>;
+
+    /// The greatest number of bytes that the stored values take, with
+    /// [`HEADER`](crate::settings::parameters::HEADER) bytes for each.
+    const STORED_LEN: usize;
 
     /// The length of the value of a field in bytes.
     fn len(&self, field: u8) -> usize;
@@ -147,8 +151,16 @@ pub enum Event {
 pub fn entries<A: Dictionary>(
     device: &Device,
 ) -> impl Iterator<Item = (Entry, Description)> + use<A> {
+    let has_parameters = !A::OBJECTS.is_empty();
+    let is_replaced = move |(entry, _): &(Entry, Description)| {
+        has_parameters && matches!(entry.index, 0x1010 | 0x1011)
+    };
     let own = TABLE.iter().copied().zip(object_dictionary::descriptions(device));
-    own.chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
+    let parameters =
+        PARAMETERS.iter().copied().zip(object_dictionary::parameter_descriptions(device));
+    own.filter(move |row| !is_replaced(row))
+        .chain(parameters.filter(move |_| has_parameters))
+        .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
 }
 
 /// The application of a node without one.
@@ -158,6 +170,7 @@ pub struct NoApplication;
 impl Dictionary for NoApplication {
     type Value = ();
     const OBJECTS: &'static [Entry] = &[];
+    const STORED_LEN: usize = 0;
 
     fn descriptions() -> impl Iterator<Item = Description> {
         iter::empty()

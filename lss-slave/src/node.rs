@@ -4,6 +4,7 @@
 mod bit_rate_control;
 mod nmt_slave;
 mod objects;
+mod parameters;
 mod storing;
 
 use crate::{
@@ -13,11 +14,13 @@ use crate::{
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
     sdo,
+    settings::parameters::{Packer, Parameter, Parameters},
     supervision::Step,
 };
 use bit_rate_control::BitRateControl;
 use nmt_slave::NmtSlave;
 use objects::Parts;
+use parameters::{Change, Part};
 use storing::Storing;
 
 /// An action for the board to carry out.
@@ -41,7 +44,8 @@ pub enum Action {
     /// Run the controller silently at this bit rate: drop the pending frames and send no dominant bit, not even an
     /// acknowledge. Receive all frames, and report the first frame and the first error to [`Node::handle_bus`].
     Listen(BitRate),
-    /// Make these settings persistent, then call [`Node::handle_stored`].
+    /// Make these settings persistent, then call [`Node::handle_stored`]. A node with parameters also has
+    /// [`write_parameters`](Node::write_parameters).
     Store(Settings),
     /// Reset the device as after a power cut; the node restarts with the persistent settings.
     ResetDevice,
@@ -50,6 +54,7 @@ pub enum Action {
 /// A CANopen node that an LSS master can configure.
 ///
 /// These calls drive it:
+/// - [`restore`](Self::restore) with each stored parameter, before all others, if it has an application;
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
 /// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the controller's other
 ///   events;
@@ -230,6 +235,37 @@ impl<A: Application> Node<A> {
             | BusEvent::ErrorPassive => {}
         }
         self.bit_rate.handle_bus(event, now);
+    }
+
+    /// The greatest number of bytes that the stored parameters take.
+    pub const PARAMETERS: usize = <A as Parameters>::LEN;
+
+    /// Takes a stored parameter in place of the default, if the node has it with this data type and the value is within
+    /// its limits; returns whether it has. [`Application::accept`] is not called. Pass all parameters before the first
+    /// [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
+    pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
+        self.application.restore(parameter)
+    }
+
+    /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
+    /// `persistent` ones, where the request renews a part by the current values or, for 1011h, leaves it out. The
+    /// buffer must have [`PARAMETERS`](Self::PARAMETERS) bytes.
+    ///
+    /// Call it in one piece with taking the [`Action::Store`], so that all values are of the same time.
+    pub fn write_parameters(&self, persistent: &[u8], to: &mut [u8]) -> usize {
+        let mut packer = Packer::new(to);
+        if Self::PARAMETERS == 0 {
+            return 0;
+        }
+        for part in Part::ALL {
+            match (part.change(self.storing.download()), part) {
+                (Change::Keep, _) => part.keep(persistent, &mut packer),
+                // The heartbeat time is among the settings.
+                (Change::Remove, _) | (Change::Renew, Part::Communication) => {}
+                (Change::Renew, Part::Application) => self.application.save(&mut packer),
+            }
+        }
+        packer.len()
     }
 
     /// Records the outcome of the last [`Action::Store`].
@@ -441,7 +477,7 @@ impl<A: Application> Node<A> {
         use storing::Next::*;
         loop {
             let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
-            match self.storing.poll(node_id, bit_rate)? {
+            match self.storing.poll(node_id, bit_rate, !A::OBJECTS.is_empty())? {
                 Store(settings) => return Some(Action::Store(settings)),
                 AnswerLss(outcome) => {
                     return Some(Action::Transmit(

@@ -145,18 +145,18 @@ pub struct Entry {
     pub object: Object,
 }
 
-/// Declares the node's objects. A row has a sub-index, a name, for sub-index 0 the name `of` an object with further
+/// Declares a table of the node's objects, and a function that describes them. A row has a sub-index, a name, for sub-index 0 the name `of` an object with further
 /// sub-indices, a data type, an access, the [`Object`], and optionally its default and its limits.
 macro_rules! table {
-    (|$device:ident| $($index:literal {
+    ($(#[$doc:meta])* $table:ident, $descriptions:ident($device:ident) $($index:literal {
         $(
             $sub_index:literal $name:literal $(of $object_name:literal)?
             : $data_type:ident, $access:ident, $object:ident $(($part:literal))?
             $(= $default:ident($value:expr))? $(, $low:literal ..= $high:literal)?;
         )+
     })*) => {
-        /// The node's own objects, by index and sub-index.
-        pub const TABLE: &[Entry] = &[$($(
+        $(#[$doc])*
+        pub const $table: &[Entry] = &[$($(
             Entry {
                 index: $index,
                 sub_index: $sub_index,
@@ -167,8 +167,8 @@ macro_rules! table {
             },
         )+)*];
 
-        /// The descriptions of the rows of [`TABLE`], in the same order. The image does not contain them.
-        pub fn descriptions($device: &Device) -> impl Iterator<Item = Description> + use<> {
+        #[doc = concat!("The descriptions of the rows of [`", stringify!($table), "`], in the same order. The image does not contain them.")]
+        pub fn $descriptions($device: &Device) -> impl Iterator<Item = Description> + use<> {
             [$($(
                 Description {
                     object: table!(@option $($object_name)?),
@@ -186,7 +186,10 @@ macro_rules! table {
     (@default $default:ident($value:expr)) => { DefaultValue::$default($value) };
 }
 
-table! { |device|
+table! {
+    /// The node's own objects, by index and sub-index.
+    TABLE, descriptions(device)
+
     0x1000 {
         0 "Device type": Unsigned32, Const, DeviceType = Number(0);
     }
@@ -248,6 +251,25 @@ table! { |device|
         5 "Home bit rate": Unsigned16, ReadOnly, HomeBitRate;
         6 "Bit rate in use": Unsigned16, ReadOnly, BitRateInUse;
         7 "Rescues": Unsigned16, ReadOnly, Rescues;
+    }
+}
+
+table! {
+    /// The objects 1010h and 1011h of a node with an application, instead of those in [`TABLE`]: all parameters, those
+    /// of communication (1000h to 1FFFh), those of the application (2000h to 9FFFh).
+    PARAMETERS, parameter_descriptions(_device)
+
+    0x1010 {
+        0 "Highest sub-index supported" of "Store parameters": Unsigned8, Const, HighestSubIndex(3);
+        1 "Save all parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
+        2 "Save communication parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
+        3 "Save application parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
+    }
+    0x1011 {
+        0 "Highest sub-index supported" of "Restore default parameters": Unsigned8, Const, HighestSubIndex(3);
+        1 "Restore all default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
+        2 "Restore communication default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
+        3 "Restore application default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
     }
 }
 

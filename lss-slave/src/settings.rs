@@ -1,6 +1,7 @@
 //! The settings that survive a power cut, and the flash log that keeps them.
 
 mod log;
+pub mod parameters;
 mod record;
 
 pub use log::{Error, Found, Log};

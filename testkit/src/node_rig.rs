@@ -22,6 +22,9 @@ pub const ADDRESS: Address = Address {
     serial_number: 0xDEAD_BEEF,
 };
 
+/// The bytes for parameters in the settings log of a board.
+const PARAMETERS: usize = 1024;
+
 /// A board with a node on it.
 pub struct NodeRig<A = NoApplication> {
     pub node: Node<A>,
@@ -34,7 +37,7 @@ pub struct NodeRig<A = NoApplication> {
     /// Whether other nodes acknowledge the node's frames.
     pub is_acknowledged: bool,
     device: Device,
-    log: Log<BoardFlash>,
+    log: Log<BoardFlash, PARAMETERS>,
     /// Microseconds since the rig was created.
     now: u64,
     /// The node's clock at that time.
@@ -110,8 +113,7 @@ impl<A: Application + Clone> NodeRig<A> {
         clock_at_start: u32,
         application: A,
     ) -> Self {
-        let (log, found) = Log::open(flash.clone());
-        let node = Node::with_application(device, log.settings(), application.clone());
+        let (log, node, found) = start(device, &flash, application.clone());
         let mut board = Self {
             new_application: application,
             bit_rate: node.bit_rate(),
@@ -219,7 +221,7 @@ impl<A: Application + Clone> NodeRig<A> {
     /// Executes the store in progress; returns the frames that the node sends then.
     pub fn finish_store(&mut self) -> Frames {
         let settings = self.running_store.take().expect("a store is running");
-        let outcome = self.log.store(settings).map_err(StoreError::from);
+        let outcome = self.store(settings);
         self.end_store(outcome)
     }
 
@@ -230,6 +232,11 @@ impl<A: Application + Clone> NodeRig<A> {
         self.node.handle_stored(outcome);
         self.run();
         self.sent_since(before)
+    }
+
+    /// The persistent parameters that the node has taken or stored, packed.
+    pub fn stored_parameters(&self) -> &[u8] {
+        self.log.parameters()
     }
 
     /// The persistent settings.
@@ -326,8 +333,8 @@ impl<A: Application + Clone> NodeRig<A> {
                 self.running_store = Some(settings);
             }
             Action::Store(settings) => {
-                let outcome = self.log.store(settings);
-                self.node.handle_stored(outcome.map_err(StoreError::from));
+                let outcome = self.store(settings);
+                self.node.handle_stored(outcome);
             }
             Action::ResetDevice => self.restart(),
             Action::Listen(rate) => {
@@ -337,13 +344,33 @@ impl<A: Application + Clone> NodeRig<A> {
         }
     }
 
+    fn store(&mut self, settings: Settings) -> Result<(), StoreError> {
+        let mut parameters = [0; PARAMETERS];
+        let len = self.node.write_parameters(self.log.parameters(), &mut parameters);
+        Ok(self.log.store_with_parameters(settings, &parameters[..len])?)
+    }
+
     fn restart(&mut self) {
-        (self.log, self.found) = Log::open(self.flash.clone());
         let application = self.new_application.clone();
-        self.node = Node::with_application(self.device, self.log.settings(), application);
+        (self.log, self.node, self.found) = start(self.device, &self.flash, application);
         self.bit_rate = self.node.bit_rate();
         self.receives_for = self.node.node_id();
         self.may_transmit = true;
         self.running_store = None;
     }
+}
+
+/// A node after power-on, with what its flash holds.
+fn start<A: Application>(
+    device: Device,
+    flash: &BoardFlash,
+    application: A,
+) -> (Log<BoardFlash, PARAMETERS>, Node<A>, Found) {
+    const { assert!(Node::<A>::PARAMETERS <= PARAMETERS) };
+    let (mut log, mut found) = Log::open_with_parameters(flash.clone());
+    let mut node = Node::with_application(device, log.settings(), application);
+    if let Err(error) = log.restore(|parameter| node.restore(parameter)) {
+        found = Found::MediumFailed(error);
+    }
+    (log, node, found)
 }

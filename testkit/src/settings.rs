@@ -2,7 +2,10 @@
 
 use lss_slave::{
     BitRate, NodeId, Settings,
-    settings::{Found, Log},
+    settings::{
+        Found, Log,
+        parameters::{Packer, Parameter},
+    },
 };
 
 use super::flash::Flash;
@@ -50,4 +53,33 @@ pub fn flash_with<const W: usize, const E: usize>(
         content[at..at + 32].copy_from_slice(record);
     }
     Flash::with_content(content, 0)
+}
+
+/// The settings and the packed parameters that a log holds.
+pub type Content = (Option<Settings>, Vec<u8>);
+
+/// Packed parameters for number `n`: one value of `len` bytes, which begins with `n`; none for a `len` of 0.
+pub fn parameters(n: u16, len: usize) -> Vec<u8> {
+    let mut value = vec![n as u8 ^ 0x5A; len];
+    value.iter_mut().zip(n.to_le_bytes()).for_each(|(to, from)| *to = from);
+    let mut packed = vec![0; 6 + len];
+    let mut packer = Packer::new(&mut packed);
+    if len > 0 {
+        packer.put(&Parameter { index: 0x2100, sub_index: 1, data_type: 0x0A, value: &value });
+    }
+    let len = packer.len();
+    packed.truncate(len);
+    packed
+}
+
+/// A log with parameters after a power-on, whose node takes them all; its content; the result of opening it.
+pub fn open_with_parameters<const P: usize, const W: usize, const E: usize>(
+    flash: &Flash<W, E>,
+) -> (Log<Flash<W, E>, P>, Content, Found) {
+    let (mut log, mut found) = Log::open_with_parameters(flash.clone());
+    if let Err(error) = log.restore(|_| true) {
+        found = Found::MediumFailed(error);
+    }
+    let content = (log.settings(), log.parameters().to_vec());
+    (log, content, found)
 }

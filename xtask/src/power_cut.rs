@@ -25,7 +25,7 @@ const INSTANTS_LONG: usize = 2_000;
 ///
 /// In the library: every history of four power-ons (--long: six) with up to three stores each. The power fails in any
 /// one or two of the program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase
-/// anything.
+/// anything. The same for stores of parameters, in turn with stores of settings, in three power-ons (--long: four).
 ///
 /// In the release image on an emulated board: two commissionings by LSS, from a blank flash and from one that has to be
 /// erased. The power fails in every flash operation, in every pause between two, and at random instants from power-on
@@ -55,26 +55,26 @@ struct Tally {
     losses: Vec<String>,
 }
 
-/// The settings expected at the next power-on.
+/// The settings, or settings and parameters, expected at the next power-on.
 #[derive(Clone)]
-struct Expected {
+struct Expected<T = Settings> {
     /// The settings last stored or found; `None`: the defaults.
-    known: Option<Settings>,
+    known: Option<T>,
     /// The settings of a later store that the power cut interrupted.
-    attempted: Option<Settings>,
+    attempted: Option<T>,
 }
 
-impl Expected {
+impl<T: Clone + PartialEq> Expected<T> {
     const NOTHING: Self = Self { known: None, attempted: None };
 
     /// Whether `found` is possible; if so, it is the expected value from now on.
-    fn admits(&mut self, found: Option<Settings>) -> bool {
+    fn admits(&mut self, found: Option<T>) -> bool {
         let admits = found == self.known || found.is_some() && found == self.attempted;
         *self = Self { known: found, attempted: None };
         admits
     }
 
-    fn attempt(&mut self, settings: Settings) {
+    fn attempt(&mut self, settings: T) {
         self.attempted = Some(settings);
     }
 

@@ -1,6 +1,6 @@
 //! The macro that declares the objects of a product, and the checks of a declaration at compile time.
 
-use crate::object_dictionary::{DataType, Entry, Object};
+use crate::object_dictionary::{Access, DataType, Entry, Object};
 
 /// Checks the table of a product; panics, at compile time, with what is wrong.
 #[doc(hidden)]
@@ -20,6 +20,10 @@ pub const fn check(objects: &[Entry]) {
         assert!(
             !matches!(entry.data_type, DataType::Domain) || !entry.options.is_stored(),
             "a DOMAIN is not stored: its application keeps it"
+        );
+        assert!(
+            !matches!(entry.access, Access::Const) || !entry.options.is_stored(),
+            "a constant is not stored"
         );
         let mut is_part = false;
         if at > 0 {
@@ -227,7 +231,7 @@ macro_rules! objects {
         }
 
         const _: () = {
-            use $crate::{application, object_dictionary, sdo};
+            use $crate::{application, object_dictionary, sdo, settings::parameters};
 
             #[allow(non_camel_case_types)]
             enum Field { $($($field,)+)* }
@@ -265,6 +269,13 @@ macro_rules! objects {
                     )*]
                     .into_iter()
                 }
+
+                const STORED_LEN: usize = {
+                    const fn len<T: application::Value>(options: object_dictionary::Options) -> usize {
+                        if options.is_stored() { parameters::HEADER + T::CAPACITY } else { 0 }
+                    }
+                    0 $($( + len::<$type>(object_dictionary::Options::NONE$(.$option())*))+)*
+                };
 
                 fn len(&self, field: u8) -> usize {
                     match field {

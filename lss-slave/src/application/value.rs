@@ -8,6 +8,8 @@ use crate::{object_dictionary::DataType, sdo::Abort};
 pub trait Value: Sized {
     /// The CiA 301 data type.
     const DATA_TYPE: DataType;
+    /// The length of the longest value that a client can write, in bytes.
+    const CAPACITY: usize;
 
     /// The length of the value in bytes.
     fn len(&self) -> usize;
@@ -32,6 +34,7 @@ macro_rules! numbers {
     ($($number:ty => $data_type:ident,)*) => {$(
         impl Value for $number {
             const DATA_TYPE: DataType = DataType::$data_type;
+            const CAPACITY: usize = size_of::<Self>();
 
             fn len(&self) -> usize {
                 size_of::<Self>()
@@ -67,6 +70,7 @@ fn parse_number<const N: usize>(bytes: &[u8]) -> Result<[u8; N], Abort> {
 
 impl Value for bool {
     const DATA_TYPE: DataType = DataType::Boolean;
+    const CAPACITY: usize = 1;
 
     fn len(&self) -> usize {
         1
@@ -88,6 +92,7 @@ impl Value for bool {
 /// A constant text, which a client cannot write.
 impl Value for &'static str {
     const DATA_TYPE: DataType = DataType::VisibleString;
+    const CAPACITY: usize = 0;
 
     fn len(&self) -> usize {
         str::len(self)
@@ -104,6 +109,7 @@ impl Value for &'static str {
 
 impl<const N: usize> Value for Text<N> {
     const DATA_TYPE: DataType = DataType::VisibleString;
+    const CAPACITY: usize = N;
 
     fn len(&self) -> usize {
         self.as_bytes().len()
@@ -120,6 +126,7 @@ impl<const N: usize> Value for Text<N> {
 
 impl<const N: usize> Value for OctetString<N> {
     const DATA_TYPE: DataType = DataType::OctetString;
+    const CAPACITY: usize = N;
 
     fn len(&self) -> usize {
         self.as_bytes().len()
@@ -140,6 +147,7 @@ pub struct Domain;
 
 impl Value for Domain {
     const DATA_TYPE: DataType = DataType::Domain;
+    const CAPACITY: usize = 0;
 
     fn len(&self) -> usize {
         0

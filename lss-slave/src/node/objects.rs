@@ -10,7 +10,7 @@ use crate::{
     emergency::{self, Emergency},
     lss::{self, AddressPart},
     nmt::ErrorBehaviour,
-    object_dictionary::{self, Entry, Object, TABLE},
+    object_dictionary::{self, Entry, Object, PARAMETERS, TABLE},
     sdo::{Abort, Objects, Value, Written},
 };
 
@@ -36,7 +36,12 @@ pub(super) struct Parts<'a, A> {
 impl<A: Application> Objects for Parts<'_, A> {
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
         let is_of_application = A::OBJECTS.first().is_some_and(|first| first.index <= index);
-        let table = if is_of_application { A::OBJECTS } else { TABLE };
+        let is_of_parameters = !A::OBJECTS.is_empty() && matches!(index, 0x1010 | 0x1011);
+        let table = match () {
+            () if is_of_application => A::OBJECTS,
+            () if is_of_parameters => PARAMETERS,
+            () => TABLE,
+        };
         Ok(object_dictionary::find(table, index, sub_index)?)
     }
 

@@ -1,5 +1,6 @@
 //! Storing: one store at a time, for LSS or an SDO client, and the answer when it has ended.
 
+use super::parameters::Part;
 use crate::{BitRateSetting, NodeId, Settings, lss::StoreError};
 
 /// The persistent settings, and the requests to change them.
@@ -26,7 +27,7 @@ enum Requester {
     Lss,
     Sdo(Download),
     /// An SDO client that a reset has cancelled.
-    Nobody,
+    Nobody(Download),
 }
 
 /// The SDO download that a client waits for.
@@ -39,7 +40,7 @@ pub(super) struct Download {
 #[derive(Clone, Copy, Debug)]
 struct SdoRequest {
     download: Download,
-    /// The settings to store. Node-ID and bit rate belong to LSS and stay unchanged.
+    /// The heartbeat time to store, if the download concerns it. Node-ID and bit rate belong to LSS and stay unchanged.
     heartbeat_ms: u16,
 }
 
@@ -86,9 +87,19 @@ impl Storing {
     pub const fn forget_sdo(&mut self) {
         self.sdo_request = None;
         if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
-            && let Requester::Sdo(..) = requester
+            && let Requester::Sdo(download) = *requester
         {
-            *requester = Requester::Nobody;
+            *requester = Requester::Nobody(download);
+        }
+    }
+
+    /// The SDO download that the store in progress carries out; `None` for one for LSS.
+    pub const fn download(&self) -> Option<Download> {
+        match self.store {
+            Store::Running(_, Requester::Sdo(download) | Requester::Nobody(download)) => {
+                Some(download)
+            }
+            _ => None,
         }
     }
 
@@ -104,8 +115,14 @@ impl Storing {
         true
     }
 
-    /// Begins the next store, or answers the one that has ended.
-    pub fn poll(&mut self, node_id: Option<NodeId>, bit_rate: BitRateSetting) -> Option<Next> {
+    /// Begins the next store, or answers the one that has ended. `in_parts`: a client can ask for a part of the
+    /// parameters.
+    pub fn poll(
+        &mut self,
+        node_id: Option<NodeId>,
+        bit_rate: BitRateSetting,
+        in_parts: bool,
+    ) -> Option<Next> {
         if let Store::Running(..) = self.store {
             return None;
         }
@@ -117,13 +134,16 @@ impl Storing {
                     return Some(Next::AnswerLss(outcome));
                 }
                 Requester::Sdo(download) => return Some(Next::AnswerSdo(download, outcome)),
-                Requester::Nobody => {}
+                Requester::Nobody(_) => {}
             }
         }
         let (settings, requester) = if self.lss_requests > 0 {
             (Settings { node_id, bit_rate, ..self.persistent }, Requester::Lss)
         } else {
-            let SdoRequest { download, heartbeat_ms } = self.sdo_request.take()?;
+            let SdoRequest { download, mut heartbeat_ms } = self.sdo_request.take()?;
+            if in_parts && !Part::Communication.is_concerned(download.sub_index) {
+                heartbeat_ms = self.persistent.heartbeat_ms;
+            }
             (Settings { heartbeat_ms, ..self.persistent }, Requester::Sdo(download))
         };
         self.store = Store::Running(settings, requester);
@@ -141,7 +161,7 @@ mod tests {
     const PENDING: BitRateSetting = BitRateSetting::Fixed(BitRate::Kbit500);
 
     fn poll(storing: &mut Storing) -> Option<Next> {
-        storing.poll(NodeId::new(5), PENDING)
+        storing.poll(NodeId::new(5), PENDING, false)
     }
 
     #[test]

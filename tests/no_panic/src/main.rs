@@ -4,6 +4,8 @@
 #![no_std]
 #![no_main]
 
+mod parameters;
+
 use core::{
     hint::{black_box, spin_loop},
     panic::PanicInfo,
@@ -34,6 +36,7 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 extern "C" fn _start() -> ! {
     keep_settings();
     run_node();
+    parameters::keep();
     indicate();
     #[cfg(feature = "panic")]
     assert_ne!(black_box(1), 2);
@@ -102,7 +105,7 @@ fn keep_settings() {
     black_box(log.close());
 }
 
-fn run_node() {
+fn any_device() -> Device {
     let address = Address {
         vendor_id: any_number(),
         product_code: any_number(),
@@ -111,13 +114,16 @@ fn run_node() {
     };
     // The bit timing solver is for constants.
     let bit_rates = any(const { BitRates::possible(40_000_000) });
-    let device = Device::new(address, bit_rates)
+    Device::new(address, bit_rates)
         .with_defaults(any_settings())
         .with_name(any(""))
         .with_versions(any(""), any(""))
         .with_rescue(any(true))
-        .with_lss_lock(any(true));
-    let mut node = Node::new(device, any(Some(any_settings())));
+        .with_lss_lock(any(true))
+}
+
+fn run_node() {
+    let mut node = Node::new(any_device(), any(Some(any_settings())));
     // Between the calls the node is in any state that its types allow.
     let node = &mut node;
     black_box(Frame::new(any(0), any(&[])));

@@ -12,22 +12,30 @@ use super::{Expected, Named, Tally};
 use testkit::{
     flash::{BoardFlash, Flash},
     random::Random,
+    settings::{open_with_parameters, parameters},
 };
 
 /// The greatest number of stores in a life, which fills a bank of four records.
 const STORES: usize = 3;
+
+/// The longest parameters, which take the space of two records.
+const PARAMETERS: usize = 40;
 
 /// All histories with a number of lives, in a flash of two banks of a number of records, initially blank or garbage.
 pub struct Histories {
     lives: usize,
     records: usize,
     garbage: bool,
+    parameters: bool,
 }
+
+/// Settings and packed parameters.
+type Content = (Settings, Vec<u8>);
 
 /// A device between two lives: the content of its flash, and the settings that it must find there.
 struct Device {
     content: Vec<u8>,
-    expected: Expected,
+    expected: Expected<Content>,
     /// The number of the next settings to store.
     next: u8,
     /// A description of its history.
@@ -36,9 +44,10 @@ struct Device {
 
 impl fmt::Display for Histories {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { lives, records, garbage } = self;
+        let Self { lives, records, garbage, parameters } = self;
         let content = if *garbage { "garbage" } else { "blank" };
-        write!(f, "{lives} power-ons, 2 banks of {records} records, {content} first")
+        let stored = if *parameters { ", parameters" } else { "" };
+        write!(f, "{lives} power-ons, 2 banks of {records} records, {content} first{stored}")
     }
 }
 
@@ -49,31 +58,51 @@ fn settings(number: u8) -> Settings {
         .with_heartbeat_ms(number.into())
 }
 
+/// The content after store `number`: of settings, of both, or of parameters alone; settings alone in a log without
+/// parameters.
+fn content<const P: usize>(number: u8, (settings_before, before): &Content) -> Content {
+    match number % 4 {
+        _ if P == 0 => (settings(number), Vec::new()),
+        0 => (settings(number), before.clone()),
+        1 => (settings(number), parameters(number.into(), 10)),
+        2 => (*settings_before, parameters(number.into(), PARAMETERS - 6)),
+        _ => (settings(number), parameters(number.into(), 30)),
+    }
+}
+
 /// One life: power-on and a number of stores, until the power fails. Returns a description of any loss.
-fn live<const W: usize, const E: usize>(
+fn live<const P: usize, const W: usize, const E: usize>(
     flash: &Flash<W, E>,
-    expected: &mut Expected,
+    expected: &mut Expected<Content>,
     mut next: u8,
     stores: usize,
 ) -> Result<u8, String> {
-    let (mut log, found) = Log::open(flash.clone());
+    let (mut log, (settings_found, parameters_found), found) =
+        open_with_parameters::<P, W, E>(flash);
     if !flash.is_powered() {
         return Ok(next);
     }
     let before = expected.clone();
-    if !expected.admits(log.settings()) || matches!(found, Found::MediumFailed(_)) {
+    let read = settings_found.map(|settings| (settings, parameters_found));
+    if !expected.admits(read.clone()) || matches!(found, Found::MediumFailed(_)) {
+        let named = |content: &Option<Content>| {
+            let (settings, parameters) = content.clone().unzip();
+            format!("{} with {:02X?}", Named(settings), parameters.unwrap_or_default())
+        };
         let Expected { known, attempted } = before;
         return Err(format!(
             "{found:?}: {}, not {} or {}",
-            Named(log.settings()),
-            Named(known),
-            Named(attempted)
+            named(&read),
+            named(&known),
+            named(&attempted)
         ));
     }
     for _ in 0..stores {
-        expected.attempt(settings(next));
+        let before = expected.known.clone().unwrap_or((settings(0), Vec::new()));
+        let new = content::<P>(next, &before);
+        expected.attempt(new.clone());
         next += 1;
-        match log.store(settings(next - 1)) {
+        match log.store_with_parameters(new.0, &new.1) {
             Ok(()) => expected.acknowledge(),
             Err(_) if !flash.is_powered() => break,
             // The bank is full until the next power-on.
@@ -87,36 +116,51 @@ impl Histories {
     /// The histories that are tried.
     pub fn all(long: bool) -> Vec<Self> {
         let lives = if long { 6 } else { 4 };
+        let settings =
+            |lives, records, garbage| Self { lives, records, garbage, parameters: false };
+        let lives_of_parameters = if long { 4 } else { 3 };
+        let parameters = |records| Self {
+            lives: lives_of_parameters,
+            records,
+            garbage: false,
+            parameters: true,
+        };
         vec![
-            Self { lives, records: 4, garbage: false },
-            Self { lives, records: 2, garbage: false },
-            Self { lives: lives - 1, records: 4, garbage: true },
-            Self { lives: lives - 1, records: 8, garbage: false },
+            settings(lives, 4, false),
+            settings(lives, 2, false),
+            settings(lives - 1, 4, true),
+            settings(lives - 1, 8, false),
+            parameters(6),
+            parameters(8),
+            parameters(16),
         ]
     }
 
     /// Runs all histories.
     pub fn run(&self, random: &mut Random) -> Tally {
-        match self.records {
-            2 => self.run_in::<64>(random),
-            4 => self.run_in::<128>(random),
-            _ => self.run_in::<256>(random),
+        match (self.records, self.parameters) {
+            (2, false) => self.run_in::<0, 64>(random),
+            (4, false) => self.run_in::<0, 128>(random),
+            (_, false) => self.run_in::<0, 256>(random),
+            (6, true) => self.run_in::<PARAMETERS, 192>(random),
+            (8, true) => self.run_in::<PARAMETERS, 256>(random),
+            (_, true) => self.run_in::<PARAMETERS, 512>(random),
         }
     }
 
-    fn run_in<const E: usize>(&self, random: &mut Random) -> Tally {
+    fn run_in<const P: usize, const E: usize>(&self, random: &mut Random) -> Tally {
         let content = if self.garbage { vec![0xA5; 2 * E] } else { vec![0xFF; 2 * E] };
         let (expected, history) = (Expected::NOTHING, Vec::new());
         let mut tally = Tally::default();
         let device = Device { content, expected, next: 1, history };
-        device.go_on::<E>(self.lives, 2, random, &mut tally);
+        device.go_on::<P, E>(self.lives, 2, random, &mut tally);
         tally
     }
 }
 
 impl Device {
     /// Runs every continuation with this number of lives and at most this number of cuts, and a final power-on.
-    fn go_on<const E: usize>(
+    fn go_on<const P: usize, const E: usize>(
         &self,
         lives: usize,
         cuts: usize,
@@ -124,15 +168,15 @@ impl Device {
         tally: &mut Tally,
     ) {
         if lives == 0 {
-            self.then(&self.flash::<E>(random), 0, "power-on".to_owned(), tally);
+            self.then::<P, E>(&self.flash(random), 0, "power-on".to_owned(), tally);
             return;
         }
         let mut steps = 0;
         for stores in 0..=STORES {
             let flash = self.flash::<E>(random);
-            let then = self.then(&flash, stores, format!("{stores} stores"), tally);
+            let then = self.then::<P, E>(&flash, stores, format!("{stores} stores"), tally);
             let Some(device) = then else { continue };
-            device.go_on::<E>(lives - 1, cuts, random, tally);
+            device.go_on::<P, E>(lives - 1, cuts, random, tally);
             steps = flash.writes() + flash.erases();
         }
         if cuts == 0 {
@@ -143,8 +187,8 @@ impl Device {
             flash.cut_power_after(step);
             tally.cuts += 1;
             let life = format!("{STORES} stores, cut in step {step}");
-            if let Some(device) = self.then(&flash, STORES, life, tally) {
-                device.go_on::<E>(lives - 1, cuts - 1, random, tally);
+            if let Some(device) = self.then::<P, E>(&flash, STORES, life, tally) {
+                device.go_on::<P, E>(lives - 1, cuts - 1, random, tally);
             }
         }
     }
@@ -154,7 +198,7 @@ impl Device {
     }
 
     /// The device after one more life, or `None` if it has lost its settings.
-    fn then<const E: usize>(
+    fn then<const P: usize, const E: usize>(
         &self,
         flash: &Flash<4, E>,
         stores: usize,
@@ -164,7 +208,7 @@ impl Device {
         let mut expected = self.expected.clone();
         let mut history = self.history.clone();
         history.push(life);
-        match live(flash, &mut expected, self.next, stores) {
+        match live::<P, 4, E>(flash, &mut expected, self.next, stores) {
             Ok(next) => Some(Self { content: flash.content(), expected, next, history }),
             Err(loss) => {
                 tally.losses.push(format!("{}: {loss}", history.join("; ")));

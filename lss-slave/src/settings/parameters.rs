@@ -1,0 +1,121 @@
+//! Parameters: the values that object 1010h stores, packed one after another.
+
+use super::record;
+
+/// The bytes that a parameter takes beside its value: index, sub-index, data type and length.
+#[doc(hidden)]
+pub const HEADER: usize = 6;
+
+/// The most bytes of parameters for which a bank of the settings log of `bank_len` bytes has room. They take half of it
+/// with their record, so that others can be stored without an erase.
+pub const fn capacity(bank_len: usize) -> usize {
+    let places = bank_len / 2 / record::LEN as usize;
+    places.saturating_sub(1) * record::PARAMETERS_LEN
+}
+
+/// The value of an object, to be stored or as it was stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Parameter<'a> {
+    /// The index of the object.
+    pub index: u16,
+    /// The sub-index of the object.
+    pub sub_index: u8,
+    /// The CiA 301 data type at the time of the store, see [`DataType`](crate::object_dictionary::DataType).
+    pub data_type: u8,
+    /// The value as in an SDO transfer.
+    pub value: &'a [u8],
+}
+
+impl<'a> Parameter<'a> {
+    /// Takes the first parameter from packed ones.
+    fn take_from(packed: &mut &'a [u8]) -> Option<Self> {
+        let (header, rest) = packed.split_first_chunk()?;
+        let (value, rest) = rest.split_at_checked(value_len(*header).into())?;
+        *packed = rest;
+        let [i0, i1, sub_index, data_type, ..] = *header;
+        Some(Self { index: u16::from_le_bytes([i0, i1]), sub_index, data_type, value })
+    }
+
+    /// The first of the packed parameters.
+    pub(super) fn first_of(mut packed: &'a [u8]) -> Option<Self> {
+        Self::take_from(&mut packed)
+    }
+}
+
+/// The length of the value behind a header.
+pub(super) const fn value_len(header: [u8; HEADER]) -> u16 {
+    let [.., l0, l1] = header;
+    u16::from_le_bytes([l0, l1])
+}
+
+/// The parameters that are packed in these bytes.
+pub fn unpack(mut packed: &[u8]) -> impl Iterator<Item = Parameter<'_>> {
+    core::iter::from_fn(move || Parameter::take_from(&mut packed))
+}
+
+/// Packs parameters into a buffer.
+pub struct Packer<'a> {
+    to: &'a mut [u8],
+    len: usize,
+}
+
+impl<'a> Packer<'a> {
+    /// An empty pack in this buffer.
+    pub const fn new(to: &'a mut [u8]) -> Self {
+        Self { to, len: 0 }
+    }
+
+    /// Appends a parameter.
+    pub fn put(&mut self, parameter: &Parameter<'_>) {
+        let Parameter { index, sub_index, data_type, value } = *parameter;
+        self.put_with(index, sub_index, data_type, value.len(), |to| {
+            to.iter_mut().zip(value).for_each(|(to, from)| *to = *from);
+        });
+    }
+
+    /// Appends a parameter whose value `write` fills in. One that does not fit is left out, which cannot happen in a
+    /// buffer of the length that [`Node::PARAMETERS`](crate::Node::PARAMETERS) gives.
+    pub fn put_with(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        data_type: u8,
+        len: usize,
+        write: impl FnOnce(&mut [u8]),
+    ) {
+        let rest = self.to.get_mut(self.len..).unwrap_or_default();
+        if let Some((header, rest)) = rest.split_first_chunk_mut::<HEADER>()
+            && let Some(value) = rest.get_mut(..len)
+            && let Ok(value_len) = u16::try_from(len)
+        {
+            let ([i0, i1], [l0, l1]) = (index.to_le_bytes(), value_len.to_le_bytes());
+            *header = [i0, i1, sub_index, data_type, l0, l1];
+            write(value);
+            self.len = self.len.saturating_add(HEADER).saturating_add(len);
+        }
+    }
+
+    /// The number of bytes of the packed parameters.
+    pub const fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether nothing is packed.
+    pub const fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+}
+
+/// A part of the node whose values are parameters.
+pub trait Parameters {
+    /// The greatest number of bytes that its parameters take.
+    const LEN: usize;
+
+    /// Packs the current values.
+    fn save(&self, to: &mut Packer<'_>);
+
+    /// Takes a stored value, if it is one of its own: index, sub-index and data type agree, and the value is legal.
+    /// Returns whether it has.
+    fn restore(&mut self, parameter: &Parameter<'_>) -> bool;
+}

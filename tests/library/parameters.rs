@@ -1,0 +1,462 @@
+//! Stored parameters: what 1010h stores and 1011h restores of a node with an application, over power cycles, resets and
+//! another firmware.
+
+use lss_slave::{
+    Application,
+    application::{Event, Text},
+    lss::StoreError,
+    objects,
+    sdo::Abort,
+    settings::{Found, parameters},
+};
+use testkit::{
+    flash::{BoardFlash, Operation},
+    frames::SILENCE,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+objects! {
+    /// A pump, first version.
+    pub struct Pump, values PumpValue;
+
+    0x2100 {
+        0 "Speed" speed: u16 = 100, rw, 10..=1000, stored;
+    }
+    0x2101 "Limits" {
+        1 "Lowest" lowest: i8 = -5, rw, stored;
+        2 "Highest" highest: i32 = 500, rw, stored;
+        3 "Not stored" volatile: u8 = 7, rw;
+        4 "Meter" meter: u64 = 1, ro, stored;
+    }
+    0x6000 {
+        0 "Label" label: Text<12> = Text::EMPTY, rw, stored;
+    }
+    0x6001 {
+        0 "Enabled" enabled: bool = false, rw, stored;
+    }
+}
+
+impl Application for Pump {
+    fn accept(&mut self, value: &PumpValue) -> Result<(), Abort> {
+        match value {
+            PumpValue::highest(600) => Err(Abort::DeviceState),
+            _ => Ok(()),
+        }
+    }
+
+    fn handle(&mut self, _: Event) {}
+}
+
+objects! {
+    /// The same pump in a later version: one value has another type, one other limits, one is shorter, one is no longer
+    /// stored, one is new, one is gone.
+    pub struct NewPump, values NewPumpValue;
+
+    0x2100 {
+        0 "Speed" speed: u16 = 100, rw, 10..=300, stored;
+    }
+    0x2101 "Limits" {
+        1 "Lowest" lowest: i16 = -50, rw, stored;
+        2 "Highest" highest: i32 = 500, rw, stored;
+        5 "New" new: u32 = 55, rw, stored;
+    }
+    0x2200 "Many" {
+        1 "1" m1: u64 = 1, rw, stored;
+        2 "2" m2: u64 = 2, rw, stored;
+        3 "3" m3: u64 = 3, rw, stored;
+        4 "4" m4: u64 = 4, rw, stored;
+    }
+    0x6000 {
+        0 "Label" label: Text<3> = Text::EMPTY, rw, stored;
+    }
+    0x6001 {
+        0 "Enabled" enabled: bool = false, rw;
+    }
+}
+
+impl Application for NewPump {}
+
+objects! {
+    /// An application that stores a single byte.
+    pub struct Small, values SmallValue;
+
+    0x6001 {
+        0 "Enabled" enabled: bool = false, rw, stored;
+    }
+}
+
+impl Application for Small {}
+
+/// The bytes of a stored value beside it.
+const HEADER: usize = 6;
+const FAILED: Result<(), u32> = Err(0x0606_0000);
+
+fn board_with<A: Application + Clone>(flash: &BoardFlash, application: A) -> NodeRig<A> {
+    let device = device(ADDRESS).with_defaults(defaults(0x40).with_heartbeat_ms(500));
+    NodeRig::with_application(device, flash.clone(), 0, application)
+}
+
+/// A new board with a pump and node-ID 40h.
+fn board() -> NodeRig<Pump> {
+    board_with(&BoardFlash::blank(0), Pump::new())
+}
+
+fn save(board: &mut NodeRig<impl Application + Clone>, sub_index: u8) -> Result<(), u32> {
+    board.download(0x1010, sub_index, b"save")
+}
+
+fn load(board: &mut NodeRig<impl Application + Clone>, sub_index: u8) -> Result<(), u32> {
+    board.download(0x1011, sub_index, b"load")
+}
+
+/// A board whose speed is 200 and whose heartbeat time is 1000 ms, both stored, and then 300 and 2000 ms.
+fn board_with_200_stored_and_300_set() -> NodeRig<Pump> {
+    let mut board = board();
+    set(&mut board, 200, 1000);
+    save(&mut board, 1).unwrap();
+    set(&mut board, 300, 2000);
+    board
+}
+
+fn set(board: &mut NodeRig<Pump>, speed: u16, heartbeat_ms: u16) {
+    board.download(0x2100, 0, &speed.to_le_bytes()).unwrap();
+    board.download(0x1017, 0, &heartbeat_ms.to_le_bytes()).unwrap();
+}
+
+/// The speed and the heartbeat time.
+fn values(board: &mut NodeRig<Pump>) -> (u32, u32) {
+    (board.number(0x2100, 0), board.number(0x1017, 0))
+}
+
+#[test]
+fn store_and_restore_have_three_sub_indices_beside_an_application() {
+    let mut board = board();
+    for index in [0x1010, 0x1011] {
+        assert_eq!(board.upload(index, 0), Ok(vec![3]));
+        for sub_index in 1..=3 {
+            assert_eq!(board.number(index, sub_index), 1, "on command");
+            assert_eq!(board.download(index, sub_index, b"evas"), Err(0x0800_0020));
+        }
+        assert_eq!(board.upload(index, 4), Err(0x0609_0011));
+    }
+    let mut board = NodeRig::with_node_id(0x40);
+    for index in [0x1010, 0x1011] {
+        assert_eq!(board.upload(index, 0), Ok(vec![1]));
+        assert_eq!(board.upload(index, 2), Err(0x0609_0011));
+    }
+}
+
+#[test]
+fn stored_values_of_each_type_survive_a_power_cycle() {
+    let mut board = board();
+    let pump = board.node.application_mut();
+    (pump.speed, pump.lowest, pump.highest) = (200, -1, -70_000);
+    (pump.volatile, pump.meter, pump.enabled) = (8, 0x1122_3344_5566_7788, true);
+    pump.label = Text::from_bytes(b"Main pump").unwrap();
+    assert_eq!(save(&mut board, 1), Ok(()));
+    board.power_cycle();
+    assert_eq!(board.found, Found::Complete);
+    let pump = board.node.application();
+    assert_eq!((pump.speed, pump.lowest, pump.highest), (200, -1, -70_000));
+    assert_eq!((pump.meter, pump.enabled), (0x1122_3344_5566_7788, true));
+    assert_eq!(pump.label.as_str(), "Main pump");
+    assert_eq!(pump.volatile, 7, "this one is not stored");
+}
+
+#[test]
+fn values_that_were_not_saved_are_lost_at_power_cycle_and_reset_node() {
+    let mut board = board_with_200_stored_and_300_set();
+    board.power_cycle();
+    assert_eq!(values(&mut board), (200, 1000));
+    set(&mut board, 300, 2000);
+    board.nmt("81 00");
+    assert_eq!(values(&mut board), (200, 1000));
+}
+
+#[test]
+fn reset_communication_leaves_the_values_of_the_application() {
+    let mut board = board_with_200_stored_and_300_set();
+    board.nmt("82 00");
+    assert_eq!(values(&mut board), (300, 1000));
+}
+
+#[test]
+fn save_of_sub_index_1_2_or_3_stores_its_part_and_keeps_the_other() {
+    for (sub_index, stored) in [(1, (300, 2000)), (2, (200, 2000)), (3, (300, 1000))] {
+        let mut board = board_with_200_stored_and_300_set();
+        assert_eq!(save(&mut board, sub_index), Ok(()));
+        assert_eq!(values(&mut board), (300, 2000), "nothing in use changes");
+        board.power_cycle();
+        assert_eq!(values(&mut board), stored, "sub-index {sub_index}");
+    }
+}
+
+#[test]
+fn load_of_sub_index_1_2_or_3_restores_its_part_at_the_next_reset() {
+    for (sub_index, restored) in [(1, (100, 500)), (2, (200, 500)), (3, (100, 1000))] {
+        let mut board = board_with_200_stored_and_300_set();
+        assert_eq!(load(&mut board, sub_index), Ok(()));
+        assert_eq!(values(&mut board), (300, 2000), "nothing changes before the reset");
+        board.nmt("81 00");
+        assert_eq!(values(&mut board), restored, "sub-index {sub_index}");
+        board.power_cycle();
+        assert_eq!(values(&mut board), restored);
+    }
+}
+
+#[test]
+fn neither_save_nor_load_touches_node_id_and_bit_rate() {
+    for sub_index in 1..=3 {
+        let mut board = board();
+        board.lss("04 01");
+        board.lss("11 05");
+        board.lss("13 00 02");
+        board.lss("17");
+        let stored = board.stored().unwrap();
+        board.lss("11 06");
+        board.lss("13 00 03");
+        for index in [0x1010, 0x1011] {
+            let signature = if index == 0x1010 { b"save" } else { b"load" };
+            board.download(index, sub_index, signature).unwrap();
+            let now = board.stored().unwrap();
+            assert_eq!((now.node_id, now.bit_rate), (stored.node_id, stored.bit_rate));
+        }
+    }
+}
+
+#[test]
+fn a_store_by_lss_keeps_the_parameters_and_writes_one_record() {
+    let mut board = board_with_200_stored_and_300_set();
+    let parameters = board.stored_parameters().to_vec();
+    let writes = board.flash.writes();
+    board.lss("04 01");
+    board.lss("11 41");
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.flash.writes(), writes + 8, "one record of eight words");
+    assert_eq!(board.stored_parameters(), parameters);
+    board.power_cycle();
+    assert_eq!(
+        (board.stored().unwrap().node_id.unwrap().get(), board.found),
+        (0x41, Found::Complete)
+    );
+    assert_eq!((board.node.application().speed, board.number(0x1017, 0)), (200, 1000));
+}
+
+#[test]
+fn unchanged_parameters_are_not_written() {
+    let mut board = board_with_200_stored_and_300_set();
+    save(&mut board, 1).unwrap();
+    for sub_index in [1, 2, 3] {
+        let writes = board.flash.writes();
+        assert_eq!(save(&mut board, sub_index), Ok(()));
+        assert_eq!(board.flash.writes(), writes, "sub-index {sub_index}");
+    }
+    board.power_cycle();
+    let writes = board.flash.writes();
+    assert_eq!(save(&mut board, 1), Ok(()));
+    assert_eq!(board.flash.writes(), writes, "after a power cycle");
+    board.download(0x1017, 0, &[1, 0]).unwrap();
+    assert_eq!(save(&mut board, 1), Ok(()));
+    assert_eq!(board.flash.writes(), writes + 8, "the heartbeat time is in the record");
+}
+
+#[test]
+fn the_values_are_those_of_the_moment_at_which_the_board_begins_to_store() {
+    let mut board = board();
+    board.let_stores_take_time();
+    set(&mut board, 200, 1000);
+    assert_eq!(board.sdo("23 10 10 01 73 61 76 65"), SILENCE, "the answer follows the store");
+    board.node.application_mut().speed = 250;
+    assert_eq!(board.finish_store(), ["5C0: 60 10 10 01 00 00 00 00"]);
+    board.power_cycle();
+    assert_eq!(values(&mut board), (250, 1000));
+}
+
+#[test]
+fn a_save_of_the_application_keeps_the_heartbeat_time_of_a_save_before_it() {
+    let mut board = board();
+    board.let_stores_take_time();
+    set(&mut board, 200, 1000);
+    board.sdo("23 10 10 02 73 61 76 65");
+    assert_eq!(board.sdo("23 10 10 03 73 61 76 65"), SILENCE, "it waits for the other store");
+    board.finish_store();
+    board.finish_store();
+    board.power_cycle();
+    assert_eq!(values(&mut board), (200, 1000));
+}
+
+#[test]
+fn a_save_whose_client_a_reset_has_cancelled_still_stores_the_parameters() {
+    let mut board = board();
+    board.let_stores_take_time();
+    set(&mut board, 200, 1000);
+    board.sdo("23 10 10 01 73 61 76 65");
+    board.nmt("82 00");
+    assert_eq!(board.finish_store(), SILENCE);
+    board.power_cycle();
+    assert_eq!(values(&mut board), (200, 1000));
+}
+
+#[test]
+fn a_save_that_fails_is_answered_0606_0000_and_old_values_stay() {
+    for operation in [Operation::Write, Operation::Read] {
+        for others in 0.. {
+            let mut board = board_with_200_stored_and_300_set();
+            board.flash.fail_once(operation, others);
+            let outcome = save(&mut board, 1);
+            if board.flash.is_faulty() {
+                break;
+            }
+            board.power_cycle();
+            let stored = if outcome.is_ok() { (300, 2000) } else { (200, 1000) };
+            assert_eq!(values(&mut board), stored, "{operation:?} {others}: {outcome:?}");
+            assert!(outcome == FAILED || outcome == Ok(()));
+        }
+    }
+    let mut board = board();
+    board.let_stores_take_time();
+    board.sdo("23 10 10 03 73 61 76 65");
+    let outcome = board.end_store(Err(StoreError::MediumAccess));
+    assert_eq!(outcome, ["5C0: 80 10 10 03 00 00 06 06"]);
+}
+
+#[test]
+fn a_save_into_a_full_flash_is_0606_0000_and_the_next_start_makes_room() {
+    let mut board = board();
+    let mut speed = 10;
+    let full = loop {
+        board.download(0x2100, 0, &u16::to_le_bytes(speed)).unwrap();
+        let outcome = save(&mut board, 3);
+        if outcome.is_err() {
+            break outcome;
+        }
+        speed += 1;
+    };
+    assert_eq!(full, FAILED);
+    // Parameters take three places and their record one; 512 places begin with one record.
+    assert_eq!(speed - 10, 511 / 4);
+    let erases = board.flash.erases();
+    board.power_cycle();
+    assert_eq!((board.flash.erases(), board.found), (erases + 1, Found::Complete));
+    assert_eq!(board.number(0x2100, 0), u32::from(speed) - 1, "moved to the other bank");
+    board.download(0x2100, 0, &speed.to_le_bytes()).unwrap();
+    assert_eq!(save(&mut board, 3), Ok(()));
+}
+
+#[test]
+fn another_firmware_takes_the_values_whose_type_and_limits_agree() {
+    let mut old = board();
+    let pump = old.node.application_mut();
+    (pump.speed, pump.lowest, pump.highest, pump.enabled) = (500, -1, 600, true);
+    pump.label = Text::from_bytes(b"Main pump").unwrap();
+    save(&mut old, 1).unwrap();
+    let board = board_with(&old.flash, NewPump::new());
+    assert_eq!(board.found, Found::Complete);
+    let new = board.node.application();
+    assert_eq!(new.speed, 100, "500 is out of its limits");
+    assert_eq!(new.lowest, -50, "it has another type");
+    assert_eq!(new.highest, 600, "which accept would have refused from a client");
+    assert_eq!((new.new, new.m1, new.m4), (55, 1, 4), "they are new");
+    assert_eq!(new.label, Text::EMPTY, "it is too long");
+    assert!(!new.enabled, "it is no longer stored");
+    let board = board_with(&old.flash, Small::new());
+    assert!(board.node.application().enabled, "the other values do not fit in the buffer");
+    assert_eq!(board.stored_parameters().len(), HEADER + 1);
+}
+
+#[test]
+fn values_unknown_to_a_firmware_outlast_its_stores_by_lss() {
+    let mut old = board_with_200_stored_and_300_set();
+    old.node.application_mut().enabled = true;
+    save(&mut old, 1).unwrap();
+    let mut other = board_with(&old.flash, Small::new());
+    other.lss("04 01");
+    // Enough to move to the other bank at the next start.
+    for n in 0..500 {
+        other.lss(&format!("11 {:02X}", n % 64 + 1));
+        assert_eq!(other.lss("17"), ["17 00"]);
+    }
+    other.power_cycle();
+    assert_eq!(board_with(&old.flash, Pump::new()).node.application().speed, 300);
+    // A store of its own parameters replaces them.
+    let mut other = board_with(&old.flash, Small::new());
+    other.node.application_mut().enabled = false;
+    other.lss("04 01");
+    other.lss("11 40");
+    other.lss("17");
+    other.power_cycle();
+    other.node.application_mut().enabled = false;
+    save(&mut other, 3).unwrap();
+    assert_eq!(board_with(&old.flash, Pump::new()).node.application().speed, 100);
+}
+
+#[test]
+fn a_node_without_an_application_keeps_its_settings_but_no_parameters() {
+    let mut board = board_with_200_stored_and_300_set();
+    let device = device(ADDRESS).with_defaults(defaults(0x40));
+    let mut other = NodeRig::with_device(device, board.flash.clone(), 0);
+    assert_eq!((other.found, other.number(0x1017, 0)), (Found::Complete, 1000));
+    assert_eq!(board.power_cycle(), ["740: 00"]);
+    assert_eq!(values(&mut board), (200, 1000), "as long as the other stores nothing");
+    let mut other = NodeRig::with_device(device, board.flash.clone(), 0);
+    other.download(0x1017, 0, &[1, 0]).unwrap();
+    other.download(0x1010, 1, b"save").unwrap();
+    board.power_cycle();
+    assert_eq!(values(&mut board), (200, 1));
+}
+
+#[test]
+fn the_capacity_is_the_sum_of_the_longest_values() {
+    let lens = [2, 1, 4, 8, 12, 1];
+    let sum: usize = lens.iter().map(|len| HEADER + len).sum();
+    assert_eq!(lss_slave::Node::<Pump>::PARAMETERS, sum);
+    assert_eq!(<lss_slave::Node>::PARAMETERS, 0);
+    let mut board = board();
+    board.node.application_mut().label = Text::from_bytes(b"twelve bytes").unwrap();
+    save(&mut board, 1).unwrap();
+    assert_eq!(board.stored_parameters().len(), sum);
+}
+
+#[test]
+fn the_parameters_are_packed_as_documented() {
+    let mut board = board_with(&BoardFlash::blank(0), Small::new());
+    board.node.application_mut().enabled = true;
+    save(&mut board, 3).unwrap();
+    assert_eq!(board.stored_parameters(), [0x01, 0x60, 0, 0x01, 1, 0, 1]);
+    let unpacked: Vec<_> = parameters::unpack(board.stored_parameters()).collect();
+    assert_eq!((unpacked.len(), unpacked[0].index, unpacked[0].value), (1, 0x6001, &[1][..]));
+    let content = board.flash.content();
+    let crc = 0xFD96_E654_u32; // Checked with Python's zlib.
+    assert_eq!(content[32..36], [2, 0, 0, 0], "the sequence");
+    assert_eq!(content[36..43], [0x01, 0x60, 0, 0x01, 1, 0, 1]);
+    assert_eq!(content[43..60], [0xFF; 17]);
+    assert_eq!(&content[60..64], b"LSSP");
+    assert_eq!(content[64..68], [3, 0, 0, 0]);
+    assert_eq!(content[74..78], [1, 0, 7, 0], "the first place and the length");
+    assert_eq!(content[78..82], crc.to_le_bytes());
+    assert_eq!(content[82..88], [0xFF; 6]);
+}
+
+objects! {
+    /// An application that stores nothing.
+    pub struct Volatile, values VolatileValue;
+
+    0x6001 {
+        0 "Enabled" enabled: bool = false, rw;
+    }
+}
+
+impl Application for Volatile {}
+
+#[test]
+fn a_save_of_the_part_of_an_application_that_stores_nothing_changes_nothing() {
+    let mut board = board_with(&BoardFlash::blank(0), Volatile::new());
+    board.download(0x1017, 0, &[1, 0]).unwrap();
+    assert_eq!(save(&mut board, 3), Ok(()));
+    board.power_cycle();
+    assert_eq!(board.number(0x1017, 0), 500);
+    board.download(0x1017, 0, &[1, 0]).unwrap();
+    assert_eq!(save(&mut board, 2), Ok(()));
+    board.power_cycle();
+    assert_eq!(board.number(0x1017, 0), 1);
+}

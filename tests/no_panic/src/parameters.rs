@@ -1,0 +1,67 @@
+//! An application and its stored parameters, with unknown values.
+
+use core::hint::black_box;
+
+use lss_slave::{
+    Application, Frame, Node,
+    application::{OctetString, Text},
+    lss::StoreError,
+    objects,
+    settings::{
+        Log,
+        parameters::{Packer, Parameter, unpack},
+    },
+};
+
+use super::{Flash, any, any_device, any_instant, any_settings};
+
+objects! {
+    /// One object of each kind of type.
+    pub struct Objects, values ObjectValue;
+
+    0x2100 {
+        0 "Number" number: u8 = 50, rw, 0..=100, stored;
+    }
+    0x2101 "Others" {
+        1 "Boolean" boolean: bool = false, rw, stored;
+        2 "Real number" real: f32 = 0.0, rw, stored;
+        3 "Long number" long: u64 = 0, ro, stored;
+        4 "Text" text: Text<8> = Text::EMPTY, rw, stored;
+        5 "Octets" octets: OctetString<8> = OctetString::EMPTY, rw, stored;
+    }
+}
+
+impl Application for Objects {}
+
+const PARAMETERS: usize = Node::<Objects>::PARAMETERS;
+type ParametersLog = Log<Flash, PARAMETERS>;
+
+fn any_bytes() -> &'static [u8] {
+    any(&[])
+}
+
+pub fn keep() {
+    let (mut log, found) = any(ParametersLog::open_with_parameters(Flash));
+    black_box(found);
+    let mut node = Node::with_application(any_device(), any(None), any(Objects::new()));
+    black_box(black_box(&mut log).restore(|parameter| node.restore(parameter))).ok();
+    black_box(log.parameters());
+    black_box(black_box(&mut log).store(any_settings())).ok();
+    black_box(black_box(&mut log).store_with_parameters(any_settings(), any_bytes())).ok();
+
+    let value = any_bytes();
+    let parameter = Parameter { index: any(0), sub_index: any(0), data_type: any(0), value };
+    black_box(node.restore(&parameter));
+    if let Some(frame) = Frame::from_padded(any(0), any(0), any([0; 8])) {
+        black_box(black_box(&mut node).handle_frame(&any(frame), any_instant()));
+    }
+    black_box(black_box(&mut node).poll(any_instant()));
+    let mut packed = [0; PARAMETERS];
+    black_box(black_box(&node).write_parameters(any_bytes(), any(&mut packed)));
+    black_box(&mut node).handle_stored(any(Err(StoreError::MediumAccess)));
+
+    Packer::new(any(&mut packed)).put(&parameter);
+    unpack(any_bytes()).for_each(|parameter| {
+        black_box(parameter);
+    });
+}
