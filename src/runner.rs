@@ -205,9 +205,11 @@ impl Runner {
     fn act(&mut self, action: Action) {
         match action {
             Action::Transmit(frame) => self.can.transmit(frame),
-            Action::SetNodeId(id) => {
-                defmt::info!("node-ID {=u8} (255 is none)", NodeId::to_lss(id));
-                self.can.forget_all_but(lss::RESPONSE_COB_ID);
+            Action::SetNodeId(_) | Action::SetReceives => {
+                if let Action::SetNodeId(id) = action {
+                    defmt::info!("node-ID {=u8} (255 is none)", NodeId::to_lss(id));
+                    self.can.forget_all_but(lss::RESPONSE_COB_ID);
+                }
                 self.can.set_receives(self.node.receives());
             }
             Action::StopTransmitting => {

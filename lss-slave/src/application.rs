@@ -38,7 +38,12 @@ pub use declaration::{check, check_limits, complete};
 pub use text::{OctetString, Text};
 pub use value::{Domain, Value};
 
-use crate::{BitRate, nmt, object_dictionary::Entry, sdo::Abort};
+use crate::{
+    BitRate, NodeId, nmt,
+    object_dictionary::Entry,
+    process_data::{Rpdo, Tpdo},
+    sdo::Abort,
+};
 
 /// The objects of a product: what [`objects!`](crate::objects) implements.
 pub trait Dictionary {
@@ -68,6 +73,11 @@ pub trait Dictionary {
 
 /// A product's behaviour beside the node. Each method does nothing by default.
 pub trait Application: Dictionary {
+    /// The TPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
+    const TPDOS: &'static [Tpdo] = &[];
+    /// The RPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
+    const RPDOS: &'static [Rpdo] = &[];
+
     /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
     /// the start.
     ///
@@ -134,6 +144,14 @@ pub enum Event {
     Nmt(nmt::State),
     /// The node runs or listens at another bit rate.
     BitRate(BitRate),
+    /// The values of the RPDO with this number, from 1, have taken effect.
+    Received(u8),
+    /// A SYNC was received in NMT operational. TPDOs that it asks for carry the values as they are after this event.
+    Sync,
+    /// A node that the heartbeat consumer watches has booted.
+    BootUp(NodeId),
+    /// The heartbeat of a node that the heartbeat consumer watches is missing.
+    HeartbeatLost(NodeId),
 }
 
 /// What an EDS says of a value, beside its [`Entry`].
