@@ -13,14 +13,14 @@
 //! Compared with register access alone, `bxcan` costs 444 bytes of flash and 0.8 us per answer, and leaves two
 //! unreachable panics in the image (docs/size-and-speed.md).
 
-use core::mem;
+use core::{array, iter, mem};
 
 use bxcan::{
     Data, Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
 };
 use cortex_m::peripheral::SCB;
-use lss_slave::{BitRate, BusEvent, Frame, Instant, indicator::BusState};
+use lss_slave::{BitRate, BusEvent, Frame, Instant, Receives, indicator::BusState, lss};
 use stm32f4xx_hal::{
     can::Can,
     gpio::{PinPull, Pull, alt::can1},
@@ -43,6 +43,9 @@ const RELEASE_READS: u32 = 16;
 /// The time between samples of the bus level, and between an error and the next error interrupt.
 const WATCH_MICROS: u32 = 1_000;
 
+/// The COB-IDs of a filter bank in list mode (RM0090, 32.7.4).
+const IDS_PER_BANK: usize = 4;
+
 /// CAN1, as used by the node.
 pub struct Controller {
     can: bxcan::Can<Can<CAN1>>,
@@ -53,7 +56,7 @@ pub struct Controller {
     is_listening: bool,
     /// While listening: whether anything was heard since the last look.
     has_heard: bool,
-    receives: [u16; 3],
+    receives: Receives,
     may_transmit: bool,
     /// Whether a frame was received, or sent and acknowledged, since the last [`look`](Self::look).
     has_understood: bool,
@@ -90,7 +93,7 @@ impl Controller {
         can: CAN1,
         (transmit_pin, receive_pin): (TransmitPin, can1::Rx),
         rcc: &mut RCC,
-        receives: [u16; 3],
+        receives: Receives,
     ) -> Self {
         let can = Can::rx(can, receive_pin.internal_resistor(Pull::Up), rcc);
         // SAFETY: both handles belong to one owner, and `bxcan` keeps no copy of the registers.
@@ -132,7 +135,7 @@ impl Controller {
     }
 
     /// Sets the COB-IDs to receive.
-    pub fn set_receives(&mut self, receives: [u16; 3]) {
+    pub fn set_receives(&mut self, receives: Receives) {
         self.receives = receives;
         self.set_filters();
     }
@@ -183,12 +186,19 @@ impl Controller {
             filters.enable_bank(0, Fifo::Fifo0, everything);
             return;
         }
-        let [first, second, third] = self.receives.map(|cob_id| {
-            ListEntry16::data_frames_with_id(StandardId::new(cob_id).unwrap_or(StandardId::ZERO))
-        });
-        let wanted = BankConfig::List16([first, second, third, first]);
-        filters.enable_bank(0, Fifo::Fifo0, wanted);
-        filters.enable_bank(1, Fifo::Fifo1, everything);
+        let Receives { services, rpdos, heartbeats } = &self.receives;
+        // At most six of the 14 banks of CAN1.
+        let mut bank = 0;
+        let others = rpdos.chunks(IDS_PER_BANK).chain(heartbeats.chunks(IDS_PER_BANK));
+        for ids in iter::once(services.as_slice()).chain(others) {
+            let wanted = array::from_fn(|at| {
+                let id = StandardId::new(ids.get(at).copied().unwrap_or(lss::REQUEST_COB_ID));
+                ListEntry16::data_frames_with_id(id.unwrap_or(StandardId::ZERO))
+            });
+            filters.enable_bank(bank, Fifo::Fifo0, BankConfig::List16(wanted));
+            bank += 1;
+        }
+        filters.enable_bank(bank, Fifo::Fifo1, everything);
     }
 
     /// Whether a valid frame for others has been received since the last call.

@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// The greatest number of bytes that the stored parameters take.
-pub const PARAMETERS: usize = Node::<Application>::PARAMETERS;
+pub const PARAMETERS: usize = <Node<Application>>::PARAMETERS;
 
 /// The node, its controller, and their next deadline.
 pub struct Runner {
@@ -225,9 +225,11 @@ impl Runner {
     fn act(&mut self, action: Action) {
         match action {
             Action::Transmit(frame) => self.can.transmit(frame),
-            Action::SetNodeId(id) => {
-                defmt::info!("node-ID {=u8} (255: none)", NodeId::to_lss(id));
-                self.can.forget_all_but(lss::RESPONSE_COB_ID);
+            Action::SetNodeId(_) | Action::SetReceives => {
+                if let Action::SetNodeId(id) = action {
+                    defmt::info!("node-ID {=u8} (255: none)", NodeId::to_lss(id));
+                    self.can.forget_all_but(lss::RESPONSE_COB_ID);
+                }
                 self.can.set_receives(self.node.receives());
             }
             Action::StopTransmitting => {

@@ -2,7 +2,7 @@
 
 use core::cmp::Reverse;
 
-use lss_slave::{Frame, nmt};
+use lss_slave::{Frame, Node, nmt};
 
 /// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
 /// other frames fills the queue.
@@ -50,12 +50,19 @@ impl TransmitQueue {
         }
     }
 
-    /// Adds a frame; returns whether there was room. A heartbeat that is already waiting is not added again, so that a
-    /// board that is alone on its bus does not accumulate them.
+    /// Adds a frame; returns whether there was room. A heartbeat that is already waiting is not added again, and a PDO
+    /// replaces the waiting one of the same COB-ID, so that a board that is alone on its bus does not accumulate them.
     pub fn push(&mut self, frame: Frame) -> bool {
         let is_error_control = frame.cob_id() & !0x7F == nmt::ERROR_CONTROL_COB_ID;
         if is_error_control && self.places.iter().flatten().any(|waiting| waiting.frame == frame) {
             return true;
+        }
+        if <Node>::HAS_TPDOS && is_process_data(frame.cob_id()) {
+            let mut waiting = self.places.iter_mut().flatten();
+            if let Some(older) = waiting.find(|older| older.frame.cob_id() == frame.cob_id()) {
+                older.frame = frame;
+                return true;
+            }
         }
         let Some(place) = self.places.iter_mut().find(|place| place.is_none()) else {
             return false;
@@ -81,4 +88,9 @@ impl TransmitQueue {
         }
         is_sent
     }
+}
+
+/// Whether only PDOs may have this COB-ID: 180h to 57Fh and 680h to 6DFh (CiA 301, 7.3.5).
+fn is_process_data(cob_id: u16) -> bool {
+    matches!(cob_id, 0x180..=0x57F | 0x680..=0x6DF)
 }

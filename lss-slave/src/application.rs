@@ -41,8 +41,9 @@ pub use value::{Domain, Value};
 use core::iter;
 
 use crate::{
-    BitRate, Device, nmt,
-    object_dictionary::{self, Description, Entry, PARAMETERS, TABLE},
+    BitRate, NodeId, nmt,
+    object_dictionary::{Description, Entry},
+    process_data::{Rpdo, Tpdo},
     sdo::Abort,
 };
 
@@ -78,6 +79,11 @@ pub trait Dictionary {
 
 /// A product's behaviour beside the node. Each method does nothing by default.
 pub trait Application: Dictionary {
+    /// The TPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
+    const TPDOS: &'static [Tpdo] = &[];
+    /// The RPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
+    const RPDOS: &'static [Rpdo] = &[];
+
     /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
     /// the start.
     ///
@@ -144,23 +150,14 @@ pub enum Event {
     Nmt(nmt::State),
     /// The node runs or listens at another bit rate.
     BitRate(BitRate),
-}
-
-/// The objects of a node with the application `A`, the node's own first, for an EDS or a page of documentation. The
-/// image does not contain them.
-pub fn entries<A: Dictionary>(
-    device: &Device,
-) -> impl Iterator<Item = (Entry, Description)> + use<A> {
-    let has_parameters = !A::OBJECTS.is_empty();
-    let is_replaced = move |(entry, _): &(Entry, Description)| {
-        has_parameters && matches!(entry.index, 0x1010 | 0x1011)
-    };
-    let own = TABLE.iter().copied().zip(object_dictionary::descriptions(device));
-    let parameters =
-        PARAMETERS.iter().copied().zip(object_dictionary::parameter_descriptions(device));
-    own.filter(move |row| !is_replaced(row))
-        .chain(parameters.filter(move |_| has_parameters))
-        .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
+    /// The values of the RPDO with this number, from 1, have taken effect.
+    Received(u8),
+    /// A SYNC was received in NMT operational. TPDOs that it asks for carry the values as they are after this event.
+    Sync,
+    /// A node that the heartbeat consumer watches has booted.
+    BootUp(NodeId),
+    /// The heartbeat of a node that the heartbeat consumer watches is missing.
+    HeartbeatLost(NodeId),
 }
 
 /// The application of a node without one.

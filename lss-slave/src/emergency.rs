@@ -1,5 +1,9 @@
 //! Emergency messages (CiA 301, 7.2.7): the faults that the node reports and its error history 1003h.
 
+mod reports;
+
+pub(crate) use reports::{Errors, Reports};
+
 use core::mem;
 
 use crate::{BitRate, Frame, NodeId};
@@ -61,10 +65,13 @@ const fn error_code(fault: u8) -> u16 {
     }
 }
 
+/// Bit 0 of the error register 1001h: there is an error.
+const GENERIC: u8 = 1 << 0;
+/// Bit 4 of the error register 1001h: an error of communication.
+pub(crate) const COMMUNICATION: u8 = 1 << 4;
+
 /// The error register 1001h for a set of faults.
 const fn error_register(faults: u8) -> u8 {
-    const GENERIC: u8 = 1 << 0;
-    const COMMUNICATION: u8 = 1 << 4;
     match faults {
         0 => 0,
         SETTINGS_LOST => GENERIC,
@@ -224,7 +231,13 @@ impl Emergency {
         self.history = [0; HISTORY_LEN as usize];
     }
 
-    fn enter(&mut self, error: u32) {
+    /// Records that an error has ended, whose message is not in this queue.
+    pub const fn note_end(&mut self) {
+        self.is_end_unsent = true;
+    }
+
+    /// Adds an error to the history 1003h.
+    pub fn enter(&mut self, error: u32) {
         let mut newer = error;
         for place in &mut self.history {
             newer = mem::replace(place, newer);
@@ -246,20 +259,27 @@ impl Emergency {
         self.in_flight = 0;
     }
 
+    /// Whether the node hears nothing but errors.
+    pub const fn must_wait(&self) -> bool {
+        self.error_counters.receive >= ERROR_PASSIVE_LIMIT
+    }
+
     /// The next message, if there is one to send. While the node hears nothing but errors it sends none: a message
     /// would disturb nodes that may run at another bit rate.
     ///
     /// Error code 0 is sent when no fault is left. CiA 301 allows it at the end of each fault, but some masters take it
     /// for the end of all faults.
-    pub fn next(&mut self, node: NodeId) -> Option<Frame> {
-        if self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
+    ///
+    /// `others` is the error register for the errors of [`Reports`].
+    pub fn next(&mut self, node: NodeId, others: u8) -> Option<Frame> {
+        if self.must_wait() {
             return None;
         }
         let fault = self.unsent & self.unsent.wrapping_neg();
         self.unsent &= !fault;
         self.in_flight |= fault;
         let (error_code, rates) = match fault {
-            0 if mem::take(&mut self.is_end_unsent) && self.lasting == 0 => {
+            0 if mem::take(&mut self.is_end_unsent) && self.lasting == 0 && others == 0 => {
                 self.in_flight |= END;
                 (0, self.rates)
             }
@@ -267,7 +287,7 @@ impl Emergency {
             AWAY_FROM_HOME_RATE => (error_code(fault), self.rates),
             _ => (error_code(fault), 0),
         };
-        let register = error_register(fault | self.lasting);
+        let register = error_register(fault | self.lasting) | others;
         let data = u64::from(error_code) | u64::from(register) << 16 | u64::from(rates) << 24;
         Some(Frame::with_eight_bytes(COB_ID + u16::from(node.get()), data.to_le_bytes()))
     }

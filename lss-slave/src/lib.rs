@@ -46,6 +46,7 @@ pub mod indicator;
 pub mod lss;
 pub mod nmt;
 pub mod object_dictionary;
+pub mod process_data;
 pub mod sdo;
 pub mod settings;
 
@@ -66,7 +67,7 @@ pub use bit_rate::{BitRate, BitRateSetting, BitRates};
 pub use bus_event::BusEvent;
 pub use can::Frame;
 pub use device::Device;
-pub use node::{Action, Node};
+pub use node::{Action, Node, Receives};
 pub use node_id::{InvalidNodeId, NodeId};
 pub use settings::Settings;
 pub use time::Instant;

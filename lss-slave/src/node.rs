@@ -1,18 +1,23 @@
-//! The node, which joins LSS, bit rate control, NMT, SDO, emergency and storing. Inputs are `handle_*` and `poll`;
+//! The node, which joins LSS, bit rate control, NMT, SDO, emergency, storing and process data. Inputs are `handle_*` and `poll`;
 //! outputs are actions.
 
 mod bit_rate_control;
 mod nmt_slave;
 mod objects;
 mod parameters;
+mod process;
+mod receives;
 mod storing;
+
+use core::array;
 
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
-    emergency::{Emergency, ErrorCounters, Fault},
+    emergency::{Emergency, ErrorCounters, Fault, Reports},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
+    process_data::ProcessData,
     sdo,
     settings::parameters::{Packer, Parameter, Parameters},
     supervision::Step,
@@ -21,6 +26,7 @@ use bit_rate_control::BitRateControl;
 use nmt_slave::NmtSlave;
 use objects::Parts;
 use parameters::{Change, Part};
+pub use receives::Receives;
 use storing::Storing;
 
 /// An action for the board to carry out.
@@ -28,12 +34,15 @@ use storing::Storing;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action {
-    /// Send this frame. Frames of equal COB-ID must leave in the order of their actions.
+    /// Send this frame. Frames of equal COB-ID must leave in the order of their actions. A PDO may replace an older one
+    /// of its COB-ID that has not left.
     Transmit(Frame),
     /// Receive the COB-IDs that a node with this node-ID [`receives`](Node::receives). Drop all pending frames except
     /// those of COB-ID 7E4h: they carry the previous COB-IDs. A frame that is on the bus now may finish; later frames
     /// of the node leave after it.
     SetNodeId(Option<NodeId>),
+    /// Receive the COB-IDs that the node [`receives`](Node::receives): a master has changed one of process data.
+    SetReceives,
     /// Start no frame from now on and drop the pending ones; keep receiving and acknowledging.
     StopTransmitting,
     /// Drop the pending frames and run the controller at this bit rate, leaving bus-off if necessary. After
@@ -66,16 +75,28 @@ pub enum Action {
 ///
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives the node's COB-IDs. A
 /// late or unnecessary call does no harm.
+///
+/// The application `A` is that of a product. `TPDOS` and `RPDOS` are its numbers of PDOs, each 0 to 4; `PRODUCERS` is the
+/// number of nodes whose heartbeat can be watched, 0 to 16.
 #[derive(Clone, Debug)]
-pub struct Node<A = NoApplication> {
+pub struct Node<
+    A = NoApplication,
+    const TPDOS: usize = 0,
+    const RPDOS: usize = 0,
+    const PRODUCERS: usize = 0,
+> {
     device: Device,
     lss: Slave,
     bit_rate: BitRateControl,
     nmt: NmtSlave,
     emergency: Emergency,
+    reports: Reports,
     sdo: sdo::Server,
     storing: Storing,
+    process_data: ProcessData<TPDOS, RPDOS, PRODUCERS>,
     application: A,
+    /// The NMT state and the bit rate that the application knows.
+    known: (nmt::State, BitRate),
     due: Due,
 }
 
@@ -95,7 +116,12 @@ impl Node {
     }
 }
 
-impl<A: Application> Node<A> {
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Node<A, TPDOS, RPDOS, PRODUCERS>
+{
+    /// Whether the node may send PDOs.
+    pub const HAS_TPDOS: bool = TPDOS > 0;
+
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
         device: Device,
@@ -113,13 +139,17 @@ impl<A: Application> Node<A> {
             }
             bit_rate => bit_rate,
         };
+        let bit_rate_control = BitRateControl::new(bit_rate, device.bit_rates, device.rescue);
         Self {
-            bit_rate: BitRateControl::new(bit_rate, device.bit_rates, device.rescue),
+            known: (nmt::State::Initialisation, bit_rate_control.in_use()),
+            bit_rate: bit_rate_control,
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
+            reports: Reports::new(),
             sdo: sdo::Server::new(),
             storing: Storing::new(persistent),
+            process_data: ProcessData::new::<A>(),
             device,
             application,
             due: Due::Now,
@@ -168,11 +198,22 @@ impl<A: Application> Node<A> {
         self.bit_rate.is_listening()
     }
 
-    /// The COB-IDs of the frames that the node uses; it ignores all others. They change with the node-ID.
-    pub fn receives(&self) -> [u16; 3] {
+    /// The COB-IDs of the frames that the node uses; it ignores all others. They change with [`Action::SetNodeId`] and
+    /// [`Action::SetReceives`].
+    #[inline(never)] // It has two callers.
+    pub fn receives(&self) -> Receives<RPDOS, PRODUCERS> {
+        const UNUSED: u16 = lss::REQUEST_COB_ID;
+        let node = self.node_id();
         // Without a node-ID only LSS and NMT are received.
-        let sdo = self.sdo_request_cob_id().unwrap_or(lss::REQUEST_COB_ID);
-        [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo]
+        let sdo = self.sdo_request_cob_id().unwrap_or(UNUSED);
+        let sync = self.process_data.sync_cob_id().unwrap_or(UNUSED);
+        Receives {
+            services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
+            rpdos: array::from_fn(|at| self.process_data.rpdo_cob_id(at, node).unwrap_or(UNUSED)),
+            heartbeats: array::from_fn(|at| {
+                self.process_data.producer_cob_id(at).unwrap_or(UNUSED)
+            }),
+        }
     }
 
     /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
@@ -196,7 +237,7 @@ impl<A: Application> Node<A> {
                 self.sdo.handle(*frame.eight_bytes()?);
                 self.due = Due::Now;
             }
-            _ => {}
+            _ => self.handle_process_data(frame, now),
         }
         None
     }
@@ -223,6 +264,9 @@ impl<A: Application> Node<A> {
             BusEvent::Acknowledged => {
                 self.nmt.note_acknowledge();
                 self.emergency.note_acknowledge();
+                if Self::HAS_REPORTS {
+                    self.reports.note_acknowledge();
+                }
             }
             BusEvent::BusOff => {
                 self.nmt.handle_communication_error();
@@ -314,13 +358,18 @@ impl<A: Application> Node<A> {
         loop {
             let next = self.bit_rate.poll(now);
             self.follow_bit_rate();
+            self.inform_application();
             match next {
                 Some(StopTransmitting) => return Some(Action::StopTransmitting),
                 Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
-                Some(EndSwitch) => self.nmt.restart_heartbeat(now),
+                Some(EndSwitch) => {
+                    self.nmt.restart_heartbeat(now);
+                    self.process_data.restart_producers(now);
+                }
                 Some(Step(step)) => return Some(self.take_step(step)),
                 Some(ResumeTransmitting) => {
                     self.nmt.note_resumed();
+                    self.process_data.note_resumed();
                     return Some(Action::ResumeTransmitting);
                 }
                 Some(KeepSilent) => return None,
@@ -332,11 +381,16 @@ impl<A: Application> Node<A> {
         {
             return Some(action);
         }
+        self.watch_producers(now);
+        self.inform_application();
         if !self.bit_rate.may_send() {
             return None;
         }
         let action = match self.answer_sdo(now) {
-            None => self.store_or_answer().or_else(|| self.report(now)),
+            None => self
+                .store_or_answer()
+                .or_else(|| self.next_message(now))
+                .or_else(|| self.next_pdo(now)),
             action => action,
         };
         if let Some(Action::Transmit(_)) = action {
@@ -349,7 +403,8 @@ impl<A: Application> Node<A> {
     fn find_deadline(&self) -> Option<Instant> {
         let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
         let heartbeat = self.nmt.poll_at().filter(|_| may_report);
-        Instant::earliest(self.bit_rate.poll_at(), heartbeat)
+        let process_data = self.process_data_at(may_report);
+        Instant::earliest(Instant::earliest(self.bit_rate.poll_at(), heartbeat), process_data)
     }
 
     fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
@@ -405,6 +460,9 @@ impl<A: Application> Node<A> {
     /// Carries out a step of the supervision, which drops the pending frames.
     fn take_step(&mut self, step: Step) -> Action {
         self.emergency.note_dropped();
+        if Self::HAS_REPORTS {
+            self.reports.note_dropped();
+        }
         self.nmt.note_dropped();
         match step {
             Step::TakePart(rate) => Action::SetBitRate(rate),
@@ -429,6 +487,7 @@ impl<A: Application> Node<A> {
     fn reset_communication(&mut self) -> Action {
         self.lss.reset_communication();
         self.nmt.reset_communication(self.storing.persistent().heartbeat_ms);
+        self.process_data.reset::<A>();
         self.end_sdo();
         Action::SetNodeId(self.node_id())
     }
@@ -455,7 +514,9 @@ impl<A: Application> Node<A> {
             bit_rate: &self.bit_rate,
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
+            reports: if Self::HAS_REPORTS { Some(&self.reports) } else { None },
             storing: &mut self.storing,
+            process_data: &mut self.process_data,
             application: &mut self.application,
             now,
         })?;
@@ -499,10 +560,10 @@ impl<A: Application> Node<A> {
     }
 
     /// Returns the next boot-up, emergency message or heartbeat.
-    fn report(&mut self, now: Instant) -> Option<Action> {
+    fn next_message(&mut self, now: Instant) -> Option<Action> {
         let node = self.node_id()?;
         let frame = self.nmt.next_boot_up(node, now).or_else(|| {
-            let emergency = self.nmt.allows_emergencies().then(|| self.emergency.next(node));
+            let emergency = self.nmt.allows_emergencies().then(|| self.next_emergency(node));
             emergency.flatten().or_else(|| self.nmt.next_heartbeat(node, now))
         });
         frame.map(Action::Transmit)

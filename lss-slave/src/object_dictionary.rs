@@ -50,6 +50,35 @@ pub enum Object {
     HighestSubIndex(u8),
     /// The value of an application with this number.
     Application(u8),
+    SyncCobId,
+    SyncCounterOverflow,
+    /// The entry of the heartbeat consumer at this sub-index.
+    ConsumerHeartbeatTime(u8),
+    RpdoParameter(PdoPart),
+    RpdoMapping(PdoPart),
+    TpdoParameter(PdoPart),
+    TpdoMapping(PdoPart),
+}
+
+/// A sub-index of the parameters or the mapping of a PDO.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct PdoPart(u8);
+
+impl PdoPart {
+    pub(crate) const fn new(at: usize, sub_index: u8) -> Self {
+        Self((at as u8) << 4 | sub_index & 0xF)
+    }
+
+    /// The number of the PDO, from 0.
+    pub(crate) const fn at(self) -> usize {
+        (self.0 >> 4) as usize
+    }
+
+    /// The sub-index.
+    pub const fn sub_index(self) -> u8 {
+        self.0 & 0xF
+    }
 }
 
 /// A CiA 301 data type; the value is its index in the dictionary, as an EDS names it.

@@ -27,6 +27,12 @@ pub enum Abort {
     ReadOnly = 0x0601_0002,
     /// The object does not exist.
     NoObject = 0x0602_0000,
+    /// The object does not exist or cannot be mapped into this PDO.
+    NotMappable = 0x0604_0041,
+    /// The mapped objects are longer than a PDO.
+    TooManyMapped = 0x0604_0042,
+    /// The value does not go with other values.
+    Incompatible = 0x0604_0043,
     /// The hardware failed: the settings could not be written.
     Hardware = 0x0606_0000,
     /// The data is longer than the object.
@@ -60,6 +66,9 @@ impl fmt::Display for Abort {
             Self::WriteOnly => "the object can only be written",
             Self::ReadOnly => "the object can only be read",
             Self::NoObject => "no such object",
+            Self::NotMappable => "the object cannot be mapped into the PDO",
+            Self::TooManyMapped => "the mapped objects are longer than a PDO",
+            Self::Incompatible => "the value does not go with other values",
             Self::Hardware => "the hardware failed",
             Self::TooLong => "too much data",
             Self::TooShort => "too little data",

@@ -43,7 +43,7 @@ struct Value {
 impl<'a> DataSheet<'a> {
     /// The data sheet of a product whose dictionary has these entries, such as [`entries`] of its application.
     ///
-    /// [`entries`]: lss_slave::application::entries
+    /// [`entries`]: lss_slave::Node::entries
     pub fn new(
         product: Product<'a>,
         entries: impl IntoIterator<Item = (Entry, Description)>,

@@ -3,7 +3,7 @@
 
 use lss_slave::{
     Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
-    Settings,
+    Receives, Settings,
     application::NoApplication,
     lss::{Address, StoreError},
     settings::{Found, Log},
@@ -26,8 +26,13 @@ pub const ADDRESS: Address = Address {
 const PARAMETERS: usize = 1024;
 
 /// A board with a node on it.
-pub struct NodeRig<A = NoApplication> {
-    pub node: Node<A>,
+pub struct NodeRig<
+    A = NoApplication,
+    const TPDOS: usize = 0,
+    const RPDOS: usize = 0,
+    const PRODUCERS: usize = 0,
+> {
+    pub node: Node<A, TPDOS, RPDOS, PRODUCERS>,
     /// The application as it is at each power-on.
     new_application: A,
     /// A handle to the chip that holds the settings.
@@ -45,7 +50,7 @@ pub struct NodeRig<A = NoApplication> {
     /// The controller's state.
     bit_rate: BitRate,
     may_transmit: bool,
-    receives_for: Option<NodeId>,
+    receives: Receives<RPDOS, PRODUCERS>,
     /// The store in progress, if stores take time.
     running_store: Option<Settings>,
     stores_take_time: bool,
@@ -105,7 +110,9 @@ impl NodeRig {
     }
 }
 
-impl<A: Application + Clone> NodeRig<A> {
+impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    NodeRig<A, TPDOS, RPDOS, PRODUCERS>
+{
     /// A board with an application.
     pub fn with_application(
         device: Device,
@@ -117,7 +124,7 @@ impl<A: Application + Clone> NodeRig<A> {
         let mut board = Self {
             new_application: application,
             bit_rate: node.bit_rate(),
-            receives_for: node.node_id(),
+            receives: node.receives(),
             node,
             flash,
             found,
@@ -277,6 +284,7 @@ impl<A: Application + Clone> NodeRig<A> {
             let what = match action {
                 Action::Transmit(frame) => frames::text(&frame),
                 Action::SetNodeId(id) => format!("node-ID {:02X}", NodeId::to_lss(id)),
+                Action::SetReceives => "receives".into(),
                 Action::StopTransmitting => "stop".into(),
                 Action::SetBitRate(rate) => format!("{} kbit/s", rate.kbit_per_s()),
                 Action::ResumeTransmitting => "resume".into(),
@@ -305,7 +313,7 @@ impl<A: Application + Clone> NodeRig<A> {
         while let Some(action) = self.node.poll(self.instant()) {
             self.carry_out(Some(action));
         }
-        assert_eq!(self.receives_for, self.node.node_id(), "the board knows the node-ID");
+        assert_eq!(self.receives, self.node.receives(), "the board knows the COB-IDs");
         assert_eq!(self.bit_rate, self.node.bit_rate(), "the board runs at the active bit rate");
         assert_ne!(self.us_to_deadline(), Some(0), "what was due has been done");
     }
@@ -320,7 +328,11 @@ impl<A: Application + Clone> NodeRig<A> {
                     self.node.handle_bus(BusEvent::Acknowledged, self.instant());
                 }
             }
-            Action::SetNodeId(id) => self.receives_for = id,
+            Action::SetNodeId(id) => {
+                assert_eq!(id, self.node.node_id());
+                self.receives = self.node.receives();
+            }
+            Action::SetReceives => self.receives = self.node.receives(),
             Action::StopTransmitting => self.may_transmit = false,
             Action::SetBitRate(rate) => {
                 let is_silent = !self.may_transmit;
@@ -354,19 +366,19 @@ impl<A: Application + Clone> NodeRig<A> {
         let application = self.new_application.clone();
         (self.log, self.node, self.found) = start(self.device, &self.flash, application);
         self.bit_rate = self.node.bit_rate();
-        self.receives_for = self.node.node_id();
+        self.receives = self.node.receives();
         self.may_transmit = true;
         self.running_store = None;
     }
 }
 
 /// A node after power-on, with what its flash holds.
-fn start<A: Application>(
+fn start<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(
     device: Device,
     flash: &BoardFlash,
     application: A,
-) -> (Log<BoardFlash, PARAMETERS>, Node<A>, Found) {
-    const { assert!(Node::<A>::PARAMETERS <= PARAMETERS) };
+) -> (Log<BoardFlash, PARAMETERS>, Node<A, TPDOS, RPDOS, PRODUCERS>, Found) {
+    const { assert!(<Node<A>>::PARAMETERS <= PARAMETERS) };
     let (mut log, mut found) = Log::open_with_parameters(flash.clone());
     let mut node = Node::with_application(device, log.settings(), application);
     if let Err(error) = log.restore(|parameter| node.restore(parameter)) {

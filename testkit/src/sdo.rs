@@ -15,7 +15,9 @@ pub fn request(node_id: u8, text: &str) -> Frame {
     Frame::new(0x600 + u16::from(node_id), &bytes).expect("a frame")
 }
 
-impl<A: Application + Clone> NodeRig<A> {
+impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    NodeRig<A, TPDOS, RPDOS, PRODUCERS>
+{
     /// Sends an SDO request to the node, whose node-ID must be 40h; returns the frames that it sends at once.
     pub fn sdo(&mut self, text: &str) -> Frames {
         self.receive(&request(0x40, text))

@@ -1,8 +1,8 @@
 //! A product's own objects, declared by `objects!`: every type, access, limit and refusal, read and written by SDO.
 
 use lss_slave::{
-    Application,
-    application::{Dictionary, Domain, OctetString, Text, entries},
+    Application, Node,
+    application::{Dictionary, Domain, OctetString, Text},
     object_dictionary::{Entry, Number},
     objects,
     sdo::Abort,
@@ -129,7 +129,7 @@ fn the_access_of_an_object_is_respected() {
 fn each_object_has_a_description() {
     let of = |index, sub_index| {
         let is_it = |(entry, _): &(Entry, _)| (entry.index, entry.sub_index) == (index, sub_index);
-        entries::<Objects>(&device(ADDRESS)).find(is_it).unwrap().1
+        <Node<Objects>>::entries(&device(ADDRESS)).find(is_it).unwrap().1
     };
     assert_eq!(Objects::descriptions().count(), Objects::OBJECTS.len());
     assert_eq!(of(0x1029, 1).name, "Communication error");

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use lss_slave::{
-    Application, BitRates, Device,
-    application::{Domain, OctetString, Text, entries},
+    Application, BitRates, Device, Node,
+    application::{Domain, OctetString, Text},
     object_dictionary::{
         Access, DataType, DefaultValue, Description, Entry, Object, Options, TABLE,
     },
@@ -73,7 +73,7 @@ fn product() -> Product<'static> {
 /// The data sheet of the firmware.
 fn firmware() -> DataSheet<'static> {
     let product = product();
-    DataSheet::new(product, entries::<Firmware>(&product.device), &Firmware::new())
+    DataSheet::new(product, <Node<Firmware>>::entries(&product.device), &Firmware::new())
 }
 
 /// The data sheet of a node with one value of each kind.
@@ -81,7 +81,7 @@ fn kinds() -> DataSheet<'static> {
     let product = product();
     let mut kinds = Kinds::new();
     kinds.octets = OctetString::from_bytes(&[0x00, 0xAB]).unwrap();
-    DataSheet::new(product, entries::<Kinds>(&product.device), &kinds)
+    DataSheet::new(product, <Node<Kinds>>::entries(&product.device), &kinds)
 }
 
 /// The keys of a section as one line, sorted.
@@ -120,7 +120,7 @@ fn every_value_has_one_section_and_no_section_is_left_over() {
     let is_object = |name: &&String| u16::from_str_radix(&name[..4], 16).is_ok();
     let objects = sections.keys().filter(is_object).count();
     assert_eq!(sections.len() - objects, 7, "FileInfo to ManufacturerObjects");
-    let all: Vec<_> = entries::<Kinds>(&product().device).collect();
+    let all: Vec<_> = <Node<Kinds>>::entries(&product().device).collect();
     let with_sub_indices = all.iter().filter(|(_, description)| description.object.is_some());
     assert_eq!(objects, all.len() + with_sub_indices.count());
 }
@@ -221,7 +221,7 @@ fn pdos_are_counted_and_their_parameters_are_records() {
     };
     let product = product();
     let pdos = [0x1400, 0x1600, 0x1800, 0x1803, 0x1A00, 0x1A03].into_iter().flat_map(pdo);
-    let all = entries::<Firmware>(&product.device).chain(pdos);
+    let all = <Node<Firmware>>::entries(&product.device).chain(pdos);
     let eds = DataSheet::new(product, all, &Firmware::new()).eds();
     let sections = parse(&eds);
     let info = &sections["DeviceInfo"];
@@ -286,7 +286,7 @@ fn the_device_is_the_one_that_the_product_describes() {
     let device = Device::new(ADDRESS, BitRates::possible(42_000_000)).with_name("Valve");
     let product =
         Product { file_name: "valve.eds", vendor_name: "Example", description: "A valve", device };
-    let sheet = DataSheet::new(product, entries::<Firmware>(&device), &Firmware::new());
+    let sheet = DataSheet::new(product, <Node<Firmware>>::entries(&device), &Firmware::new());
     let sections = parse(&sheet.eds());
     let expected: BTreeMap<_, _> = [
         ("VendorName", "Example"),
@@ -333,7 +333,7 @@ fn the_file_keeps_to_the_form_of_cia_306() {
 fn a_name_that_is_not_ascii_is_refused() {
     let device = describe(0).with_name("Gerät");
     let product = Product { device, ..product() };
-    DataSheet::new(product, entries::<Firmware>(&device), &Firmware::new()).eds();
+    DataSheet::new(product, <Node<Firmware>>::entries(&device), &Firmware::new()).eds();
 }
 
 #[test]
@@ -349,5 +349,5 @@ fn the_page_has_one_line_for_each_value() {
         assert!(page.lines().any(|found| found == line), "{line}");
     }
     let rows = page.lines().filter(|line| line.starts_with("| ") && !line.contains("**"));
-    assert_eq!(rows.count(), 1 + entries::<Kinds>(&product().device).count());
+    assert_eq!(rows.count(), 1 + <Node<Kinds>>::entries(&product().device).count());
 }

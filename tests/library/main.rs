@@ -1,11 +1,13 @@
 //! Tests of the library through its public surface: frames in, frames out, time passed in.
 
 mod application;
+mod application_events;
 mod bit_rate_solver;
 mod bus_listening;
 mod eds;
 mod emergency;
 mod frame;
+mod heartbeat_consumer;
 mod indicator;
 mod instant;
 mod late_calls;
@@ -27,6 +29,10 @@ mod object_dictionary;
 mod parameters;
 mod parameters_log;
 mod parameters_power_cut;
+mod process_data;
+mod process_data_random;
+mod process_data_receive;
+mod process_data_transmit;
 mod sdo;
 mod sdo_abort;
 mod sdo_fuzz;

@@ -114,7 +114,7 @@ fn a_request_that_is_not_eight_bytes_long_is_ignored() {
 fn every_node_id_has_its_own_pair_of_cob_ids() {
     for node_id in 1..=127 {
         let mut board = NodeRig::with_node_id(node_id);
-        assert_eq!(board.node.receives()[2], 0x600 + u16::from(node_id));
+        assert_eq!(board.node.receives().services[2], 0x600 + u16::from(node_id));
         let answer = format!("{:03X}: 4F 18 10 00 04 00 00 00", 0x580 + u16::from(node_id));
         let request = sdo::request(node_id, "40 18 10 00");
         assert_eq!(board.receive(&request), [answer.as_str()]);

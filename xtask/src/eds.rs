@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use anyhow::{Context, bail};
-use lss_slave::application::entries;
+use lss_slave::Node;
 use lss_slave_firmware::{Application, describe, device};
 use testkit::eds::{DataSheet, Product};
 
@@ -24,7 +24,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         description: device::DESCRIPTION,
         device,
     };
-    let sheet = DataSheet::new(product, entries::<Application>(&device), &Application::new());
+    let sheet = DataSheet::new(product, <Node<Application>>::entries(&device), &Application::new());
     let files = [("eds/lss-slave.eds", sheet.eds()), ("docs/object-dictionary.md", sheet.page())];
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
     for (name, content) in files {

@@ -7,10 +7,11 @@ use super::{
 use crate::{
     Instant,
     application::Application,
-    emergency::{self, Emergency},
+    emergency::{self, Emergency, Reports},
     lss::{self, AddressPart},
     nmt::ErrorBehaviour,
     object_dictionary::{self, Entry, Object, PARAMETERS, TABLE},
+    process_data::ProcessData,
     sdo::{Abort, Objects, Value, Written},
 };
 
@@ -22,25 +23,31 @@ const ON_COMMAND: u32 = 1;
 const DEVICE_TYPE: u32 = 0;
 
 /// The parts of the node that objects read and write, at one time.
-pub(super) struct Parts<'a, A> {
+pub(super) struct Parts<'a, A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
     pub device: &'a Device,
     pub lss: &'a lss::Slave,
     pub bit_rate: &'a BitRateControl,
     pub nmt: &'a mut NmtSlave,
     pub emergency: &'a mut Emergency,
+    /// `None` if there are none in this node.
+    pub reports: Option<&'a Reports>,
     pub storing: &'a mut Storing,
+    pub process_data: &'a mut ProcessData<TPDOS, RPDOS, PRODUCERS>,
     pub application: &'a mut A,
     pub now: Instant,
 }
 
-impl<A: Application> Objects for Parts<'_, A> {
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> Objects
+    for Parts<'_, A, TPDOS, RPDOS, PRODUCERS>
+{
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
         let is_of_application = A::OBJECTS.first().is_some_and(|first| first.index <= index);
         let is_of_parameters = !A::OBJECTS.is_empty() && matches!(index, 0x1010 | 0x1011);
+        let of_process_data = ProcessData::<TPDOS, RPDOS, PRODUCERS>::table(index);
         let table = match () {
             () if is_of_application => A::OBJECTS,
             () if is_of_parameters => PARAMETERS,
-            () => TABLE,
+            () => of_process_data.unwrap_or(TABLE),
         };
         Ok(object_dictionary::find(table, index, sub_index)?)
     }
@@ -52,7 +59,10 @@ impl<A: Application> Objects for Parts<'_, A> {
             Object::HardwareVersion => return Ok(Value::Text(self.device.hardware_version)),
             Object::SoftwareVersion => return Ok(Value::Text(self.device.software_version)),
             Object::DeviceType => DEVICE_TYPE,
-            Object::ErrorRegister => self.emergency.error_register().into(),
+            Object::ErrorRegister => {
+                let others = self.reports.map_or(0, Reports::error_register);
+                (self.emergency.error_register() | others).into()
+            }
             Object::NumberOfErrors => self.emergency.number_of_errors().into(),
             // CiA 301 names this code for object 1003h, and CANopenNode sends it, although the sub-index exists.
             Object::ErrorField(sub_index) => {
@@ -76,6 +86,10 @@ impl<A: Application> Objects for Parts<'_, A> {
             Object::HighestSubIndex(highest) => highest.into(),
             Object::Application(_) if A::OBJECTS.is_empty() => return Err(Abort::NoObject),
             Object::Application(field) => self.read_application(field)?,
+            _ if ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
+                self.process_data.read(object, self.lss.active_node_id())?
+            }
+            _ => return Err(Abort::NoObject),
         }))
     }
 
@@ -107,12 +121,19 @@ impl<A: Application> Objects for Parts<'_, A> {
                     field,
                     value.to_le_bytes().get(..entry.data_type.size().into()).unwrap_or_default(),
                 ),
+            (object, value) if ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
+                let node = self.lss.active_node_id();
+                self.process_data.write(object, value, node, A::OBJECTS)?;
+                Ok(Written::Now)
+            }
             _ => Err(Abort::ReadOnly),
         }
     }
 }
 
-impl<A: Application> Parts<'_, A> {
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Parts<'_, A, TPDOS, RPDOS, PRODUCERS>
+{
     fn read_application(&self, field: u8) -> Result<u32, Abort> {
         let mut bytes = [0; 4];
         self.application.read(field, 0, &mut bytes);

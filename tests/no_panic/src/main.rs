@@ -13,14 +13,30 @@ use core::{
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use lss_slave::{
-    BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
+    Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
     bit_rate::BitRateSetting,
     emergency::Fault,
     indicator::{BusState, Indicators},
     lss::{Address, StoreError},
-    nmt,
+    nmt, objects,
+    process_data::{Rpdo, Tpdo},
     settings::Log,
 };
+
+objects! {
+    /// A product with process data.
+    struct Machine, values MachineValue;
+
+    0x6000 "Inputs" {
+        1 "8 bits" short: u8 = 0, rw, 0..=100, mappable;
+        2 "64 bits" long: u64 = 0, rw, mappable;
+    }
+}
+
+impl Application for Machine {
+    const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)]).with_event_timer(10)];
+    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 2)]).with_transmission_type(0)];
+}
 
 unsafe extern "C" {
     /// A symbol without a definition.
@@ -123,10 +139,22 @@ fn any_device() -> Device {
 }
 
 fn run_node() {
-    let mut node = Node::new(any_device(), any(Some(any_settings())));
-    // Between the calls the node is in any state that its types allow.
-    let node = &mut node;
+    let device = any_device();
     black_box(Frame::new(any(0), any(&[])));
+    drive(&mut Node::new(device, any(Some(any_settings()))));
+    let machine = Machine::new();
+    let mut node: Node<Machine, 4, 4, 16> =
+        Node::with_application(device, any(Some(any_settings())), machine);
+    black_box(&mut node).report(any(0), any(0), any([0; 5]));
+    black_box(&mut node).end_report(any(0));
+    black_box(&mut node).application_mut().short = any(0);
+    drive(&mut node);
+}
+
+/// Between the calls the node is in any state that its types allow.
+fn drive<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(
+    node: &mut Node<A, TPDOS, RPDOS, PRODUCERS>,
+) {
     if let Some(frame) = Frame::from_padded(any(0), any(0), any([0; 8])) {
         black_box((frame.cob_id(), frame.data()));
         black_box(black_box(&mut *node).handle_frame(&any(frame), any_instant()));

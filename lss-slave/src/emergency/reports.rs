@@ -1,0 +1,121 @@
+//! The errors with codes of their own: those of the application and of process data.
+
+use super::{COB_ID, Emergency, GENERIC, HISTORY_LEN};
+use crate::{Frame, NodeId};
+
+/// The errors that are present or whose message has not been sent.
+#[derive(Clone, Debug)]
+pub(crate) struct Reports {
+    reports: [Report; HISTORY_LEN as usize],
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Report {
+    code: u16,
+    register: u8,
+    information: [u8; 5],
+    is_present: bool,
+    message: Message,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Message {
+    Sent,
+    Unsent,
+    /// It was sent after the latest acknowledge.
+    InFlight,
+}
+
+impl Report {
+    const FREE: Self = Self {
+        code: 0,
+        register: 0,
+        information: [0; 5],
+        is_present: false,
+        message: Message::Sent,
+    };
+
+    const fn is_free(&self) -> bool {
+        !self.is_present && matches!(self.message, Message::Sent)
+    }
+}
+
+impl Reports {
+    pub const fn new() -> Self {
+        Self { reports: [Report::FREE; HISTORY_LEN as usize] }
+    }
+
+    /// The error register 1001h for the errors that are present.
+    pub fn error_register(&self) -> u8 {
+        let present = self.reports.iter().filter(|report| report.is_present);
+        present.fold(0, |register, report| register | report.register)
+    }
+
+    /// Records that a frame of the node was acknowledged.
+    pub fn note_acknowledge(&mut self) {
+        self.replace(Message::InFlight, Message::Sent);
+    }
+
+    /// Records that the pending frames were dropped: messages that were not acknowledged are sent again.
+    pub fn note_dropped(&mut self) {
+        self.replace(Message::InFlight, Message::Unsent);
+    }
+
+    fn replace(&mut self, from: Message, to: Message) {
+        for report in &mut self.reports {
+            if report.message == from {
+                report.message = to;
+            }
+        }
+    }
+
+    /// The next message, if there is one to send; `others` is the error register for the other errors.
+    pub fn next(&mut self, node: NodeId, others: u8) -> Option<Frame> {
+        let present = self.error_register();
+        let report = self.reports.iter_mut().find(|report| report.message == Message::Unsent)?;
+        report.message = Message::InFlight;
+        let [c0, c1] = report.code.to_le_bytes();
+        let [i0, i1, i2, i3, i4] = report.information;
+        let register = report.register | present | others;
+        let data = [c0, c1, register, i0, i1, i2, i3, i4];
+        Some(Frame::with_eight_bytes(COB_ID + u16::from(node.get()), data))
+    }
+}
+
+/// The emergency messages of a node, to report errors with codes of their own.
+pub(crate) struct Errors<'a> {
+    pub emergency: &'a mut Emergency,
+    pub reports: &'a mut Reports,
+}
+
+impl Errors<'_> {
+    /// Reports an error, with bits of the error register and the manufacturer's bytes. The history has one entry per
+    /// message; without a free place the error is only kept there.
+    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
+        let [i0, i1, ..] = information;
+        let is_same = |report: &&mut Report| report.code == code && !report.is_free();
+        let reports = &mut self.reports.reports;
+        let place = match reports.iter_mut().find(is_same) {
+            None => reports.iter_mut().find(|report| report.is_free()),
+            same => same,
+        };
+        let is_waiting = place.as_ref().is_some_and(|place| place.message == Message::Unsent);
+        if let Some(place) = place {
+            let register = register | GENERIC;
+            *place =
+                Report { code, register, information, is_present: true, message: Message::Unsent };
+        }
+        if !is_waiting {
+            self.emergency.enter(u32::from(code) | u32::from(i0) << 16 | u32::from(i1) << 24);
+        }
+    }
+
+    /// Ends an error; does nothing if it is not present.
+    pub fn end(&mut self, code: u16) {
+        let is_it = |report: &&mut Report| report.code == code && report.is_present;
+        if let Some(report) = self.reports.reports.iter_mut().find(is_it) {
+            report.is_present = false;
+            self.emergency.note_end();
+        }
+    }
+}

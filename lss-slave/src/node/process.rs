@@ -1,0 +1,141 @@
+//! Process data, heartbeat consumer and errors of the application, as parts of the node.
+
+use super::{Action, Due, Node};
+use crate::{
+    Application, Device, Frame, Instant, NodeId,
+    application::Event,
+    emergency::Errors,
+    object_dictionary::{self, Description, Entry, PARAMETERS, TABLE},
+    process_data::ProcessData,
+};
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Node<A, TPDOS, RPDOS, PRODUCERS>
+{
+    const HAS_PROCESS_DATA: bool = ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED;
+    /// Whether there is someone to inform of the node's states.
+    const HAS_APPLICATION: bool = Self::HAS_PROCESS_DATA || !A::OBJECTS.is_empty();
+    /// Whether there may be errors with codes of their own.
+    pub(super) const HAS_REPORTS: bool = Self::HAS_APPLICATION;
+
+    /// Reports an error of the application by an emergency message (CiA 301, 7.2.7): its error code, bits of the error
+    /// register 1001h (bit 0 is added) and the manufacturer's bytes. The error stays in the error register until
+    /// [`end_report`](Self::end_report), and in the history 1003h. An error that is reported again is sent again.
+    ///
+    /// Up to eight errors may be present at a time; a further one only enters the history. The error code 0 has no
+    /// effect.
+    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
+        if code != 0 && Self::HAS_REPORTS {
+            self.errors().report(code, register, information);
+            self.due = Due::Now;
+        }
+    }
+
+    /// Ends an error of the application; does nothing if it is not present. A message with error code 0 follows when no
+    /// error is left.
+    pub fn end_report(&mut self, code: u16) {
+        if Self::HAS_REPORTS {
+            self.errors().end(code);
+            self.due = Due::Now;
+        }
+    }
+
+    /// The objects of the node in no certain order, with their descriptions, for an EDS or a page of documentation. The
+    /// image does not contain them.
+    pub fn entries(
+        device: &Device,
+    ) -> impl Iterator<Item = (Entry, Description)> + use<A, TPDOS, RPDOS, PRODUCERS> {
+        let has_parameters = !A::OBJECTS.is_empty();
+        let is_replaced = move |(entry, _): &(Entry, Description)| {
+            has_parameters && matches!(entry.index, 0x1010 | 0x1011)
+        };
+        let own = TABLE.iter().copied().zip(object_dictionary::descriptions(device));
+        let parameters =
+            PARAMETERS.iter().copied().zip(object_dictionary::parameter_descriptions(device));
+        own.filter(move |row| !is_replaced(row))
+            .chain(parameters.filter(move |_| has_parameters))
+            .chain(ProcessData::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
+            .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
+    }
+
+    fn errors(&mut self) -> Errors<'_> {
+        Errors { emergency: &mut self.emergency, reports: &mut self.reports }
+    }
+
+    pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
+        if !Self::HAS_PROCESS_DATA || self.bit_rate.is_switching() {
+            return;
+        }
+        let Some(node) = self.node_id() else {
+            return;
+        };
+        let mut errors = Errors { emergency: &mut self.emergency, reports: &mut self.reports };
+        self.process_data.handle_frame(frame, node, &mut self.application, &mut errors, now);
+        self.due = Due::Now;
+    }
+
+    /// Informs the application and process data of a new NMT state or bit rate.
+    pub(super) fn inform_application(&mut self) {
+        if !Self::HAS_APPLICATION {
+            return;
+        }
+        let (state, rate) = (self.nmt_state(), self.bit_rate());
+        let (known_state, known_rate) = self.known;
+        self.known = (state, rate);
+        if rate != known_rate {
+            self.application.handle(Event::BitRate(rate));
+        }
+        if state != known_state {
+            self.process_data.follow(state);
+            self.application.handle(Event::Nmt(state));
+        }
+    }
+
+    /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
+    pub(super) fn watch_producers(&mut self, now: Instant) {
+        let mut is_any_lost = false;
+        let mut errors = Errors { emergency: &mut self.emergency, reports: &mut self.reports };
+        while let Some(producer) = self.process_data.next_lost(&mut errors, now) {
+            self.nmt.handle_communication_error();
+            self.application.handle(Event::HeartbeatLost(producer));
+            is_any_lost = true;
+        }
+        self.process_data.end_errors(&mut errors);
+        if is_any_lost {
+            self.lock_lss();
+        }
+    }
+
+    pub(super) fn next_emergency(&mut self, node: NodeId) -> Option<Frame> {
+        if !Self::HAS_REPORTS {
+            return self.emergency.next(node, 0);
+        }
+        if self.emergency.must_wait() {
+            return None;
+        }
+        let report = self.reports.next(node, self.emergency.error_register());
+        report.or_else(|| self.emergency.next(node, self.reports.error_register()))
+    }
+
+    /// The next frame of process data, or the action for new COB-IDs.
+    pub(super) fn next_pdo(&mut self, now: Instant) -> Option<Action> {
+        if !Self::HAS_PROCESS_DATA {
+            return None;
+        }
+        if self.process_data.take_new_receives() {
+            return Some(Action::SetReceives);
+        }
+        let frame = self.process_data.next_frame(self.node_id()?, &self.application, now)?;
+        Some(Action::Transmit(frame))
+    }
+
+    /// The next deadline of process data; `may_send` says whether frames may be sent.
+    pub(super) fn process_data_at(&self, may_send: bool) -> Option<Instant> {
+        if !Self::HAS_PROCESS_DATA {
+            return None;
+        }
+        let tpdos = self.process_data.poll_at().filter(|_| may_send);
+        let producers = self.process_data.producers_poll_at();
+        Instant::earliest(tpdos, producers.filter(|_| !self.bit_rate.is_switching()))
+    }
+}

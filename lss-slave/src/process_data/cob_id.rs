@@ -1,0 +1,67 @@
+//! The COB-ID of a PDO (CiA 301, 7.5.2.35): valid or not, and at its default or where a master has put it.
+
+use crate::{NodeId, sdo::Abort};
+
+const NOT_VALID: u32 = 1 << 31;
+const NO_REMOTE_FRAME: u32 = 1 << 30;
+
+/// The COB-ID of a PDO.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PdoCobId {
+    pub is_valid: bool,
+    /// `None`: the COB-ID of the predefined connection set, which follows the node-ID.
+    moved_to: Option<u16>,
+}
+
+impl PdoCobId {
+    pub const fn new(is_valid: bool) -> Self {
+        Self { is_valid, moved_to: None }
+    }
+
+    fn id(self, base: u16, node: Option<NodeId>) -> u16 {
+        let of_node = node.map_or(0, |node| u16::from(node.get()));
+        self.moved_to.unwrap_or(base.wrapping_add(of_node))
+    }
+
+    /// The COB-ID in use, if the PDO is valid.
+    pub fn active(self, base: u16, node: Option<NodeId>) -> Option<u16> {
+        self.is_valid.then(|| self.id(base, node))
+    }
+
+    /// Sub-index 1 of the communication parameter of an RPDO.
+    pub fn value(self, base: u16, node: Option<NodeId>) -> u32 {
+        u32::from(self.id(base, node)) | if self.is_valid { 0 } else { NOT_VALID }
+    }
+
+    /// Sub-index 1 of the communication parameter of a TPDO, which answers no remote frame.
+    pub fn transmit_value(self, base: u16, node: Option<NodeId>) -> u32 {
+        self.value(base, node) | NO_REMOTE_FRAME
+    }
+
+    /// Sets sub-index 1. A PDO that is put at its default COB-ID follows the node-ID again.
+    ///
+    /// # Errors
+    /// [`Abort::InvalidValue`] for a 29-bit identifier, or a restricted CAN-ID of a valid PDO; [`Abort::DeviceState`]
+    /// for another COB-ID of a PDO that is and stays valid.
+    pub fn set(&mut self, value: u32, base: u16, node: Option<NodeId>) -> Result<(), Abort> {
+        let id = (value & 0x7FF) as u16;
+        let is_valid = value & NOT_VALID == 0;
+        if value & !(NOT_VALID | NO_REMOTE_FRAME | 0x7FF) != 0 || is_valid && is_restricted(id) {
+            return Err(Abort::InvalidValue);
+        }
+        if is_valid && self.is_valid && id != self.id(base, node) {
+            return Err(Abort::DeviceState);
+        }
+        let is_default = id == Self::new(is_valid).id(base, node);
+        *self = Self { is_valid, moved_to: (!is_default).then_some(id) };
+        Ok(())
+    }
+}
+
+/// Whether CiA 301 reserves a CAN-ID (7.3.5, restricted CAN-IDs).
+pub(super) const fn is_restricted(id: u16) -> bool {
+    matches!(
+        id,
+        0x000..=0x07F | 0x101..=0x180 | 0x581..=0x5FF | 0x601..=0x67F | 0x6E0..=0x6FF | 0x701..
+    )
+}

@@ -1,0 +1,114 @@
+//! Events of the node for its application, and errors of the application as emergency messages (CiA 301, 7.2.7).
+
+use lss_slave::{BitRate, BusEvent, application::Event, nmt::State};
+use testkit::frames::{Frames, SILENCE};
+
+use crate::process_data::{Board, board, take_events};
+
+const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
+
+fn report(board: &mut Board, code: u16, register: u8, information: [u8; 5]) -> Frames {
+    board.node.report(code, register, information);
+    board.pass_us(0)
+}
+
+fn end(board: &mut Board, code: u16) -> Frames {
+    board.node.end_report(code);
+    board.pass_us(0)
+}
+
+#[test]
+fn the_application_is_informed_of_each_nmt_state() {
+    let mut board = board();
+    board.nmt("01 40");
+    board.nmt("02 40");
+    board.nmt("80 40");
+    board.nmt("80 40");
+    board.nmt("82 40");
+    board.nmt("81 40");
+    let nmt = |state| Event::Nmt(state);
+    assert_eq!(
+        take_events(),
+        [
+            nmt(State::Operational),
+            nmt(State::Stopped),
+            nmt(State::PreOperational),
+            nmt(State::Initialisation),
+            nmt(State::PreOperational),
+            nmt(State::PreOperational),
+        ],
+        "the last one after the restart"
+    );
+}
+
+#[test]
+fn the_application_is_informed_of_each_bit_rate() {
+    let mut board = board();
+    board.lss("04 01");
+    board.lss("13 00 02");
+    board.lss("15 0A");
+    board.pass_ms(20);
+    assert_eq!(take_events(), [Event::BitRate(BitRate::Kbit500)]);
+}
+
+#[test]
+fn an_error_of_the_application_is_an_emergency_message() {
+    let mut board = board();
+    let frames = report(&mut board, 0x4310, 0x08, [1, 2, 3, 4, 5]);
+    assert_eq!(frames, ["0C0: 10 43 09 01 02 03 04 05"]);
+    assert_eq!((board.number(0x1001, 0), board.number(0x1003, 1)), (0x09, 0x0201_4310));
+    assert_eq!(board.pass_ms(10_000), SILENCE);
+    assert_eq!(end(&mut board, 0x4311), SILENCE, "not this one");
+    assert_eq!(end(&mut board, 0x4310), [NO_ERROR]);
+    assert_eq!(end(&mut board, 0x4310), SILENCE);
+    assert_eq!(board.number(0x1001, 0), 0);
+}
+
+#[test]
+fn error_code_0_follows_the_last_error_of_node_and_application() {
+    let mut board = board();
+    report(&mut board, 0x4310, 0x08, [0; 5]);
+    report(&mut board, 0xFF80, 0x80, [0; 5]);
+    let passive = BusEvent::ErrorCounters { transmit: 128, receive: 0 };
+    assert_eq!(board.see(passive), ["0C0: 20 81 99 00 00 00 00 00"]);
+    assert_eq!(end(&mut board, 0x4310), SILENCE);
+    assert_eq!(board.number(0x1001, 0), 0x91);
+    assert_eq!(board.see(BusEvent::ErrorCounters { transmit: 0, receive: 0 }), SILENCE);
+    assert_eq!(end(&mut board, 0xFF80), [NO_ERROR]);
+}
+
+#[test]
+fn eight_errors_at_once_are_sent_in_their_order_and_a_ninth_is_kept() {
+    let mut board = board();
+    for code in 0x5001..=0x5009 {
+        board.node.report(code, 0, [0; 5]);
+    }
+    let frames = board.pass_us(0);
+    let codes: Vec<_> = frames.0.iter().map(|frame| frame.data()[0]).collect();
+    assert_eq!(codes, [1, 2, 3, 4, 5, 6, 7, 8]);
+    assert_eq!(board.number(0x1003, 1), 0x5009);
+    for code in 0x5001..=0x5007 {
+        assert_eq!(end(&mut board, code), SILENCE);
+    }
+    assert_eq!(end(&mut board, 0x5008), [NO_ERROR]);
+}
+
+#[test]
+fn an_error_that_ends_before_its_message_leaves_is_reported_and_ended() {
+    let mut board = board();
+    board.node.report(0x4310, 0, [0; 5]);
+    board.node.end_report(0x4310);
+    assert_eq!(board.pass_us(0), ["0C0: 10 43 01 00 00 00 00 00", NO_ERROR]);
+}
+
+#[test]
+fn errors_of_the_application_wait_in_nmt_stopped_and_while_errors_rule() {
+    let mut board = board();
+    board.nmt("02 40");
+    assert_eq!(report(&mut board, 0x4310, 0, [0; 5]), SILENCE);
+    assert_eq!(board.nmt("80 40"), ["0C0: 10 43 01 00 00 00 00 00"]);
+    board.see(BusEvent::ErrorCounters { transmit: 0, receive: 128 });
+    assert_eq!(report(&mut board, 0x4311, 0, [0; 5]), SILENCE);
+    let frames = board.see(BusEvent::ErrorCounters { transmit: 0, receive: 0 });
+    assert_eq!(frames.0[0].data()[..2], [0x11, 0x43]);
+}

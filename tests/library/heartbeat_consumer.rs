@@ -1,0 +1,144 @@
+//! The heartbeat consumer 1016h (CiA 301, 7.2.8.3.2): when a producer is lost, and what follows.
+
+use lss_slave::{NodeId, application::Event, nmt::State};
+use testkit::frames::SILENCE;
+
+use crate::process_data::{
+    Board, INCOMPATIBLE, INVALID_VALUE, board, operational, receive, set, take_events, write,
+};
+
+const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
+const NODE_5_LOST: &str = "0C0: 30 81 11 05 00 00 00 00";
+
+fn node_5() -> NodeId {
+    NodeId::new(5).expect("a node-ID")
+}
+
+/// A board in NMT operational that expects the heartbeat of node 5 each 100 ms.
+fn watching() -> Board {
+    let mut board = operational();
+    set(&mut board, 0x1016, 1, 0x0005_0064, 4);
+    board
+}
+
+#[test]
+fn the_watch_begins_with_the_first_heartbeat() {
+    let mut board = watching();
+    assert_eq!(board.pass_ms(10_000), SILENCE);
+    receive(&mut board, "705: 05");
+    assert_eq!(board.pass_ms(99), SILENCE);
+    assert_eq!(board.pass_ms(1), [NODE_5_LOST]);
+    assert_eq!(take_events(), [Event::HeartbeatLost(node_5()), Event::Nmt(State::PreOperational)]);
+    assert_eq!(board.pass_ms(10_000), SILENCE, "once");
+    assert_eq!(board.number(0x1003, 1), 0x0005_8130);
+}
+
+#[test]
+fn a_heartbeat_in_time_keeps_the_producer() {
+    let mut board = watching();
+    for _ in 0..100 {
+        assert_eq!(receive(&mut board, "705: 7F"), SILENCE);
+        assert_eq!(board.pass_ms(99), SILENCE);
+    }
+    assert_eq!(board.node.nmt_state(), State::Operational);
+}
+
+#[test]
+fn a_producer_that_returns_ends_the_error() {
+    let mut board = watching();
+    receive(&mut board, "705: 05");
+    board.pass_ms(100);
+    assert_eq!(board.number(0x1001, 0), 0x11);
+    assert_eq!(receive(&mut board, "705: 05"), [NO_ERROR]);
+    assert_eq!(board.number(0x1001, 0), 0);
+    assert_eq!(board.pass_ms(100), [NODE_5_LOST], "lost again");
+}
+
+#[test]
+fn the_error_lasts_until_no_producer_is_lost() {
+    let mut board = watching();
+    set(&mut board, 0x1016, 2, 0x0006_0064, 4);
+    receive(&mut board, "705: 05");
+    receive(&mut board, "706: 05");
+    assert_eq!(board.pass_ms(100), ["0C0: 30 81 11 06 00 00 00 00"], "the latest");
+    assert_eq!(take_events().len(), 3);
+    assert_eq!(receive(&mut board, "705: 05"), SILENCE);
+    assert_eq!(receive(&mut board, "706: 05"), [NO_ERROR]);
+}
+
+#[test]
+fn the_effect_of_a_lost_producer_is_that_of_1029() {
+    for (behaviour, expected) in
+        [(0, State::PreOperational), (1, State::Operational), (2, State::Stopped)]
+    {
+        let mut board = watching();
+        set(&mut board, 0x1029, 1, behaviour, 1);
+        receive(&mut board, "705: 05");
+        board.pass_ms(100);
+        assert_eq!(board.node.nmt_state(), expected, "{behaviour}");
+    }
+}
+
+#[test]
+fn the_boot_up_of_a_producer_is_an_event_and_its_first_heartbeat() {
+    let mut board = watching();
+    receive(&mut board, "705: 00");
+    assert_eq!(take_events(), [Event::BootUp(node_5())]);
+    assert_eq!(board.pass_ms(100), [NODE_5_LOST]);
+    receive(&mut board, "705: 05");
+    assert_eq!(receive(&mut board, "706: 00"), SILENCE, "nobody watches node 6");
+}
+
+#[test]
+fn a_node_is_watched_by_one_entry() {
+    let mut board = watching();
+    assert_eq!(write(&mut board, 0x1016, 2, 0x0005_00C8, 4), Err(INCOMPATIBLE));
+    assert_eq!(board.number(0x1016, 2), 0, "the old value stays");
+    set(&mut board, 0x1016, 1, 0x0005_00C8, 4);
+    set(&mut board, 0x1016, 2, 0x0005_0000, 4);
+    set(&mut board, 0x1016, 1, 0, 4);
+    set(&mut board, 0x1016, 2, 0x0005_00C8, 4);
+    assert_eq!(write(&mut board, 0x1016, 1, 0x0105_00C8, 4), Err(INVALID_VALUE));
+    assert_eq!((board.number(0x1016, 0), board.upload(0x1016, 3)), (2, Err(0x0609_0011)));
+}
+
+#[test]
+fn an_entry_that_is_not_used_watches_nobody() {
+    let mut board = board();
+    for entry in [0x0005_0000, 0x0000_0064, 0x0080_0064, 0x00FF_FFFF] {
+        set(&mut board, 0x1016, 1, entry, 4);
+        assert_eq!(board.number(0x1016, 1), entry);
+        receive(&mut board, "705: 05");
+        assert_eq!(board.pass_ms(100), SILENCE, "{entry:X}");
+        assert_eq!(board.node.receives().heartbeats, [0x7E5; 2]);
+    }
+}
+
+#[test]
+fn a_lost_producer_that_is_no_longer_watched_is_no_error() {
+    let mut board = watching();
+    receive(&mut board, "705: 05");
+    board.pass_ms(100);
+    assert_eq!(board.sdo("23 16 10 01 00 00 00 00"), ["5C0: 60 16 10 01 00 00 00 00", NO_ERROR]);
+}
+
+#[test]
+fn the_silence_of_a_switch_loses_no_producer() {
+    let mut board = watching();
+    receive(&mut board, "705: 05");
+    board.lss("04 01");
+    board.lss("13 00 02");
+    board.lss("15 E8 03");
+    assert_eq!(board.pass_ms(2_000), ["1C0: 00 00 00"]);
+    assert_eq!(board.pass_ms(99), SILENCE);
+    assert_eq!(board.pass_ms(1), [NODE_5_LOST], "a period after it");
+}
+
+#[test]
+fn reset_communication_ends_the_watch_and_its_error() {
+    let mut board = watching();
+    receive(&mut board, "705: 05");
+    board.pass_ms(100);
+    assert_eq!(board.nmt("82 40"), ["740: 00", NO_ERROR]);
+    assert_eq!((board.number(0x1016, 1), board.number(0x1001, 0)), (0, 0));
+}

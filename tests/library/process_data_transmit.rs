@@ -1,0 +1,173 @@
+//! TPDOs (CiA 301, 7.2.2): the frames, and the times at which they are sent.
+
+use lss_slave::BusEvent;
+use testkit::frames::SILENCE;
+
+use crate::process_data::{Board, board, change, map, operational, receive, set};
+
+#[test]
+fn an_event_driven_tpdo_is_sent_when_the_node_becomes_operational() {
+    let mut board = board();
+    assert_eq!(change(&mut board, |machine| machine.level = 0x1234), SILENCE);
+    assert_eq!(board.nmt("01 40"), ["1C0: 00 34 12"]);
+    assert_eq!(board.nmt("01 40"), SILENCE, "it is operational already");
+    assert_eq!(board.pass_ms(10_000), SILENCE);
+    board.nmt("80 40");
+    assert_eq!(board.nmt("01 40"), ["1C0: 00 34 12"]);
+}
+
+#[test]
+fn an_event_driven_tpdo_is_sent_when_a_mapped_value_changes() {
+    let mut board = operational();
+    assert_eq!(change(&mut board, |machine| machine.buttons = 3), ["1C0: 03 00 00"]);
+    assert_eq!(change(&mut board, |machine| machine.buttons = 3), SILENCE, "it has not changed");
+    assert_eq!(change(&mut board, |machine| machine.lamps = 3), SILENCE, "it is not mapped");
+    assert_eq!(change(&mut board, |machine| machine.level = 0x8001), ["1C0: 03 01 80"]);
+}
+
+#[test]
+fn a_value_that_a_client_writes_is_sent_after_the_answer() {
+    let mut board = board();
+    map(&mut board, 0x1802, 0x3C0, &[0x6200_0108]);
+    board.nmt("01 40");
+    let frames = board.sdo("2F 00 62 01 09");
+    assert_eq!(frames, ["5C0: 60 00 62 01 00 00 00 00", "3C0: 09"]);
+}
+
+#[test]
+fn pdos_are_sent_in_operational_only() {
+    let mut board = operational();
+    for command in ["80 40", "02 40"] {
+        board.nmt(command);
+        assert_eq!(change(&mut board, |machine| machine.level += 1), SILENCE);
+        assert_eq!(receive(&mut board, "080:"), SILENCE);
+        board.nmt("01 40");
+    }
+}
+
+/// A board in NMT operational that has just sent TPDO 1, which has an inhibit time of 10 ms.
+fn inhibited_for_10_ms() -> Board {
+    let mut board = board();
+    set(&mut board, 0x1800, 1, 0x8000_01C0, 4);
+    set(&mut board, 0x1800, 3, 100, 2);
+    set(&mut board, 0x1800, 1, 0x1C0, 4);
+    assert_eq!(board.nmt("01 40"), ["1C0: 00 00 00"]);
+    board
+}
+
+#[test]
+fn a_change_within_the_inhibit_time_leaves_when_it_ends() {
+    let mut board = inhibited_for_10_ms();
+    assert_eq!(board.pass_ms(10), SILENCE);
+    assert_eq!(change(&mut board, |machine| machine.buttons = 1), ["1C0: 01 00 00"]);
+    for buttons in 2..=9 {
+        assert_eq!(change(&mut board, |machine| machine.buttons = buttons), SILENCE);
+        assert_eq!(board.pass_ms(1), SILENCE);
+    }
+    assert_eq!(board.pass_us(1_999), SILENCE);
+    assert_eq!(board.pass_us(1), ["1C0: 09 00 00"], "after 10 ms, with the latest value");
+    assert_eq!(board.pass_ms(1_000), SILENCE);
+}
+
+#[test]
+fn a_change_that_is_taken_back_within_the_inhibit_time_is_not_sent() {
+    let mut board = inhibited_for_10_ms();
+    assert_eq!(change(&mut board, |machine| machine.buttons = 1), SILENCE);
+    assert_eq!(change(&mut board, |machine| machine.buttons = 0), SILENCE);
+    assert_eq!(board.pass_ms(1_000), SILENCE);
+}
+
+#[test]
+fn the_event_timer_sends_an_unchanged_pdo_and_starts_again_with_each() {
+    let mut board = board();
+    set(&mut board, 0x1800, 5, 50, 2);
+    assert_eq!(board.nmt("01 40"), ["1C0: 00 00 00"]);
+    assert_eq!(board.pass_ms(49), SILENCE);
+    assert_eq!(board.pass_ms(1), ["1C0: 00 00 00"]);
+    assert_eq!(board.pass_ms(30), SILENCE);
+    assert_eq!(change(&mut board, |machine| machine.buttons = 1), ["1C0: 01 00 00"]);
+    assert_eq!(board.pass_ms(49), SILENCE);
+    assert_eq!(board.pass_ms(51).0.len(), 2);
+    let frames = board.sdo("2B 00 18 05");
+    assert_eq!(frames, ["5C0: 60 00 18 05 00 00 00 00", "1C0: 01 00 00"]);
+    assert_eq!(board.pass_ms(1_000), SILENCE);
+}
+
+#[test]
+fn each_nth_sync_asks_for_a_tpdo_of_type_n() {
+    let mut board = operational();
+    assert_eq!(receive(&mut board, "080:"), ["2C0: 00 00 00 00 00 00 00 00"]);
+    set(&mut board, 0x1801, 2, 3, 1);
+    board.node.application_mut().position = -2;
+    assert_eq!(receive(&mut board, "080:"), SILENCE);
+    assert_eq!(receive(&mut board, "080:"), SILENCE);
+    assert_eq!(receive(&mut board, "080:"), ["2C0: FE FF FF FF FF FF FF FF"]);
+    assert_eq!(receive(&mut board, "080:"), SILENCE);
+    assert_eq!(change(&mut board, |machine| machine.position = 1), SILENCE);
+}
+
+#[test]
+fn type_0_sends_a_change_at_the_next_sync() {
+    let mut board = operational();
+    set(&mut board, 0x1801, 2, 0, 1);
+    assert_eq!(receive(&mut board, "080:").0.len(), 1, "once in operational");
+    assert_eq!(receive(&mut board, "080:"), SILENCE);
+    assert_eq!(change(&mut board, |machine| machine.position = 5), SILENCE);
+    assert_eq!(receive(&mut board, "080:"), ["2C0: 05 00 00 00 00 00 00 00"]);
+    assert_eq!(receive(&mut board, "080:"), SILENCE);
+}
+
+#[test]
+fn the_sync_with_the_start_value_is_regarded_as_the_first() {
+    let mut board = board();
+    set(&mut board, 0x1019, 0, 10, 1);
+    set(&mut board, 0x1801, 1, 0x8000_02C0, 4);
+    set(&mut board, 0x1801, 2, 2, 1);
+    set(&mut board, 0x1801, 6, 4, 1);
+    set(&mut board, 0x1801, 1, 0x2C0, 4);
+    board.nmt("01 40");
+    let sent: Vec<_> = (1..=10)
+        .filter(|counter| !receive(&mut board, &format!("080: {counter:02X}")).0.is_empty())
+        .collect();
+    assert_eq!(sent, [5, 7, 9]);
+}
+
+#[test]
+fn a_pdo_that_becomes_valid_in_operational_is_sent() {
+    let mut board = operational();
+    set(&mut board, 0x1800, 1, 0x8000_01C0, 4);
+    assert_eq!(change(&mut board, |machine| machine.buttons = 7), SILENCE);
+    assert_eq!(
+        board.sdo("23 00 18 01 C0 01 00 00"),
+        ["5C0: 60 00 18 01 00 00 00 00", "1C0: 07 00 00"]
+    );
+}
+
+#[test]
+fn nothing_is_sent_in_the_delays_of_a_switch_and_the_latest_data_after() {
+    let mut board = board();
+    set(&mut board, 0x1800, 5, 30, 2);
+    board.nmt("01 40");
+    board.lss("04 01");
+    board.lss("13 00 02");
+    board.lss("15 64");
+    assert_eq!(change(&mut board, |machine| machine.buttons = 1), SILENCE);
+    assert_eq!(receive(&mut board, "080:"), SILENCE);
+    assert_eq!(receive(&mut board, "240: 05 00 00"), SILENCE);
+    assert_eq!(board.pass_ms(199), SILENCE);
+    assert_eq!(board.pass_ms(1), ["1C0: 01 00 00"]);
+    assert_eq!(board.node.application().lamps, 0, "a PDO of the silence has no effect");
+    assert_eq!(board.pass_ms(29), SILENCE);
+    assert_eq!(board.pass_ms(1), ["1C0: 01 00 00"]);
+}
+
+#[test]
+fn a_bus_off_ends_process_data_unless_1029_keeps_the_state() {
+    let mut board = operational();
+    board.see(BusEvent::BusOff);
+    assert_eq!(change(&mut board, |machine| machine.buttons = 1), SILENCE);
+    board.nmt("01 40");
+    set(&mut board, 0x1029, 1, 1, 1);
+    board.see(BusEvent::BusOff);
+    assert_eq!(change(&mut board, |machine| machine.buttons = 2), ["1C0: 02 00 00"]);
+}
