@@ -34,9 +34,12 @@ mod declaration;
 mod text;
 mod value;
 
-pub use declaration::{check, check_limits, complete};
+pub use declaration::{check, check_limits, complete, longest};
 pub use text::{OctetString, Text};
+pub(crate) use value::copy;
 pub use value::{Domain, Value};
+
+use core::fmt::Debug;
 
 use crate::{BitRate, nmt, object_dictionary::Entry, sdo::Abort};
 
@@ -44,6 +47,10 @@ use crate::{BitRate, nmt, object_dictionary::Entry, sdo::Abort};
 pub trait Dictionary {
     /// A value on its way into the dictionary, with the name of its field.
     type Value;
+    /// Room for the longest value that a client can write, in bytes.
+    type Buffer: AsRef<[u8]> + AsMut<[u8]> + Clone + Debug;
+    /// An empty buffer.
+    const BUFFER: Self::Buffer;
     /// The objects, by index and sub-index.
     const OBJECTS: &'static [Entry];
     /// What the image does not need of the objects: names, defaults and limits, in the order of
@@ -68,6 +75,12 @@ pub trait Dictionary {
 
 /// A product's behaviour beside the node. Each method does nothing by default.
 pub trait Application: Dictionary {
+    /// The time without a message of the client after which the SDO server ends a transfer, in milliseconds.
+    ///
+    /// CiA 301 gives no value. Usual clients wait 0.3 to 1 s for an answer; a transfer whose client is silent for longer
+    /// has none any more. A client that makes longer pauses within a transfer needs a longer time.
+    const SDO_TIMEOUT_MS: u16 = 1000;
+
     /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
     /// the start.
     ///
@@ -83,7 +96,8 @@ pub trait Application: Dictionary {
         let _ = event;
     }
 
-    /// The length of a [`Domain`] in bytes.
+    /// The length of a [`Domain`] in bytes, at the beginning of an upload. The domain should not change until its end:
+    /// a client that reads it by block transfer detects that by the CRC, others do not.
     ///
     /// # Errors
     /// The abort code for the client, such as [`Abort::NoData`].
@@ -115,13 +129,21 @@ pub trait Application: Dictionary {
         Err(Abort::Hardware)
     }
 
-    /// Completes a [`Domain`] that a client has written: `len` bytes. A transfer that is cut short does not get here.
+    /// Completes a [`Domain`] that a client has written: `len` bytes, whose CRC was right if the client sent one. A
+    /// transfer that is cut short does not get here.
     ///
     /// # Errors
     /// The abort code for the client.
     fn end_domain(&mut self, index: u16, sub_index: u8, len: u32) -> Result<(), Abort> {
         let _ = (index, sub_index, len);
         Ok(())
+    }
+
+    /// Discards what a client has written of a [`Domain`]: the transfer was cut short, its CRC or length was wrong, or
+    /// [`write_domain`](Self::write_domain) or [`end_domain`](Self::end_domain) refused it. Nothing may have been
+    /// written yet.
+    fn abort_domain(&mut self, index: u16, sub_index: u8) {
+        let _ = (index, sub_index);
     }
 }
 
@@ -151,6 +173,8 @@ pub struct NoApplication;
 
 impl Dictionary for NoApplication {
     type Value = ();
+    type Buffer = [u8; 0];
+    const BUFFER: [u8; 0] = [];
     const OBJECTS: &'static [Entry] = &[];
     const DESCRIPTIONS: &'static [Description] = &[];
 

@@ -12,13 +12,14 @@ use crate::{
     emergency::{Emergency, ErrorCounters, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
+    object_dictionary::Entry,
     sdo,
     supervision::Step,
 };
 use bit_rate_control::BitRateControl;
 use nmt_slave::NmtSlave;
 use objects::Parts;
-use storing::Storing;
+use storing::{Download, Storing};
 
 /// An action for the board to carry out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,13 +63,13 @@ pub enum Action {
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives the node's COB-IDs. A
 /// late or unnecessary call does no harm.
 #[derive(Clone, Debug)]
-pub struct Node<A = NoApplication> {
+pub struct Node<A: Application = NoApplication> {
     device: Device,
     lss: Slave,
     bit_rate: BitRateControl,
     nmt: NmtSlave,
     emergency: Emergency,
-    sdo: sdo::Server,
+    sdo: sdo::Server<A::Buffer>,
     storing: Storing,
     application: A,
     due: Due,
@@ -91,6 +92,8 @@ impl Node {
 }
 
 impl<A: Application> Node<A> {
+    const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
+
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
         device: Device,
@@ -113,7 +116,7 @@ impl<A: Application> Node<A> {
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
-            sdo: sdo::Server::new(),
+            sdo: sdo::Server::new(A::BUFFER),
             storing: Storing::new(persistent),
             device,
             application,
@@ -130,6 +133,12 @@ impl<A: Application> Node<A> {
     pub const fn application_mut(&mut self) -> &mut A {
         self.due = Due::Now;
         &mut self.application
+    }
+
+    /// Whether the node sends more frames than its board can queue, as in an SDO block upload. The next of them follow
+    /// [`BusEvent::NonePending`].
+    pub const fn wants_to_send_more(&self) -> bool {
+        Self::HAS_APPLICATION && self.sdo.is_sending_block()
     }
 
     /// The LSS slave of the node.
@@ -205,12 +214,19 @@ impl<A: Application> Node<A> {
 
     /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
     /// [`BusEvent::BusOffRecovered`] is counted.
+    #[inline(never)]
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         self.due = Due::Now;
         match event {
             BusEvent::ErrorCounters { transmit, receive } => {
                 let counters = ErrorCounters { transmit, receive };
                 self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
+                return;
+            }
+            BusEvent::NonePending => {
+                if Self::HAS_APPLICATION {
+                    self.sdo.note_sent();
+                }
                 return;
             }
             BusEvent::Overrun => return self.emergency.report(Fault::Overrun),
@@ -313,7 +329,12 @@ impl<A: Application> Node<A> {
     fn find_deadline(&self) -> Option<Instant> {
         let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
         let heartbeat = self.nmt.poll_at().filter(|_| may_report);
-        Instant::earliest(self.bit_rate.poll_at(), heartbeat)
+        let deadline = Instant::earliest(self.bit_rate.poll_at(), heartbeat);
+        if !Self::HAS_APPLICATION {
+            return deadline;
+        }
+        let sdo = self.sdo.poll_at::<Parts<'_, A>>().filter(|_| may_report);
+        Instant::earliest(deadline, sdo)
     }
 
     fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
@@ -368,6 +389,9 @@ impl<A: Application> Node<A> {
 
     /// Carries out a step of the supervision, which drops the pending frames.
     fn take_step(&mut self, step: Step) -> Action {
+        if Self::HAS_APPLICATION {
+            self.end_sdo_transfer();
+        }
         self.emergency.note_dropped();
         self.nmt.note_dropped();
         match step {
@@ -413,7 +437,10 @@ impl<A: Application> Node<A> {
     }
 
     fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
-        let answer = self.sdo.poll(&mut Parts {
+        if Self::HAS_APPLICATION && !self.serves_sdo() {
+            self.end_sdo_transfer();
+        }
+        let mut objects = Parts {
             device: &self.device,
             lss: &self.lss,
             bit_rate: &self.bit_rate,
@@ -422,7 +449,8 @@ impl<A: Application> Node<A> {
             storing: &mut self.storing,
             application: &mut self.application,
             now,
-        })?;
+        };
+        let answer = self.sdo.poll(&mut objects, now)?;
         self.transmit_by_sdo(answer)
     }
 
@@ -431,10 +459,21 @@ impl<A: Application> Node<A> {
         Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer)))
     }
 
-    /// Discards pending SDO transfers.
+    /// Discards pending SDO requests and transfers.
     fn end_sdo(&mut self) {
-        self.sdo.reset();
+        self.sdo.discard_request();
+        self.end_sdo_transfer();
         self.storing.forget_sdo();
+    }
+
+    /// Discards the current SDO transfer without an answer to the client.
+    fn end_sdo_transfer(&mut self) {
+        if Self::HAS_APPLICATION
+            && let Some(Entry { index, sub_index, .. }) = self.sdo.domain()
+        {
+            self.application.abort_domain(*index, *sub_index);
+        }
+        self.sdo.discard_transfer();
     }
 
     fn store_or_answer(&mut self) -> Option<Action> {
@@ -450,7 +489,10 @@ impl<A: Application> Node<A> {
                 }
                 AnswerSdo(download, outcome) if self.serves_sdo() => {
                     return self.transmit_by_sdo(match outcome {
-                        Ok(()) => sdo::confirm(download.index, download.sub_index),
+                        Ok(()) => {
+                            let Download { index, sub_index } = download;
+                            self.sdo.confirm::<Parts<'_, A>>(index, sub_index)
+                        }
                         Err(_) => {
                             sdo::abort(download.index, download.sub_index, sdo::Abort::Hardware)
                         }

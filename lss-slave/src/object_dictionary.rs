@@ -42,6 +42,10 @@ pub enum Object {
     Rescues,
     /// Sub-index 0 of an object: the number of its further sub-indices.
     HighestSubIndex(u8),
+    /// The COB-ID of requests to the SDO server.
+    CobIdSdoRequest,
+    /// The COB-ID of answers of the SDO server.
+    CobIdSdoResponse,
     /// The value of an application with this number.
     Application(u8),
 }
@@ -70,6 +74,7 @@ pub enum DataType {
 
 impl DataType {
     /// The size of a number of this type in bytes; 0 for a string or a domain.
+    #[inline(never)]
     pub const fn size(self) -> u8 {
         match self {
             Self::Boolean | Self::Integer8 | Self::Unsigned8 => 1,
@@ -78,6 +83,14 @@ impl DataType {
             Self::Integer64 | Self::Unsigned64 | Self::Real64 => 8,
             Self::VisibleString | Self::OctetString | Self::Domain => 0,
         }
+    }
+}
+
+impl Entry {
+    /// The size of the number at this row of [`TABLE`], whose numbers are all unsigned: as
+    /// [`DataType::size`], in less code.
+    pub(crate) const fn own_size(&self) -> u8 {
+        1 << ((self.data_type as u8 & 3).wrapping_sub(1) & 3)
     }
 }
 
@@ -183,6 +196,18 @@ pub const TABLE: &[Entry] = &{
     ]
 };
 
+/// The SDO server parameter, which a node with an application has beside [`TABLE`].
+pub const SDO_SERVER: &[Entry] = &{
+    use Access::*;
+    use DataType::*;
+    use Object::*;
+    [
+        row(0x1200, 0, Unsigned8, Const, HighestSubIndex(2)),
+        row(0x1200, 1, Unsigned32, ReadOnly, CobIdSdoRequest),
+        row(0x1200, 2, Unsigned32, ReadOnly, CobIdSdoResponse),
+    ]
+};
+
 const fn row(
     index: u16,
     sub_index: u8,
@@ -194,7 +219,6 @@ const fn row(
 }
 
 /// The row of an object in `table`, or the part of its address that does not exist.
-#[inline(never)] // It has two callers.
 pub(crate) fn find(
     table: &'static [Entry],
     index: u16,

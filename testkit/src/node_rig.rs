@@ -23,7 +23,7 @@ pub const ADDRESS: Address = Address {
 };
 
 /// A board with a node on it.
-pub struct NodeRig<A = NoApplication> {
+pub struct NodeRig<A: Application = NoApplication> {
     pub node: Node<A>,
     /// The application as it is at each power-on.
     new_application: A,
@@ -295,8 +295,14 @@ impl<A: Application + Clone> NodeRig<A> {
     }
 
     fn run(&mut self) {
-        while let Some(action) = self.node.poll(self.instant()) {
-            self.carry_out(Some(action));
+        loop {
+            while let Some(action) = self.node.poll(self.instant()) {
+                self.carry_out(Some(action));
+            }
+            if !self.is_acknowledged || !self.node.wants_to_send_more() {
+                break;
+            }
+            self.report(BusEvent::NonePending);
         }
         assert_eq!(self.receives_for, self.node.node_id(), "the board knows the node-ID");
         assert_eq!(self.bit_rate, self.node.bit_rate(), "the board runs at the active bit rate");

@@ -62,6 +62,20 @@ pub const fn complete<const N: usize>(mut objects: [Entry; N]) -> [Entry; N] {
     objects
 }
 
+/// The largest of these capacities, and at least that for the longest number, in bytes.
+#[doc(hidden)]
+pub const fn longest(capacities: &[usize]) -> usize {
+    let mut longest = 8;
+    let mut at = 0;
+    while at < capacities.len() {
+        if capacities[at] > longest {
+            longest = capacities[at];
+        }
+        at += 1;
+    }
+    longest
+}
+
 /// Declares the objects of a product: a struct whose fields are the values, and its
 /// [`Dictionary`](crate::application::Dictionary).
 ///
@@ -127,8 +141,12 @@ macro_rules! objects {
             #[repr(u8)]
             enum Field { $($($field,)+)* }
 
+            const LONGEST: usize = application::longest(&[$($(<$type as Value>::CAPACITY,)+)*]);
+
             impl Dictionary for $name {
                 type Value = $value;
+                type Buffer = [u8; LONGEST];
+                const BUFFER: [u8; LONGEST] = [0; LONGEST];
 
                 const OBJECTS: &'static [Entry] = &application::complete([$(
                     $($crate::objects!(@highest $index $object),)?

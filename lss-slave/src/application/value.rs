@@ -7,6 +7,8 @@ use crate::{object_dictionary::DataType, sdo::Abort};
 pub trait Value: Sized {
     /// The CiA 301 data type.
     const DATA_TYPE: DataType;
+    /// The length of the longest value that a client can write, in bytes.
+    const CAPACITY: usize;
 
     /// The length of the value in bytes.
     fn len(&self) -> usize;
@@ -22,7 +24,7 @@ pub trait Value: Sized {
 }
 
 /// Copies `from`, from `offset` on, to `to` as far as both reach; returns the number of bytes.
-pub(super) fn copy(from: &[u8], offset: usize, to: &mut [u8]) -> usize {
+pub(crate) fn copy(from: &[u8], offset: usize, to: &mut [u8]) -> usize {
     let from = from.get(offset..).unwrap_or_default();
     to.iter_mut().zip(from).map(|(to, from)| *to = *from).count()
 }
@@ -31,6 +33,7 @@ macro_rules! numbers {
     ($($number:ty => $data_type:ident,)*) => {$(
         impl Value for $number {
             const DATA_TYPE: DataType = DataType::$data_type;
+            const CAPACITY: usize = size_of::<Self>();
 
             fn len(&self) -> usize {
                 size_of::<Self>()
@@ -66,6 +69,7 @@ fn parse_number<const N: usize>(bytes: &[u8]) -> Result<[u8; N], Abort> {
 
 impl Value for bool {
     const DATA_TYPE: DataType = DataType::Boolean;
+    const CAPACITY: usize = 1;
 
     fn len(&self) -> usize {
         1
@@ -87,6 +91,7 @@ impl Value for bool {
 /// A constant text, which a client cannot write.
 impl Value for &'static str {
     const DATA_TYPE: DataType = DataType::VisibleString;
+    const CAPACITY: usize = 0;
 
     fn len(&self) -> usize {
         str::len(self)
@@ -103,6 +108,7 @@ impl Value for &'static str {
 
 impl<const N: usize> Value for Text<N> {
     const DATA_TYPE: DataType = DataType::VisibleString;
+    const CAPACITY: usize = N;
 
     fn len(&self) -> usize {
         self.as_bytes().len()
@@ -119,6 +125,7 @@ impl<const N: usize> Value for Text<N> {
 
 impl<const N: usize> Value for OctetString<N> {
     const DATA_TYPE: DataType = DataType::OctetString;
+    const CAPACITY: usize = N;
 
     fn len(&self) -> usize {
         self.as_bytes().len()
@@ -139,6 +146,7 @@ pub struct Domain;
 
 impl Value for Domain {
     const DATA_TYPE: DataType = DataType::Domain;
+    const CAPACITY: usize = 0;
 
     fn len(&self) -> usize {
         0

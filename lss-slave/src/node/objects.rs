@@ -1,17 +1,19 @@
 //! The objects of the dictionary: the values that the node returns, and the effects of writes.
 
+use core::cmp::Ordering;
+
 use super::{
     BitRateControl, Device, NmtSlave,
     storing::{Busy, Download, Storing},
 };
 use crate::{
     Instant,
-    application::Application,
+    application::{Application, copy},
     emergency::{self, Emergency},
     lss::{self, AddressPart},
     nmt::ErrorBehaviour,
-    object_dictionary::{self, Entry, Object, TABLE},
-    sdo::{Abort, Objects, Value, Written},
+    object_dictionary::{self, DataType, Entry, Object, SDO_SERVER, TABLE},
+    sdo::{self, Abort, Objects, Value, Written},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -34,9 +36,15 @@ pub(super) struct Parts<'a, A> {
 }
 
 impl<A: Application> Objects for Parts<'_, A> {
+    const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
+    const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
+
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
-        let is_of_application = A::OBJECTS.first().is_some_and(|first| first.index <= index);
-        let table = if is_of_application { A::OBJECTS } else { TABLE };
+        let table = match A::OBJECTS.first() {
+            Some(first) if first.index <= index => A::OBJECTS,
+            Some(_) if index == 0x1200 => SDO_SERVER,
+            _ => TABLE,
+        };
         Ok(object_dictionary::find(table, index, sub_index)?)
     }
 
@@ -69,8 +77,13 @@ impl<A: Application> Objects for Parts<'_, A> {
             Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
             Object::Rescues => self.bit_rate.rescues().into(),
             Object::HighestSubIndex(highest) => highest.into(),
-            Object::Application(_) if A::OBJECTS.is_empty() => return Err(Abort::NoObject),
-            Object::Application(field) => self.read_application(field)?,
+            Object::CobIdSdoRequest if Self::HAS_APPLICATION => {
+                u32::from(sdo::REQUEST_COB_ID) + node_id
+            }
+            Object::CobIdSdoResponse if Self::HAS_APPLICATION => {
+                u32::from(sdo::RESPONSE_COB_ID) + node_id
+            }
+            Object::CobIdSdoRequest | Object::CobIdSdoResponse | Object::Application(_) => 0,
         }))
     }
 
@@ -97,30 +110,65 @@ impl<A: Application> Objects for Parts<'_, A> {
             (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
                 Err(Abort::NotStored)
             }
-            (Object::Application(field), value) if !A::OBJECTS.is_empty() => self
-                .write_application(
-                    field,
-                    value.to_le_bytes().get(..entry.data_type.size().into()).unwrap_or_default(),
-                ),
             _ => Err(Abort::ReadOnly),
         }
     }
+
+    fn len(&self, entry: &Entry) -> Result<u32, Abort> {
+        match entry.object {
+            Object::Application(_) if entry.data_type == DataType::Domain => {
+                self.application.domain_len(entry.index, entry.sub_index)
+            }
+            Object::Application(field) => Ok(self.application.len(field) as u32),
+            object => self.read(object).map(|_| entry.data_type.size().into()),
+        }
+    }
+
+    fn read_part(&self, entry: &Entry, offset: u32, to: &mut [u8]) -> usize {
+        match entry.object {
+            Object::Application(_) if entry.data_type == DataType::Domain => {
+                self.application.read_domain(entry.index, entry.sub_index, offset, to)
+            }
+            Object::Application(field) => self.application.read(field, offset as usize, to),
+            object => match self.read(object) {
+                Ok(Value::Number(number)) => copy(&number.to_le_bytes(), offset as usize, to),
+                _ => 0,
+            },
+        }
+    }
+
+    fn write_bytes(&mut self, entry: &Entry, bytes: &[u8]) -> Result<Written, Abort> {
+        if let Object::Application(field) = entry.object {
+            let value = A::parse(field, bytes)?;
+            self.application.accept(&value)?;
+            self.application.set(value);
+            return Ok(Written::Now);
+        }
+        match bytes.len().cmp(&entry.data_type.size().into()) {
+            Ordering::Greater => Err(Abort::TooLong),
+            Ordering::Less => Err(Abort::TooShort),
+            Ordering::Equal => {
+                let mut number = [0; 4];
+                copy(bytes, 0, &mut number);
+                self.write(entry, u32::from_le_bytes(number))
+            }
+        }
+    }
+
+    fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
+    }
+
+    fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort> {
+        self.application.end_domain(entry.index, entry.sub_index, len)
+    }
+
+    fn abort_domain(&mut self, entry: &Entry) {
+        self.application.abort_domain(entry.index, entry.sub_index);
+    }
 }
 
-impl<A: Application> Parts<'_, A> {
-    fn read_application(&self, field: u8) -> Result<u32, Abort> {
-        let mut bytes = [0; 4];
-        self.application.read(field, 0, &mut bytes);
-        Ok(u32::from_le_bytes(bytes))
-    }
-
-    fn write_application(&mut self, field: u8, bytes: &[u8]) -> Result<Written, Abort> {
-        let value = A::parse(field, bytes)?;
-        self.application.accept(&value)?;
-        self.application.set(value);
-        Ok(Written::Now)
-    }
-
+impl<A> Parts<'_, A> {
     fn request_store(&mut self, entry: &Entry, heartbeat_ms: u16) -> Result<Written, Abort> {
         let download = Download { index: entry.index, sub_index: entry.sub_index };
         self.storing.request_by_sdo(download, heartbeat_ms)?;

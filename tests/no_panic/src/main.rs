@@ -11,12 +11,14 @@ use core::{
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use lss_slave::{
-    BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
+    Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
+    application::{Domain, Event, OctetString, Text},
     bit_rate::BitRateSetting,
     emergency::Fault,
     indicator::{BusState, Indicators},
     lss::{Address, StoreError},
-    nmt,
+    nmt, objects,
+    sdo::Abort,
     settings::Log,
 };
 
@@ -117,9 +119,14 @@ fn run_node() {
         .with_versions(any(""), any(""))
         .with_rescue(any(true))
         .with_lss_lock(any(true));
-    let mut node = Node::new(device, any(Some(any_settings())));
-    // Between the calls the node is in any state that its types allow.
-    let node = &mut node;
+    drive(&mut Node::new(device, any(Some(any_settings()))));
+    let objects = any(Objects::new());
+    drive(&mut Node::with_application(device, any(Some(any_settings())), objects));
+}
+
+/// Calls all of a node. Between the calls it is in any state that its types allow.
+fn drive<A: Application>(node: &mut Node<A>) {
+    black_box(black_box(&mut *node).application_mut());
     black_box(Frame::new(any(0), any(&[])));
     if let Some(frame) = Frame::from_padded(any(0), any(0), any([0; 8])) {
         black_box((frame.cob_id(), frame.data()));
@@ -133,6 +140,71 @@ fn run_node() {
     black_box(node.is_due(any_instant()));
     black_box((node.poll_at(), node.receives(), node.nmt_state(), node.node_id()));
     black_box((node.bit_rate(), node.is_listening(), node.lss().state()));
+    black_box((node.active_bit_rate(), node.wants_to_send_more(), node.application()));
+}
+
+objects! {
+    /// An object of each kind.
+    struct Objects, values ObjectValue;
+
+    0x2100 "Numbers" {
+        1 "Boolean" boolean: bool = true, rw;
+        2 "8 bits" byte: u8 = 8, rw, 5..=250, mappable, stored;
+        3 "16 bits" word: i16 = 16, ro;
+        4 "64 bits" long: u64 = 64, rw, stored;
+        5 "Real" real: f64 = 0.5, wo, 0.0..=1.0;
+    }
+    0x2200 "Strings" {
+        1 "Constant" constant: &'static str = "constant", constant;
+        2 "Text" text: Text<20> = Text::EMPTY, rw, stored;
+        3 "Octets" octets: OctetString<40> = OctetString::EMPTY, rw;
+    }
+    0x2300 {
+        0 "Domain" domain: Domain = Domain, rw;
+    }
+}
+
+/// An application that answers arbitrarily.
+impl Application for Objects {
+    fn accept(&mut self, value: &ObjectValue) -> Result<(), Abort> {
+        black_box(value);
+        any(Ok(()))
+    }
+
+    fn handle(&mut self, event: Event) {
+        black_box(event);
+    }
+
+    fn domain_len(&self, index: u16, sub_index: u8) -> Result<u32, Abort> {
+        black_box((index, sub_index));
+        any(Ok(any_number()))
+    }
+
+    fn read_domain(&self, index: u16, sub_index: u8, offset: u32, to: &mut [u8]) -> usize {
+        black_box((index, sub_index, offset));
+        to.fill_with(|| any(0));
+        any(0)
+    }
+
+    fn write_domain(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        offset: u32,
+        bytes: &[u8],
+    ) -> Result<(), Abort> {
+        black_box((index, sub_index, offset, bytes));
+        any(Ok(()))
+    }
+
+    fn end_domain(&mut self, index: u16, sub_index: u8, len: u32) -> Result<(), Abort> {
+        black_box((index, sub_index, len));
+        any(Ok(()))
+    }
+
+    fn abort_domain(&mut self, index: u16, sub_index: u8) {
+        black_box((index, sub_index));
+    }
 }
 
 fn indicate() {
