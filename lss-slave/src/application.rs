@@ -39,18 +39,18 @@ pub use text::{OctetString, Text};
 pub(crate) use value::copy;
 pub use value::{Domain, Value};
 
-use core::fmt::Debug;
-
-use crate::{BitRate, nmt, object_dictionary::Entry, sdo::Abort};
+use crate::{
+    BitRate, nmt,
+    object_dictionary::Entry,
+    sdo::{self, Abort},
+};
 
 /// The objects of a product: what [`objects!`](crate::objects) implements.
 pub trait Dictionary {
     /// A value on its way into the dictionary, with the name of its field.
     type Value;
-    /// Room for the longest value that a client can write, in bytes.
-    type Buffer: AsRef<[u8]> + AsMut<[u8]> + Clone + Debug;
-    /// An empty buffer.
-    const BUFFER: Self::Buffer;
+    /// The SDO server for these objects, with room for the longest value that a client can write.
+    type SdoServer: sdo::Service;
     /// The objects, by index and sub-index.
     const OBJECTS: &'static [Entry];
     /// What the image does not need of the objects: names, defaults and limits, in the order of
@@ -173,8 +173,7 @@ pub struct NoApplication;
 
 impl Dictionary for NoApplication {
     type Value = ();
-    type Buffer = [u8; 0];
-    const BUFFER: [u8; 0] = [];
+    type SdoServer = sdo::Basic;
     const OBJECTS: &'static [Entry] = &[];
     const DESCRIPTIONS: &'static [Description] = &[];
 

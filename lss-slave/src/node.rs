@@ -13,7 +13,7 @@ use crate::{
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
     object_dictionary::Entry,
-    sdo,
+    sdo::{self, Service},
     supervision::Step,
 };
 use bit_rate_control::BitRateControl;
@@ -69,7 +69,7 @@ pub struct Node<A: Application = NoApplication> {
     bit_rate: BitRateControl,
     nmt: NmtSlave,
     emergency: Emergency,
-    sdo: sdo::Server<A::Buffer>,
+    sdo: A::SdoServer,
     storing: Storing,
     application: A,
     due: Due,
@@ -92,8 +92,6 @@ impl Node {
 }
 
 impl<A: Application> Node<A> {
-    const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
-
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
         device: Device,
@@ -116,7 +114,7 @@ impl<A: Application> Node<A> {
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
-            sdo: sdo::Server::new(A::BUFFER),
+            sdo: A::SdoServer::NEW,
             storing: Storing::new(persistent),
             device,
             application,
@@ -137,8 +135,8 @@ impl<A: Application> Node<A> {
 
     /// Whether the node sends more frames than its board can queue, as in an SDO block upload. The next of them follow
     /// [`BusEvent::NonePending`].
-    pub const fn wants_to_send_more(&self) -> bool {
-        Self::HAS_APPLICATION && self.sdo.is_sending_block()
+    pub fn wants_to_send_more(&self) -> bool {
+        self.sdo.is_sending_block()
     }
 
     /// The LSS slave of the node.
@@ -224,9 +222,7 @@ impl<A: Application> Node<A> {
                 return;
             }
             BusEvent::NonePending => {
-                if Self::HAS_APPLICATION {
-                    self.sdo.note_sent();
-                }
+                self.sdo.note_sent();
                 return;
             }
             BusEvent::Overrun => return self.emergency.report(Fault::Overrun),
@@ -330,9 +326,6 @@ impl<A: Application> Node<A> {
         let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
         let heartbeat = self.nmt.poll_at().filter(|_| may_report);
         let deadline = Instant::earliest(self.bit_rate.poll_at(), heartbeat);
-        if !Self::HAS_APPLICATION {
-            return deadline;
-        }
         let sdo = self.sdo.poll_at::<Parts<'_, A>>().filter(|_| may_report);
         Instant::earliest(deadline, sdo)
     }
@@ -389,9 +382,7 @@ impl<A: Application> Node<A> {
 
     /// Carries out a step of the supervision, which drops the pending frames.
     fn take_step(&mut self, step: Step) -> Action {
-        if Self::HAS_APPLICATION {
-            self.end_sdo_transfer();
-        }
+        self.end_sdo_transfer();
         self.emergency.note_dropped();
         self.nmt.note_dropped();
         match step {
@@ -437,7 +428,7 @@ impl<A: Application> Node<A> {
     }
 
     fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
-        if Self::HAS_APPLICATION && !self.serves_sdo() {
+        if !self.serves_sdo() {
             self.end_sdo_transfer();
         }
         let mut objects = Parts {
@@ -461,19 +452,17 @@ impl<A: Application> Node<A> {
 
     /// Discards pending SDO requests and transfers.
     fn end_sdo(&mut self) {
-        self.sdo.discard_request();
         self.end_sdo_transfer();
+        self.sdo.reset();
         self.storing.forget_sdo();
     }
 
     /// Discards the current SDO transfer without an answer to the client.
     fn end_sdo_transfer(&mut self) {
-        if Self::HAS_APPLICATION
-            && let Some(Entry { index, sub_index, .. }) = self.sdo.domain()
-        {
+        if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
             self.application.abort_domain(*index, *sub_index);
         }
-        self.sdo.discard_transfer();
+        self.sdo.end_transfer();
     }
 
     fn store_or_answer(&mut self) -> Option<Action> {
@@ -491,7 +480,7 @@ impl<A: Application> Node<A> {
                     return self.transmit_by_sdo(match outcome {
                         Ok(()) => {
                             let Download { index, sub_index } = download;
-                            self.sdo.confirm::<Parts<'_, A>>(index, sub_index)
+                            self.sdo.confirm(index, sub_index)
                         }
                         Err(_) => {
                             sdo::abort(download.index, download.sub_index, sdo::Abort::Hardware)

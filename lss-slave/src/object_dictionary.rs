@@ -74,7 +74,6 @@ pub enum DataType {
 
 impl DataType {
     /// The size of a number of this type in bytes; 0 for a string or a domain.
-    #[inline(never)]
     pub const fn size(self) -> u8 {
         match self {
             Self::Boolean | Self::Integer8 | Self::Unsigned8 => 1,
@@ -87,8 +86,7 @@ impl DataType {
 }
 
 impl Entry {
-    /// The size of the number at this row of [`TABLE`], whose numbers are all unsigned: as
-    /// [`DataType::size`], in less code.
+    /// The size of the number at this row of [`TABLE`], whose numbers are unsigned: [`DataType::size`] in less code.
     pub(crate) const fn own_size(&self) -> u8 {
         1 << ((self.data_type as u8 & 3).wrapping_sub(1) & 3)
     }
@@ -239,4 +237,16 @@ pub(crate) fn find(
 pub(crate) enum Missing {
     Object,
     SubIndex,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_size_of_an_own_number_is_that_of_its_type() {
+        for entry in TABLE.iter().filter(|entry| entry.data_type != DataType::VisibleString) {
+            assert_eq!(entry.own_size(), entry.data_type.size(), "{:X}h", entry.index);
+        }
+    }
 }

@@ -1,17 +1,22 @@
 //! The SDO server (CiA 301, 7.2.4): expedited transfers and segmented upload, and for a node with an application also
 //! segmented download and block transfer.
 
+mod basic;
 mod block_download;
 mod block_upload;
 mod crc;
 mod download;
 mod server;
+mod service;
 mod upload;
 
 use core::{error, fmt};
 
-use crate::object_dictionary::{Entry, Missing, Object};
-pub(crate) use server::Server;
+use crate::object_dictionary::{Entry, Missing};
+pub use basic::Basic;
+pub use server::Server;
+pub use service::Service;
+pub(crate) use service::{Objects, Value, Written};
 
 /// The base COB-ID of requests, to which the node-ID is added.
 pub const REQUEST_COB_ID: u16 = 0x600;
@@ -102,45 +107,6 @@ impl fmt::Display for Abort {
 
 impl error::Error for Abort {}
 
-/// The value of an object.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Value {
-    Number(u32),
-    Text(&'static str),
-}
-
-/// The effect of a write.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Written {
-    Now,
-    /// The answer follows later: [`Server::confirm`] or [`abort`].
-    Later,
-}
-
-/// The object dictionary behind the server.
-pub(crate) trait Objects {
-    /// Whether there are objects of an application. The code of the services that only they need vanishes otherwise.
-    const HAS_APPLICATION: bool;
-    /// The time after which an unfinished transfer ends, in microseconds.
-    const TIMEOUT_MICROS: u32;
-
-    fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort>;
-    /// The value of an object of the node.
-    fn read(&self, object: Object) -> Result<Value, Abort>;
-    /// Writes an object of the node.
-    fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort>;
-
-    /// The length of any value but a text of the node, in bytes.
-    fn len(&self, entry: &Entry) -> Result<u32, Abort>;
-    /// Copies a part of such a value; returns the number of bytes.
-    fn read_part(&self, entry: &Entry, offset: u32, to: &mut [u8]) -> usize;
-    /// Writes any object but a domain.
-    fn write_bytes(&mut self, entry: &Entry, bytes: &[u8]) -> Result<Written, Abort>;
-    fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort>;
-    fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort>;
-    fn abort_domain(&mut self, entry: &Entry);
-}
-
 /// Index and sub-index of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Address {
@@ -159,6 +125,11 @@ impl Address {
     const fn message(self, command: u8, number: u32) -> [u8; 8] {
         message(command, self.index, self.sub_index, number)
     }
+}
+
+/// The answer to a completed download.
+const fn confirm(index: u16, sub_index: u8) -> [u8; 8] {
+    message(0x60, index, sub_index, 0)
 }
 
 /// The message that ends a transfer.

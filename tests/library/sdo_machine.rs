@@ -54,8 +54,7 @@ pub struct Machine {
 
 impl Dictionary for Machine {
     type Value = MachineValue;
-    type Buffer = <Values as Dictionary>::Buffer;
-    const BUFFER: Self::Buffer = Values::BUFFER;
+    type SdoServer = <Values as Dictionary>::SdoServer;
     const OBJECTS: &'static [Entry] = Values::OBJECTS;
     const DESCRIPTIONS: &'static [Description] = Values::DESCRIPTIONS;
 

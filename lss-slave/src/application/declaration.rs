@@ -134,7 +134,7 @@ macro_rules! objects {
             use $crate::{
                 application::{self, Description, Dictionary, Value},
                 object_dictionary::{Access, Entry, Object, Options},
-                sdo::Abort,
+                sdo::{Abort, Server},
             };
 
             #[allow(non_camel_case_types)]
@@ -145,8 +145,7 @@ macro_rules! objects {
 
             impl Dictionary for $name {
                 type Value = $value;
-                type Buffer = [u8; LONGEST];
-                const BUFFER: [u8; LONGEST] = [0; LONGEST];
+                type SdoServer = Server<LONGEST>;
 
                 const OBJECTS: &'static [Entry] = &application::complete([$(
                     $($crate::objects!(@highest $index $object),)?

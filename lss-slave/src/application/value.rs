@@ -4,6 +4,7 @@ use super::text::{OctetString, Text};
 use crate::{object_dictionary::DataType, sdo::Abort};
 
 /// A type of value in the dictionary (CiA 301, 7.1.4).
+#[expect(clippy::len_without_is_empty, reason = "it is no collection")]
 pub trait Value: Sized {
     /// The CiA 301 data type.
     const DATA_TYPE: DataType;

@@ -36,7 +36,6 @@ pub(super) struct Parts<'a, A> {
 }
 
 impl<A: Application> Objects for Parts<'_, A> {
-    const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
     const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
@@ -77,10 +76,10 @@ impl<A: Application> Objects for Parts<'_, A> {
             Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
             Object::Rescues => self.bit_rate.rescues().into(),
             Object::HighestSubIndex(highest) => highest.into(),
-            Object::CobIdSdoRequest if Self::HAS_APPLICATION => {
+            Object::CobIdSdoRequest if !A::OBJECTS.is_empty() => {
                 u32::from(sdo::REQUEST_COB_ID) + node_id
             }
-            Object::CobIdSdoResponse if Self::HAS_APPLICATION => {
+            Object::CobIdSdoResponse if !A::OBJECTS.is_empty() => {
                 u32::from(sdo::RESPONSE_COB_ID) + node_id
             }
             Object::CobIdSdoRequest | Object::CobIdSdoResponse | Object::Application(_) => 0,

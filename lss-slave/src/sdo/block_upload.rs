@@ -33,14 +33,13 @@ enum Phase {
 
 impl BlockUpload {
     /// A block upload, and the answer to its client.
-    pub fn begin<O: Objects>(upload: Upload, block_size: u8) -> Result<(Self, [u8; 8]), Abort> {
+    pub fn begin(upload: Upload, block_size: u8) -> Result<(Self, [u8; 8]), Abort> {
         const CRC_SUPPORTED: u8 = 0x04;
         const SIZE_INDICATED: u8 = 0x02;
         if !BLOCK_SIZES.contains(&block_size) {
             return Err(Abort::BlockSize);
         }
-        let answer =
-            upload.address.message(0xC0 | CRC_SUPPORTED | SIZE_INDICATED, upload.len::<O>());
+        let answer = upload.address.message(0xC0 | CRC_SUPPORTED | SIZE_INDICATED, upload.len());
         let transfer = Self {
             upload,
             phase: Phase::Beginning,
@@ -59,7 +58,7 @@ impl BlockUpload {
     }
 
     /// Handles a message of the client; returns the answer, if it has one, and whether the transfer has ended.
-    pub fn handle<O: Objects>(
+    pub fn handle(
         &mut self,
         command: u8,
         [confirmed, block_size, ..]: [u8; 7],
@@ -71,7 +70,7 @@ impl BlockUpload {
             (START, Phase::Beginning) => self.phase = Phase::Sending,
             // A client that misses a segment may say so before the end of the block.
             (CONFIRM, Phase::Sending | Phase::Waiting) => {
-                return Ok((self.confirm::<O>(confirmed, block_size)?, false));
+                return Ok((self.confirm(confirmed, block_size)?, false));
             }
             (END, Phase::Ending) => return Ok((None, true)),
             _ => return Err(Abort::Command),
@@ -79,20 +78,15 @@ impl BlockUpload {
         Ok((None, false))
     }
 
-    fn confirm<O: Objects>(
-        &mut self,
-        confirmed: u8,
-        block_size: u8,
-    ) -> Result<Option<[u8; 8]>, Abort> {
+    fn confirm(&mut self, confirmed: u8, block_size: u8) -> Result<Option<[u8; 8]>, Abort> {
         if confirmed > self.sent {
             return Err(Abort::SequenceNumber);
         }
-        if confirmed == self.sent && self.phase == Phase::Waiting && self.upload.is_complete::<O>()
-        {
+        if confirmed == self.sent && self.phase == Phase::Waiting && self.upload.is_complete() {
             self.phase = Phase::Ending;
-            let last = (self.upload.len::<O>() % 7) as u8;
+            let last = (self.upload.len() % 7) as u8;
             let unused =
-                if last > 0 || self.upload.len::<O>() == 0 { 7_u8.saturating_sub(last) } else { 0 };
+                if last > 0 || self.upload.len() == 0 { 7_u8.saturating_sub(last) } else { 0 };
             let [c0, c1] = self.crc.value().to_le_bytes();
             return Ok(Some(segment(0xC1 | unused << 2, [c0, c1, 0, 0, 0, 0, 0])));
         }
@@ -120,7 +114,7 @@ impl BlockUpload {
         }
         self.upload.offset = self.upload.offset.saturating_add(len as u32);
         self.sent = self.sent.saturating_add(1);
-        let is_last = self.upload.is_complete::<O>();
+        let is_last = self.upload.is_complete();
         if is_last || self.sent >= self.block_size {
             self.phase = Phase::Waiting;
         }

@@ -1,8 +1,8 @@
-//! The server: takes each request to its service, and ends transfers whose client is silent.
+//! The server of a node with an application: takes each request to its service, and ends transfers whose client is silent.
 
 use super::{
-    Abort, Address, Objects, Value, Written, block_download::BlockDownload,
-    block_upload::BlockUpload, download::Download, message, upload::TOGGLE, upload::Upload,
+    Abort, Address, Objects, Service, Written, block_download::BlockDownload,
+    block_upload::BlockUpload, confirm, download::Download, upload::TOGGLE, upload::Upload,
 };
 use crate::{
     Instant,
@@ -13,14 +13,14 @@ use crate::{
 /// and an LSS answer waits for two frames at most.
 const SEGMENTS_PENDING: u8 = 2;
 
-/// An SDO server. It holds one request and at most one transfer, which the next initiate ends.
+/// An SDO server with every service, for values of up to `N` bytes that a client can write.
 #[derive(Clone, Debug)]
-pub(crate) struct Server<B> {
+pub struct Server<const N: usize> {
     /// A received request that has not been answered.
     request: Option<[u8; 8]>,
     transfer: Option<Transfer>,
     /// The value under way; it has room for the longest that can be written.
-    buffer: B,
+    buffer: [u8; N],
     /// The time of the last progress of the transfer.
     since: Instant,
     /// The number of segments that may be sent until [`note_sent`](Self::note_sent).
@@ -61,44 +61,30 @@ impl Initiate {
     }
 }
 
-impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
-    pub const fn new(buffer: B) -> Self {
-        let since = Instant::from_micros(0);
-        Self { request: None, transfer: None, buffer, since, credit: 0, confirmation: None }
-    }
+impl<const N: usize> Service for Server<N> {
+    const NEW: Self = Self {
+        request: None,
+        transfer: None,
+        buffer: [0; N],
+        since: Instant::from_micros(0),
+        credit: 0,
+        confirmation: None,
+    };
 
-    /// Discards the request.
-    pub const fn discard_request(&mut self) {
+    fn reset(&mut self) {
         self.request = None;
-    }
-
-    /// Discards the current transfer.
-    pub const fn discard_transfer(&mut self) {
         self.transfer = None;
     }
 
-    /// The domain that the current transfer writes.
-    pub fn domain(&self) -> Option<&'static Entry> {
-        domain_of(self.transfer.as_ref()?)
-    }
-
-    /// Accepts a request, which [`poll`](Self::poll) answers.
-    pub const fn handle(&mut self, request: [u8; 8]) {
+    fn handle(&mut self, request: [u8; 8]) {
         self.request = Some(request);
     }
 
-    /// Records that no frame of the node waits for the bus.
-    pub const fn note_sent(&mut self) {
-        self.credit = SEGMENTS_PENDING;
+    fn poll<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<[u8; 8]> {
+        self.answer(objects, now).or_else(|| self.proceed(objects, now))
     }
 
-    /// Whether a block of an upload has further segments.
-    pub const fn is_sending_block(&self) -> bool {
-        matches!(&self.transfer, Some(Transfer::BlockUpload(upload)) if upload.is_sending())
-    }
-
-    /// The latest time of the next [`poll`](Self::poll), if there is no request before.
-    pub fn poll_at<O: Objects>(&self) -> Option<Instant> {
+    fn poll_at<O: Objects>(&self) -> Option<Instant> {
         let micros = match self.transfer.as_ref()? {
             Transfer::BlockDownload(transfer) if transfer.is_within_block() => {
                 confirm_after(O::TIMEOUT_MICROS)
@@ -108,43 +94,45 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
         Some(self.since.plus_micros(micros))
     }
 
-    /// The answer to the download whose store has succeeded.
-    pub fn confirm<O: Objects>(&self, index: u16, sub_index: u8) -> [u8; 8] {
-        let answer = message(0x60, index, sub_index, 0);
-        if O::HAS_APPLICATION { self.confirmation.unwrap_or(answer) } else { answer }
+    fn end_transfer(&mut self) {
+        self.transfer = None;
     }
 
-    /// Executes the request and returns the answer, if there is one now. Without an answer returns the next message of
-    /// the transfer.
-    pub fn poll<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<[u8; 8]> {
-        let answer = self.answer(objects, now);
-        if O::HAS_APPLICATION { answer.or_else(|| self.proceed(objects, now)) } else { answer }
+    fn domain(&self) -> Option<&'static Entry> {
+        self.transfer.as_ref()?.domain()
     }
 
+    fn is_sending_block(&self) -> bool {
+        matches!(&self.transfer, Some(Transfer::BlockUpload(upload)) if upload.is_sending())
+    }
+
+    fn note_sent(&mut self) {
+        self.credit = SEGMENTS_PENDING;
+    }
+
+    fn confirm(&self, index: u16, sub_index: u8) -> [u8; 8] {
+        self.confirmation.unwrap_or(confirm(index, sub_index))
+    }
+}
+
+impl<const N: usize> Server<N> {
     fn answer<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<[u8; 8]> {
         let request = self.request.take()?;
-        if O::HAS_APPLICATION {
-            self.since = now;
-            self.confirmation = None;
-        }
-        if self.continues::<O>(request[0]) {
+        self.since = now;
+        self.confirmation = None;
+        if self.continues(request[0]) {
             return self.continue_transfer(request, objects);
         }
-        if O::HAS_APPLICATION
-            && let Some(transfer) = &self.transfer
-        {
-            cancel(transfer, objects);
+        if let Some(transfer) = self.transfer.take() {
+            transfer.cancel(objects);
         }
-        self.transfer = None;
         let initiate = Initiate::new(request);
         let answer = match initiate.command >> 5 {
             DOWNLOAD => self.download(initiate, objects),
-            UPLOAD => self.upload(initiate, objects),
+            UPLOAD => self.upload(initiate, objects).map(Some),
             ABORT => Ok(None),
-            BLOCK_UPLOAD if O::HAS_APPLICATION => self.block_upload(initiate, objects).map(Some),
-            BLOCK_DOWNLOAD if O::HAS_APPLICATION => {
-                self.block_download(initiate, objects).map(Some)
-            }
+            BLOCK_UPLOAD => self.block_upload(initiate, objects).map(Some),
+            BLOCK_DOWNLOAD => self.block_download(initiate, objects).map(Some),
             _ => Err(Abort::Command),
         };
         answer.unwrap_or_else(|code| Some(abort(initiate.address, code)))
@@ -154,30 +142,20 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
         &mut self,
         Initiate { address, .. }: Initiate,
         objects: &O,
-    ) -> Result<Option<[u8; 8]>, Abort> {
+    ) -> Result<[u8; 8], Abort> {
         let entry = find_readable(address, objects)?;
-        if O::HAS_APPLICATION {
-            let upload = Upload::begin(entry, objects, self.buffer.as_mut())?;
-            return self.begin_upload(upload, objects).map(Some);
-        }
-        Ok(Some(match objects.read(entry.object)? {
-            Value::Number(number) => expedited(address, entry.own_size(), number),
-            Value::Text(text) => {
-                let upload = Upload::of_text(entry, text);
-                self.transfer = Some(Transfer::Upload(upload));
-                address.message(0x41, upload.len::<O>())
-            }
-        }))
+        let upload = Upload::begin(entry, objects, &mut self.buffer)?;
+        self.begin_upload(upload, objects)
     }
 
     fn begin_upload<O: Objects>(&mut self, upload: Upload, objects: &O) -> Result<[u8; 8], Abort> {
-        if let 1..=4 = upload.len::<O>() {
+        if let 1..=4 = upload.len() {
             let mut bytes = [0; 4];
-            let len = upload.read(objects, self.buffer.as_ref(), &mut bytes)?;
+            let len = upload.read(objects, &self.buffer, &mut bytes)?;
             return Ok(expedited(upload.address, len as u8, u32::from_le_bytes(bytes)));
         }
         self.transfer = Some(Transfer::Upload(upload));
-        Ok(upload.address.message(0x41, upload.len::<O>()))
+        Ok(upload.address.message(0x41, upload.len()))
     }
 
     fn download<O: Objects>(
@@ -195,41 +173,27 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
             (false, true) => Some(number),
             (_, false) => None,
         };
+        // Without its length an expedited string or domain is all four bytes.
+        let size = entry.data_type.size();
+        let of_object = if let 1..=4 = size { size.into() } else { 4 };
+        let announced = announced.or(is_expedited.then_some(of_object));
+        let mut download = Download::begin(entry, announced, &self.buffer)?;
         let confirmation = address.message(0x60, 0);
-        if O::HAS_APPLICATION {
-            // Without its length an expedited string or domain is all four bytes.
-            let size = entry.data_type.size();
-            let of_object = if let 1..=4 = size { size.into() } else { 4 };
-            let announced = announced.or(is_expedited.then_some(of_object));
-            let mut download = Download::begin(entry, announced, self.buffer.as_ref())?;
-            if !is_expedited {
-                self.transfer = Some(Transfer::Download(download));
-                return Ok(Some(confirmation));
-            }
-            let bytes = data.get(..announced.unwrap_or(4) as usize).unwrap_or(&data);
-            let buffer = self.buffer.as_mut();
-            let written = download.add(bytes, objects, buffer);
-            return match written.and_then(|()| download.end(objects, buffer)) {
-                Ok(written) => Ok(self.conclude(confirmation, written)),
-                Err(code) => {
-                    cancel(&Transfer::Download(download), objects);
-                    Err(code)
-                }
-            };
-        }
-        let size = entry.own_size().into();
-        let sent = announced.unwrap_or(size);
-        if sent > size {
-            return Err(Abort::TooLong);
-        }
-        if sent < size {
-            return Err(Abort::TooShort);
-        }
         if !is_expedited {
-            return Err(Abort::Command);
+            self.transfer = Some(Transfer::Download(download));
+            return Ok(Some(confirmation));
         }
-        let written = objects.write(entry, number)?;
-        Ok((written == Written::Now).then_some(confirmation))
+        let bytes = data.get(..announced.unwrap_or(4) as usize).unwrap_or(&data);
+        let written = download
+            .add(bytes, objects, &mut self.buffer)
+            .and_then(|()| download.end(objects, &self.buffer));
+        match written {
+            Ok(written) => Ok(self.conclude(confirmation, written)),
+            Err(code) => {
+                Transfer::Download(download).cancel(objects);
+                Err(code)
+            }
+        }
     }
 
     fn block_upload<O: Objects>(
@@ -238,10 +202,10 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
         objects: &O,
     ) -> Result<[u8; 8], Abort> {
         let entry = find_readable(address, objects)?;
-        let upload = Upload::begin(entry, objects, self.buffer.as_mut())?;
-        let (transfer, answer) = BlockUpload::begin::<O>(upload, block_size)?;
+        let upload = Upload::begin(entry, objects, &mut self.buffer)?;
+        let (transfer, answer) = BlockUpload::begin(upload, block_size)?;
         // Short data goes by the other protocol: the client has asked for that (protocol switch threshold).
-        if upload.len::<O>() <= switch_at.into() && switch_at > 0 {
+        if upload.len() <= switch_at.into() && switch_at > 0 {
             return self.begin_upload(upload, objects);
         }
         self.transfer = Some(Transfer::BlockUpload(transfer));
@@ -257,7 +221,7 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
         const SIZE_INDICATED: u8 = 0x02;
         let entry = find_writable(address, objects)?;
         let announced = (command & SIZE_INDICATED != 0).then_some(u32::from_le_bytes(data));
-        let download = Download::begin(entry, announced, self.buffer.as_ref())?;
+        let download = Download::begin(entry, announced, &self.buffer)?;
         let (transfer, answer) = BlockDownload::begin(download, command & CRC_SUPPORTED != 0);
         self.transfer = Some(Transfer::BlockDownload(transfer));
         Ok(answer)
@@ -272,12 +236,10 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
         let Some(transfer) = &mut self.transfer else {
             return Some(abort(Address::NONE, Abort::Command));
         };
-        match transfer.advance(request, objects, self.buffer.as_mut()) {
+        match transfer.advance(request, objects, &mut self.buffer) {
             Ok(Advance::Goes(answer)) => {
                 // The segments before a message of the client have been sent.
-                if O::HAS_APPLICATION {
-                    self.credit = SEGMENTS_PENDING;
-                }
+                self.credit = SEGMENTS_PENDING;
                 answer
             }
             Ok(Advance::Ends(answer)) => {
@@ -316,7 +278,7 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
             Transfer::BlockUpload(upload) if upload.is_sending() && self.credit > 0 => {
                 self.since = now;
                 self.credit = self.credit.saturating_sub(1);
-                match upload.next_segment(objects, self.buffer.as_ref()) {
+                match upload.next_segment(objects, &self.buffer) {
                     Ok(segment) => return Some(segment),
                     Err(code) => code,
                 }
@@ -333,12 +295,9 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Server<B> {
     }
 
     /// Whether a request belongs to a transfer rather than begins or ends one.
-    fn continues<O: Objects>(&self, command: u8) -> bool {
+    fn continues(&self, command: u8) -> bool {
         /// Only this first byte tells an abort from a segment of a block.
         const ABORT_COMMAND: u8 = ABORT << 5;
-        if !O::HAS_APPLICATION {
-            return command >> 5 == UPLOAD_SEGMENT;
-        }
         match (command >> 5, &self.transfer) {
             (_, Some(Transfer::BlockDownload(download))) if download.is_receiving() => {
                 command != ABORT_COMMAND
@@ -370,9 +329,8 @@ impl Transfer {
         match (command >> 5, self) {
             (UPLOAD_SEGMENT, Self::Upload(upload)) => {
                 let answer = Some(upload.next_segment(command & TOGGLE, objects, buffer)?);
-                Ok(if upload.is_complete::<O>() { Ends(answer) } else { Goes(answer) })
+                Ok(if upload.is_complete() { Ends(answer) } else { Goes(answer) })
             }
-            _ if !O::HAS_APPLICATION => Err(Abort::Command),
             (DOWNLOAD_SEGMENT, Self::Download(download)) => {
                 let (answer, written) = download.handle_segment(command, &data, objects, buffer)?;
                 Ok(match written {
@@ -381,7 +339,7 @@ impl Transfer {
                 })
             }
             (BLOCK_UPLOAD, Self::BlockUpload(upload)) => {
-                let (answer, is_over) = upload.handle::<O>(command, data)?;
+                let (answer, is_over) = upload.handle(command, data)?;
                 Ok(if is_over { Ends(answer) } else { Goes(answer) })
             }
             (_, Self::BlockDownload(download)) if download.is_receiving() => {
@@ -399,22 +357,38 @@ impl Transfer {
     fn fail<O: Objects>(&self, code: Abort, objects: &mut O) -> [u8; 8] {
         let address = match self {
             Self::Upload(upload) => upload.address,
-            _ if !O::HAS_APPLICATION => Address::NONE,
             Self::BlockUpload(transfer) => transfer.upload.address,
             Self::Download(download) => Address::of(download.entry),
             Self::BlockDownload(transfer) => Address::of(transfer.download.entry),
         };
-        if O::HAS_APPLICATION {
-            cancel(self, objects);
-        }
+        self.cancel(objects);
         abort(address, code)
+    }
+
+    /// Ends the transfer before its end: the application must discard the part of a domain that it has.
+    fn cancel<O: Objects>(&self, objects: &mut O) {
+        if let Some(domain) = self.domain() {
+            objects.abort_domain(domain);
+        }
+    }
+
+    /// The domain that the transfer writes.
+    fn domain(&self) -> Option<&'static Entry> {
+        match self {
+            Self::Download(download) | Self::BlockDownload(BlockDownload { download, .. })
+                if download.entry.data_type == DataType::Domain =>
+            {
+                Some(download.entry)
+            }
+            _ => None,
+        }
     }
 }
 
 fn find_readable<O: Objects>(address: Address, objects: &O) -> Result<&'static Entry, Abort> {
     let entry = objects.find(address.index, address.sub_index)?;
     match entry.access {
-        Access::WriteOnly if O::HAS_APPLICATION => Err(Abort::WriteOnly),
+        Access::WriteOnly => Err(Abort::WriteOnly),
         _ => Ok(entry),
     }
 }
@@ -422,28 +396,8 @@ fn find_readable<O: Objects>(address: Address, objects: &O) -> Result<&'static E
 fn find_writable<O: Objects>(address: Address, objects: &O) -> Result<&'static Entry, Abort> {
     let entry = objects.find(address.index, address.sub_index)?;
     match entry.access {
-        Access::ReadWrite => Ok(entry),
-        Access::WriteOnly if O::HAS_APPLICATION => Ok(entry),
+        Access::ReadWrite | Access::WriteOnly => Ok(entry),
         _ => Err(Abort::ReadOnly),
-    }
-}
-
-/// Ends a transfer before its end: the application must discard the part of a domain that it has.
-fn cancel<O: Objects>(transfer: &Transfer, objects: &mut O) {
-    if let Some(domain) = domain_of(transfer) {
-        objects.abort_domain(domain);
-    }
-}
-
-/// The domain that the transfer writes.
-fn domain_of(transfer: &Transfer) -> Option<&'static Entry> {
-    match transfer {
-        Transfer::Download(download) | Transfer::BlockDownload(BlockDownload { download, .. })
-            if download.entry.data_type == DataType::Domain =>
-        {
-            Some(download.entry)
-        }
-        _ => None,
     }
 }
 

@@ -30,10 +30,6 @@ enum Source {
 }
 
 impl Upload {
-    pub const fn of_text(entry: &Entry, text: &'static str) -> Self {
-        Self { address: Address::of(entry), source: Source::Text(text), offset: 0, toggle: 0 }
-    }
-
     /// Begins the upload of any object. A value that may change is copied to `buffer`, so that the client gets the
     /// bytes of one moment. Only a domain is read while it is sent: its application decides.
     pub fn begin<O: Objects>(
@@ -44,7 +40,7 @@ impl Upload {
         if let DataType::VisibleString = entry.data_type
             && let Ok(Value::Text(text)) = objects.read(entry.object)
         {
-            return Ok(Self::of_text(entry, text));
+            return Ok(Self::new(entry, Source::Text(text)));
         }
         let len = objects.len(entry)?;
         let source = match buffer.get_mut(..len as usize) {
@@ -54,15 +50,18 @@ impl Upload {
             }
             _ => Source::Object(entry, len),
         };
-        Ok(Self { address: Address::of(entry), source, offset: 0, toggle: 0 })
+        Ok(Self::new(entry, source))
+    }
+
+    const fn new(entry: &Entry, source: Source) -> Self {
+        Self { address: Address::of(entry), source, offset: 0, toggle: 0 }
     }
 
     /// The number of bytes.
-    pub const fn len<O: Objects>(&self) -> u32 {
+    pub const fn len(&self) -> u32 {
         match self.source {
             Source::Text(text) => text.len() as u32,
-            Source::Buffer(len) | Source::Object(_, len) if O::HAS_APPLICATION => len,
-            _ => 0,
+            Source::Buffer(len) | Source::Object(_, len) => len,
         }
     }
 
@@ -73,27 +72,22 @@ impl Upload {
         buffer: &[u8],
         to: &mut [u8],
     ) -> Result<usize, Abort> {
-        let offset = self.offset as usize;
-        if let Source::Text(text) = self.source {
-            return Ok(copy(text.as_bytes(), offset, to));
-        }
-        if !O::HAS_APPLICATION {
-            return Ok(0);
-        }
-        let rest = self.len::<O>().saturating_sub(self.offset) as usize;
+        let rest = self.len().saturating_sub(self.offset) as usize;
         let len = rest.min(to.len());
         let to = to.get_mut(..len).unwrap_or_default();
+        let offset = self.offset as usize;
         let copied = match self.source {
+            Source::Text(text) => copy(text.as_bytes(), offset, to),
+            Source::Buffer(_) => copy(buffer, offset, to),
             Source::Object(entry, _) => objects.read_part(entry, self.offset, to),
-            _ => copy(buffer, offset, to),
         };
         // The domain has become shorter.
         if copied < len { Err(Abort::NoData) } else { Ok(len) }
     }
 
     /// Whether all bytes have been sent.
-    pub const fn is_complete<O: Objects>(&self) -> bool {
-        self.offset >= self.len::<O>()
+    pub const fn is_complete(&self) -> bool {
+        self.offset >= self.len()
     }
 
     /// The next segment, in answer to a request with this toggle bit.
@@ -111,6 +105,6 @@ impl Upload {
         self.offset = self.offset.saturating_add(len as u32);
         self.toggle ^= TOGGLE;
         let unused = 7_u8.saturating_sub(len as u8);
-        Ok(segment(toggle | unused << 1 | u8::from(self.is_complete::<O>()), data))
+        Ok(segment(toggle | unused << 1 | u8::from(self.is_complete()), data))
     }
 }
