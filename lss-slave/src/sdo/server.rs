@@ -1,4 +1,4 @@
-//! The server of a node with an application: takes each request to its service, and ends transfers whose client is silent.
+//! The server of a node with an application: takes each request to its service, and ends transfers of silent clients.
 
 use super::{
     Abort, Address, Objects, Service, Written, block_download::BlockDownload,
@@ -25,7 +25,7 @@ pub struct Server<const N: usize> {
     since: Instant,
     /// The number of segments that may be sent until [`note_sent`](Self::note_sent).
     credit: u8,
-    /// The answer to a download whose store is under way, unless it is that to an expedited one.
+    /// The answer to a download whose store is under way.
     confirmation: Option<[u8; 8]>,
 }
 
