@@ -77,8 +77,8 @@ pub trait Dictionary {
 pub trait Application: Dictionary {
     /// The time without a message of the client after which the SDO server ends a transfer, in milliseconds.
     ///
-    /// CiA 301 gives no value. Usual clients wait 0.3 to 1 s for an answer; a transfer whose client is silent for longer
-    /// has none any more. A client that makes longer pauses within a transfer needs a longer time.
+    /// CiA 301 gives no value. Usual clients wait 0.3 to 1 s for an answer, so a client that is silent for longer has
+    /// given up. A client that makes longer pauses within a transfer needs a longer time.
     const SDO_TIMEOUT_MS: u16 = 1000;
 
     /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
