@@ -45,6 +45,8 @@ const WATCH_MICROS: u32 = 1_000;
 
 /// The COB-IDs of a filter bank in list mode (RM0090, 32.7.4).
 const IDS_PER_BANK: usize = 4;
+/// The bits of CAN_TSR that say which mailboxes are empty.
+const EMPTY: u32 = 0b111 << 26;
 
 /// CAN1, as used by the node.
 pub struct Controller {
@@ -276,6 +278,11 @@ impl Controller {
         is_sent
     }
 
+    /// Whether no frame waits for the bus.
+    pub fn has_sent_all(&self) -> bool {
+        self.queue.is_empty() && self.registers.tsr().read().bits() & EMPTY == EMPTY
+    }
+
     fn fill_mailboxes(&mut self) {
         let Self { can, registers, queue, .. } = self;
         while !queue.is_empty() && queue.pop_if(|frame| put_in_mailbox(can, registers, frame)) {}
@@ -457,7 +464,6 @@ fn enter_initialization(can: &CAN1) -> bool {
 /// those in the mailboxes: of two with one COB-ID the controller might not send the older one first (RM0090, 32.7.1).
 /// Without an empty mailbox `bxcan` is not called, since it would abort a frame and wait for its end.
 fn put_in_mailbox(can: &mut bxcan::Can<Can<CAN1>>, registers: &CAN1, frame: &Frame) -> bool {
-    const EMPTY: u32 = 0b111 << 26;
     let Some(data) = Data::new(frame.data()) else { return false };
     let id = StandardId::new(frame.cob_id()).unwrap_or(StandardId::ZERO);
     registers.tsr().read().bits() & EMPTY != 0

@@ -86,6 +86,9 @@ impl Runner {
     pub fn handle_transmitted(&mut self) {
         if self.can.handle_transmitted() {
             self.node.handle_bus(BusEvent::Acknowledged, clock::now());
+            if self.node.wants_to_send_more() && self.can.has_sent_all() {
+                self.node.handle_bus(BusEvent::NonePending, clock::now());
+            }
             self.finish();
         }
     }

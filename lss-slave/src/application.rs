@@ -34,23 +34,28 @@ mod declaration;
 mod text;
 mod value;
 
-pub use declaration::{check, complete};
+pub use declaration::{check, complete, longest};
 pub use text::{OctetString, Text};
+pub(crate) use value::copy;
 pub use value::{Domain, Value};
 
 use core::iter;
 
 use crate::{
-    BitRate, NodeId, nmt,
+    BitRate, NodeId, emergency, nmt,
     object_dictionary::{Description, Entry},
     process_data::{Rpdo, Tpdo},
-    sdo::Abort,
+    sdo::{self, Abort},
 };
 
 /// The objects of a product: what [`objects!`](crate::objects) implements.
 pub trait Dictionary {
     /// A value on its way into the dictionary, with the name of its field.
     type Value;
+    /// The SDO server for these objects, with room for the longest value that a client can write.
+    type SdoServer: sdo::Service;
+    /// The places for the application's errors.
+    type Errors: emergency::Places;
     /// The objects, by index and sub-index.
     const OBJECTS: &'static [Entry];
 
@@ -83,6 +88,11 @@ pub trait Application: Dictionary {
     const TPDOS: &'static [Tpdo] = &[];
     /// The RPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
     const RPDOS: &'static [Rpdo] = &[];
+    /// The time without a message of the client after which the SDO server ends a transfer, in milliseconds.
+    ///
+    /// CiA 301 gives no value. Usual clients wait 0.3 to 1 s for an answer, so a client that is silent for longer has
+    /// given up. A client that makes longer pauses within a transfer needs a longer time.
+    const SDO_TIMEOUT_MS: u16 = 1000;
 
     /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
     /// the start.
@@ -99,7 +109,8 @@ pub trait Application: Dictionary {
         let _ = event;
     }
 
-    /// The length of a [`Domain`] in bytes.
+    /// The length of a [`Domain`] in bytes, at the beginning of an upload. The domain should not change until its end:
+    /// a client that reads it by block transfer detects that by the CRC, others do not.
     ///
     /// # Errors
     /// The abort code for the client, such as [`Abort::NoData`].
@@ -131,13 +142,21 @@ pub trait Application: Dictionary {
         Err(Abort::Hardware)
     }
 
-    /// Completes a [`Domain`] that a client has written: `len` bytes. A transfer that is cut short does not get here.
+    /// Completes a [`Domain`] that a client has written: `len` bytes, whose CRC was right if the client sent one. A
+    /// transfer that is cut short does not get here.
     ///
     /// # Errors
     /// The abort code for the client.
     fn end_domain(&mut self, index: u16, sub_index: u8, len: u32) -> Result<(), Abort> {
         let _ = (index, sub_index, len);
         Ok(())
+    }
+
+    /// Discards what a client has written of a [`Domain`]: the transfer was cut short, its CRC or length was wrong, or
+    /// [`write_domain`](Self::write_domain) or [`end_domain`](Self::end_domain) refused it. Nothing may have been
+    /// written yet.
+    fn abort_domain(&mut self, index: u16, sub_index: u8) {
+        let _ = (index, sub_index);
     }
 }
 
@@ -166,6 +185,8 @@ pub struct NoApplication;
 
 impl Dictionary for NoApplication {
     type Value = ();
+    type SdoServer = sdo::Basic;
+    type Errors = [emergency::Report; 0];
     const OBJECTS: &'static [Entry] = &[];
     const STORED_LEN: usize = 0;
 

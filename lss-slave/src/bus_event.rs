@@ -9,6 +9,9 @@ pub enum BusEvent {
     Received,
     /// A frame that the node sent was acknowledged.
     Acknowledged,
+    /// No frame of the node waits for the bus any more: all have been sent or dropped. Only a node that
+    /// [`wants_to_send_more`](crate::Node::wants_to_send_more) needs this event.
+    NonePending,
     /// A stuff, CRC or bit recessive error, or traffic that keeps the controller from joining the bus for two frame
     /// times. A missing acknowledge does not count, since no other node may be there. Nor does a bit dominant error,
     /// which indicates a broken wire or a short circuit.

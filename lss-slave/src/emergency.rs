@@ -3,6 +3,7 @@
 mod reports;
 
 pub(crate) use reports::{Errors, Reports};
+pub use reports::{Places, Report};
 
 use core::mem;
 

@@ -17,8 +17,9 @@ use crate::{
     emergency::{Emergency, ErrorCounters, Fault, Reports},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
+    object_dictionary::Entry,
     process_data::ProcessData,
-    sdo,
+    sdo::{self, Service},
     settings::parameters::{Packer, Parameter, Parameters},
     supervision::Step,
 };
@@ -27,7 +28,7 @@ use nmt_slave::NmtSlave;
 use objects::Parts;
 use parameters::{Change, Part};
 pub use receives::Receives;
-use storing::Storing;
+use storing::{Download, Storing};
 
 /// An action for the board to carry out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,7 +81,7 @@ pub enum Action {
 /// number of nodes whose heartbeat can be watched, 0 to 16.
 #[derive(Clone, Debug)]
 pub struct Node<
-    A = NoApplication,
+    A: Application = NoApplication,
     const TPDOS: usize = 0,
     const RPDOS: usize = 0,
     const PRODUCERS: usize = 0,
@@ -90,8 +91,8 @@ pub struct Node<
     bit_rate: BitRateControl,
     nmt: NmtSlave,
     emergency: Emergency,
-    reports: Reports,
-    sdo: sdo::Server,
+    reports: Reports<A::Errors>,
+    sdo: A::SdoServer,
     storing: Storing,
     process_data: ProcessData<TPDOS, RPDOS, PRODUCERS>,
     application: A,
@@ -147,7 +148,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
             reports: Reports::new(),
-            sdo: sdo::Server::new(),
+            sdo: A::SdoServer::NEW,
             storing: Storing::new(persistent),
             process_data: ProcessData::new::<A>(),
             device,
@@ -165,6 +166,12 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub const fn application_mut(&mut self) -> &mut A {
         self.due = Due::Now;
         &mut self.application
+    }
+
+    /// Whether the node sends more frames than its board can queue, as in an SDO block upload. The next of them follow
+    /// [`BusEvent::NonePending`].
+    pub fn wants_to_send_more(&self) -> bool {
+        self.sdo.is_sending_block()
     }
 
     /// The LSS slave of the node.
@@ -251,12 +258,17 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
     /// [`BusEvent::BusOffRecovered`] is counted.
+    #[inline(never)]
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         self.due = Due::Now;
         match event {
             BusEvent::ErrorCounters { transmit, receive } => {
                 let counters = ErrorCounters { transmit, receive };
                 self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
+                return;
+            }
+            BusEvent::NonePending => {
+                self.sdo.note_sent();
                 return;
             }
             BusEvent::Overrun => return self.emergency.report(Fault::Overrun),
@@ -403,8 +415,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn find_deadline(&self) -> Option<Instant> {
         let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
         let heartbeat = self.nmt.poll_at().filter(|_| may_report);
-        let process_data = self.process_data_at(may_report);
-        Instant::earliest(Instant::earliest(self.bit_rate.poll_at(), heartbeat), process_data)
+        let deadline = Instant::earliest(self.bit_rate.poll_at(), heartbeat);
+        let sdo =
+            self.sdo.poll_at::<Parts<'_, A, TPDOS, RPDOS, PRODUCERS>>().filter(|_| may_report);
+        Instant::earliest(Instant::earliest(deadline, sdo), self.process_data_at(may_report))
     }
 
     fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
@@ -459,6 +473,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Carries out a step of the supervision, which drops the pending frames.
     fn take_step(&mut self, step: Step) -> Action {
+        self.end_sdo_transfer();
         self.emergency.note_dropped();
         if Self::HAS_REPORTS {
             self.reports.note_dropped();
@@ -508,18 +523,22 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
-        let answer = self.sdo.poll(&mut Parts {
+        if !self.serves_sdo() {
+            self.end_sdo_transfer();
+        }
+        let mut objects = Parts {
             device: &self.device,
             lss: &self.lss,
             bit_rate: &self.bit_rate,
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
-            reports: if Self::HAS_REPORTS { Some(&self.reports) } else { None },
+            reported: self.reports.error_register(),
             storing: &mut self.storing,
             process_data: &mut self.process_data,
             application: &mut self.application,
             now,
-        })?;
+        };
+        let answer = self.sdo.poll(&mut objects, now)?;
         self.transmit_by_sdo(answer)
     }
 
@@ -528,10 +547,19 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer)))
     }
 
-    /// Discards pending SDO transfers.
+    /// Discards pending SDO requests and transfers.
     fn end_sdo(&mut self) {
+        self.end_sdo_transfer();
         self.sdo.reset();
         self.storing.forget_sdo();
+    }
+
+    /// Discards the current SDO transfer without an answer to the client.
+    fn end_sdo_transfer(&mut self) {
+        if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
+            self.application.abort_domain(*index, *sub_index);
+        }
+        self.sdo.end_transfer();
     }
 
     fn store_or_answer(&mut self) -> Option<Action> {
@@ -547,7 +575,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 }
                 AnswerSdo(download, outcome) if self.serves_sdo() => {
                     return self.transmit_by_sdo(match outcome {
-                        Ok(()) => sdo::confirm(download.index, download.sub_index),
+                        Ok(()) => {
+                            let Download { index, sub_index } = download;
+                            self.sdo.confirm(index, sub_index)
+                        }
                         Err(_) => {
                             sdo::abort(download.index, download.sub_index, sdo::Abort::Hardware)
                         }

@@ -48,6 +48,10 @@ pub enum Object {
     Rescues,
     /// Sub-index 0 of an object: the number of its further sub-indices.
     HighestSubIndex(u8),
+    /// The COB-ID of requests to the SDO server.
+    CobIdSdoRequest,
+    /// The COB-ID of answers of the SDO server.
+    CobIdSdoResponse,
     /// The value of an application with this number.
     Application(u8),
     SyncCobId,
@@ -113,6 +117,13 @@ impl DataType {
             Self::Integer64 | Self::Unsigned64 | Self::Real64 => 8,
             Self::VisibleString | Self::OctetString | Self::Domain => 0,
         }
+    }
+}
+
+impl Entry {
+    /// The size of the number at this row of [`TABLE`], whose numbers are unsigned: [`DataType::size`] in less code.
+    pub(crate) const fn own_size(&self) -> u8 {
+        1 << ((self.data_type as u8 & 3).wrapping_sub(1) & 3)
     }
 }
 
@@ -302,8 +313,18 @@ table! {
     }
 }
 
+table! {
+    /// The SDO server parameter, which a node with an application has beside [`TABLE`].
+    SDO_SERVER, sdo_server_descriptions(_device)
+
+    0x1200 {
+        0 "Highest sub-index supported" of "SDO server parameter": Unsigned8, Const, HighestSubIndex(2);
+        1 "COB-ID client to server": Unsigned32, ReadOnly, CobIdSdoRequest = NodeIdPlus(0x600);
+        2 "COB-ID server to client": Unsigned32, ReadOnly, CobIdSdoResponse = NodeIdPlus(0x580);
+    }
+}
+
 /// The row of an object in `table`, or the part of its address that does not exist.
-#[inline(never)] // It has two callers.
 pub(crate) fn find(
     table: &'static [Entry],
     index: u16,
@@ -324,4 +345,16 @@ pub(crate) fn find(
 pub(crate) enum Missing {
     Object,
     SubIndex,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_size_of_an_own_number_is_that_of_its_type() {
+        for entry in TABLE.iter().filter(|entry| entry.data_type != DataType::VisibleString) {
+            assert_eq!(entry.own_size(), entry.data_type.size(), "{:X}h", entry.index);
+        }
+    }
 }

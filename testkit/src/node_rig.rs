@@ -27,7 +27,7 @@ const PARAMETERS: usize = 1024;
 
 /// A board with a node on it.
 pub struct NodeRig<
-    A = NoApplication,
+    A: Application = NoApplication,
     const TPDOS: usize = 0,
     const RPDOS: usize = 0,
     const PRODUCERS: usize = 0,
@@ -310,8 +310,14 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     }
 
     fn run(&mut self) {
-        while let Some(action) = self.node.poll(self.instant()) {
-            self.carry_out(Some(action));
+        loop {
+            while let Some(action) = self.node.poll(self.instant()) {
+                self.carry_out(Some(action));
+            }
+            if !self.is_acknowledged || !self.node.wants_to_send_more() {
+                break;
+            }
+            self.report(BusEvent::NonePending);
         }
         assert_eq!(self.receives, self.node.receives(), "the board knows the COB-IDs");
         assert_eq!(self.bit_rate, self.node.bit_rate(), "the board runs at the active bit rate");

@@ -53,17 +53,152 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
         u32::from_le_bytes(bytes.try_into().unwrap())
     }
 
-    /// Writes an object and indicates its size.
+    /// Writes an object and indicates its size: up to four bytes expedited, more in segments.
     ///
     /// # Errors
     /// The abort code.
     pub fn download(&mut self, index: u16, sub_index: u8, data: &[u8]) -> Result<(), u32> {
+        if !(1..=4).contains(&data.len()) {
+            return self.download_segments(index, sub_index, data, Some(data.len() as u32));
+        }
         let mut request = [0; 8];
         request[0] = 0x23 | (4 - data.len() as u8) << 2;
         request[4..][..data.len()].copy_from_slice(data);
         let answer = self.transfer(request, index, sub_index)?;
         assert_eq!((answer[0], &answer[4..]), (0x60, &[0; 4][..]));
         Ok(())
+    }
+
+    /// Writes an object in segments, and announces this size.
+    ///
+    /// # Errors
+    /// The abort code.
+    pub fn download_segments(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        data: &[u8],
+        size: Option<u32>,
+    ) -> Result<(), u32> {
+        let [s0, s1, s2, s3] = size.unwrap_or(0).to_le_bytes();
+        let command = if size.is_some() { 0x21 } else { 0x20 };
+        let answer = self.transfer([command, 0, 0, 0, s0, s1, s2, s3], index, sub_index)?;
+        assert_eq!((answer[0], &answer[4..]), (0x60, &[0; 4][..]));
+        let mut toggle = 0;
+        let mut rest = data;
+        loop {
+            let (part, others) = rest.split_at(rest.len().min(7));
+            rest = others;
+            let mut request = [0; 8];
+            let unused = 7 - part.len() as u8;
+            request[0] = toggle | unused << 1 | u8::from(rest.is_empty());
+            request[1..][..part.len()].copy_from_slice(part);
+            let answer = self.exchange(request);
+            if answer[0] == 0x80 {
+                return Err(abort_code(&answer, index, sub_index));
+            }
+            assert_eq!(answer, [0x20 | toggle, 0, 0, 0, 0, 0, 0, 0]);
+            if rest.is_empty() {
+                return Ok(());
+            }
+            toggle ^= 0x10;
+        }
+    }
+
+    /// Reads an object by block transfer with blocks of this size and a check of the CRC.
+    ///
+    /// # Errors
+    /// The abort code.
+    pub fn block_upload(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        block_size: u8,
+    ) -> Result<Vec<u8>, u32> {
+        let request = [0xA4, 0, 0, 0, block_size, 0, 0, 0];
+        let answer = self.transfer(request, index, sub_index)?;
+        assert_eq!(answer[0], 0xC6, "the server checks by CRC and indicates the size");
+        let size = u32::from_le_bytes([answer[4], answer[5], answer[6], answer[7]]) as usize;
+        let mut data = Vec::new();
+        let mut sent = self.say([0xA3, 0, 0, 0, 0, 0, 0, 0]);
+        loop {
+            let last = sent.0.len();
+            assert!((1..=usize::from(block_size)).contains(&last), "{last} segments");
+            let mut is_end = false;
+            for (number, segment) in (1..).zip(&sent.0) {
+                assert_eq!(segment.cob_id(), self.response_cob_id());
+                is_end = segment.data()[0] & 0x80 != 0;
+                assert_eq!(segment.data()[0] & 0x7F, number, "the sequence number");
+                assert!(!is_end || usize::from(number) == last, "the last one ends the block");
+                data.extend(&segment.data()[1..]);
+            }
+            assert!(is_end || last == usize::from(block_size), "a block that is not full ends it");
+            sent = self.say([0xA2, last as u8, block_size, 0, 0, 0, 0, 0]);
+            if is_end {
+                break;
+            }
+        }
+        let [end] = sent.0[..] else { panic!("the end, not {sent:?}") };
+        let end: [u8; 8] = end.data().try_into().expect("eight bytes");
+        let [command, c0, c1, rest @ ..] = end;
+        assert_eq!((command & 0xE3, rest), (0xC1, [0; 5]));
+        let unused = usize::from(command >> 2 & 7);
+        assert!(data[data.len() - unused..].iter().all(|&byte| byte == 0), "unused bytes are 0");
+        data.truncate(data.len() - unused);
+        assert_eq!(data.len(), size, "the size that was indicated");
+        assert_eq!(u16::from_le_bytes([c0, c1]), crc(&data), "the CRC");
+        assert!(self.say([0xA1, 0, 0, 0, 0, 0, 0, 0]).0.is_empty(), "it is not answered");
+        Ok(data)
+    }
+
+    /// Writes an object by block transfer with a CRC, and indicates its size.
+    ///
+    /// # Errors
+    /// The abort code.
+    pub fn block_download(&mut self, index: u16, sub_index: u8, data: &[u8]) -> Result<(), u32> {
+        let [s0, s1, s2, s3] = (data.len() as u32).to_le_bytes();
+        let answer = self.transfer([0xC6, 0, 0, 0, s0, s1, s2, s3], index, sub_index)?;
+        assert_eq!(answer[0], 0xA4, "the server checks by CRC");
+        let mut block_size = answer[4];
+        let mut rest = data;
+        let mut last_len;
+        loop {
+            assert!((1..=127).contains(&block_size), "block size {block_size}");
+            let mut number = 0;
+            loop {
+                number += 1;
+                let (part, others) = rest.split_at(rest.len().min(7));
+                (rest, last_len) = (others, part.len() as u8);
+                let mut request = [0; 8];
+                request[0] = number | if rest.is_empty() { 0x80 } else { 0 };
+                request[1..][..part.len()].copy_from_slice(part);
+                let answers = self.say(request);
+                if let [answer] = &answers.0[..] {
+                    let answer: [u8; 8] = answer.data().try_into().expect("eight bytes");
+                    if answer[0] == 0x80 {
+                        return Err(abort_code(&answer, index, sub_index));
+                    }
+                    assert_eq!(answer[..2], [0xA2, number], "all segments are confirmed");
+                    assert_eq!(answer[3..], [0; 5]);
+                    block_size = answer[2];
+                    break;
+                }
+                assert!(answers.0.is_empty());
+                assert!(number < block_size && !rest.is_empty(), "the block is not confirmed");
+            }
+            if rest.is_empty() {
+                break;
+            }
+        }
+        let [c0, c1] = crc(data).to_le_bytes();
+        let answer = self.exchange([0xC1 | (7 - last_len) << 2, c0, c1, 0, 0, 0, 0, 0]);
+        match answer[0] {
+            0x80 => Err(abort_code(&answer, index, sub_index)),
+            _ => {
+                assert_eq!(answer, [0xA1, 0, 0, 0, 0, 0, 0, 0]);
+                Ok(())
+            }
+        }
     }
 
     fn upload_segments(&mut self) -> Vec<u8> {
@@ -100,11 +235,37 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     }
 
     fn exchange(&mut self, request: [u8; 8]) -> [u8; 8] {
-        let node_id = u16::from(self.node.node_id().expect("a node-ID").get());
-        let request = Frame::new(0x600 + node_id, &request).expect("a frame");
-        let answers = self.receive(&request);
+        let answers = self.say(request);
         let [answer] = answers.0[..] else { panic!("one answer, not {answers:?}") };
-        assert_eq!(answer.cob_id(), 0x580 + node_id);
+        assert_eq!(answer.cob_id(), self.response_cob_id());
         answer.data().try_into().expect("eight bytes")
     }
+
+    /// The frames that follow a message of the client.
+    fn say(&mut self, message: [u8; 8]) -> Frames {
+        let message = Frame::new(self.response_cob_id() + 0x80, &message).expect("a frame");
+        self.receive(&message)
+    }
+
+    fn response_cob_id(&self) -> u16 {
+        0x580 + u16::from(self.node.node_id().expect("a node-ID").get())
+    }
+}
+
+/// The code of an abort, which must name this object.
+fn abort_code(answer: &[u8; 8], index: u16, sub_index: u8) -> u32 {
+    let [i0, i1] = index.to_le_bytes();
+    let [0x80, a0, a1, a2, code @ ..] = *answer else { panic!("an abort, not {answer:02X?}") };
+    assert_eq!([a0, a1, a2], [i0, i1, sub_index], "the object of the transfer");
+    u32::from_le_bytes(code)
+}
+
+/// The CRC of block transfer, bit by bit (CiA 301, 7.2.4.3.16).
+pub fn crc(data: &[u8]) -> u16 {
+    let mut crc = 0;
+    for bit in data.iter().flat_map(|byte| (0..8).rev().map(move |bit| byte >> bit & 1)) {
+        let is_odd = (crc >> 15) as u8 ^ bit == 1;
+        crc = crc << 1 ^ if is_odd { 0x1021 } else { 0 };
+    }
+    crc
 }

@@ -62,6 +62,20 @@ pub const fn complete<const N: usize>(mut objects: [Entry; N]) -> [Entry; N] {
     objects
 }
 
+/// The largest of these capacities, and at least that for the longest number, in bytes.
+#[doc(hidden)]
+pub const fn longest(capacities: &[usize]) -> usize {
+    let mut longest = 8;
+    let mut at = 0;
+    while at < capacities.len() {
+        if capacities[at] > longest {
+            longest = capacities[at];
+        }
+        at += 1;
+    }
+    longest
+}
+
 /// Declares the objects of a product: a struct whose fields are the values, and its
 /// [`Dictionary`](crate::application::Dictionary).
 ///
@@ -231,14 +245,20 @@ macro_rules! objects {
         }
 
         const _: () = {
-            use $crate::{application, object_dictionary, sdo, settings::parameters};
+            use $crate::{application, emergency, object_dictionary, sdo, settings::parameters};
 
             #[allow(non_camel_case_types)]
             enum Field { $($($field,)+)* }
 
+            #[allow(dead_code, reason = "there may be no object yet")]
+            const LONGEST: usize =
+                application::longest(&[$($(<$type as application::Value>::CAPACITY,)+)*]);
+
             #[allow(unused_variables, reason = "there may be no object yet")]
             impl application::Dictionary for $name {
                 type Value = $value;
+                type SdoServer = $crate::objects!(@server $($index)*);
+                type Errors = $crate::objects!(@errors $($index)*);
 
                 const OBJECTS: &'static [object_dictionary::Entry] = &application::complete([$(
                     $($crate::objects!(@highest $index $object),)?
@@ -323,6 +343,10 @@ macro_rules! objects {
             )?)+)*
         };
     };
+    (@errors) => { [emergency::Report; 0] };
+    (@errors $($index:literal)+) => { [emergency::Report; 8] };
+    (@server) => { sdo::Basic };
+    (@server $($index:literal)+) => { sdo::Server<LONGEST> };
     (@highest $index:literal $object:literal) => {
         object_dictionary::Entry {
             index: $index,

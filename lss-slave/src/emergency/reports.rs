@@ -1,16 +1,41 @@
 //! The errors with codes of their own: those of the application and of process data.
 
-use super::{COB_ID, Emergency, GENERIC, HISTORY_LEN};
+use core::fmt;
+
+use super::{COB_ID, Emergency, GENERIC};
 use crate::{Frame, NodeId};
 
 /// The errors that are present or whose message has not been sent.
 #[derive(Clone, Debug)]
-pub(crate) struct Reports {
-    reports: [Report; HISTORY_LEN as usize],
+pub(crate) struct Reports<L> {
+    reports: L,
 }
 
+/// The places for the errors of an application: eight, or none.
+pub trait Places: Clone + fmt::Debug {
+    /// Free places.
+    const FREE: Self;
+    /// All places.
+    fn all(&self) -> &[Report];
+    /// All places, to be changed.
+    fn all_mut(&mut self) -> &mut [Report];
+}
+
+impl<const N: usize> Places for [Report; N] {
+    const FREE: Self = [Report::FREE; N];
+
+    fn all(&self) -> &[Report] {
+        self
+    }
+
+    fn all_mut(&mut self) -> &mut [Report] {
+        self
+    }
+}
+
+/// A place for an error of an application.
 #[derive(Clone, Copy, Debug)]
-struct Report {
+pub struct Report {
     code: u16,
     register: u8,
     information: [u8; 5],
@@ -40,15 +65,20 @@ impl Report {
     }
 }
 
-impl Reports {
+impl<L: Places> Reports<L> {
     pub const fn new() -> Self {
-        Self { reports: [Report::FREE; HISTORY_LEN as usize] }
+        Self { reports: L::FREE }
     }
 
     /// The error register 1001h for the errors that are present.
     pub fn error_register(&self) -> u8 {
-        let present = self.reports.iter().filter(|report| report.is_present);
+        let present = self.reports.all().iter().filter(|report| report.is_present);
         present.fold(0, |register, report| register | report.register)
+    }
+
+    /// All places, to be changed.
+    pub fn all_mut(&mut self) -> &mut [Report] {
+        self.reports.all_mut()
     }
 
     /// Records that a frame of the node was acknowledged.
@@ -62,7 +92,7 @@ impl Reports {
     }
 
     fn replace(&mut self, from: Message, to: Message) {
-        for report in &mut self.reports {
+        for report in self.reports.all_mut() {
             if report.message == from {
                 report.message = to;
             }
@@ -72,7 +102,8 @@ impl Reports {
     /// The next message, if there is one to send; `others` is the error register for the other errors.
     pub fn next(&mut self, node: NodeId, others: u8) -> Option<Frame> {
         let present = self.error_register();
-        let report = self.reports.iter_mut().find(|report| report.message == Message::Unsent)?;
+        let report =
+            self.reports.all_mut().iter_mut().find(|report| report.message == Message::Unsent)?;
         report.message = Message::InFlight;
         let [c0, c1] = report.code.to_le_bytes();
         let [i0, i1, i2, i3, i4] = report.information;
@@ -85,7 +116,7 @@ impl Reports {
 /// The emergency messages of a node, to report errors with codes of their own.
 pub(crate) struct Errors<'a> {
     pub emergency: &'a mut Emergency,
-    pub reports: &'a mut Reports,
+    pub reports: &'a mut [Report],
 }
 
 impl Errors<'_> {
@@ -94,9 +125,8 @@ impl Errors<'_> {
     pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
         let [i0, i1, ..] = information;
         let is_same = |report: &&mut Report| report.code == code && !report.is_free();
-        let reports = &mut self.reports.reports;
-        let place = match reports.iter_mut().find(is_same) {
-            None => reports.iter_mut().find(|report| report.is_free()),
+        let place = match self.reports.iter_mut().find(is_same) {
+            None => self.reports.iter_mut().find(|report| report.is_free()),
             same => same,
         };
         let is_waiting = place.as_ref().is_some_and(|place| place.message == Message::Unsent);
@@ -113,7 +143,7 @@ impl Errors<'_> {
     /// Ends an error; does nothing if it is not present.
     pub fn end(&mut self, code: u16) {
         let is_it = |report: &&mut Report| report.code == code && report.is_present;
-        if let Some(report) = self.reports.reports.iter_mut().find(is_it) {
+        if let Some(report) = self.reports.iter_mut().find(is_it) {
             report.is_present = false;
             self.emergency.note_end();
         }

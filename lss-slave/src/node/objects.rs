@@ -1,18 +1,20 @@
 //! The objects of the dictionary: the values that the node returns, and the effects of writes.
 
+use core::cmp::Ordering;
+
 use super::{
     BitRateControl, Device, NmtSlave,
     storing::{Busy, Download, Storing},
 };
 use crate::{
     Instant,
-    application::Application,
-    emergency::{self, Emergency, Reports},
+    application::{Application, copy},
+    emergency::{self, Emergency},
     lss::{self, AddressPart},
     nmt::ErrorBehaviour,
-    object_dictionary::{self, Entry, Object, PARAMETERS, TABLE},
+    object_dictionary::{self, DataType, Entry, Object, PARAMETERS, SDO_SERVER, TABLE},
     process_data::ProcessData,
-    sdo::{Abort, Objects, Value, Written},
+    sdo::{self, Abort, Objects, Value, Written},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -30,7 +32,8 @@ pub(super) struct Parts<'a, A, const TPDOS: usize, const RPDOS: usize, const PRO
     pub nmt: &'a mut NmtSlave,
     pub emergency: &'a mut Emergency,
     /// `None` if there are none in this node.
-    pub reports: Option<&'a Reports>,
+    /// The error register for the errors of the application.
+    pub reported: u8,
     pub storing: &'a mut Storing,
     pub process_data: &'a mut ProcessData<TPDOS, RPDOS, PRODUCERS>,
     pub application: &'a mut A,
@@ -40,14 +43,15 @@ pub(super) struct Parts<'a, A, const TPDOS: usize, const RPDOS: usize, const PRO
 impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> Objects
     for Parts<'_, A, TPDOS, RPDOS, PRODUCERS>
 {
+    const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
+
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
-        let is_of_application = A::OBJECTS.first().is_some_and(|first| first.index <= index);
-        let is_of_parameters = !A::OBJECTS.is_empty() && matches!(index, 0x1010 | 0x1011);
         let of_process_data = ProcessData::<TPDOS, RPDOS, PRODUCERS>::table(index);
-        let table = match () {
-            () if is_of_application => A::OBJECTS,
-            () if is_of_parameters => PARAMETERS,
-            () => of_process_data.unwrap_or(TABLE),
+        let table = match A::OBJECTS.first() {
+            Some(first) if first.index <= index => A::OBJECTS,
+            Some(_) if matches!(index, 0x1010 | 0x1011) => PARAMETERS,
+            Some(_) if index == 0x1200 => SDO_SERVER,
+            _ => of_process_data.unwrap_or(TABLE),
         };
         Ok(object_dictionary::find(table, index, sub_index)?)
     }
@@ -60,7 +64,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::SoftwareVersion => return Ok(Value::Text(self.device.software_version)),
             Object::DeviceType => DEVICE_TYPE,
             Object::ErrorRegister => {
-                let others = self.reports.map_or(0, Reports::error_register);
+                let others = self.reported;
                 (self.emergency.error_register() | others).into()
             }
             Object::NumberOfErrors => self.emergency.number_of_errors().into(),
@@ -84,12 +88,16 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
             Object::Rescues => self.bit_rate.rescues().into(),
             Object::HighestSubIndex(highest) => highest.into(),
-            Object::Application(_) if A::OBJECTS.is_empty() => return Err(Abort::NoObject),
-            Object::Application(field) => self.read_application(field)?,
+            Object::CobIdSdoRequest if !A::OBJECTS.is_empty() => {
+                u32::from(sdo::REQUEST_COB_ID) + node_id
+            }
+            Object::CobIdSdoResponse if !A::OBJECTS.is_empty() => {
+                u32::from(sdo::RESPONSE_COB_ID) + node_id
+            }
             _ if ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
                 self.process_data.read(object, self.lss.active_node_id())?
             }
-            _ => return Err(Abort::NoObject),
+            _ => 0,
         }))
     }
 
@@ -116,11 +124,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
                 Err(Abort::NotStored)
             }
-            (Object::Application(field), value) if !A::OBJECTS.is_empty() => self
-                .write_application(
-                    field,
-                    value.to_le_bytes().get(..entry.data_type.size().into()).unwrap_or_default(),
-                ),
             (object, value) if ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
                 let node = self.lss.active_node_id();
                 self.process_data.write(object, value, node, A::OBJECTS)?;
@@ -129,24 +132,64 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             _ => Err(Abort::ReadOnly),
         }
     }
+
+    fn len(&self, entry: &Entry) -> Result<u32, Abort> {
+        match entry.object {
+            Object::Application(_) if entry.data_type == DataType::Domain => {
+                self.application.domain_len(entry.index, entry.sub_index)
+            }
+            Object::Application(field) => Ok(self.application.len(field) as u32),
+            object => self.read(object).map(|_| entry.data_type.size().into()),
+        }
+    }
+
+    fn read_part(&self, entry: &Entry, offset: u32, to: &mut [u8]) -> usize {
+        match entry.object {
+            Object::Application(_) if entry.data_type == DataType::Domain => {
+                self.application.read_domain(entry.index, entry.sub_index, offset, to)
+            }
+            Object::Application(field) => self.application.read(field, offset as usize, to),
+            object => match self.read(object) {
+                Ok(Value::Number(number)) => copy(&number.to_le_bytes(), offset as usize, to),
+                _ => 0,
+            },
+        }
+    }
+
+    fn write_bytes(&mut self, entry: &Entry, bytes: &[u8]) -> Result<Written, Abort> {
+        if let Object::Application(field) = entry.object {
+            let value = A::parse(field, bytes)?;
+            self.application.accept(&value)?;
+            self.application.set(value);
+            return Ok(Written::Now);
+        }
+        match bytes.len().cmp(&entry.data_type.size().into()) {
+            Ordering::Greater => Err(Abort::TooLong),
+            Ordering::Less => Err(Abort::TooShort),
+            Ordering::Equal => {
+                let mut number = [0; 4];
+                copy(bytes, 0, &mut number);
+                self.write(entry, u32::from_le_bytes(number))
+            }
+        }
+    }
+
+    fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
+    }
+
+    fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort> {
+        self.application.end_domain(entry.index, entry.sub_index, len)
+    }
+
+    fn abort_domain(&mut self, entry: &Entry) {
+        self.application.abort_domain(entry.index, entry.sub_index);
+    }
 }
 
 impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     Parts<'_, A, TPDOS, RPDOS, PRODUCERS>
 {
-    fn read_application(&self, field: u8) -> Result<u32, Abort> {
-        let mut bytes = [0; 4];
-        self.application.read(field, 0, &mut bytes);
-        Ok(u32::from_le_bytes(bytes))
-    }
-
-    fn write_application(&mut self, field: u8, bytes: &[u8]) -> Result<Written, Abort> {
-        let value = A::parse(field, bytes)?;
-        self.application.accept(&value)?;
-        self.application.set(value);
-        Ok(Written::Now)
-    }
-
     fn request_store(&mut self, entry: &Entry, heartbeat_ms: u16) -> Result<Written, Abort> {
         let download = Download { index: entry.index, sub_index: entry.sub_index };
         self.storing.request_by_sdo(download, heartbeat_ms)?;

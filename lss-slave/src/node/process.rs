@@ -5,7 +5,7 @@ use crate::{
     Application, Device, Frame, Instant, NodeId,
     application::Event,
     emergency::Errors,
-    object_dictionary::{self, Description, Entry, PARAMETERS, TABLE},
+    object_dictionary::{self, Description, Entry, PARAMETERS, SDO_SERVER, TABLE},
     process_data::ProcessData,
 };
 
@@ -45,21 +45,23 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub fn entries(
         device: &Device,
     ) -> impl Iterator<Item = (Entry, Description)> + use<A, TPDOS, RPDOS, PRODUCERS> {
-        let has_parameters = !A::OBJECTS.is_empty();
+        let has_application = !A::OBJECTS.is_empty();
         let is_replaced = move |(entry, _): &(Entry, Description)| {
-            has_parameters && matches!(entry.index, 0x1010 | 0x1011)
+            has_application && matches!(entry.index, 0x1010 | 0x1011)
         };
         let own = TABLE.iter().copied().zip(object_dictionary::descriptions(device));
         let parameters =
             PARAMETERS.iter().copied().zip(object_dictionary::parameter_descriptions(device));
+        let sdo_server =
+            SDO_SERVER.iter().copied().zip(object_dictionary::sdo_server_descriptions(device));
         own.filter(move |row| !is_replaced(row))
-            .chain(parameters.filter(move |_| has_parameters))
+            .chain(parameters.chain(sdo_server).filter(move |_| has_application))
             .chain(ProcessData::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
             .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
     }
 
     fn errors(&mut self) -> Errors<'_> {
-        Errors { emergency: &mut self.emergency, reports: &mut self.reports }
+        Errors { emergency: &mut self.emergency, reports: self.reports.all_mut() }
     }
 
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
@@ -69,7 +71,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let Some(node) = self.node_id() else {
             return;
         };
-        let mut errors = Errors { emergency: &mut self.emergency, reports: &mut self.reports };
+        let mut errors = Errors { emergency: &mut self.emergency, reports: self.reports.all_mut() };
         self.process_data.handle_frame(frame, node, &mut self.application, &mut errors, now);
         self.due = Due::Now;
     }
@@ -94,7 +96,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
     pub(super) fn watch_producers(&mut self, now: Instant) {
         let mut is_any_lost = false;
-        let mut errors = Errors { emergency: &mut self.emergency, reports: &mut self.reports };
+        let mut errors = Errors { emergency: &mut self.emergency, reports: self.reports.all_mut() };
         while let Some(producer) = self.process_data.next_lost(&mut errors, now) {
             self.nmt.handle_communication_error();
             self.application.handle(Event::HeartbeatLost(producer));

@@ -14,29 +14,16 @@ use core::{
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use lss_slave::{
     Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
+    application::{Domain, Event, OctetString, Text},
     bit_rate::BitRateSetting,
     emergency::Fault,
     indicator::{BusState, Indicators},
     lss::{Address, StoreError},
     nmt, objects,
     process_data::{Rpdo, Tpdo},
+    sdo::Abort,
     settings::Log,
 };
-
-objects! {
-    /// A product with process data.
-    struct Machine, values MachineValue;
-
-    0x6000 "Inputs" {
-        1 "8 bits" short: u8 = 0, rw, 0..=100, mappable;
-        2 "64 bits" long: u64 = 0, rw, mappable;
-    }
-}
-
-impl Application for Machine {
-    const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)]).with_event_timer(10)];
-    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 2)]).with_transmission_type(0)];
-}
 
 unsafe extern "C" {
     /// A symbol without a definition.
@@ -142,16 +129,13 @@ fn run_node() {
     let device = any_device();
     black_box(Frame::new(any(0), any(&[])));
     drive(&mut Node::new(device, any(Some(any_settings()))));
-    let machine = Machine::new();
-    let mut node: Node<Machine, 4, 4, 16> =
-        Node::with_application(device, any(Some(any_settings())), machine);
-    black_box(&mut node).report(any(0), any(0), any([0; 5]));
-    black_box(&mut node).end_report(any(0));
-    black_box(&mut node).application_mut().short = any(0);
+    let objects = any(Objects::new());
+    let mut node: Node<Objects, 4, 4, 16> =
+        Node::with_application(device, any(Some(any_settings())), objects);
     drive(&mut node);
 }
 
-/// Between the calls the node is in any state that its types allow.
+/// Calls all of a node. Between the calls it is in any state that its types allow.
 fn drive<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(
     node: &mut Node<A, TPDOS, RPDOS, PRODUCERS>,
 ) {
@@ -163,10 +147,81 @@ fn drive<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS
     black_box(&mut *node).handle_fault(any(Fault::Overrun));
     black_box(&mut *node).handle_bus(any(BusEvent::Error), any_instant());
     black_box(black_box(&mut *node).poll(any_instant()));
+    black_box(&mut *node).report(any(0), any(0), any([0; 5]));
+    black_box(&mut *node).end_report(any(0));
+    black_box(black_box(&mut *node).application_mut());
     let node = &*black_box(node);
     black_box(node.is_due(any_instant()));
     black_box((node.poll_at(), node.receives(), node.nmt_state(), node.node_id()));
     black_box((node.bit_rate(), node.is_listening(), node.lss().state()));
+    black_box((node.active_bit_rate(), node.wants_to_send_more(), node.application()));
+}
+
+objects! {
+    /// An object of each kind.
+    struct Objects, values ObjectValue;
+
+    0x2100 "Numbers" {
+        1 "Boolean" boolean: bool = true, rw;
+        2 "8 bits" byte: u8 = 8, rw, 5..=250, mappable, stored;
+        3 "16 bits" word: i16 = 16, ro;
+        4 "64 bits" long: u64 = 64, rw, stored;
+        5 "Real" real: f64 = 0.5, wo, 0.0..=1.0;
+    }
+    0x2200 "Strings" {
+        1 "Constant" constant: &'static str = "constant", constant;
+        2 "Text" text: Text<20> = Text::EMPTY, rw, stored;
+        3 "Octets" octets: OctetString<40> = OctetString::EMPTY, rw;
+    }
+    0x2300 {
+        0 "Domain" domain: Domain = Domain, rw;
+    }
+}
+
+/// An application that answers arbitrarily.
+impl Application for Objects {
+    const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x2100, 2)]).with_event_timer(10)];
+    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x2100, 2)]).with_transmission_type(0)];
+
+    fn accept(&mut self, value: &ObjectValue) -> Result<(), Abort> {
+        black_box(value);
+        any(Ok(()))
+    }
+
+    fn handle(&mut self, event: Event) {
+        black_box(event);
+    }
+
+    fn domain_len(&self, index: u16, sub_index: u8) -> Result<u32, Abort> {
+        black_box((index, sub_index));
+        any(Ok(any_number()))
+    }
+
+    fn read_domain(&self, index: u16, sub_index: u8, offset: u32, to: &mut [u8]) -> usize {
+        black_box((index, sub_index, offset));
+        to.fill_with(|| any(0));
+        any(0)
+    }
+
+    fn write_domain(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        offset: u32,
+        bytes: &[u8],
+    ) -> Result<(), Abort> {
+        black_box((index, sub_index, offset, bytes));
+        any(Ok(()))
+    }
+
+    fn end_domain(&mut self, index: u16, sub_index: u8, len: u32) -> Result<(), Abort> {
+        black_box((index, sub_index, len));
+        any(Ok(()))
+    }
+
+    fn abort_domain(&mut self, index: u16, sub_index: u8) {
+        black_box((index, sub_index));
+    }
 }
 
 fn indicate() {

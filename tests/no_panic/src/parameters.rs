@@ -33,7 +33,7 @@ objects! {
 
 impl Application for Objects {}
 
-const PARAMETERS: usize = Node::<Objects>::PARAMETERS;
+const PARAMETERS: usize = <Node<Objects>>::PARAMETERS;
 type ParametersLog = Log<Flash, PARAMETERS>;
 
 fn any_bytes() -> &'static [u8] {
@@ -43,7 +43,8 @@ fn any_bytes() -> &'static [u8] {
 pub fn keep() {
     let (mut log, found) = any(ParametersLog::open_with_parameters(Flash));
     black_box(found);
-    let mut node = Node::with_application(any_device(), any(None), any(Objects::new()));
+    let mut node: Node<Objects> =
+        Node::with_application(any_device(), any(None), any(Objects::new()));
     black_box(black_box(&mut log).restore(|parameter| node.restore(parameter))).ok();
     black_box(log.parameters());
     black_box(black_box(&mut log).store(any_settings())).ok();

@@ -1,0 +1,340 @@
+//! SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15) of a node with an application.
+
+use lss_slave::BusEvent;
+use testkit::{frames::SILENCE, node_rig::NodeRig, sdo::crc};
+
+use crate::sdo_machine::{CONSTANT, Machine, board, board_with_memory, bytes};
+
+/// The text of segment `number` of a block, which begins at byte `start` of `data`.
+fn segment(number: u8, data: &[u8], start: usize) -> String {
+    let part = &data[start..data.len().min(start + 7)];
+    let last = if start + 7 >= data.len() { 0x80 } else { 0 };
+    let bytes: String =
+        (0..7).map(|at| format!(" {:02X}", part.get(at).copied().unwrap_or(0))).collect();
+    format!("{:02X}{bytes}", number | last)
+}
+
+/// Sends segments `numbers` of the block that begins at byte `start`; the last one may be answered.
+fn send(board: &mut NodeRig<Machine>, numbers: &[u8], data: &[u8], start: usize) -> String {
+    let mut answer = String::new();
+    for &number in numbers {
+        assert_eq!(answer, "", "no answer before the end of the block");
+        let at = start + 7 * usize::from(number - 1);
+        let answers = board.sdo(&segment(number, data, at));
+        answer = answers.0.first().map(testkit::frames::text).unwrap_or_default();
+    }
+    answer
+}
+
+#[test]
+fn a_domain_of_any_length_is_uploaded_in_blocks_of_any_size() {
+    for (len, block_size) in (1..300).map(|len| (len, (len % 127 + 1) as u8)) {
+        let mut board = board_with_memory(len);
+        assert_eq!(board.block_upload(0x2300, 2, block_size).unwrap(), bytes(len), "{len}");
+    }
+    let mut board = board_with_memory(10_000);
+    for block_size in 1..=127 {
+        assert_eq!(board.block_upload(0x2300, 2, block_size).unwrap(), bytes(10_000));
+    }
+}
+
+#[test]
+fn a_domain_of_any_length_is_downloaded_in_blocks() {
+    let mut board = board();
+    for len in (0..300).chain([7 * 127, 7 * 127 + 1, 10_000]) {
+        assert_eq!(board.block_download(0x2300, 1, &bytes(len)), Ok(()), "{len}");
+        assert_eq!(board.node.application().memory, bytes(len));
+    }
+    assert_eq!(board.node.application().aborted, 0);
+}
+
+#[test]
+fn every_other_value_goes_by_block_transfer_too() {
+    let mut board = board();
+    assert_eq!(board.block_download(0x2100, 4, &7_u64.to_le_bytes()), Ok(()));
+    assert_eq!(board.block_upload(0x2100, 4, 127).unwrap(), 7_u64.to_le_bytes());
+    assert_eq!(board.block_download(0x2100, 1, &[9]), Ok(()));
+    assert_eq!(board.block_upload(0x2100, 1, 1).unwrap(), [9]);
+    for len in 0..=20 {
+        assert_eq!(board.block_download(0x2200, 2, &bytes(len)), Ok(()));
+        assert_eq!(board.block_upload(0x2200, 2, 2).unwrap(), bytes(len));
+    }
+    assert_eq!(board.block_upload(0x2200, 1, 4).unwrap(), CONSTANT.as_bytes());
+    assert_eq!(board.block_upload(0x1008, 0, 4).unwrap(), b"Test board");
+    assert_eq!(board.block_download(0x1017, 0, &[0xE8, 3]), Ok(()));
+    assert_eq!(board.number(0x1017, 0), 1000);
+}
+
+#[test]
+fn the_frames_of_a_block_upload_are_those_of_cia_301() {
+    let mut board = board_with_memory(15);
+    assert_eq!(board.sdo("A4 00 23 01 02 00"), ["5C0: C6 00 23 01 0F 00 00 00"]);
+    assert_eq!(board.sdo("A3"), ["5C0: 01 01 08 0F 16 1D 24 2B", "5C0: 02 32 39 40 47 4E 55 5C"]);
+    assert_eq!(board.sdo("A2 02 7F"), ["5C0: 81 63 00 00 00 00 00 00"]);
+    let [c0, c1] = crc(&bytes(15)).to_le_bytes();
+    let end = format!("5C0: D9 {c0:02X} {c1:02X} 00 00 00 00 00");
+    assert_eq!(board.sdo("A2 01 7F"), [end.as_str()], "six bytes are unused");
+    assert_eq!(board.sdo("A1"), SILENCE);
+    assert_eq!(board.sdo("A1"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
+}
+
+#[test]
+fn the_frames_of_a_block_download_are_those_of_cia_301() {
+    let mut board = board();
+    assert_eq!(board.sdo("C6 00 23 01 0F 00 00 00"), ["5C0: A4 00 23 01 7F 00 00 00"]);
+    assert_eq!(board.sdo("01 01 08 0F 16 1D 24 2B"), SILENCE);
+    assert_eq!(board.sdo("02 32 39 40 47 4E 55 5C"), SILENCE);
+    assert_eq!(board.sdo("83 63"), ["5C0: A2 03 7F 00 00 00 00 00"]);
+    let [c0, c1] = crc(&bytes(15)).to_le_bytes();
+    assert_eq!(board.sdo(&format!("D9 {c0:02X} {c1:02X}")), ["5C0: A1 00 00 00 00 00 00 00"]);
+    assert_eq!(board.node.application().memory, bytes(15));
+}
+
+#[test]
+fn segments_lost_on_the_way_to_the_client_are_sent_again() {
+    let data = bytes(1000);
+    for confirmed in 0..16 {
+        let mut board = board_with_memory(1000);
+        board.sdo("A4 00 23 01 14");
+        let first = board.sdo("A3");
+        assert_eq!(first.0.len(), 20);
+        let again = board.sdo(&format!("A2 {confirmed:02X} 7F"));
+        assert_eq!(again.0.len(), 127, "the new block size");
+        let mut received: Vec<u8> = Vec::new();
+        for frame in first.0.iter().take(confirmed).chain(&again.0) {
+            received.extend(&frame.data()[1..]);
+        }
+        let last = board.sdo("A2 7F 7F");
+        last.0.iter().for_each(|frame| received.extend(&frame.data()[1..]));
+        let end = board.sdo(&format!("A2 {:02X} 7F", last.0.len()));
+        assert_eq!(received[..1000], data);
+        let [c0, c1] = crc(&data).to_le_bytes();
+        assert_eq!(end.0[0].data()[1..3], [c0, c1], "each byte is once in the CRC");
+    }
+}
+
+#[test]
+fn a_last_block_that_is_lost_is_sent_again() {
+    let mut board = board_with_memory(10);
+    board.sdo("A4 00 23 01 7F");
+    let first = board.sdo("A3");
+    assert_eq!(board.sdo("A2 00 7F"), first);
+    assert_eq!(board.sdo("A2 01 7F"), ["5C0: 81 32 39 40 00 00 00 00"]);
+    assert_eq!(board.sdo("A2 01 7F").0[0].data()[0], 0xC1 | 4 << 2);
+    assert_eq!(board.sdo("A1"), SILENCE);
+}
+
+#[test]
+fn after_a_lost_segment_the_client_repeats_the_rest_of_the_block() {
+    let data = bytes(200);
+    for lost in 1..=28 {
+        let mut board = board();
+        board.sdo("C6 00 23 01 C8");
+        let numbers: Vec<u8> = (1..=29).filter(|&number| number != lost).collect();
+        let answer = send(&mut board, &numbers, &data, 0);
+        assert_eq!(answer, format!("5C0: A2 {:02X} 7F 00 00 00 00 00", lost - 1));
+        let start = 7 * usize::from(lost - 1);
+        let rest: Vec<u8> = (1..=30 - lost).collect();
+        let answer = send(&mut board, &rest, &data, start);
+        assert_eq!(answer, format!("5C0: A2 {:02X} 7F 00 00 00 00 00", 30 - lost));
+        let [c0, c1] = crc(&data).to_le_bytes();
+        let end = format!("{:02X} {c0:02X} {c1:02X}", 0xC1 | 3 << 2);
+        assert_eq!(board.sdo(&end), ["5C0: A1 00 00 00 00 00 00 00"]);
+        assert_eq!(board.node.application().memory, data);
+    }
+}
+
+#[test]
+fn a_block_whose_last_segment_is_lost_is_confirmed_after_750_ms() {
+    let data = bytes(200);
+    let mut board = board();
+    board.sdo("C6 00 23 01 C8");
+    assert_eq!(send(&mut board, &(1..=28).collect::<Vec<_>>(), &data, 0), "");
+    assert_eq!(board.pass_us(749_999), SILENCE);
+    assert_eq!(board.pass_us(1), ["5C0: A2 1C 7F 00 00 00 00 00"]);
+    assert_eq!(send(&mut board, &[1], &data, 7 * 28), "5C0: A2 01 7F 00 00 00 00 00");
+    let [c0, c1] = crc(&data).to_le_bytes();
+    assert_eq!(board.sdo(&format!("CD {c0:02X} {c1:02X}")), ["5C0: A1 00 00 00 00 00 00 00"]);
+    assert_eq!(board.node.application().memory, data);
+}
+
+#[test]
+fn a_client_that_is_silent_after_that_is_given_up_after_a_second() {
+    let mut board = board();
+    board.sdo("C6 00 23 01 C8");
+    board.sdo("01 61");
+    assert_eq!(board.pass_ms(750).0.len(), 1);
+    assert_eq!(board.pass_us(249_999), SILENCE);
+    assert_eq!(board.pass_us(1), ["5C0: 80 00 23 01 00 00 04 05"]);
+    assert_eq!(board.node.application().aborted, 1);
+}
+
+#[test]
+fn an_invalid_block_size_is_0504_0002() {
+    for block_size in [0_u8, 128, 255] {
+        let mut board = board_with_memory(100);
+        let request = format!("A4 00 23 01 {block_size:02X}");
+        assert_eq!(board.sdo(&request), ["5C0: 80 00 23 01 02 00 04 05"]);
+        board.sdo("A4 00 23 01 01");
+        board.sdo("A3");
+        let confirm = format!("A2 01 {block_size:02X}");
+        assert_eq!(board.sdo(&confirm), ["5C0: 80 00 23 01 02 00 04 05"]);
+        assert_eq!(board.sdo("A2 01 7F"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
+    }
+}
+
+#[test]
+fn an_invalid_sequence_number_is_0504_0003() {
+    let mut board = board_with_memory(100);
+    board.sdo("A4 00 23 01 05");
+    board.sdo("A3");
+    assert_eq!(board.sdo("A2 06 7F"), ["5C0: 80 00 23 01 03 00 04 05"], "only five were sent");
+    board.sdo("C6 00 23 01 C8");
+    board.sdo("01 61");
+    assert_eq!(board.sdo("00 61"), ["5C0: 80 00 23 01 03 00 04 05"]);
+    assert_eq!(board.node.application().aborted, 1);
+}
+
+#[test]
+fn a_wrong_crc_is_0504_0004_and_nothing_is_written() {
+    let mut board = board();
+    board.sdo("C6 00 22 02 03");
+    board.sdo("81 61 62 63");
+    let [c0, c1] = (crc(b"abc") ^ 1).to_le_bytes();
+    let end = format!("D1 {c0:02X} {c1:02X}");
+    assert_eq!(board.sdo(&end), ["5C0: 80 00 22 02 04 00 04 05"]);
+    assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
+    board.sdo("C6 00 23 01 03");
+    board.sdo("81 61 62 63");
+    assert_eq!(board.sdo(&end), ["5C0: 80 00 23 01 04 00 04 05"]);
+    assert_eq!((board.node.application().ended, board.node.application().aborted), (0, 1));
+}
+
+#[test]
+fn a_client_without_crc_and_without_a_size_is_served() {
+    let mut board = board();
+    assert_eq!(board.sdo("C0 00 22 02"), ["5C0: A4 00 22 02 7F 00 00 00"]);
+    board.sdo("81 61 62 63");
+    assert_eq!(board.sdo("D1 FF FF"), ["5C0: A1 00 00 00 00 00 00 00"]);
+    assert_eq!(board.sdo("A0 00 22 02 7F"), ["5C0: C6 00 22 02 03 00 00 00"]);
+    assert_eq!(board.sdo("A3"), ["5C0: 81 61 62 63 00 00 00 00"]);
+}
+
+#[test]
+fn short_data_goes_by_the_other_protocol_up_to_the_clients_threshold() {
+    let mut board = board();
+    assert_eq!(board.sdo("A4 00 21 02 7F 02"), ["5C0: 4B 00 21 02 10 00 00 00"]);
+    assert_eq!(board.sdo("A4 00 21 02 7F 01"), ["5C0: C6 00 21 02 02 00 00 00"]);
+    assert_eq!(board.sdo("A4 00 21 04 7F 08"), ["5C0: 41 00 21 04 08 00 00 00"]);
+    assert_eq!(board.sdo("60"), ["5C0: 00 88 77 66 55 44 33 22"]);
+    assert_eq!(board.sdo("A4 00 21 04 7F 07"), ["5C0: C6 00 21 04 08 00 00 00"]);
+    assert_eq!(board.sdo("A4 00 21 04 7F 00"), ["5C0: C6 00 21 04 08 00 00 00"], "no threshold");
+}
+
+#[test]
+fn lengths_access_and_limits_hold_for_blocks_too() {
+    let mut board = board();
+    assert_eq!(board.sdo("C6 00 21 02 03"), ["5C0: 80 00 21 02 12 00 07 06"]);
+    assert_eq!(board.sdo("C6 00 21 02 01"), ["5C0: 80 00 21 02 13 00 07 06"]);
+    assert_eq!(board.block_download(0x2100, 3, &[0; 4]), Err(0x0601_0002));
+    assert_eq!(board.block_download(0x2100, 1, &[4]), Err(0x0609_0032));
+    assert_eq!(board.block_download(0x2100, 2, &[0xAD, 0xDE]), Err(0x0800_0022));
+    assert_eq!(board.block_download(0x2200, 2, &bytes(21)), Err(0x0607_0012));
+    board.sdo("C2 00 22 02 02");
+    board.sdo("81 61 62 63");
+    assert_eq!(board.sdo("D1"), ["5C0: 80 00 22 02 10 00 07 06"], "more than announced");
+    board.sdo("C2 00 22 02 04");
+    board.sdo("81 61 62 63");
+    assert_eq!(board.sdo("D1"), ["5C0: 80 00 22 02 10 00 07 06"], "less than announced");
+    assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
+}
+
+#[test]
+fn messages_out_of_order_are_0504_0001() {
+    for (before, message) in [
+        (&["A4 00 23 01 7F"][..], "A2 00 7F"),
+        (&["A4 00 23 01 7F"], "A1"),
+        (&["A4 00 23 01 7F"], "60"),
+        (&["A4 00 23 01 7F", "A3"], "A3"),
+        (&["A4 00 23 01 7F", "A3"], "A1"),
+        (&["A4 00 23 01 7F", "A3", "A2 0F 7F"], "A2 0F 7F"),
+        (&["C0 00 23 01", "81"], "00"),
+        (&["C0 00 23 01", "81"], "A3"),
+    ] {
+        let mut board = board_with_memory(100);
+        for message in before {
+            board.sdo(message);
+        }
+        assert_eq!(board.sdo(message), ["5C0: 80 00 23 01 01 00 04 05"], "{before:?}, {message}");
+        assert_eq!(board.upload(0x2300, 1).unwrap(), bytes(100));
+    }
+}
+
+#[test]
+fn an_abort_ends_a_block_transfer_at_once() {
+    let mut board = board_with_memory(10_000);
+    board.is_acknowledged = false;
+    board.sdo("A4 00 23 01 7F");
+    assert_eq!(board.sdo("A3").0.len(), 2);
+    assert_eq!(board.sdo("80 00 23 01"), SILENCE);
+    assert_eq!(board.see(BusEvent::NonePending), SILENCE);
+    board.sdo("C0 00 23 01");
+    board.sdo("01 61");
+    assert_eq!(board.sdo("80 00 23 01"), SILENCE);
+    assert_eq!(board.node.application().aborted, 1);
+    assert_eq!(board.sdo("02 61"), ["5C0: 80 00 00 00 01 00 04 05"]);
+}
+
+#[test]
+fn two_segments_wait_for_the_bus_and_no_more() {
+    let mut board = board_with_memory(10_000);
+    board.is_acknowledged = false;
+    board.sdo("A4 00 23 01 7F");
+    assert_eq!(board.sdo("A3").0.len(), 2);
+    assert_eq!(board.pass_ms(100), SILENCE);
+    assert_eq!(board.see(BusEvent::Acknowledged), SILENCE, "it may be another frame's");
+    let mut sent = 2;
+    while sent < 127 {
+        assert!(board.node.wants_to_send_more());
+        let segments = board.see(BusEvent::NonePending).0.len();
+        assert_eq!(segments, (127 - sent).min(2));
+        sent += segments;
+    }
+    assert!(!board.node.wants_to_send_more());
+    assert_eq!(board.see(BusEvent::NonePending), SILENCE, "until the client confirms");
+    assert_eq!(board.lss("04 01"), SILENCE);
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+}
+
+#[test]
+fn a_bus_that_is_blocked_for_a_second_ends_a_block_upload() {
+    let mut board = board_with_memory(10_000);
+    board.is_acknowledged = false;
+    board.sdo("A4 00 23 01 7F");
+    board.sdo("A3");
+    assert_eq!(board.pass_us(999_999), SILENCE);
+    assert_eq!(board.pass_us(1), ["5C0: 80 00 23 01 00 00 04 05"]);
+}
+
+#[test]
+fn lss_and_heartbeats_are_served_within_a_block_upload() {
+    let mut board = board_with_memory(10_000);
+    board.download(0x1017, 0, &[10, 0]).unwrap();
+    board.is_acknowledged = false;
+    board.sdo("A4 00 23 01 7F");
+    board.sdo("A3");
+    assert_eq!(board.pass_ms(10), ["740: 7F"]);
+    board.lss("04 01");
+    assert_eq!(board.lss("5A"), ["5A 44 33 22 11"]);
+    assert_eq!(board.see(BusEvent::NonePending).0.len(), 2);
+}
+
+#[test]
+fn a_store_by_block_transfer_is_answered_at_its_end() {
+    let mut board = board();
+    board.let_stores_take_time();
+    board.sdo("C0 10 10 01");
+    assert_eq!(board.sdo("81 73 61 76 65"), ["5C0: A2 01 7F 00 00 00 00 00"]);
+    assert_eq!(board.sdo("CD"), SILENCE, "it is not stored yet");
+    assert_eq!(board.finish_store(), ["5C0: A1 00 00 00 00 00 00 00"]);
+}

@@ -1,0 +1,569 @@
+//! A second description of the SDO server, written from CiA 301, which must agree with it about random messages.
+
+use testkit::{frames::Frames, node_rig::NodeRig, random::Random, sdo::crc};
+
+use crate::sdo_machine::{CONSTANT, Machine, board};
+
+const MESSAGES: usize = 60_000;
+/// The longest string of the machine.
+const LONGEST: usize = 40;
+const TIMEOUT: u32 = 0x0504_0000;
+const COMMAND: u32 = 0x0504_0001;
+const LENGTH: u32 = 0x0607_0010;
+const TOO_LONG: u32 = 0x0607_0012;
+const TOO_SHORT: u32 = 0x0607_0013;
+
+type Message = [u8; 8];
+type Address = (u16, u8);
+
+const ADDRESSES: [Address; 15] = [
+    (0x1008, 0),
+    (0x1017, 0),
+    (0x1200, 0),
+    (0x1200, 2),
+    (0x2100, 0),
+    (0x2100, 1),
+    (0x2100, 2),
+    (0x2100, 3),
+    (0x2100, 4),
+    (0x2100, 5),
+    (0x2200, 1),
+    (0x2200, 2),
+    (0x2200, 3),
+    (0x2300, 1),
+    (0x2300, 2),
+];
+
+/// The state of the server, with all data of the transfer.
+#[derive(Clone, Debug)]
+enum State {
+    Idle,
+    Upload {
+        at: Address,
+        rest: Vec<u8>,
+        toggle: u8,
+    },
+    Download {
+        at: Address,
+        size: Option<usize>,
+        data: Vec<u8>,
+        toggle: u8,
+    },
+    /// `unconfirmed` is what the client has not confirmed, `sent` the segments of the block.
+    BlockUpload {
+        at: Address,
+        data: Vec<u8>,
+        confirmed: usize,
+        phase: Phase,
+        block: usize,
+        sent: usize,
+    },
+    BlockDownload {
+        at: Address,
+        size: Option<usize>,
+        has_crc: bool,
+        segments: Vec<[u8; 7]>,
+        last: u8,
+        begun: bool,
+        is_ending: bool,
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Phase {
+    Initiated,
+    Sent,
+    Ending,
+}
+
+struct Model {
+    u8: Vec<u8>,
+    u16: Vec<u8>,
+    u64: Vec<u8>,
+    heartbeat: Vec<u8>,
+    text: Vec<u8>,
+    octets: Vec<u8>,
+    memory: Vec<u8>,
+    state: State,
+}
+
+fn abort((index, sub_index): Address, code: u32) -> Vec<Message> {
+    vec![named(0x80, (index, sub_index), code)]
+}
+
+fn named(command: u8, (index, sub_index): Address, number: u32) -> Message {
+    let [i0, i1] = index.to_le_bytes();
+    let [n0, n1, n2, n3] = number.to_le_bytes();
+    [command, i0, i1, sub_index, n0, n1, n2, n3]
+}
+
+fn segment(command: u8, data: &[u8]) -> Message {
+    let mut message = [command, 0, 0, 0, 0, 0, 0, 0];
+    message[1..=data.len()].copy_from_slice(data);
+    message
+}
+
+impl Model {
+    fn new() -> Self {
+        Self {
+            u8: vec![8],
+            u16: vec![16, 0],
+            u64: 0x1122_3344_5566_7788_u64.to_le_bytes().to_vec(),
+            heartbeat: vec![0, 0],
+            text: vec![],
+            octets: vec![],
+            memory: vec![],
+            state: State::Idle,
+        }
+    }
+
+    fn check_exists((index, sub_index): Address) -> Result<(), u32> {
+        let highest = match index {
+            0x1008 | 0x1017 => 0,
+            0x1200 | 0x2300 => 2,
+            0x2200 => 3,
+            0x2100 => 5,
+            _ => return Err(0x0602_0000),
+        };
+        if sub_index > highest { Err(0x0609_0011) } else { Ok(()) }
+    }
+
+    fn read(&self, at: Address) -> Result<Vec<u8>, u32> {
+        Self::check_exists(at)?;
+        Ok(match at {
+            (0x1008, _) => b"Test board".to_vec(),
+            (0x1017, _) => self.heartbeat.clone(),
+            (0x1200, 1) => vec![0x40, 6, 0, 0],
+            (0x1200, 2) => vec![0xC0, 5, 0, 0],
+            (0x1200 | 0x2300, 0) => vec![2],
+            (0x2100, 0) => vec![5],
+            (0x2200, 0) => vec![3],
+            (0x2100, 1) => self.u8.clone(),
+            (0x2100, 2) => self.u16.clone(),
+            (0x2100, 3) => vec![32, 0, 0, 0],
+            (0x2100, 4) => self.u64.clone(),
+            (0x2100, _) => return Err(0x0601_0001),
+            (0x2200, 1) => CONSTANT.into(),
+            (0x2200, 2) => self.text.clone(),
+            (0x2200, _) => self.octets.clone(),
+            _ if self.memory.is_empty() => return Err(0x0800_0024),
+            _ => self.memory.clone(),
+        })
+    }
+
+    /// The size of a number, or `None`.
+    fn size(at: Address) -> Option<usize> {
+        match at {
+            (0x2100, 1) => Some(1),
+            (0x1017, _) | (0x2100, 2) => Some(2),
+            (0x2100, 4) => Some(8),
+            (0x2100, 5) => Some(4),
+            _ => None,
+        }
+    }
+
+    fn check_writable(at: Address, size: Option<usize>) -> Result<(), u32> {
+        Self::check_exists(at)?;
+        if !matches!(at, (0x1017, _) | (0x2100, 1 | 2 | 4 | 5) | (0x2200, 2 | 3) | (0x2300, 1)) {
+            return Err(0x0601_0002);
+        }
+        let Some(len) = size else { return Ok(()) };
+        match Self::size(at) {
+            Some(size) if len > size => Err(TOO_LONG),
+            Some(size) if len < size => Err(TOO_SHORT),
+            None if at.0 != 0x2300 && len > LONGEST => Err(TOO_LONG),
+            _ => Ok(()),
+        }
+    }
+
+    fn write(&mut self, at: Address, data: &[u8]) -> Result<(), u32> {
+        match Self::size(at) {
+            Some(size) if data.len() > size => return Err(TOO_LONG),
+            Some(size) if data.len() < size => return Err(TOO_SHORT),
+            _ => {}
+        }
+        let place = match at {
+            (0x2100, 1) if data[0] < 5 => return Err(0x0609_0032),
+            (0x2100, 1) if data[0] > 250 => return Err(0x0609_0031),
+            (0x2100, 2) if data == [0xAD, 0xDE] => return Err(0x0800_0022),
+            (0x2200, 2) if data.len() > 20 => return Err(TOO_LONG),
+            (0x2100, 5) => return Ok(()),
+            (0x1017, _) => &mut self.heartbeat,
+            (0x2100, 1) => &mut self.u8,
+            (0x2100, 2) => &mut self.u16,
+            (0x2100, _) => &mut self.u64,
+            (0x2200, 2) => &mut self.text,
+            (0x2200, _) => &mut self.octets,
+            _ => &mut self.memory,
+        };
+        *place = data.to_vec();
+        Ok(())
+    }
+
+    /// Whether so much data can be on its way to an object.
+    fn check_room(at: Address, size: Option<usize>, len: usize) -> Result<(), u32> {
+        match size {
+            Some(size) if len > size => Err(LENGTH),
+            _ if at.0 != 0x2300 && len > LONGEST => Err(TOO_LONG),
+            _ => Ok(()),
+        }
+    }
+
+    /// The answers of the server, and its new state.
+    fn handle(&mut self, message: Message) -> Vec<Message> {
+        let state = std::mem::replace(&mut self.state, State::Idle);
+        let at = (u16::from_le_bytes([message[1], message[2]]), message[3]);
+        let of_transfer = match state {
+            State::Idle => (0, 0),
+            State::Upload { at, .. }
+            | State::Download { at, .. }
+            | State::BlockUpload { at, .. }
+            | State::BlockDownload { at, .. } => at,
+        };
+        let command = message[0];
+        if let State::BlockDownload { is_ending: false, .. } = state {
+            if command == 0x80 {
+                return vec![];
+            }
+            return self
+                .receive_block(state, message)
+                .unwrap_or_else(|code| abort(of_transfer, code));
+        }
+        let (answers, at) = match command >> 5 {
+            1 => (self.begin_download(at, message), at),
+            2 => (self.begin_upload(at), at),
+            4 => return vec![],
+            5 if command & 3 == 0 => (self.begin_block_upload(at, message), at),
+            6 if command & 1 == 0 => (self.begin_block_download(at, message), at),
+            7 => (Err(COMMAND), at),
+            _ => (self.go_on(state, message), of_transfer),
+        };
+        answers.unwrap_or_else(|code| abort(at, code))
+    }
+
+    fn begin_upload(&mut self, at: Address) -> Result<Vec<Message>, u32> {
+        let data = self.read(at)?;
+        if let 1..=4 = data.len() {
+            let mut number = [0; 4];
+            number[..data.len()].copy_from_slice(&data);
+            let command = 0x43 | (4 - data.len() as u8) << 2;
+            return Ok(vec![named(command, at, u32::from_le_bytes(number))]);
+        }
+        let answer = named(0x41, at, data.len() as u32);
+        self.state = State::Upload { at, rest: data, toggle: 0 };
+        Ok(vec![answer])
+    }
+
+    fn begin_download(&mut self, at: Address, message: Message) -> Result<Vec<Message>, u32> {
+        let number = u32::from_le_bytes(message[4..].try_into().unwrap()) as usize;
+        let unused = usize::from(message[0] >> 2 & 3);
+        let answer = vec![named(0x60, at, 0)];
+        match message[0] & 3 {
+            0 => {
+                Self::check_writable(at, None)?;
+                self.state = State::Download { at, size: None, data: vec![], toggle: 0 };
+            }
+            1 => {
+                Self::check_writable(at, Some(number))?;
+                self.state = State::Download { at, size: Some(number), data: vec![], toggle: 0 };
+            }
+            expedited => {
+                let of_object = Self::size(at).filter(|&size| size <= 4).unwrap_or(4);
+                let len = if expedited == 3 { 4 - unused } else { of_object };
+                Self::check_writable(at, Some(len))?;
+                self.write(at, &message[4..4 + len])?;
+            }
+        }
+        Ok(answer)
+    }
+
+    fn begin_block_upload(&mut self, at: Address, message: Message) -> Result<Vec<Message>, u32> {
+        let data = self.read(at)?;
+        let (block, threshold) = (usize::from(message[4]), usize::from(message[5]));
+        if !(1..=127).contains(&block) {
+            return Err(0x0504_0002);
+        }
+        if threshold > 0 && data.len() <= threshold {
+            return self.begin_upload(at);
+        }
+        let answer = named(0xC6, at, data.len() as u32);
+        let phase = Phase::Initiated;
+        self.state = State::BlockUpload { at, data, confirmed: 0, phase, block, sent: 0 };
+        Ok(vec![answer])
+    }
+
+    fn begin_block_download(&mut self, at: Address, message: Message) -> Result<Vec<Message>, u32> {
+        let number = u32::from_le_bytes(message[4..].try_into().unwrap()) as usize;
+        let size = (message[0] & 2 != 0).then_some(number);
+        Self::check_writable(at, size)?;
+        self.state = State::BlockDownload {
+            at,
+            size,
+            has_crc: message[0] & 4 != 0,
+            segments: vec![],
+            last: 0,
+            begun: false,
+            is_ending: false,
+        };
+        Ok(vec![named(0xA4, at, 127)])
+    }
+
+    fn go_on(&mut self, state: State, message: Message) -> Result<Vec<Message>, u32> {
+        let command = message[0];
+        match state {
+            State::Upload { at, mut rest, toggle } if command >> 5 == 3 => {
+                if command & 0x10 != toggle {
+                    return Err(0x0503_0000);
+                }
+                let part: Vec<u8> = rest.drain(..rest.len().min(7)).collect();
+                let is_last = rest.is_empty();
+                let head = toggle | (7 - part.len() as u8) << 1 | u8::from(is_last);
+                if !is_last {
+                    self.state = State::Upload { at, rest, toggle: toggle ^ 0x10 };
+                }
+                Ok(vec![segment(head, &part)])
+            }
+            State::Download { at, size, mut data, toggle } if command >> 5 == 0 => {
+                if command & 0x10 != toggle {
+                    return Err(0x0503_0000);
+                }
+                data.extend(&message[1..8 - usize::from(command >> 1 & 7)]);
+                Self::check_room(at, size, data.len())?;
+                if command & 1 == 1 {
+                    if size.is_some_and(|size| size != data.len()) {
+                        return Err(LENGTH);
+                    }
+                    self.write(at, &data)?;
+                } else {
+                    self.state = State::Download { at, size, data, toggle: toggle ^ 0x10 };
+                }
+                Ok(vec![segment(0x20 | toggle, &[])])
+            }
+            State::BlockUpload { at, data, mut confirmed, phase, mut block, sent }
+                if command >> 5 == 5 =>
+            {
+                match (command & 3, phase) {
+                    (3, Phase::Initiated) => {}
+                    (2, Phase::Sent) => {
+                        let number = usize::from(message[1]);
+                        if number > sent {
+                            return Err(0x0504_0003);
+                        }
+                        if number == sent && confirmed + 7 * sent >= data.len() {
+                            let unused = (sent * 7 + confirmed - data.len()) as u8;
+                            let answer = segment(0xC1 | unused << 2, &crc(&data).to_le_bytes());
+                            let phase = Phase::Ending;
+                            self.state =
+                                State::BlockUpload { at, data, confirmed, phase, block, sent };
+                            return Ok(vec![answer]);
+                        }
+                        block = message[2].into();
+                        if !(1..=127).contains(&block) {
+                            return Err(0x0504_0002);
+                        }
+                        confirmed += 7 * number;
+                    }
+                    (1, Phase::Ending) => return Ok(vec![]),
+                    _ => return Err(COMMAND),
+                }
+                let rest = data[confirmed..].len().div_ceil(7).max(1);
+                let sent = rest.min(block);
+                let message = |number: usize| {
+                    let start = confirmed + 7 * (number - 1);
+                    let part = &data[start..data.len().min(start + 7)];
+                    segment(number as u8 | if number == rest { 0x80 } else { 0 }, part)
+                };
+                let answers = (1..=sent).map(message).collect();
+                let phase = Phase::Sent;
+                self.state = State::BlockUpload { at, data, confirmed, phase, block, sent };
+                Ok(answers)
+            }
+            State::BlockDownload { at, size, has_crc, segments, .. } if command >> 5 == 6 => {
+                let mut data = segments.concat();
+                data.truncate(data.len() - usize::from(command >> 2 & 7).min(7));
+                Self::check_room(at, size, data.len())?;
+                if has_crc && crc(&data).to_le_bytes() != message[1..3] {
+                    return Err(0x0504_0004);
+                }
+                if size.is_some_and(|size| size != data.len()) {
+                    return Err(LENGTH);
+                }
+                self.write(at, &data)?;
+                Ok(vec![segment(0xA1, &[])])
+            }
+            _ => Err(COMMAND),
+        }
+    }
+
+    fn receive_block(&mut self, state: State, message: Message) -> Result<Vec<Message>, u32> {
+        let State::BlockDownload { at, size, has_crc, mut segments, mut last, .. } = state else {
+            unreachable!()
+        };
+        let number = message[0] & 0x7F;
+        let is_last = message[0] & 0x80 != 0;
+        if number == 0 {
+            return Err(0x0504_0003);
+        }
+        let in_sequence = number == last + 1;
+        if in_sequence {
+            // All bytes of the segments before count.
+            Self::check_room(at, size, segments.len() * 7)?;
+            segments.push(message[1..].try_into().unwrap());
+            last = number;
+        }
+        let ends = is_last || number == 127;
+        let answers = if ends { vec![segment(0xA2, &[last, 127])] } else { vec![] };
+        self.state = State::BlockDownload {
+            at,
+            size,
+            has_crc,
+            segments,
+            last: if ends { 0 } else { last },
+            begun: !ends,
+            is_ending: is_last && in_sequence,
+        };
+        Ok(answers)
+    }
+
+    /// The messages of the server when its client is silent for two seconds.
+    fn be_silent(&mut self) -> Vec<Message> {
+        match std::mem::replace(&mut self.state, State::Idle) {
+            State::Idle => vec![],
+            State::BlockDownload { at, last, begun: true, .. } => {
+                let mut answers = vec![segment(0xA2, &[last, 127])];
+                answers.extend(abort(at, TIMEOUT));
+                answers
+            }
+            State::Upload { at, .. }
+            | State::Download { at, .. }
+            | State::BlockUpload { at, .. }
+            | State::BlockDownload { at, .. } => abort(at, TIMEOUT),
+        }
+    }
+
+    /// A message that fits the state more often than not.
+    fn next_message(&self, random: &mut Random) -> Message {
+        let mut message: Message = random.bytes();
+        if random.one_in(30) {
+            return message;
+        }
+        let at = random.pick(&ADDRESSES);
+        message[1..3].copy_from_slice(&at.0.to_le_bytes());
+        message[3] = if random.one_in(30) { random.byte() } else { at.1 };
+        if matches!(self.state, State::Idle) || random.one_in(60) {
+            let len = if random.one_in(2) {
+                Self::size(at).unwrap_or(9) as u64
+            } else {
+                random.within(0..50)
+            };
+            message[4..].copy_from_slice(&(len as u32).to_le_bytes());
+            message[0] = random.pick(&[
+                0x40, 0x40, 0x20, 0x21, 0x23, 0x22, 0x2B, 0x2F, 0xC0, 0xC2, 0xC4, 0xC6, 0xA0, 0xA4,
+            ]);
+            if message[0] >> 5 == 5 {
+                message[4] = random.pick(&[0, 1, 2, 5, 127, 128]);
+                message[5] = random.pick(&[0, 0, 0, 4, 200]);
+            }
+            return message;
+        }
+        match &self.state {
+            State::Idle => unreachable!(),
+            State::Upload { toggle, .. } => message[0] = 0x60 | toggle,
+            State::Download { toggle, size, data, .. } => {
+                let rest = size
+                    .map_or(random.within(0..30) as usize, |size| size.saturating_sub(data.len()));
+                let len = rest.min(7);
+                let is_last = if random.one_in(10) { random.one_in(2) } else { rest <= 7 };
+                message[0] = toggle | (7 - len as u8) << 1 | u8::from(is_last);
+                message[1..].copy_from_slice(&random.bytes::<7>());
+            }
+            State::BlockUpload { phase, sent, .. } => match phase {
+                Phase::Initiated => message[0] = 0xA3,
+                Phase::Ending => message[0] = 0xA1,
+                Phase::Sent => {
+                    let number = if random.one_in(4) {
+                        random.within(0..*sent as u64 + 2)
+                    } else {
+                        *sent as u64
+                    };
+                    message[..3].copy_from_slice(&[
+                        0xA2,
+                        number as u8,
+                        random.pick(&[1, 3, 50, 127]),
+                    ]);
+                }
+            },
+            State::BlockDownload { is_ending: false, last, .. } => {
+                let number = if random.one_in(20) { random.byte() & 0x7F } else { last + 1 };
+                message = random.bytes();
+                message[0] = number | if random.one_in(6) { 0x80 } else { 0 };
+            }
+            State::BlockDownload { size, segments, .. } => {
+                let len = segments.len() * 7;
+                let unused =
+                    size.filter(|&size| len >= size && len - size < 8).map_or(3, |size| len - size);
+                let data = segments.concat();
+                let [c0, c1] = crc(&data[..len - unused]).to_le_bytes();
+                message[..3].copy_from_slice(&[0xC1 | (unused as u8) << 2, c0, c1]);
+            }
+        }
+        message
+    }
+}
+
+fn messages(frames: &Frames) -> Vec<Message> {
+    // The heartbeat time is one of the objects.
+    let of_server = frames.0.iter().filter(|frame| frame.cob_id() == 0x5C0);
+    of_server.map(|frame| frame.data().try_into().expect("eight bytes")).collect()
+}
+
+fn send(board: &mut NodeRig<Machine>, message: Message) -> Vec<Message> {
+    messages(&board.receive(&lss_slave::Frame::new(0x640, &message).unwrap()))
+}
+
+#[test]
+fn the_server_and_its_second_description_agree_about_random_messages() {
+    let mut random = Random::from_environment();
+    let (mut board, mut model) = (board(), Model::new());
+    let mut transfers = [0; 5];
+    for n in 0..MESSAGES {
+        let message = model.next_message(&mut random);
+        let before = format!("{:02X?}", model.state);
+        assert_eq!(
+            send(&mut board, message),
+            model.handle(message),
+            "{n}: {message:02X?} in {before}"
+        );
+        if random.one_in(50) {
+            assert_eq!(
+                messages(&board.pass_ms(2000)),
+                model.be_silent(),
+                "{n}: silence after {before}"
+            );
+        }
+        if model.heartbeat != [0, 0] && matches!(model.state, State::Idle) {
+            // It would mix heartbeats with the answers.
+            board.download(0x1017, 0, &[0, 0]).unwrap();
+            model.heartbeat = vec![0, 0];
+        }
+        transfers[match model.state {
+            State::Idle => 0,
+            State::Upload { .. } => 1,
+            State::Download { .. } => 2,
+            State::BlockUpload { .. } => 3,
+            State::BlockDownload { .. } => 4,
+        }] += 1;
+        board.take_actions();
+    }
+    let machine = board.node.application();
+    assert_eq!(machine.memory, model.memory);
+    assert_eq!(machine.values.octets.as_bytes(), model.octets);
+    assert_eq!(machine.values.u64.to_le_bytes(), model.u64[..]);
+    assert!(
+        machine.ended > 100 && machine.aborted > 100,
+        "{} and {}",
+        machine.ended,
+        machine.aborted
+    );
+    assert!(transfers.iter().all(|&times| times > MESSAGES / 50), "{transfers:?}");
+}

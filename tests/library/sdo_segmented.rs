@@ -1,0 +1,340 @@
+//! Expedited and segmented transfers of a node with an application: values of every type and length (CiA 301, 7.2.4.3).
+
+use lss_slave::{BusEvent, sdo::Abort};
+use testkit::frames::SILENCE;
+
+use crate::sdo_machine::{CONSTANT, board, board_with_memory, bytes};
+
+const SIZE_MISMATCH: u32 = 0x0607_0010;
+const TOO_LONG: u32 = 0x0607_0012;
+const TOO_SHORT: u32 = 0x0607_0013;
+
+#[test]
+fn a_number_of_64_bits_is_uploaded_in_two_segments() {
+    let mut board = board();
+    assert_eq!(board.sdo("40 00 21 04"), ["5C0: 41 00 21 04 08 00 00 00"]);
+    assert_eq!(board.sdo("60"), ["5C0: 00 88 77 66 55 44 33 22"]);
+    assert_eq!(board.sdo("70"), ["5C0: 1D 11 00 00 00 00 00 00"]);
+    assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
+}
+
+#[test]
+fn a_value_that_changes_within_an_upload_is_read_as_it_was_at_the_beginning() {
+    let mut board = board();
+    board.download(0x2200, 2, b"The first text").unwrap();
+    board.sdo("40 00 22 02");
+    assert_eq!(board.sdo("60"), ["5C0: 00 54 68 65 20 66 69 72"]);
+    board.node.application_mut().values.text = Default::default();
+    assert_eq!(board.sdo("70"), ["5C0: 11 73 74 20 74 65 78 74"]);
+    assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
+}
+
+#[test]
+fn strings_and_domains_of_up_to_four_bytes_are_uploaded_expedited() {
+    let mut board = board();
+    board.download(0x2200, 2, b"abc").unwrap();
+    assert_eq!(board.sdo("40 00 22 02"), ["5C0: 47 00 22 02 61 62 63 00"]);
+    board.download(0x2200, 2, b"").unwrap();
+    assert_eq!(board.sdo("40 00 22 02"), ["5C0: 41 00 22 02 00 00 00 00"]);
+    assert_eq!(board.sdo("60"), ["5C0: 0F 00 00 00 00 00 00 00"], "an empty one");
+    board.node.application_mut().memory = bytes(4);
+    assert_eq!(board.sdo("40 00 23 02"), ["5C0: 43 00 23 02 01 08 0F 16"]);
+}
+
+#[test]
+fn strings_and_domains_of_any_length_are_written_and_read_back() {
+    let mut board = board();
+    for len in 0..=40 {
+        let data = bytes(len);
+        for announced in [None, Some(len as u32)] {
+            board.download(0x2200, 3, b"?").unwrap();
+            assert_eq!(board.download_segments(0x2200, 3, &data, announced), Ok(()));
+            assert_eq!(board.upload(0x2200, 3).unwrap(), data);
+        }
+    }
+    for len in 1..1000 {
+        let data = bytes(len);
+        assert_eq!(board.download_segments(0x2300, 1, &data, None), Ok(()));
+        assert_eq!(board.upload(0x2300, 2).unwrap(), data);
+    }
+    assert_eq!(board.node.application().ended, 999);
+    assert_eq!(board.node.application().aborted, 0);
+    assert_eq!(board.upload(0x2200, 1).unwrap(), CONSTANT.as_bytes());
+    assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");
+}
+
+#[test]
+fn numbers_of_any_size_are_downloaded_in_segments() {
+    let mut board = board();
+    for announced in [None, Some(8)] {
+        let number = 0x0102_0304_0506_0708_u64;
+        board.download_segments(0x2100, 4, &number.to_le_bytes(), announced).unwrap();
+        assert_eq!(board.node.application().values.u64, number);
+        board.node.application_mut().values.u64 = 0;
+    }
+    board.download_segments(0x2100, 1, &[77], Some(1)).unwrap();
+    board.download_segments(0x2100, 2, &[1, 2], None).unwrap();
+    board.download_segments(0x2100, 5, &[1, 2, 3, 4], None).unwrap();
+    board.download_segments(0x1017, 0, &[0x10, 0x27], None).unwrap();
+    let values = board.node.application().values;
+    assert_eq!((values.u8, values.u16, values.command), (77, 0x0201, 0x0403_0201));
+    assert_eq!(board.number(0x1017, 0), 10_000, "an object of the node");
+}
+
+#[test]
+fn segments_need_not_be_full() {
+    let mut board = board();
+    assert_eq!(board.sdo("21 00 22 02 03"), ["5C0: 60 00 22 02 00 00 00 00"]);
+    assert_eq!(board.sdo("0C 61"), ["5C0: 20 00 00 00 00 00 00 00"]);
+    assert_eq!(board.sdo("1E"), ["5C0: 30 00 00 00 00 00 00 00"]);
+    assert_eq!(board.sdo("0B 62 63"), ["5C0: 20 00 00 00 00 00 00 00"]);
+    assert_eq!(board.upload(0x2200, 2).unwrap(), b"abc");
+}
+
+#[test]
+fn an_expedited_download_without_a_size_takes_the_size_of_a_number_or_four_bytes() {
+    let mut board = board();
+    assert_eq!(board.sdo("22 00 21 02 34 12 FF FF"), ["5C0: 60 00 21 02 00 00 00 00"]);
+    assert_eq!(board.node.application().values.u16, 0x1234);
+    assert_eq!(board.sdo("22 00 22 03 01 02 03 04"), ["5C0: 60 00 22 03 00 00 00 00"]);
+    assert_eq!(board.upload(0x2200, 3).unwrap(), [1, 2, 3, 4]);
+    assert_eq!(board.sdo("22 00 23 01 05 06 07 08"), ["5C0: 60 00 23 01 00 00 00 00"]);
+    assert_eq!(board.node.application().memory, [5, 6, 7, 8]);
+    assert_eq!(board.sdo("2B 00 23 01 09 0A"), ["5C0: 60 00 23 01 00 00 00 00"]);
+    assert_eq!(board.node.application().memory, [9, 10]);
+    assert_eq!(board.sdo("22 00 21 04 01 02 03 04"), ["5C0: 80 00 21 04 13 00 07 06"], "64 bits");
+}
+
+#[test]
+fn a_length_that_is_not_the_objects_is_0607_0012_or_0013() {
+    let mut board = board();
+    for (sub_index, data, code) in [
+        (1, &[1_u8, 2][..], TOO_LONG),
+        (2, &[1, 2, 3], TOO_LONG),
+        (2, &[1], TOO_SHORT),
+        (4, &[1, 2, 3, 4], TOO_SHORT),
+        (4, &[1, 2, 3, 4, 5, 6, 7, 8, 9], TOO_LONG),
+        (5, &[1, 2, 3], TOO_SHORT),
+    ] {
+        let len = Some(data.len() as u32);
+        for announced in [None, len] {
+            let outcome = board.download_segments(0x2100, sub_index, data, announced);
+            assert_eq!(outcome, Err(code), "{sub_index}: {data:?}");
+        }
+        assert_eq!(board.download(0x2100, sub_index, data), Err(code));
+    }
+    for announced in [None, Some(21), Some(41), Some(u32::MAX)] {
+        assert_eq!(
+            board.download_segments(0x2200, 2, &bytes(21), announced),
+            Err(match announced {
+                Some(u32::MAX) | Some(41) | Some(21) | None => TOO_LONG,
+                _ => unreachable!(),
+            })
+        );
+        assert_eq!(board.upload(0x2200, 2).unwrap(), b"", "the old value stays");
+    }
+    assert_eq!(board.download_segments(0x2200, 3, &bytes(100), None), Err(TOO_LONG));
+    assert_eq!(board.download_segments(0x1017, 0, &[1, 2, 3], None), Err(TOO_LONG));
+    assert_eq!(board.download_segments(0x1017, 0, &[1], None), Err(TOO_SHORT));
+    assert_eq!(board.number(0x1017, 0), 0);
+}
+
+#[test]
+fn data_that_is_not_as_long_as_announced_is_0607_0010() {
+    let mut board = board();
+    for (len, announced) in [(9, 8), (8, 9), (14, 1), (0, 1), (1, 0)] {
+        let outcome = board.download_segments(0x2200, 3, &bytes(len), Some(announced));
+        assert_eq!(outcome, Err(SIZE_MISMATCH), "{len} for {announced}");
+        let outcome = board.download_segments(0x2300, 1, &bytes(len), Some(announced));
+        assert_eq!(outcome, Err(SIZE_MISMATCH), "{len} for {announced}");
+    }
+    assert_eq!(board.upload(0x2200, 3).unwrap(), b"");
+    let machine = board.node.application();
+    assert_eq!((machine.ended, machine.aborted), (0, 5));
+}
+
+#[test]
+fn access_limits_and_refusals_hold_for_segments_too() {
+    let mut board = board();
+    assert_eq!(board.download_segments(0x2100, 3, &[0; 4], None), Err(0x0601_0002));
+    assert_eq!(board.download_segments(0x2300, 2, &[0; 4], None), Err(0x0601_0002));
+    assert_eq!(board.upload(0x2100, 5), Err(0x0601_0001));
+    assert_eq!(board.block_upload(0x2100, 5, 10), Err(0x0601_0001));
+    assert_eq!(board.download_segments(0x2100, 1, &[4], None), Err(0x0609_0032));
+    assert_eq!(board.download_segments(0x2100, 1, &[251], Some(1)), Err(0x0609_0031));
+    let refused = 0xDEAD_u64.to_le_bytes();
+    assert_eq!(board.download_segments(0x2100, 4, &refused, None), Err(0x0800_0022));
+    assert_eq!(board.node.application().values.u64, 0x1122_3344_5566_7788);
+    assert_eq!(board.upload(0x2300, 1), Err(0x0800_0024), "there is no data");
+}
+
+#[test]
+fn the_application_refuses_a_domain_at_any_part_and_at_its_end() {
+    let mut board = board();
+    board.node.application_mut().refuse_part = Some(Abort::Memory);
+    assert_eq!(board.download_segments(0x2300, 1, &bytes(20), None), Err(0x0504_0005));
+    assert_eq!(board.download(0x2300, 1, &bytes(3)), Err(0x0504_0005));
+    assert_eq!(board.block_download(0x2300, 1, &bytes(20)), Err(0x0504_0005));
+    assert_eq!(board.node.application().aborted, 3);
+    board.node.application_mut().refuse_part = None;
+    board.node.application_mut().refuse_end = Some(Abort::Hardware);
+    assert_eq!(board.download_segments(0x2300, 1, &bytes(20), None), Err(0x0606_0000));
+    assert_eq!(board.download(0x2300, 1, &bytes(3)), Err(0x0606_0000));
+    assert_eq!(board.block_download(0x2300, 1, &bytes(20)), Err(0x0606_0000));
+    let machine = board.node.application();
+    assert_eq!((machine.ended, machine.aborted, &machine.draft), (0, 6, &None));
+}
+
+#[test]
+fn a_repeated_toggle_bit_in_a_download_is_0503_0000() {
+    let mut board = board();
+    board.sdo("20 00 22 02");
+    assert_eq!(board.sdo("10 61"), ["5C0: 80 00 22 02 00 00 03 05"]);
+    assert_eq!(board.sdo("00 61"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
+    board.sdo("20 00 23 01");
+    board.sdo("00 61");
+    assert_eq!(board.sdo("01 61"), ["5C0: 80 00 23 01 00 00 03 05"]);
+    assert_eq!(board.node.application().aborted, 1);
+    assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
+}
+
+#[test]
+fn a_segment_of_another_service_is_0504_0001_and_ends_the_transfer() {
+    for (begin, segment) in [
+        ("20 00 22 02", "60"),
+        ("40 00 21 04", "00"),
+        ("40 00 21 04", "A3"),
+        ("20 00 22 02", "A2 01 7F"),
+        ("40 00 21 04", "C1"),
+    ] {
+        let mut board = board();
+        board.sdo(begin);
+        let answer = format!("5C0: 80 {} 01 00 04 05", &begin[3..]);
+        assert_eq!(board.sdo(segment), [answer.as_str()], "{begin}, {segment}");
+        for late in ["60", "00", "A1", "A2", "A3", "C1"] {
+            assert_eq!(board.sdo(late), ["5C0: 80 00 00 00 01 00 04 05"]);
+        }
+    }
+}
+
+#[test]
+fn a_transfer_that_is_cut_short_leaves_the_old_value() {
+    for end in ["80 00 22 02", "40 00 21 01", "20 00 22 02", "C0 00 22 03", "E0"] {
+        let mut board = board();
+        board.download(0x2200, 2, b"old").unwrap();
+        board.sdo("20 00 22 02");
+        board.sdo("00 6E 65 77 6E 65 77 6E");
+        board.sdo(end);
+        assert_eq!(board.sdo("80"), SILENCE);
+        assert_eq!(board.upload(0x2200, 2).unwrap(), b"old", "{end}");
+        board.sdo("20 00 23 01");
+        board.sdo("00 6E 65 77 6E 65 77 6E");
+        assert!(board.node.application().draft.is_some());
+        board.sdo(end);
+        assert_eq!(board.node.application().aborted, 1, "{end}");
+        assert!(board.node.application().draft.is_none());
+    }
+}
+
+#[test]
+fn resets_stop_and_a_switch_of_the_bit_rate_end_a_download() {
+    let ends: [fn(&mut _); 4] = [
+        |board: &mut testkit::node_rig::NodeRig<_>| drop(board.nmt("82 40")),
+        |board| {
+            board.nmt("02 40");
+            board.nmt("01 40");
+        },
+        |board| {
+            board.lss("04 01");
+            board.lss("13 00 02");
+            board.lss("15 0A 00");
+            board.pass_ms(20);
+        },
+        |board| {
+            board.sdo("2F 29 10 01 02");
+        },
+    ];
+    for (n, end) in ends.into_iter().enumerate() {
+        let mut board = board();
+        board.sdo("20 00 23 01");
+        board.sdo("00 61 61 61 61 61 61 61");
+        end(&mut board);
+        assert_eq!(board.node.application().aborted, 1, "{n}");
+        assert_eq!(board.sdo("11 61"), ["5C0: 80 00 00 00 01 00 04 05"], "{n}");
+    }
+}
+
+#[test]
+fn after_a_second_without_a_message_the_server_aborts_with_0504_0000() {
+    for (begin, object) in [
+        ("40 00 21 04", "00 21 04"),
+        ("20 00 22 02", "00 22 02"),
+        ("20 00 23 01", "00 23 01"),
+        ("C0 00 23 01", "00 23 01"),
+        ("A0 00 21 04 7F", "00 21 04"),
+    ] {
+        let mut board = board();
+        board.sdo(begin);
+        assert_eq!(board.us_to_deadline(), Some(1_000_000), "{begin}");
+        assert_eq!(board.pass_us(999_999), SILENCE);
+        let abort = format!("5C0: 80 {object} 00 00 04 05");
+        assert_eq!(board.pass_us(1), [abort.as_str()]);
+        assert_eq!(board.us_to_deadline(), None);
+        assert_eq!(board.node.application().aborted, u32::from(object == "00 23 01"));
+        assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"]);
+    }
+}
+
+#[test]
+fn each_segment_gives_the_client_another_second() {
+    let mut board = board();
+    board.sdo("20 00 23 01");
+    for toggle in ["00", "10"].into_iter().cycle().take(10) {
+        assert_eq!(board.pass_ms(999), SILENCE);
+        assert_eq!(board.sdo(&format!("{toggle} 61")).0.len(), 1);
+    }
+    assert_eq!(board.pass_ms(1000), ["5C0: 80 00 23 01 00 00 04 05"]);
+}
+
+#[test]
+fn a_domain_that_becomes_shorter_while_it_is_read_is_0800_0024() {
+    let mut board = board_with_memory(20);
+    board.sdo("40 00 23 01");
+    board.sdo("60");
+    board.node.application_mut().memory.truncate(10);
+    assert_eq!(board.sdo("70"), ["5C0: 80 00 23 01 24 00 00 08"]);
+}
+
+#[test]
+fn the_sdo_server_parameter_1200h_is_that_of_the_predefined_connection_set() {
+    let mut board = board();
+    assert_eq!(board.sdo("40 00 12 00"), ["5C0: 4F 00 12 00 02 00 00 00"]);
+    assert_eq!(board.sdo("40 00 12 01"), ["5C0: 43 00 12 01 40 06 00 00"]);
+    assert_eq!(board.sdo("40 00 12 02"), ["5C0: 43 00 12 02 C0 05 00 00"]);
+    assert_eq!(board.upload(0x1200, 3), Err(0x0609_0011));
+    assert_eq!(board.download(0x1200, 1, &[0; 4]), Err(0x0601_0002));
+}
+
+#[test]
+fn a_store_by_segments_is_answered_by_the_service_that_asked_for_it() {
+    let mut board = board();
+    board.let_stores_take_time();
+    board.sdo("20 10 10 01");
+    assert_eq!(board.sdo("07 73 61 76 65"), SILENCE, "it is not stored yet");
+    assert_eq!(board.finish_store(), ["5C0: 20 00 00 00 00 00 00 00"]);
+    assert_eq!(board.sdo("23 10 10 01 73 61 76 65"), SILENCE);
+    assert_eq!(board.finish_store(), ["5C0: 60 10 10 01 00 00 00 00"]);
+}
+
+#[test]
+fn errors_on_the_bus_that_drop_frames_do_not_disturb_the_next_transfer() {
+    let mut board = board_with_memory(1000);
+    board.is_acknowledged = false;
+    board.sdo("A0 00 23 01 7F");
+    board.sdo("A3");
+    board.see(BusEvent::BusOff);
+    board.is_acknowledged = true;
+    board.see(BusEvent::BusOffRecovered);
+    board.pass_ms(2000);
+    assert_eq!(board.block_upload(0x2300, 1, 127).unwrap(), bytes(1000));
+}
