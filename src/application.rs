@@ -15,6 +15,13 @@
 
 use lss_slave::objects;
 
+/// The number of TPDOs: 0 to 4.
+pub const TPDOS: usize = 0;
+/// The number of RPDOs: 0 to 4.
+pub const RPDOS: usize = 0;
+/// The number of nodes whose heartbeat can be watched: 0 to 16.
+pub const PRODUCERS: usize = 0;
+
 objects! {
     /// The objects of the product, with their values.
     pub struct Application, values Value;

@@ -20,7 +20,8 @@ use bxcan::{
     filter::{BankConfig, ListEntry16, Mask16},
 };
 use cortex_m::peripheral::SCB;
-use lss_slave::{BitRate, BusEvent, Frame, Instant, Receives, indicator::BusState, lss};
+use lss_slave::{BitRate, BusEvent, Frame, Instant, indicator::BusState, lss};
+use lss_slave_firmware::Receives;
 use stm32f4xx_hal::{
     can::Can,
     gpio::{PinPull, Pull, alt::can1},

@@ -3,7 +3,17 @@
 //!
 //! The image has it with `--features io`, in place of `application.rs`. `docs/tutorial.md` builds it step by step.
 
-use lss_slave::objects;
+use lss_slave::{
+    objects,
+    process_data::{Rpdo, Tpdo},
+};
+
+/// The button, and the temperature.
+pub const TPDOS: usize = 2;
+/// The LEDs.
+pub const RPDOS: usize = 1;
+/// One node, such as the master.
+pub const PRODUCERS: usize = 1;
 
 objects! {
     /// The objects of the I/O device, with their values.
@@ -26,7 +36,13 @@ objects! {
     }
 }
 
-impl lss_slave::Application for Application {}
+impl lss_slave::Application for Application {
+    const TPDOS: &'static [Tpdo] = &[
+        Tpdo::new(&[(0x6000, 1)]),
+        Tpdo::new(&[(0x6401, 1)]).with_event_timer(1000).with_inhibit_time(100),
+    ];
+    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1)])];
+}
 
 /// What the board measures.
 #[derive(Clone, Copy, Debug)]

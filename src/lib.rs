@@ -10,11 +10,16 @@ pub mod device;
 pub mod io;
 
 #[cfg(not(feature = "io"))]
-pub use application::Application;
+pub use application::{Application, PRODUCERS, RPDOS, TPDOS};
 #[cfg(feature = "io")]
-pub use io::Application;
+pub use io::{Application, PRODUCERS, RPDOS, TPDOS};
 
 use lss_slave::{Device, lss::Address};
+
+/// The node with the product's application.
+pub type Node = lss_slave::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+/// The COB-IDs that it receives.
+pub type Receives = lss_slave::Receives<RPDOS, PRODUCERS>;
 
 /// The description of the device with this serial number, for the node.
 pub const fn describe(serial_number: u32) -> Device {

@@ -35,13 +35,13 @@ const _: () = assert!(
 #[rtic::app(device = stm32f4xx_hal::pac)]
 mod app {
     use lss_slave::{
-        BitRateSetting, Node, NodeId, Settings,
+        BitRateSetting, NodeId, Settings,
         emergency::Fault,
         indicator,
         lss::StoreError,
         settings::{Found, Log},
     };
-    use lss_slave_firmware::{Application, describe, device};
+    use lss_slave_firmware::{Application, Node, describe, device};
     use stm32f4xx_hal::{
         gpio::{ErasedPin, Output},
         watchdog::IndependentWatchdog,

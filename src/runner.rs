@@ -4,12 +4,12 @@ use core::mem;
 
 use cortex_m::peripheral::SCB;
 use lss_slave::{
-    Action, BusEvent, Instant, Node, NodeId, Settings,
+    Action, BusEvent, Instant, NodeId, Settings,
     emergency::Fault,
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
 };
-use lss_slave_firmware::Application;
+use lss_slave_firmware::{Application, Node};
 use stm32f4xx_hal::pac::Interrupt;
 
 use crate::{
@@ -18,11 +18,11 @@ use crate::{
 };
 
 /// The greatest number of bytes that the stored parameters take.
-pub const PARAMETERS: usize = <Node<Application>>::PARAMETERS;
+pub const PARAMETERS: usize = Node::PARAMETERS;
 
 /// The node, its controller, and their next deadline.
 pub struct Runner {
-    node: Node<Application>,
+    node: Node,
     can: Controller,
     alarm: Alarm,
     /// The fault confinement state last seen.
@@ -38,7 +38,7 @@ pub struct Runner {
 impl Runner {
     /// A node after power-on, and its controller, which takes part in the bus from now on, unless the node wants to
     /// listen first.
-    pub fn new(node: Node<Application>, mut can: Controller, mut alarm: Alarm) -> Self {
+    pub fn new(node: Node, mut can: Controller, mut alarm: Alarm) -> Self {
         if !node.is_listening() {
             can.set_bit_rate(node.bit_rate());
         }
@@ -228,12 +228,15 @@ impl Runner {
     fn act(&mut self, action: Action) {
         match action {
             Action::Transmit(frame) => self.can.transmit(frame),
-            Action::SetNodeId(_) | Action::SetReceives => {
-                if let Action::SetNodeId(id) = action {
-                    defmt::info!("node-ID {=u8} (255: none)", NodeId::to_lss(id));
-                    self.can.forget_all_but(lss::RESPONSE_COB_ID);
-                }
+            Action::SetNodeId(id) => {
+                defmt::info!("node-ID {=u8} (255: none)", NodeId::to_lss(id));
+                self.can.forget_all_but(lss::RESPONSE_COB_ID);
                 self.can.set_receives(self.node.receives());
+            }
+            Action::SetReceives => {
+                if Node::HAS_PROCESS_DATA {
+                    self.can.set_receives(self.node.receives());
+                }
             }
             Action::StopTransmitting => {
                 self.can.stop_transmitting();

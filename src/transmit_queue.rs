@@ -2,7 +2,8 @@
 
 use core::cmp::Reverse;
 
-use lss_slave::{Frame, Node, nmt};
+use lss_slave::{Frame, nmt};
+use lss_slave_firmware::Node;
 
 /// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
 /// other frames fills the queue.
@@ -57,7 +58,7 @@ impl TransmitQueue {
         if is_error_control && self.places.iter().flatten().any(|waiting| waiting.frame == frame) {
             return true;
         }
-        if <Node>::HAS_TPDOS && is_process_data(frame.cob_id()) {
+        if Node::HAS_TPDOS && is_process_data(frame.cob_id()) {
             let mut waiting = self.places.iter_mut().flatten();
             if let Some(older) = waiting.find(|older| older.frame.cob_id() == frame.cob_id()) {
                 older.frame = frame;

@@ -12,7 +12,8 @@ use crate::{
 impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     Node<A, TPDOS, RPDOS, PRODUCERS>
 {
-    const HAS_PROCESS_DATA: bool = ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED;
+    /// Whether the node has PDOs or a heartbeat consumer.
+    pub const HAS_PROCESS_DATA: bool = ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED;
     /// Whether there is someone to inform of the node's states.
     const HAS_APPLICATION: bool = Self::HAS_PROCESS_DATA || !A::OBJECTS.is_empty();
     /// Whether there may be errors with codes of their own.
