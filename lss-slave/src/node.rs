@@ -548,6 +548,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     /// Discards pending SDO requests and transfers.
+    #[inline(never)] // It has two callers: 40 bytes.
     fn end_sdo(&mut self) {
         self.end_sdo_transfer();
         self.sdo.reset();
