@@ -22,6 +22,9 @@ pub const RPDOS: usize = 0;
 /// The number of nodes whose heartbeat can be watched: 0 to 16.
 pub const PRODUCERS: usize = 0;
 
+/// The node with the application.
+pub type Node = lss_slave::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+
 objects! {
     /// The objects of the product, with their values.
     pub struct Application, values Value;

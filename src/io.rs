@@ -8,12 +8,18 @@ use lss_slave::{
     process_data::{Rpdo, Tpdo},
 };
 
+/// The name of the product in its electronic data sheet.
+pub const DESCRIPTION: &str = "Digital and analogue I/O on an STM32F4";
+
 /// The button, and the temperature.
 pub const TPDOS: usize = 2;
 /// The LEDs.
 pub const RPDOS: usize = 1;
 /// One node, such as the master.
 pub const PRODUCERS: usize = 1;
+
+/// The node with the application.
+pub type Node = lss_slave::Node<Application, TPDOS, RPDOS, PRODUCERS>;
 
 objects! {
     /// The objects of the I/O device, with their values.

@@ -3,22 +3,18 @@
 
 #![cfg_attr(not(test), no_std)]
 
-#[cfg(not(feature = "io"))]
 pub mod application;
 pub mod device;
-#[cfg(feature = "io")]
 pub mod io;
 
 #[cfg(not(feature = "io"))]
-pub use application::{Application, PRODUCERS, RPDOS, TPDOS};
+pub use application::{Application, Node, PRODUCERS, RPDOS};
 #[cfg(feature = "io")]
-pub use io::{Application, PRODUCERS, RPDOS, TPDOS};
+pub use io::{Application, Node, PRODUCERS, RPDOS};
 
 use lss_slave::{Device, lss::Address};
 
-/// The node with the product's application.
-pub type Node = lss_slave::Node<Application, TPDOS, RPDOS, PRODUCERS>;
-/// The COB-IDs that it receives.
+/// The COB-IDs that the node receives.
 pub type Receives = lss_slave::Receives<RPDOS, PRODUCERS>;
 
 /// The description of the device with this serial number, for the node.

@@ -1,13 +1,13 @@
-//! `cargo xtask eds`: the electronic data sheets and the page of the objects, from the tables of the firmware.
+//! `cargo xtask eds`: the electronic data sheets and the page of the objects, from the tables of the firmware and of
+//! its example.
 
 use std::{fs, path::Path};
 
 use anyhow::{Context, bail};
-use lss_slave::Node;
-use lss_slave_firmware::{Application, describe, device};
+use lss_slave_firmware::{application, describe, device, io};
 use testkit::eds::{DataSheet, Product};
 
-/// Write the electronic data sheet and docs/object-dictionary.md from the tables of the firmware
+/// Write the electronic data sheets and docs/object-dictionary.md from the tables of the firmware
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Only compare: fail if a file is not what the tables give
@@ -18,14 +18,27 @@ pub struct Arguments {
 /// Writes or compares the files.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let device = describe(0);
-    let product = Product {
-        file_name: "lss-slave.eds",
+    let product = |file_name, description| Product {
+        file_name,
         vendor_name: device::VENDOR_NAME,
-        description: device::DESCRIPTION,
+        description,
         device,
     };
-    let sheet = DataSheet::new(product, <Node<Application>>::entries(&device), &Application::new());
-    let files = [("eds/lss-slave.eds", sheet.eds()), ("docs/object-dictionary.md", sheet.page())];
+    let sheet = DataSheet::new(
+        product("lss-slave.eds", device::DESCRIPTION),
+        application::Node::entries(&device),
+        &application::Application::new(),
+    );
+    let example = DataSheet::new(
+        product("io.eds", io::DESCRIPTION),
+        io::Node::entries(&device),
+        &io::Application::new(),
+    );
+    let files = [
+        ("eds/lss-slave.eds", sheet.eds()),
+        ("docs/object-dictionary.md", sheet.page()),
+        ("eds/io.eds", example.eds()),
+    ];
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
     for (name, content) in files {
         let path = workspace.join(name);
