@@ -62,8 +62,8 @@ pub fn build_example(part: Part, example: &str) -> Result<Image, BuildError> {
 
 /// Builds the release firmware for `part` from a copy of its sources in `directory`.
 ///
-/// It uses the workspace's `target` directory, so that the dependencies are compiled once. The program there needs another
-/// name.
+/// It uses the `target` directory of the workspace, so that the dependencies are compiled once. The program there needs
+/// another name.
 ///
 /// # Errors
 /// The same as for [`build`].
