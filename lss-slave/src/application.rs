@@ -84,6 +84,8 @@ pub trait Dictionary {
 
 /// A product's behaviour beside the node. Each method does nothing by default.
 pub trait Application: Dictionary {
+    /// Device type 1000h: the number of a device profile of CiA and what the profile adds; 0 without a profile.
+    const DEVICE_TYPE: u32 = 0;
     /// The TPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
     const TPDOS: &'static [Tpdo] = &[];
     /// The RPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.

@@ -231,7 +231,7 @@ table! {
     TABLE, descriptions(device)
 
     0x1000 {
-        0 "Device type": Unsigned32, Const, DeviceType = Number(0);
+        0 "Device type": Unsigned32, Const, DeviceType;
     }
     0x1001 {
         0 "Error register": Unsigned8, ReadOnly, ErrorRegister = Number(0);

@@ -21,8 +21,6 @@ const SAVE: u32 = u32::from_le_bytes(*b"save");
 const LOAD: u32 = u32::from_le_bytes(*b"load");
 /// The value of 1010h and 1011h: the device stores or restores on command.
 const ON_COMMAND: u32 = 1;
-/// 1000h: no device profile.
-const DEVICE_TYPE: u32 = 0;
 
 /// The parts of the node that objects read and write, at one time.
 pub(super) struct Parts<'a, A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
@@ -62,7 +60,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::DeviceName => return Ok(Value::Text(self.device.name)),
             Object::HardwareVersion => return Ok(Value::Text(self.device.hardware_version)),
             Object::SoftwareVersion => return Ok(Value::Text(self.device.software_version)),
-            Object::DeviceType => DEVICE_TYPE,
+            Object::DeviceType => A::DEVICE_TYPE,
             Object::ErrorRegister => {
                 let others = self.reported;
                 (self.emergency.error_register() | others).into()

@@ -5,7 +5,9 @@ use crate::{
     Application, Device, Frame, Instant, NodeId,
     application::Event,
     emergency::Errors,
-    object_dictionary::{self, Description, Entry, PARAMETERS, SDO_SERVER, TABLE},
+    object_dictionary::{
+        self, DefaultValue, Description, Entry, Object, PARAMETERS, SDO_SERVER, TABLE,
+    },
     process_data::ProcessData,
 };
 
@@ -56,6 +58,13 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let sdo_server =
             SDO_SERVER.iter().copied().zip(object_dictionary::sdo_server_descriptions(device));
         own.filter(move |row| !is_replaced(row))
+            .map(|(entry, description)| match entry.object {
+                Object::DeviceType => {
+                    let default = DefaultValue::Number(A::DEVICE_TYPE);
+                    (entry, Description { default, ..description })
+                }
+                _ => (entry, description),
+            })
             .chain(parameters.chain(sdo_server).filter(move |_| has_application))
             .chain(ProcessData::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
             .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
