@@ -64,6 +64,10 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
                 "a node has at most 4 TPDOs and 4 RPDOs"
             );
             assert!(PRODUCERS <= MAX_PRODUCERS, "a node watches at most 16 heartbeat producers");
+            assert!(
+                !Self::IS_USED || !A::OBJECTS.is_empty(),
+                "process data and the heartbeat consumer need an application with objects"
+            );
             assert!(A::TPDOS.len() <= TPDOS, "more TPDOs are declared than the node has");
             assert!(A::RPDOS.len() <= RPDOS, "more RPDOs are declared than the node has");
             let mut tpdos = [TransmitPdo::UNUSED; TPDOS];
