@@ -1,7 +1,7 @@
 //! Process data (CiA 301, 7.2.2): PDOs with the values of the application, SYNC consumer and heartbeat consumer.
 //!
-//! A product declares its PDOs in [`Application::TPDOS`](crate::Application::TPDOS) and
-//! [`Application::RPDOS`](crate::Application::RPDOS); their numbers are parameters of [`Node`](crate::Node).
+//! A product declares its PDOs in [`Application::TPDOS`] and [`Application::RPDOS`]; their numbers are parameters of
+//! [`Node`](crate::Node).
 
 mod cob_id;
 mod declaration;
