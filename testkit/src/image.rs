@@ -2,7 +2,7 @@
 
 use std::{
     env, error, fmt,
-    path::{Path, PathBuf},
+    path::Path,
     process::{Command, Output, Stdio},
     sync::{Mutex, OnceLock, mpsc},
     thread,
@@ -60,19 +60,15 @@ pub fn build_example(part: Part, example: &str) -> Result<Image, BuildError> {
     build_with(part, || cargo_build(part, &[example]))
 }
 
-/// Builds the release firmware for `part` from a copy of its sources in `directory`.
-///
-/// It uses the `target` directory of the workspace, so that the dependencies are compiled once. The program there needs
-/// another name.
+/// Builds the release firmware for `part` from a copy of its sources in `directory`, with the `target` directory there:
+/// in that of the workspace cargo would take the library of the one for that of the other.
 ///
 /// # Errors
 /// The same as for [`build`].
 pub fn build_in(directory: &Path, part: Part) -> Result<Image, BuildError> {
     build_with(part, || {
-        let target = env::var_os("CARGO_TARGET_DIR")
-            .map_or_else(|| workspace().join("target"), PathBuf::from);
         let mut command = cargo_build(part, &[]);
-        command.current_dir(directory).arg("--target-dir").arg(target);
+        command.current_dir(directory).arg("--target-dir").arg(directory.join("target"));
         command
     })
 }
@@ -98,21 +94,24 @@ fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildE
 
 fn cargo_build(part: Part, features: &[&str]) -> Command {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
     let mut command = Command::new(cargo);
     command
-        .current_dir(workspace())
+        .current_dir(workspace)
         .args(["build", "--package", "lss-slave-firmware", "--release", "--target", TARGET])
-        .args(["--features", &[&[part.name()], features].concat().join(",")])
-        .args(["--bins", "--message-format", "json-render-diagnostics"])
+        .args([
+            "--features",
+            &[&[part.name()], features].concat().join(","),
+            "--bin",
+            "lss-slave",
+            "--message-format",
+            "json-render-diagnostics",
+        ])
         // The host build's settings are not meant for the firmware.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .env_remove("CARGO_BUILD_TARGET");
     command
-}
-
-fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
 fn run_with_notice(command: &mut Command, part: Part) -> Result<Output, BuildError> {

@@ -15,9 +15,8 @@ const SOURCES: [&str; 5] = ["Cargo.lock", "build.rs", "memory.x", "src", "lss-sl
 /// The changed line, before and after.
 const SWITCH: (&str, &str) = ("pub const RESCUE: bool = true;", "pub const RESCUE: bool = false;");
 const SWITCH_FILE: &str = "src/device.rs";
-const PROGRAM: &str = "plain-slave";
 
-/// Builds it from a copy of the sources in `target/no-harm/plain`.
+/// Builds it in `target/no-harm/plain`.
 pub fn build(part: Part) -> anyhow::Result<Image> {
     let workspace = workspace();
     let copy = workspace.join("target/no-harm/plain");
@@ -31,13 +30,11 @@ pub fn build(part: Part) -> anyhow::Result<Image> {
     Ok(testkit::image::build_in(&copy, part)?)
 }
 
-/// The manifest of the firmware as a workspace of its own, and its program under another name, so that it does not
-/// replace the product's in `target`.
+/// The manifest of the firmware as a workspace of its own.
 fn manifest_alone(manifest: &str) -> anyhow::Result<String> {
     let mut table: Table = manifest.parse().context("Cargo.toml")?;
     table.insert("workspace".to_owned(), Value::Table(Table::new()));
     table.remove("dev-dependencies");
-    table["bin"][0]["name"] = PROGRAM.into();
     if let Some(Value::Table(profile)) = table.get_mut("profile") {
         profile.remove("dev");
     }
@@ -122,7 +119,6 @@ mod tests {
         let alone: Table =
             manifest_alone(&manifest.expect("readable")).expect("TOML").parse().expect("TOML");
         assert_eq!(alone["profile"]["release"]["lto"].as_str(), Some("fat"));
-        assert_eq!(alone["bin"][0]["name"].as_str(), Some(PROGRAM));
         assert!(alone["workspace"].as_table().is_some_and(Table::is_empty));
     }
 }
