@@ -8,6 +8,7 @@ mod declaration;
 mod heartbeats;
 mod mapping;
 mod rpdo;
+mod stored;
 mod sync;
 mod tables;
 mod tpdo;
@@ -28,6 +29,7 @@ use cob_id::PdoCobId;
 use heartbeats::Producer;
 use mapping::{Direction, Mapping};
 use rpdo::ReceivePdo;
+use stored::Configuration;
 use sync::Sync;
 use tpdo::TransmitPdo;
 
@@ -47,6 +49,10 @@ pub(crate) struct ProcessData<const TPDOS: usize, const RPDOS: usize, const PROD
     is_running: bool,
     /// The COB-IDs to receive have changed since the board was informed.
     has_new_receives: bool,
+    /// What is persistent, or declared if nothing is.
+    persistent: Configuration<TPDOS, RPDOS, PRODUCERS>,
+    /// What the store in progress makes persistent, if that changes.
+    staged: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
 }
 
 impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
@@ -82,21 +88,34 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
                 rpdos[at] = ReceivePdo::declared(&A::RPDOS[at], A::OBJECTS);
                 at += 1;
             }
+            let producers = [Producer::UNUSED; PRODUCERS];
+            let sync = Sync::new();
             Self {
                 tpdos,
                 rpdos,
-                producers: [Producer::UNUSED; PRODUCERS],
-                sync: Sync::new(),
+                producers,
+                sync,
                 is_running: false,
                 has_new_receives: false,
+                persistent: Configuration { tpdos, rpdos, producers, sync },
+                staged: None,
             }
         }
     }
 
-    /// Restarts as after power-on.
-    pub fn reset<A: Application>(&mut self) {
+    /// Restarts as after power-on, with the persistent parameters.
+    pub fn reset(&mut self) {
         if Self::IS_USED {
-            *self = Self::new::<A>();
+            let Configuration { tpdos, rpdos, producers, sync } = self.persistent;
+            *self = Self {
+                tpdos,
+                rpdos,
+                producers,
+                sync,
+                is_running: false,
+                has_new_receives: false,
+                ..*self
+            };
         }
     }
 
