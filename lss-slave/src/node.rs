@@ -302,7 +302,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
         match Part::of(parameter.index) {
-            Part::Communication => self.process_data.restore(parameter, A::OBJECTS),
+            Part::Communication => self.process_data.restore::<A>(parameter),
             Part::Application => self.application.restore(parameter),
         }
     }
@@ -508,7 +508,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn reset_communication(&mut self) -> Action {
         self.lss.reset_communication();
         self.nmt.reset_communication(self.storing.persistent().heartbeat_ms);
-        self.process_data.reset();
+        self.process_data.reset::<A>();
         self.end_sdo();
         Action::SetNodeId(self.node_id())
     }

@@ -49,8 +49,8 @@ pub(crate) struct ProcessData<const TPDOS: usize, const RPDOS: usize, const PROD
     is_running: bool,
     /// The COB-IDs to receive have changed since the board was informed.
     has_new_receives: bool,
-    /// What is persistent, or declared if nothing is.
-    persistent: Configuration<TPDOS, RPDOS, PRODUCERS>,
+    /// What is persistent; `None`: what the application declares.
+    persistent: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
     /// What the store in progress makes persistent, if that changes.
     staged: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
 }
@@ -88,34 +88,25 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
                 rpdos[at] = ReceivePdo::declared(&A::RPDOS[at], A::OBJECTS);
                 at += 1;
             }
-            let producers = [Producer::UNUSED; PRODUCERS];
-            let sync = Sync::new();
             Self {
                 tpdos,
                 rpdos,
-                producers,
-                sync,
+                producers: [Producer::UNUSED; PRODUCERS],
+                sync: Sync::new(),
                 is_running: false,
                 has_new_receives: false,
-                persistent: Configuration { tpdos, rpdos, producers, sync },
+                persistent: None,
                 staged: None,
             }
         }
     }
 
     /// Restarts as after power-on, with the persistent parameters.
-    pub fn reset(&mut self) {
+    pub fn reset<A: Application>(&mut self) {
         if Self::IS_USED {
-            let Configuration { tpdos, rpdos, producers, sync } = self.persistent;
-            *self = Self {
-                tpdos,
-                rpdos,
-                producers,
-                sync,
-                is_running: false,
-                has_new_receives: false,
-                ..*self
-            };
+            let Configuration { tpdos, rpdos, producers, sync } = self.persistent::<A>();
+            let (is_running, has_new_receives) = (false, false);
+            *self = Self { tpdos, rpdos, producers, sync, is_running, has_new_receives, ..*self };
         }
     }
 

@@ -41,33 +41,48 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         + RPDOS * (HEADER + 4 * (RECEIVE_PARAMETERS + MAX_MAPPED))
         + TPDOS * (HEADER + 4 * (TRANSMIT_PARAMETERS + MAX_MAPPED));
 
-    /// Takes a stored parameter in place of the declared one, if it is one of its own and legal; `objects` are those of
-    /// the application. A PDO with a value that cannot be mapped stays as it is declared. Returns whether it has.
-    pub fn restore(&mut self, parameter: &Parameter<'_>, objects: &[Entry]) -> bool {
-        let is_taken = Self::IS_USED && self.persistent.take(parameter, objects).is_some();
+    /// The parameters to which a reset returns.
+    pub fn persistent<A: Application>(&self) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
+        self.persistent.unwrap_or_else(|| Self::new::<A>().configuration())
+    }
+
+    /// Takes a stored parameter in place of the declared one, if it is one of its own and legal; a PDO with a value that
+    /// cannot be mapped stays as it is declared. Returns whether it has.
+    pub fn restore<A: Application>(&mut self, parameter: &Parameter<'_>) -> bool {
+        if !Self::IS_USED {
+            return false;
+        }
+        let mut persistent = self.persistent::<A>();
+        let is_taken = persistent.take(parameter, A::OBJECTS).is_some();
         if is_taken {
-            self.reset();
+            self.persistent = Some(persistent);
+            self.reset::<A>();
         }
         is_taken
+    }
+
+    /// The current parameters.
+    fn configuration(&self) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
+        let Self { tpdos, rpdos, producers, sync, .. } = *self;
+        let mut configuration = Configuration { tpdos, rpdos, producers, sync };
+        configuration.tpdos.iter_mut().for_each(TransmitPdo::restart);
+        configuration.rpdos.iter_mut().for_each(ReceivePdo::restart);
+        configuration.producers.iter_mut().for_each(Producer::forget);
+        configuration.sync.forget();
+        configuration
     }
 
     /// Begins a store of the current parameters.
     pub fn stage(&mut self) {
         if Self::IS_USED {
-            let Self { tpdos, rpdos, producers, sync, .. } = *self;
-            let mut staged = Configuration { tpdos, rpdos, producers, sync };
-            staged.tpdos.iter_mut().for_each(TransmitPdo::restart);
-            staged.rpdos.iter_mut().for_each(ReceivePdo::restart);
-            staged.producers.iter_mut().for_each(Producer::forget);
-            staged.sync.forget();
-            self.staged = Some(staged);
+            self.staged = Some(self.configuration());
         }
     }
 
     /// Begins a store that removes the parameters, so that the declared ones apply.
     pub fn stage_declared<A: Application>(&mut self) {
         if Self::IS_USED {
-            self.staged = Some(Self::new::<A>().persistent);
+            self.staged = Some(Self::new::<A>().configuration());
         }
     }
 
@@ -86,7 +101,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             && let Some(staged) = self.staged.take()
             && is_done
         {
-            self.persistent = staged;
+            self.persistent = Some(staged);
         }
     }
 }
