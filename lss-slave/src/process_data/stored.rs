@@ -42,7 +42,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         + TPDOS * (HEADER + 4 * (TRANSMIT_PARAMETERS + MAX_MAPPED));
 
     /// The parameters to which a reset returns.
-    pub fn persistent<A: Application>(&self) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
+    pub(super) fn persistent<A: Application>(&self) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
         self.persistent.unwrap_or_else(|| Self::new::<A>().configuration())
     }
 
