@@ -64,7 +64,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     /// The process data that the application declares. A wrong declaration does not compile.
     pub const fn new<A: Application>() -> Self {
-        const {
+        let (tpdos, rpdos) = const {
             assert!(
                 TPDOS <= MAX_PDOS && RPDOS <= MAX_PDOS,
                 "a node has at most 4 TPDOs and 4 RPDOs"
@@ -88,16 +88,17 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
                 rpdos[at] = ReceivePdo::declared(&A::RPDOS[at], A::OBJECTS);
                 at += 1;
             }
-            Self {
-                tpdos,
-                rpdos,
-                producers: [Producer::UNUSED; PRODUCERS],
-                sync: Sync::new(),
-                is_running: false,
-                has_new_receives: false,
-                persistent: None,
-                staged: None,
-            }
+            (tpdos, rpdos)
+        };
+        Self {
+            tpdos,
+            rpdos,
+            producers: [Producer::UNUSED; PRODUCERS],
+            sync: Sync::new(),
+            is_running: false,
+            has_new_receives: false,
+            persistent: None,
+            staged: None,
         }
     }
 
