@@ -294,13 +294,17 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     /// The greatest number of bytes that the stored parameters take.
-    pub const PARAMETERS: usize = <A as Parameters>::LEN;
+    pub const PARAMETERS: usize =
+        <A as Parameters>::LEN + ProcessData::<TPDOS, RPDOS, PRODUCERS>::PARAMETERS;
 
     /// Takes a stored parameter in place of the default, if the node has it with this data type and the value is within
     /// its limits; returns whether it has. [`Application::accept`] is not called. Pass all parameters before the first
     /// [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
-        self.application.restore(parameter)
+        match Part::of(parameter.index) {
+            Part::Communication => self.process_data.restore::<A>(parameter),
+            Part::Application => self.application.restore(parameter),
+        }
     }
 
     /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
@@ -316,8 +320,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         for part in Part::ALL {
             match (part.change(self.storing.download()), part) {
                 (Change::Keep, _) => part.keep(persistent, &mut packer),
+                (Change::Remove, _) => {}
                 // The heartbeat time is among the settings.
-                (Change::Remove, _) | (Change::Renew, Part::Communication) => {}
+                (Change::Renew, Part::Communication) => self.process_data.save(&mut packer),
                 (Change::Renew, Part::Application) => self.application.save(&mut packer),
             }
         }
@@ -327,6 +332,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Records the outcome of the last [`Action::Store`].
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         if self.storing.handle_stored(outcome) {
+            self.process_data.end_store(outcome.is_ok());
             if outcome.is_ok() {
                 self.emergency.end(Fault::SettingsLost);
             }
@@ -568,7 +574,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         loop {
             let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
             match self.storing.poll(node_id, bit_rate, !A::OBJECTS.is_empty())? {
-                Store(settings) => return Some(Action::Store(settings)),
+                Store(settings) => {
+                    match Part::Communication.change(self.storing.download()) {
+                        Change::Keep => {}
+                        Change::Renew => self.process_data.stage(),
+                        Change::Remove => self.process_data.stage_declared::<A>(),
+                    }
+                    return Some(Action::Store(settings));
+                }
                 AnswerLss(outcome) => {
                     return Some(Action::Transmit(
                         Response::StoreConfiguration(outcome).to_frame(),

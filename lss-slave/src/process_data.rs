@@ -8,6 +8,7 @@ mod declaration;
 mod heartbeats;
 mod mapping;
 mod rpdo;
+mod stored;
 mod sync;
 mod tables;
 mod tpdo;
@@ -28,6 +29,7 @@ use cob_id::PdoCobId;
 use heartbeats::Producer;
 use mapping::{Direction, Mapping};
 use rpdo::ReceivePdo;
+use stored::Configuration;
 use sync::Sync;
 use tpdo::TransmitPdo;
 
@@ -47,6 +49,10 @@ pub(crate) struct ProcessData<const TPDOS: usize, const RPDOS: usize, const PROD
     is_running: bool,
     /// The COB-IDs to receive have changed since the board was informed.
     has_new_receives: bool,
+    /// What is persistent; `None`: what the application declares.
+    persistent: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
+    /// What the store in progress makes persistent, if that changes.
+    staged: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
 }
 
 impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
@@ -58,7 +64,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     /// The process data that the application declares. A wrong declaration does not compile.
     pub const fn new<A: Application>() -> Self {
-        const {
+        let (tpdos, rpdos) = const {
             assert!(
                 TPDOS <= MAX_PDOS && RPDOS <= MAX_PDOS,
                 "a node has at most 4 TPDOs and 4 RPDOs"
@@ -82,21 +88,26 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
                 rpdos[at] = ReceivePdo::declared(&A::RPDOS[at], A::OBJECTS);
                 at += 1;
             }
-            Self {
-                tpdos,
-                rpdos,
-                producers: [Producer::UNUSED; PRODUCERS],
-                sync: Sync::new(),
-                is_running: false,
-                has_new_receives: false,
-            }
+            (tpdos, rpdos)
+        };
+        Self {
+            tpdos,
+            rpdos,
+            producers: [Producer::UNUSED; PRODUCERS],
+            sync: Sync::new(),
+            is_running: false,
+            has_new_receives: false,
+            persistent: None,
+            staged: None,
         }
     }
 
-    /// Restarts as after power-on.
+    /// Restarts as after power-on, with the persistent parameters.
     pub fn reset<A: Application>(&mut self) {
         if Self::IS_USED {
-            *self = Self::new::<A>();
+            let Configuration { tpdos, rpdos, producers, sync } = self.persistent::<A>();
+            let (is_running, has_new_receives) = (false, false);
+            *self = Self { tpdos, rpdos, producers, sync, is_running, has_new_receives, ..*self };
         }
     }
 

@@ -384,7 +384,7 @@ fn start<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS
     flash: &BoardFlash,
     application: A,
 ) -> (Log<BoardFlash, PARAMETERS>, Node<A, TPDOS, RPDOS, PRODUCERS>, Found) {
-    const { assert!(<Node<A>>::PARAMETERS <= PARAMETERS) };
+    const { assert!(Node::<A, TPDOS, RPDOS, PRODUCERS>::PARAMETERS <= PARAMETERS) };
     let (mut log, mut found) = Log::open_with_parameters(flash.clone());
     let mut node = Node::with_application(device, log.settings(), application);
     if let Err(error) = log.restore(|parameter| node.restore(parameter)) {

@@ -32,6 +32,7 @@ mod parameters_power_cut;
 mod process_data;
 mod process_data_random;
 mod process_data_receive;
+mod process_data_stored;
 mod process_data_transmit;
 mod sdo;
 mod sdo_abort;

@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::{Context, bail, ensure};
 
-const TARGETS: [&str; 4] = ["message", "node", "sdo", "settings_log"];
+const TARGETS: [&str; 5] = ["application", "message", "node", "sdo", "settings_log"];
 
 /// The flags of `cargo fuzz` for a nightly compiler, without the address sanitizer: the library has no `unsafe` code.
 const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \

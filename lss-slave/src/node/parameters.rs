@@ -31,7 +31,8 @@ impl Part {
     pub const ALL: [Self; 2] = [Self::Communication, Self::Application];
     const RESTORE: u16 = 0x1011;
 
-    const fn of(index: u16) -> Self {
+    /// The part of the object with this index.
+    pub const fn of(index: u16) -> Self {
         if index < 0x2000 { Self::Communication } else { Self::Application }
     }
 

@@ -4,6 +4,8 @@ use crate::{NodeId, sdo::Abort};
 
 const NOT_VALID: u32 = 1 << 31;
 const NO_REMOTE_FRAME: u32 = 1 << 30;
+/// In a stored COB-ID, in place of the CAN-ID: it follows the node-ID.
+const FOLLOWS_NODE_ID: u32 = 1 << 11;
 
 /// The COB-ID of a PDO.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,6 +57,24 @@ impl PdoCobId {
         let is_default = id == Self::new(is_valid).id(base, node);
         *self = Self { is_valid, moved_to: (!is_default).then_some(id) };
         Ok(())
+    }
+
+    /// The COB-ID as it is stored, which does not depend on the node-ID.
+    pub fn stored(self) -> u32 {
+        let id = self.moved_to.map_or(FOLLOWS_NODE_ID, u32::from);
+        id | if self.is_valid { 0 } else { NOT_VALID }
+    }
+
+    /// The COB-ID that was stored, if it is legal.
+    pub fn from_stored(stored: u32) -> Option<Self> {
+        let is_valid = stored & NOT_VALID == 0;
+        let moved_to = match stored & !NOT_VALID {
+            FOLLOWS_NODE_ID => None,
+            id @ 0..=0x7FF => Some(id as u16),
+            _ => return None,
+        };
+        let is_legal = !(is_valid && moved_to.is_some_and(is_restricted));
+        is_legal.then_some(Self { is_valid, moved_to })
     }
 }
 

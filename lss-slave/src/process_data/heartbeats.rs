@@ -72,6 +72,11 @@ impl Producer {
         }
     }
 
+    /// Forgets the heartbeats received until now.
+    pub const fn forget(&mut self) {
+        self.watch = Watch::Waiting;
+    }
+
     /// Grants a new period.
     pub fn restart(&mut self, now: Instant) {
         if let Watch::Alive { .. } = self.watch {

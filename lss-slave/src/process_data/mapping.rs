@@ -76,6 +76,12 @@ impl Mapped {
         Some(Self { code, field })
     }
 
+    /// The value with this code, if it exists and can be mapped in this direction.
+    fn with_code(objects: &[Entry], direction: Direction, code: u32) -> Option<Self> {
+        let mapped = Self::new(objects, direction, (code >> 16) as u16, (code >> 8) as u8);
+        mapped.filter(|mapped| mapped.code == code)
+    }
+
     /// The length in bytes.
     const fn len(self) -> usize {
         (self.code & 0xFF) as usize / 8
@@ -125,7 +131,22 @@ impl Mapping {
         mapping
     }
 
-    fn mapped(&self) -> impl Iterator<Item = &Mapped> {
+    /// The mapping that was stored, if all its values exist and can be mapped in this direction.
+    pub fn from_stored(codes: &[[u8; 4]], direction: Direction, objects: &[Entry]) -> Option<Self> {
+        let mut mapping = Self { number: codes.len() as u8, ..Self::EMPTY };
+        for (at, code) in codes.iter().enumerate() {
+            let place = mapping.mapped.get_mut(at)?;
+            *place = Mapped::with_code(objects, direction, u32::from_le_bytes(*code))?;
+        }
+        (mapping.len() <= 8).then_some(mapping)
+    }
+
+    /// The mapping as it is stored: the entries of the values that the PDO carries.
+    pub fn stored(&self) -> impl Iterator<Item = u32> + Clone {
+        self.mapped().map(|mapped| mapped.code)
+    }
+
+    fn mapped(&self) -> impl Iterator<Item = &Mapped> + Clone {
         self.mapped.iter().take(self.number.into())
     }
 
@@ -196,8 +217,7 @@ impl Mapping {
             if self.number != 0 {
                 return Err(Abort::DeviceState);
             }
-            let mapped = Mapped::new(objects, direction, (value >> 16) as u16, (value >> 8) as u8);
-            *place = mapped.filter(|mapped| mapped.code == value).ok_or(Abort::NotMappable)?;
+            *place = Mapped::with_code(objects, direction, value).ok_or(Abort::NotMappable)?;
             return Ok(());
         }
         let wanted = Self { number: value as u8, ..*self };

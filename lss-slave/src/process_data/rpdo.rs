@@ -1,12 +1,18 @@
 //! An RPDO: its parameters (CiA 301, 7.5.2.35) and the effect of its frames.
 
-use super::{Direction, Mapping, PdoCobId, Rpdo, tpdo::is_transmission_type};
+use super::{
+    Direction, Mapping, PdoCobId, Rpdo,
+    tpdo::{is_transmission_type, stored_transmission_type},
+};
 use crate::{Application, Frame, NodeId, object_dictionary::Entry, sdo::Abort};
 
 /// Error code of a PDO that is shorter than its mapping, and ignored (CiA 301, table 26).
 pub(super) const TOO_SHORT: u16 = 0x8210;
 /// Error code of a PDO that is longer than its mapping; its first bytes are used (CiA 301, table 26).
 pub(super) const TOO_LONG: u16 = 0x8220;
+
+/// The parameters that are stored before the mapping.
+pub(super) const RECEIVE_PARAMETERS: usize = 2;
 
 /// An RPDO.
 #[derive(Clone, Copy, Debug)]
@@ -88,6 +94,24 @@ impl ReceivePdo {
         };
         self.mapping.write(&data, application);
         true
+    }
+
+    /// The parameters as they are stored.
+    pub fn stored(&self) -> impl Iterator<Item = u32> + Clone {
+        let parameters = [self.cob_id.stored(), self.transmission_type.into()];
+        parameters.into_iter().chain(self.mapping.stored())
+    }
+
+    /// The RPDO with these stored parameters, if they are legal and all its values exist.
+    pub fn from_stored(stored: &[[u8; 4]], objects: &[Entry]) -> Option<Self> {
+        let (parameters, mapping) = stored.split_first_chunk::<RECEIVE_PARAMETERS>()?;
+        let [cob_id, transmission_type] = parameters.map(u32::from_le_bytes);
+        Some(Self {
+            cob_id: PdoCobId::from_stored(cob_id)?,
+            mapping: Mapping::from_stored(mapping, Direction::Receive, objects)?,
+            transmission_type: stored_transmission_type(transmission_type)?,
+            ..Self::UNUSED
+        })
     }
 
     /// The value of a sub-index of the communication parameter.

@@ -37,6 +37,11 @@ impl Sync {
         self.overflow
     }
 
+    /// Forgets the SYNCs received until now.
+    pub const fn forget(&mut self) {
+        self.is_length_wrong = false;
+    }
+
     /// Whether the latest SYNC had a wrong length.
     pub const fn is_length_wrong(&self) -> bool {
         self.is_length_wrong

@@ -10,13 +10,13 @@ use crate::{
     },
 };
 
-const SYNC_COB_ID: u16 = 0x1005;
-const CONSUMER_HEARTBEAT_TIME: u16 = 0x1016;
-const SYNC_COUNTER_OVERFLOW: u16 = 0x1019;
-const RPDO_PARAMETER: u16 = 0x1400;
-const RPDO_MAPPING: u16 = 0x1600;
-const TPDO_PARAMETER: u16 = 0x1800;
-const TPDO_MAPPING: u16 = 0x1A00;
+pub(super) const SYNC_COB_ID: u16 = 0x1005;
+pub(super) const CONSUMER_HEARTBEAT_TIME: u16 = 0x1016;
+pub(super) const SYNC_COUNTER_OVERFLOW: u16 = 0x1019;
+pub(super) const RPDO_PARAMETER: u16 = 0x1400;
+pub(super) const RPDO_MAPPING: u16 = 0x1600;
+pub(super) const TPDO_PARAMETER: u16 = 0x1800;
+pub(super) const TPDO_MAPPING: u16 = 0x1A00;
 
 type MappingRows = [Entry; MAX_MAPPED + 1];
 

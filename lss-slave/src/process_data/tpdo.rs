@@ -5,6 +5,9 @@ use core::mem;
 use super::{Direction, Mapping, PdoCobId, Tpdo};
 use crate::{Application, Frame, Instant, NodeId, object_dictionary::Entry, sdo::Abort};
 
+/// The parameters that are stored before the mapping.
+pub(super) const TRANSMIT_PARAMETERS: usize = 5;
+
 /// A TPDO.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TransmitPdo {
@@ -32,6 +35,12 @@ pub(super) struct TransmitPdo {
 /// Whether CiA 301 defines a transmission type that does not depend on remote frames.
 pub(super) const fn is_transmission_type(transmission_type: u8) -> bool {
     matches!(transmission_type, 0..=240 | 254 | 255)
+}
+
+/// A stored transmission type, if it is legal.
+pub(super) fn stored_transmission_type(stored: u32) -> Option<u8> {
+    let transmission_type = stored.try_into().ok()?;
+    is_transmission_type(transmission_type).then_some(transmission_type)
 }
 
 impl TransmitPdo {
@@ -132,6 +141,34 @@ impl TransmitPdo {
     pub fn poll_at(&self) -> Option<Instant> {
         let at = Instant::earliest(self.inhibited_until, self.event_at);
         at.filter(|_| self.cob_id.is_valid && !self.mapping.is_empty())
+    }
+
+    /// The parameters as they are stored.
+    pub fn stored(&self) -> impl Iterator<Item = u32> + Clone {
+        let parameters = [
+            self.cob_id.stored(),
+            self.transmission_type.into(),
+            self.inhibit_time.into(),
+            self.event_timer_ms.into(),
+            self.sync_start_value.into(),
+        ];
+        parameters.into_iter().chain(self.mapping.stored())
+    }
+
+    /// The TPDO with these stored parameters, if they are legal and all its values exist.
+    pub fn from_stored(stored: &[[u8; 4]], objects: &[Entry]) -> Option<Self> {
+        let (parameters, mapping) = stored.split_first_chunk::<TRANSMIT_PARAMETERS>()?;
+        let [cob_id, transmission_type, inhibit_time, event_timer_ms, sync_start_value] =
+            parameters.map(u32::from_le_bytes);
+        Some(Self {
+            cob_id: PdoCobId::from_stored(cob_id)?,
+            mapping: Mapping::from_stored(mapping, Direction::Transmit, objects)?,
+            transmission_type: stored_transmission_type(transmission_type)?,
+            inhibit_time: inhibit_time.try_into().ok()?,
+            event_timer_ms: event_timer_ms.try_into().ok()?,
+            sync_start_value: sync_start_value.try_into().ok().filter(|value| *value <= 240)?,
+            ..Self::UNUSED
+        })
     }
 
     /// The value of a sub-index of the communication parameter.

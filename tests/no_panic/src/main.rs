@@ -22,7 +22,7 @@ use lss_slave::{
     nmt, objects,
     process_data::{Rpdo, Tpdo},
     sdo::Abort,
-    settings::Log,
+    settings::{Log, parameters::Parameter},
 };
 
 unsafe extern "C" {
@@ -150,10 +150,14 @@ fn drive<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS
     black_box(&mut *node).report(any(0), any(0), any([0; 5]));
     black_box(&mut *node).end_report(any(0));
     black_box(black_box(&mut *node).application_mut());
+    let (index, sub_index, data_type, value) = any((0, 0, 0, &[][..]));
+    black_box(black_box(&mut *node).restore(&Parameter { index, sub_index, data_type, value }));
     let node = &*black_box(node);
     black_box(node.is_due(any_instant()));
     black_box((node.poll_at(), node.receives(), node.nmt_state(), node.node_id()));
     black_box((node.bit_rate(), node.is_listening(), node.lss().state()));
+    let mut packed = [0; 1024];
+    black_box(node.write_parameters(any(&[]), any(&mut packed)));
     black_box((node.active_bit_rate(), node.wants_to_send_more(), node.application()));
 }
 

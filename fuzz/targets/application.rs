@@ -1,0 +1,173 @@
+//! The node with an application, process data and stored parameters, with frames, time, stores and resets in any order:
+//! its actions come to an end, and what is stored is found again.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use lss_slave::{
+    Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
+    Settings,
+    lss::{Address, StoreError},
+    nmt::State,
+    objects,
+    process_data::{Rpdo, Tpdo},
+    settings::parameters::unpack,
+};
+
+const ADDRESS: Address =
+    Address { vendor_id: 0x11, product_code: 0x22, revision_number: 0x33, serial_number: 0x44 };
+/// More actions than are ever due at one time.
+const MOST_ACTIONS: usize = 32;
+const PARAMETERS: usize = MachineNode::PARAMETERS;
+
+type MachineNode = Node<Machine, 2, 2, 2>;
+
+objects! {
+    /// Inputs and outputs, some of them stored.
+    pub struct Machine, values MachineValue;
+
+    0x6000 "Inputs" {
+        1 "Buttons" buttons: u8 = 0, ro, mappable;
+        2 "Position" position: i32 = 0, ro, mappable;
+    }
+    0x6200 "Outputs" {
+        1 "Lamps" lamps: u8 = 0, rw, mappable;
+        2 "Speed" speed: u16 = 0, rw, 0..=1000, mappable, stored;
+    }
+}
+
+impl Application for Machine {
+    const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1), (0x6200, 2)])];
+    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1), (0x6200, 2)])];
+}
+
+/// A board with the settings and the packed parameters that its flash holds.
+struct Board {
+    node: MachineNode,
+    now: Instant,
+    may_transmit: bool,
+    settings: Settings,
+    parameters: Vec<u8>,
+    /// The store in progress.
+    store: Option<(Settings, Vec<u8>)>,
+}
+
+/// A node after power-on, which takes all that it has stored.
+fn start(settings: Settings, parameters: &[u8]) -> MachineNode {
+    let device = Device::new(ADDRESS, BitRates::possible(40_000_000)).with_rescue(true);
+    let mut node = Node::with_application(device, Some(settings), Machine::new());
+    for parameter in unpack(parameters) {
+        assert!(node.restore(&parameter), "{parameter:?} was stored");
+    }
+    node
+}
+
+impl Board {
+    fn new() -> Self {
+        let settings = Settings::new(BitRate::Kbit1000.into()).with_node_id(NodeId::new(5));
+        let now = Instant::from_micros(u32::MAX - 1_000_000);
+        let node = start(settings, &[]);
+        Self { node, now, may_transmit: true, settings, parameters: Vec::new(), store: None }
+    }
+
+    fn act(&mut self, action: Action) {
+        match action {
+            Action::Transmit(frame) => assert!(self.may_transmit, "{frame:?} in a silent period"),
+            Action::StopTransmitting | Action::Listen(_) | Action::SetBitRate(_) => {
+                self.may_transmit = false;
+            }
+            Action::ResumeTransmitting => self.may_transmit = true,
+            Action::SetReceives => {}
+            Action::SetNodeId(id) => assert_eq!(id, self.node.node_id()),
+            Action::Store(settings) => {
+                assert!(self.store.is_none(), "a store before the previous one has ended");
+                let mut parameters = vec![0; PARAMETERS];
+                let len = self.node.write_parameters(&self.parameters, &mut parameters);
+                parameters.truncate(len);
+                self.store = Some((settings, parameters));
+            }
+            Action::ResetDevice => {
+                self.node = start(self.settings, &self.parameters);
+                (self.store, self.may_transmit) = (None, true);
+            }
+        }
+    }
+
+    fn act_until_nothing_is_due(&mut self) {
+        for _ in 0..MOST_ACTIONS {
+            match self.node.poll(self.now) {
+                Some(action) => self.act(action),
+                None => return,
+            }
+        }
+        panic!("{MOST_ACTIONS} actions without an end");
+    }
+
+    fn receive(&mut self, cob_id: u16, data: &[u8]) {
+        let action =
+            Frame::new(cob_id, data).and_then(|frame| self.node.handle_frame(&frame, self.now));
+        action.into_iter().for_each(|action| self.act(action));
+        self.act_until_nothing_is_due();
+    }
+
+    /// Any data of a frame that the node receives, an SDO request that can be meaningful, or an event.
+    fn step(&mut self, [kind, ms, data @ ..]: [u8; 10]) {
+        self.now = self.now.plus_micros(u32::from(ms) * 1000);
+        self.act_until_nothing_is_due();
+        let len = usize::from(kind >> 4).min(8);
+        let cob_ids: Vec<_> = self.node.receives().iter().collect();
+        let server = 0x600 + u16::from(self.node.node_id().map_or(5, NodeId::get));
+        match kind & 0xF {
+            0..=4 => self.receive(cob_ids[usize::from(data[7]) % cob_ids.len()], &data[..len]),
+            5 => self.receive(server, &data),
+            6..=9 => {
+                let [index, sub_index, number @ .., size, _, _] = data;
+                let parameters = [0x10, 0x14, 0x16, 0x18, 0x1A, 0x60, 0x62, 0x10];
+                let sizes = [0x23, 0x2B, 0x2F, 0x23];
+                let high = parameters[usize::from(index >> 5)];
+                let command = sizes[usize::from(size & 3)];
+                let [n0, n1, n2] = number;
+                let value = [n0, n1, size >> 2, n2];
+                let address = [index & 0x1F, high, sub_index & 0xF];
+                self.receive(server, &[&[command], &address[..], &value].concat());
+            }
+            10 => self.receive(server, &[0x23, 0x10, 0x10, data[0] % 4, b's', b'a', b'v', b'e']),
+            11 if data[0] & 3 == 0 => {
+                self.receive(server, &[0x23, 0x11, 0x10, data[1] % 4, b'l', b'o', b'a', b'd']);
+            }
+            11 => self.node.application_mut().position ^= i32::from(data[1]),
+            12 => self.end_store(data[0] != 0),
+            13 => self.node.handle_bus(BusEvent::Acknowledged, self.now),
+            14 => self.node.report(u16::from(data[0]), data[1], [0; 5]),
+            _ => self.now = self.now.plus_micros(u32::from(data[0]) * 250_000),
+        }
+        self.act_until_nothing_is_due();
+    }
+
+    fn end_store(&mut self, is_done: bool) {
+        let Some((settings, parameters)) = self.store.take() else { return };
+        if is_done {
+            (self.settings, self.parameters) = (settings, parameters);
+        }
+        self.node.handle_stored(if is_done { Ok(()) } else { Err(StoreError::MediumAccess) });
+    }
+
+    /// A reset of communication leads to the COB-IDs of a power cycle.
+    fn check(&mut self) {
+        let restarted = start(self.settings, &self.parameters);
+        self.receive(0x000, &[0x82, 0]);
+        let is_at_ease = self.may_transmit && self.node.nmt_state() == State::PreOperational;
+        if is_at_ease && self.node.node_id() == restarted.node_id() {
+            assert_eq!(self.node.receives(), restarted.receives());
+        }
+    }
+}
+
+fuzz_target!(|steps: Vec<[u8; 10]>| {
+    let mut board = Board::new();
+    board.act_until_nothing_is_due();
+    for step in steps {
+        board.step(step);
+    }
+    board.check();
+});
