@@ -5,7 +5,7 @@ use stm32f4xx_hal::{
     Listen,
     adc::{
         Adc, Temperature,
-        config::{AdcConfig, SampleTime},
+        config::{AdcConfig, Clock, SampleTime},
     },
     gpio::{ErasedPin, Input, Output},
     pac::{ADC1, TIM5},
@@ -37,7 +37,9 @@ const CALIBRATION_MV: i32 = 3_300;
 impl IoBoard {
     /// Starts the timer, whose interrupt asks for the samples, and the converter.
     pub fn new(pins: IoPins, adc: ADC1, timer: TIM5, rcc: &mut Rcc) -> Self {
-        let mut adc = Adc::new(adc, true, AdcConfig::default(), rcc);
+        // 20 MHz; with a half of APB2's clock it would be above 36 MHz, its limit (data sheet: fADC).
+        let config = AdcConfig::default().clock(Clock::Pclk2_div_4);
+        let mut adc = Adc::new(adc, true, config, rcc);
         adc.enable_temperature_and_vref();
         let mut timer = timer.counter_hz(rcc);
         timer.listen(Event::Update);

@@ -82,15 +82,15 @@ mod app {
             found = Found::MediumFailed(error);
         }
         report(found, &stored.unwrap_or(device::DEFAULTS));
+        if matches!(found, Found::Damaged | Found::ParametersDamaged) {
+            node.handle_fault(Fault::SettingsLost);
+        }
 
         let can = Controller::new(board.can, board.can_pins, &mut board.rcc, node.receives());
-        let mut runner = Runner::new(node, can, board.alarm);
-        if matches!(found, Found::Damaged | Found::ParametersDamaged) {
-            runner.handle_fault(Fault::SettingsLost);
-        }
-        let Board { indicators, mut watchdog, io, .. } = board;
+        let Board { alarm, indicators, mut watchdog, io, .. } = board;
         // The start may have erased a sector, so the first roll call comes later.
         watchdog.feed();
+        let runner = Runner::new(node, can, alarm);
         (Shared { runner }, Local { log, indicators, watchdog, io })
     }
 

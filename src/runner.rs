@@ -5,7 +5,6 @@ use core::mem;
 use cortex_m::peripheral::SCB;
 use lss_slave::{
     Action, BusEvent, Instant, NodeId, Settings,
-    emergency::Fault,
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
 };
@@ -150,12 +149,6 @@ impl Runner {
         let result = access(self.node.application_mut());
         self.finish();
         result
-    }
-
-    /// Passes a fault of the board to the node.
-    pub fn handle_fault(&mut self, fault: Fault) {
-        self.node.handle_fault(fault);
-        self.finish();
     }
 
     /// Passes the outcome of a store to the node.

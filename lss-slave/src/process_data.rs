@@ -227,7 +227,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     /// Ends the errors that are no longer present.
     pub fn end_errors(&self, errors: &mut Errors<'_>) {
-        if !Self::IS_USED {
+        if !Self::IS_USED || errors.is_empty() {
             return;
         }
         let has = |code| self.rpdos.iter().any(|rpdo| rpdo.fault() == Some(code));

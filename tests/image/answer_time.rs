@@ -17,7 +17,7 @@ use testkit::{
 };
 
 /// The limit for an answer, except to store configuration, in core cycles.
-const ANSWER_CYCLES: u64 = 560;
+const ANSWER_CYCLES: u64 = 600;
 /// The limit for a boot-up caused by a request or a command: the filters change with the node-ID.
 const BOOT_UP_CYCLES: u64 = 2_200;
 /// The limit for an SDO upload, which searches the object dictionary.

@@ -10,6 +10,7 @@ mod do_no_harm;
 mod eds;
 mod errors;
 mod indicators;
+mod io;
 mod medium_faults;
 mod node_id;
 mod overload;

@@ -12,6 +12,7 @@ use emulator::{
 use lss_slave::{Settings, lss::Address, settings::Log};
 use testkit::{
     flash::BoardFlash,
+    image::{self, BuildError},
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
 };
 
@@ -26,6 +27,24 @@ pub fn part() -> impl TypedValueParser<Value = Part> {
         let named = Part::ALL.into_iter().find(|part| part.name() == name);
         named.expect("only names of parts are possible")
     })
+}
+
+/// An application that the firmware has in place of `src/application.rs`.
+#[derive(Clone, Copy, clap::ValueEnum)]
+pub enum Example {
+    /// Digital and analogue I/O, `src/io.rs`
+    Io,
+}
+
+/// Builds the firmware for `part`, with its own application or an example.
+///
+/// # Errors
+/// It does not build.
+pub fn image(part: Part, example: Option<Example>) -> Result<Image, BuildError> {
+    match example {
+        None => image::build(part),
+        Some(Example::Io) => image::build_example(part, "io"),
+    }
 }
 
 /// The board with this number, with erased settings, switched on at time zero. Each number gives a different unique id.

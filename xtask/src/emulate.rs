@@ -61,17 +61,10 @@ pub struct Arguments {
     bit_rate: Option<BitRate>,
     /// Run an example of an application: io, which takes commands from the standard input
     #[arg(long)]
-    example: Option<Example>,
+    example: Option<boards::Example>,
     /// The chip on the boards
     #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
     chip: Part,
-}
-
-/// An application that the firmware has in place of `src/application.rs`.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Example {
-    /// Digital and analogue I/O, `src/io.rs`
-    Io,
 }
 
 /// The node-ID of the first board; `None`: the boards are stored as unconfigured.
@@ -130,10 +123,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let presets = (0..usize::from(arguments.boards))
         .map(|number| arguments.preset(number))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let image = match arguments.example {
-        None => testkit::image::build(arguments.chip)?,
-        Some(Example::Io) => testkit::image::build_example(arguments.chip, "io")?,
-    };
+    let image = boards::image(arguments.chip, arguments.example)?;
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);

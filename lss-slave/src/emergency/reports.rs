@@ -9,6 +9,8 @@ use crate::{Frame, NodeId};
 #[derive(Clone, Debug)]
 pub(crate) struct Reports<L> {
     reports: L,
+    /// All places are free. It saves the search at each poll, and becomes true with an acknowledge.
+    is_empty: bool,
 }
 
 /// The places for the errors of an application: eight, or none.
@@ -67,23 +69,29 @@ impl Report {
 
 impl<L: Places> Reports<L> {
     pub const fn new() -> Self {
-        Self { reports: L::FREE }
+        Self { reports: L::FREE, is_empty: true }
     }
 
     /// The error register 1001h for the errors that are present.
     pub fn error_register(&self) -> u8 {
+        if self.is_empty {
+            return 0;
+        }
         let present = self.reports.all().iter().filter(|report| report.is_present);
         present.fold(0, |register, report| register | report.register)
     }
 
-    /// All places, to be changed.
-    pub fn all_mut(&mut self) -> &mut [Report] {
-        self.reports.all_mut()
+    /// The errors, to be reported and ended.
+    pub fn errors<'a>(&'a mut self, emergency: &'a mut Emergency) -> Errors<'a> {
+        Errors { emergency, reports: self.reports.all_mut(), is_empty: &mut self.is_empty }
     }
 
     /// Records that a frame of the node was acknowledged.
     pub fn note_acknowledge(&mut self) {
-        self.replace(Message::InFlight, Message::Sent);
+        if !self.is_empty {
+            self.replace(Message::InFlight, Message::Sent);
+            self.is_empty = self.reports.all().iter().all(Report::is_free);
+        }
     }
 
     /// Records that the pending frames were dropped: messages that were not acknowledged are sent again.
@@ -101,6 +109,9 @@ impl<L: Places> Reports<L> {
 
     /// The next message, if there is one to send; `others` is the error register for the other errors.
     pub fn next(&mut self, node: NodeId, others: u8) -> Option<Frame> {
+        if self.is_empty {
+            return None;
+        }
         let present = self.error_register();
         let report =
             self.reports.all_mut().iter_mut().find(|report| report.message == Message::Unsent)?;
@@ -115,8 +126,9 @@ impl<L: Places> Reports<L> {
 
 /// The emergency messages of a node, to report errors with codes of their own.
 pub(crate) struct Errors<'a> {
-    pub emergency: &'a mut Emergency,
-    pub reports: &'a mut [Report],
+    emergency: &'a mut Emergency,
+    reports: &'a mut [Report],
+    is_empty: &'a mut bool,
 }
 
 impl Errors<'_> {
@@ -131,6 +143,7 @@ impl Errors<'_> {
         };
         let is_waiting = place.as_ref().is_some_and(|place| place.message == Message::Unsent);
         if let Some(place) = place {
+            *self.is_empty = false;
             let register = register | GENERIC;
             *place =
                 Report { code, register, information, is_present: true, message: Message::Unsent };
@@ -138,6 +151,11 @@ impl Errors<'_> {
         if !is_waiting {
             self.emergency.enter(u32::from(code) | u32::from(i0) << 16 | u32::from(i1) << 24);
         }
+    }
+
+    /// Whether no error is present.
+    pub const fn is_empty(&self) -> bool {
+        *self.is_empty
     }
 
     /// Ends an error; does nothing if it is not present.

@@ -71,7 +71,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     fn errors(&mut self) -> Errors<'_> {
-        Errors { emergency: &mut self.emergency, reports: self.reports.all_mut() }
+        self.reports.errors(&mut self.emergency)
     }
 
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
@@ -81,7 +81,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let Some(node) = self.node_id() else {
             return;
         };
-        let mut errors = Errors { emergency: &mut self.emergency, reports: self.reports.all_mut() };
+        let mut errors = self.reports.errors(&mut self.emergency);
         self.process_data.handle_frame(frame, node, &mut self.application, &mut errors, now);
         self.due = Due::Now;
     }
@@ -106,7 +106,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
     pub(super) fn watch_producers(&mut self, now: Instant) {
         let mut is_any_lost = false;
-        let mut errors = Errors { emergency: &mut self.emergency, reports: self.reports.all_mut() };
+        let mut errors = self.reports.errors(&mut self.emergency);
         while let Some(producer) = self.process_data.next_lost(&mut errors, now) {
             self.nmt.handle_communication_error();
             self.application.handle(Event::HeartbeatLost(producer));
