@@ -1,9 +1,11 @@
 """Emulated boards, started and stopped, and a python-canopen network on their bus."""
 
+import queue
 import re
 import signal
 import subprocess
 import threading
+import time
 from pathlib import Path
 
 import canopen
@@ -21,6 +23,7 @@ class Boards:
         self.process = subprocess.Popen(
             [*command, "--listen", "127.0.0.1:0", *map(str, arguments)],
             cwd=WORKSPACE,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
         )
@@ -35,6 +38,13 @@ class Boards:
         self.address = ready[1]
         serial_numbers = re.findall(r"serial number (\w{8})", self.description)
         self.serial_numbers = [int(number, 16) for number in serial_numbers]
+        self.lines = queue.Queue()
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.lines.put(line.rstrip())
 
     def __enter__(self):
         return self
@@ -45,7 +55,27 @@ class Boards:
             assert self.process.wait(timeout=60) == 0
         finally:
             self.process.kill()
+            self.reader.join()
+            self.process.stdin.close()
             self.process.stdout.close()
+
+    def command(self, line):
+        """Gives the example a command, such as `button down`."""
+        self.process.stdin.write(f"{line}\n")
+        self.process.stdin.flush()
+
+    def wait_for_line(self, expected, timeout):
+        """Waits until the example prints this line."""
+        deadline = time.monotonic() + timeout
+        others = []
+        while True:
+            try:
+                line = self.lines.get(timeout=max(0, deadline - time.monotonic()))
+            except queue.Empty:
+                raise AssertionError(f"cargo emulate printed {others}, not {expected!r}") from None
+            if line == expected:
+                return
+            others.append(line)
 
     @property
     def channel(self):

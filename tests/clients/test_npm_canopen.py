@@ -1,27 +1,49 @@
-"""Tests the release firmware with the npm package canopen: node/session.js."""
+"""Tests the release firmware with the npm package canopen: node/session.js, node/example.js."""
 
 import os
 import shutil
 import subprocess
+import threading
 from pathlib import Path
 
 import pytest
 
 from boards import WORKSPACE, Boards
 
-SESSION = Path(__file__).parent / "node" / "session.js"
+SESSIONS = Path(__file__).parent / "node"
 MODULES = WORKSPACE / "target" / "clients-node" / "node_modules"
 
 
-@pytest.mark.skipif(shutil.which("npm") is None, reason="npm is missing")
+ENVIRONMENT = {**os.environ, "NODE_PATH": str(MODULES)}
+
+pytestmark = pytest.mark.skipif(shutil.which("npm") is None, reason="npm is missing")
+
+
 def test_npm_canopen_commissions_and_uses_a_blank_board():
     with Boards() as boards:
         port = boards.address.rpartition(":")[2]
         serial_number = f"{boards.serial_numbers[0]:08X}"
         eds = WORKSPACE / "eds" / "lss-slave.eds"
         subprocess.run(
-            ["node", SESSION, port, serial_number, eds],
-            env={**os.environ, "NODE_PATH": str(MODULES)},
+            ["node", SESSIONS / "session.js", port, serial_number, eds],
+            env=ENVIRONMENT,
             check=True,
             timeout=180,
         )
+
+
+def test_npm_canopen_exchanges_pdos_with_the_example():
+    with Boards("--example", "io", "--chip", "stm32f407", "--node-id", 5) as boards:
+        port = boards.address.rpartition(":")[2]
+        eds = WORKSPACE / "eds" / "io.eds"
+        command = ["node", SESSIONS / "example.js", port, "5", eds]
+        with subprocess.Popen(
+            command, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True
+        ) as session:
+            too_late = threading.Timer(180, session.kill)
+            too_late.start()
+            for event in session.stdout:
+                boards.command(event.strip())
+            too_late.cancel()
+        assert session.returncode == 0
+        boards.wait_for_line("board 0: LED 1 on, LED 2 on", 20)

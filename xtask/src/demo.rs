@@ -1,6 +1,8 @@
 //! `cargo demo`: an independent LSS master configures emulated boards with the release firmware.
 
 mod diagram;
+#[cfg(test)]
+mod example;
 mod screen;
 mod tokio_bus;
 

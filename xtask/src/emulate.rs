@@ -59,9 +59,12 @@ pub struct Arguments {
     /// Bit rate in kbit/s of a board without stored settings; 125 if only --node-id is given
     #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
     bit_rate: Option<BitRate>,
-    /// Run an example of an application: io, which takes commands from the standard input
+    /// Run an example of an application; implies --console
     #[arg(long)]
     example: Option<boards::Example>,
+    /// Take commands from the standard input: press the button, set the temperature
+    #[arg(long)]
+    console: bool,
     /// The chip on the boards
     #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
     chip: Part,
@@ -140,7 +143,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
     client::accept(listener, sender);
     println!("ready: SLCAN on {address}; {}", describe(&network));
-    if arguments.example.is_some() {
+    if arguments.console || arguments.example.is_some() {
         println!("commands:\n{}", console::HELP);
         console::read(console_sender);
     }

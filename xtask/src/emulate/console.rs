@@ -1,4 +1,4 @@
-//! The console of `cargo emulate --example io`: presses the button, sets the temperature, and shows the LEDs.
+//! The console of `cargo emulate`: presses the button, sets the temperature, and shows the LEDs.
 
 use std::{io, thread};
 
@@ -15,7 +15,7 @@ use super::client::Input;
 pub const HELP: &str = "button down|up [BOARD]        press or release the button\n\
      temperature CELSIUS [BOARD]   set the temperature of the chip";
 
-/// The pins of the example on the board with this chip, as `src/pins.rs` of the firmware assigns them.
+/// The pins on the board with this chip, as `src/pins.rs` of the firmware assigns them for the example.
 struct Wiring {
     button: Pin,
     is_button_active_low: bool,

@@ -1,0 +1,72 @@
+//! A session of zencan-client with the example `io`: SDO, block download, and PDOs.
+
+use std::time::Duration;
+
+use emulator::{
+    can::{Frame, Id},
+    chip::Part,
+};
+use lss_slave::{BitRateSetting, Settings};
+use testkit::image_rig::{DEFAULT_BIT_RATE, SETTINGS_OFFSET, flash_with};
+use zencan_client::{
+    RawAbortCode, SdoClient, SdoClientError,
+    common::{CanId, pdo::PdoMapping, sdo::AbortCode},
+};
+
+use super::{START, tokio_bus::TokioBus};
+use crate::boards;
+
+const NODE_ID: u8 = 5;
+const STORED: Settings = Settings::new(BitRateSetting::Fixed(DEFAULT_BIT_RATE))
+    .with_node_id(lss_slave::NodeId::new(NODE_ID));
+const LEDS: PdoMapping = PdoMapping { index: 0x6200, sub: 1, size: 8 };
+const TEMPERATURE: PdoMapping = PdoMapping { index: 0x6401, sub: 1, size: 16 };
+
+#[test]
+fn zencan_client_uses_objects_and_pdos_of_the_example() {
+    let image = testkit::image::build_example(Part::Stm32f407, "io").expect("it builds");
+    let mut board = boards::board(Part::Stm32f407, &image, 0);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[STORED]));
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
+    runtime.expect("a runtime").block_on(async {
+        let bus = TokioBus::new([board], DEFAULT_BIT_RATE);
+        bus.pass(START).await;
+        session(&bus).await.expect("all requests are answered");
+    });
+}
+
+async fn session(bus: &TokioBus) -> Result<(), SdoClientError> {
+    let mut client = SdoClient::new_std(NODE_ID, bus.clone(), bus.clone());
+    assert_eq!(client.read_visible_string(0x1008, 0).await?, "LSS slave");
+    client.write_u8(0x2100, 0, 8).await?;
+    assert_eq!(client.read_u8(0x2100, 0).await?, 8);
+    let Err(SdoClientError::ServerAbort { abort_code, .. }) = client.write_u8(0x2100, 0, 9).await
+    else {
+        panic!("9 is above the limit");
+    };
+    assert_eq!(abort_code, RawAbortCode::Valid(AbortCode::ValueTooHigh));
+    client.block_download(0x6426, 1, &7_u32.to_le_bytes()).await?;
+    assert_eq!(client.read_u32(0x6426, 1).await?, 7);
+
+    let leds = client.read_rpdo_config(0).await?;
+    assert_eq!((leds.comm.cob_id, leds.mappings), (CanId::std(0x205), vec![LEDS]));
+    let mut inputs = client.read_tpdo_config(0).await?;
+    inputs.comm.transmission_type = 1;
+    inputs.mappings.push(TEMPERATURE);
+    client.configure_tpdo(0, &inputs).await?;
+    assert_eq!(client.read_tpdo_config(0).await?, inputs);
+
+    let frame = |id, data: &[u8]| Frame::data(Id::Standard(id), data);
+    bus.send(frame(0x000, &[1, NODE_ID])).await;
+    bus.send(frame(0x205, &[3])).await;
+    bus.pass(Duration::from_millis(20)).await;
+    assert_eq!(client.read_u8(0x6200, 1).await?, 3);
+    let temperature = client.read_i16(0x6401, 1).await?;
+    while bus.receive(Duration::ZERO).await.is_some() {}
+    bus.send(frame(0x080, &[])).await;
+    let [low, high] = temperature.to_le_bytes();
+    let answer = bus.receive(Duration::from_millis(10)).await;
+    assert_eq!(answer, Some(frame(0x185, &[0, low, high])));
+    Ok(())
+}
