@@ -1,5 +1,5 @@
-//! The node, which joins LSS, bit rate control, NMT, SDO, emergency, storing and process data. Inputs are `handle_*` and `poll`;
-//! outputs are actions.
+//! The node, which joins LSS, bit rate control, NMT, SDO, emergency, storing and process data. Inputs are `handle_*`
+//! and `poll`; outputs are actions.
 
 mod bit_rate_control;
 mod nmt_slave;
@@ -77,8 +77,8 @@ pub enum Action {
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives the node's COB-IDs. A
 /// late or unnecessary call does no harm.
 ///
-/// The application `A` is that of a product. `TPDOS` and `RPDOS` are its numbers of PDOs, each 0 to 4; `PRODUCERS` is the
-/// number of nodes whose heartbeat can be watched, 0 to 16.
+/// The application `A` is that of a product. `TPDOS` and `RPDOS` are its numbers of PDOs, each 0 to 4; `PRODUCERS` is
+/// the number of nodes whose heartbeat can be watched, 0 to 16.
 #[derive(Clone, Debug)]
 pub struct Node<
     A: Application = NoApplication,
@@ -122,6 +122,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 {
     /// Whether the node may send PDOs.
     pub const HAS_TPDOS: bool = TPDOS > 0;
+    /// The greatest number of bytes that the stored parameters take.
+    pub const PARAMETERS: usize =
+        <A as Parameters>::LEN + ProcessData::<TPDOS, RPDOS, PRODUCERS>::PARAMETERS;
 
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
@@ -258,7 +261,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
     /// [`BusEvent::BusOffRecovered`] is counted.
-    #[inline(never)]
+    #[inline(never)] // It has several callers.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         self.due = Due::Now;
         match event {
@@ -293,13 +296,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.bit_rate.handle_bus(event, now);
     }
 
-    /// The greatest number of bytes that the stored parameters take.
-    pub const PARAMETERS: usize =
-        <A as Parameters>::LEN + ProcessData::<TPDOS, RPDOS, PRODUCERS>::PARAMETERS;
-
     /// Takes a stored parameter in place of the default, if the node has it with this data type and the value is within
-    /// its limits; returns whether it has. [`Application::accept`] is not called. Pass all parameters before the first
-    /// [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
+    /// its limits; returns whether it was taken. [`Application::accept`] is not called. Pass all parameters before the
+    /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
         match Part::of(parameter.index) {
             Part::Communication => self.process_data.restore::<A>(parameter),

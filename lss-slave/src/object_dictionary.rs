@@ -185,8 +185,9 @@ pub struct Entry {
     pub object: Object,
 }
 
-/// Declares a table of the node's objects, and a function that describes them. A row has a sub-index, a name, for sub-index 0 the name `of` an object with further
-/// sub-indices, a data type, an access, the [`Object`], and optionally its default and its limits.
+/// Declares a table of the node's objects, and a function that describes them. A row has a sub-index, a name, for
+/// sub-index 0 the name `of` an object with further sub-indices, a data type, an access, the [`Object`], and optionally
+/// its default and its limits.
 macro_rules! table {
     ($(#[$doc:meta])* $table:ident, $descriptions:ident($device:ident) $($index:literal {
         $(
@@ -207,7 +208,8 @@ macro_rules! table {
             },
         )+)*];
 
-        #[doc = concat!("The descriptions of the rows of [`", stringify!($table), "`], in the same order. The image does not contain them.")]
+        #[doc = concat!("The descriptions of the rows of [`", stringify!($table), "`], in the same order.")]
+        /// The image does not contain them.
         pub fn $descriptions($device: &Device) -> impl Iterator<Item = Description> + use<> {
             [$($(
                 Description {

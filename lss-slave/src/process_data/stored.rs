@@ -46,8 +46,8 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         self.persistent.unwrap_or_else(|| Self::new::<A>().configuration())
     }
 
-    /// Takes a stored parameter in place of the declared one, if it is one of its own and legal; a PDO with a value that
-    /// cannot be mapped stays as it is declared. Returns whether it has.
+    /// Takes a stored parameter in place of the declared one, if it belongs to process data and is legal. A PDO with a
+    /// value that cannot be mapped stays as it is declared. Returns whether the parameter was taken.
     pub fn restore<A: Application>(&mut self, parameter: &Parameter<'_>) -> bool {
         if !Self::IS_USED {
             return false;

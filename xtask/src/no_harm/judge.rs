@@ -13,8 +13,8 @@ use testkit::image_rig::bit_per_s;
 /// The allowed delay against the plain slave, unless [`LATE_FRAMES`] take longer.
 const LATE: Time = Time::from_ms(100);
 const LATE_FRAMES: u64 = 25;
-/// The same on a contested bus, where a board at another rate disturbs. It does so until it is error passive, which comes
-/// sooner the more the others send, or until it has had errors for a second and looks elsewhere.
+/// The same on a contested bus, where a board at another rate disturbs. It does so until it is error passive, which
+/// comes sooner the more the others send, or until it has had errors for a second and looks elsewhere.
 const LATE_IF_CONTESTED: Time = Time::from_ms(1_250);
 /// The time for which a foreign device may keep a board away after it has left. A master that only listens sends
 /// nothing: the board's next heartbeat, up to a second later, must first go without an acknowledge for a second.
