@@ -279,7 +279,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             BusEvent::Acknowledged => {
                 self.nmt.note_acknowledge();
                 self.emergency.note_acknowledge();
-                if Self::HAS_REPORTS {
+                if Self::HAS_APPLICATION {
                     self.reports.note_acknowledge();
                 }
             }
@@ -480,7 +480,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn take_step(&mut self, step: Step) -> Action {
         self.end_sdo_transfer();
         self.emergency.note_dropped();
-        if Self::HAS_REPORTS {
+        if Self::HAS_APPLICATION {
             self.reports.note_dropped();
         }
         self.nmt.note_dropped();
@@ -572,7 +572,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         use storing::Next::*;
         loop {
             let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
-            match self.storing.poll(node_id, bit_rate, !A::OBJECTS.is_empty())? {
+            match self.storing.poll(node_id, bit_rate, Self::HAS_APPLICATION)? {
                 Store(settings) => {
                     match Part::Communication.change(self.storing.download()) {
                         Change::Keep => {}

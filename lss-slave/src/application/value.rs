@@ -107,38 +107,30 @@ impl Value for &'static str {
     }
 }
 
-impl<const N: usize> Value for Text<N> {
-    const DATA_TYPE: DataType = DataType::VisibleString;
-    const CAPACITY: usize = N;
+macro_rules! strings {
+    ($($string:ident => $data_type:ident,)*) => {$(
+        impl<const N: usize> Value for $string<N> {
+            const DATA_TYPE: DataType = DataType::$data_type;
+            const CAPACITY: usize = N;
 
-    fn len(&self) -> usize {
-        self.as_bytes().len()
-    }
+            fn len(&self) -> usize {
+                self.as_bytes().len()
+            }
 
-    fn read(&self, offset: usize, to: &mut [u8]) -> usize {
-        copy(self.as_bytes(), offset, to)
-    }
+            fn read(&self, offset: usize, to: &mut [u8]) -> usize {
+                copy(self.as_bytes(), offset, to)
+            }
 
-    fn parse(bytes: &[u8]) -> Result<Self, Abort> {
-        Self::from_bytes(bytes).ok_or(Abort::TooLong)
-    }
+            fn parse(bytes: &[u8]) -> Result<Self, Abort> {
+                Self::from_bytes(bytes).ok_or(Abort::TooLong)
+            }
+        }
+    )*};
 }
 
-impl<const N: usize> Value for OctetString<N> {
-    const DATA_TYPE: DataType = DataType::OctetString;
-    const CAPACITY: usize = N;
-
-    fn len(&self) -> usize {
-        self.as_bytes().len()
-    }
-
-    fn read(&self, offset: usize, to: &mut [u8]) -> usize {
-        copy(self.as_bytes(), offset, to)
-    }
-
-    fn parse(bytes: &[u8]) -> Result<Self, Abort> {
-        Self::from_bytes(bytes).ok_or(Abort::TooLong)
-    }
+strings! {
+    Text => VisibleString,
+    OctetString => OctetString,
 }
 
 /// A DOMAIN: data of any length that the application keeps elsewhere, and reads and writes in parts.

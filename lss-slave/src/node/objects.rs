@@ -61,10 +61,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::HardwareVersion => return Ok(Value::Text(self.device.hardware_version)),
             Object::SoftwareVersion => return Ok(Value::Text(self.device.software_version)),
             Object::DeviceType => A::DEVICE_TYPE,
-            Object::ErrorRegister => {
-                let others = self.reported;
-                (self.emergency.error_register() | others).into()
-            }
+            Object::ErrorRegister => (self.emergency.error_register() | self.reported).into(),
             Object::NumberOfErrors => self.emergency.number_of_errors().into(),
             // CiA 301 names this code for object 1003h, and CANopenNode sends it, although the sub-index exists.
             Object::ErrorField(sub_index) => {

@@ -16,10 +16,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 {
     /// Whether the node has PDOs or a heartbeat consumer.
     pub const HAS_PROCESS_DATA: bool = ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED;
-    /// Whether there is someone to inform of the node's states.
-    const HAS_APPLICATION: bool = Self::HAS_PROCESS_DATA || !A::OBJECTS.is_empty();
-    /// Whether there may be errors with codes of their own.
-    pub(super) const HAS_REPORTS: bool = Self::HAS_APPLICATION;
+    /// Whether there is an application, which may have process data and report errors.
+    pub(super) const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
 
     /// Reports an error of the application by an emergency message (CiA 301, 7.2.7): its error code, bits of the error
     /// register 1001h (bit 0 is added) and the manufacturer's bytes. The error stays in the error register until
@@ -28,7 +26,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Up to eight errors may be present at a time; a further one only enters the history. The error code 0 has no
     /// effect.
     pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
-        if code != 0 && Self::HAS_REPORTS {
+        if code != 0 && Self::HAS_APPLICATION {
             self.errors().report(code, register, information);
             self.due = Due::Now;
         }
@@ -37,7 +35,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Ends an error of the application; does nothing if it is not present. A message with error code 0 follows when no
     /// error is left.
     pub fn end_report(&mut self, code: u16) {
-        if Self::HAS_REPORTS {
+        if Self::HAS_APPLICATION {
             self.errors().end(code);
             self.due = Due::Now;
         }
@@ -48,9 +46,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub fn entries(
         device: &Device,
     ) -> impl Iterator<Item = (Entry, Description)> + use<A, TPDOS, RPDOS, PRODUCERS> {
-        let has_application = !A::OBJECTS.is_empty();
-        let is_replaced = move |(entry, _): &(Entry, Description)| {
-            has_application && matches!(entry.index, 0x1010 | 0x1011)
+        let is_replaced = |(entry, _): &(Entry, Description)| {
+            Self::HAS_APPLICATION && PARAMETERS.iter().any(|other| other.index == entry.index)
         };
         let own = TABLE.iter().copied().zip(object_dictionary::descriptions(device));
         let parameters =
@@ -65,7 +62,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 }
                 _ => (entry, description),
             })
-            .chain(parameters.chain(sdo_server).filter(move |_| has_application))
+            .chain(parameters.chain(sdo_server).filter(|_| Self::HAS_APPLICATION))
             .chain(ProcessData::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
             .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
     }
@@ -119,7 +116,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     pub(super) fn next_emergency(&mut self, node: NodeId) -> Option<Frame> {
-        if !Self::HAS_REPORTS {
+        if !Self::HAS_APPLICATION {
             return self.emergency.next(node, 0);
         }
         if self.emergency.must_wait() {
