@@ -8,6 +8,8 @@ pub mod frames;
 pub mod image;
 #[cfg(feature = "image")]
 pub mod image_rig;
+#[cfg(feature = "image")]
+pub mod io_board;
 pub mod node_rig;
 pub mod random;
 pub mod sdo;

@@ -17,6 +17,7 @@ use testkit::{
     frames::{self, Frames, SILENCE},
     image as images,
     image_rig::{CORE_MHZ, ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
+    io_board,
     random::Random,
     sdo, stack,
 };
@@ -74,16 +75,16 @@ fn of(cob_id: u16, frames: &Frames) -> Frames {
     Frames(frames.0.iter().filter(|frame| frame.cob_id() == cob_id).copied().collect())
 }
 
-fn press(rig: &mut ImageRig, is_pressed: bool) {
-    rig.network.board(0).chip().gpio_mut().set_input(Pin('A', 0), Some(is_pressed));
+fn press(rig: &ImageRig, is_pressed: bool) {
+    io_board::press(rig.network.board(0), is_pressed);
 }
 
 fn leds(rig: &ImageRig) -> [bool; 2] {
-    [Pin('D', 13), Pin('D', 15)].map(|pin| rig.network.board(0).output(pin).level == Some(true))
+    io_board::leds(rig.network.board(0))
 }
 
-fn set_temperature(rig: &mut ImageRig, celsius: i32) {
-    rig.network.board(0).chip().adc_mut().analogue.temperature = celsius;
+fn set_temperature(rig: &ImageRig, celsius: i32) {
+    io_board::set_temperature(rig.network.board(0), celsius);
 }
 
 fn data(cob_id: u16, data: &[u8]) -> Frame {
@@ -124,7 +125,7 @@ const ECHO: [&str; 5] = [
 fn the_button_is_sent_and_the_leds_are_received() {
     let mut rig = operational();
     for (is_pressed, pdo) in [(true, "181: 01"), (false, "181: 00")] {
-        press(&mut rig, is_pressed);
+        press(&rig, is_pressed);
         assert_eq!(of(0x181, &rig.collect(SOON)), [pdo]);
         assert_eq!(of(0x181, &rig.collect(Time::from_ms(100))), SILENCE);
     }
@@ -136,7 +137,7 @@ fn the_button_is_sent_and_the_leds_are_received() {
         assert_eq!(leds(&rig), expected);
     }
     rig.nmt("80 01");
-    press(&mut rig, true);
+    press(&rig, true);
     rig.transmit(data(0x201, &[3]));
     assert_eq!(rig.collect(Time::from_ms(100)), SILENCE);
     assert_eq!(leds(&rig), [false; 2]);
@@ -155,16 +156,16 @@ fn the_temperature_is_sent_with_its_delta_and_its_event_timer() {
     // No filter; a delta of 10 degrees.
     write(&mut rig, &["2F 00 21 00 00", "23 26 64 01 64 00 00 00"]);
     rig.nmt("01 01");
-    set_temperature(&mut rig, 40);
+    set_temperature(&rig, 40);
     let [at_40] = temperatures(&rig.collect(SOON))[..] else { panic!("one TPDO") };
     assert!((395..=405).contains(&at_40), "{at_40}");
     let sent_at = rig.network.now();
-    set_temperature(&mut rig, 45);
+    set_temperature(&rig, 45);
     assert!(temperatures(&rig.collect(Time::from_ms(900))).is_empty());
     let (sent_again, _) = rig.next_frame();
     let span = sent_again.saturating_sub(sent_at);
     assert!(Time::from_ms(980) < span && span < Time::from_ms(1_002), "{span}");
-    set_temperature(&mut rig, 55);
+    set_temperature(&rig, 55);
     let [at_55] = temperatures(&rig.collect(SOON))[..] else { panic!("one TPDO") };
     assert!((540..=560).contains(&at_55), "{at_55}");
 }
@@ -174,7 +175,7 @@ fn a_larger_filter_constant_slows_the_temperature() {
     let times = ["2F 00 21 00 00", "2F 00 21 00 06"].map(|request| {
         let mut rig = operational();
         write(&mut rig, &[request]);
-        set_temperature(&mut rig, 45);
+        set_temperature(&rig, 45);
         let from = rig.network.now();
         while read(&mut rig, "40 01 64 01") < 400 {
             assert!(rig.network.now() < from + Time::from_s(10));
@@ -222,7 +223,7 @@ fn the_pdos_follow_a_node_id_that_lss_sets() {
     }
     assert!(rig.nmt("82 01").0.iter().any(|frame| frame.cob_id() == 0x705));
     rig.nmt("01 05");
-    press(&mut rig, true);
+    press(&rig, true);
     assert_eq!(of(0x185, &rig.collect(SOON)), ["185: 01"]);
     rig.transmit(data(0x201, &[1]));
     rig.network.run_for(SOON);
@@ -375,13 +376,13 @@ fn first_change(rig: &mut ImageRig, places: &[usize], value: u8, within: Time) -
 fn a_tpdo_follows_the_change_of_its_value_within_20_us() {
     let mut rig = operational();
     let places = find(&mut rig, &[1, 0, 1, 0, 1, 0], |rig, value| press(rig, value == 1));
-    press(&mut rig, true);
+    press(&rig, true);
     let from = rig.network.now();
     rig.network.run_for(SOON);
     let (mut sampled, _) = requested(&rig, 0x181, from);
     let mut spans = Vec::new();
     for value in [0, 1].into_iter().cycle().take(20) {
-        press(&mut rig, value == 1);
+        press(&rig, value == 1);
         while sampled <= rig.network.now() + Time::from_us(100) {
             sampled += SAMPLE;
         }
@@ -596,8 +597,8 @@ fn a_minute_of_process_data_needs_no_reset_and_little_stack() {
             rig.network.send(rig.master, data(0x201, &[outputs]));
             if step % 5 == 0 {
                 is_pressed = !is_pressed;
-                press(&mut rig, is_pressed);
-                set_temperature(&mut rig, random.within(0..80) as i32);
+                press(&rig, is_pressed);
+                set_temperature(&rig, random.within(0..80) as i32);
                 rig.network.send(rig.master, on_the_wire(&sdo::request(1, "40 08 10 00")));
                 rig.network.send(rig.master, on_the_wire(&sdo::request(1, "60")));
             }
@@ -622,16 +623,16 @@ fn the_example_works_on_an_stm32f446() {
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
     assert_eq!(rig.collect(Time::from_ms(50)), ["701: 00"]);
     // The button connects its pin to ground.
-    let press = |rig: &mut ImageRig, is_pressed: bool| {
+    let press = |rig: &ImageRig, is_pressed: bool| {
         rig.network.board(0).chip().gpio_mut().set_input(Pin('C', 13), Some(!is_pressed));
     };
-    press(&mut rig, true);
+    press(&rig, true);
     rig.network.run_for(SOON);
     let sent = rig.nmt("01 01");
     assert_eq!(of(0x181, &sent), ["181: 01"]);
     let [temperature] = temperatures(&sent)[..] else { panic!("one TPDO 2") };
     assert!((245..=255).contains(&temperature), "{temperature}");
-    press(&mut rig, false);
+    press(&rig, false);
     assert_eq!(of(0x181, &rig.collect(SOON)), ["181: 00"]);
     rig.transmit(data(0x201, &[1]));
     rig.network.run_for(SOON);

@@ -3,39 +3,14 @@
 use std::{io, thread};
 
 use anyhow::{Context, bail};
-use emulator::{
-    board::Board,
-    chip::{Part, Pin},
-    network::Network,
-};
+use emulator::{board::Board, network::Network};
+use testkit::io_board;
 
 use super::client::Input;
 
 /// The commands, for a person.
 pub const HELP: &str = "button down|up [BOARD]        press or release the button\n\
      temperature CELSIUS [BOARD]   set the temperature of the chip";
-
-/// The pins on the board with this chip, as `src/pins.rs` of the firmware assigns them for the example.
-struct Wiring {
-    button: Pin,
-    is_button_active_low: bool,
-    leds: [Pin; 2],
-}
-
-const fn wiring(part: Part) -> Wiring {
-    match part {
-        Part::Stm32f446 => Wiring {
-            button: Pin('C', 13),
-            is_button_active_low: true,
-            leds: [Pin('A', 5), Pin('D', 15)],
-        },
-        _ => Wiring {
-            button: Pin('A', 0),
-            is_button_active_low: false,
-            leds: [Pin('D', 13), Pin('D', 15)],
-        },
-    }
-}
 
 /// Passes the lines of the standard input on, in the background.
 pub fn read(inputs: std::sync::mpsc::SyncSender<Input>) {
@@ -57,13 +32,13 @@ pub fn execute(line: &str, network: &mut Network) -> anyhow::Result<()> {
     match words[..] {
         [] => Ok(()),
         ["button", position @ ("down" | "up"), ref number @ ..] => {
-            press(board(network, number)?, position == "down");
+            io_board::press(board(network, number)?, position == "down");
             Ok(())
         }
         ["temperature", celsius, ref number @ ..] => {
             let celsius = celsius.parse().ok().filter(|celsius| (-40..=125).contains(celsius));
             let celsius = celsius.context("CELSIUS is a whole number from -40 to 125")?;
-            board(network, number)?.chip().adc_mut().analogue.temperature = celsius;
+            io_board::set_temperature(board(network, number)?, celsius);
             Ok(())
         }
         _ => bail!("the commands are:\n{HELP}"),
@@ -83,12 +58,6 @@ fn board<'a>(network: &'a mut Network, number: &[&str]) -> anyhow::Result<&'a mu
     Ok(network.board_mut(number))
 }
 
-fn press(board: &mut Board, is_pressed: bool) {
-    let mut chip = board.chip();
-    let Wiring { button, is_button_active_low, .. } = wiring(chip.part());
-    chip.gpio_mut().set_input(button, Some(is_pressed != is_button_active_low));
-}
-
 /// The LEDs of the boards, as last shown.
 #[derive(Default)]
 pub struct Leds(Vec<[bool; 2]>);
@@ -98,9 +67,7 @@ impl Leds {
     pub fn show(&mut self, network: &Network) {
         self.0.resize(network.boards().len(), [false; 2]);
         for (number, shown) in self.0.iter_mut().enumerate() {
-            let chip = network.board(number).chip();
-            let lit =
-                wiring(chip.part()).leds.map(|pin| chip.gpio().output(pin).level == Some(true));
+            let lit = io_board::leds(network.board(number));
             if *shown != lit {
                 let [first, second] = lit.map(|is_lit| if is_lit { "on" } else { "off" });
                 println!("board {number}: LED 1 {first}, LED 2 {second}");
@@ -112,6 +79,7 @@ impl Leds {
 
 #[cfg(test)]
 mod tests {
+    use emulator::chip::{Part, Pin};
     use testkit::image;
 
     use super::*;

@@ -1,5 +1,8 @@
 //! The chip's registers as seen by a program, without a CPU.
 
+mod adc;
+mod timer;
+
 use emulator::{
     Time,
     can::Clock,
@@ -33,6 +36,10 @@ fn read(chip: &mut Chip, address: u32, now: Time) -> u32 {
 
 fn write(chip: &mut Chip, address: u32, value: u32, now: Time) {
     chip.write(access(address, Width::Word, now), value).expect("no bus error");
+}
+
+fn problems(chip: &Chip) -> Vec<Problem> {
+    chip.findings().iter().map(|finding| finding.problem).collect()
 }
 
 /// HSE, PLL 8 MHz / 4 * 128 / 2 = 128 MHz, APB1 32 MHz, APB2 64 MHz, four wait states.

@@ -3,8 +3,10 @@
 use emulator::{
     Time,
     can::Clock,
-    chip::{Access, Chip, Part, Problem, Width},
+    chip::{Chip, Part, Problem, Width},
 };
+
+use super::{access, problems, read, write};
 
 const RCC_APB2ENR: u32 = 0x4002_3844;
 const SR: u32 = 0x4001_2000;
@@ -21,28 +23,16 @@ const SWSTART: u32 = 1 << 30;
 const TSVREFE: u32 = 1 << 23;
 const EOC: u32 = 1 << 1;
 
-fn access(address: u32, width: Width, now: Time) -> Access {
-    Access { address, width, now, pc: 0x0800_1234 }
-}
-
-fn read(chip: &mut Chip, address: u32, now: Time) -> u32 {
-    chip.read(access(address, Width::Word, now)).expect("no bus error")
-}
-
-fn write(chip: &mut Chip, address: u32, value: u32) {
-    chip.write(access(address, Width::Word, Time::ZERO), value).expect("no bus error");
-}
-
 /// A chip at 16 MHz that has begun to convert `channel` at time zero, with 480 cycles of sampling from channel 10 on.
 fn converting(part: Part, channel: u32, set_up: impl Fn(&mut Chip)) -> Chip {
     let mut chip = Chip::new(part, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
     set_up(&mut chip);
-    write(&mut chip, RCC_APB2ENR, 1 << 8);
-    write(&mut chip, CCR, TSVREFE);
-    write(&mut chip, SMPR1, 0x07FF_FFFF);
-    write(&mut chip, SQR3, channel);
-    write(&mut chip, CR2, ADON);
-    write(&mut chip, CR2, ADON | SWSTART);
+    write(&mut chip, RCC_APB2ENR, 1 << 8, Time::ZERO);
+    write(&mut chip, CCR, TSVREFE, Time::ZERO);
+    write(&mut chip, SMPR1, 0x07FF_FFFF, Time::ZERO);
+    write(&mut chip, SQR3, channel, Time::ZERO);
+    write(&mut chip, CR2, ADON, Time::ZERO);
+    write(&mut chip, CR2, ADON | SWSTART, Time::ZERO);
     chip
 }
 
@@ -106,8 +96,7 @@ fn the_reference_shows_the_supply() {
 #[test]
 fn a_conversion_while_the_adc_is_off_is_found() {
     let mut chip = Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
-    write(&mut chip, RCC_APB2ENR, 1 << 8);
-    write(&mut chip, CR2, SWSTART);
-    let problems: Vec<_> = chip.findings().iter().map(|finding| finding.problem).collect();
-    assert_eq!(problems, [Problem::Misuse("a conversion is started while the ADC is off")]);
+    write(&mut chip, RCC_APB2ENR, 1 << 8, Time::ZERO);
+    write(&mut chip, CR2, SWSTART, Time::ZERO);
+    assert_eq!(problems(&chip), [Problem::Misuse("a conversion is started while the ADC is off")]);
 }

@@ -3,15 +3,12 @@
 use emulator::{
     Time,
     can::Clock,
-    chip::{Access, Chip, Part, Problem, Width},
+    chip::{Chip, Part, Problem},
 };
 
-const RCC_CR: u32 = 0x4002_3800;
-const RCC_PLLCFGR: u32 = 0x4002_3804;
-const RCC_CFGR: u32 = 0x4002_3808;
+use super::{FLASH_ACR, RCC_APB1ENR, RCC_CFGR, RCC_CR, RCC_PLLCFGR, problems, read, write};
+
 const RCC_APB1RSTR: u32 = 0x4002_3820;
-const RCC_APB1ENR: u32 = 0x4002_3840;
-const FLASH_ACR: u32 = 0x4002_3C00;
 const TIM2: u32 = 0x4000_0000;
 const TIM5: u32 = 0x4000_0C00;
 const CR1: u32 = 0x00;
@@ -27,18 +24,6 @@ const CCR4: u32 = 0x40;
 const TIM2_IRQ: u32 = 28;
 const TIM5_IRQ: u32 = 50;
 
-fn access(address: u32, now: Time) -> Access {
-    Access { address, width: Width::Word, now, pc: 0x0800_1234 }
-}
-
-fn read(chip: &mut Chip, address: u32, now: Time) -> u32 {
-    chip.read(access(address, now)).expect("no bus error")
-}
-
-fn write(chip: &mut Chip, address: u32, value: u32, now: Time) {
-    chip.write(access(address, now), value).expect("no bus error");
-}
-
 /// A chip at 16 MHz with `timer` counting microseconds from time zero on.
 fn counting(timer: u32) -> Chip {
     let mut chip = Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
@@ -47,10 +32,6 @@ fn counting(timer: u32) -> Chip {
         write(&mut chip, timer + register, value, Time::ZERO);
     }
     chip
-}
-
-fn problems(chip: &Chip) -> Vec<Problem> {
-    chip.findings().iter().map(|finding| finding.problem).collect()
 }
 
 #[test]
