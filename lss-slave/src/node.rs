@@ -14,7 +14,7 @@ use core::array;
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
-    emergency::{Emergency, ErrorCounters, Fault, Reports},
+    emergency::{Emergency, ErrorCounters, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
     object_dictionary::Entry,
@@ -90,8 +90,7 @@ pub struct Node<
     lss: Slave,
     bit_rate: BitRateControl,
     nmt: NmtSlave,
-    emergency: Emergency,
-    reports: Reports<A::Errors>,
+    emergency: Emergency<A::Errors>,
     sdo: A::SdoServer,
     storing: Storing,
     process_data: ProcessData<TPDOS, RPDOS, PRODUCERS>,
@@ -150,7 +149,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
-            reports: Reports::new(),
             sdo: A::SdoServer::NEW,
             storing: Storing::new(persistent),
             process_data: ProcessData::new::<A>(),
@@ -255,7 +253,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Records a fault of the board, such as [`Fault::SettingsLost`], in the history 1003h and queues an emergency
     /// message.
     pub fn handle_fault(&mut self, fault: Fault) {
-        self.emergency.report(fault);
+        self.emergency.faults.report(fault);
         self.due = Due::Now;
     }
 
@@ -267,21 +265,20 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         match event {
             BusEvent::ErrorCounters { transmit, receive } => {
                 let counters = ErrorCounters { transmit, receive };
-                self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
+                self.emergency.faults.handle_error_counters(counters, self.bit_rate.is_listening());
                 return;
             }
             BusEvent::NonePending => {
                 self.sdo.note_sent();
                 return;
             }
-            BusEvent::Overrun => return self.emergency.report(Fault::Overrun),
-            BusEvent::BusOffRecovered => return self.emergency.report(Fault::BusOffRecovered),
+            BusEvent::Overrun => return self.emergency.faults.report(Fault::Overrun),
+            BusEvent::BusOffRecovered => {
+                return self.emergency.faults.report(Fault::BusOffRecovered);
+            }
             BusEvent::Acknowledged => {
                 self.nmt.note_acknowledge();
                 self.emergency.note_acknowledge();
-                if Self::HAS_APPLICATION {
-                    self.reports.note_acknowledge();
-                }
             }
             BusEvent::BusOff => {
                 self.nmt.handle_communication_error();
@@ -333,7 +330,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if self.storing.handle_stored(outcome) {
             self.process_data.end_store(outcome.is_ok());
             if outcome.is_ok() {
-                self.emergency.end(Fault::SettingsLost);
+                self.emergency.faults.end(Fault::SettingsLost);
             }
             self.due = Due::Now;
         }
@@ -455,7 +452,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
         self.bit_rate.activate(setting, silent_until);
         let rate = self.bit_rate();
-        self.emergency.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
+        self.emergency.faults.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
     }
 
     /// Adopts a bit rate that the supervision has found, or the home rate after a return. This also precedes a switch:
@@ -470,9 +467,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
         match self.bit_rate.home() {
             Some(home) if home != in_use => {
-                self.emergency.report(Fault::AwayFromHomeRate { in_use, home });
+                self.emergency.faults.report(Fault::AwayFromHomeRate { in_use, home });
             }
-            _ => self.emergency.end(Fault::AwayFromHomeRate { in_use, home: in_use }),
+            _ => self.emergency.faults.end(Fault::AwayFromHomeRate { in_use, home: in_use }),
         }
     }
 
@@ -480,9 +477,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn take_step(&mut self, step: Step) -> Action {
         self.end_sdo_transfer();
         self.emergency.note_dropped();
-        if Self::HAS_APPLICATION {
-            self.reports.note_dropped();
-        }
         self.nmt.note_dropped();
         match step {
             Step::TakePart(rate) => Action::SetBitRate(rate),
@@ -540,7 +534,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             bit_rate: &self.bit_rate,
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
-            reported: self.reports.error_register(),
             storing: &mut self.storing,
             process_data: &mut self.process_data,
             application: &mut self.application,
@@ -610,7 +603,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn next_message(&mut self, now: Instant) -> Option<Action> {
         let node = self.node_id()?;
         let frame = self.nmt.next_boot_up(node, now).or_else(|| {
-            let emergency = self.nmt.allows_emergencies().then(|| self.next_emergency(node));
+            let emergency = self.nmt.allows_emergencies().then(|| self.emergency.next(node));
             emergency.flatten().or_else(|| self.nmt.next_heartbeat(node, now))
         });
         frame.map(Action::Transmit)

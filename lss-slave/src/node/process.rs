@@ -2,9 +2,8 @@
 
 use super::{Action, Due, Node};
 use crate::{
-    Application, Device, Frame, Instant, NodeId,
+    Application, Device, Frame, Instant,
     application::Event,
-    emergency::Errors,
     object_dictionary::{
         self, DefaultValue, Description, Entry, Object, PARAMETERS, SDO_SERVER, TABLE,
     },
@@ -27,7 +26,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// effect.
     pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
         if code != 0 && Self::HAS_APPLICATION {
-            self.errors().report(code, register, information);
+            self.emergency.errors().report(code, register, information);
             self.due = Due::Now;
         }
     }
@@ -36,7 +35,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// error is left.
     pub fn end_report(&mut self, code: u16) {
         if Self::HAS_APPLICATION {
-            self.errors().end(code);
+            self.emergency.errors().end(code);
             self.due = Due::Now;
         }
     }
@@ -67,10 +66,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
     }
 
-    fn errors(&mut self) -> Errors<'_> {
-        self.reports.errors(&mut self.emergency)
-    }
-
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
         if !Self::HAS_PROCESS_DATA || self.bit_rate.is_switching() {
             return;
@@ -78,7 +73,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let Some(node) = self.node_id() else {
             return;
         };
-        let mut errors = self.reports.errors(&mut self.emergency);
+        let mut errors = self.emergency.errors();
         self.process_data.handle_frame(frame, node, &mut self.application, &mut errors, now);
         self.due = Due::Now;
     }
@@ -103,7 +98,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
     pub(super) fn watch_producers(&mut self, now: Instant) {
         let mut is_any_lost = false;
-        let mut errors = self.reports.errors(&mut self.emergency);
+        let mut errors = self.emergency.errors();
         while let Some(producer) = self.process_data.next_lost(&mut errors, now) {
             self.nmt.handle_communication_error();
             self.application.handle(Event::HeartbeatLost(producer));
@@ -113,17 +108,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if is_any_lost {
             self.lock_lss();
         }
-    }
-
-    pub(super) fn next_emergency(&mut self, node: NodeId) -> Option<Frame> {
-        if !Self::HAS_APPLICATION {
-            return self.emergency.next(node, 0);
-        }
-        if self.emergency.must_wait() {
-            return None;
-        }
-        let report = self.reports.next(node, self.emergency.error_register());
-        report.or_else(|| self.emergency.next(node, self.reports.error_register()))
     }
 
     /// The next frame of process data, or the action for new COB-IDs.
