@@ -6,6 +6,7 @@ mod nmt_slave;
 mod objects;
 mod parameters;
 mod process;
+mod product;
 mod receives;
 mod storing;
 
@@ -27,6 +28,7 @@ use bit_rate_control::BitRateControl;
 use nmt_slave::NmtSlave;
 use objects::Parts;
 use parameters::{Change, Part};
+use product::Product;
 pub use receives::Receives;
 use storing::{Download, Storing};
 
@@ -86,17 +88,13 @@ pub struct Node<
     const RPDOS: usize = 0,
     const PRODUCERS: usize = 0,
 > {
-    device: Device,
     lss: Slave,
     bit_rate: BitRateControl,
     nmt: NmtSlave,
     emergency: Emergency<A::Errors>,
     sdo: A::SdoServer,
     storing: Storing,
-    process_data: ProcessData<TPDOS, RPDOS, PRODUCERS>,
-    application: A,
-    /// The NMT state and the bit rate that the application knows.
-    known: (nmt::State, BitRate),
+    product: Product<A, TPDOS, RPDOS, PRODUCERS>,
     due: Due,
 }
 
@@ -144,29 +142,26 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         };
         let bit_rate_control = BitRateControl::new(bit_rate, device.bit_rates, device.rescue);
         Self {
-            known: (nmt::State::Initialisation, bit_rate_control.in_use()),
-            bit_rate: bit_rate_control,
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
+            product: Product::new(device, application, bit_rate_control.in_use()),
+            bit_rate: bit_rate_control,
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
             sdo: A::SdoServer::NEW,
             storing: Storing::new(persistent),
-            process_data: ProcessData::new::<A>(),
-            device,
-            application,
             due: Due::Now,
         }
     }
 
     /// The application of the node.
     pub const fn application(&self) -> &A {
-        &self.application
+        &self.product.application
     }
 
     /// The application of the node, to be changed. [`poll`](Self::poll) must follow.
     pub const fn application_mut(&mut self) -> &mut A {
         self.due = Due::Now;
-        &mut self.application
+        &mut self.product.application
     }
 
     /// Whether the node sends more frames than its board can queue, as in an SDO block upload. The next of them follow
@@ -214,12 +209,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let node = self.node_id();
         // Without a node-ID only LSS and NMT are received.
         let sdo = self.sdo_request_cob_id().unwrap_or(UNUSED);
-        let sync = self.process_data.sync_cob_id().unwrap_or(UNUSED);
+        let sync = self.product.process_data.sync_cob_id().unwrap_or(UNUSED);
         Receives {
             services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
-            rpdos: array::from_fn(|at| self.process_data.rpdo_cob_id(at, node).unwrap_or(UNUSED)),
+            rpdos: array::from_fn(|at| {
+                self.product.process_data.rpdo_cob_id(at, node).unwrap_or(UNUSED)
+            }),
             heartbeats: array::from_fn(|at| {
-                self.process_data.producer_cob_id(at).unwrap_or(UNUSED)
+                self.product.process_data.producer_cob_id(at).unwrap_or(UNUSED)
             }),
         }
     }
@@ -297,10 +294,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// its limits; returns whether it was taken. [`Application::accept`] is not called. Pass all parameters before the
     /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
-        match Part::of(parameter.index) {
-            Part::Communication => self.process_data.restore::<A>(parameter),
-            Part::Application => self.application.restore(parameter),
-        }
+        self.product.restore(parameter)
     }
 
     /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
@@ -318,8 +312,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 (Change::Keep, _) => part.keep(persistent, &mut packer),
                 (Change::Remove, _) => {}
                 // The heartbeat time is among the settings.
-                (Change::Renew, Part::Communication) => self.process_data.save(&mut packer),
-                (Change::Renew, Part::Application) => self.application.save(&mut packer),
+                (Change::Renew, Part::Communication) => self.product.process_data.save(&mut packer),
+                (Change::Renew, Part::Application) => self.product.application.save(&mut packer),
             }
         }
         packer.len()
@@ -328,7 +322,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Records the outcome of the last [`Action::Store`].
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         if self.storing.handle_stored(outcome) {
-            self.process_data.end_store(outcome.is_ok());
+            self.product.process_data.end_store(outcome.is_ok());
             if outcome.is_ok() {
                 self.emergency.faults.end(Fault::SettingsLost);
             }
@@ -378,12 +372,12 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
                 Some(EndSwitch) => {
                     self.nmt.restart_heartbeat(now);
-                    self.process_data.restart_producers(now);
+                    self.product.process_data.restart_producers(now);
                 }
                 Some(Step(step)) => return Some(self.take_step(step)),
                 Some(ResumeTransmitting) => {
                     self.nmt.note_resumed();
-                    self.process_data.note_resumed();
+                    self.product.process_data.note_resumed();
                     return Some(Action::ResumeTransmitting);
                 }
                 Some(KeepSilent) => return None,
@@ -501,7 +495,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn reset_communication(&mut self) -> Action {
         self.lss.reset_communication();
         self.nmt.reset_communication(self.storing.persistent().heartbeat_ms);
-        self.process_data.reset::<A>();
+        self.product.process_data.reset::<A>();
         self.end_sdo();
         Action::SetNodeId(self.node_id())
     }
@@ -510,7 +504,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     #[inline(never)] // It has two callers.
     fn lock_lss(&mut self) {
         let is_operational = self.nmt_state() == nmt::State::Operational;
-        self.lss.set_locked(self.device.lss_lock && is_operational);
+        self.lss.set_locked(self.product.device.lss_lock && is_operational);
     }
 
     const fn serves_sdo(&self) -> bool {
@@ -529,14 +523,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             return None;
         }
         let mut objects = Parts {
-            device: &self.device,
+            device: &self.product.device,
             lss: &self.lss,
             bit_rate: &self.bit_rate,
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
             storing: &mut self.storing,
-            process_data: &mut self.process_data,
-            application: &mut self.application,
+            process_data: &mut self.product.process_data,
+            application: &mut self.product.application,
             now,
         };
         let answer = self.sdo.poll(&mut objects, now)?;
@@ -559,7 +553,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Discards the current SDO transfer without an answer to the client.
     fn end_sdo_transfer(&mut self) {
         if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
-            self.application.abort_domain(*index, *sub_index);
+            self.product.application.abort_domain(*index, *sub_index);
         }
         self.sdo.end_transfer();
     }
@@ -572,8 +566,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 Store(settings) => {
                     match Part::Communication.change(self.storing.download()) {
                         Change::Keep => {}
-                        Change::Renew => self.process_data.stage(),
-                        Change::Remove => self.process_data.stage_declared::<A>(),
+                        Change::Renew => self.product.process_data.stage(),
+                        Change::Remove => self.product.process_data.stage_declared::<A>(),
                     }
                     return Some(Action::Store(settings));
                 }

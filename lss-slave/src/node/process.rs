@@ -74,24 +74,19 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             return;
         };
         let mut errors = self.emergency.errors();
-        self.process_data.handle_frame(frame, node, &mut self.application, &mut errors, now);
+        self.product.process_data.handle_frame(
+            frame,
+            node,
+            &mut self.product.application,
+            &mut errors,
+            now,
+        );
         self.due = Due::Now;
     }
 
-    /// Informs the application and process data of a new NMT state or bit rate.
     pub(super) fn inform_application(&mut self) {
-        if !Self::HAS_APPLICATION {
-            return;
-        }
-        let (state, rate) = (self.nmt_state(), self.bit_rate());
-        let (known_state, known_rate) = self.known;
-        self.known = (state, rate);
-        if rate != known_rate {
-            self.application.handle(Event::BitRate(rate));
-        }
-        if state != known_state {
-            self.process_data.follow(state);
-            self.application.handle(Event::Nmt(state));
+        if Self::HAS_APPLICATION {
+            self.product.inform(self.nmt_state(), self.bit_rate());
         }
     }
 
@@ -99,12 +94,12 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub(super) fn watch_producers(&mut self, now: Instant) {
         let mut is_any_lost = false;
         let mut errors = self.emergency.errors();
-        while let Some(producer) = self.process_data.next_lost(&mut errors, now) {
+        while let Some(producer) = self.product.process_data.next_lost(&mut errors, now) {
             self.nmt.handle_communication_error();
-            self.application.handle(Event::HeartbeatLost(producer));
+            self.product.application.handle(Event::HeartbeatLost(producer));
             is_any_lost = true;
         }
-        self.process_data.end_errors(&mut errors);
+        self.product.process_data.end_errors(&mut errors);
         if is_any_lost {
             self.lock_lss();
         }
@@ -115,10 +110,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !Self::HAS_PROCESS_DATA {
             return None;
         }
-        if self.process_data.take_new_receives() {
+        if self.product.process_data.take_new_receives() {
             return Some(Action::SetReceives);
         }
-        let frame = self.process_data.next_frame(self.node_id()?, &self.application, now)?;
+        let frame = self.product.process_data.next_frame(
+            self.node_id()?,
+            &self.product.application,
+            now,
+        )?;
         Some(Action::Transmit(frame))
     }
 
@@ -127,8 +126,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !Self::HAS_PROCESS_DATA {
             return None;
         }
-        let tpdos = self.process_data.poll_at().filter(|_| may_send);
-        let producers = self.process_data.producers_poll_at();
+        let tpdos = self.product.process_data.poll_at().filter(|_| may_send);
+        let producers = self.product.process_data.producers_poll_at();
         Instant::earliest(tpdos, producers.filter(|_| !self.bit_rate.is_switching()))
     }
 }
