@@ -1,4 +1,4 @@
-#!/bin/sh
+#!/usr/bin/bash
 # The session with cansend and candump. Boards 0 and 1 get node-IDs and a bit rate, all switch to it, and the power
 # fails. `serial_numbers` has those of all boards, from the kernel's command line.
 set -eu
@@ -52,10 +52,8 @@ expect_identity() {
 # As it is in a frame: the lowest byte first.
 little_endian() { echo "$1" | sed 's/\(..\)\(..\)\(..\)\(..\)/\4\3\2\1/'; }
 
-mkfifo /run/bus
-candump -L any >/run/bus &
+exec 3< <(exec candump -L any)
 trap "kill $!" EXIT
-exec 3</run/bus
 until grep -q raw /proc/net/can/rcvlist_all; do sleep 0.1; done
 
 set -- $serial_numbers

@@ -5,6 +5,7 @@ busybox mkdir -p /proc /sys /dev /run /tmp
 busybox mount -t proc proc /proc
 busybox mount -t sysfs sys /sys
 busybox mount -t devtmpfs dev /dev
+busybox ln -s /proc/self/fd /dev/fd
 busybox --install -s /usr/bin 2>/dev/null # Those that Debian's packages have stay as they are.
 stty -echo
 

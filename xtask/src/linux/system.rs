@@ -10,9 +10,10 @@ use anyhow::{Context, bail, ensure};
 
 pub const QEMU: &str = "qemu-system-x86_64";
 /// What Linux needs; apt adds their dependencies.
-const PACKAGES: [&str; 6] = [
+const PACKAGES: [&str; 7] = [
     "linux-image-amd64",
     "busybox-static",
+    "bash",
     "can-utils",
     "iproute2",
     "python3-minimal",
@@ -132,7 +133,7 @@ impl System {
     /// The initramfs that runs a program of this computer.
     ///
     /// # Errors
-    /// There is no such program, or it lacks a library.
+    /// There is no such program.
     pub fn with_program(&self, program: &Path, arguments: &[String]) -> anyhow::Result<PathBuf> {
         let name = program.file_name().context("the program has no name")?.to_string_lossy();
         let ldd = Command::new("ldd").arg(program).output().context("cannot run ldd")?;
