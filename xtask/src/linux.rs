@@ -37,7 +37,7 @@ const BOARDS: usize = 4;
 const POWERED: usize = 2;
 /// Linux is stopped when it prints nothing for this long.
 const SILENCE: Duration = Duration::from_secs(120);
-/// Begins a line by which a session addresses the host: a command of the console, or `end` and an exit status.
+/// Begins a line for the host: a command of the console of `cargo emulate`, or `end` and an exit status.
 const TO_HOST: &str = "host: ";
 
 /// Boot Debian's kernel in QEMU, with emulated boards on its SocketCAN, and run sessions with them
@@ -51,10 +51,10 @@ const TO_HOST: &str = "host: ";
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Run this program, with its arguments, in place of the sessions, with slcan0 at 125 kbit/s and two blank boards
+    /// Run this program of this computer, with its arguments, in place of the sessions
     ///
-    /// The program and its libraries are copied from this computer. It can switch the power of a board: it prints
-    /// `host: power off 0` and waits for an empty line.
+    /// It finds slcan0 at 125 kbit/s, and two blank boards. To switch the power of a board it prints `host: power off 0`
+    /// and waits for an empty line.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     program: Vec<String>,
 }
@@ -150,7 +150,7 @@ impl Guest {
                 Err(RecvTimeoutError::Timeout) => {
                     bail!("Linux has printed nothing for {} s", SILENCE.as_secs())
                 }
-                Err(RecvTimeoutError::Disconnected) => bail!("Linux ended before its time"),
+                Err(RecvTimeoutError::Disconnected) => bail!("Linux ended in the middle"),
             };
             if let Some(command) = line.strip_prefix(TO_HOST) {
                 if let Some(status) = command.strip_prefix("end ") {

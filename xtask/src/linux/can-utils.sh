@@ -16,21 +16,23 @@ host() {
 
 # Waits for a frame. Heartbeats may come before it.
 expect() {
-    while read -r -t 10 line <&3; do
+    local deadline=$((SECONDS + 10)) line
+    while ((SECONDS < deadline)) && read -r -t 10 line <&3; do
         echo "$line"
         case ${line##* } in
         "$1") return ;;
         70?#7F) ;;
-        *) fail "this frame came in place of $1" ;;
+        *) fail "this frame came, and not $1" ;;
         esac
     done
     fail "$1 did not come within 10 s"
 }
 
-# Waits until the bus is quiet, and checks that it stays so.
+# Checks that no more frames come, heartbeats included.
 expect_silence() {
-    while read -r -t 1.5 line <&3; do echo "$line"; done
-    if read -r -t 2 line <&3; then fail "this frame came without a request: $line"; fi
+    local line
+    while read -r -t 0.3 line <&3; do echo "$line"; done # They were under way.
+    if read -r -t 3 line <&3; then fail "this frame came: $line"; fi
 }
 
 send() {
@@ -43,7 +45,7 @@ padded() { printf '%.16s' "${1}0000000000000000"; }
 lss() { send "7E5#$(padded "$1")"; }
 answer() { expect "7E4#$(padded "$1")"; }
 
-# The node with this ID tells its serial number by SDO, object 1018h, sub-index 4.
+# Reads the serial number of the node with this ID by SDO, object 1018h, sub-index 4.
 expect_identity() {
     send "60$1#4018100400000000"
     expect "58$1#43181004$2"

@@ -6,7 +6,7 @@ busybox mount -t proc proc /proc
 busybox mount -t sysfs sys /sys
 busybox mount -t devtmpfs dev /dev
 busybox ln -s /proc/self/fd /dev/fd
-busybox --install -s /usr/bin 2>/dev/null # Those that Debian's packages have stay as they are.
+busybox --install -s /usr/bin 2>/dev/null # The commands of the other packages stay.
 stty -echo
 
 depmod 2>/dev/null # It warns that most modules were left out.
