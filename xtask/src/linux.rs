@@ -46,7 +46,7 @@ const TO_HOST: &str = "host: ";
 /// cansend and candump and one with python-canopen. Each configures two blank boards, switches the bit rate, and cuts
 /// the power. Everything that the bus shows is printed.
 ///
-/// Needs Debian 12 or later on x86-64, `qemu-system-x86_64` and python3 with venv. The first run downloads 100 MB of
+/// Needs Debian 12 or 13 on x86-64, `qemu-system-x86_64` and python3 with venv. The first run downloads 100 MB of
 /// packages into target/linux and installs none of them.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]

@@ -90,6 +90,7 @@ done
 echo "can-utils: all switch to 500 kbit/s; slcand is started again with -s6"
 lss 0401
 lss 15E803 # switch delay 1000 ms
+sleep 0.5  # The frame may still be on the serial line.
 ip link set slcan0 down
 killall slcand
 while [ -e /sys/class/net/slcan0 ]; do sleep 0.1; done

@@ -8,6 +8,7 @@ busybox mount -t devtmpfs dev /dev
 busybox ln -s /proc/self/fd /dev/fd
 busybox --install -s /usr/bin 2>/dev/null # The commands of the other packages stay.
 stty -echo
+uname -sr
 
 depmod 2>/dev/null # It warns that most modules were left out.
 modprobe -a slcan can-raw

@@ -92,6 +92,7 @@ def session():
         say("all switch to 500 kbit/s; `ip link` sets the bit rate")
         network.lss.send_switch_state_global(network.lss.CONFIGURATION_STATE)
         network.lss.activate_bit_timing(SWITCH_DELAY * 1000)
+        time.sleep(0.5)  # The frame may still be on the serial line.
     set_bit_rate(500_000)
     time.sleep(2 * SWITCH_DELAY)
     with Network() as network:

@@ -77,7 +77,7 @@ impl System {
         ensure!(
             apt.success(),
             "the packages cannot be downloaded, see above. `apt-get update` renews the lists of packages; \
-             they are those of Debian 12 or later on x86-64"
+             they are those of Debian 12 or 13 on x86-64"
         );
 
         println!("unpacking them ...");
