@@ -2,6 +2,7 @@
 
 use std::{
     fs, io,
+    os::unix::fs::{PermissionsExt, symlink},
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
@@ -19,14 +20,14 @@ const PACKAGES: [&str; 7] = [
     "python3-minimal",
     "libpython3-stdlib",
 ];
-/// The parts of the kernel's package that are used: the modules for all other hardware are left out.
+/// The files of the kernel's package that are used, without the modules for other hardware.
 const OF_KERNEL: [&str; 2] = ["./boot/vmlinuz*", "*/net/can/*"];
 const WHEELS: [&str; 2] = ["canopen", "python-can"];
 /// The versions of `WHEELS`: those of the other sessions with python-canopen.
 const VERSIONS: &str = "tests/clients/requirements.txt";
 
 const INIT: &str = include_str!("init.sh");
-/// The sessions by their names; they run in this order, which is the alphabet's.
+/// The sessions, which run in the alphabetical order of their names.
 const SESSIONS: [(&str, &str); 2] = [
     ("can-utils", include_str!("can-utils.sh")),
     ("python-canopen", include_str!("python-canopen.py")),
@@ -63,7 +64,16 @@ impl System {
             find(tool, package)?;
         }
         println!("downloading {} and what they need ...", PACKAGES.join(", "));
-        let packages = self.path("packages");
+        self.download()?;
+        println!("unpacking them ...");
+        self.unpack()?;
+        println!("adding {} ...", WHEELS.join(" and "));
+        self.add_wheels()?;
+        self.archive(&self.files(), &self.path("system.cpio"))
+    }
+
+    fn download(&self) -> anyhow::Result<()> {
+        let packages = self.packages();
         fs::create_dir_all(packages.join("partial"))?;
         // As for an empty computer: the packages of this one are of no use to the Linux.
         let apt = Command::new("apt-get")
@@ -79,14 +89,16 @@ impl System {
             "the packages cannot be downloaded, see above. `apt-get update` renews the lists of packages; \
              they are those of Debian 12 or 13 on x86-64"
         );
+        Ok(())
+    }
 
-        println!("unpacking them ...");
-        let files = self.path("files");
+    fn unpack(&self) -> anyhow::Result<()> {
+        let files = self.files();
         for directory in ["bin", "sbin", "lib", "lib64"] {
             fs::create_dir_all(files.join("usr").join(directory))?;
-            std::os::unix::fs::symlink(format!("usr/{directory}"), files.join(directory))?;
+            symlink(format!("usr/{directory}"), files.join(directory))?;
         }
-        for entry in fs::read_dir(packages)? {
+        for entry in fs::read_dir(self.packages())? {
             let package = entry?.path();
             if package.extension().is_some_and(|ending| ending == "deb") {
                 unpack(&package, &files)?;
@@ -96,24 +108,35 @@ impl System {
         let kernel = fs::read_dir(&boot)?.next().context("the package has a kernel")??.path();
         fs::rename(kernel, self.kernel())?;
         fs::remove_dir(boot)?;
+        Ok(())
+    }
 
-        println!("adding {} ...", WHEELS.join(" and "));
+    fn add_wheels(&self) -> anyhow::Result<()> {
         let venv = self.path("venv");
         let is_made = Command::new("python3").args(["-m", "venv"]).arg(&venv).status()?.success();
-        ensure!(is_made, "python3 cannot create a venv (`apt-get install python3-venv`)");
+        ensure!(is_made, "python3 cannot create a venv (Debian: apt-get install python3-venv)");
         let pip = Command::new(venv.join("bin/pip"))
             .args(["install", "--quiet", "--disable-pip-version-check", "--target"])
-            .arg(files.join("usr/lib/python3/dist-packages"))
+            .arg(self.files().join("usr/lib/python3/dist-packages"))
             .arg("--constraint")
             .arg(root().join(VERSIONS))
             .args(WHEELS)
             .status()?;
         ensure!(pip.success(), "pip cannot download {}, see above", WHEELS.join(" and "));
-        self.archive(&files, &self.path("system.cpio"))
+        Ok(())
     }
 
     fn path(&self, name: &str) -> PathBuf {
         self.0.join(name)
+    }
+
+    fn packages(&self) -> PathBuf {
+        self.path("packages")
+    }
+
+    /// The content of the packages.
+    fn files(&self) -> PathBuf {
+        self.path("files")
     }
 
     pub fn kernel(&self) -> PathBuf {
@@ -181,7 +204,7 @@ impl System {
 
     /// Packs the files in `directory`.
     fn archive(&self, directory: &Path, archive: &Path) -> anyhow::Result<()> {
-        let busybox = self.path("files/usr/bin/busybox");
+        let busybox = self.files().join("usr/bin/busybox");
         let status = Command::new(&busybox)
             .args(["sh", "-c", "\"$0\" find . | \"$0\" cpio -o -H newc -R 0:0 2>/dev/null"])
             .arg(&busybox)
@@ -230,7 +253,6 @@ fn unpack(package: &Path, files: &Path) -> anyhow::Result<()> {
 }
 
 fn write_program(path: &Path, text: &str) -> anyhow::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
     fs::create_dir_all(path.parent().context("it is in a directory")?)?;
     fs::write(path, text)?;
     fs::set_permissions(path, fs::Permissions::from_mode(0o755))?;
