@@ -18,16 +18,17 @@ use emulator::{
     chip::Part,
     network::{Network, Recording},
 };
-use testkit::image_rig::DEFAULT_BIT_RATE;
-
-use crate::{
+use testkit::{
     boards::{self, FIRST_START},
-    emulate::{
-        self,
-        client::{self, Input},
-        memory::Memory,
-    },
     explain::explain,
+    image,
+    image_rig::DEFAULT_BIT_RATE,
+};
+
+use crate::emulate::{
+    self,
+    client::{self, Input},
+    memory::Memory,
 };
 use system::System;
 
@@ -110,7 +111,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// The blank boards, after their first start.
 fn network() -> anyhow::Result<Network> {
-    let image = boards::image(PART, None)?;
+    let image = image::build(PART)?;
     let mut network = Network::new();
     network.record(Recording::Off);
     for number in 0..BOARDS {
