@@ -1,8 +1,8 @@
 //! `cargo emulate`: boards in real time, and their CAN bus as SLCAN adapters over TCP.
 
-mod client;
+pub mod client;
 mod console;
-mod memory;
+pub mod memory;
 mod pace;
 mod slcan;
 
@@ -64,7 +64,7 @@ pub struct Arguments {
     /// Run an example of an application; implies --console
     #[arg(long)]
     example: Option<Example>,
-    /// Take commands from the standard input: press the button, set the temperature
+    /// Take commands from the standard input: switch the power, press the button, set the temperature
     #[arg(long)]
     console: bool,
     /// The chip on the boards
@@ -166,7 +166,8 @@ fn describe(network: &Network) -> String {
     (0..network.boards().len()).map(board).collect::<Vec<_>>().join("; ")
 }
 
-fn serve(
+/// Runs the network in real time, each client with an adapter set to `bit_rate`, until [`Input::Stop`].
+pub fn serve(
     network: &mut Network,
     inputs: &mpsc::Receiver<Input>,
     memory: &mut Memory,
