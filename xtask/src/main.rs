@@ -8,6 +8,7 @@ mod emulate;
 mod example;
 mod flash;
 mod fuzz;
+#[cfg(target_os = "linux")]
 mod linux;
 mod no_harm;
 mod parallel;
@@ -44,6 +45,7 @@ enum Command {
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
     Fuzz(fuzz::Arguments),
+    #[cfg(target_os = "linux")]
     Linux(linux::Arguments),
     NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
@@ -60,6 +62,7 @@ fn main() -> ExitCode {
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
         Command::Fuzz(arguments) => fuzz::run(&arguments),
+        #[cfg(target_os = "linux")]
         Command::Linux(arguments) => linux::run(&arguments),
         Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
