@@ -10,6 +10,7 @@ use lss_slave::{
 use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 objects! {

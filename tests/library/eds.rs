@@ -15,6 +15,7 @@ use testkit::{
     eds::{DataSheet, Product, Sections, parse},
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults},
+    sdo::Client,
 };
 
 const COMMITTED: &str = include_str!("../../eds/lss-slave.eds");

@@ -13,6 +13,7 @@ use testkit::{
     flash::{BoardFlash, Operation},
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 objects! {

@@ -14,6 +14,7 @@ use testkit::{
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
     random::Random,
+    sdo::Client,
 };
 
 use crate::process_data::{Board, Machine, board, map, receive, set, write};
