@@ -193,20 +193,18 @@ pub trait Client {
         let answer = self.transfer([0xC6, 0, 0, 0, s0, s1, s2, s3], index, sub_index)?;
         assert_eq!(answer[0], 0xA4, "the server checks by CRC");
         let mut block_size = answer[4];
-        let mut segments = data.chunks(7).peekable();
-        while segments.peek().is_some() {
+        let mut rest = data;
+        let (mut unused, mut is_end) = (0, false);
+        while !is_end {
             assert!((1..=127).contains(&block_size), "block size {block_size}");
             let mut block = Vec::new();
-            for (number, segment) in (1..=block_size).zip(&mut segments) {
-                let mut message = [number; 8];
-                message[1..].fill(0);
+            while !is_end && block.len() < usize::from(block_size) {
+                let (segment, others) = rest.split_at(rest.len().min(7));
+                (rest, unused, is_end) = (others, 7 - segment.len() as u8, others.is_empty());
+                let mut message = [0; 8];
+                message[0] = block.len() as u8 + 1 | if is_end { 0x80 } else { 0 };
                 message[1..][..segment.len()].copy_from_slice(segment);
                 block.push(message);
-            }
-            if segments.peek().is_none()
-                && let Some(last) = block.last_mut()
-            {
-                last[0] |= 0x80;
             }
             let [answer] = self.say(&block, |_| true)[..] else { panic!("one answer") };
             if answer[0] == 0x80 {
@@ -216,9 +214,8 @@ pub trait Client {
             assert_eq!(answer[3..], [0; 5]);
             block_size = answer[2];
         }
-        let unused = (7 - data.len() % 7) % 7;
         let [c0, c1] = crc(data).to_le_bytes();
-        let answer = self.exchange([0xC1 | (unused as u8) << 2, c0, c1, 0, 0, 0, 0, 0]);
+        let answer = self.exchange([0xC1 | unused << 2, c0, c1, 0, 0, 0, 0, 0]);
         match answer[0] {
             0x80 => Err(abort_code(&answer, index, sub_index)),
             _ => {
