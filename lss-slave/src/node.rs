@@ -124,7 +124,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub const HAS_TPDOS: bool = TPDOS > 0;
     /// The greatest number of bytes that the stored parameters take.
     pub const PARAMETERS: usize =
-        <A as Parameters>::LEN + ProcessData::<TPDOS, RPDOS, PRODUCERS>::PARAMETERS;
+        <A as Parameters>::LEN + ProcessData::<TPDOS, RPDOS, PRODUCERS>::stored_len::<A>();
 
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
@@ -301,7 +301,11 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
         match Part::of(parameter.index) {
-            Part::Communication => self.process_data.restore::<A>(parameter),
+            Part::Communication => {
+                let is_taken = self.process_data.restore::<A>(parameter);
+                self.nmt.set_error_behaviour(self.process_data.error_behaviour::<A>());
+                is_taken
+            }
             Part::Application => self.application.restore(parameter),
         }
     }
@@ -321,7 +325,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 (Change::Keep, _) => part.keep(persistent, &mut packer),
                 (Change::Remove, _) => {}
                 // The heartbeat time is among the settings.
-                (Change::Renew, Part::Communication) => self.process_data.save(&mut packer),
+                (Change::Renew, Part::Communication) => self.process_data.save::<A>(&mut packer),
                 (Change::Renew, Part::Application) => self.application.save(&mut packer),
             }
         }
@@ -331,7 +335,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Records the outcome of the last [`Action::Store`].
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         if self.storing.handle_stored(outcome) {
-            self.process_data.end_store(outcome.is_ok());
+            self.process_data.end_store::<A>(outcome.is_ok());
             if outcome.is_ok() {
                 self.emergency.end(Fault::SettingsLost);
             }
@@ -506,7 +510,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     fn reset_communication(&mut self) -> Action {
         self.lss.reset_communication();
-        self.nmt.reset_communication(self.storing.persistent().heartbeat_ms);
+        let error_behaviour = self.process_data.error_behaviour::<A>();
+        self.nmt.reset_communication(self.storing.persistent().heartbeat_ms, error_behaviour);
         self.process_data.reset::<A>();
         self.end_sdo();
         Action::SetNodeId(self.node_id())
@@ -576,7 +581,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 Store(settings) => {
                     match Part::Communication.change(self.storing.download()) {
                         Change::Keep => {}
-                        Change::Renew => self.process_data.stage(),
+                        Change::Renew => {
+                            self.process_data.stage::<A>(self.nmt.error_behaviour());
+                        }
                         Change::Remove => self.process_data.stage_declared::<A>(),
                     }
                     return Some(Action::Store(settings));

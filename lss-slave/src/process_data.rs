@@ -105,7 +105,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     /// Restarts as after power-on, with the persistent parameters.
     pub fn reset<A: Application>(&mut self) {
         if Self::IS_USED {
-            let Configuration { tpdos, rpdos, producers, sync } = self.persistent::<A>();
+            let Configuration { tpdos, rpdos, producers, sync, .. } = self.persistent::<A>();
             let (is_running, has_new_receives) = (false, false);
             *self = Self { tpdos, rpdos, producers, sync, is_running, has_new_receives, ..*self };
         }
