@@ -13,10 +13,10 @@ use lss_slave::{
 /// The name of the product in its electronic data sheet.
 pub const DESCRIPTION: &str = "Digital and analogue I/O on an STM32F4";
 
-/// The button, and the temperature.
-pub const TPDOS: usize = 2;
-/// The LEDs.
-pub const RPDOS: usize = 1;
+/// The button, the temperature, and two for a master to map.
+pub const TPDOS: usize = 4;
+/// The LEDs, and three for a master to map.
+pub const RPDOS: usize = 4;
 /// One node, such as the master.
 pub const PRODUCERS: usize = 1;
 

@@ -2,6 +2,8 @@
 //!
 //! `cargo test --test image io:: -- --nocapture` prints the times.
 
+use std::ops::Range;
+
 use emulator::{
     Time,
     board::{self, Board},
@@ -32,8 +34,8 @@ const ANSWER_CYCLES: u64 = 640;
 const SDO_CYCLES: u64 = 3_000;
 /// The limit for the other interrupts of the node that are served before, in core cycles.
 const INTERRUPT_CYCLES: u64 = 20 * CORE_MHZ;
-/// The limit for the use of the stack: half of what there is. The node is made on the stack.
-const MOST_STACK: usize = 8 * 1024;
+/// The limit for the use of the stack: three quarters of what there is. The node is made on the stack.
+const MOST_STACK: usize = 12 * 1024;
 /// The application samples its inputs at this interval.
 const SAMPLE: Time = Time::from_ms(10);
 /// More than the time from a change of an input to the end of its TPDO.
@@ -474,11 +476,51 @@ fn busy_node() -> ImageRig {
     rig
 }
 
+/// The same with four PDOs each way: all RPDOs write the LEDs, and TPDOs 1, 3 and 4 echo them.
+fn busier_node() -> ImageRig {
+    let mut rig = busy_node();
+    rig.nmt("80 01");
+    let mut map = |parameter: u8, high: u8, cob_id: u16, mapped: &[&str]| {
+        let [low_id, high_id] = cob_id.to_le_bytes();
+        let cob_id = |valid: &str| {
+            format!("23 {parameter:02X} {high:02X} 01 {low_id:02X} {high_id:02X} 00 {valid}")
+        };
+        let number = |n: usize| format!("2F {parameter:02X} {:02X} 00 {n:02X}", high + 2);
+        write(&mut rig, &[&cob_id("80"), &number(0)]);
+        for (at, code) in (1..).zip(mapped) {
+            write(&mut rig, &[&format!("23 {parameter:02X} {:02X} {at:02X} {code}", high + 2)]);
+        }
+        write(&mut rig, &[&number(mapped.len()), &cob_id("00")]);
+    };
+    const LEDS: &str = "08 01 00 62";
+    const TEMPERATURE: &str = "10 01 01 64";
+    const DUMMY_32: &str = "20 00 07 00";
+    for (parameter, cob_id) in [(1, 0x301), (2, 0x401), (3, 0x501)] {
+        map(parameter, 0x14, cob_id, &[LEDS, DUMMY_32]);
+    }
+    for (parameter, cob_id) in [(2, 0x381), (3, 0x481)] {
+        map(parameter, 0x18, cob_id, &[LEDS, TEMPERATURE]);
+    }
+    rig.nmt("01 01");
+    rig.collect(SAMPLE);
+    rig
+}
+
 #[test]
 fn lss_answers_keep_their_time_while_pdos_fill_the_bus() {
+    fill_the_bus(busy_node(), &[0x201], 5..20, 300);
+}
+
+#[test]
+fn lss_answers_keep_their_time_with_four_pdos_each_way_on_a_full_bus() {
+    fill_the_bus(busier_node(), &[0x201, 0x301, 0x401, 0x501], 1..3, 450);
+}
+
+/// Fills the bus with bursts of SYNC and these RPDOs, which the node echoes, and measures the answers of LSS. Behind PDOs
+/// of the node they may take `most_us`.
+fn fill_the_bus(mut rig: ImageRig, rpdo_cob_ids: &[u16], bursts: Range<u64>, most_us: u64) {
     const ROUNDS: usize = 300;
     let mut random = Random::from_environment();
-    let mut rig = busy_node();
     let (other, filler) = (
         rig.network.add_adapter(Adapter::new(1_000_000)),
         rig.network.add_adapter(Adapter::new(1_000_000)),
@@ -491,12 +533,14 @@ fn lss_answers_keep_their_time_while_pdos_fill_the_bus() {
         // SYNC and RPDOs back to back; frames of others fill the rest of the bus.
         rig.network.send(other, data(0x080, &[]));
         syncs += 1;
-        let burst = random.within(5..20) as usize;
-        for _ in 0..burst {
-            value = (value + 1) % 4;
-            rig.network.send(other, data(0x201, &[value]));
+        for _ in 0..random.within(bursts.clone()) {
+            for &cob_id in rpdo_cob_ids {
+                value = (value + 1) % 4;
+                let len = if cob_id == 0x201 { 1 } else { 5 };
+                rig.network.send(other, data(cob_id, &[value, 0, 0, 0, 0][..len]));
+            }
+            rpdos += rpdo_cob_ids.len();
         }
-        rpdos += burst;
         let request = random.pick(&["5A", "5B", "5C", "5D", "5E"]);
         rig.network.send(rig.master, on_the_wire(&frames::request(request)));
         let until = rig.network.now() + Time::from_us(random.within(2_500..4_000));
@@ -546,7 +590,7 @@ fn lss_answers_keep_their_time_while_pdos_fill_the_bus() {
     println!("{load} % bus load, {rpdos} RPDOs, {} echoes, {syncs} SYNCs", echoes.len());
     note_most("LSS answer while PDOs fill the bus", &mut at_once, ANSWER_CYCLES, INTERRUPT_CYCLES);
     // The controller gets a frame only if it is more urgent than those of the node that wait for the bus.
-    note("LSS answer behind a PDO of the node", &waited, 300 * CORE_MHZ);
+    note("LSS answer behind a PDO of the node", &waited, most_us * CORE_MHZ);
     assert!(at_once.len() > ROUNDS / 4, "{} answers at once", at_once.len());
     assert_eq!((at_once.len() + waited.len(), by_sync), (ROUNDS, syncs));
     assert_eq!(echoes.last(), Some(&value));

@@ -62,11 +62,6 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         self.persistent.unwrap_or_else(Self::declared::<A>)
     }
 
-    /// The parameters of a new device.
-    fn declared<A: Application>() -> Configuration<TPDOS, RPDOS, PRODUCERS> {
-        Self::new::<A>().configuration(ErrorBehaviour::DEFAULT)
-    }
-
     /// The error behaviour to which a reset returns.
     pub const fn error_behaviour<A: Application>(&self) -> ErrorBehaviour {
         match &self.persistent {
@@ -81,12 +76,9 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         if !Self::is_stored::<A>() {
             return false;
         }
-        let mut persistent = self.persistent::<A>();
+        let persistent = self.persistent.get_or_insert_with(Self::declared::<A>);
         let is_taken = persistent.take(parameter, A::OBJECTS).is_some();
-        if is_taken {
-            self.persistent = Some(persistent);
-            self.reset::<A>();
-        }
+        self.reset::<A>();
         is_taken
     }
 
