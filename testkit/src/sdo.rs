@@ -202,7 +202,7 @@ pub trait Client {
                 let (segment, others) = rest.split_at(rest.len().min(7));
                 (rest, unused, is_end) = (others, 7 - segment.len() as u8, others.is_empty());
                 let mut message = [0; 8];
-                message[0] = block.len() as u8 + 1 | if is_end { 0x80 } else { 0 };
+                message[0] = (block.len() as u8 + 1) | if is_end { 0x80 } else { 0 };
                 message[1..][..segment.len()].copy_from_slice(segment);
                 block.push(message);
             }

@@ -9,7 +9,6 @@ use emulator::{
     board::{self, Board},
     can::{Adapter, Frame, Id},
     chip::{Part, Pin},
-    image::Image,
     network::{AdapterId, Source, What},
 };
 use lss_slave::BitRate;

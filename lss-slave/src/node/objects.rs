@@ -29,7 +29,6 @@ pub(super) struct Parts<'a, A, const TPDOS: usize, const RPDOS: usize, const PRO
     pub bit_rate: &'a BitRateControl,
     pub nmt: &'a mut NmtSlave,
     pub emergency: &'a mut Emergency,
-    /// `None` if there are none in this node.
     /// The error register for the errors of the application.
     pub reported: u8,
     pub storing: &'a mut Storing,
