@@ -500,7 +500,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.lss.reset_communication();
         let error_behaviour = self.product.process_data.error_behaviour::<A>();
         self.nmt.reset_communication(self.storing.persistent().heartbeat_ms, error_behaviour);
-        self.product.process_data.reset::<A>();
+        self.product.process_data.reset();
         self.end_sdo();
         Action::SetNodeId(self.node_id())
     }

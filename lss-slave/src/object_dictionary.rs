@@ -54,6 +54,8 @@ pub enum Object {
     CobIdSdoResponse,
     /// The value of an application with this number.
     Application(u8),
+    /// A value that an RPDO leaves out.
+    Dummy,
     SyncCobId,
     SyncCounterOverflow,
     /// The entry of the heartbeat consumer at this sub-index.

@@ -7,6 +7,7 @@ mod cob_id;
 mod declaration;
 mod heartbeats;
 mod mapping;
+mod pdo;
 mod rpdo;
 mod stored;
 mod sync;
@@ -26,12 +27,13 @@ use crate::{
     sdo::Abort,
 };
 use cob_id::PdoCobId;
-use heartbeats::Producer;
+use heartbeats::{Producer, Watch};
 use mapping::{Direction, Mapping};
-use rpdo::ReceivePdo;
+use pdo::Pdo;
+use rpdo::Reception;
 use stored::Configuration;
 use sync::Sync;
-use tpdo::TransmitPdo;
+use tpdo::Transmission;
 
 /// The most TPDOs, and the most RPDOs, of a node: those with a COB-ID in the predefined connection set (CiA 301).
 pub const MAX_PDOS: usize = 4;
@@ -41,18 +43,19 @@ pub const MAX_PRODUCERS: usize = 16;
 /// The process data of a node. It is empty, and takes no code, if all numbers are 0.
 #[derive(Clone, Debug)]
 pub(crate) struct ProcessData<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
-    tpdos: [TransmitPdo; TPDOS],
-    rpdos: [ReceivePdo; RPDOS],
-    producers: [Producer; PRODUCERS],
-    sync: Sync,
+    current: Configuration<TPDOS, RPDOS, PRODUCERS>,
+    persistent: Configuration<TPDOS, RPDOS, PRODUCERS>,
+    /// What the store in progress makes persistent, if that changes.
+    staged: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
+    tpdos: [Transmission; TPDOS],
+    rpdos: [Reception; RPDOS],
+    watches: [Watch; PRODUCERS],
+    /// The latest SYNC had a wrong length.
+    is_sync_wrong: bool,
     /// The node is NMT operational.
     is_running: bool,
     /// The COB-IDs to receive have changed since the board was informed.
     has_new_receives: bool,
-    /// What is persistent; `None`: what the application declares.
-    persistent: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
-    /// What the store in progress makes persistent, if that changes.
-    staged: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
 }
 
 impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
@@ -64,22 +67,22 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     /// The process data that the application declares. A wrong declaration does not compile.
     pub const fn new<A: Application>() -> Self {
-        let Configuration { tpdos, rpdos, producers, sync, .. } = Self::declared::<A>();
         Self {
-            tpdos,
-            rpdos,
-            producers,
-            sync,
+            current: Self::declared::<A>(),
+            persistent: Self::declared::<A>(),
+            staged: None,
+            tpdos: [Transmission::NEW; TPDOS],
+            rpdos: [Reception::NEW; RPDOS],
+            watches: [Watch::Waiting; PRODUCERS],
+            is_sync_wrong: false,
             is_running: false,
             has_new_receives: false,
-            persistent: None,
-            staged: None,
         }
     }
 
     /// The parameters of a new device.
     const fn declared<A: Application>() -> Configuration<TPDOS, RPDOS, PRODUCERS> {
-        let (tpdos, rpdos) = const {
+        const {
             assert!(
                 TPDOS <= MAX_PDOS && RPDOS <= MAX_PDOS,
                 "a node has at most 4 TPDOs and 4 RPDOs"
@@ -91,53 +94,57 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             );
             assert!(A::TPDOS.len() <= TPDOS, "more TPDOs are declared than the node has");
             assert!(A::RPDOS.len() <= RPDOS, "more RPDOs are declared than the node has");
-            let mut tpdos = [TransmitPdo::UNUSED; TPDOS];
+            let mut tpdos = [Pdo::UNUSED; TPDOS];
             let mut at = 0;
             while at < A::TPDOS.len() {
-                tpdos[at] = TransmitPdo::declared(&A::TPDOS[at], A::OBJECTS);
+                tpdos[at] = Pdo::declared_tpdo(&A::TPDOS[at], A::OBJECTS);
                 at += 1;
             }
-            let mut rpdos = [ReceivePdo::UNUSED; RPDOS];
+            let mut rpdos = [Pdo::UNUSED; RPDOS];
             let mut at = 0;
             while at < A::RPDOS.len() {
-                rpdos[at] = ReceivePdo::declared(&A::RPDOS[at], A::OBJECTS);
+                rpdos[at] = Pdo::declared_rpdo(&A::RPDOS[at], A::OBJECTS);
                 at += 1;
             }
-            (tpdos, rpdos)
-        };
-        Configuration {
-            tpdos,
-            rpdos,
-            producers: [Producer::UNUSED; PRODUCERS],
-            sync: Sync::new(),
-            error_behaviour: ErrorBehaviour::DEFAULT,
+            Configuration {
+                tpdos,
+                rpdos,
+                producers: [Producer::UNUSED; PRODUCERS],
+                sync: Sync::new(),
+                error_behaviour: ErrorBehaviour::DEFAULT,
+            }
         }
     }
 
     /// Restarts as after power-on, with the persistent parameters.
-    pub fn reset<A: Application>(&mut self) {
+    pub fn reset(&mut self) {
         if Self::IS_USED {
-            let Configuration { tpdos, rpdos, producers, sync, .. } = self.persistent::<A>();
-            (self.tpdos, self.rpdos, self.producers, self.sync) = (tpdos, rpdos, producers, sync);
-            (self.is_running, self.has_new_receives) = (false, false);
-            self.tpdos.iter_mut().for_each(TransmitPdo::restart);
-            self.rpdos.iter_mut().for_each(ReceivePdo::restart);
+            self.current = self.persistent;
+            self.restart_pdos();
+            self.watches.fill(Watch::Waiting);
+            (self.is_sync_wrong, self.is_running, self.has_new_receives) = (false, false, false);
         }
+    }
+
+    /// Makes all TPDOs due, and forgets the RPDOs received until now.
+    fn restart_pdos(&mut self) {
+        self.tpdos.fill(Transmission::NEW);
+        self.rpdos.fill(Reception::NEW);
     }
 
     /// The COB-ID of SYNC, if there are PDOs.
     pub fn sync_cob_id(&self) -> Option<u16> {
-        Self::HAS_PDOS.then(|| self.sync.cob_id())
+        Self::HAS_PDOS.then(|| self.current.sync.cob_id())
     }
 
     /// The COB-ID of an RPDO, if it is valid.
     pub fn rpdo_cob_id(&self, at: usize, node: Option<NodeId>) -> Option<u16> {
-        self.rpdos.get(at)?.cob_id.active(rpdo_base(at), Some(node?))
+        self.current.rpdos.get(at)?.cob_id.active(base(Direction::Receive, at), Some(node?))
     }
 
     /// The COB-ID of the heartbeat of a producer, if it is watched.
     pub fn producer_cob_id(&self, at: usize) -> Option<u16> {
-        self.producers.get(at)?.cob_id()
+        self.current.producers.get(at)?.cob_id()
     }
 
     /// Whether the COB-IDs to receive have changed since the last call.
@@ -149,19 +156,20 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     pub fn follow(&mut self, state: nmt::State) {
         let is_running = state == nmt::State::Operational;
         if Self::HAS_PDOS && mem::replace(&mut self.is_running, is_running) != is_running {
-            self.tpdos.iter_mut().for_each(TransmitPdo::restart);
-            self.rpdos.iter_mut().for_each(ReceivePdo::restart);
+            self.restart_pdos();
         }
     }
 
     /// Makes all event-driven TPDOs due, since frames may have been dropped.
     pub fn note_resumed(&mut self) {
-        self.tpdos.iter_mut().for_each(TransmitPdo::restart);
+        self.tpdos.fill(Transmission::NEW);
     }
 
     /// Grants all producers a new period, since nobody has sent heartbeats during a switch of the bit rate.
     pub fn restart_producers(&mut self, now: Instant) {
-        self.producers.iter_mut().for_each(|producer| producer.restart(now));
+        for (watch, producer) in self.watches.iter_mut().zip(&self.current.producers) {
+            watch.restart(producer, now);
+        }
     }
 
     /// Handles a frame that may belong to process data, or a heartbeat.
@@ -174,13 +182,13 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         now: Instant,
     ) {
         if Self::HAS_PDOS && self.is_running {
-            if frame.cob_id() == self.sync.cob_id() {
+            if frame.cob_id() == self.current.sync.cob_id() {
                 return self.handle_sync(frame, application, errors);
             }
             self.handle_pdo(frame, node, application, errors);
         }
-        for producer in &mut self.producers {
-            if let Some(event) = producer.handle(frame, now) {
+        for (watch, producer) in self.watches.iter_mut().zip(&self.current.producers) {
+            if let Some(event) = watch.handle(producer, frame, now) {
                 application.handle(event);
             }
         }
@@ -193,15 +201,15 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         application: &mut A,
         errors: &mut Errors<'_>,
     ) {
-        for (at, rpdo) in self.rpdos.iter_mut().enumerate() {
-            if rpdo.cob_id.active(rpdo_base(at), Some(node)) != Some(frame.cob_id()) {
+        for (at, (rpdo, pdo)) in self.rpdos.iter_mut().zip(&self.current.rpdos).enumerate() {
+            if pdo.cob_id.active(base(Direction::Receive, at), Some(node)) != Some(frame.cob_id()) {
                 continue;
             }
             let number = at as u8 + 1;
-            if let Some(code) = rpdo.check_length(frame) {
+            if let Some(code) = rpdo.check_length(pdo, frame) {
                 errors.report(code, COMMUNICATION, [number, 0, 0, 0, 0]);
             }
-            if rpdo.handle(frame, application) {
+            if rpdo.handle(pdo, frame, application) {
                 application.handle(Event::Received(number));
             }
         }
@@ -213,28 +221,30 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         application: &mut A,
         errors: &mut Errors<'_>,
     ) {
-        let counter = match self.sync.handle(frame) {
-            Ok(counter) => counter,
-            Err(sync::WrongLength { is_new }) => {
-                if is_new {
-                    let len = frame.data().len() as u8;
-                    errors.report(sync::WRONG_LENGTH, COMMUNICATION, [len, 0, 0, 0, 0]);
-                }
-                return;
+        let counter = self.current.sync.counter(frame);
+        let was_wrong = mem::replace(&mut self.is_sync_wrong, counter.is_err());
+        let Ok(counter) = counter else {
+            if !was_wrong {
+                let len = frame.data().len() as u8;
+                errors.report(sync::WRONG_LENGTH, COMMUNICATION, [len, 0, 0, 0, 0]);
             }
+            return;
         };
-        for (at, rpdo) in self.rpdos.iter_mut().enumerate() {
-            if rpdo.handle_sync(application) {
+        for (at, (rpdo, pdo)) in self.rpdos.iter_mut().zip(&self.current.rpdos).enumerate() {
+            if rpdo.handle_sync(pdo, application) {
                 application.handle(Event::Received(at as u8 + 1));
             }
         }
         application.handle(Event::Sync);
-        self.tpdos.iter_mut().for_each(|tpdo| tpdo.handle_sync(counter));
+        for (tpdo, pdo) in self.tpdos.iter_mut().zip(&self.current.tpdos) {
+            tpdo.handle_sync(pdo, counter);
+        }
     }
 
     /// The next producer whose heartbeat is missing at `now`.
     pub fn next_lost(&mut self, errors: &mut Errors<'_>, now: Instant) -> Option<NodeId> {
-        let lost = self.producers.iter_mut().find_map(|producer| producer.poll(now))?;
+        let at = self.watches.iter_mut().position(|watch| watch.poll(now))?;
+        let lost = self.current.producers.get(at)?.node()?;
         errors.report(heartbeats::LOST, COMMUNICATION, [lost.get(), 0, 0, 0, 0]);
         Some(lost)
     }
@@ -248,8 +258,8 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         for (code, is_present) in [
             (rpdo::TOO_SHORT, has(rpdo::TOO_SHORT)),
             (rpdo::TOO_LONG, has(rpdo::TOO_LONG)),
-            (sync::WRONG_LENGTH, self.sync.is_length_wrong()),
-            (heartbeats::LOST, self.producers.iter().any(Producer::is_lost)),
+            (sync::WRONG_LENGTH, self.is_sync_wrong),
+            (heartbeats::LOST, self.watches.iter().any(Watch::is_lost)),
         ] {
             if !is_present {
                 errors.end(code);
@@ -267,21 +277,38 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         if !self.is_running {
             return None;
         }
-        self.tpdos.iter_mut().enumerate().find_map(|(at, tpdo)| {
-            let cob_id = tpdo.cob_id.active(tpdo_base(at), Some(node))?;
-            tpdo.poll(cob_id, application, now)
+        let mut tpdos = self.tpdos.iter_mut().zip(&self.current.tpdos).enumerate();
+        tpdos.find_map(|(at, (tpdo, pdo))| {
+            let cob_id = pdo.cob_id.active(base(Direction::Transmit, at), Some(node))?;
+            tpdo.poll(pdo, cob_id, application, now)
         })
     }
 
     /// The time at which [`next_frame`](Self::next_frame) has something to do.
     pub fn poll_at(&self) -> Option<Instant> {
-        let tpdos = self.tpdos.iter().filter(|_| self.is_running);
-        tpdos.filter_map(TransmitPdo::poll_at).reduce(Instant::earlier)
+        let tpdos = self.tpdos.iter().zip(&self.current.tpdos).filter(|_| self.is_running);
+        tpdos.filter_map(|(tpdo, pdo)| tpdo.poll_at(pdo)).reduce(Instant::earlier)
     }
 
     /// The time at which [`next_lost`](Self::next_lost) has something to do.
     pub fn producers_poll_at(&self) -> Option<Instant> {
-        self.producers.iter().filter_map(Producer::poll_at).reduce(Instant::earlier)
+        self.watches.iter().filter_map(Watch::poll_at).reduce(Instant::earlier)
+    }
+
+    fn pdo(&self, direction: Direction, at: usize) -> Result<&Pdo, Abort> {
+        let pdos: &[Pdo] = match direction {
+            Direction::Transmit => &self.current.tpdos,
+            Direction::Receive => &self.current.rpdos,
+        };
+        pdos.get(at).ok_or(Abort::NoObject)
+    }
+
+    fn pdo_mut(&mut self, direction: Direction, at: usize) -> Result<&mut Pdo, Abort> {
+        let pdos: &mut [Pdo] = match direction {
+            Direction::Transmit => &mut self.current.tpdos,
+            Direction::Receive => &mut self.current.rpdos,
+        };
+        pdos.get_mut(at).ok_or(Abort::NoObject)
     }
 
     /// The value of an object of process data.
@@ -289,30 +316,26 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     /// # Errors
     /// [`Abort::NoObject`] for any other object.
     pub fn read(&self, object: Object, node: Option<NodeId>) -> Result<u32, Abort> {
-        let value = match object {
-            Object::SyncCobId if Self::HAS_PDOS => Some(self.sync.cob_id().into()),
-            Object::SyncCounterOverflow if Self::HAS_PDOS => Some(self.sync.overflow().into()),
+        use Direction::{Receive, Transmit};
+        let (direction, part) = match object {
+            Object::SyncCobId if Self::HAS_PDOS => return Ok(self.current.sync.cob_id().into()),
+            Object::SyncCounterOverflow if Self::HAS_PDOS => {
+                return Ok(self.current.sync.overflow().into());
+            }
             Object::ConsumerHeartbeatTime(sub_index) => {
                 let at = usize::from(sub_index.wrapping_sub(1));
-                self.producers.get(at).map(|producer| producer.value())
+                return self.current.producers.get(at).map(Producer::value).ok_or(Abort::NoObject);
             }
-            Object::RpdoParameter(part) => self
-                .rpdos
-                .get(part.at())
-                .map(|rpdo| rpdo.parameter(part.sub_index(), rpdo_base(part.at()), node)),
-            Object::TpdoParameter(part) => self
-                .tpdos
-                .get(part.at())
-                .map(|tpdo| tpdo.parameter(part.sub_index(), tpdo_base(part.at()), node)),
-            Object::RpdoMapping(part) => {
-                self.rpdos.get(part.at()).map(|rpdo| rpdo.mapping.value(part.sub_index()))
-            }
-            Object::TpdoMapping(part) => {
-                self.tpdos.get(part.at()).map(|tpdo| tpdo.mapping.value(part.sub_index()))
-            }
-            _ => None,
+            Object::RpdoParameter(part) | Object::RpdoMapping(part) => (Receive, part),
+            Object::TpdoParameter(part) | Object::TpdoMapping(part) => (Transmit, part),
+            _ => return Err(Abort::NoObject),
         };
-        value.ok_or(Abort::NoObject)
+        let (at, sub_index) = (part.at(), part.sub_index());
+        let pdo = self.pdo(direction, at)?;
+        Ok(match object {
+            Object::RpdoMapping(_) | Object::TpdoMapping(_) => pdo.mapping.value(sub_index),
+            _ => pdo.parameter(direction, sub_index, base(direction, at), node),
+        })
     }
 
     /// Writes an object of process data; `objects` are those of the application.
@@ -324,50 +347,60 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         object: Object,
         value: u32,
         node: Option<NodeId>,
-        objects: &[Entry],
+        objects: &'static [Entry],
     ) -> Result<(), Abort> {
-        match object {
+        use Direction::{Receive, Transmit};
+        let (direction, part) = match object {
             Object::SyncCobId if Self::HAS_PDOS => {
-                self.sync.set_cob_id(value)?;
+                self.current.sync.set_cob_id(value)?;
                 self.has_new_receives = true;
+                return Ok(());
             }
-            Object::SyncCounterOverflow if Self::HAS_PDOS => self.sync.set_overflow(value as u8)?,
+            Object::SyncCounterOverflow if Self::HAS_PDOS => {
+                return self.current.sync.set_overflow(value as u8);
+            }
             Object::ConsumerHeartbeatTime(sub_index) => {
                 let at = usize::from(sub_index.wrapping_sub(1));
-                Producer::set(&mut self.producers, at, value)?;
+                Producer::set(&mut self.current.producers, at, value)?;
+                if let Some(watch) = self.watches.get_mut(at) {
+                    *watch = Watch::Waiting;
+                }
                 self.has_new_receives = true;
+                return Ok(());
             }
-            Object::RpdoParameter(part) => {
-                let base = rpdo_base(part.at());
-                let rpdo = self.rpdos.get_mut(part.at()).ok_or(Abort::NoObject)?;
-                rpdo.set_parameter(part.sub_index(), value, base, node)?;
-                self.has_new_receives = true;
-            }
-            Object::TpdoParameter(part) => {
-                let base = tpdo_base(part.at());
-                let tpdo = self.tpdos.get_mut(part.at()).ok_or(Abort::NoObject)?;
-                tpdo.set_parameter(part.sub_index(), value, base, node)?;
-            }
-            Object::RpdoMapping(part) => {
-                let rpdo = self.rpdos.get_mut(part.at()).ok_or(Abort::NoObject)?;
-                rpdo.mapping.set(Direction::Receive, rpdo.cob_id, part, value, objects)?;
-            }
-            Object::TpdoMapping(part) => {
-                let tpdo = self.tpdos.get_mut(part.at()).ok_or(Abort::NoObject)?;
-                tpdo.mapping.set(Direction::Transmit, tpdo.cob_id, part, value, objects)?;
-            }
+            Object::RpdoParameter(part) | Object::RpdoMapping(part) => (Receive, part),
+            Object::TpdoParameter(part) | Object::TpdoMapping(part) => (Transmit, part),
             _ => return Err(Abort::NoObject),
+        };
+        let (at, sub_index) = (part.at(), part.sub_index());
+        let pdo = self.pdo_mut(direction, at)?;
+        if let Object::RpdoMapping(_) | Object::TpdoMapping(_) = object {
+            return pdo.set_mapping(direction, sub_index, value, objects);
+        }
+        pdo.set_parameter(sub_index, value, base(direction, at), node)?;
+        match direction {
+            Receive => {
+                if let Some(rpdo) = self.rpdos.get_mut(at) {
+                    *rpdo = Reception::NEW;
+                }
+                self.has_new_receives = true;
+            }
+            // It is due then, and its times begin again.
+            Transmit => {
+                if let Some(tpdo) = self.tpdos.get_mut(at) {
+                    *tpdo = Transmission::NEW;
+                }
+            }
         }
         Ok(())
     }
 }
 
-/// The COB-ID of a TPDO in the predefined connection set, to which the node-ID is added.
-const fn tpdo_base(at: usize) -> u16 {
-    0x180 + 0x100 * (at % MAX_PDOS) as u16
-}
-
-/// The COB-ID of an RPDO in the predefined connection set, to which the node-ID is added.
-const fn rpdo_base(at: usize) -> u16 {
-    0x200 + 0x100 * (at % MAX_PDOS) as u16
+/// The COB-ID of a PDO in the predefined connection set, to which the node-ID is added.
+const fn base(direction: Direction, at: usize) -> u16 {
+    let of_first = match direction {
+        Direction::Transmit => 0x180,
+        Direction::Receive => 0x200,
+    };
+    of_first + 0x100 * (at % MAX_PDOS) as u16
 }

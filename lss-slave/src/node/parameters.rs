@@ -70,9 +70,8 @@ impl<A: Dictionary> Parameters for A {
         let stored = A::OBJECTS.iter().filter(|entry| entry.options.is_stored());
         for Entry { index, sub_index, data_type, object, .. } in stored {
             if let Object::Application(field) = *object {
-                to.put_with(*index, *sub_index, *data_type as u8, self.len(field), |value| {
-                    self.read(field, 0, value);
-                });
+                let place = to.reserve(*index, *sub_index, *data_type as u8, self.len(field));
+                self.read(field, 0, place);
             }
         }
     }

@@ -7,16 +7,16 @@ use crate::{Frame, Instant, NodeId, application::Event, nmt, sdo::Abort};
 /// Error code of a heartbeat that is missing (CiA 301, table 26).
 pub(crate) const LOST: u16 = 0x8130;
 
-/// An entry of 1016h, and what is known of its node.
+/// An entry of 1016h.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Producer {
     node: u8,
     time_ms: u16,
-    watch: Watch,
 }
 
+/// The knowledge of the node of an entry.
 #[derive(Clone, Copy, Debug)]
-enum Watch {
+pub(super) enum Watch {
     /// Nothing was received yet.
     Waiting,
     Alive {
@@ -25,11 +25,54 @@ enum Watch {
     Lost,
 }
 
+impl Watch {
+    /// Handles a frame, which may be the producer's heartbeat. A boot-up is the first one (CiA 301, 7.2.8.2.2.2).
+    pub fn handle(&mut self, producer: &Producer, frame: &Frame, now: Instant) -> Option<Event> {
+        let &[state] = frame.data() else {
+            return None;
+        };
+        let node = producer.node()?;
+        if producer.cob_id() != Some(frame.cob_id()) {
+            return None;
+        }
+        *self = producer.is_at(now);
+        (state == nmt::State::Initialisation as u8).then_some(Event::BootUp(node))
+    }
+
+    /// Whether the heartbeat begins to be missing at `now`.
+    pub fn poll(&mut self, now: Instant) -> bool {
+        let is_missing = self.poll_at().is_some_and(|at| at.has_come(now));
+        if is_missing {
+            *self = Self::Lost;
+        }
+        is_missing
+    }
+
+    /// The time at which a heartbeat is missing.
+    pub const fn poll_at(&self) -> Option<Instant> {
+        match *self {
+            Self::Alive { until } => Some(until),
+            Self::Waiting | Self::Lost => None,
+        }
+    }
+
+    /// Grants a new period.
+    pub const fn restart(&mut self, producer: &Producer, now: Instant) {
+        if let Self::Alive { .. } = self {
+            *self = producer.is_at(now);
+        }
+    }
+
+    pub const fn is_lost(&self) -> bool {
+        matches!(self, Self::Lost)
+    }
+}
+
 impl Producer {
-    pub const UNUSED: Self = Self { node: 0, time_ms: 0, watch: Watch::Waiting };
+    pub const UNUSED: Self = Self { node: 0, time_ms: 0 };
 
     /// The node that is watched. An entry without a time or with another node-ID is not used.
-    fn node(&self) -> Option<NodeId> {
+    pub fn node(&self) -> Option<NodeId> {
         NodeId::new(self.node).filter(|_| self.time_ms != 0)
     }
 
@@ -40,52 +83,6 @@ impl Producer {
 
     const fn is_at(&self, now: Instant) -> Watch {
         Watch::Alive { until: now.plus_micros(self.time_ms as u32 * 1000) }
-    }
-
-    /// Handles a frame, which may be the node's heartbeat. A boot-up is the first one (CiA 301, 7.2.8.2.2.2).
-    pub fn handle(&mut self, frame: &Frame, now: Instant) -> Option<Event> {
-        let node = self.node()?;
-        let &[state] = frame.data() else {
-            return None;
-        };
-        if self.cob_id() != Some(frame.cob_id()) {
-            return None;
-        }
-        self.watch = self.is_at(now);
-        (state == nmt::State::Initialisation as u8).then_some(Event::BootUp(node))
-    }
-
-    /// The node, when its heartbeat is missing.
-    pub fn poll(&mut self, now: Instant) -> Option<NodeId> {
-        if !self.poll_at()?.has_come(now) {
-            return None;
-        }
-        self.watch = Watch::Lost;
-        self.node()
-    }
-
-    /// The time at which a heartbeat is missing.
-    pub fn poll_at(&self) -> Option<Instant> {
-        match self.watch {
-            Watch::Alive { until } => Some(until),
-            Watch::Waiting | Watch::Lost => None,
-        }
-    }
-
-    /// Forgets the heartbeats received until now.
-    pub const fn forget(&mut self) {
-        self.watch = Watch::Waiting;
-    }
-
-    /// Grants a new period.
-    pub fn restart(&mut self, now: Instant) {
-        if let Watch::Alive { .. } = self.watch {
-            self.watch = self.is_at(now);
-        }
-    }
-
-    pub const fn is_lost(&self) -> bool {
-        matches!(self.watch, Watch::Lost)
     }
 
     /// The value of the entry.
@@ -101,7 +98,7 @@ impl Producer {
         if value >> 24 != 0 {
             return Err(Abort::InvalidValue);
         }
-        let wanted = Self { node: (value >> 16) as u8, time_ms: value as u16, ..Self::UNUSED };
+        let wanted = Self { node: (value >> 16) as u8, time_ms: value as u16 };
         let place = producers.get_mut(at).ok_or(Abort::NoSubIndex)?;
         let before = mem::replace(place, wanted);
         let mut same = producers.iter().filter(|other| other.node() == wanted.node());

@@ -1,9 +1,8 @@
 //! The mapping of a PDO (CiA 301, 7.5.2.36): the values of the application in its bytes.
 
-use super::cob_id::PdoCobId;
 use crate::{
     Application,
-    object_dictionary::{Access, DataType, Entry, Object, PdoPart},
+    object_dictionary::{Access, DataType, Entry, Object, Options},
     sdo::Abort,
 };
 
@@ -22,92 +21,82 @@ pub(super) enum Direction {
 pub(super) struct Mapping {
     /// Sub-index 0; 0 disables the PDO.
     number: u8,
-    mapped: [Mapped; MAX_MAPPED],
+    mapped: [Option<&'static Entry>; MAX_MAPPED],
 }
 
-/// A value in a PDO.
-#[derive(Clone, Copy, Debug)]
-struct Mapped {
-    /// Index, sub-index and length in bits, as in the dictionary; 0 for none.
-    code: u32,
-    /// The field of the application; `None` leaves the bytes out.
-    field: Option<u8>,
-}
+/// The objects whose bytes an RPDO leaves out (CiA 301, 7.4.7). Their index is that of their data type.
+const DUMMIES: &[Entry] = &[
+    dummy(DataType::Boolean),
+    dummy(DataType::Integer8),
+    dummy(DataType::Integer16),
+    dummy(DataType::Integer32),
+    dummy(DataType::Unsigned8),
+    dummy(DataType::Unsigned16),
+    dummy(DataType::Unsigned32),
+];
 
-impl Mapped {
-    const NONE: Self = Self { code: 0, field: None };
-
-    /// The value at this address, if it can be mapped in this direction.
-    const fn new(
-        objects: &[Entry],
-        direction: Direction,
-        index: u16,
-        sub_index: u8,
-    ) -> Option<Self> {
-        let (size, field) = match (direction, dummy(index, sub_index)) {
-            (Direction::Receive, Some(data_type)) => (data_type.size(), None),
-            _ => {
-                let mut at = 0;
-                while at < objects.len()
-                    && (objects[at].index != index || objects[at].sub_index != sub_index)
-                {
-                    at += 1;
-                }
-                if at >= objects.len() || !objects[at].options.is_mappable() {
-                    return None;
-                }
-                let Entry { data_type, access, object: Object::Application(field), .. } =
-                    objects[at]
-                else {
-                    return None;
-                };
-                let is_possible = match direction {
-                    Direction::Transmit => !matches!(access, Access::WriteOnly),
-                    Direction::Receive => matches!(access, Access::ReadWrite | Access::WriteOnly),
-                };
-                if !is_possible {
-                    return None;
-                }
-                (data_type.size(), Some(field))
-            }
-        };
-        let bits = size as u32 * 8;
-        let code = (index as u32) << 16 | (sub_index as u32) << 8 | bits;
-        Some(Self { code, field })
-    }
-
-    /// The value with this code, if it exists and can be mapped in this direction.
-    fn with_code(objects: &[Entry], direction: Direction, code: u32) -> Option<Self> {
-        let mapped = Self::new(objects, direction, (code >> 16) as u16, (code >> 8) as u8);
-        mapped.filter(|mapped| mapped.code == code)
-    }
-
-    /// The length in bytes.
-    const fn len(self) -> usize {
-        (self.code & 0xFF) as usize / 8
+const fn dummy(data_type: DataType) -> Entry {
+    Entry {
+        index: data_type as u16,
+        sub_index: 0,
+        data_type,
+        access: Access::WriteOnly,
+        options: Options::NONE.mappable(),
+        object: Object::Dummy,
     }
 }
 
-/// The data type whose bytes a dummy entry leaves out (CiA 301, 7.4.7).
-const fn dummy(index: u16, sub_index: u8) -> Option<DataType> {
-    Some(match (index, sub_index) {
-        (1, 0) => DataType::Boolean,
-        (2, 0) => DataType::Integer8,
-        (3, 0) => DataType::Integer16,
-        (4, 0) => DataType::Integer32,
-        (5, 0) => DataType::Unsigned8,
-        (6, 0) => DataType::Unsigned16,
-        (7, 0) => DataType::Unsigned32,
-        _ => return None,
-    })
+/// The object with this address, if it can be mapped in this direction.
+const fn find(
+    objects: &'static [Entry],
+    direction: Direction,
+    index: u16,
+    sub_index: u8,
+) -> Option<&'static Entry> {
+    let table = if index < 0x1000 { DUMMIES } else { objects };
+    let mut at = 0;
+    while at < table.len() {
+        let entry = &table[at];
+        if entry.index == index && entry.sub_index == sub_index {
+            let is_possible = match direction {
+                Direction::Transmit => !matches!(entry.access, Access::WriteOnly),
+                Direction::Receive => matches!(entry.access, Access::ReadWrite | Access::WriteOnly),
+            };
+            return if is_possible && entry.options.is_mappable() { Some(entry) } else { None };
+        }
+        at += 1;
+    }
+    None
+}
+
+/// The object with this entry of a mapping, if it can be mapped in this direction.
+fn find_code(
+    objects: &'static [Entry],
+    direction: Direction,
+    wanted: u32,
+) -> Option<&'static Entry> {
+    let entry = find(objects, direction, (wanted >> 16) as u16, (wanted >> 8) as u8)?;
+    (code(entry) == wanted).then_some(entry)
+}
+
+/// The entry of a mapping for this object: index, sub-index and length in bits.
+fn code(entry: &Entry) -> u32 {
+    let bits = u32::from(entry.data_type.size()) * 8;
+    u32::from(entry.index) << 16 | u32::from(entry.sub_index) << 8 | bits
+}
+
+/// The length of mapped values in bytes.
+fn len(mapped: &[Option<&Entry>]) -> usize {
+    let sizes = mapped.iter().flatten().map(|entry| usize::from(entry.data_type.size()));
+    sizes.fold(0, usize::saturating_add)
 }
 
 impl Mapping {
-    pub const EMPTY: Self = Self { number: 0, mapped: [Mapped::NONE; MAX_MAPPED] };
+    pub const EMPTY: Self = Self { number: 0, mapped: [None; MAX_MAPPED] };
 
     /// The mapping of a declaration; panics, at compile time, with what is wrong.
     pub const fn declared(
-        objects: &[Entry],
+        objects: &'static [Entry],
         direction: Direction,
         addresses: &[(u16, u8)],
     ) -> Self {
@@ -117,13 +106,13 @@ impl Mapping {
         let mut at = 0;
         while at < addresses.len() {
             let (index, sub_index) = addresses[at];
-            let Some(mapped) = Mapped::new(objects, direction, index, sub_index) else {
+            let Some(entry) = find(objects, direction, index, sub_index) else {
                 panic!(
                     "a PDO has an object that does not exist or cannot be mapped in its direction"
                 );
             };
-            mapping.mapped[at] = mapped;
-            len += mapped.len();
+            mapping.mapped[at] = Some(entry);
+            len += entry.data_type.size();
             at += 1;
         }
         assert!(len <= 8, "the values of a PDO have more than 8 bytes");
@@ -132,27 +121,40 @@ impl Mapping {
     }
 
     /// The mapping that was stored, if all its values exist and can be mapped in this direction.
-    pub fn from_stored(codes: &[[u8; 4]], direction: Direction, objects: &[Entry]) -> Option<Self> {
+    pub fn from_stored(
+        codes: &[[u8; 4]],
+        direction: Direction,
+        objects: &'static [Entry],
+    ) -> Option<Self> {
         let mut mapping = Self { number: codes.len() as u8, ..Self::EMPTY };
         for (at, code) in codes.iter().enumerate() {
             let place = mapping.mapped.get_mut(at)?;
-            *place = Mapped::with_code(objects, direction, u32::from_le_bytes(*code))?;
+            *place = Some(find_code(objects, direction, u32::from_le_bytes(*code))?);
         }
         (mapping.len() <= 8).then_some(mapping)
     }
 
     /// The mapping as it is stored: the entries of the values that the PDO carries.
-    pub fn stored(&self) -> impl Iterator<Item = u32> + Clone {
-        self.mapped().map(|mapped| mapped.code)
+    pub fn stored(&self) -> impl Iterator<Item = u32> {
+        self.entries().map(code)
     }
 
-    fn mapped(&self) -> impl Iterator<Item = &Mapped> + Clone {
-        self.mapped.iter().take(self.number.into())
+    fn mapped(&self) -> &[Option<&'static Entry>] {
+        self.mapped.get(..self.number()).unwrap_or_default()
+    }
+
+    fn entries(&self) -> impl Iterator<Item = &'static Entry> {
+        self.mapped().iter().copied().flatten()
+    }
+
+    /// The number of values that the PDO carries.
+    pub fn number(&self) -> usize {
+        self.number.into()
     }
 
     /// The length of the PDO in bytes.
     pub fn len(&self) -> usize {
-        self.mapped().fold(0, |len, mapped| len.saturating_add(mapped.len()))
+        len(self.mapped())
     }
 
     pub const fn is_empty(&self) -> bool {
@@ -163,9 +165,10 @@ impl Mapping {
     pub fn read<A: Application>(&self, application: &A) -> [u8; 8] {
         let mut data = [0; 8];
         let mut rest = data.as_mut_slice();
-        for mapped in self.mapped() {
-            let Some((bytes, others)) = rest.split_at_mut_checked(mapped.len()) else { break };
-            if let Some(field) = mapped.field {
+        for Entry { data_type, object, .. } in self.entries() {
+            let size = data_type.size().into();
+            let Some((bytes, others)) = rest.split_at_mut_checked(size) else { break };
+            if let Object::Application(field) = *object {
                 application.read(field, 0, bytes);
             }
             rest = others;
@@ -176,9 +179,10 @@ impl Mapping {
     /// Gives the values in `data` to the application; a value that it refuses is ignored.
     pub fn write<A: Application>(&self, data: &[u8], application: &mut A) {
         let mut rest = data;
-        for mapped in self.mapped() {
-            let Some((bytes, others)) = rest.split_at_checked(mapped.len()) else { break };
-            if let Some(field) = mapped.field
+        for Entry { data_type, object, .. } in self.entries() {
+            let size = data_type.size().into();
+            let Some((bytes, others)) = rest.split_at_checked(size) else { break };
+            if let Object::Application(field) = *object
                 && let Ok(value) = A::parse(field, bytes)
                 && application.accept(&value).is_ok()
             {
@@ -190,13 +194,14 @@ impl Mapping {
 
     /// The value of a sub-index.
     pub fn value(&self, sub_index: u8) -> u32 {
-        let at = usize::from(sub_index).checked_sub(1);
-        let mapped = at.and_then(|at| self.mapped.get(at));
-        mapped.map_or(self.number.into(), |mapped| mapped.code)
+        match usize::from(sub_index).checked_sub(1) {
+            None => self.number.into(),
+            Some(at) => self.mapped.get(at).copied().flatten().map_or(0, code),
+        }
     }
 
-    /// Sets a sub-index, by the procedure of CiA 301: the PDO is not valid; sub-index 0 is 0 while entries change; then
-    /// it is set to their number.
+    /// Sets a sub-index, by the procedure of CiA 301: sub-index 0 is 0 while entries change; then it is set to their
+    /// number.
     ///
     /// # Errors
     /// [`Abort::DeviceState`] out of turn; [`Abort::NotMappable`] for an object that does not exist or cannot be mapped
@@ -204,33 +209,26 @@ impl Mapping {
     pub fn set(
         &mut self,
         direction: Direction,
-        cob_id: PdoCobId,
-        part: PdoPart,
+        sub_index: u8,
         value: u32,
-        objects: &[Entry],
+        objects: &'static [Entry],
     ) -> Result<(), Abort> {
-        if cob_id.is_valid {
-            return Err(Abort::DeviceState);
-        }
-        let at = usize::from(part.sub_index()).checked_sub(1);
+        let at = usize::from(sub_index).checked_sub(1);
         if let Some(place) = at.and_then(|at| self.mapped.get_mut(at)) {
             if self.number != 0 {
                 return Err(Abort::DeviceState);
             }
-            *place = Mapped::with_code(objects, direction, value).ok_or(Abort::NotMappable)?;
+            *place = Some(find_code(objects, direction, value).ok_or(Abort::NotMappable)?);
             return Ok(());
         }
-        let wanted = Self { number: value as u8, ..*self };
-        if value as usize > MAX_MAPPED {
-            return Err(Abort::InvalidValue);
-        }
-        if wanted.mapped().any(|mapped| mapped.code == 0) {
+        let wanted = self.mapped.get(..value as usize).ok_or(Abort::InvalidValue)?;
+        if wanted.iter().any(Option::is_none) {
             return Err(Abort::NotMappable);
         }
-        if wanted.len() > 8 {
+        if len(wanted) > 8 {
             return Err(Abort::TooManyMapped);
         }
-        *self = wanted;
+        self.number = value as u8;
         Ok(())
     }
 }

@@ -4,14 +4,13 @@
 use super::{
     ProcessData,
     heartbeats::Producer,
-    mapping::MAX_MAPPED,
-    rpdo::{RECEIVE_PARAMETERS, ReceivePdo},
+    mapping::{Direction, MAX_MAPPED},
+    pdo::Pdo,
     sync::Sync,
     tables::{
         CONSUMER_HEARTBEAT_TIME, RPDO_MAPPING, RPDO_PARAMETER, SYNC_COB_ID, SYNC_COUNTER_OVERFLOW,
         TPDO_MAPPING, TPDO_PARAMETER,
     },
-    tpdo::{TRANSMIT_PARAMETERS, TransmitPdo},
 };
 use crate::{
     Application,
@@ -27,11 +26,11 @@ const PDO: u8 = 0x20;
 const ERROR_BEHAVIOUR: u16 = 0x1029;
 const COMMUNICATION_ERROR: u8 = 1;
 
-/// The parameters of process data, with nothing received or sent yet.
+/// The parameters of process data.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Configuration<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
-    pub tpdos: [TransmitPdo; TPDOS],
-    pub rpdos: [ReceivePdo; RPDOS],
+    pub tpdos: [Pdo; TPDOS],
+    pub rpdos: [Pdo; RPDOS],
     pub producers: [Producer; PRODUCERS],
     pub sync: Sync,
     pub error_behaviour: ErrorBehaviour,
@@ -53,20 +52,16 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         of_sync
             + of_error_behaviour
             + PRODUCERS * (HEADER + 4)
-            + RPDOS * (HEADER + 4 * (RECEIVE_PARAMETERS + MAX_MAPPED))
-            + TPDOS * (HEADER + 4 * (TRANSMIT_PARAMETERS + MAX_MAPPED))
-    }
-
-    /// The parameters to which a reset returns.
-    pub(super) fn persistent<A: Application>(&self) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
-        self.persistent.unwrap_or_else(Self::declared::<A>)
+            + RPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Receive) + MAX_MAPPED))
+            + TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
     }
 
     /// The error behaviour to which a reset returns.
     pub const fn error_behaviour<A: Application>(&self) -> ErrorBehaviour {
-        match &self.persistent {
-            Some(persistent) if Self::is_stored::<A>() => persistent.error_behaviour,
-            _ => ErrorBehaviour::DEFAULT,
+        if Self::is_stored::<A>() {
+            self.persistent.error_behaviour
+        } else {
+            ErrorBehaviour::DEFAULT
         }
     }
 
@@ -76,30 +71,15 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         if !Self::is_stored::<A>() {
             return false;
         }
-        let persistent = self.persistent.get_or_insert_with(Self::declared::<A>);
-        let is_taken = persistent.take(parameter, A::OBJECTS).is_some();
-        self.reset::<A>();
+        let is_taken = self.persistent.take(parameter, A::OBJECTS).is_some();
+        self.reset();
         is_taken
-    }
-
-    /// The current parameters.
-    fn configuration(
-        &self,
-        error_behaviour: ErrorBehaviour,
-    ) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
-        let Self { tpdos, rpdos, producers, sync, .. } = *self;
-        let mut configuration = Configuration { tpdos, rpdos, producers, sync, error_behaviour };
-        configuration.tpdos.iter_mut().for_each(TransmitPdo::restart);
-        configuration.rpdos.iter_mut().for_each(ReceivePdo::restart);
-        configuration.producers.iter_mut().for_each(Producer::forget);
-        configuration.sync.forget();
-        configuration
     }
 
     /// Begins a store of the current parameters.
     pub fn stage<A: Application>(&mut self, error_behaviour: ErrorBehaviour) {
         if Self::is_stored::<A>() {
-            self.staged = Some(self.configuration(error_behaviour));
+            self.staged = Some(Configuration { error_behaviour, ..self.current });
         }
     }
 
@@ -125,7 +105,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             && let Some(staged) = self.staged.take()
             && is_done
         {
-            self.persistent = Some(staged);
+            self.persistent = staged;
         }
     }
 }
@@ -148,14 +128,14 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             put(to, CONSUMER_HEARTBEAT_TIME, sub_index, U32, &producer.value().to_le_bytes());
         }
         for (index, rpdo) in (RPDO_PARAMETER..).zip(&self.rpdos) {
-            put_pdo(to, index, rpdo.stored());
+            put_pdo(to, index, rpdo, Direction::Receive);
         }
         for (index, tpdo) in (TPDO_PARAMETER..).zip(&self.tpdos) {
-            put_pdo(to, index, tpdo.stored());
+            put_pdo(to, index, tpdo, Direction::Transmit);
         }
     }
 
-    fn take(&mut self, parameter: &Parameter<'_>, objects: &[Entry]) -> Option<()> {
+    fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
         let Parameter { index, sub_index, data_type, value } = *parameter;
         match (index, sub_index, data_type) {
             (SYNC_COB_ID, 0, U32) if TPDOS + RPDOS > 0 => self.sync.set_cob_id(number(value)?).ok(),
@@ -174,12 +154,12 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             }
             (RPDO_PARAMETER..RPDO_MAPPING, 0, PDO) => {
                 let rpdo = self.rpdos.get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
-                *rpdo = ReceivePdo::from_stored(words(value)?, objects)?;
+                *rpdo = Pdo::from_stored(words(value)?, Direction::Receive, objects)?;
                 Some(())
             }
             (TPDO_PARAMETER..TPDO_MAPPING, 0, PDO) => {
                 let tpdo = self.tpdos.get_mut(usize::from(index.wrapping_sub(TPDO_PARAMETER)))?;
-                *tpdo = TransmitPdo::from_stored(words(value)?, objects)?;
+                *tpdo = Pdo::from_stored(words(value)?, Direction::Transmit, objects)?;
                 Some(())
             }
             _ => None,
@@ -191,12 +171,13 @@ fn put(to: &mut Packer<'_>, index: u16, sub_index: u8, data_type: u8, value: &[u
     to.put(&Parameter { index, sub_index, data_type, value });
 }
 
-fn put_pdo(to: &mut Packer<'_>, index: u16, stored: impl Iterator<Item = u32> + Clone) {
-    to.put_with(index, 0, PDO, 4 * stored.clone().count(), |value| {
-        for (to, number) in value.as_chunks_mut().0.iter_mut().zip(stored) {
-            *to = number.to_le_bytes();
-        }
-    });
+#[inline(never)] // It has two callers.
+fn put_pdo(to: &mut Packer<'_>, index: u16, pdo: &Pdo, direction: Direction) {
+    let numbers = Pdo::stored_parameters(direction).saturating_add(pdo.mapping.number());
+    let place = to.reserve(index, 0, PDO, 4 * numbers);
+    for (to, number) in place.as_chunks_mut().0.iter_mut().zip(pdo.stored(direction)) {
+        *to = number.to_le_bytes();
+    }
 }
 
 fn number(value: &[u8]) -> Option<u32> {

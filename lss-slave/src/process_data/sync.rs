@@ -9,24 +9,20 @@ pub(super) const WRONG_LENGTH: u16 = 0x8240;
 /// The COB-ID of SYNC in the predefined connection set (CiA 301).
 const COB_ID: u16 = 0x080;
 
-/// The SYNC consumer.
+/// The parameters of the SYNC consumer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sync {
     cob_id: u16,
     /// 1019h: 0, or the highest counter.
     overflow: u8,
-    is_length_wrong: bool,
 }
 
 /// A SYNC with a wrong length, which is ignored.
-pub(super) struct WrongLength {
-    /// The SYNC before had the right length.
-    pub is_new: bool,
-}
+pub(super) struct WrongLength;
 
 impl Sync {
     pub const fn new() -> Self {
-        Self { cob_id: COB_ID, overflow: 0, is_length_wrong: false }
+        Self { cob_id: COB_ID, overflow: 0 }
     }
 
     pub const fn cob_id(&self) -> u16 {
@@ -37,32 +33,16 @@ impl Sync {
         self.overflow
     }
 
-    /// Forgets the SYNCs received until now.
-    pub const fn forget(&mut self) {
-        self.is_length_wrong = false;
-    }
-
-    /// Whether the latest SYNC had a wrong length.
-    pub const fn is_length_wrong(&self) -> bool {
-        self.is_length_wrong
-    }
-
     /// The counter of a SYNC, if it has one.
     ///
     /// # Errors
     /// [`WrongLength`].
-    pub fn handle(&mut self, frame: &Frame) -> Result<Option<u8>, WrongLength> {
-        let counter = match (frame.data(), self.overflow) {
-            ([], 0) => None,
-            (&[counter], 1..) => Some(counter),
-            _ => {
-                let is_new = !self.is_length_wrong;
-                self.is_length_wrong = true;
-                return Err(WrongLength { is_new });
-            }
-        };
-        self.is_length_wrong = false;
-        Ok(counter)
+    pub fn counter(&self, frame: &Frame) -> Result<Option<u8>, WrongLength> {
+        match (frame.data(), self.overflow) {
+            ([], 0) => Ok(None),
+            (&[counter], 1..) => Ok(Some(counter)),
+            _ => Err(WrongLength),
+        }
     }
 
     /// Sets 1005h.

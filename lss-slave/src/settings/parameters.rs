@@ -67,23 +67,18 @@ impl<'a> Packer<'a> {
     }
 
     /// Appends a parameter.
+    #[inline(never)] // It has several callers.
     pub fn put(&mut self, parameter: &Parameter<'_>) {
         let Parameter { index, sub_index, data_type, value } = *parameter;
-        self.put_with(index, sub_index, data_type, value.len(), |to| {
-            to.iter_mut().zip(value).for_each(|(to, from)| *to = *from);
-        });
+        let place = self.reserve(index, sub_index, data_type, value.len());
+        place.iter_mut().zip(value).for_each(|(to, from)| *to = *from);
     }
 
-    /// Appends a parameter whose value `write` fills in. One that does not fit is left out, which cannot happen in a
-    /// buffer of the length that [`Node::PARAMETERS`](crate::Node::PARAMETERS) gives.
-    pub fn put_with(
-        &mut self,
-        index: u16,
-        sub_index: u8,
-        data_type: u8,
-        len: usize,
-        write: impl FnOnce(&mut [u8]),
-    ) {
+    /// Appends a parameter and returns the place of its value, which the caller fills in. One that does not fit is left
+    /// out, and its place is empty, which cannot happen in a buffer of the length that
+    /// [`Node::PARAMETERS`](crate::Node::PARAMETERS) gives.
+    #[inline(never)] // It has several callers.
+    pub fn reserve(&mut self, index: u16, sub_index: u8, data_type: u8, len: usize) -> &mut [u8] {
         let rest = self.to.get_mut(self.len..).unwrap_or_default();
         if let Some((header, rest)) = rest.split_first_chunk_mut::<HEADER>()
             && let Some(value) = rest.get_mut(..len)
@@ -91,9 +86,10 @@ impl<'a> Packer<'a> {
         {
             let ([i0, i1], [l0, l1]) = (index.to_le_bytes(), value_len.to_le_bytes());
             *header = [i0, i1, sub_index, data_type, l0, l1];
-            write(value);
             self.len = self.len.saturating_add(HEADER).saturating_add(len);
+            return value;
         }
+        &mut []
     }
 
     /// The number of bytes of the packed parameters.
