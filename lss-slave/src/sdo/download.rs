@@ -1,7 +1,10 @@
 //! The data of a download, and segmented download (CiA 301, 7.2.4.3.3 and 7.2.4.3.4).
 
 use super::{Abort, Objects, Written, segment, upload::TOGGLE};
-use crate::object_dictionary::{DataType, Entry};
+use crate::{
+    application::copy,
+    object_dictionary::{DataType, Entry},
+};
 
 /// A download under way. A domain goes to the application part by part; every other value is assembled in the
 /// server's buffer and written at the end, so that a transfer that is cut short changes nothing.
@@ -47,7 +50,7 @@ impl Download {
             objects.write_domain(self.entry, self.len, bytes)?;
         } else {
             let place = buffer.get_mut(self.len as usize..len as usize).ok_or(Abort::TooLong)?;
-            place.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
+            copy(bytes, 0, place);
         }
         self.len = len;
         Ok(())

@@ -23,6 +23,7 @@ use super::{
     parameters::{self, HEADER, Parameter},
     record::{self, PARAMETERS_LEN, Record, Reference},
 };
+use crate::application::copy;
 
 /// The result of [`Log::open`], for the device's log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -192,7 +193,7 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
                 continue;
             };
             let (to_header, value) = to.split_at_mut(HEADER.min(to.len()));
-            to_header.iter_mut().zip(header).for_each(|(to, from)| *to = from);
+            copy(&header, 0, to_header);
             blob.read(value)?;
             if Parameter::first_of(to).is_some_and(|parameter| take(&parameter)) {
                 *len = len.saturating_add(to.len());
@@ -342,10 +343,8 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
 
     /// Appends the newest record with a copy of its parameters.
     fn copy(&mut self, old: Reference, bank: u32) -> Result<(), Error> {
-        let old_bank = self.stored.bank;
-        let new = self.append_parameters(bank, old.len, |flash, at, part| {
-            Blob { flash, bank: old_bank, reference: old, at }.read(part)
-        })?;
+        let source = Source::Flash { bank: self.stored.bank, reference: old };
+        let new = self.append_parameters(bank, old.len, source)?;
         if new.crc != old.crc {
             return Err(Error::NotAsWritten);
         }
@@ -363,25 +362,22 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
         }
         if !parameters.is_empty() {
             let len = parameters.len() as u16;
-            reference = Some(self.append_parameters(self.stored.bank, len, |_, at, part| {
-                let from = parameters.get(at..).unwrap_or_default();
-                part.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
-                Ok(())
-            })?);
+            let source = Source::Bytes(parameters);
+            reference = Some(self.append_parameters(self.stored.bank, len, source)?);
         }
         self.append(Some(settings), reference)?;
         let Stored { bytes, len, .. } = &mut self.stored;
-        bytes.iter_mut().zip(parameters).for_each(|(to, from)| *to = *from);
-        *len = parameters.len();
+        *len = copy(parameters, 0, bytes);
         Ok(())
     }
 
-    /// Appends parameters, which `read` provides part by part. Writes nothing if they do not fit with their record.
+    /// Appends parameters, which are copied part by part. Writes nothing if they do not fit with their record.
+    #[inline(never)] // It has two callers.
     fn append_parameters(
         &mut self,
         bank: u32,
         len: u16,
-        mut read: impl FnMut(&mut F, usize, &mut [u8]) -> Result<(), Error>,
+        source: Source<'_>,
     ) -> Result<Reference, Error> {
         let first = self.space.start.saturating_sub(bank) / record::LEN;
         let mut reference =
@@ -394,7 +390,14 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
             let mut part = [0xFF; PARAMETERS_LEN];
             let rest = usize::from(len).saturating_sub(at).min(PARAMETERS_LEN);
             let of_len = part.get_mut(..rest).unwrap_or_default();
-            read(&mut self.flash, at, of_len)?;
+            match source {
+                Source::Bytes(bytes) => {
+                    copy(bytes, at, of_len);
+                }
+                Source::Flash { bank, reference } => {
+                    Blob { flash: &mut self.flash, bank, reference, at }.read(of_len)?;
+                }
+            }
             reference.crc = record::crc32_of_more(reference.crc, of_len);
             let at = self.take_place()?;
             let bytes = record::parameters_to_bytes(self.sequence, part);
@@ -459,13 +462,7 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
     fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
         const COMMIT_AT: usize = record::LEN as usize - record::COMMIT.len();
         let (content, commit) = bytes.split_at(COMMIT_AT);
-        if !is_blank(&self.read(at)?) {
-            return Err(Error::NotBlank);
-        }
-        self.flash.write(at, content).map_err(|_| Error::Refused)?;
-        if !self.read(at)?.starts_with(content) {
-            return Err(Error::NotAsWritten);
-        }
+        self.write_once(at, content)?;
         // The read-back decides, as at the next open, whatever the flash reports for this last word.
         let _ = self.flash.write(at + COMMIT_AT as u32, commit);
         self.is_doubtful = true;
@@ -474,13 +471,13 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
         if written == *bytes { Ok(()) } else { Err(Error::NotAsWritten) }
     }
 
-    /// Writes bytes that need no commit word.
-    fn write_once(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
+    /// Writes a blank place, or its beginning, and reads it back.
+    fn write_once(&mut self, at: u32, content: &[u8]) -> Result<(), Error> {
         if !is_blank(&self.read(at)?) {
             return Err(Error::NotBlank);
         }
-        self.flash.write(at, bytes).map_err(|_| Error::Refused)?;
-        if self.read(at)? == *bytes { Ok(()) } else { Err(Error::NotAsWritten) }
+        self.flash.write(at, content).map_err(|_| Error::Refused)?;
+        if self.read(at)?.starts_with(content) { Ok(()) } else { Err(Error::NotAsWritten) }
     }
 
     fn read(&mut self, at: u32) -> Result<[u8; record::LEN as usize], Error> {
@@ -488,6 +485,13 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
         self.flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
         Ok(bytes)
     }
+}
+
+/// The place from which parameters are copied.
+#[derive(Clone, Copy)]
+enum Source<'a> {
+    Bytes(&'a [u8]),
+    Flash { bank: u32, reference: Reference },
 }
 
 /// The parameters of a record in the flash, read from the start to the end.
@@ -519,8 +523,7 @@ impl<F: NorFlash> Blob<'_, F> {
             let mut bytes = [0; record::LEN as usize];
             self.flash.read(address, &mut bytes).map_err(|_| Error::Refused)?;
             let part = record::parameters_from_bytes(&bytes);
-            let part = part.get(self.at % PARAMETERS_LEN..).unwrap_or_default();
-            let read = to.iter_mut().zip(part).map(|(to, from)| *to = *from).count();
+            let read = copy(part, self.at % PARAMETERS_LEN, to);
             self.skip(read);
             to = to.get_mut(read..).unwrap_or_default();
         }

@@ -1,6 +1,7 @@
 //! Parameters: the values that object 1010h stores, packed one after another.
 
 use super::record;
+use crate::application::copy;
 
 /// The bytes that a parameter takes beside its value: index, sub-index, data type and length.
 #[doc(hidden)]
@@ -71,7 +72,7 @@ impl<'a> Packer<'a> {
     pub fn put(&mut self, parameter: &Parameter<'_>) {
         let Parameter { index, sub_index, data_type, value } = *parameter;
         let place = self.reserve(index, sub_index, data_type, value.len());
-        place.iter_mut().zip(value).for_each(|(to, from)| *to = *from);
+        copy(value, 0, place);
     }
 
     /// Appends a parameter and returns the place of its value, which the caller fills in. One that does not fit is left

@@ -116,8 +116,11 @@ impl Reference {
 /// The sequence comes first, as in a record: a place where the first word may be half written gets the same word again.
 pub fn parameters_to_bytes(sequence: u32, part: [u8; PARAMETERS_LEN]) -> [u8; LEN as usize] {
     let mut bytes = [0xFF; LEN as usize];
-    let words = sequence.to_le_bytes().into_iter().chain(part).chain(PARAMETERS);
-    bytes.iter_mut().zip(words).for_each(|(to, from)| *to = from);
+    let (head, rest) = bytes.split_at_mut(4);
+    head.copy_from_slice(&sequence.to_le_bytes());
+    let (content, end) = rest.split_at_mut(PARAMETERS_LEN);
+    content.copy_from_slice(&part);
+    end.copy_from_slice(&PARAMETERS);
     bytes
 }
 
