@@ -28,6 +28,7 @@ pub trait Value {
 }
 
 /// Copies `from`, from `offset` on, to `to` as far as both reach; returns the number of bytes.
+#[inline(never)] // It has several callers.
 pub(crate) fn copy(from: &[u8], offset: usize, to: &mut [u8]) -> usize {
     let from = from.get(offset..).unwrap_or_default();
     to.iter_mut().zip(from).map(|(to, from)| *to = *from).count()

@@ -21,6 +21,8 @@ pub(super) enum Direction {
 pub(super) struct Mapping {
     /// Sub-index 0; 0 disables the PDO.
     number: u8,
+    /// The length of the PDO in bytes.
+    len: u8,
     mapped: [Option<&'static Entry>; MAX_MAPPED],
 }
 
@@ -86,13 +88,13 @@ fn code(entry: &Entry) -> u32 {
 }
 
 /// The length of mapped values in bytes.
-fn len(mapped: &[Option<&Entry>]) -> usize {
-    let sizes = mapped.iter().flatten().map(|entry| usize::from(entry.data_type.size()));
-    sizes.fold(0, usize::saturating_add)
+fn len(mapped: &[Option<&Entry>]) -> u8 {
+    let sizes = mapped.iter().filter_map(|entry| Some((*entry)?.data_type.size()));
+    sizes.fold(0, u8::saturating_add)
 }
 
 impl Mapping {
-    pub const EMPTY: Self = Self { number: 0, mapped: [None; MAX_MAPPED] };
+    pub const EMPTY: Self = Self { number: 0, len: 0, mapped: [None; MAX_MAPPED] };
 
     /// The mapping of a declaration; panics, at compile time, with what is wrong.
     pub const fn declared(
@@ -116,7 +118,7 @@ impl Mapping {
             at += 1;
         }
         assert!(len <= 8, "the values of a PDO have more than 8 bytes");
-        mapping.number = addresses.len() as u8;
+        (mapping.number, mapping.len) = (addresses.len() as u8, len);
         mapping
     }
 
@@ -126,12 +128,13 @@ impl Mapping {
         direction: Direction,
         objects: &'static [Entry],
     ) -> Option<Self> {
-        let mut mapping = Self { number: codes.len() as u8, ..Self::EMPTY };
+        let mut mapping = Self::EMPTY;
         for (at, code) in codes.iter().enumerate() {
             let place = mapping.mapped.get_mut(at)?;
             *place = Some(find_code(objects, direction, u32::from_le_bytes(*code))?);
         }
-        (mapping.len() <= 8).then_some(mapping)
+        (mapping.number, mapping.len) = (codes.len() as u8, len(&mapping.mapped));
+        (mapping.len <= 8).then_some(mapping)
     }
 
     /// The mapping as it is stored: the entries of the values that the PDO carries.
@@ -139,12 +142,8 @@ impl Mapping {
         self.entries().map(code)
     }
 
-    fn mapped(&self) -> &[Option<&'static Entry>] {
-        self.mapped.get(..self.number()).unwrap_or_default()
-    }
-
     fn entries(&self) -> impl Iterator<Item = &'static Entry> {
-        self.mapped().iter().copied().flatten()
+        self.mapped.iter().take(self.number()).filter_map(|entry| *entry)
     }
 
     /// The number of values that the PDO carries.
@@ -154,7 +153,7 @@ impl Mapping {
 
     /// The length of the PDO in bytes.
     pub fn len(&self) -> usize {
-        len(self.mapped())
+        self.len.into()
     }
 
     pub const fn is_empty(&self) -> bool {
@@ -225,10 +224,11 @@ impl Mapping {
         if wanted.iter().any(Option::is_none) {
             return Err(Abort::NotMappable);
         }
-        if len(wanted) > 8 {
+        let len = len(wanted);
+        if len > 8 {
             return Err(Abort::TooManyMapped);
         }
-        self.number = value as u8;
+        (self.number, self.len) = (value as u8, len);
         Ok(())
     }
 }

@@ -69,16 +69,15 @@ impl Pdo {
         }
     }
 
-    /// The parameters as they are stored.
-    pub fn stored(&self, direction: Direction) -> impl Iterator<Item = u32> {
-        let parameters = [
+    /// The parameters as they are stored before the mapping.
+    pub fn stored(&self) -> [u32; 5] {
+        [
             self.cob_id.stored(),
             self.transmission_type.into(),
             self.inhibit_time.into(),
             self.event_timer_ms.into(),
             self.sync_start_value.into(),
-        ];
-        parameters.into_iter().take(Self::stored_parameters(direction)).chain(self.mapping.stored())
+        ]
     }
 
     /// The PDO with these stored parameters, if they are legal and all its values exist.
@@ -88,22 +87,23 @@ impl Pdo {
         objects: &'static [Entry],
     ) -> Option<Self> {
         let (parameters, mapping) = stored.split_at_checked(Self::stored_parameters(direction))?;
-        let mut parameters = parameters.iter().map(|parameter| u32::from_le_bytes(*parameter));
-        let cob_id = PdoCobId::from_stored(parameters.next()?)?;
-        let transmission_type = parameters.next()?.try_into().ok()?;
-        let inhibit_time = parameters.next().unwrap_or(0).try_into().ok()?;
-        let event_timer_ms = parameters.next().unwrap_or(0).try_into().ok()?;
-        let sync_start_value = parameters.next().unwrap_or(0).try_into().ok()?;
-        let mapping = Mapping::from_stored(mapping, direction, objects)?;
-        let is_legal = is_transmission_type(transmission_type) && sync_start_value <= 240;
-        is_legal.then_some(Self {
-            cob_id,
-            mapping,
-            transmission_type,
-            inhibit_time,
-            event_timer_ms,
-            sync_start_value,
+        let mut numbers = [0; 5];
+        for (number, parameter) in numbers.iter_mut().zip(parameters) {
+            *number = u32::from_le_bytes(*parameter);
+        }
+        let [cob_id, transmission_type, inhibit_time, event_timer_ms, sync_start_value] = numbers;
+        let is_legal = is_transmission_type(transmission_type.try_into().ok()?)
+            && inhibit_time.max(event_timer_ms) <= u16::MAX.into()
+            && sync_start_value <= 240;
+        Some(Self {
+            cob_id: PdoCobId::from_stored(cob_id)?,
+            mapping: Mapping::from_stored(mapping, direction, objects)?,
+            transmission_type: transmission_type as u8,
+            inhibit_time: inhibit_time as u16,
+            event_timer_ms: event_timer_ms as u16,
+            sync_start_value: sync_start_value as u8,
         })
+        .filter(|_| is_legal)
     }
 
     /// The value of a sub-index of the communication parameter.

@@ -173,10 +173,15 @@ fn put(to: &mut Packer<'_>, index: u16, sub_index: u8, data_type: u8, value: &[u
 
 #[inline(never)] // It has two callers.
 fn put_pdo(to: &mut Packer<'_>, index: u16, pdo: &Pdo, direction: Direction) {
-    let numbers = Pdo::stored_parameters(direction).saturating_add(pdo.mapping.number());
-    let place = to.reserve(index, 0, PDO, 4 * numbers);
-    for (to, number) in place.as_chunks_mut().0.iter_mut().zip(pdo.stored(direction)) {
+    let parameters = Pdo::stored_parameters(direction);
+    let len = 4 * parameters.saturating_add(pdo.mapping.number());
+    let (place, _) = to.reserve(index, 0, PDO, len).as_chunks_mut();
+    let (to_parameters, to_mapping) = place.split_at_mut(parameters.min(place.len()));
+    for (to, number) in to_parameters.iter_mut().zip(pdo.stored()) {
         *to = number.to_le_bytes();
+    }
+    for (to, code) in to_mapping.iter_mut().zip(pdo.mapping.stored()) {
+        *to = code.to_le_bytes();
     }
 }
 

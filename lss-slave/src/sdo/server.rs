@@ -228,6 +228,7 @@ impl<const N: usize> Server<N> {
     }
 
     /// Takes a request to the current transfer; returns the answer, if there is one now.
+    #[inline(never)] // Apart it takes 190 bytes less.
     fn continue_transfer<O: Objects>(
         &mut self,
         request: [u8; 8],
