@@ -556,6 +556,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     /// Discards the current SDO transfer without an answer to the client.
+    #[inline(never)] // It has several callers.
     fn end_sdo_transfer(&mut self) {
         if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
             self.product.application.abort_domain(*index, *sub_index);
