@@ -360,7 +360,8 @@ impl Chip {
                 if self.clocks() != before {
                     self.follow_clocks(now);
                 }
-                return Ok(result.and_then(|()| self.check_latency()));
+                let result = result.and_then(|()| self.check_latency());
+                return Ok(result.and_then(|()| self.check_voltage()));
             }
             Block::Timer(timer) => {
                 return Ok(self.timers[usize::from(timer)].write(offset, value, now));
@@ -382,7 +383,7 @@ impl Chip {
                 let modelled = self.can1.write(offset, value, now);
                 if modelled && offset == 0 && value & 3 == 0 && !self.can1_has_its_pins() {
                     return Ok(Err(Problem::Misuse(
-                        "CAN1 leaves initialisation with no pins in AF9",
+                        "CAN1 leaves initialisation with no pins in its alternate function",
                     )));
                 }
                 modelled
@@ -438,11 +439,16 @@ impl Chip {
         }
     }
 
-    /// RM0090 table 10: at 2.7..3.6 V a wait state more for every 30 MHz.
     fn check_latency(&self) -> Result<(), Problem> {
-        let needed = self.clocks().hclk.hz.saturating_sub(1) / 30_000_000;
-        if self.flash.latency() < needed {
+        if self.flash.latency() < self.part.wait_states(self.clocks().hclk.hz) {
             return Err(Problem::Misuse("too few flash wait states for this HCLK"));
+        }
+        Ok(())
+    }
+
+    fn check_voltage(&self) -> Result<(), Problem> {
+        if self.clocks().hclk.hz > self.pwr.max_hclk() {
+            return Err(Problem::Misuse("HCLK above the limit of the voltage scale (PWR_CR.VOS)"));
         }
         Ok(())
     }

@@ -337,8 +337,9 @@ impl Rcc {
                 true
             }
             0x70 | 0x74 | 0x80 | 0x84 => true,
-            0x88 | 0x8C => self.part.has_overdrive(),
-            0x90 | 0x94 => self.part == Part::Stm32f446,
+            0x88 => self.part.has_overdrive(),
+            0x8C => self.part.has_dedicated_clocks(),
+            0x90 | 0x94 => self.part.has_clock_gating(),
             _ => false,
         }
     }

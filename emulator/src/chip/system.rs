@@ -25,8 +25,7 @@ impl Pwr {
 
     /// The state after a reset, with 3.3 V.
     pub fn new(part: Part) -> Self {
-        let cr = if part.has_overdrive() { 0xC000 } else { 0x4000 };
-        Self { part, supply_mv: 3_300, cr, csr: 0 }
+        Self { part, supply_mv: 3_300, cr: part.power_after_reset(), csr: 0 }
     }
 
     /// Resets all registers; the supply remains the same.
@@ -37,6 +36,11 @@ impl Pwr {
     /// Sets the supply in mV.
     pub fn set_supply(&mut self, mv: u32) {
         self.supply_mv = mv;
+    }
+
+    /// The highest HCLK in Hz at the present voltage scale.
+    pub fn max_hclk(&self) -> u32 {
+        self.part.voltage_limit(self.cr >> 14 & 3, self.cr & Self::OVERDRIVE == Self::OVERDRIVE)
     }
 
     fn pvdo(&self) -> u32 {
@@ -56,9 +60,7 @@ impl Pwr {
     /// Writes a register; returns false if it does not exist.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
-            Self::CR => {
-                self.cr = value & if self.part.has_overdrive() { 0x000F_EFF3 } else { 0x43F3 }
-            }
+            Self::CR => self.cr = value & self.part.power_bits(),
             Self::CSR => self.csr = value & (1 << 8 | 1 << 9),
             _ => return false,
         }
