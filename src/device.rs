@@ -3,7 +3,7 @@
 
 use lss_slave::{BitRate, BitRateSetting, BitRates, Settings, bit_rate::BitTiming};
 
-use crate::chip::CHIP;
+use crate::chip::{CHIP, Chip};
 
 /// Your company's name. Only the EDS contains it.
 pub const VENDOR_NAME: &str = "Not registered";
@@ -36,8 +36,13 @@ pub const CRYSTAL_HZ: u32 = 8_000_000;
 /// Whether the clock is external (a Nucleo's ST-LINK, an oscillator) instead of a crystal.
 pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
 
-/// The core clock, legal without over-drive and at the voltage scale after a reset. Chips of 100 MHz run at 80 MHz.
-pub const SYSCLK_HZ: u32 = if CHIP.max_sysclk_mhz < 160 { 80_000_000 } else { 160_000_000 };
+/// The core clock.
+pub const SYSCLK_HZ: u32 = sysclk_hz(&CHIP);
+/// The core clock of a chip, legal without over-drive and at the voltage scale that it has after a reset. Chips of
+/// 100 MHz run at 80 MHz.
+pub const fn sysclk_hz(chip: &Chip) -> u32 {
+    if chip.max_sysclk_mhz < 160 { 80_000_000 } else { 160_000_000 }
+}
 /// The clock of the CAN controller: the only whole number of MHz up to 50 with which all eight bit rates are exact and
 /// tolerate crystals that are 0.5 % off (docs/bit-rates.md).
 pub const APB1_HZ: u32 = 40_000_000;

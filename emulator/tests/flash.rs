@@ -135,6 +135,22 @@ fn an_erase_sets_its_sector_and_no_other() {
 }
 
 #[test]
+fn sectors_0_to_3_of_every_part_have_16_kb() {
+    for part in Part::ALL {
+        for sector in 0..4 {
+            let mut rig = FlashRig::unlocked(part);
+            rig.chip.flash_mut().load(0, &[0; 0x1_0000]);
+            rig.erase(sector);
+            rig.wait();
+            let bytes = &rig.chip.flash().bytes()[..0x1_0000];
+            let erased = bytes.iter().enumerate().filter(|(_, byte)| **byte == 0xFF);
+            let erased = erased.map(|(offset, _)| offset as u32);
+            assert!(erased.eq(sector * 0x4000..(sector + 1) * 0x4000), "{part:?}, {sector}");
+        }
+    }
+}
+
+#[test]
 fn a_sector_that_the_part_lacks_is_a_sequence_error() {
     for (part, number) in [
         (Part::Stm32f405, 12),

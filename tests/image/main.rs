@@ -5,6 +5,7 @@ mod bad_input;
 mod bit_rate;
 mod can_traps;
 mod chip_traps;
+mod chips;
 mod commissioning;
 mod do_no_harm;
 mod eds;

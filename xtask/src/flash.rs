@@ -52,7 +52,17 @@ const fn probe_rs_name(part: Part) -> &'static str {
     match part {
         Part::Stm32f405 => "STM32F405RGTx",
         Part::Stm32f407 => "STM32F407VGTx",
+        Part::Stm32f412 => "STM32F412VGTx",
+        Part::Stm32f413 => "STM32F413VHTx",
+        Part::Stm32f415 => "STM32F415RGTx",
+        Part::Stm32f417 => "STM32F417VGTx",
+        Part::Stm32f423 => "STM32F423VHTx",
         Part::Stm32f427 => "STM32F427VITx",
+        Part::Stm32f429 => "STM32F429VITx",
+        Part::Stm32f437 => "STM32F437VITx",
+        Part::Stm32f439 => "STM32F439VITx",
         Part::Stm32f446 => "STM32F446RETx",
+        Part::Stm32f469 => "STM32F469VITx",
+        Part::Stm32f479 => "STM32F479VITx",
     }
 }
