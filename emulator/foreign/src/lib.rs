@@ -202,3 +202,31 @@ macro_rules! identifiers_and_filters {
         }
     };
 }
+
+/// 168 MHz from a crystal of 8 MHz.
+#[cfg(feature = "embassy")]
+pub fn embassy_clocks() -> embassy_stm32::Config {
+    use embassy_stm32::{
+        rcc::{
+            AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
+            Sysclk,
+        },
+        time::Hertz,
+    };
+
+    let mut config = embassy_stm32::Config::default();
+    config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Oscillator });
+    config.rcc.pll_src = PllSource::HSE;
+    config.rcc.pll = Some(Pll {
+        prediv: PllPreDiv::DIV4,
+        mul: PllMul::MUL168,
+        divp: Some(PllPDiv::DIV2),
+        divq: None,
+        divr: None,
+    });
+    config.rcc.sys = Sysclk::PLL1_P;
+    config.rcc.ahb_pre = AHBPrescaler::DIV1;
+    config.rcc.apb1_pre = APBPrescaler::DIV4;
+    config.rcc.apb2_pre = APBPrescaler::DIV2;
+    config
+}

@@ -9,6 +9,7 @@ mod command;
 mod errors;
 mod filters;
 mod modes;
+mod programs;
 mod rates;
 mod receive;
 mod rig;
@@ -41,6 +42,7 @@ shown_by! { embassy Embassy, bxcan Bxcan: {
         a_new_bit_rate_takes_effect_on_a_running_controller,
         frames_of_each_kind_and_length_go_both_ways,
         a_node_joins_the_bus_only_when_it_is_quiet;
+    programs: its_log_is_read_and_its_led_blinks_every_millisecond;
     modes: loopback_receives_its_own_frames_without_another_node,
         loopback_shows_its_frames_on_the_bus,
         loopback_ignores_the_bus,

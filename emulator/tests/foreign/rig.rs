@@ -39,8 +39,8 @@ pub enum Driver {
 
 impl Driver {
     pub fn image(self) -> &'static Image {
-        static EMBASSY: LazyLock<Image> = LazyLock::new(|| build("embassy"));
-        static BXCAN: LazyLock<Image> = LazyLock::new(|| build("bxcan"));
+        static EMBASSY: LazyLock<Image> = LazyLock::new(|| build("embassy", "embassy"));
+        static BXCAN: LazyLock<Image> = LazyLock::new(|| build("bxcan", "bxcan"));
         match self {
             Self::Embassy => &EMBASSY,
             Self::Bxcan => &BXCAN,
@@ -48,13 +48,19 @@ impl Driver {
     }
 }
 
-fn build(program: &str) -> Image {
+/// The program that does at its start what many do.
+pub fn start_image() -> &'static Image {
+    static START: LazyLock<Image> = LazyLock::new(|| build("start", "embassy"));
+    &START
+}
+
+fn build(program: &str, feature: &str) -> Image {
     let directory = Path::new(env!("CARGO_MANIFEST_DIR"));
     let target = directory.join("../target/foreign");
     let status = Process::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
         .current_dir(directory.join("foreign"))
         .args(["build", "--quiet", "--locked", "--release", "--target", "thumbv7em-none-eabihf"])
-        .args(["--features", program, "--bin", program])
+        .args(["--features", feature, "--bin", program])
         .arg("--target-dir")
         .arg(&target)
         // The host build's settings are not meant for the program.
@@ -90,7 +96,7 @@ pub enum Received {
 /// A receiver's bits begin up to one of its quanta before the sender's, as the emulated bus has no delay. At 1 Mbit/s a
 /// quantum of embassy-stm32 lasts 143 ns: a sender that samples later than that before the end of a bit would see the
 /// acknowledgement come early.
-fn adapter(bit_rate: u32) -> Adapter {
+pub fn adapter(bit_rate: u32) -> Adapter {
     let bit_timing = BitSegments { prescaler: 1, segment_1: 11, segment_2: 4, jump_width: 2 };
     Adapter::with_timing(Clock { hz: 16 * bit_rate, ppm: 0 }, bit_timing)
 }
@@ -269,14 +275,6 @@ impl Rig {
     pub fn waiting(&self, fifo: u32) -> u32 {
         self.can_register(RF0R + 4 * fifo) & 3
     }
-
-    /// Findings that are not on the list of those that are explained.
-    pub fn unexplained(&self) -> Vec<Finding> {
-        let explained =
-            |finding: &Finding| EXPLAINED.contains(&(self.driver, finding.address, finding.write));
-        let board = self.network.board(self.board);
-        board.findings().into_iter().filter(|finding| !explained(finding)).collect()
-    }
 }
 
 /// Accesses that RM0090 does not define for the chip.
@@ -285,11 +283,18 @@ impl Rig {
 const EXPLAINED: [(Driver, u32, bool); 2] =
     [(Driver::Embassy, 0x4002_388C, false), (Driver::Embassy, 0x4002_388C, true)];
 
+/// Whether a finding is one of those.
+pub fn explained(driver: Driver, finding: &Finding) -> bool {
+    EXPLAINED.contains(&(driver, finding.address, finding.write))
+}
+
+/// No property leaves an unexplained finding.
 impl Drop for Rig {
     fn drop(&mut self) {
         if !std::thread::panicking() {
-            let unexplained = self.unexplained();
-            let texts: Vec<String> = unexplained.iter().map(Finding::to_string).collect();
+            let findings = self.network.board(self.board).findings();
+            let unexplained = findings.iter().filter(|finding| !explained(self.driver, finding));
+            let texts: Vec<String> = unexplained.map(Finding::to_string).collect();
             assert!(texts.is_empty(), "{:?}: {texts:#?}", self.driver);
         }
     }

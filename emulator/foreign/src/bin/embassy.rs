@@ -6,7 +6,7 @@
 use defmt_rtt as _;
 use embassy_executor::Spawner;
 use embassy_stm32::{
-    Config, bind_interrupts,
+    bind_interrupts,
     can::{
         Can, ExtendedId, Fifo, Frame as CanFrame, Id, Mailbox, Rx0InterruptHandler,
         Rx1InterruptHandler, SceInterruptHandler, StandardId, TxInterruptHandler,
@@ -17,8 +17,6 @@ use embassy_stm32::{
     gpio::{Level, Output, Speed},
     interrupt::typelevel,
     peripherals::CAN1,
-    rcc::{self, AHBPrescaler, APBPrescaler, Pll, PllMul, PllPDiv, PllPreDiv, PllSource, Sysclk},
-    time::Hertz,
 };
 use embassy_time::{Duration, Ticker, Timer};
 use foreign::{Driver, Frame, Queued, Received, command::*, count_interrupt};
@@ -128,28 +126,9 @@ async fn blink(mut led: Output<'static>) {
     }
 }
 
-/// 168 MHz from a crystal of 8 MHz.
-fn clocks() -> Config {
-    let mut config = Config::default();
-    config.rcc.hse = Some(rcc::Hse { freq: Hertz(8_000_000), mode: rcc::HseMode::Oscillator });
-    config.rcc.pll_src = PllSource::HSE;
-    config.rcc.pll = Some(Pll {
-        prediv: PllPreDiv::DIV4,
-        mul: PllMul::MUL168,
-        divp: Some(PllPDiv::DIV2),
-        divq: None,
-        divr: None,
-    });
-    config.rcc.sys = Sysclk::PLL1_P;
-    config.rcc.ahb_pre = AHBPrescaler::DIV1;
-    config.rcc.apb1_pre = APBPrescaler::DIV4;
-    config.rcc.apb2_pre = APBPrescaler::DIV2;
-    config
-}
-
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
-    let p = embassy_stm32::init(clocks());
+    let p = embassy_stm32::init(foreign::embassy_clocks());
     spawner.spawn(blink(Output::new(p.PC13, Level::Low, Speed::Low)).unwrap());
     let mut driver = Embassy(Can::new(p.CAN1, p.PA11, p.PA12, Interrupts));
     defmt::info!("embassy-stm32 is ready");
