@@ -531,6 +531,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !self.serves_sdo() {
             self.end_sdo_transfer();
         }
+        if self.nmt.is_boot_up_due() {
+            return None;
+        }
         let mut objects = Parts {
             device: &self.device,
             lss: &self.lss,

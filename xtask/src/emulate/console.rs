@@ -80,10 +80,9 @@ impl Leds {
 #[cfg(test)]
 mod tests {
     use emulator::chip::{Part, Pin};
-    use testkit::image;
+    use testkit::{boards, image};
 
     use super::*;
-    use crate::boards;
 
     fn network() -> Network {
         let mut network = Network::new();
