@@ -255,6 +255,7 @@ impl Chip {
     pub fn reset(&mut self, cause: ResetCause, now: Time) {
         self.flash.reset(now);
         self.rcc.reset(cause);
+        self.rtc.set_clock(self.rcc.rtc_clock(self.readings.lsi_hz), now);
         self.pwr.reset();
         self.iwdg.reset();
         self.timers.iter_mut().for_each(Timer::reset);
@@ -305,7 +306,7 @@ impl Chip {
             Block::Timer(timer) => self.timers[usize::from(timer)].read(offset, now),
             Block::Usart(usart) => self.usarts[usize::from(usart)].read(offset),
             Block::Rng => self.rng.read(offset),
-            Block::Rtc => self.rtc.read(offset),
+            Block::Rtc => self.rtc.read(offset, now),
             Block::Iwdg => self.iwdg.read(offset, now),
             Block::Adc => self.adc.read(offset, now),
             Block::Can1 => self.can1.read(offset, now),
@@ -389,6 +390,7 @@ impl Chip {
                 let before = self.clocks();
                 let result = self.rcc.write(offset, value, now);
                 self.carry_out_resets(now);
+                self.rtc.set_clock(self.rcc.rtc_clock(self.readings.lsi_hz), now);
                 if self.clocks() != before {
                     self.follow_clocks(now);
                 }
@@ -401,7 +403,7 @@ impl Chip {
             Block::Rtc if !self.pwr.backup_domain_is_writable() => {
                 return Ok(Err(Problem::Misuse(BACKUP_DOMAIN_PROTECTED)));
             }
-            Block::Rtc => return Ok(self.rtc.write(offset, value)),
+            Block::Rtc => return Ok(self.rtc.write(offset, value, now)),
             Block::Iwdg => {
                 let accepted = self.iwdg.write(offset, value, now);
                 if self.iwdg.running() {

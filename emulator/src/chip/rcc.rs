@@ -23,6 +23,10 @@ const PLLSAION: u32 = 1 << 28;
 const LSION: u32 = 1 << 0;
 const RMVF: u32 = 1 << 24;
 const LSEON: u32 = 1 << 0;
+const RTCSEL: u32 = 0b11 << 8;
+const RTCEN: u32 = 1 << 15;
+const RTC_ON_LSI: u32 = RTCEN | 2 << 8;
+const RTC_ON_HSE: u32 = RTCEN | 3 << 8;
 const BDRST: u32 = 1 << 16;
 /// BDRST, RTCEN, RTCSEL, LSEBYP and LSEON.
 const BDCR_WRITABLE: u32 = 0x0001_8305;
@@ -267,7 +271,10 @@ impl Rcc {
             // The upper bits, which read as 0, clear flags.
             CIR => value = value & 0x7F00 | old & 0xFF & !(value >> 16),
             Self::BDCR => {
-                value = if value & BDRST != 0 { BDRST } else { value & BDCR_WRITABLE };
+                // A clock of the RTC stays selected until BDRST.
+                let selected =
+                    if old & RTCSEL != 0 { value & !RTCSEL | old & RTCSEL } else { value };
+                value = if value & BDRST != 0 { BDRST } else { selected & BDCR_WRITABLE };
                 if value & LSEON != 0 && old & LSEON == 0 {
                     self.regs[Self::BDCR as usize / 4] = value;
                     return Err(Problem::Misuse(
@@ -365,6 +372,16 @@ impl Rcc {
     /// Whether the backup domain is held in reset.
     pub fn backup_domain_held_in_reset(&self) -> bool {
         self.reg(Self::BDCR) & BDRST != 0
+    }
+
+    /// The frequency of the clock that the RTC gets, with LSI of `lsi_hz`; 0 if it gets none.
+    pub fn rtc_clock(&self, lsi_hz: u32) -> u32 {
+        let divider = self.reg(CFGR) >> 16 & 0x1F;
+        match self.reg(Self::BDCR) & (RTCEN | RTCSEL) {
+            RTC_ON_LSI if self.reg(CSR) & LSION != 0 => lsi_hz,
+            RTC_ON_HSE if divider > 1 && self.reg(CR) & HSEON != 0 => self.crystal.hz / divider,
+            _ => 0,
+        }
     }
 
     /// The level of the non-maskable interrupt: the clock security system has detected a failure of the crystal.

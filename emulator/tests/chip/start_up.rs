@@ -13,6 +13,7 @@ const DBP: u32 = 1 << 8;
 const RTC_TR: u32 = 0x4000_2800;
 const RTC_DR: u32 = 0x4000_2804;
 const RTC_ISR: u32 = 0x4000_280C;
+const RTC_PRER: u32 = 0x4000_2810;
 const RTC_WPR: u32 = 0x4000_2824;
 const RTC_BKP0R: u32 = 0x4000_2850;
 
@@ -76,6 +77,30 @@ fn the_calendar_is_set_in_initialisation_mode_after_the_keys() {
 }
 
 #[test]
+fn the_calendar_counts_its_clock() {
+    const RTC_SSR: u32 = 0x4000_2828;
+    const RCC_CSR: u32 = 0x4002_3874;
+    let mut chip = chip(Part::Stm32f405);
+    unlocked(&mut chip);
+    write(&mut chip, RCC_CSR, 1, Time::ZERO);
+    write(&mut chip, RCC_BDCR, 1 << 15 | 2 << 8, Time::ZERO);
+    write(&mut chip, RTC_ISR, 1 << 7, Time::ZERO);
+    // LSI of 32 kHz, divided by 128 and by 250.
+    for (register, value) in
+        [(RTC_PRER, 0x007F_00F9), (RTC_TR, 0x23_5959), (RTC_DR, 0x28_4228), (RTC_ISR, 0)]
+    {
+        write(&mut chip, register, value, Time::ZERO);
+    }
+    let mut at = |ms| [RTC_TR, RTC_DR, RTC_SSR].map(|at| read(&mut chip, at, Time::from_ms(ms)));
+    assert_eq!(at(0), [0x23_5959, 0x28_4228, 249]);
+    assert_eq!(at(4), [0x23_5959, 0x28_4228, 248]);
+    assert_eq!(at(999), [0x23_5959, 0x28_4228, 0]);
+    assert_eq!(at(1_000), [0, 0x28_6229, 249], "29 February");
+    assert_eq!(at(1_000 * (86_400 + 3_661)), [0x01_0100, 0x28_8301, 249], "1 March");
+    assert_eq!(problems(&chip), []);
+}
+
+#[test]
 fn the_backup_domain_is_protected_until_dbp_and_survives_all_but_power_on() {
     let mut chip = chip(Part::Stm32f405);
     write(&mut chip, RTC_BKP0R, 7, Time::ZERO);
@@ -89,6 +114,22 @@ fn the_backup_domain_is_protected_until_dbp_and_survives_all_but_power_on() {
     assert_eq!([RTC_BKP0R, RCC_BDCR].map(|at| read(&mut chip, at, Time::ZERO)), [7, 0x8200]);
     chip.reset(ResetCause::PowerOn, Time::ZERO);
     assert_eq!([RTC_BKP0R, RCC_BDCR].map(|at| read(&mut chip, at, Time::ZERO)), [0, 0]);
+}
+
+#[test]
+fn the_clock_of_the_calendar_stays_selected_until_the_backup_domain_is_reset() {
+    let mut chip = chip(Part::Stm32f405);
+    unlocked(&mut chip);
+    for (written, read_back) in [
+        (2 << 8, 2 << 8),
+        (0, 2 << 8),
+        (1 << 15 | 3 << 8, 1 << 15 | 2 << 8),
+        (1 << 16, 1 << 16),
+        (3 << 8, 3 << 8),
+    ] {
+        write(&mut chip, RCC_BDCR, written, Time::ZERO);
+        assert_eq!(read(&mut chip, RCC_BDCR, Time::ZERO), read_back, "{written:#x}");
+    }
 }
 
 #[test]

@@ -44,7 +44,6 @@ fn a_program_starts_that_uses_what_a_hal_offers() {
     let adapter = network.add_adapter(adapter(500_000));
     network.run_for(Time::from_ms(10));
     let blinks = changes(&mut network, Pin('C', 13));
-    println!("{:#?} {:#?} {:?} {:x}", network.board(0).findings(), network.board(0).log(), network.board(0).lockup(), network.board(0).pc());
     assert!((17..=20).contains(&blinks), "{blinks}");
     let (_, frame) = network.receive(adapter).expect("it sends");
     assert_eq!((frame.id, frame.dlc), (Id::Standard(0x123), 8));
