@@ -4,6 +4,7 @@ mod client;
 mod console;
 mod memory;
 mod pace;
+mod programs;
 mod slcan;
 
 use std::{
@@ -16,6 +17,7 @@ use std::{
 
 use anyhow::{Context, ensure};
 use emulator::{
+    board::Board,
     chip::Part,
     network::{Network, Recording},
 };
@@ -30,6 +32,7 @@ use client::{Client, ClientId, Input};
 use console::Leds;
 use memory::Memory;
 use pace::Pace;
+use programs::Programs;
 
 /// The longest time until the programs get a received frame.
 const TICK: Duration = Duration::from_millis(1);
@@ -43,12 +46,18 @@ const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 ///
 /// The boards run the release firmware in real time until Ctrl-C. An adapter that is opened at a different bit rate
 /// from theirs disturbs the bus, as on a desk; an adapter that is closed drops its waiting frames.
+///
+/// With --elf any program for an STM32F4 runs beside them. Its defmt or RTT log and what it sends by a USART are printed,
+/// and at the end every access that the emulated board does not model or a chip does not tolerate.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Number of boards on the bus: 1..=127
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=127))]
+    /// Number of boards with our firmware: 1..=127; 0 beside --elf
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=127))]
     boards: u8,
+    /// Another program for the chip, on a board of its own; the option can be repeated
+    #[arg(long, value_name = "FILE")]
+    elf: Vec<PathBuf>,
     /// Address on which to wait for CAN programs
     #[arg(long, default_value = "127.0.0.1:29536", value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
@@ -125,18 +134,22 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         format!("cannot listen at {} (choose another address with --listen)", arguments.listen)
     })?;
     let address = listener.local_addr()?;
+    ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
     let presets = (0..usize::from(arguments.boards))
         .map(|number| arguments.preset(number))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let image = example::image(arguments.chip, arguments.example)?;
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);
-    for (number, preset) in presets.into_iter().enumerate() {
-        let mut board = boards::board(arguments.chip, &image, number);
-        memory.restore(&mut board, &image, number, preset)?;
+    let image = (arguments.boards > 0)
+        .then(|| example::image(arguments.chip, arguments.example))
+        .transpose()?;
+    for (number, (preset, image)) in presets.into_iter().zip(image.iter().cycle()).enumerate() {
+        let mut board = boards::board(arguments.chip, image, number);
+        memory.restore(&mut board, image, number, preset)?;
         network.add_board(board);
     }
+    let mut programs = Programs::load(&arguments.elf, arguments.chip, &mut network)?;
     network.run_for(FIRST_START);
     memory.save(&network)?;
 
@@ -144,17 +157,20 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (stop, console_sender) = (sender.clone(), sender.clone());
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
     client::accept(listener, sender);
-    println!("ready: SLCAN on {address}; {}", describe(&network));
+    println!("ready: SLCAN on {address}; {}", describe(programs.ours(&network)));
     if arguments.console || arguments.example.is_some() {
         println!("commands:\n{}", console::HELP);
         console::read(console_sender);
     }
-    serve(&mut network, &inputs, &mut memory, arguments.bit_rate.unwrap_or(DEFAULT_BIT_RATE))
+    let bit_rate = arguments.bit_rate.unwrap_or(DEFAULT_BIT_RATE);
+    serve(&mut network, &inputs, &mut memory, &mut programs, bit_rate)?;
+    print!("{}", programs.report(&network));
+    Ok(())
 }
 
-fn describe(network: &Network) -> String {
+fn describe(ours: &[Board]) -> String {
     let board = |number: usize| {
-        let stored = match boards::stored_settings(&network.board(number).flash()) {
+        let stored = match boards::stored_settings(&ours[number].flash()) {
             None => "blank".to_owned(),
             Some(Settings { node_id, bit_rate, .. }) => {
                 let node_id = node_id.map_or("none".to_owned(), |id| id.get().to_string());
@@ -163,13 +179,14 @@ fn describe(network: &Network) -> String {
         };
         format!("board {number}: serial number {:08X}, {stored}", boards::serial_number(number))
     };
-    (0..network.boards().len()).map(board).collect::<Vec<_>>().join("; ")
+    (0..ours.len()).map(board).collect::<Vec<_>>().join("; ")
 }
 
 fn serve(
     network: &mut Network,
     inputs: &mpsc::Receiver<Input>,
     memory: &mut Memory,
+    programs: &mut Programs,
     bit_rate: BitRate,
 ) -> anyhow::Result<()> {
     let bit_rate = bit_per_s(bit_rate);
@@ -183,7 +200,8 @@ fn serve(
         for client in clients.values_mut() {
             client.deliver(network);
         }
-        leds.show(network);
+        leds.show(programs.ours(network));
+        programs.print(network);
         memory.save(network)?;
         // Take all waiting inputs: on a busy computer each run takes long.
         for input in first.into_iter().chain(inputs.try_iter().take(client::WAITING)) {
@@ -231,7 +249,8 @@ mod tests {
             let (sender, inputs) = mpsc::sync_channel(client::WAITING);
             client::accept(listener, sender);
             let mut memory = Memory::open(None).expect("there are no files");
-            serve(&mut Network::new(), &inputs, &mut memory, BitRate::Kbit500)
+            let mut network = Network::new();
+            serve(&mut network, &inputs, &mut memory, &mut Programs::default(), BitRate::Kbit500)
         });
         address
     }

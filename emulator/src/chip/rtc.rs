@@ -141,8 +141,8 @@ impl Rtc {
 
 /// TR and DR after this number of seconds, in 24-hour format.
 fn later([time, date]: [u32; 2], seconds: u64) -> [u32; 2] {
-    let number = |bcd: u32| (bcd >> 4) * 10 + (bcd & 0xF);
-    let bcd = |number: u32| number / 10 << 4 | number % 10;
+    let number = |bcd: u32| 10 * (bcd >> 4) + (bcd & 0xF);
+    let bcd = |number: u32| 16 * (number / 10) + number % 10;
     let of_day = number(time >> 16 & 0x3F) * 3600 + number(time >> 8 & 0x7F) * 60;
     let total = u64::from(of_day + number(time & 0x7F)) + seconds;
     let (days, of_day) = (total / 86_400, (total % 86_400) as u32);
