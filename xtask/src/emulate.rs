@@ -12,11 +12,12 @@ use std::{
     net::{SocketAddr, TcpListener},
     path::PathBuf,
     sync::mpsc,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context, ensure};
 use emulator::{
+    Time,
     board::Board,
     chip::Part,
     network::{Network, Recording},
@@ -36,6 +37,10 @@ use programs::Programs;
 
 /// The longest time until the programs get a received frame.
 const TICK: Duration = Duration::from_millis(1);
+/// The longest real time without a look at the clients' lines, while a busy program slows the emulation down.
+const TURN: Duration = Duration::from_millis(20);
+/// The step of virtual time within a turn.
+const SLICE: Time = Time::from_us(500);
 const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 
 /// Offer the CAN bus of emulated boards to any CAN program, as SLCAN adapters over TCP
@@ -149,9 +154,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         memory.restore(&mut board, image, number, preset)?;
         network.add_board(board);
     }
-    let mut programs = Programs::load(&arguments.elf, arguments.chip, &mut network)?;
     network.run_for(FIRST_START);
     memory.save(&network)?;
+    let mut programs = Programs::load(&arguments.elf, arguments.chip, &mut network)?;
 
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let (stop, console_sender) = (sender.clone(), sender.clone());
@@ -196,7 +201,10 @@ fn serve(
     let mut pace = Pace::new(network.now());
     loop {
         let first = inputs.recv_timeout(TICK);
-        network.run_until(pace.due(network.now()));
+        let (due, turn) = (pace.due(network.now()), Instant::now());
+        while network.now() < due && turn.elapsed() < TURN {
+            network.run_until(due.min(network.now() + SLICE));
+        }
         for client in clients.values_mut() {
             client.deliver(network);
         }

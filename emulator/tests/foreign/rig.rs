@@ -279,7 +279,7 @@ impl Rig {
 
 /// Accesses that RM0090 does not define for the chip.
 ///
-/// embassy-stm32 has one RCC for all F4: it clears bits of DCKCFGR, which only the F42x and F43x have (7.3.24).
+/// embassy-stm32 has one RCC for all F4: it clears bits of DCKCFGR, which only the F42x and F43x have (6.3.25).
 const EXPLAINED: [(Driver, u32, bool); 2] =
     [(Driver::Embassy, 0x4002_388C, false), (Driver::Embassy, 0x4002_388C, true)];
 

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use emulator::{
+    Time,
     board::Board,
-    chip::{FLASH_BASE, Part},
+    chip::{FLASH_BASE, Part, ResetCause},
     image::Image,
     network::Network,
 };
@@ -108,20 +109,19 @@ impl Program {
 
     fn report(&self, board: &Board) -> String {
         let (cycles, busy) = board.cycles();
+        let resets = board.resets();
+        let last_on = resets.iter().rposition(|(_, cause)| *cause == ResetCause::PowerOn);
+        let (switched_on, resets) = resets.split_at(last_on.map_or(0, |index| index + 1));
+        let since = switched_on.last().map_or(Time::ZERO, |(time, _)| *time);
         let mut report = format!(
-            "{} on {}: {} s, awake for {} % of it",
+            "{} on {}: {} ms, awake for {} % of it",
             self.name,
             self.part.name(),
-            board.now().as_ms() / 1000,
+            (board.now() - since).as_ms(),
             100 * busy / cycles.max(1)
         );
-        // The first one is that of the power-on.
-        let resets: Vec<String> = board
-            .resets()
-            .iter()
-            .skip(1)
-            .map(|(time, cause)| format!("{cause:?} at {time} ms"))
-            .collect();
+        let resets: Vec<String> =
+            resets.iter().map(|(time, cause)| format!("{cause:?} at {time} ms")).collect();
         if !resets.is_empty() {
             report += &format!("\n  reset: {}", resets.join(", "));
         }
@@ -149,8 +149,6 @@ impl Program {
 
 #[cfg(test)]
 mod tests {
-    use emulator::Time;
-
     use super::*;
 
     /// Loads a word from `address` and stops.
@@ -186,7 +184,7 @@ mod tests {
     #[test]
     fn the_report_names_each_access_that_is_not_modelled() {
         let report = report_on(program_that_reads(0x4000_3800));
-        assert!(report.starts_with("a.elf on stm32f405: 0 s"), "{report}");
+        assert!(report.starts_with("a.elf on stm32f405: 5 ms"), "{report}");
         assert!(report.contains("32-bit read of 40003800: not modelled"), "{report}");
         let report = report_on(program_that_reads(0x4002_3800));
         assert!(report.contains("it touched nothing that the board does not model"), "{report}");

@@ -9,7 +9,7 @@ use bxcan::{
     Can, Data, ExtendedId, Fifo, Frame as CanFrame, Id, Interrupts, Mailbox, StandardId,
     filter::{ListEntry16, ListEntry32, Mask16, Mask32, MasterFilters},
 };
-use cortex_m::interrupt::Mutex;
+use cortex_m::{interrupt::Mutex, peripheral::syst::SystClkSource};
 use defmt_rtt as _;
 use foreign::{Driver, Frame, Queued, Received, command::*, count_interrupt};
 use panic_probe as _;
@@ -172,6 +172,10 @@ fn TIM3() {
     });
 }
 
+/// Ends the sleep of the main loop.
+#[cortex_m_rt::exception]
+fn SysTick() {}
+
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let p = Peripherals::take().unwrap();
@@ -187,8 +191,15 @@ fn main() -> ! {
     // SAFETY: its handler takes a critical section for what it shares.
     unsafe { NVIC::unmask(Interrupt::TIM3) };
 
+    let mut ticks = cortex_m::Peripherals::take().unwrap().SYST;
+    ticks.set_clock_source(SystClkSource::Core);
+    ticks.set_reload(20 * 168 - 1);
+    ticks.clear_current();
+    ticks.enable_interrupt();
+    ticks.enable_counter();
+
     let can = p.CAN1.can((port_b.pb9, port_b.pb8), &mut rcc);
     let mut driver = Bxcan(Can::builder(can).leave_disabled());
     defmt::info!("bxcan is ready");
-    embassy_futures::block_on(foreign::serve(&mut driver, async || cortex_m::asm::delay(500)))
+    embassy_futures::block_on(foreign::serve(&mut driver, async || cortex_m::asm::wfi()))
 }
