@@ -12,6 +12,7 @@ use programs::{Program, R0, R1, R2, R3};
 
 const RCC_CR: u32 = 0x4002_3800;
 const RCC_CFGR: u32 = 0x4002_3808;
+const FLASH_ACR: u32 = 0x4002_3C00;
 const RCC_AHB1ENR: u32 = 0x4002_3830;
 const RCC_CSR: u32 = 0x4002_3874;
 const GPIOD: u32 = 0x4002_0C00;
@@ -349,6 +350,30 @@ fn a_slow_core_takes_two_and_three_times_as_long_and_systick_does_not() {
     });
     assert!(twice.abs_diff(2 * once) < once / 20, "{once} ns, {twice} ns");
     assert!(thrice.abs_diff(3 * once) < once / 20, "{once} ns, {thrice} ns");
+}
+
+#[test]
+fn flash_waits_cost_what_prefetch_and_cache_do_not_hide() {
+    const LINES: u64 = 300 / 8;
+    let cycles = |acr: u32, flash_waits: bool| {
+        let mut program = Program::new();
+        program.store(RCC_AHB1ENR, 1 << 3).store(FLASH_ACR, acr).store(GPIOD, 1 << 24);
+        for _ in 0..300 {
+            program.add(R1, 1);
+        }
+        program.store(GPIOD + 0x18, 1 << 12).stop();
+        let chip_readings = Readings { flash_waits, ..Readings::default() };
+        let settings = Settings { chip_readings, ..Settings::default() };
+        let mut board = Board::new(Part::Stm32f405, &program.image(), settings);
+        run(&mut board, Time::from_ms(3));
+        (board.output(Pin('D', 12)).since - START).as_ns() * 16 / 1_000
+    };
+    let never = cycles(5, false);
+    assert_eq!(cycles(0, true), never);
+    let always = cycles(5, true);
+    assert!((5 * LINES..5 * (LINES + 8)).contains(&(always - never)), "{never}, {always}");
+    let prefetched = cycles(1 << 8 | 5, true);
+    assert!(prefetched - never < 30, "{never}, {prefetched}");
 }
 
 /// Waits for the crystal, runs on it, and sleeps; the non-maskable interrupt writes 4 to `COUNTER`.

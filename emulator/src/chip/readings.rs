@@ -10,6 +10,9 @@ pub struct Readings {
     pub no_fault_below_ram: bool,
     /// The factor for the cycles of an instruction, for flash wait states and cache misses: 1 to 3.
     pub slowdown: u8,
+    /// A read of the flash takes the wait states of FLASH_ACR unless the prefetch or a cache hides them (RM0090 3.5).
+    /// Otherwise it takes none.
+    pub flash_waits: bool,
     /// A word whose programming was interrupted reads as any value between the old and the new one, differently at each
     /// power-on, until it is programmed again or erased.
     pub cut_words_flip: bool,
@@ -26,6 +29,7 @@ impl Default for Readings {
         Self {
             no_fault_below_ram: false,
             slowdown: 1,
+            flash_waits: false,
             cut_words_flip: false,
             lsi_hz: 32_000,
             hse_start: Time::from_ms(2),

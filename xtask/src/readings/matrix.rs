@@ -45,6 +45,7 @@ pub fn readings() -> Vec<Reading> {
     let usual = Chip::default();
     let chip = [
         ("no fault below RAM", Chip { no_fault_below_ram: true, ..usual }),
+        ("flash with wait states", Chip { flash_waits: true, ..usual }),
         ("core twice as slow", Chip { slowdown: 2, ..usual }),
         ("core three times as slow", Chip { slowdown: 3, ..usual }),
         ("cut words read differently each time", Chip { cut_words_flip: true, ..usual }),
