@@ -25,7 +25,7 @@ pub use iwdg::Iwdg;
 pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
 pub use part::{Part, UnknownPart};
 pub use rcc::{Clocks, ResetCause};
-pub use readings::Readings;
+pub use readings::{Readings, StartUp};
 
 use std::ops::BitOr;
 
@@ -103,7 +103,7 @@ impl Chip {
         flash.let_cut_words_flip(readings.cut_words_flip);
         let mut chip = Self {
             part,
-            rcc: Rcc::new(part, crystal, readings.hse_start),
+            rcc: Rcc::new(part, crystal, &readings),
             pwr: Pwr::new(part),
             flash,
             iwdg: Iwdg::new(readings.lsi_hz),

@@ -376,6 +376,36 @@ fn flash_waits_cost_what_prefetch_and_cache_do_not_hide() {
     assert!(prefetched - never < 30, "{never}, {prefetched}");
 }
 
+#[test]
+fn a_brown_out_holds_the_chip_in_reset_and_keeps_ram() {
+    const RCC_CSR: u32 = 0x4002_3874;
+    let mut program = Program::new();
+    program.load(R1, COUNTER).add(R1, 1).store_register(COUNTER, R1);
+    program.load(R0, RCC_CSR).store_register(COUNTER + 4, R0).stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(5));
+    let first = word(&board, COUNTER);
+    assert_eq!(word(&board, COUNTER + 4) >> 24, 0x0E);
+
+    board.set_supply(1_700);
+    run(&mut board, Time::from_ms(10));
+    assert_eq!(board.resets().len(), 1, "the factory's level is lower");
+    board.set_supply(3_300);
+    board.chip().flash_mut().set_brown_out_level(3);
+    board.set_supply(2_840);
+    assert!(board.is_powered());
+    board.set_supply(2_800);
+    assert!(!board.is_powered());
+    run(&mut board, Time::from_ms(20));
+    board.set_supply(2_900);
+    assert!(!board.is_powered(), "hysteresis");
+    board.set_supply(2_950);
+    run(&mut board, Time::from_ms(30));
+    assert_eq!(board.resets()[1..], [(Time::from_ms(20), ResetCause::BrownOut)]);
+    assert_eq!(word(&board, COUNTER), first.wrapping_add(1));
+    assert_eq!(word(&board, COUNTER + 4) >> 24 & 0x0E, 0x0E, "flags add up");
+}
+
 /// Waits for the crystal, runs on it, and sleeps; the non-maskable interrupt writes 4 to `COUNTER`.
 fn on_crystal(security: u32) -> Program {
     let mut program = Program::new();

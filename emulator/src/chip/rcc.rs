@@ -1,6 +1,6 @@
 //! RCC (RM0090 chapter 7): oscillators, PLL, prescalers, peripheral clocks and resets, reset flags.
 
-use super::{Part, Problem, timer, usart};
+use super::{Part, Problem, Readings, StartUp, timer, usart};
 use crate::{Time, can::Clock};
 
 const CR: u32 = 0x00;
@@ -32,10 +32,6 @@ const BDRST: u32 = 1 << 16;
 const BDCR_WRITABLE: u32 = 0x0001_8305;
 const CSSF: u32 = 1 << 7;
 
-/// Typical start-up times from the F405 data sheet: PLL lock and LSI.
-const PLL_LOCK: Time = Time::from_us(100);
-const LSI_START: Time = Time::from_us(20);
-
 /// The internal oscillator, assumed to be exact.
 const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
 
@@ -44,6 +40,8 @@ const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
 pub enum ResetCause {
     /// The supply came up.
     PowerOn,
+    /// The supply fell below the brown-out level that the option bytes select, and rose again.
+    BrownOut,
     /// The NRST pin was pulled low.
     Pin,
     /// `AIRCR.SYSRESETREQ`.
@@ -57,6 +55,7 @@ impl ResetCause {
     const fn flags(self) -> u32 {
         match self {
             Self::PowerOn => 0x0E00_0000,
+            Self::BrownOut => 1 << 26 | 1 << 25,
             Self::Pin => 1 << 26,
             Self::Software => 1 << 28 | 1 << 26,
             Self::Watchdog => 1 << 29 | 1 << 26,
@@ -144,6 +143,7 @@ pub struct Rcc {
     /// The crystal oscillates when switched on.
     crystal_works: bool,
     hse_start: Time,
+    start_up: StartUp,
     regs: [u32; 38],
     hse_ready: Time,
     pll_ready: [Time; 3],
@@ -154,13 +154,14 @@ impl Rcc {
     /// The offset of the backup domain's register.
     pub const BDCR: u32 = 0x70;
 
-    /// The state after power-on, with `crystal` as HSE, which takes `hse_start` to become ready.
-    pub fn new(part: Part, crystal: Clock, hse_start: Time) -> Self {
+    /// The state after power-on, with `crystal` as HSE.
+    pub fn new(part: Part, crystal: Clock, readings: &Readings) -> Self {
         let mut rcc = Self {
             part,
             crystal,
             crystal_works: crystal.hz > 0,
-            hse_start,
+            hse_start: readings.hse_start,
+            start_up: readings.start_up,
             regs: [0; 38],
             hse_ready: Time::MAX,
             pll_ready: [Time::MAX; 3],
@@ -284,7 +285,7 @@ impl Rcc {
             }
             CSR => {
                 if value & LSION != 0 && old & LSION == 0 {
-                    self.lsi_ready = now + LSI_START;
+                    self.lsi_ready = now + self.start_up.lsi();
                 }
                 let flags = if value & RMVF != 0 { 0 } else { old & 0xFE00_0000 };
                 value = value & LSION | flags;
@@ -306,7 +307,7 @@ impl Rcc {
         }
         for (index, bit) in [PLLON, PLLI2SON, PLLSAION].into_iter().enumerate() {
             if starts(bit) {
-                self.pll_ready[index] = now + PLL_LOCK;
+                self.pll_ready[index] = now + self.start_up.pll();
             }
         }
         self.regs[CR as usize / 4] = value;
@@ -393,7 +394,7 @@ impl Rcc {
     pub fn force_lsi(&mut self, now: Time) {
         if self.reg(CSR) & LSION == 0 {
             self.regs[CSR as usize / 4] |= LSION;
-            self.lsi_ready = now + LSI_START;
+            self.lsi_ready = now + self.start_up.lsi();
         }
     }
 
