@@ -1,10 +1,10 @@
 //! `cargo emulate`: boards in real time, and their CAN bus as SLCAN adapters over TCP.
 
-mod client;
+pub mod client;
 mod console;
-mod memory;
+pub mod memory;
 mod pace;
-mod programs;
+pub mod programs;
 mod slcan;
 
 use std::{
@@ -78,7 +78,7 @@ pub struct Arguments {
     /// Run an example of an application; implies --console
     #[arg(long)]
     example: Option<Example>,
-    /// Take commands from the standard input: press the button, set the temperature
+    /// Take commands from the standard input: switch the power, press the button, set the temperature
     #[arg(long)]
     console: bool,
     /// The chip on the boards
@@ -187,7 +187,8 @@ fn describe(ours: &[Board]) -> String {
     (0..ours.len()).map(board).collect::<Vec<_>>().join("; ")
 }
 
-fn serve(
+/// Runs the network in real time, each client with an adapter set to `bit_rate`, until [`Input::Stop`].
+pub fn serve(
     network: &mut Network,
     inputs: &mpsc::Receiver<Input>,
     memory: &mut Memory,
@@ -258,7 +259,8 @@ mod tests {
             client::accept(listener, sender);
             let mut memory = Memory::open(None).expect("there are no files");
             let mut network = Network::new();
-            serve(&mut network, &inputs, &mut memory, &mut Programs::default(), BitRate::Kbit500)
+            let mut programs = Programs::none(&network);
+            serve(&mut network, &inputs, &mut memory, &mut programs, BitRate::Kbit500)
         });
         address
     }

@@ -1,6 +1,6 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask no-harm`, `cargo xtask power-cut`,
-//! `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask bench`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`, `cargo xtask no-harm`,
+//! `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
 mod eds;
@@ -8,6 +8,8 @@ mod emulate;
 mod example;
 mod flash;
 mod fuzz;
+#[cfg(target_os = "linux")]
+mod linux;
 mod no_harm;
 mod parallel;
 mod power_cut;
@@ -43,6 +45,8 @@ enum Command {
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
     Fuzz(fuzz::Arguments),
+    #[cfg(target_os = "linux")]
+    Linux(linux::Arguments),
     NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
@@ -58,6 +62,8 @@ fn main() -> ExitCode {
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
         Command::Fuzz(arguments) => fuzz::run(&arguments),
+        #[cfg(target_os = "linux")]
+        Command::Linux(arguments) => linux::run(&arguments),
         Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(_) => qemu::run(),

@@ -13,7 +13,6 @@ use emulator::{
 use testkit::boards;
 
 /// The programs, on the boards that follow ours.
-#[derive(Default)]
 pub struct Programs {
     /// The number of the first one's board.
     first: usize,
@@ -31,20 +30,24 @@ struct Program {
 }
 
 impl Programs {
+    /// No programs: all boards are ours.
+    pub fn none(network: &Network) -> Self {
+        Self { first: network.boards().len(), programs: Vec::new() }
+    }
+
     /// Puts each ELF file on a board of its own with the chip `part`.
     ///
     /// # Errors
     /// A file cannot be read, or the chip does not start with it.
     pub fn load(paths: &[PathBuf], part: Part, network: &mut Network) -> anyhow::Result<Self> {
-        let first = network.boards().len();
-        let mut programs = Vec::new();
+        let mut loaded = Self::none(network);
         for path in paths {
             let image = Image::load(path)?;
             check(&image, part).with_context(|| path.display().to_string())?;
             network.add_board(boards::board(part, &image, network.boards().len()));
-            programs.push(Program::new(path, part, image));
+            loaded.programs.push(Program::new(path, part, image));
         }
-        Ok(Self { first, programs })
+        Ok(loaded)
     }
 
     /// The boards with our firmware.
@@ -169,7 +172,7 @@ mod tests {
 
     fn report_on(image: Image) -> String {
         let mut network = Network::new();
-        let mut programs = Programs::default();
+        let mut programs = Programs::none(&network);
         programs.programs.push(Program::new(
             Path::new("dir/a.elf"),
             Part::Stm32f405,
