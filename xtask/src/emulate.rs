@@ -162,7 +162,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (stop, console_sender) = (sender.clone(), sender.clone());
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
     client::accept(listener, sender);
-    println!("ready: SLCAN on {address}; {}", describe(programs.ours(&network)));
+    println!("ready: SLCAN on {address}; {}", describe(programs.ours(&network), &programs));
     if arguments.console || arguments.example.is_some() {
         println!("commands:\n{}", console::HELP);
         console::read(console_sender);
@@ -173,7 +173,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn describe(ours: &[Board]) -> String {
+fn describe(ours: &[Board], programs: &Programs) -> String {
     let board = |number: usize| {
         let stored = match boards::stored_settings(&ours[number].flash()) {
             None => "blank".to_owned(),
@@ -184,7 +184,7 @@ fn describe(ours: &[Board]) -> String {
         };
         format!("board {number}: serial number {:08X}, {stored}", boards::serial_number(number))
     };
-    (0..ours.len()).map(board).collect::<Vec<_>>().join("; ")
+    (0..ours.len()).map(board).chain(programs.names()).collect::<Vec<_>>().join("; ")
 }
 
 /// Runs the network in real time, each client with an adapter set to `bit_rate`, until [`Input::Stop`].

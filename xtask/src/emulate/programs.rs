@@ -42,12 +42,18 @@ impl Programs {
     pub fn load(paths: &[PathBuf], part: Part, network: &mut Network) -> anyhow::Result<Self> {
         let mut loaded = Self::none(network);
         for path in paths {
-            let image = Image::load(path)?;
+            let image = Image::load(path).with_context(|| path.display().to_string())?;
             check(&image, part).with_context(|| path.display().to_string())?;
             network.add_board(boards::board(part, &image, network.boards().len()));
             loaded.programs.push(Program::new(path, part, image));
         }
         Ok(loaded)
+    }
+
+    /// The number of each program's board, with its name.
+    pub fn names(&self) -> impl Iterator<Item = String> {
+        let numbered = (self.first..).zip(&self.programs);
+        numbered.map(|(number, program)| format!("board {number}: {}", program.name))
     }
 
     /// The boards with our firmware.
