@@ -4,6 +4,7 @@ use crate::chip::{BusFault, Part, Problem};
 
 const OPTLOCK: u32 = 1 << 0;
 const OPTSTRT: u32 = 1 << 1;
+const BOR_LEV: u32 = 0b11 << 2;
 /// The options that the emulator models or that have no effect without a reset pin: BOR_LEV and nWRP.
 const MODELLED: u32 = 0x0FFF_000C;
 
@@ -27,7 +28,7 @@ pub struct Options {
 }
 
 impl Options {
-    /// The factory settings: no protection, no brown-out reset.
+    /// The factory settings: no protection, the lowest brown-out level.
     pub fn new(part: Part) -> Self {
         let second = if part == Part::Stm32f427 { 0x0FFF_0000 } else { 0 };
         let stored = [0x0FFF_AAEC | OPTLOCK, second];
@@ -46,6 +47,23 @@ impl Options {
         for (index, sectors) in [sectors, sectors >> 12].into_iter().enumerate() {
             self.stored[index] = self.stored[index] & !0x0FFF_0000 | (!sectors & 0xFFF) << 16;
             self.registers[index] = self.registers[index] & !0x0FFF_0000 | (!sectors & 0xFFF) << 16;
+        }
+    }
+
+    /// Sets BOR_LEV, as a programming tool does.
+    pub fn set_brown_out_level(&mut self, level: u8) {
+        for word in [&mut self.stored[0], &mut self.registers[0]] {
+            *word = *word & !BOR_LEV | u32::from(3 - level.min(3)) << BOR_LEV.trailing_zeros();
+        }
+    }
+
+    /// The supply in mV below which the chip is held in reset (F405 data sheet, falling edge, typical).
+    pub fn brown_out_mv(&self) -> u32 {
+        match self.stored[0] & BOR_LEV {
+            0b0000 => 2_830,
+            0b0100 => 2_500,
+            0b1000 => 2_190,
+            _ => 1_680,
         }
     }
 
