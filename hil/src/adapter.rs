@@ -88,10 +88,7 @@ pub trait Adapter {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Place {
     /// `slcan:DEVICE`, with `@BAUD` if the line is no USB device.
-    Serial {
-        device: String,
-        baud: u32,
-    },
+    Serial { device: String, baud: u32 },
     /// `slcan:tcp:HOST:PORT`.
     Tcp(String),
     /// `socketcan:INTERFACE`, with `@KBIT` if the interface is up and its bit rate cannot be set.
@@ -108,14 +105,17 @@ impl FromStr for Place {
         match text.split_once(':') {
             Some(("slcan", rest)) if !rest.is_empty() => {
                 if let Some(address) = rest.strip_prefix("tcp:") {
-                    let port = address.rsplit_once(':').and_then(|(_, port)| port.parse::<u16>().ok());
+                    let port =
+                        address.rsplit_once(':').and_then(|(_, port)| port.parse::<u16>().ok());
                     return match port {
                         Some(_) => Ok(Self::Tcp(address.to_owned())),
                         None => Err("slcan:tcp: needs HOST:PORT".into()),
                     };
                 }
                 let (device, baud) = match rest.rsplit_once('@') {
-                    Some((device, baud)) => (device, baud.parse().map_err(|_| "@BAUD is a number")?),
+                    Some((device, baud)) => {
+                        (device, baud.parse().map_err(|_| "@BAUD is a number")?)
+                    }
                     None => (rest, BAUD),
                 };
                 Ok(Self::Serial { device: device.to_owned(), baud })
@@ -153,7 +153,9 @@ impl Place {
     pub fn connect(&self) -> Result<Box<dyn Adapter>, Stop> {
         Ok(match self {
             Self::Serial { .. } | Self::Tcp(_) => Box::new(slcan::Slcan::connect(self.clone())?),
-            Self::SocketCan { interface, fixed_rate } => socketcan::connect(interface, *fixed_rate)?,
+            Self::SocketCan { interface, fixed_rate } => {
+                socketcan::connect(interface, *fixed_rate)?
+            }
         })
     }
 }
@@ -171,7 +173,16 @@ mod tests {
         let socketcan = |fixed_rate| Ok(Place::SocketCan { interface: "can0".into(), fixed_rate });
         assert_eq!("socketcan:can0".parse(), socketcan(None));
         assert_eq!("socketcan:can0@125".parse(), socketcan(Some(BitRate::Kbit125)));
-        for text in ["", "can0", "slcan:", "slcan:tcp:", "slcan:tcp:host", "socketcan:", "socketcan:can0@100", "pcan:1"] {
+        for text in [
+            "",
+            "can0",
+            "slcan:",
+            "slcan:tcp:",
+            "slcan:tcp:host",
+            "socketcan:",
+            "socketcan:can0@100",
+            "pcan:1",
+        ] {
             assert!(text.parse::<Place>().is_err(), "{text}");
         }
     }

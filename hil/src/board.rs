@@ -76,7 +76,9 @@ pub fn is_there(bus: &mut Bus, address: Address) -> Result<bool, Stop> {
 /// The addresses of all boards of this product, by halving the ranges of their numbers.
 pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
     let mut found = Vec::new();
-    for revision in halve(bus, ALL, device::REVISION_NUMBER, |bus, range| is_anyone(bus, range, &ALL))? {
+    for revision in
+        halve(bus, ALL, device::REVISION_NUMBER, |bus, range| is_anyone(bus, range, &ALL))?
+    {
         let range = revision..=revision;
         for serial_number in halve(bus, ALL, 0, |bus, serial| is_anyone(bus, &range, serial))? {
             found.push(Address {
@@ -141,9 +143,8 @@ pub fn store(
     bit_rate: Option<BitRateSetting>,
 ) -> Result<Result<(), String>, Stop> {
     let mut requests = vec![Request::ConfigureNodeId(NodeId::to_lss(node_id))];
-    requests.extend(
-        bit_rate.map(|rate| Request::ConfigureBitTiming { table: 0, index: rate.index() }),
-    );
+    requests
+        .extend(bit_rate.map(|rate| Request::ConfigureBitTiming { table: 0, index: rate.index() }));
     requests.push(Request::StoreConfiguration);
     for request in requests {
         let command = request.to_bytes()[0];

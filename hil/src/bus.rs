@@ -233,7 +233,9 @@ impl Bus {
             (0x701..=0x77F, &[state]) => {
                 self.states.insert((frame.cob_id() & 0x7F) as u8, state);
             }
-            (nmt::COMMAND_COB_ID | lss::REQUEST_COB_ID | 0x601..=0x67F, _) if self.minds_masters => {
+            (nmt::COMMAND_COB_ID | lss::REQUEST_COB_ID | 0x601..=0x67F, _)
+                if self.minds_masters =>
+            {
                 return Err(Stop::OtherMaster(*frame));
             }
             _ => {}

@@ -176,7 +176,8 @@ mod tests {
         assert!(of(errors, errors).starts_with("wrong rate or bad wires"));
         assert!(of(errors, Sight::default()).starts_with("nobody acknowledges at any bit rate"));
         assert!(of(Sight::default(), Sight::default()).starts_with("no answer at any bit rate"));
-        let fixed = explain(&[(BitRate::Kbit125, errors)], Sight::default(), Some(BitRate::Kbit125));
+        let fixed =
+            explain(&[(BitRate::Kbit125, errors)], Sight::default(), Some(BitRate::Kbit125));
         assert!(fixed.contains("at 125 kbit/s, the adapter's only rate"), "{fixed}");
     }
 }

@@ -48,9 +48,12 @@ struct Arguments {
     /// the interface is up and its bit rate must stay
     #[arg(long, value_name = "ADAPTER")]
     adapter: Place,
-    /// Leave out most bit rates and repetitions: 1 minute instead of 3
+    /// Leave out most bit rates and repetitions: about 20 s instead of 40 with one board
     #[arg(long)]
     quick: bool,
+    /// Run only this session, and the first, which finds the boards; can be repeated
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(sessions::ALL.map(|session| session.name)))]
+    session: Vec<String>,
     /// Write the report to FILE.txt, FILE.json and FILE.html
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -104,7 +107,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             let probe = arguments.probe.as_deref().and_then(Probe::new);
             let bus = Bus::new(adapter, is_interrupted);
             let mut bench = Bench::new(bus, report, person, probe, arguments.quick);
-            let outcome = check(&mut bench);
+            let outcome = check(&mut bench, &arguments.session);
             bench.report.stopped = outcome.err().map(|stop| stop.to_string());
             if let Some(reason) = &bench.report.stopped {
                 println!("  STOP    {reason}");
@@ -120,13 +123,24 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     report.end();
     println!("{}", report.summary());
     if let Some(path) = &arguments.report {
-        let files = report.write(path).with_context(|| format!("cannot write {}", path.display()))?;
+        let files =
+            report.write(path).with_context(|| format!("cannot write {}", path.display()))?;
         println!("Report: {}", files.map(|file| file.display().to_string()).join(", "));
     }
     Ok(report.is_good())
 }
 
-fn check(bench: &mut Bench) -> Result<(), Stop> {
+fn check(bench: &mut Bench, sessions: &[String]) -> Result<(), Stop> {
     diagnosis::find_rate(&mut bench.bus, &mut bench.report)?;
-    sessions::run(bench)
+    sessions::run(bench, sessions)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_arguments_are_consistent() {
+        super::Arguments::command().debug_assert();
+    }
 }

@@ -33,9 +33,12 @@ impl Probe {
 
     /// Reads a word without halting the core.
     pub fn read(&self, address: u32) -> Result<u32, String> {
-        let output = self.run(&["read", "--chip", self.chip, "b32", &format!("{address:#X}"), "1"])?;
+        let output =
+            self.run(&["read", "--chip", self.chip, "b32", &format!("{address:#X}"), "1"])?;
         let words = output.split_whitespace().rev();
-        let value = words.filter(|word| word.len() == 8).find_map(|word| u32::from_str_radix(word, 16).ok());
+        let value = words
+            .filter(|word| word.len() == 8)
+            .find_map(|word| u32::from_str_radix(word, 16).ok());
         value.ok_or_else(|| format!("probe-rs read prints {output:?} instead of a word"))
     }
 

@@ -1,10 +1,6 @@
 //! The values of the registers that matter, on the emulated board that runs the same firmware.
 
-use lss_slave::{
-    BitRate, NodeId,
-    bit_rate::BitTiming,
-    lss, nmt,
-};
+use lss_slave::{BitRate, NodeId, bit_rate::BitTiming, lss, nmt};
 use lss_slave_firmware::device;
 
 /// A register, and the value of its bits that do not vary.
@@ -103,7 +99,11 @@ mod tests {
                 assert!(rig.network.board(0).read_memory(register.address, &mut bytes));
                 let value = u32::from_le_bytes(bytes) & register.mask;
                 if value != register.value {
-                    differences.push(format!("{rate:?} {}: {}", register.name, register.explain(value)));
+                    differences.push(format!(
+                        "{rate:?} {}: {}",
+                        register.name,
+                        register.explain(value)
+                    ));
                 }
             }
         }
@@ -113,7 +113,8 @@ mod tests {
     #[test]
     fn a_wrong_sample_point_is_named() {
         let id = NodeId::new(1).expect("1..=127");
-        let btr = expected(BitRate::Kbit125, id).into_iter().find(|register| register.name == CAN_BTR);
+        let btr =
+            expected(BitRate::Kbit125, id).into_iter().find(|register| register.name == CAN_BTR);
         let btr = btr.expect("it is in the table");
         assert!(btr.explain(btr.value).contains("125 kbit/s, sample point 85 %"));
         assert!(btr.explain(0x0049_000F | 0x8000_0000).contains("sample point 68 %, silent"));

@@ -17,7 +17,9 @@ use lss_slave::BitRate;
 pub enum Outcome {
     Passed,
     /// What was expected instead.
-    Failed { expected: String },
+    Failed {
+        expected: String,
+    },
     NotTried,
 }
 

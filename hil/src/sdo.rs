@@ -82,9 +82,8 @@ pub fn read(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<Vec<u
 
 /// Reads a number of one to four bytes.
 pub fn read_number(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<u32> {
-    Ok(read(bus, node, index, sub_index)?.map(|bytes| {
-        bytes.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte))
-    }))
+    Ok(read(bus, node, index, sub_index)?
+        .map(|bytes| bytes.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte))))
 }
 
 /// Reads a text.

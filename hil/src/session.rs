@@ -50,7 +50,13 @@ pub struct Bench {
 }
 
 impl Bench {
-    pub fn new(bus: Bus, report: Report, person: Person, probe: Option<Probe>, is_quick: bool) -> Self {
+    pub fn new(
+        bus: Bus,
+        report: Report,
+        person: Person,
+        probe: Option<Probe>,
+        is_quick: bool,
+    ) -> Self {
         let base = bus.rate();
         Self {
             bus,
@@ -114,15 +120,22 @@ impl Bench {
         for at in 0..self.boards.len() {
             let board = self.boards[at];
             let is_there = self.reach(board.address, SEARCH)?;
-            let home = match is_there {
-                true => self.number(board, 0x2000, 5)?.ok(),
-                false => None,
-            };
+            let id = if is_there { board::inquire_node_id(&mut self.bus)? } else { None };
+            if id != Some(board.id.get()) {
+                let id = id.map_or("unknown".to_owned(), |id| format!("{id:02X}"));
+                return Err(Stop::Bench(format!(
+                    "{board} does not store: node-ID {:02X} was acknowledged by 17 00, and after a reset it is {id}",
+                    board.id.get()
+                )));
+            }
+            let home = self.number(board, 0x2000, 5)?.ok();
             let home = home.and_then(|home| {
                 BitRate::ALL.into_iter().find(|rate| u32::from(rate.kbit_per_s()) == home)
             });
             let Some(home) = home else {
-                return Err(Stop::Bench(format!("{board} does not report its home bit rate (2000h sub 5)")));
+                return Err(Stop::Bench(format!(
+                    "{board} does not report its home bit rate (2000h sub 5)"
+                )));
             };
             let was_heard = boot_ups.contains(&board.id.get());
             let original = &mut self.boards[at].original;
@@ -136,7 +149,10 @@ impl Bench {
             self.select_or_stop(&board)?;
             self.store_or_stop(&board, Some(board.id), Some(self.base.into()))?;
             let Board { original, .. } = self.boards[at];
-            self.report.board(format!("{board}: {original} stored, heartbeat {} ms", original.heartbeat_ms));
+            self.report.board(format!(
+                "{board}: {original} stored, heartbeat {} ms",
+                original.heartbeat_ms
+            ));
         }
         self.restart()?;
         Ok(())
@@ -175,7 +191,9 @@ impl Bench {
             if matches!((frame.cob_id(), frame.data()), (0x701..=0x77F, [0])) {
                 nodes.push((frame.cob_id() & 0x7F) as u8);
             }
-            if !self.boards.is_empty() && self.boards.iter().all(|board| nodes.contains(&board.id.get())) {
+            if !self.boards.is_empty()
+                && self.boards.iter().all(|board| nodes.contains(&board.id.get()))
+            {
                 break;
             }
         }
@@ -203,12 +221,22 @@ impl Bench {
     }
 
     /// Reads a number by SDO.
-    pub fn number(&mut self, board: Board, index: u16, sub_index: u8) -> Result<Result<u32, sdo::Failure>, Stop> {
+    pub fn number(
+        &mut self,
+        board: Board,
+        index: u16,
+        sub_index: u8,
+    ) -> Result<Result<u32, sdo::Failure>, Stop> {
         sdo::read_number(&mut self.bus, board.id.get(), index, sub_index)
     }
 
     /// Sends a request; a check of its answer. `expected` is the answer's bytes, or empty for silence.
-    pub fn check_answer(&mut self, what: &str, request: [u8; 8], expected: &[u8]) -> Result<bool, Stop> {
+    pub fn check_answer(
+        &mut self,
+        what: &str,
+        request: [u8; 8],
+        expected: &[u8],
+    ) -> Result<bool, Stop> {
         self.bus.send_to(0x7E5, &request)?;
         let wait = if expected.is_empty() { self.bus.short() } else { self.bus.patience() };
         let answer = self.bus.wait_for(wait, |frame| frame.cob_id() == 0x7E4)?;
@@ -364,7 +392,11 @@ impl Bench {
     }
 
     /// Writes the heartbeat time and stores it by 1010h.
-    pub fn store_heartbeat(&mut self, node: u8, milliseconds: u16) -> Result<Result<(), String>, Stop> {
+    pub fn store_heartbeat(
+        &mut self,
+        node: u8,
+        milliseconds: u16,
+    ) -> Result<Result<(), String>, Stop> {
         const SAVE: u32 = u32::from_le_bytes(*b"save");
         let written = sdo::write(&mut self.bus, node, (0x1017, 0), milliseconds.into(), 2)?;
         let saved = sdo::write(&mut self.bus, node, (0x1010, 1), SAVE, 4)?;

@@ -14,34 +14,43 @@ mod timing;
 
 use crate::{session::Bench, stop::Stop};
 
-type Session = fn(&mut Bench) -> Result<(), Stop>;
+/// A session.
+pub struct Session {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// Its heading in the report.
+    title: &'static str,
+    run: fn(&mut Bench) -> Result<(), Stop>,
+}
 
-/// The sessions by name.
-const ALL: [(&str, Session); 13] = [
-    ("registers", registers::run),
-    ("LSS services", services::run),
-    ("answer times", timing::answers),
-    ("back-to-back requests", timing::back_to_back),
-    ("SDO", node::sdo),
-    ("NMT and heartbeat", node::nmt),
-    ("Fastscan", fastscan::run),
-    ("bit rates by activation", rates::by_activation),
-    ("switch timing", switch::run),
-    ("bit rates by store and reset", rates::by_store),
-    ("detection of the bit rate", search::detection),
-    ("rescue", search::rescue),
-    ("power cut and short circuit", hands::run),
+/// All sessions but the first, which finds the boards.
+pub const ALL: [Session; 13] = [
+    Session { name: "registers", title: "registers", run: registers::run },
+    Session { name: "services", title: "LSS services", run: services::run },
+    Session { name: "answers", title: "answer times", run: timing::answers },
+    Session { name: "bursts", title: "requests without a pause", run: timing::bursts },
+    Session { name: "sdo", title: "SDO", run: node::sdo },
+    Session { name: "nmt", title: "NMT and heartbeat", run: node::nmt },
+    Session { name: "fastscan", title: "Fastscan", run: fastscan::run },
+    Session { name: "activate", title: "bit rates by activation", run: rates::by_activation },
+    Session { name: "switch", title: "timing of a switch", run: switch::run },
+    Session { name: "store", title: "bit rates by store and reset", run: rates::by_store },
+    Session { name: "detect", title: "detection of the bit rate", run: search::detection },
+    Session { name: "rescue", title: "rescue", run: search::rescue },
+    Session { name: "hands", title: "power cut and short circuit", run: hands::run },
 ];
 
-/// Runs all sessions.
-pub fn run(bench: &mut Bench) -> Result<(), Stop> {
+/// Finds the boards, then runs the sessions with these names; all of them if there is no name.
+pub fn run(bench: &mut Bench, names: &[String]) -> Result<(), Stop> {
     bench.report.begin("identity");
     identity::find(bench)?;
     bench.prepare()?;
     identity::check(bench)?;
-    for (name, session) in ALL {
-        bench.report.begin(name);
-        session(bench)?;
+    let is_wanted =
+        |session: &&Session| names.is_empty() || names.iter().any(|name| name == session.name);
+    for session in ALL.iter().filter(is_wanted) {
+        bench.report.begin(session.title);
+        (session.run)(bench)?;
         bench.settle()?;
     }
     Ok(())

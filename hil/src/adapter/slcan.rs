@@ -169,7 +169,9 @@ impl Slcan {
             }
             let Some(port) = &mut self.port else { return Err(self.gone("it was closed")) };
             let mut bytes = [0; 512];
-            let read = port.set_wait(wait.max(Duration::from_millis(1))).and_then(|()| port.read(&mut bytes));
+            let read = port
+                .set_wait(wait.max(Duration::from_millis(1)))
+                .and_then(|()| port.read(&mut bytes));
             match read {
                 Ok(0) => return Err(self.lose(io::Error::other("the connection was closed"))),
                 Ok(count) => self.line.extend(&bytes[..count]),
@@ -229,7 +231,10 @@ fn connect(place: &Place) -> Result<Box<dyn Port>, Stop> {
             }
             Err(last)
         }
-        Place::Serial { device, baud } => match serialport::new(device, *baud).timeout(CONNECTION).open() {
+        Place::Serial { device, baud } => match serialport::new(device, *baud)
+            .timeout(CONNECTION)
+            .open()
+        {
             Ok(port) => Ok(Box::new(port)),
             Err(error) => {
                 let ports = serialport::available_ports().unwrap_or_default();
@@ -369,13 +374,12 @@ mod tests {
         assert_eq!(parse(b"\r"), Line::Answer(vec![]));
         assert_eq!(parse(b"\x07"), Line::Refused);
         assert_eq!(parse(b"V1013\r"), Line::Answer(b"V1013".to_vec()));
-        for other in ["T000007E50\r", "r7E40\r", "t7E4\r", "t7E42GG\r", "t7E41\r", "tX\r", "t8001AA\r"] {
+        for other in
+            ["T000007E50\r", "r7E40\r", "t7E4\r", "t7E42GG\r", "t7E41\r", "tX\r", "t8001AA\r"]
+        {
             assert_eq!(parse(other.as_bytes()), Line::OtherFrame, "{other:?}");
         }
-        assert_eq!(
-            parse_flags(b"FA4"),
-            Some(Status { is_error_passive: true, has_errors: true })
-        );
+        assert_eq!(parse_flags(b"FA4"), Some(Status { is_error_passive: true, has_errors: true }));
         assert_eq!(parse_flags(b"F00"), Some(Status::default()));
         assert_eq!(parse_flags(b"V1013"), None);
     }

@@ -21,9 +21,7 @@ mod linux {
     };
 
     use lss_slave::{BitRate, Frame};
-    use socketcan::{
-        CanFrame, CanSocket, EmbeddedFrame, Socket, SocketOptions, StandardId,
-    };
+    use socketcan::{CanFrame, CanSocket, EmbeddedFrame, Socket, SocketOptions, StandardId};
 
     use super::{Adapter, Stop};
     use crate::adapter::{Clock, Mode, Received, Status};
@@ -73,7 +71,8 @@ mod linux {
 
     impl SocketCan {
         fn ip(&self, arguments: &[&str]) -> Result<(), Stop> {
-            let output = Command::new("ip").args(["link", "set", &self.interface]).args(arguments).output();
+            let output =
+                Command::new("ip").args(["link", "set", &self.interface]).args(arguments).output();
             let why = match output {
                 Ok(output) if output.status.success() => return Ok(()),
                 Ok(output) => String::from_utf8_lossy(&output.stderr).trim().to_owned(),

@@ -29,8 +29,12 @@ pub fn whole(report: &Report) -> String {
             escape(&expected)
         );
     }
-    let bench: String =
-        report.bench.iter().chain(&report.boards).map(|line| format!("<li>{}</li>\n", escape(line))).collect();
+    let bench: String = report
+        .bench
+        .iter()
+        .chain(&report.boards)
+        .map(|line| format!("<li>{}</li>\n", escape(line)))
+        .collect();
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>cargo hil</title><style>{STYLE}</style>\n\
          <h1>cargo hil</h1>\n<p>Adapter: {}</p>\n<ul>\n{bench}</ul>\n<pre>{}</pre>\n{}{}\
@@ -118,7 +122,9 @@ fn switches(switches: &[Switch]) -> String {
     for (row, switch) in switches.iter().enumerate() {
         let delay = f64::from(switch.delay_ms);
         let end = switch.first_frame.unwrap_or(0.0).max(2.0 * delay) * 1.1 + 1.0;
-        let x = |ms: f64| LEFT + (ms.clamp(-0.05 * end, end) + 0.05 * end) / (1.05 * end) * (WIDTH - LEFT - 20.0);
+        let x = |ms: f64| {
+            LEFT + (ms.clamp(-0.05 * end, end) + 0.05 * end) / (1.05 * end) * (WIDTH - LEFT - 20.0)
+        };
         let y = row as f64 * ROW + 30.0;
         let title = format!(
             "{} to {} kbit/s, switch delay {} ms",
@@ -136,9 +142,15 @@ fn switches(switches: &[Switch]) -> String {
         }
         for (at, is_acknowledged) in &switch.acknowledged {
             let color = if *is_acknowledged { "#2b8a3e" } else { "#c92a2a" };
-            content += &format!("<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\" fill=\"{color}\"/>\n", x(*at), y + 11.0);
+            content += &format!(
+                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\" fill=\"{color}\"/>\n",
+                x(*at),
+                y + 11.0
+            );
         }
-        for (at, name) in [(Some(switch.last_frame), "last frame"), (switch.first_frame, "first frame")] {
+        for (at, name) in
+            [(Some(switch.last_frame), "last frame"), (switch.first_frame, "first frame")]
+        {
             let Some(at) = at else { continue };
             let place = x(at);
             content += &format!(
@@ -180,8 +192,15 @@ mod tests {
         report.failed("a & b", "<1>", "2");
         let page = whole(&report);
         assert_eq!(page.matches("<svg").count(), 2);
-        assert!(page.contains("<title>3 of 2.44 to 2.50 ms") || page.contains("<title>3 of 2.50"), "{page}");
+        assert!(
+            page.contains("<title>3 of 2.44 to 2.50 ms") || page.contains("<title>3 of 2.50"),
+            "{page}"
+        );
         assert!(page.contains("first frame 401 ms") && page.contains("#c92a2a"));
-        assert!(page.contains("slcan:&lt;x&gt;") && page.contains("a &amp; b") && page.contains("&lt;1&gt;"));
+        assert!(
+            page.contains("slcan:&lt;x&gt;")
+                && page.contains("a &amp; b")
+                && page.contains("&lt;1&gt;")
+        );
     }
 }

@@ -29,7 +29,10 @@ pub fn summary(report: &Report) -> String {
             }
         }
     };
-    list("Not tried", report.checks.iter().filter(|check| check.outcome == Outcome::NotTried).collect());
+    list(
+        "Not tried",
+        report.checks.iter().filter(|check| check.outcome == Outcome::NotTried).collect(),
+    );
     list("Different from the emulated board", report.failures().collect());
     if let Some(reason) = &report.stopped {
         text += &format!("\nEnded early: {reason}\n");
@@ -48,7 +51,8 @@ pub fn summary(report: &Report) -> String {
 
 /// The whole report.
 pub fn whole(report: &Report) -> String {
-    let mut text = format!("cargo hil {}\nadapter: {}\n", env!("CARGO_PKG_VERSION"), report.adapter);
+    let mut text =
+        format!("cargo hil {}\nadapter: {}\n", env!("CARGO_PKG_VERSION"), report.adapter);
     for line in report.bench.iter().chain(&report.boards) {
         text += &format!("{line}\n");
     }

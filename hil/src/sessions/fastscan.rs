@@ -27,7 +27,11 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     while !rest.is_empty() {
         let non_configured = bench.bus.ask(Request::IdentifyNonConfigured)?;
         let seen = non_configured.map_or("no answer".to_owned(), |answer| board::text(&answer));
-        bench.report.equal(format!("4C with {} boards without a node-ID", rest.len()), seen, "50 00");
+        bench.report.equal(
+            format!("4C with {} boards without a node-ID", rest.len()),
+            seen,
+            "50 00",
+        );
         let found = match scan(bench)? {
             Ok(address) => address,
             Err(why) => {
@@ -43,7 +47,11 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         bench.report.passed("Fastscan", format!("finds {board}"));
         let id = board.id.get();
         let stored = board::store(&mut bench.bus, Some(board.id), None)?;
-        bench.report.equal("11 and 17 after it", stored.err().unwrap_or_else(|| "stored".into()), "stored");
+        bench.report.equal(
+            "11 and 17 after it",
+            stored.err().unwrap_or_else(|| "stored".into()),
+            "stored",
+        );
         bench.bus.request(Request::SwitchToWaiting)?;
         let boot_up = bench.bus.wait_for(BOOT, |frame| {
             frame.cob_id() == 0x700 + u16::from(id) && frame.data() == [0]
@@ -74,7 +82,9 @@ fn scan(bench: &mut Bench) -> Result<Result<Address, String>, Stop> {
         }
         let last = FastscanStep { id_number: number, bit_check: 0, sub, next: (sub + 1) % 4 };
         if bench.bus.ask(Request::Fastscan(last))?.is_none() {
-            return Ok(Err(format!("part {sub} is not {number:08X}: an answer was lost or came too late")));
+            return Ok(Err(format!(
+                "part {sub} is not {number:08X}: an answer was lost or came too late"
+            )));
         }
         parts[usize::from(sub)] = number;
     }

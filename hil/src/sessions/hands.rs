@@ -26,12 +26,17 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
     let has_probe = bench.probe.is_some();
     let question = "Can you switch the power of the first board off and on?";
     if !has_probe && !bench.person.agrees(question, || bench.bus.check_interrupt().is_err()) {
-        bench.report.not_tried("settings through a power cut", "nobody at hand to switch the power, and no --probe");
+        bench.report.not_tried(
+            "settings through a power cut",
+            "nobody at hand to switch the power, and no --probe",
+        );
         return Ok(());
     }
     let board = bench.boards[0];
     let is_taken = |id: &NodeId| bench.boards.iter().any(|board| board.id == *id);
-    let Some(other) = (1..=127).filter_map(NodeId::new).find(|id| !is_taken(id)) else { return Ok(()) };
+    let Some(other) = (1..=127).filter_map(NodeId::new).find(|id| !is_taken(id)) else {
+        return Ok(());
+    };
     let stored = match board::select(&mut bench.bus, board.address)? {
         true => board::store(&mut bench.bus, Some(other), None)?,
         false => Err("43 is not answered".into()),
@@ -54,8 +59,13 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
         }
     };
     let cob_id = 0x700 + u16::from(other.get());
-    let boot_up = bench.bus.wait_for(HANDS, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
-    let seen = if boot_up.is_some() { "a boot-up with the stored node-ID" } else { "no boot-up with it in 60 s" };
+    let boot_up =
+        bench.bus.wait_for(HANDS, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
+    let seen = if boot_up.is_some() {
+        "a boot-up with the stored node-ID"
+    } else {
+        "no boot-up with it in 60 s"
+    };
     bench.report.equal(what, seen.into(), "a boot-up with the stored node-ID");
     bench.bus.states.remove(&other.get());
     Ok(())
@@ -99,8 +109,14 @@ fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
     while !missing.is_empty() && Instant::now() < until {
         missing = bench.missing()?;
     }
-    let seen = if missing.is_empty() { "all boards answer again".to_owned() } else { missing.join("; ") };
-    bench.report.expect("after a short circuit", missing.is_empty(), seen, "all boards answer again");
+    let seen =
+        if missing.is_empty() { "all boards answer again".to_owned() } else { missing.join("; ") };
+    bench.report.expect(
+        "after a short circuit",
+        missing.is_empty(),
+        seen,
+        "all boards answer again",
+    );
     for board in bench.boards.clone() {
         if let Ok(count) = bench.number(board, 0x2000, 1)? {
             bench.report.expect(

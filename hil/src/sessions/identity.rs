@@ -10,7 +10,9 @@ pub fn find(bench: &mut Bench) -> Result<(), Stop> {
     bench.report.progress("finding the boards by their serial numbers");
     bench.addresses = board::find_all(&mut bench.bus)?;
     if bench.addresses.is_empty() {
-        return Err(Stop::Bench("boards answered, but no serial number could be found: is a request lost?".into()));
+        return Err(Stop::Bench(
+            "boards answered, but no serial number could be found: is a request lost?".into(),
+        ));
     }
     let mut own = Vec::new();
     for address in bench.addresses.clone() {
@@ -42,11 +44,17 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
             (AddressPart::SerialNumber, address.serial_number, "serial number"),
         ];
         let is_selected = board::select(&mut bench.bus, address)?;
-        bench.report.expect(format!("{board}: switch state selective"), is_selected, yes(is_selected), "44");
+        bench.report.expect(
+            format!("{board}: switch state selective"),
+            is_selected,
+            yes(is_selected),
+            "44",
+        );
         for (at, (part, number, name)) in parts.into_iter().enumerate() {
             let answer = bench.bus.ask(Request::Inquire(part))?;
             let by_lss = answer.filter(|answer| answer[0] == 0x5A + at as u8);
-            let by_lss = by_lss.map(|bytes| u32::from_le_bytes([bytes[1], bytes[2], bytes[3], bytes[4]]));
+            let by_lss =
+                by_lss.map(|bytes| u32::from_le_bytes([bytes[1], bytes[2], bytes[3], bytes[4]]));
             let by_sdo = bench.number(board, 0x1018, at as u8 + 1)?;
             let seen = format!(
                 "{} by LSS, {} by SDO",
@@ -54,7 +62,12 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
                 by_sdo.map_or_else(|failure| failure.to_string(), |number| format!("{number:08X}"))
             );
             let is_equal = by_lss == Some(number) && by_sdo == Ok(number);
-            bench.report.expect(format!("{board}: {name}"), is_equal, seen, format!("{number:08X}"));
+            bench.report.expect(
+                format!("{board}: {name}"),
+                is_equal,
+                seen,
+                format!("{number:08X}"),
+            );
         }
         bench.report.equal(
             format!("{board}: revision of this firmware"),

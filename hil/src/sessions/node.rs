@@ -53,17 +53,26 @@ fn heartbeat(bench: &mut Bench, id: u8) -> Result<(), Stop> {
     }
     let frames = bench.bus.collect(Duration::from_millis(u64::from(PERIOD_MS)) * (COUNT + 2))?;
     let cob_id = 0x700 + u16::from(id);
-    let times: Vec<_> =
-        frames.iter().filter(|received| received.frame.cob_id() == cob_id).map(|received| received.at).collect();
+    let times: Vec<_> = frames
+        .iter()
+        .filter(|received| received.frame.cob_id() == cob_id)
+        .map(|received| received.at)
+        .collect();
     let mean = match times.first().zip(times.last()) {
-        Some((first, last)) if times.len() > 5 => (*last - *first).as_secs_f64() * 1e3 / (times.len() - 1) as f64,
+        Some((first, last)) if times.len() > 5 => {
+            (*last - *first).as_secs_f64() * 1e3 / (times.len() - 1) as f64
+        }
         _ => 0.0,
     };
     // A crystal is off by 0.5 % at most; the stamps have a resolution of 1 ms, and the computer's clock is jittery.
     bench.report.expect(
         format!("node {id}: heartbeat of {PERIOD_MS} ms"),
         (mean - f64::from(PERIOD_MS)).abs() < 3.0,
-        format!("{mean:.1} ms, the mean of {}, by {}", times.len().saturating_sub(1), bench.bus.clock()),
+        format!(
+            "{mean:.1} ms, the mean of {}, by {}",
+            times.len().saturating_sub(1),
+            bench.bus.clock()
+        ),
         format!("{PERIOD_MS} ms"),
     );
     Ok(())
@@ -83,7 +92,8 @@ pub fn nmt(bench: &mut Bench) -> Result<(), Stop> {
             bench.bus.nmt(command, id)?;
             bench.bus.pass(Duration::from_millis(20))?;
             let cob_id = 0x700 + u16::from(id);
-            let heartbeat = bench.bus.wait_for(bench.bus.patience(), |frame| frame.cob_id() == cob_id)?;
+            let heartbeat =
+                bench.bus.wait_for(bench.bus.patience(), |frame| frame.cob_id() == cob_id)?;
             let seen = heartbeat.map_or("no heartbeat".to_owned(), |heartbeat| {
                 format!("state {:02X}", heartbeat.frame.data().first().copied().unwrap_or(0))
             });
@@ -105,7 +115,11 @@ pub fn nmt(bench: &mut Bench) -> Result<(), Stop> {
             Err(failure) => failure.to_string(),
         };
         let expected = format!("{} ms", board.original.heartbeat_ms);
-        bench.report.equal(format!("{board}: the stored heartbeat time after the reset"), seen, &expected);
+        bench.report.equal(
+            format!("{board}: the stored heartbeat time after the reset"),
+            seen,
+            &expected,
+        );
     }
     Ok(())
 }

@@ -2,16 +2,13 @@
 
 use std::time::{Duration, Instant};
 
-use lss_slave::{
-    BitRate,
-    lss::Request,
-};
+use lss_slave::{BitRate, lss::Request};
 
 use super::timing;
 use crate::{board, session::Bench, stop::Stop};
 
 /// The switch delay: longer than the adapter takes to change its rate.
-const DELAY_MS: u16 = 200;
+const DELAY_MS: u16 = 300;
 /// The number of answers that are measured at each rate.
 const ANSWERS: usize = 20;
 /// The rates at which a bad bus shows first.
@@ -45,7 +42,8 @@ pub fn by_activation(bench: &mut Bench) -> Result<(), Stop> {
     for &rate in &rates {
         let from = bench.bus.rate();
         bench.bus.request(Request::SwitchToConfiguration)?;
-        let accepted = bench.bus.ask(Request::ConfigureBitTiming { table: 0, index: rate.index() })?;
+        let accepted =
+            bench.bus.ask(Request::ConfigureBitTiming { table: 0, index: rate.index() })?;
         if !matches!(accepted, Some([0x13, 0, ..])) {
             let seen = accepted.map_or("no answer".to_owned(), |answer| board::text(&answer));
             bench.report.failed(format!("13, {} kbit/s", rate.kbit_per_s()), seen, "13 00");
@@ -56,7 +54,9 @@ pub fn by_activation(bench: &mut Bench) -> Result<(), Stop> {
         let delay = Duration::from_millis(DELAY_MS.into());
         bench.bus.pass(delay + delay / 4)?;
         bench.bus.open(rate)?;
-        bench.bus.pass((2 * delay + Duration::from_millis(30)).saturating_sub(requested.elapsed()))?;
+        bench
+            .bus
+            .pass((2 * delay + Duration::from_millis(30)).saturating_sub(requested.elapsed()))?;
         let what = format!("{} to {} kbit/s by activation", from.kbit_per_s(), rate.kbit_per_s());
         if !check(bench, rate, &what)? {
             bad.push(rate);
@@ -115,7 +115,11 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
 fn check(bench: &mut Bench, rate: BitRate, what: &str) -> Result<bool, Stop> {
     let missing = bench.missing()?;
     if !missing.is_empty() {
-        bench.report.failed(what, format!("silent after the switch: {}", missing.join("; ")), "an answer of each board");
+        bench.report.failed(
+            what,
+            format!("silent after the switch: {}", missing.join("; ")),
+            "an answer of each board",
+        );
         return Ok(false);
     }
     bench.bus.status()?;
@@ -126,7 +130,11 @@ fn check(bench: &mut Bench, rate: BitRate, what: &str) -> Result<bool, Stop> {
             Ok(kbit) => format!("{kbit} kbit/s"),
             Err(failure) => failure.to_string(),
         };
-        bench.report.equal(format!("{board}: rate in use, 2000h sub 6"), seen, &format!("{} kbit/s", rate.kbit_per_s()));
+        bench.report.equal(
+            format!("{board}: rate in use, 2000h sub 6"),
+            seen,
+            &format!("{} kbit/s", rate.kbit_per_s()),
+        );
     }
     let has_errors = bench.bus.status()?.is_some_and(|status| status.has_errors);
     if has_errors {

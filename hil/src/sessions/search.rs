@@ -34,7 +34,9 @@ fn store_all(bench: &mut Bench, rate: BitRateSetting) -> Result<bool, Stop> {
 
 pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
     if !device::BIT_RATES.offers(BitRateSetting::Automatic) {
-        bench.report.not_tried("detection", "this firmware does not offer it (BIT_RATES in src/device.rs)");
+        bench
+            .report
+            .not_tried("detection", "this firmware does not offer it (BIT_RATES in src/device.rs)");
         return Ok(());
     }
     if !store_all(bench, BitRateSetting::Automatic)? {
@@ -65,7 +67,12 @@ pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
             false => format!("boot-ups of {nodes:?} in {} s", SEARCH.as_secs()),
         };
         let is_good = is_complete(&nodes, bench);
-        bench.report.expect(format!("{} kbit/s", rate.kbit_per_s()), is_good, seen, "a boot-up of each board");
+        bench.report.expect(
+            format!("{} kbit/s", rate.kbit_per_s()),
+            is_good,
+            seen,
+            "a boot-up of each board",
+        );
         if !is_good {
             return Ok(());
         }
@@ -95,7 +102,11 @@ pub fn rescue(bench: &mut Bench) -> Result<(), Stop> {
         let is_there = bench.reach(board.address, SEARCH)?;
         all &= is_there;
         let seen = match is_there {
-            true => format!("answers at {} kbit/s after {:.1} s", base.kbit_per_s(), begin.elapsed().as_secs_f64()),
+            true => format!(
+                "answers at {} kbit/s after {:.1} s",
+                base.kbit_per_s(),
+                begin.elapsed().as_secs_f64()
+            ),
             false => format!("no answer in {} s", SEARCH.as_secs()),
         };
         let what = format!("{board} with {} kbit/s stored", wrong.kbit_per_s());
@@ -110,7 +121,8 @@ pub fn rescue(bench: &mut Bench) -> Result<(), Stop> {
     for board in bench.boards.clone() {
         let id = board.id.get();
         let is_told = unasked.iter().any(|received| {
-            received.frame.cob_id() == 0x080 + u16::from(id) && received.frame.data().starts_with(&GUEST)
+            received.frame.cob_id() == 0x080 + u16::from(id)
+                && received.frame.data().starts_with(&GUEST)
         });
         bench.report.expect(
             format!("{board}: emergency FF10h"),
@@ -118,12 +130,18 @@ pub fn rescue(bench: &mut Bench) -> Result<(), Stop> {
             if is_told { "received" } else { "not received" },
             "received",
         );
-        for (sub_index, expected, name) in
-            [(5, wrong.kbit_per_s(), "home rate"), (6, base.kbit_per_s(), "rate in use"), (7, 1, "rescues")]
-        {
+        for (sub_index, expected, name) in [
+            (5, wrong.kbit_per_s(), "home rate"),
+            (6, base.kbit_per_s(), "rate in use"),
+            (7, 1, "rescues"),
+        ] {
             let seen = bench.number(board, 0x2000, sub_index)?;
             let seen = seen.map_or_else(|failure| failure.to_string(), |number| number.to_string());
-            bench.report.equal(format!("{board}: {name}, 2000h sub {sub_index}"), seen, &expected.to_string());
+            bench.report.equal(
+                format!("{board}: {name}, 2000h sub {sub_index}"),
+                seen,
+                &expected.to_string(),
+            );
         }
     }
     store_all(bench, base.into())?;

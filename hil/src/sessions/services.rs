@@ -37,7 +37,11 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     }
     bench.check_answer("5E after a selection without the revision number", bytes(&[0x5E]), &[])?;
     bench.check_answer("4C, all boards have a node-ID", bytes(&[0x4C]), &[])?;
-    bench.check_answer("51 80, all boards have a node-ID", bytes(&[0x51, 0, 0, 0, 0, 0x80]), &[])?;
+    bench.check_answer(
+        "51 80, all boards have a node-ID",
+        bytes(&[0x51, 0, 0, 0, 0, 0x80]),
+        &[],
+    )?;
 
     use IdentifyKey as Key;
     for (what, serial, expected) in [
@@ -54,7 +58,12 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     }
 
     let is_selected = board::select(&mut bench.bus, address)?;
-    bench.report.expect("switch state selective", is_selected, if is_selected { "44" } else { "no answer" }, "44");
+    bench.report.expect(
+        "switch state selective",
+        is_selected,
+        if is_selected { "44" } else { "no answer" },
+        "44",
+    );
     bench.check_answer("5E", bytes(&[0x5E]), &[0x5E, id])?;
     for (what, request, expected) in [
         ("04 with mode 2 is ignored", bytes(&[0x04, 2]), &[][..]),
@@ -86,13 +95,16 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
 fn node_id(bench: &mut Bench) -> Result<(), Stop> {
     let board = bench.boards[0];
     let is_taken = |id: &NodeId| bench.boards.iter().any(|board| board.id == *id);
-    let Some(other) = (1..=127).filter_map(NodeId::new).find(|id| !is_taken(id)) else { return Ok(()) };
+    let Some(other) = (1..=127).filter_map(NodeId::new).find(|id| !is_taken(id)) else {
+        return Ok(());
+    };
     let (id, other) = (board.id.get(), other.get());
     bench.check_answer("11, another node-ID", bytes(&[0x11, other]), &[0x11, 0])?;
     bench.check_answer("5E answers the active node-ID", bytes(&[0x5E]), &[0x5E, id])?;
     bench.bus.nmt(RESET_COMMUNICATION, id)?;
     let cob_id = 0x700 + u16::from(other);
-    let boot_up = bench.bus.wait_for(BOOT, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
+    let boot_up =
+        bench.bus.wait_for(BOOT, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
     let seen = if boot_up.is_some() { "a boot-up" } else { "no boot-up" };
     bench.report.equal("the new node-ID after NMT reset communication", seen.into(), "a boot-up");
     bench.bus.nmt(super::super::session::RESET_NODE, other)?;

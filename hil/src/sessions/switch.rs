@@ -27,7 +27,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         return Ok(());
     }
     let other = if bench.base == BitRate::Kbit500 { BitRate::Kbit125 } else { BitRate::Kbit500 };
-    let delays: &[u16] = if bench.is_quick { &[300] } else { &[300, 1000] };
+    let delays: &[u16] = if bench.is_quick { &[500] } else { &[500, 1000] };
     for &delay in delays {
         for rate in [other, bench.base] {
             switch(bench, rate, delay)?;
@@ -42,7 +42,8 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
 fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
     const HEARTBEAT_MS: u32 = 20;
     let from = bench.bus.rate();
-    let what = format!("{} to {} kbit/s, switch delay {delay_ms} ms", from.kbit_per_s(), to.kbit_per_s());
+    let what =
+        format!("{} to {} kbit/s, switch delay {delay_ms} ms", from.kbit_per_s(), to.kbit_per_s());
     for board in bench.boards.clone() {
         let _ = sdo::write(&mut bench.bus, board.id.get(), (0x1017, 0), HEARTBEAT_MS, 2)?;
     }
@@ -62,16 +63,17 @@ fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
     let mut received = bench.bus.collect(line.until(delay / 2))?;
     acknowledged.extend(acknowledge(bench, &line, &mut received)?);
     // The adapter changes its rate in the second period, when the boards have changed theirs.
-    received.extend(bench.bus.collect(line.until(delay + delay / 10))?);
+    received.extend(bench.bus.collect(line.until(delay + delay / 4))?);
     bench.bus.open(to)?;
-    received.extend(bench.bus.collect(line.until(delay + delay / 2))?);
+    received.extend(bench.bus.collect(line.until(delay + delay / 2 + delay / 10))?);
     acknowledged.extend(acknowledge(bench, &line, &mut received)?);
     bench.bus.request(Request::InquireNodeId)?;
     let first = bench.bus.wait_for(line.until(2 * delay + Duration::from_secs(1)), |_| true)?;
     received.extend(first);
 
     let times: Vec<_> = heartbeats.iter().chain(&received).map(|frame| line.place(frame)).collect();
-    let last_frame = times.iter().copied().filter(|at| *at < UNDER_WAY_MS).fold(f64::NEG_INFINITY, f64::max);
+    let last_frame =
+        times.iter().copied().filter(|at| *at < UNDER_WAY_MS).fold(f64::NEG_INFINITY, f64::max);
     let first_frame = times.iter().copied().find(|at| *at >= UNDER_WAY_MS);
     let clock = if line.has_stamps(&received) { bench.bus.clock() } else { Clock::Host };
     let expected = 2.0 * f64::from(delay_ms);
@@ -79,22 +81,36 @@ fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
         None => "silent after the switch".to_owned(),
         Some(at) => format!("the first frame after {at:.0} ms, by {clock}"),
     };
-    let is_good = first_frame.is_some_and(|at| (expected - EARLY_MS..expected + LATE_MS).contains(&at));
+    let is_good =
+        first_frame.is_some_and(|at| (expected - EARLY_MS..expected + LATE_MS).contains(&at));
     bench.report.expect(format!("{what}: silence"), is_good, seen, format!("{expected:.0} ms"));
     for (at, is_acknowledged) in &acknowledged {
         let rate = if *at < f64::from(delay_ms) { from } else { to };
         bench.report.expect(
-            format!("{what}: a frame at {at:.0} ms is acknowledged at {} kbit/s", rate.kbit_per_s()),
+            format!(
+                "{what}: a frame at {at:.0} ms is acknowledged at {} kbit/s",
+                rate.kbit_per_s()
+            ),
             *is_acknowledged,
             if *is_acknowledged { "acknowledged" } else { "errors on the bus" },
             "acknowledged",
         );
     }
     if acknowledged.is_empty() {
-        bench.report.not_tried(format!("{what}: acknowledge in the silence"), "the adapter reports no errors");
+        bench.report.not_tried(
+            format!("{what}: acknowledge in the silence"),
+            "the adapter reports no errors",
+        );
     }
     let last_frame = last_frame.max(-100.0);
-    bench.report.switches.push(Switch { from, to, delay_ms, last_frame, first_frame, acknowledged });
+    bench.report.switches.push(Switch {
+        from,
+        to,
+        delay_ms,
+        last_frame,
+        first_frame,
+        acknowledged,
+    });
     if first_frame.is_none() {
         bench.settle()?;
     }

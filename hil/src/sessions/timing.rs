@@ -7,13 +7,7 @@ use lss_slave::{
     lss::{AddressPart, Request},
 };
 
-use crate::{
-    board,
-    bus::bits,
-    report::Answer,
-    session::Bench,
-    stop::Stop,
-};
+use crate::{board, bus::bits, report::Answer, session::Bench, stop::Stop};
 
 /// The bits of a request and its answer, stuff bits included.
 const EXCHANGE_BITS: u32 = 2 * 130;
@@ -31,7 +25,12 @@ pub fn answers(bench: &mut Bench) -> Result<(), Stop> {
         let seen = format!("{:.1} ms", begin.elapsed().as_secs_f64() * 1e3);
         let limit = Duration::from_millis(20) + limit(bench, bench.base);
         let is_good = stored.is_some() && begin.elapsed() < limit;
-        bench.report.expect(format!("{board}: answer to 17"), is_good, seen, format!("less than {} ms", limit.as_millis()));
+        bench.report.expect(
+            format!("{board}: answer to 17"),
+            is_good,
+            seen,
+            format!("less than {} ms", limit.as_millis()),
+        );
     }
     Ok(())
 }
@@ -64,7 +63,8 @@ pub fn measure(bench: &mut Bench, what: &str, count: usize) -> Result<(), Stop> 
     };
     let median = times[times.len() / 2];
     let ms = |time: Duration| format!("{:.1} ms", time.as_secs_f64() * 1e3);
-    let seen = format!("{} of {count}, {} to {}, median {}", times.len(), ms(least), ms(most), ms(median));
+    let seen =
+        format!("{} of {count}, {} to {}, median {}", times.len(), ms(least), ms(most), ms(median));
     let limit = limit(bench, rate);
     if bench.report.expect(what, lost == 0, &seen, "an answer to each") && median > limit {
         let expected = format!("a median below {}", ms(limit));
@@ -74,7 +74,7 @@ pub fn measure(bench: &mut Bench, what: &str, count: usize) -> Result<(), Stop> 
 }
 
 /// Six requests at once get five answers, in their order.
-pub fn back_to_back(bench: &mut Bench) -> Result<(), Stop> {
+pub fn bursts(bench: &mut Bench) -> Result<(), Stop> {
     let rounds = if bench.is_quick { 5 } else { 20 };
     for board in bench.boards.clone() {
         let address = board.address;
@@ -98,7 +98,9 @@ pub fn back_to_back(bench: &mut Bench) -> Result<(), Stop> {
             bench.bus.request(Request::InquireNodeId)?;
             let until = Instant::now() + bench.bus.patience() + bits(1500, bench.base);
             let mut commands = Vec::new();
-            while commands.len() < 5 && let Some(received) = bench.bus.receive(until)? {
+            while commands.len() < 5
+                && let Some(received) = bench.bus.receive(until)?
+            {
                 if received.frame.cob_id() == 0x7E4 {
                     commands.extend(received.frame.data().first());
                 }
@@ -108,12 +110,19 @@ pub fn back_to_back(bench: &mut Bench) -> Result<(), Stop> {
             }
             bench.bus.request(Request::SwitchToWaiting)?;
         }
-        let words = |commands: &[u8]| commands.iter().map(|command| format!("{command:02X}")).collect::<Vec<_>>().join(" ");
+        let words = |commands: &[u8]| {
+            commands.iter().map(|command| format!("{command:02X}")).collect::<Vec<_>>().join(" ")
+        };
         let seen = match &worst {
             None => format!("5A 5B 5C 5D 5E, {rounds} times"),
             Some(commands) => format!("a lost request: answers {}", words(commands)),
         };
-        bench.report.expect(format!("{board}: 04, 5A to 5E without a pause"), worst.is_none(), seen, "5A 5B 5C 5D 5E");
+        bench.report.expect(
+            format!("{board}: 04, 5A to 5E without a pause"),
+            worst.is_none(),
+            seen,
+            "5A 5B 5C 5D 5E",
+        );
     }
     Ok(())
 }
