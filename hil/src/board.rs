@@ -77,10 +77,10 @@ pub fn is_there(bus: &mut Bus, address: Address) -> Result<bool, Stop> {
 pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
     let mut found = Vec::new();
     for revision in
-        halve(bus, ALL, device::REVISION_NUMBER, |bus, range| is_anyone(bus, range, &ALL))?
+        halve(bus, ALL, Some(device::REVISION_NUMBER), |bus, range| is_anyone(bus, range, &ALL))?
     {
         let range = revision..=revision;
-        for serial_number in halve(bus, ALL, 0, |bus, serial| is_anyone(bus, &range, serial))? {
+        for serial_number in halve(bus, ALL, None, |bus, serial| is_anyone(bus, &range, serial))? {
             found.push(Address {
                 vendor_id: device::VENDOR_ID,
                 product_code: device::PRODUCT_CODE,
@@ -92,28 +92,42 @@ pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
     Ok(found)
 }
 
+/// The number of times that a question is asked whose answer must be yes.
+const ATTEMPTS: usize = 3;
+
 /// The numbers in `range` for which `is_anyone` is true. The likely one is tried first.
 fn halve(
     bus: &mut Bus,
     range: RangeInclusive<u32>,
-    likely: u32,
+    likely: Option<u32>,
     is_anyone: impl Fn(&mut Bus, &RangeInclusive<u32>) -> Result<bool, Stop>,
 ) -> Result<Vec<u32>, Stop> {
-    let mut found = Vec::new();
-    let mut rest = vec![range];
-    if likely != 0 {
-        rest = vec![likely + 1..=u32::MAX, 0..=likely - 1, likely..=likely];
+    if let Some(likely) = likely
+        && is_anyone(bus, &(likely..=likely))?
+    {
+        return Ok(vec![likely]);
     }
+    let mut found = Vec::new();
+    // Ranges in which somebody is.
+    let mut rest = vec![range];
     while let Some(range) = rest.pop() {
-        if !is_anyone(bus, &range)? {
-            continue;
-        }
         let (low, high) = range.into_inner();
         if low == high {
             found.push(low);
-        } else {
-            let middle = low + (high - low) / 2;
-            rest.extend([middle + 1..=high, low..=middle]);
+            continue;
+        }
+        let middle = low + (high - low) / 2;
+        for _ in 0..ATTEMPTS {
+            let mut halves = Vec::new();
+            for half in [middle + 1..=high, low..=middle] {
+                if is_anyone(bus, &half)? {
+                    halves.push(half);
+                }
+            }
+            if !halves.is_empty() {
+                rest.extend(halves);
+                break;
+            }
         }
     }
     Ok(found)

@@ -23,7 +23,7 @@ use crate::{
 /// The wait for an answer that must come, besides the frames' own time and the adapter's latency.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// The same for an answer that may fail to come.
-const SHORT: Duration = Duration::from_millis(60);
+const SHORT: Duration = Duration::from_millis(100);
 /// An upper limit for the bits of a request and its answer.
 const EXCHANGE_BITS: u32 = 320;
 /// The longest wait between two looks at Ctrl-C.
@@ -212,10 +212,20 @@ impl Bus {
         self.ask_within(request, self.short())
     }
 
+    /// The answer with the command specifier that belongs to the request; an answer to an earlier request that came too
+    /// late is skipped.
     fn ask_within(&mut self, request: Request, wait: Duration) -> Result<Option<[u8; 8]>, Stop> {
         let begin = Instant::now();
         self.request(request)?;
-        let answer = self.wait_for(wait, |frame| frame.cob_id() == lss::RESPONSE_COB_ID)?;
+        let specifier = match request {
+            Request::Select(..) => 0x44,
+            Request::Identify(..) | Request::Fastscan(_) => 0x4F,
+            Request::IdentifyNonConfigured => 0x50,
+            _ => request.to_bytes()[0],
+        };
+        let answer = self.wait_for(wait, |frame| {
+            frame.cob_id() == lss::RESPONSE_COB_ID && frame.data().first() == Some(&specifier)
+        })?;
         self.last_answer = answer.map(|answer| answer.here.duration_since(begin));
         Ok(answer.and_then(|answer| answer.frame.data().try_into().ok()))
     }

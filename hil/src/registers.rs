@@ -14,6 +14,8 @@ pub struct Register {
 
 const CAN_BTR: &str = "CAN_BTR";
 const ALL: u32 = u32::MAX;
+/// RCC_PLLCFGR: a crystal of 8 MHz, divided by 4, times 160, divided by 2; the rest is for clocks that are not used.
+const PLL: u32 = 0x0740_2804;
 
 const fn register(name: &'static str, address: u32, mask: u32, value: u32) -> Register {
     Register { name, address, mask, value }
@@ -27,24 +29,29 @@ pub fn expected(rate: BitRate, id: NodeId) -> Vec<Register> {
     let sdo = 0x600 + u16::from(id.get());
     vec![
         // HSE, PLL and CSS on, and ready.
-        register("RCC_CR", 0x4002_3800, 0x030F_0000, 0x030B_0000),
-        register("RCC_PLLCFGR", 0x4002_3804, 0x0F43_7FFF, 0),
+        register(
+            "RCC_CR",
+            0x4002_3800,
+            0x030F_0000,
+            if device::CRYSTAL_IS_EXTERNAL_CLOCK { 0x030F_0000 } else { 0x030B_0000 },
+        ),
+        register("RCC_PLLCFGR", 0x4002_3804, 0x0F43_7FFF, PLL),
         // PLL as system clock, and the dividers of the buses.
-        register("RCC_CFGR", 0x4002_3808, 0x0000_FCFF, 0),
+        register("RCC_CFGR", 0x4002_3808, 0x0000_FCFF, 0x0000_940A),
         // CAN1 has its clock.
         register("RCC_APB1ENR", 0x4002_3840, 1 << 25, 1 << 25),
         // Wait states, prefetch and caches.
-        register("FLASH_ACR", 0x4002_3C00, 0x0000_070F, 0),
-        register("CAN_MCR", 0x4000_6400, 0x0001_00FF, 0),
-        register("CAN_IER", 0x4000_6414, 0x0003_877F, 0),
+        register("FLASH_ACR", 0x4002_3C00, 0x0000_070F, 0x0000_0705),
+        register("CAN_MCR", 0x4000_6400, 0x0001_00FF, 0x0001_0040),
+        register("CAN_IER", 0x4000_6414, 0x0003_877F, 0x0000_8603),
         // Neither warning, error passive nor bus-off.
         register("CAN_ESR", 0x4000_6418, 0x0000_0007, 0),
         register(CAN_BTR, 0x4000_641C, ALL, BitTiming::solve(rate, device::APB1_HZ).map_or(0, btr)),
         register("CAN_FMR", 0x4000_6600, 1, 0),
-        register("CAN_FM1R", 0x4000_6604, 0x3FFF, 0),
+        register("CAN_FM1R", 0x4000_6604, 0x3FFF, 0b01),
         register("CAN_FS1R", 0x4000_660C, 0x3FFF, 0),
-        register("CAN_FFA1R", 0x4000_6614, 0x3FFF, 0),
-        register("CAN_FA1R", 0x4000_661C, 0x3FFF, 0),
+        register("CAN_FFA1R", 0x4000_6614, 0x3FFF, 0b10),
+        register("CAN_FA1R", 0x4000_661C, 0x3FFF, 0b11),
         register("CAN_F0R1", 0x4000_6640, ALL, pair(lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID)),
         register("CAN_F0R2", 0x4000_6644, ALL, pair(sdo, lss::REQUEST_COB_ID)),
     ]
@@ -83,7 +90,10 @@ impl Register {
 
 #[cfg(test)]
 mod tests {
-    use emulator::Time;
+    use emulator::{
+        Time,
+        chip::{Access, Width},
+    };
     use testkit::image_rig::{ImageRig, settings};
 
     use super::*;
@@ -95,9 +105,14 @@ mod tests {
             let mut rig = ImageRig::with(settings(id, rate));
             rig.network.run_for(Time::from_ms(500));
             for register in expected(rate, NodeId::new(id).expect("1..=127")) {
-                let mut bytes = [0; 4];
-                assert!(rig.network.board(0).read_memory(register.address, &mut bytes));
-                let value = u32::from_le_bytes(bytes) & register.mask;
+                let board = rig.network.board(0);
+                let access = Access {
+                    address: register.address,
+                    width: Width::Word,
+                    now: board.now(),
+                    pc: 0,
+                };
+                let value = board.chip().read(access).expect("a register") & register.mask;
                 if value != register.value {
                     differences.push(format!(
                         "{rate:?} {}: {}",

@@ -237,6 +237,8 @@ impl Bench {
         request: [u8; 8],
         expected: &[u8],
     ) -> Result<bool, Stop> {
+        // What comes now belongs to earlier requests.
+        self.bus.pass(Duration::ZERO)?;
         self.bus.send_to(0x7E5, &request)?;
         let wait = if expected.is_empty() { self.bus.short() } else { self.bus.patience() };
         let answer = self.bus.wait_for(wait, |frame| frame.cob_id() == 0x7E4)?;

@@ -14,6 +14,8 @@ use crate::stop::Stop;
 
 /// The wait for the answer to a command; some adapters answer none.
 const ANSWER: Duration = Duration::from_millis(300);
+/// The number of questions by which the latency is measured.
+const QUESTIONS: usize = 5;
 /// The wait for a connection, and for a line to take what is written.
 const CONNECTION: Duration = Duration::from_secs(3);
 /// Time stamps count milliseconds and wrap to zero at this value.
@@ -50,6 +52,7 @@ pub struct Slcan {
     version: Option<String>,
     latency: Option<Duration>,
     reports_status: bool,
+    has_reported_status: bool,
     stamps: Option<Stamps>,
 }
 
@@ -85,6 +88,7 @@ impl Slcan {
             version: None,
             latency: None,
             reports_status: true,
+            has_reported_status: false,
             stamps: None,
         };
         adapter.reconnect()?;
@@ -96,46 +100,55 @@ impl Slcan {
         self.line.clear();
         self.stamps = None;
         // End any earlier line, and leave the bus.
-        self.write(b"\r\r")?;
-        let mut answers = usize::from(self.command("C")?.is_some());
+        self.write(b"\r\rC\r")?;
+        let until = Instant::now() + ANSWER;
+        let mut is_answered = false;
+        while self.read_line(until)?.is_some() {
+            is_answered = true;
+        }
         let mut latencies = Vec::new();
-        for _ in 0..5 {
+        for _ in 0..QUESTIONS {
             let begin = Instant::now();
-            match self.command("V")? {
-                Some(Line::Answer(line)) if line.starts_with(b"V") => {
-                    latencies.push(begin.elapsed());
-                    self.version = Some(String::from_utf8_lossy(&line).into_owned());
-                }
-                answer => answers += usize::from(answer.is_some()),
+            if let Some(Line::Answer(line)) = self.command("V", |line| line.starts_with(b"V"))? {
+                latencies.push(begin.elapsed());
+                self.version = Some(String::from_utf8_lossy(&line).into_owned());
             }
         }
         latencies.sort();
         self.latency = latencies.get(latencies.len() / 2).copied();
-        if answers == 0 && latencies.is_empty() {
+        if !is_answered && latencies.is_empty() {
             return Err(Stop::NoAdapter(format!(
                 "{} opens, but answers no SLCAN command. Is it the CAN adapter, and does its firmware speak SLCAN?",
                 self.place
             )));
         }
-        self.command("Z1")?;
+        self.command("Z1", <[u8]>::is_empty)?;
         Ok(())
     }
 
-    /// Sends a command and waits for its answer. Frames that come before are kept.
-    fn command(&mut self, command: &str) -> Result<Option<Line>, Stop> {
+    /// Sends a command and waits for the line that answers it; others are skipped. Frames that come before are kept.
+    fn command(
+        &mut self,
+        command: &str,
+        is_answer: fn(&[u8]) -> bool,
+    ) -> Result<Option<Line>, Stop> {
         self.write(format!("{command}\r").as_bytes())?;
         let until = Instant::now() + ANSWER;
         loop {
             match self.read_line(until)? {
-                Some(Line::Frame(..) | Line::OtherFrame | Line::Queued) => {}
-                answer => return Ok(answer),
+                None => return Ok(None),
+                Some(Line::Refused) => return Ok(Some(Line::Refused)),
+                Some(Line::Answer(line)) if is_answer(&line) => {
+                    return Ok(Some(Line::Answer(line)));
+                }
+                Some(_) => {}
             }
         }
     }
 
     /// Sends a command that the adapter must not refuse.
     fn must(&mut self, command: &str, what: &str) -> Result<(), Stop> {
-        match self.command(command)? {
+        match self.command(command, <[u8]>::is_empty)? {
             Some(Line::Refused) => Err(Stop::NoAdapter(format!("{} refuses {what}", self.place))),
             _ => Ok(()),
         }
@@ -274,11 +287,17 @@ impl Adapter for Slcan {
     }
 
     fn close(&mut self) -> Result<(), Stop> {
-        // It is refused if the channel is closed.
-        self.command("C")?;
-        // Answers to the frames that were dropped may follow.
-        let until = Instant::now() + Duration::from_millis(5);
-        while self.read_line(until)?.is_some() {}
+        // It is refused if the channel is closed. Answers to frames that were dropped may precede it.
+        self.write(b"C\r")?;
+        match self.version {
+            Some(_) => {
+                while self.command("V", |line| line.starts_with(b"V"))? == Some(Line::Refused) {}
+            }
+            None => {
+                let until = Instant::now() + ANSWER / 4;
+                while self.read_line(until)?.is_some() {}
+            }
+        }
         self.inbox.clear();
         Ok(())
     }
@@ -301,11 +320,13 @@ impl Adapter for Slcan {
         if !self.reports_status {
             return Ok(None);
         }
-        let flags = match self.command("F")? {
+        let flags = match self.command("F", |line| line.starts_with(b"F"))? {
             Some(Line::Answer(line)) => parse_flags(&line),
             _ => None,
         };
-        self.reports_status = flags.is_some();
+        // A refusal may also belong to a frame that found the queue full.
+        self.reports_status = flags.is_some() || self.has_reported_status;
+        self.has_reported_status |= flags.is_some();
         Ok(flags)
     }
 

@@ -8,6 +8,9 @@ use crate::{
     stop::Stop,
 };
 
+/// The number of scans: an answer that comes too late on a busy computer spoils one.
+const ATTEMPTS: usize = 3;
+
 pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     for board in bench.boards.clone() {
         let is_selected = board::select(&mut bench.bus, board.address)?;
@@ -32,7 +35,13 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
             seen,
             "50 00",
         );
-        let found = match scan(bench)? {
+        let mut found = scan(bench)?;
+        let mut attempt = 1;
+        while found.is_err() && attempt < ATTEMPTS {
+            attempt += 1;
+            found = scan(bench)?;
+        }
+        let found = match found {
             Ok(address) => address,
             Err(why) => {
                 bench.report.failed("Fastscan", why, "a board");
@@ -44,7 +53,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
             return Ok(());
         };
         let board = rest.remove(at);
-        bench.report.passed("Fastscan", format!("finds {board}"));
+        bench.report.passed("Fastscan", format!("finds {board} in attempt {attempt}"));
         let id = board.id.get();
         let stored = board::store(&mut bench.bus, Some(board.id), None)?;
         bench.report.equal(

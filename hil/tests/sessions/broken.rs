@@ -1,8 +1,16 @@
 //! Boards broken on purpose: each fault is found and named, and the board is left as it was if that is possible.
 
-use std::{fs, process::Command, time::Duration};
+use std::{
+    fs,
+    io::{BufRead, BufReader},
+    process::{Command, Stdio},
+    time::Duration,
+};
 
-use emulator::Time;
+use emulator::{
+    Time,
+    chip::{Access, Width},
+};
 use testkit::image_rig::{ImageRig, settings};
 
 use crate::{
@@ -11,6 +19,27 @@ use crate::{
     proxy::{self, Fault},
     run::{self, Run},
 };
+
+/// RCC_CR, PLLCFGR, CFGR, APB1ENR; FLASH_ACR; CAN_MCR, IER, ESR, BTR; CAN's filters.
+const REGISTERS: [u32; 16] = [
+    0x4002_3800,
+    0x4002_3804,
+    0x4002_3808,
+    0x4002_3840,
+    0x4002_3C00,
+    0x4000_6400,
+    0x4000_6414,
+    0x4000_6418,
+    CAN_BTR,
+    0x4000_6600,
+    0x4000_6604,
+    0x4000_660C,
+    0x4000_6614,
+    0x4000_661C,
+    0x4000_6640,
+    0x4000_6644,
+];
+const CAN_BTR: u32 = 0x4000_641C;
 
 fn run_with(fault: Fault, session: &str) -> Run {
     let boards = Emulated::start(&["--node-id", "5"]);
@@ -65,17 +94,13 @@ fn a_wrong_sample_point_is_named_by_the_probe() {
     let mut rig = ImageRig::with(settings(5, lss_slave::BitRate::Kbit125));
     rig.network.run_for(Time::from_ms(500));
     let mut script = "#!/bin/sh\ncase $5 in\n".to_owned();
-    for base in [0x4000_6400_u32, 0x4000_6600, 0x4002_3800, 0x4002_3C00] {
-        for address in (base..base + 0x80).step_by(4) {
-            let mut bytes = [0; 4];
-            if rig.network.board(0).read_memory(address, &mut bytes) {
-                let value =
-                    if address == 0x4000_641C { 0x0067_000F } else { u32::from_le_bytes(bytes) };
-                script += &format!("{address:#X}) echo {value:08x};;\n");
-            }
-        }
+    for address in REGISTERS {
+        let board = rig.network.board(0);
+        let access = Access { address, width: Width::Word, now: board.now(), pc: 0 };
+        let value = board.chip().read(access).expect("a register");
+        let value = if address == CAN_BTR { 0x0067_000F } else { value };
+        script += &format!("{address:#X}) echo {value:08x};;\n");
     }
-    std::mem::forget(rig);
     let program = directory.0.join("probe-rs");
     fs::write(&program, script + "*) echo no such register >&2; exit 1;;\nesac\n")
         .expect("it can be written");
@@ -93,7 +118,7 @@ fn a_wrong_sample_point_is_named_by_the_probe() {
     let output =
         command.env("PATH", format!("{}:{path}", directory.path())).output().expect("it runs");
     let run = Run::new(report, output, Duration::ZERO);
-    assert_eq!(run.failures(), ["\"CAN_BTR\": \"0067000F (156 kbit/s, sample point 50 %)\""]);
+    assert_eq!(run.failures(), ["CAN_BTR: 0067000F (156 kbit/s, sample point 50 %)"]);
     run.assert_left("restored");
 }
 
@@ -145,10 +170,13 @@ fn ctrl_c_restores_the_board() {
     let boards = Emulated::start(&[]);
     let directory = Directory::new("ctrl-c");
     let mut command = run::command(&directory, &boards.adapter(), &["--session", "activate"]);
-    let child = command.stdout(std::process::Stdio::piped()).spawn().expect("it runs");
-    std::thread::sleep(Duration::from_secs(9));
+    let mut child = command.stdout(Stdio::piped()).spawn().expect("it runs");
+    let mut lines =
+        BufReader::new(child.stdout.take().expect("it is piped")).lines().map_while(Result::ok);
+    lines.find(|line| line.contains("1000 kbit/s by activation")).expect("the session begins");
     let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(killed.is_ok_and(|status| status.success()));
+    lines.for_each(drop);
     let run = Run::new(directory, child.wait_with_output().expect("it ends"), Duration::ZERO);
     run.assert_named("interrupted");
     run.assert_left("restored");

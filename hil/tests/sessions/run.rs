@@ -57,7 +57,8 @@ impl Run {
     pub fn failures(&self) -> Vec<String> {
         let checks = self.report["checks"].as_array().expect("a report with checks");
         let failed = checks.iter().filter(|check| check["outcome"] == "failed");
-        failed.map(|check| format!("{}: {}", check["what"], check["seen"])).collect()
+        let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        failed.map(|check| format!("{}: {}", text(&check["what"]), text(&check["seen"]))).collect()
     }
 
     #[track_caller]
