@@ -73,6 +73,10 @@ pub trait Adapter {
     fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop>;
     /// The adapter's errors, if it can report them.
     fn status(&mut self) -> Result<Option<Status>, Stop>;
+    /// Waits until the adapter has carried out what it was told before, if it answers questions.
+    fn settle(&mut self) -> Result<(), Stop> {
+        Ok(())
+    }
     fn clock(&self) -> Clock;
     /// The only bit rate that the adapter can be opened at.
     fn fixed_rate(&self) -> Option<BitRate> {

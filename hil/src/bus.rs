@@ -23,7 +23,7 @@ use crate::{
 /// The wait for an answer that must come, besides the frames' own time and the adapter's latency.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// The same for an answer that may fail to come.
-const SHORT: Duration = Duration::from_millis(100);
+const SHORT: Duration = Duration::from_millis(60);
 /// An upper limit for the bits of a request and its answer.
 const EXCHANGE_BITS: u32 = 320;
 /// The longest wait between two looks at Ctrl-C.
@@ -209,24 +209,51 @@ impl Bus {
 
     /// Sends an LSS request that may remain without an answer.
     pub fn probe(&mut self, request: Request) -> Result<Option<[u8; 8]>, Stop> {
-        self.ask_within(request, self.short())
+        match self.ask_within(request, self.short())? {
+            None => {
+                // The computer may have paused, and the adapter with it.
+                self.flush()?;
+                self.answer_to(request, Duration::ZERO)
+            }
+            answer => Ok(answer),
+        }
+    }
+
+    /// Waits until what was sent has left the adapter.
+    pub fn flush(&mut self) -> Result<(), Stop> {
+        for _ in 0..2 {
+            self.adapter.settle()?;
+            self.pass(self.exchange())?;
+        }
+        Ok(())
+    }
+
+    fn ask_within(&mut self, request: Request, wait: Duration) -> Result<Option<[u8; 8]>, Stop> {
+        self.unasked.retain(|received| received.frame.cob_id() != lss::RESPONSE_COB_ID);
+        let begin = Instant::now();
+        self.request(request)?;
+        let answer = self.answer_to(request, wait)?;
+        self.last_answer = answer.map(|_| begin.elapsed());
+        Ok(answer)
     }
 
     /// The answer with the command specifier that belongs to the request; an answer to an earlier request that came too
     /// late is skipped.
-    fn ask_within(&mut self, request: Request, wait: Duration) -> Result<Option<[u8; 8]>, Stop> {
-        let begin = Instant::now();
-        self.request(request)?;
+    fn answer_to(&mut self, request: Request, wait: Duration) -> Result<Option<[u8; 8]>, Stop> {
         let specifier = match request {
             Request::Select(..) => 0x44,
             Request::Identify(..) | Request::Fastscan(_) => 0x4F,
             Request::IdentifyNonConfigured => 0x50,
             _ => request.to_bytes()[0],
         };
-        let answer = self.wait_for(wait, |frame| {
+        let is_answer = |frame: &Frame| {
             frame.cob_id() == lss::RESPONSE_COB_ID && frame.data().first() == Some(&specifier)
-        })?;
-        self.last_answer = answer.map(|answer| answer.here.duration_since(begin));
+        };
+        let kept = self.unasked.iter().find(|received| is_answer(&received.frame)).copied();
+        let answer = match kept {
+            None => self.wait_for(wait, is_answer)?,
+            kept => kept,
+        };
         Ok(answer.and_then(|answer| answer.frame.data().try_into().ok()))
     }
 

@@ -72,14 +72,11 @@ impl Bench {
     }
 
     /// Learns what the boards have stored, gives those without a node-ID one, and stores the rate of the bench.
-    ///
-    /// A reset makes the stored settings active. A board that detects the bit rate is silent after it until it hears a
-    /// frame, so the bench waits for the boot-ups without a word.
     pub fn prepare(&mut self) -> Result<(), Stop> {
         self.base = self.bus.rate();
         let states = self.bus.states.clone();
         self.bus.nmt(RESET_NODE, 0)?;
-        let mut boot_ups = self.boot_ups(BOOT)?;
+        self.boot_ups(BOOT)?;
         let mut boards = Vec::new();
         for address in self.addresses.clone() {
             let stored = match self.reach(address, SEARCH)? {
@@ -104,23 +101,22 @@ impl Bench {
             boards.push(Board { address, id: node_id.unwrap_or(self.free_id(&boards)), original });
         }
 
-        // The stored bit rate of a board without a node-ID shows once it has one: store only that.
+        // Only a node-ID is stored: the stored bit rate shows at a boot-up.
         self.boards = boards;
         self.is_changed = true;
-        if self.boards.iter().any(|board| board.original.node_id.is_none()) {
-            for board in self.boards.clone() {
-                if board.original.node_id.is_none() {
-                    self.select_or_stop(&board)?;
-                    self.store_or_stop(&board, Some(board.id), None)?;
-                }
+        for board in self.boards.clone() {
+            if board.original.node_id.is_none() {
+                self.select_or_stop(&board)?;
+                self.store_or_stop(&board, Some(board.id), None)?;
             }
-            self.bus.nmt(RESET_NODE, 0)?;
-            boot_ups = self.boot_ups(BOOT)?;
         }
+        let detecting = self.detecting()?;
         for at in 0..self.boards.len() {
             let board = self.boards[at];
-            let is_there = self.reach(board.address, SEARCH)?;
-            let id = if is_there { board::inquire_node_id(&mut self.bus)? } else { None };
+            let id = match self.reach(board.address, SEARCH)? {
+                true => board::inquire_node_id(&mut self.bus)?,
+                false => None,
+            };
             if id != Some(board.id.get()) {
                 let id = id.map_or("unknown".to_owned(), |id| format!("{id:02X}"));
                 return Err(Stop::Bench(format!(
@@ -129,19 +125,16 @@ impl Bench {
                 )));
             }
             let home = self.number(board, 0x2000, 5)?.ok();
-            let home = home.and_then(|home| {
-                BitRate::ALL.into_iter().find(|rate| u32::from(rate.kbit_per_s()) == home)
-            });
+            let home = BitRate::ALL.into_iter().find(|rate| Some(rate.kbit_per_s().into()) == home);
             let Some(home) = home else {
                 return Err(Stop::Bench(format!(
                     "{board} does not report its home bit rate (2000h sub 5)"
                 )));
             };
-            let was_heard = boot_ups.contains(&board.id.get());
             let original = &mut self.boards[at].original;
-            original.bit_rate = match was_heard || home != self.base {
-                true => home.into(),
-                false => BitRateSetting::Automatic,
+            original.bit_rate = match detecting.contains(&board.id) {
+                true => BitRateSetting::Automatic,
+                false => home.into(),
             };
             if let Ok(heartbeat) = self.number(board, 0x1017, 0)? {
                 self.boards[at].original.heartbeat_ms = heartbeat as u16;
@@ -156,6 +149,20 @@ impl Bench {
         }
         self.restart()?;
         Ok(())
+    }
+
+    /// The boards that detect the bit rate. After a reset such a board is silent until it hears a frame; others send
+    /// their boot-up at once. One heard boot-up is proof, silence is doubted once.
+    fn detecting(&mut self) -> Result<Vec<NodeId>, Stop> {
+        let mut silent: Vec<_> = self.boards.iter().map(|board| board.id).collect();
+        for _ in 0..2 {
+            if !silent.is_empty() {
+                self.bus.nmt(RESET_NODE, 0)?;
+                let heard = self.boot_ups(BOOT)?;
+                silent.retain(|id| !heard.contains(&id.get()));
+            }
+        }
+        Ok(silent)
     }
 
     fn free_id(&self, taken: &[Board]) -> NodeId {

@@ -330,6 +330,13 @@ impl Adapter for Slcan {
         Ok(flags)
     }
 
+    fn settle(&mut self) -> Result<(), Stop> {
+        if self.version.is_some() {
+            self.command("V", |line| line.starts_with(b"V"))?;
+        }
+        Ok(())
+    }
+
     fn clock(&self) -> Clock {
         if self.stamps.is_some() { Clock::Adapter } else { Clock::Host }
     }

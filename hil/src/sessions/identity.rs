@@ -1,6 +1,6 @@
 //! The boards' identity, by LSS and by SDO.
 
-use lss_slave::lss::{AddressPart, Request};
+use lss_slave::lss::{Address, AddressPart, Request};
 use lss_slave_firmware::device;
 
 use crate::{board, sdo, session::Bench, stop::Stop};
@@ -23,12 +23,24 @@ pub fn find(bench: &mut Bench) -> Result<(), Stop> {
     bench.bus.request(Request::SwitchToWaiting)?;
     // Heartbeats come once a second by default.
     bench.bus.pass(std::time::Duration::from_millis(1100))?;
-    let stranger = bench.bus.states.keys().find(|node| !own.contains(node));
-    if let Some(node) = stranger {
-        return Err(Stop::Bench(format!(
-            "not our board: node {node} is on the bus too. Take it off: the sessions change the bit rate of the whole \
-             bus. Nothing was changed"
-        )));
+    let others: Vec<u8> =
+        bench.bus.states.keys().filter(|node| !own.contains(node)).copied().collect();
+    for node in others {
+        let mut parts = [0; 4];
+        for (part, sub_index) in parts.iter_mut().zip(1..) {
+            *part = sdo::read_number(&mut bench.bus, node, 0x1018, sub_index)?.unwrap_or(0);
+        }
+        let [vendor_id, product_code, revision_number, serial_number] = parts;
+        if (vendor_id, product_code) != (device::VENDOR_ID, device::PRODUCT_CODE)
+            || serial_number == 0
+        {
+            return Err(Stop::Bench(format!(
+                "not our board: node {node} with vendor-ID {vendor_id:08X} and product code {product_code:08X} is on \
+                 the bus too. Take it off: the sessions change the bit rate of the whole bus. Nothing was changed"
+            )));
+        }
+        // An answer came too late to be found.
+        bench.addresses.push(Address { vendor_id, product_code, revision_number, serial_number });
     }
     Ok(())
 }

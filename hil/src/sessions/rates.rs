@@ -89,7 +89,7 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
         }
         bench.bus.nmt(crate::session::RESET_NODE, 0)?;
         // The command must have left before the adapter does.
-        bench.bus.pass(Duration::from_millis(20))?;
+        bench.bus.flush()?;
         let before = bench.bus.rate();
         bench.bus.open(rate)?;
         bench.bus.pass(Duration::from_millis(300))?;

@@ -118,7 +118,7 @@ fn a_wrong_sample_point_is_named_by_the_probe() {
     let output =
         command.env("PATH", format!("{}:{path}", directory.path())).output().expect("it runs");
     let run = Run::new(report, output, Duration::ZERO);
-    assert_eq!(run.failures(), ["CAN_BTR: 0067000F (156 kbit/s, sample point 50 %)"]);
+    assert_eq!(run.failures(), ["CAN_BTR: 0067000F (156 kbit/s, sample point 56 %)"]);
     run.assert_left("restored");
 }
 

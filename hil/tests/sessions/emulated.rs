@@ -18,8 +18,6 @@ const BUILD: Duration = Duration::from_secs(1200);
 pub struct Emulated {
     child: Child,
     pub address: SocketAddr,
-    /// The first line that was printed: the boards and what they have stored.
-    pub description: String,
 }
 
 impl Emulated {
@@ -43,7 +41,7 @@ impl Emulated {
         let address =
             description.strip_prefix("ready: SLCAN on ").and_then(|rest| rest.split(';').next());
         let address = address.and_then(|address| address.parse().ok()).expect("an address");
-        Self { child, address, description }
+        Self { child, address }
     }
 
     /// The adapter of `cargo hil`.

@@ -119,6 +119,7 @@ mod serial {
         bus.set_read_timeout(Some(Duration::from_millis(1))).expect("not zero");
         thread::spawn(move || {
             let mut bytes = [0; 256];
+            let mut sent = String::new();
             loop {
                 // Errors: nothing came yet, or the program has not opened its end.
                 if let Ok(count) = master.read(&mut bytes) {
