@@ -104,18 +104,22 @@ mod serial {
         thread,
     };
 
-    use serialport::{SerialPort, TTYPort};
+    use nix::{
+        fcntl::OFlag,
+        pty::{grantpt, posix_openpt, ptsname_r, unlockpt},
+    };
 
     use super::*;
 
     /// A serial line to the boards. It ends when the program sends `end`. Returns its name.
     fn line(boards: &Emulated, end: &'static str) -> String {
-        let (mut master, slave) = TTYPort::pair().expect("a pseudo terminal");
-        let name = slave.name().expect("it has a name");
-        drop(slave);
+        // Children must not hold the line open.
+        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
+        let mut master = posix_openpt(flags).expect("a pseudo terminal");
+        grantpt(&master).and_then(|()| unlockpt(&master)).expect("it is ours");
+        let name = ptsname_r(&master).expect("it has a name");
         let mut bus = TcpStream::connect(boards.address).expect("it listens");
         bus.set_nodelay(true).expect("it is connected");
-        master.set_timeout(Duration::from_millis(1)).expect("it is open");
         bus.set_read_timeout(Some(Duration::from_millis(1))).expect("not zero");
         thread::spawn(move || {
             let mut bytes = [0; 256];
@@ -123,9 +127,8 @@ mod serial {
             loop {
                 // Errors: nothing came yet, or the program has not opened its end.
                 if let Ok(count) = master.read(&mut bytes) {
-                    if String::from_utf8_lossy(&bytes[..count]).contains(end)
-                        || bus.write_all(&bytes[..count]).is_err()
-                    {
+                    sent += &String::from_utf8_lossy(&bytes[..count]);
+                    if sent.contains(end) || bus.write_all(&bytes[..count]).is_err() {
                         return;
                     }
                 }
