@@ -42,7 +42,7 @@ pub struct Bus {
     unasked: VecDeque<Received>,
     /// The last NMT state that each node has reported by a heartbeat.
     pub states: BTreeMap<u8, u8>,
-    /// The longest wait for an answer that was needed at this rate since the last question.
+    /// The time from the latest LSS request to its answer.
     pub last_answer: Option<Duration>,
 }
 

@@ -1,6 +1,7 @@
 //! `cargo hil`: checks flashed boards through a CAN adapter (hardware in the loop), and reports.
 
 mod adapter;
+mod bench;
 mod board;
 mod bus;
 mod diagnosis;
@@ -9,7 +10,6 @@ mod probe;
 mod registers;
 mod report;
 mod sdo;
-mod session;
 mod sessions;
 mod stop;
 
@@ -27,11 +27,11 @@ use anyhow::Context;
 use clap::{Parser, builder::PossibleValuesParser};
 
 use adapter::Place;
+use bench::Bench;
 use bus::Bus;
 use person::Person;
 use probe::Probe;
 use report::Report;
-use session::Bench;
 use stop::Stop;
 
 /// Check flashed boards through a CAN adapter, and report

@@ -12,7 +12,7 @@ mod services;
 mod switch;
 mod timing;
 
-use crate::{session::Bench, stop::Stop};
+use crate::{bench::Bench, stop::Stop};
 
 /// A session.
 pub struct Session {

@@ -14,7 +14,7 @@ pub use linux::connect;
 #[cfg(target_os = "linux")]
 mod linux {
     use std::{
-        fs, io,
+        fs, io, mem,
         process::Command,
         thread,
         time::{Duration, Instant, UNIX_EPOCH},
@@ -44,6 +44,7 @@ mod linux {
         /// `None` while the interface is down.
         socket: Option<CanSocket>,
         status: Status,
+        reports_errors: bool,
     }
 
     /// Finds the interface.
@@ -66,6 +67,7 @@ mod linux {
             fixed_rate,
             socket: None,
             status: Status::default(),
+            reports_errors: false,
         }))
     }
 
@@ -94,8 +96,9 @@ mod linux {
             {
                 return Err(error);
             }
-            // Some drivers recover from bus-off only when the interface is set up again, which `open` does.
+            // Not every driver can recover from bus-off by itself, and report each error.
             let _ = self.ip(&["type", "can", "restart-ms", "100"]);
+            let _ = self.ip(&["type", "can", "berr-reporting", "on"]);
             self.ip(&["up"])
         }
 
@@ -191,7 +194,10 @@ mod linux {
         }
 
         fn status(&mut self) -> Result<Option<Status>, Stop> {
-            Ok(Some(std::mem::take(&mut self.status)))
+            // A driver that has reported no error may be one that reports none.
+            let status = mem::take(&mut self.status);
+            self.reports_errors |= status.has_errors;
+            Ok(self.reports_errors.then_some(status))
         }
 
         fn clock(&self) -> Clock {

@@ -3,8 +3,8 @@
 use lss_slave::lss::{Address, FastscanStep, Request};
 
 use crate::{
+    bench::{BOOT, Bench, RESET_NODE},
     board,
-    session::{BOOT, Bench, RESET_NODE},
     stop::Stop,
 };
 

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 use lss_slave::{NodeId, lss::Request};
 
 use crate::{
+    bench::{BOOT, Bench, RESET_NODE},
     board, sdo,
-    session::{Bench, RESET_NODE},
     stop::Stop,
 };
 
@@ -129,6 +129,6 @@ fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
     }
     bench.bus.request(Request::SwitchToWaiting)?;
     bench.bus.nmt(RESET_NODE, 0)?;
-    bench.boot_ups(crate::session::BOOT)?;
+    bench.boot_ups(BOOT)?;
     Ok(())
 }

@@ -1,9 +1,11 @@
 //! The boards' identity, by LSS and by SDO.
 
+use std::time::Duration;
+
 use lss_slave::lss::{Address, AddressPart, Request};
 use lss_slave_firmware::device;
 
-use crate::{board, sdo, session::Bench, stop::Stop};
+use crate::{bench::Bench, board, sdo, stop::Stop};
 
 /// Finds the boards, and stops unless all nodes on the bus are boards of this product.
 pub fn find(bench: &mut Bench) -> Result<(), Stop> {
@@ -22,7 +24,7 @@ pub fn find(bench: &mut Bench) -> Result<(), Stop> {
     }
     bench.bus.request(Request::SwitchToWaiting)?;
     // Heartbeats come once a second by default.
-    bench.bus.pass(std::time::Duration::from_millis(1100))?;
+    bench.bus.pass(Duration::from_millis(1100))?;
     let others: Vec<u8> =
         bench.bus.states.keys().filter(|node| !own.contains(node)).copied().collect();
     for node in others {

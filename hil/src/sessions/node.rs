@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use crate::{
+    bench::{BOOT, Bench, PRE_OPERATIONAL, RESET_COMMUNICATION, START, STOP},
     sdo,
-    session::{BOOT, Bench, PRE_OPERATIONAL, RESET_COMMUNICATION, START, STOP},
     stop::Stop,
 };
 

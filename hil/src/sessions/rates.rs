@@ -5,7 +5,11 @@ use std::time::{Duration, Instant};
 use lss_slave::{BitRate, lss::Request};
 
 use super::timing;
-use crate::{board, session::Bench, stop::Stop};
+use crate::{
+    bench::{Bench, RESET_NODE},
+    board,
+    stop::Stop,
+};
 
 /// The switch delay: longer than the adapter takes to change its rate.
 const DELAY_MS: u16 = 300;
@@ -87,7 +91,7 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
             bench.settle()?;
             continue;
         }
-        bench.bus.nmt(crate::session::RESET_NODE, 0)?;
+        bench.bus.nmt(RESET_NODE, 0)?;
         // The command must have left before the adapter does.
         bench.bus.flush()?;
         let before = bench.bus.rate();

@@ -1,6 +1,6 @@
 //! The registers of the first board, read by the probe and compared with those of the emulated board.
 
-use crate::{registers, session::Bench, stop::Stop};
+use crate::{bench::Bench, registers, stop::Stop};
 
 pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     let Some(probe) = &bench.probe else {

@@ -7,8 +7,8 @@ use lss_slave_firmware::device;
 
 use crate::{
     adapter::Received,
+    bench::{Bench, RESET_NODE, SEARCH},
     board,
-    session::{Bench, RESET_NODE, SEARCH},
     stop::Stop,
 };
 

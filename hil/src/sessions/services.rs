@@ -6,8 +6,8 @@ use lss_slave::{
 };
 
 use crate::{
+    bench::{BOOT, Bench, RESET_COMMUNICATION, RESET_NODE},
     board,
-    session::{BOOT, Bench, RESET_COMMUNICATION},
     stop::Stop,
 };
 
@@ -107,7 +107,7 @@ fn node_id(bench: &mut Bench) -> Result<(), Stop> {
         bench.bus.wait_for(BOOT, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
     let seen = if boot_up.is_some() { "a boot-up" } else { "no boot-up" };
     bench.report.equal("the new node-ID after NMT reset communication", seen.into(), "a boot-up");
-    bench.bus.nmt(super::super::session::RESET_NODE, other)?;
+    bench.bus.nmt(RESET_NODE, other)?;
     let nodes = bench.boot_ups(BOOT)?;
     bench.report.expect(
         "the stored node-ID after NMT reset node",

@@ -7,9 +7,9 @@ use lss_slave::{BitRate, lss::Request};
 use super::rates;
 use crate::{
     adapter::{Clock, Received},
+    bench::Bench,
     report::Switch,
     sdo,
-    session::Bench,
     stop::Stop,
 };
 

@@ -7,7 +7,7 @@ use lss_slave::{
     lss::{AddressPart, Request},
 };
 
-use crate::{board, bus::bits, report::Answer, session::Bench, stop::Stop};
+use crate::{bench::Bench, board, bus::bits, report::Answer, stop::Stop};
 
 /// The bits of a request and its answer, stuff bits included.
 const EXCHANGE_BITS: u32 = 2 * 130;

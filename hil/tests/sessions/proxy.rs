@@ -1,7 +1,7 @@
 //! A faulty line between `cargo hil` and the boards: the faults of a broken board or of a broken adapter.
 
 use std::{
-    io::{BufRead, BufReader, Read, Write},
+    io::{BufReader, Read, Write},
     net::{Shutdown, SocketAddr, TcpListener, TcpStream},
     sync::{
         Arc,
@@ -25,6 +25,8 @@ pub enum Fault {
     SilentAfterSwitch,
     /// The board has the vendor-ID 000001A0h.
     OtherVendor,
+    /// The board restarts a second after node-ID 1 was stored, as by a power cut.
+    PowerCut,
     /// The connection ends at the first 17, and at each one after it.
     Vanishes,
     /// The connection ends at the first 17.
@@ -72,7 +74,6 @@ fn lines(stream: TcpStream) -> impl Iterator<Item = String> {
                 return Some(String::from_utf8_lossy(&line).into_owned());
             }
         }
-        let _ = reader.fill_buf();
         None
     })
 }
@@ -94,6 +95,13 @@ fn requests_to(mut bus: TcpStream, master: TcpStream, fault: Fault, state: &Stat
             Fault::NoStore if is("t7E5817") => {
                 let _ = to_master.write_all(b"z\rt7E481700000000000000\r");
                 continue;
+            }
+            Fault::PowerCut if is("t7E581101") => {
+                let mut bus = bus.try_clone().expect("a socket");
+                thread::spawn(move || {
+                    thread::sleep(Duration::from_secs(1));
+                    let _ = bus.write_all(b"t00028100\r");
+                });
             }
             Fault::SilentAfterSwitch if is("t7E5815") => {
                 state.is_silent.store(true, Ordering::SeqCst)

@@ -1,7 +1,8 @@
 //! Whole boards: everything passes, and they are left as they were found.
 
 use std::{
-    process::Stdio,
+    io::Write,
+    process::{Command, Stdio},
     time::{Duration, Instant},
 };
 
@@ -13,6 +14,8 @@ use testkit::{
 
 use crate::{
     emulated::{Directory, Emulated},
+    lone::Program,
+    proxy::{self, Fault},
     run::{self, Run},
 };
 
@@ -31,7 +34,7 @@ fn a_blank_board_passes_the_whole_session_and_stays_as_it_was() {
     let boards = Emulated::start(&["--flash", flash.path()]);
     let directory = Directory::new("whole");
     let begin = Instant::now();
-    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_hil"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_hil"));
     command.args(["--adapter", &boards.adapter(), "--report"]).arg(directory.0.join("report"));
     let output = command.stdin(Stdio::null()).output().expect("it runs");
     let run = Run::new(directory, output, begin.elapsed());
@@ -76,7 +79,7 @@ fn a_board_that_detects_the_bit_rate_still_does_afterwards() {
     {
         // Index 9 and a node-ID, stored by a run that is cut off before it restores.
         let boards = Emulated::start(&["--node-id", "9", "--flash", flash.path()]);
-        let mut master = crate::lone::Program::connect(boards.address);
+        let mut master = Program::connect(boards.address);
         for line in
             ["S4", "O", "t7E580401000000000000", "t7E581300090000000000", "t7E581700000000000000"]
         {
@@ -96,10 +99,25 @@ fn a_board_that_detects_the_bit_rate_still_does_afterwards() {
     assert_eq!(stored(&flash), (9, 9));
 }
 
+#[test]
+fn a_person_is_asked_to_cut_the_power() {
+    let boards = Emulated::start(&["--node-id", "5"]);
+    let adapter = proxy::start(boards.address, Fault::PowerCut);
+    let directory = Directory::new("person");
+    let mut command = run::command(&directory, &adapter, &["--session", "hands", "--ask"]);
+    let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
+    // Yes to the power cut, no to the short circuit.
+    child.stdin.take().expect("it is piped").write_all(b"y\n\n").expect("it reads");
+    let run = Run::new(directory, child.wait_with_output().expect("it ends"), Duration::ZERO);
+    run.assert_good();
+    assert!(run.output.contains("passed  settings through a power cut"));
+    assert!(run.output.contains("not tried  bus-off by a short circuit: nobody has agreed to it"));
+}
+
 #[cfg(unix)]
 mod serial {
     use std::{
-        io::{ErrorKind, Read, Write},
+        io::{ErrorKind, Read},
         net::TcpStream,
         thread,
     };
