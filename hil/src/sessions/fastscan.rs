@@ -31,7 +31,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         let non_configured = bench.bus.ask(Request::IdentifyNonConfigured)?;
         let seen = non_configured.map_or("no answer".to_owned(), |answer| board::text(&answer));
         bench.report.equal(
-            format!("4C with {} boards without a node-ID", rest.len()),
+            format!("4C, {} without a node-ID", rest.len()),
             seen,
             "50 00",
         );
@@ -70,7 +70,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     }
     let answer = bench.bus.probe(Request::IdentifyNonConfigured)?;
     let seen = answer.map_or("no answer".to_owned(), |answer| board::text(&answer));
-    bench.report.equal("4C when all have a node-ID", seen, "no answer");
+    bench.report.equal("4C, all have a node-ID", seen, "no answer");
     Ok(())
 }
 
