@@ -30,11 +30,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     while !rest.is_empty() {
         let non_configured = bench.bus.ask(Request::IdentifyNonConfigured)?;
         let seen = non_configured.map_or("no answer".to_owned(), |answer| board::text(&answer));
-        bench.report.equal(
-            format!("4C, {} without a node-ID", rest.len()),
-            seen,
-            "50 00",
-        );
+        bench.report.equal(format!("4C, {} without a node-ID", rest.len()), seen, "50 00");
         let mut found = scan(bench)?;
         let mut attempt = 1;
         while found.is_err() && attempt < ATTEMPTS {
