@@ -1,5 +1,6 @@
 //! A board: a microcontroller with firmware in its flash, a crystal, a supply switch and a debug probe.
 
+#[cfg(feature = "log")]
 mod log;
 
 use std::{
@@ -8,6 +9,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 
+#[cfg(feature = "log")]
 pub use log::LogLine;
 
 use crate::{
@@ -17,6 +19,7 @@ use crate::{
     engine::{Engine, Halt, Lockup, Watcher, rsemu::Rsemu},
     image::Image,
 };
+#[cfg(feature = "log")]
 use log::Log;
 
 /// The time for which NRST stays low after the supply has come up (F405 data sheet, tRSTTEMPO).
@@ -68,6 +71,7 @@ pub enum Stop {
 pub struct Board {
     chip: Arc<Mutex<Chip>>,
     engine: Box<dyn Engine>,
+    #[cfg(feature = "log")]
     log: Log,
     powered: bool,
     /// The time while there is no power.
@@ -98,6 +102,7 @@ impl Board {
         let mut board = Self {
             chip,
             engine,
+            #[cfg(feature = "log")]
             log: Log::new(image.clone()),
             powered: false,
             dark: Time::ZERO,
@@ -150,6 +155,7 @@ impl Board {
             let poll = Time::from_ps(awake.as_ps().saturating_add(LOG_POLL.as_ps()));
             let halt = self.engine.run(until.min(event).min(poll));
             let now = self.engine.now();
+            #[cfg(feature = "log")]
             self.log.poll(self.engine.as_mut());
             if halt == Halt::ResetRequested {
                 self.reset(ResetCause::Software);
@@ -193,6 +199,7 @@ impl Board {
     }
 
     fn start(&mut self, cause: ResetCause, now: Time) {
+        #[cfg(feature = "log")]
         self.log.restart();
         self.chip().reset(cause, now);
         let hold = if cause == ResetCause::PowerOn { POWER_ON_HOLD } else { RESET_HOLD };
@@ -287,6 +294,7 @@ impl Board {
     }
 
     /// The lines that the program has logged, across all resets.
+    #[cfg(feature = "log")]
     pub fn log(&self) -> &[LogLine] {
         self.log.lines()
     }

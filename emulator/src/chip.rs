@@ -20,7 +20,7 @@ pub use flash::{Flash, PowerCut, StuckBits, Timing};
 pub use gpio::{Gpio, Output, Pin};
 pub use iwdg::Iwdg;
 pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
-pub use part::Part;
+pub use part::{Part, UnknownPart};
 pub use rcc::{Clocks, ResetCause};
 pub use readings::Readings;
 

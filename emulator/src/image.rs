@@ -7,6 +7,7 @@ use std::{
     sync::Arc,
 };
 
+#[cfg(feature = "log")]
 use defmt_decoder::Table;
 use object::{
     Object, ObjectSymbol,
@@ -25,6 +26,7 @@ pub struct Image(Arc<Content>);
 struct Content {
     segments: Vec<(u32, Vec<u8>)>,
     symbols: HashMap<String, u32>,
+    #[cfg(feature = "log")]
     table: Option<Table>,
 }
 
@@ -75,13 +77,22 @@ impl Image {
             .symbols()
             .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address() as u32)))
             .collect();
-        let table = Table::parse(bytes).map_err(|error| malformed(&error))?;
-        Ok(Self(Arc::new(Content { segments, symbols, table })))
+        Ok(Self(Arc::new(Content {
+            segments,
+            symbols,
+            #[cfg(feature = "log")]
+            table: Table::parse(bytes).map_err(|error| malformed(&error))?,
+        })))
     }
 
     /// An image of the given bytes and addresses, without symbols.
     pub fn from_segments(segments: Vec<(u32, Vec<u8>)>) -> Self {
-        Self(Arc::new(Content { segments, symbols: HashMap::new(), table: None }))
+        Self(Arc::new(Content {
+            segments,
+            symbols: HashMap::new(),
+            #[cfg(feature = "log")]
+            table: None,
+        }))
     }
 
     /// The address and content of each segment.
@@ -112,6 +123,7 @@ impl Image {
     }
 
     /// The defmt strings, if the program logs.
+    #[cfg(feature = "log")]
     pub(crate) fn defmt_table(&self) -> Option<&Table> {
         self.0.table.as_ref()
     }

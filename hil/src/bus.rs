@@ -34,6 +34,7 @@ const KEPT: usize = 1000;
 /// The bus, and a master on it.
 pub struct Bus {
     adapter: Box<dyn Adapter>,
+    latency: Duration,
     rate: BitRate,
     is_interrupted: Arc<AtomicBool>,
     /// Whether another master ends the run.
@@ -52,9 +53,15 @@ pub fn bits(bits: u32, rate: BitRate) -> Duration {
 }
 
 impl Bus {
-    pub fn new(adapter: Box<dyn Adapter>, is_interrupted: Arc<AtomicBool>) -> Self {
+    /// A master with this adapter, whose latency is at least `latency`.
+    pub fn new(
+        adapter: Box<dyn Adapter>,
+        latency: Duration,
+        is_interrupted: Arc<AtomicBool>,
+    ) -> Self {
         Self {
             adapter,
+            latency,
             rate: BitRate::Kbit125,
             is_interrupted,
             minds_masters: true,
@@ -98,8 +105,9 @@ impl Bus {
         self.adapter.clock()
     }
 
-    pub fn latency(&self) -> Option<Duration> {
-        self.adapter.latency()
+    /// The time that the adapter adds to a request and its answer.
+    pub fn latency(&self) -> Duration {
+        self.adapter.latency().unwrap_or_default().max(self.latency)
     }
 
     /// Forgets a Ctrl-C and other masters: the boards must be restored in spite of both.
@@ -199,7 +207,7 @@ impl Bus {
     }
 
     fn exchange(&self) -> Duration {
-        bits(EXCHANGE_BITS, self.rate) + 4 * self.latency().unwrap_or_default()
+        bits(EXCHANGE_BITS, self.rate) + 4 * self.latency()
     }
 
     /// Sends an LSS request that must be answered; returns the answer.

@@ -21,6 +21,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
+    time::Duration,
 };
 
 use anyhow::Context;
@@ -60,6 +61,9 @@ struct Arguments {
     /// Read registers and reset the first board with probe-rs; its chip
     #[arg(long, value_name = "CHIP", value_parser = PossibleValuesParser::new(Probe::CHIPS.map(|(name, _)| name)))]
     probe: Option<String>,
+    /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
+    #[arg(long, value_name = "MS", default_value_t = 2)]
+    latency: u16,
     /// Ask for a power cut and a short circuit even if the standard input is no terminal
     #[arg(long)]
     ask: bool,
@@ -105,7 +109,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
                 false => Person::absent(),
             };
             let probe = arguments.probe.as_deref().and_then(Probe::new);
-            let bus = Bus::new(adapter, is_interrupted);
+            let bus =
+                Bus::new(adapter, Duration::from_millis(arguments.latency.into()), is_interrupted);
             let mut bench = Bench::new(bus, report, person, probe, arguments.quick);
             let outcome = check(&mut bench, &arguments.session);
             bench.report.stopped = outcome.err().map(|stop| stop.to_string());

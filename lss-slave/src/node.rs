@@ -6,6 +6,7 @@ mod nmt_slave;
 mod objects;
 mod parameters;
 mod process;
+mod product;
 mod receives;
 mod storing;
 
@@ -14,7 +15,7 @@ use core::array;
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
-    emergency::{Emergency, ErrorCounters, Fault, Reports},
+    emergency::{Emergency, ErrorCounters, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command},
     object_dictionary::Entry,
@@ -27,6 +28,7 @@ use bit_rate_control::BitRateControl;
 use nmt_slave::NmtSlave;
 use objects::Parts;
 use parameters::{Change, Part};
+use product::Product;
 pub use receives::Receives;
 use storing::{Download, Storing};
 
@@ -86,18 +88,13 @@ pub struct Node<
     const RPDOS: usize = 0,
     const PRODUCERS: usize = 0,
 > {
-    device: Device,
     lss: Slave,
     bit_rate: BitRateControl,
     nmt: NmtSlave,
-    emergency: Emergency,
-    reports: Reports<A::Errors>,
+    emergency: Emergency<A::Errors>,
     sdo: A::SdoServer,
     storing: Storing,
-    process_data: ProcessData<TPDOS, RPDOS, PRODUCERS>,
-    application: A,
-    /// The NMT state and the bit rate that the application knows.
-    known: (nmt::State, BitRate),
+    product: Product<A, TPDOS, RPDOS, PRODUCERS>,
     due: Due,
 }
 
@@ -145,30 +142,26 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         };
         let bit_rate_control = BitRateControl::new(bit_rate, device.bit_rates, device.rescue);
         Self {
-            known: (nmt::State::Initialisation, bit_rate_control.in_use()),
-            bit_rate: bit_rate_control,
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
+            product: Product::new(device, application, bit_rate_control.in_use()),
+            bit_rate: bit_rate_control,
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
-            reports: Reports::new(),
             sdo: A::SdoServer::NEW,
             storing: Storing::new(persistent),
-            process_data: ProcessData::new::<A>(),
-            device,
-            application,
             due: Due::Now,
         }
     }
 
     /// The application of the node.
     pub const fn application(&self) -> &A {
-        &self.application
+        &self.product.application
     }
 
     /// The application of the node, to be changed. [`poll`](Self::poll) must follow.
     pub const fn application_mut(&mut self) -> &mut A {
         self.due = Due::Now;
-        &mut self.application
+        &mut self.product.application
     }
 
     /// Whether the node sends more frames than its board can queue, as in an SDO block upload. The next of them follow
@@ -216,12 +209,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let node = self.node_id();
         // Without a node-ID only LSS and NMT are received.
         let sdo = self.sdo_request_cob_id().unwrap_or(UNUSED);
-        let sync = self.process_data.sync_cob_id().unwrap_or(UNUSED);
+        let sync = self.product.process_data.sync_cob_id().unwrap_or(UNUSED);
         Receives {
             services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
-            rpdos: array::from_fn(|at| self.process_data.rpdo_cob_id(at, node).unwrap_or(UNUSED)),
+            rpdos: array::from_fn(|at| {
+                self.product.process_data.rpdo_cob_id(at, node).unwrap_or(UNUSED)
+            }),
             heartbeats: array::from_fn(|at| {
-                self.process_data.producer_cob_id(at).unwrap_or(UNUSED)
+                self.product.process_data.producer_cob_id(at).unwrap_or(UNUSED)
             }),
         }
     }
@@ -255,7 +250,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Records a fault of the board, such as [`Fault::SettingsLost`], in the history 1003h and queues an emergency
     /// message.
     pub fn handle_fault(&mut self, fault: Fault) {
-        self.emergency.report(fault);
+        self.emergency.faults.report(fault);
         self.due = Due::Now;
     }
 
@@ -267,21 +262,20 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         match event {
             BusEvent::ErrorCounters { transmit, receive } => {
                 let counters = ErrorCounters { transmit, receive };
-                self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
+                self.emergency.faults.handle_error_counters(counters, self.bit_rate.is_listening());
                 return;
             }
             BusEvent::NonePending => {
                 self.sdo.note_sent();
                 return;
             }
-            BusEvent::Overrun => return self.emergency.report(Fault::Overrun),
-            BusEvent::BusOffRecovered => return self.emergency.report(Fault::BusOffRecovered),
+            BusEvent::Overrun => return self.emergency.faults.report(Fault::Overrun),
+            BusEvent::BusOffRecovered => {
+                return self.emergency.faults.report(Fault::BusOffRecovered);
+            }
             BusEvent::Acknowledged => {
                 self.nmt.note_acknowledge();
                 self.emergency.note_acknowledge();
-                if Self::HAS_APPLICATION {
-                    self.reports.note_acknowledge();
-                }
             }
             BusEvent::BusOff => {
                 self.nmt.handle_communication_error();
@@ -300,10 +294,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// its limits; returns whether it was taken. [`Application::accept`] is not called. Pass all parameters before the
     /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
-        match Part::of(parameter.index) {
-            Part::Communication => self.process_data.restore::<A>(parameter),
-            Part::Application => self.application.restore(parameter),
-        }
+        self.product.restore(parameter)
     }
 
     /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
@@ -321,8 +312,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 (Change::Keep, _) => part.keep(persistent, &mut packer),
                 (Change::Remove, _) => {}
                 // The heartbeat time is among the settings.
-                (Change::Renew, Part::Communication) => self.process_data.save(&mut packer),
-                (Change::Renew, Part::Application) => self.application.save(&mut packer),
+                (Change::Renew, Part::Communication) => self.product.process_data.save(&mut packer),
+                (Change::Renew, Part::Application) => self.product.application.save(&mut packer),
             }
         }
         packer.len()
@@ -331,9 +322,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Records the outcome of the last [`Action::Store`].
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         if self.storing.handle_stored(outcome) {
-            self.process_data.end_store(outcome.is_ok());
+            self.product.process_data.end_store(outcome.is_ok());
             if outcome.is_ok() {
-                self.emergency.end(Fault::SettingsLost);
+                self.emergency.faults.end(Fault::SettingsLost);
             }
             self.due = Due::Now;
         }
@@ -381,12 +372,12 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
                 Some(EndSwitch) => {
                     self.nmt.restart_heartbeat(now);
-                    self.process_data.restart_producers(now);
+                    self.product.process_data.restart_producers(now);
                 }
                 Some(Step(step)) => return Some(self.take_step(step)),
                 Some(ResumeTransmitting) => {
                     self.nmt.note_resumed();
-                    self.process_data.note_resumed();
+                    self.product.process_data.note_resumed();
                     return Some(Action::ResumeTransmitting);
                 }
                 Some(KeepSilent) => return None,
@@ -455,7 +446,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
         self.bit_rate.activate(setting, silent_until);
         let rate = self.bit_rate();
-        self.emergency.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
+        self.emergency.faults.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
     }
 
     /// Adopts a bit rate that the supervision has found, or the home rate after a return. This also precedes a switch:
@@ -470,9 +461,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
         match self.bit_rate.home() {
             Some(home) if home != in_use => {
-                self.emergency.report(Fault::AwayFromHomeRate { in_use, home });
+                self.emergency.faults.report(Fault::AwayFromHomeRate { in_use, home });
             }
-            _ => self.emergency.end(Fault::AwayFromHomeRate { in_use, home: in_use }),
+            _ => self.emergency.faults.end(Fault::AwayFromHomeRate { in_use, home: in_use }),
         }
     }
 
@@ -480,9 +471,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn take_step(&mut self, step: Step) -> Action {
         self.end_sdo_transfer();
         self.emergency.note_dropped();
-        if Self::HAS_APPLICATION {
-            self.reports.note_dropped();
-        }
         self.nmt.note_dropped();
         match step {
             Step::TakePart(rate) => Action::SetBitRate(rate),
@@ -507,7 +495,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn reset_communication(&mut self) -> Action {
         self.lss.reset_communication();
         self.nmt.reset_communication(self.storing.persistent().heartbeat_ms);
-        self.process_data.reset::<A>();
+        self.product.process_data.reset::<A>();
         self.end_sdo();
         Action::SetNodeId(self.node_id())
     }
@@ -516,7 +504,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     #[inline(never)] // It has two callers.
     fn lock_lss(&mut self) {
         let is_operational = self.nmt_state() == nmt::State::Operational;
-        self.lss.set_locked(self.device.lss_lock && is_operational);
+        self.lss.set_locked(self.product.device.lss_lock && is_operational);
     }
 
     const fn serves_sdo(&self) -> bool {
@@ -531,16 +519,18 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !self.serves_sdo() {
             self.end_sdo_transfer();
         }
+        if self.nmt.is_boot_up_due() {
+            return None;
+        }
         let mut objects = Parts {
-            device: &self.device,
+            device: &self.product.device,
             lss: &self.lss,
             bit_rate: &self.bit_rate,
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
-            reported: self.reports.error_register(),
             storing: &mut self.storing,
-            process_data: &mut self.process_data,
-            application: &mut self.application,
+            process_data: &mut self.product.process_data,
+            application: &mut self.product.application,
             now,
         };
         let answer = self.sdo.poll(&mut objects, now)?;
@@ -563,7 +553,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Discards the current SDO transfer without an answer to the client.
     fn end_sdo_transfer(&mut self) {
         if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
-            self.application.abort_domain(*index, *sub_index);
+            self.product.application.abort_domain(*index, *sub_index);
         }
         self.sdo.end_transfer();
     }
@@ -576,8 +566,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 Store(settings) => {
                     match Part::Communication.change(self.storing.download()) {
                         Change::Keep => {}
-                        Change::Renew => self.process_data.stage(),
-                        Change::Remove => self.process_data.stage_declared::<A>(),
+                        Change::Renew => self.product.process_data.stage(),
+                        Change::Remove => self.product.process_data.stage_declared::<A>(),
                     }
                     return Some(Action::Store(settings));
                 }
@@ -607,7 +597,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn next_message(&mut self, now: Instant) -> Option<Action> {
         let node = self.node_id()?;
         let frame = self.nmt.next_boot_up(node, now).or_else(|| {
-            let emergency = self.nmt.allows_emergencies().then(|| self.next_emergency(node));
+            let emergency = self.nmt.allows_emergencies().then(|| self.emergency.next(node));
             emergency.flatten().or_else(|| self.nmt.next_heartbeat(node, now))
         });
         frame.map(Action::Transmit)

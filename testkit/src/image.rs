@@ -2,9 +2,11 @@
 
 use std::{
     env, error, fmt,
+    fs::{self, File},
+    io,
     path::Path,
     process::{Command, Output, Stdio},
-    sync::{Mutex, OnceLock, mpsc},
+    sync::{OnceLock, mpsc},
     thread,
     time::Duration,
 };
@@ -74,9 +76,9 @@ pub fn build_in(directory: &Path, part: Part) -> Result<Image, BuildError> {
 }
 
 fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildError> {
-    // All images of the part have one path.
-    static BUILDING: Mutex<()> = Mutex::new(());
-    let _building = BUILDING.lock();
+    let _lock = lock().map_err(|error| {
+        BuildError::Cargo(format!("cannot wait for other builds of the firmware: {error}"))
+    })?;
     let mut output = run_with_notice(&mut command(), part)?;
     if !output.status.success() && stderr(&output).contains("target may not be installed") {
         add_target()?;
@@ -92,12 +94,24 @@ fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildE
     Image::load(path).map_err(BuildError::Image)
 }
 
+/// Waits until no other thread or process builds the firmware: all images of a target directory have one path.
+fn lock() -> io::Result<File> {
+    let directory = workspace().join("target");
+    fs::create_dir_all(&directory)?;
+    let file = File::create(directory.join("firmware.lock"))?;
+    file.lock()?;
+    Ok(file)
+}
+
+fn workspace() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
+}
+
 fn cargo_build(part: Part, features: &[&str]) -> Command {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
     let mut command = Command::new(cargo);
     command
-        .current_dir(workspace)
+        .current_dir(workspace())
         .args(["build", "--package", "lss-slave-firmware", "--release", "--target", TARGET])
         .args([
             "--features",

@@ -286,6 +286,7 @@ impl Drop for ImageRig {
         if !thread::panicking() {
             return self.check();
         }
+        #[cfg(feature = "log")]
         for (number, board) in self.network.boards().iter().enumerate() {
             for line in board.log() {
                 eprintln!("board {number}, {} ms: {} {}", line.time, line.level, line.text);

@@ -1,7 +1,11 @@
 //! Shared parts of the tests and tools: a node in the process, the release image on emulated boards, a flash with power
 //! cuts, frames as text, data sheets, random numbers.
 
+#[cfg(feature = "image")]
+pub mod boards;
 pub mod eds;
+#[cfg(feature = "image")]
+pub mod explain;
 pub mod flash;
 pub mod frames;
 #[cfg(feature = "image")]

@@ -445,6 +445,8 @@ impl Model {
     fn next_message(&self, random: &mut Random) -> Message {
         let mut message: Message = random.bytes();
         if random.one_in(30) {
+            // The model knows few of the objects below 8000h.
+            message[2] |= 0x80;
             return message;
         }
         let at = random.pick(&ADDRESSES);

@@ -208,6 +208,14 @@ fn an_unacknowledged_frame_pauses_20_ms_every_100_ms() {
 }
 
 #[test]
+fn a_request_in_the_pause_of_the_boot_up_ends_it_and_is_answered() {
+    let mut board = unproven();
+    board.pass_ms(110);
+    board.is_acknowledged = true;
+    assert_eq!(board.sdo("40 18 10 04"), ["740: 00", "5C0: 43 18 10 04 EF BE AD DE"]);
+}
+
+#[test]
 fn a_receiver_that_is_error_passive_drops_its_frames_and_waits_50_ms() {
     for home in [BitRate::Kbit1000, BitRate::Kbit10] {
         let mut board = disturbed(home, ErrorPassive);

@@ -1,8 +1,8 @@
 //! `cargo emulate`: boards in real time, and their CAN bus as SLCAN adapters over TCP.
 
-mod client;
+pub mod client;
 mod console;
-mod memory;
+pub mod memory;
 mod pace;
 mod slcan;
 
@@ -23,7 +23,9 @@ use lss_slave::{BitRate, NodeId, Settings};
 
 use testkit::image_rig::{DEFAULT_BIT_RATE, bit_per_s};
 
-use crate::boards::{self, FIRST_START};
+use testkit::boards::{self, FIRST_START};
+
+use crate::example::{self, Example};
 use client::{Client, ClientId, Input};
 use console::Leds;
 use memory::Memory;
@@ -61,12 +63,12 @@ pub struct Arguments {
     bit_rate: Option<BitRate>,
     /// Run an example of an application; implies --console
     #[arg(long)]
-    example: Option<boards::Example>,
-    /// Take commands from the standard input: press the button, set the temperature
+    example: Option<Example>,
+    /// Take commands from the standard input: switch the power, press the button, set the temperature
     #[arg(long)]
     console: bool,
     /// The chip on the boards
-    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    #[arg(long, default_value = "stm32f405")]
     chip: Part,
 }
 
@@ -126,7 +128,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let presets = (0..usize::from(arguments.boards))
         .map(|number| arguments.preset(number))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let image = boards::image(arguments.chip, arguments.example)?;
+    let image = example::image(arguments.chip, arguments.example)?;
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);
@@ -164,7 +166,8 @@ fn describe(network: &Network) -> String {
     (0..network.boards().len()).map(board).collect::<Vec<_>>().join("; ")
 }
 
-fn serve(
+/// Runs the network in real time, each client with an adapter set to `bit_rate`, until [`Input::Stop`].
+pub fn serve(
     network: &mut Network,
     inputs: &mpsc::Receiver<Input>,
     memory: &mut Memory,

@@ -8,15 +8,13 @@ use std::{
 use anyhow::{Context, bail};
 use emulator::chip::Part;
 
-use crate::boards;
-
 /// Write the firmware to a board, with probe-rs, and show its log
 ///
 /// The log runs until Ctrl-C. The board is not halted at a reset or a fault, so that the log continues.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip on the board
-    #[arg(default_value = "stm32f405", value_parser = boards::part())]
+    #[arg(default_value = "stm32f405")]
     chip: Part,
 }
 

@@ -1,21 +1,20 @@
-//! The commands of the project: `cargo demo`, `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask no-harm`, `cargo xtask power-cut`,
-//! `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! The commands of the project: `cargo emulate`, `cargo flash`,
+//! `cargo xtask bench`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`, `cargo xtask no-harm`,
+//! `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
-mod boards;
-mod demo;
 mod eds;
 mod emulate;
-mod explain;
+mod example;
 mod flash;
 mod fuzz;
+#[cfg(target_os = "linux")]
+mod linux;
 mod no_harm;
 mod parallel;
 mod power_cut;
 mod qemu;
 mod readings;
-mod record;
 mod size;
 mod storm;
 
@@ -31,7 +30,7 @@ const ERROR: Style = AnsiColor::Red.on_default().bold();
     name = "cargo xtask",
     bin_name = "cargo xtask",
     about = "The commands of the project",
-    after_help = "`cargo demo`, `cargo emulate` and `cargo flash` are short for these commands.",
+    after_help = "`cargo emulate` and `cargo flash` are short for these commands.",
     disable_help_subcommand = true
 )]
 struct Arguments {
@@ -42,11 +41,12 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Bench(bench::Arguments),
-    Demo(demo::Arguments),
     Eds(eds::Arguments),
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
     Fuzz(fuzz::Arguments),
+    #[cfg(target_os = "linux")]
+    Linux(linux::Arguments),
     NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
@@ -58,11 +58,12 @@ enum Command {
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Bench(arguments) => bench::run(&arguments),
-        Command::Demo(arguments) => demo::run(&arguments),
         Command::Eds(arguments) => eds::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
         Command::Fuzz(arguments) => fuzz::run(&arguments),
+        #[cfg(target_os = "linux")]
+        Command::Linux(arguments) => linux::run(&arguments),
         Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(_) => qemu::run(),

@@ -17,7 +17,7 @@ use emulator::{Time, chip::Part};
 
 use testkit::random::Random;
 
-use crate::{boards, parallel};
+use crate::parallel;
 use judge::{Failure, Images, Verdict};
 use situation::{Kind, Situation};
 
@@ -54,7 +54,7 @@ pub struct Arguments {
     #[arg(long, value_name = "SEED", conflicts_with_all = ["situations", "seed"])]
     replay: Option<u64>,
     /// The chip on the boards
-    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    #[arg(long, default_value = "stm32f405")]
     chip: Part,
 }
 

@@ -11,8 +11,6 @@ use lss_slave::Settings;
 
 use testkit::random::Random;
 
-use crate::boards;
-
 /// Erase cycles guaranteed by the data sheet for a sector (STM32F405, table "flash memory endurance").
 const ENDURANCE: u64 = 10_000;
 const SECTORS: u64 = 2;
@@ -42,7 +40,7 @@ pub struct Arguments {
     #[arg(long)]
     seed: Option<u64>,
     /// The chip on the board
-    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    #[arg(long, default_value = "stm32f405")]
     chip: Part,
 }
 

@@ -15,12 +15,10 @@ use emulator::{
     network::Network,
 };
 use lss_slave::{lss, nmt};
-
-use testkit::image_rig::{DEFAULT_BIT_RATE, bit_per_s};
-
-use crate::{
+use testkit::{
     boards::{self, FIRST_START},
     explain::explain,
+    image_rig::{DEFAULT_BIT_RATE, bit_per_s},
 };
 
 const QEMU: &str = "qemu-system-arm";

@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::ensure;
 use emulator::chip::Part;
 
-use crate::{boards, parallel};
+use crate::parallel;
 use bus::Variant;
 use matrix::Reading;
 
@@ -26,7 +26,7 @@ pub struct Arguments {
     #[arg(long)]
     quick: bool,
     /// The chip on the board
-    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    #[arg(long, default_value = "stm32f405")]
     chip: Part,
 }
 

@@ -8,7 +8,7 @@ use object::{
     Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf, read::elf::ElfFile32,
 };
 
-use crate::boards;
+use crate::example::{self, Example};
 
 /// Show the firmware's memory use, and check it against the budget
 ///
@@ -16,11 +16,11 @@ use crate::boards;
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip to build for
-    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    #[arg(long, default_value = "stm32f405")]
     chip: Part,
     /// Show an example of an application, which has no budget
     #[arg(long)]
-    example: Option<boards::Example>,
+    example: Option<Example>,
 }
 
 /// A section of the program that occupies memory.
@@ -33,7 +33,7 @@ struct Section {
 
 /// Prints the sizes. Fails if they are above the budget.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    boards::image(arguments.chip, arguments.example)?;
+    example::image(arguments.chip, arguments.example)?;
     let path = elf_path()?;
     let elf = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let sections = sections(&elf).with_context(|| format!("cannot parse {}", path.display()))?;

@@ -5,11 +5,10 @@ use std::time::Instant;
 use emulator::{chip::Part, image::Image};
 
 use testkit::{
+    boards,
     random::Random,
     storm::{image::ImageStorm, node::NodeStorm},
 };
-
-use crate::boards;
 
 /// Lines of progress of each storm.
 const PARTS: u64 = 10;
@@ -34,7 +33,7 @@ pub struct Arguments {
     #[arg(long)]
     seed: Option<u64>,
     /// The chip on the board
-    #[arg(long, default_value = "stm32f405", value_parser = boards::part())]
+    #[arg(long, default_value = "stm32f405")]
     chip: Part,
 }
 

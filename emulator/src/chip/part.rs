@@ -1,5 +1,7 @@
 //! The STM32F4 parts that can be put on a board, and their differences.
 
+use std::{error, fmt, str::FromStr};
+
 /// A microcontroller, in the package with the largest memory that the firmware's `memory.x` relies on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Part {
@@ -11,6 +13,26 @@ pub enum Part {
     Stm32f427,
     /// STM32F446xE: 180 MHz, 512 KB flash, 128 KB RAM.
     Stm32f446,
+}
+
+/// There is no chip of this name.
+#[derive(Debug)]
+pub struct UnknownPart;
+
+impl fmt::Display for UnknownPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the chips are {}", Part::ALL.map(Part::name).join(", "))
+    }
+}
+
+impl error::Error for UnknownPart {}
+
+impl FromStr for Part {
+    type Err = UnknownPart;
+
+    fn from_str(name: &str) -> Result<Self, UnknownPart> {
+        Self::ALL.into_iter().find(|part| part.name() == name).ok_or(UnknownPart)
+    }
 }
 
 const KB: u32 = 1024;

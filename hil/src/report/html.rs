@@ -9,9 +9,10 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:60em;mar
     vertical-align:top}.failed{background:#fde8e8}.not{color:#777}pre{background:#f5f5f5;padding:1em;white-space:\
     pre-wrap}svg{display:block;margin:.5em 0 1.5em}svg text{font:12px system-ui,sans-serif;fill:#333}";
 
-/// The width of a drawing, and of its plot.
+/// The width of a drawing, and of the margins of its plot.
 const WIDTH: f64 = 720.0;
 const LEFT: f64 = 90.0;
+const RIGHT: f64 = 36.0;
 
 pub fn whole(report: &Report) -> String {
     let mut rows = String::new();
@@ -69,7 +70,7 @@ fn histograms(answers: &[Answer]) -> String {
         return String::new();
     }
     let step = (longest / BINS as f64).max(0.05);
-    let width = (WIDTH - LEFT - 20.0) / BINS as f64;
+    let width = (WIDTH - LEFT - RIGHT) / BINS as f64;
     let rates: Vec<_> = BitRate::ALL
         .into_iter()
         .filter(|rate| answers.iter().any(|answer| answer.rate == *rate))
@@ -98,7 +99,7 @@ fn histograms(answers: &[Answer]) -> String {
         }
         content += &format!(
             "<line x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{base}\" y2=\"{base}\" stroke=\"#999\"/>\n",
-            WIDTH - 20.0
+            WIDTH - RIGHT
         );
     }
     let height = rates.len() as f64 * ROW;
@@ -123,7 +124,7 @@ fn switches(switches: &[Switch]) -> String {
         let delay = f64::from(switch.delay_ms);
         let end = switch.first_frame.unwrap_or(0.0).max(2.0 * delay) * 1.1 + 1.0;
         let x = |ms: f64| {
-            LEFT + (ms.clamp(-0.05 * end, end) + 0.05 * end) / (1.05 * end) * (WIDTH - LEFT - 20.0)
+            LEFT + (ms.clamp(-0.05 * end, end) + 0.05 * end) / (1.05 * end) * (WIDTH - LEFT - RIGHT)
         };
         let y = row as f64 * ROW + 30.0;
         let title = format!(

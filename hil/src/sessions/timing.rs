@@ -37,7 +37,7 @@ pub fn answers(bench: &mut Bench) -> Result<(), Stop> {
 
 /// The longest median answer time at the computer.
 fn limit(bench: &Bench, rate: BitRate) -> Duration {
-    bits(EXCHANGE_BITS, rate) + 2 * bench.bus.latency().unwrap_or(Duration::from_millis(2)) + SLACK
+    bits(EXCHANGE_BITS, rate) + 2 * bench.bus.latency() + SLACK
 }
 
 /// Asks the board in LSS configuration state for its node-ID `count` times.

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::{COB_ID, Emergency, GENERIC};
+use super::{COB_ID, Faults, GENERIC};
 use crate::{Frame, NodeId};
 
 /// The errors that are present or whose message has not been sent.
@@ -15,6 +15,8 @@ pub(crate) struct Reports<L> {
 
 /// The places for the errors of an application: eight, or none.
 pub trait Places: Clone + fmt::Debug {
+    /// The number of places.
+    const NUMBER: usize;
     /// Free places.
     const FREE: Self;
     /// All places.
@@ -24,6 +26,7 @@ pub trait Places: Clone + fmt::Debug {
 }
 
 impl<const N: usize> Places for [Report; N] {
+    const NUMBER: usize = N;
     const FREE: Self = [Report::FREE; N];
 
     fn all(&self) -> &[Report] {
@@ -72,9 +75,13 @@ impl<L: Places> Reports<L> {
         Self { reports: L::FREE, is_empty: true }
     }
 
+    const fn is_empty(&self) -> bool {
+        L::NUMBER == 0 || self.is_empty
+    }
+
     /// The error register 1001h for the errors that are present.
     pub fn error_register(&self) -> u8 {
-        if self.is_empty {
+        if self.is_empty() {
             return 0;
         }
         let present = self.reports.all().iter().filter(|report| report.is_present);
@@ -82,13 +89,13 @@ impl<L: Places> Reports<L> {
     }
 
     /// The errors, to be reported and ended.
-    pub fn errors<'a>(&'a mut self, emergency: &'a mut Emergency) -> Errors<'a> {
-        Errors { emergency, reports: self.reports.all_mut(), is_empty: &mut self.is_empty }
+    pub fn errors<'a>(&'a mut self, faults: &'a mut Faults) -> Errors<'a> {
+        Errors { faults, reports: self.reports.all_mut(), is_empty: &mut self.is_empty }
     }
 
     /// Records that a frame of the node was acknowledged.
     pub fn note_acknowledge(&mut self) {
-        if !self.is_empty {
+        if !self.is_empty() {
             self.replace(Message::InFlight, Message::Sent);
             self.is_empty = self.reports.all().iter().all(Report::is_free);
         }
@@ -109,7 +116,7 @@ impl<L: Places> Reports<L> {
 
     /// The next message, if there is one to send; `others` is the error register for the other errors.
     pub fn next(&mut self, node: NodeId, others: u8) -> Option<Frame> {
-        if self.is_empty {
+        if self.is_empty() {
             return None;
         }
         let present = self.error_register();
@@ -126,7 +133,7 @@ impl<L: Places> Reports<L> {
 
 /// The emergency messages of a node, to report errors with codes of their own.
 pub(crate) struct Errors<'a> {
-    emergency: &'a mut Emergency,
+    faults: &'a mut Faults,
     reports: &'a mut [Report],
     is_empty: &'a mut bool,
 }
@@ -149,7 +156,7 @@ impl Errors<'_> {
                 Report { code, register, information, is_present: true, message: Message::Unsent };
         }
         if !is_waiting {
-            self.emergency.enter(u32::from(code) | u32::from(i0) << 16 | u32::from(i1) << 24);
+            self.faults.enter(u32::from(code) | u32::from(i0) << 16 | u32::from(i1) << 24);
         }
     }
 
@@ -163,7 +170,7 @@ impl Errors<'_> {
         let is_it = |report: &&mut Report| report.code == code && report.is_present;
         if let Some(report) = self.reports.iter_mut().find(is_it) {
             report.is_present = false;
-            self.emergency.note_end();
+            self.faults.note_end();
         }
     }
 }

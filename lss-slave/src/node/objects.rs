@@ -23,15 +23,18 @@ const LOAD: u32 = u32::from_le_bytes(*b"load");
 const ON_COMMAND: u32 = 1;
 
 /// The parts of the node that objects read and write, at one time.
-pub(super) struct Parts<'a, A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
+pub(super) struct Parts<
+    'a,
+    A: Application,
+    const TPDOS: usize,
+    const RPDOS: usize,
+    const PRODUCERS: usize,
+> {
     pub device: &'a Device,
     pub lss: &'a lss::Slave,
     pub bit_rate: &'a BitRateControl,
     pub nmt: &'a mut NmtSlave,
-    pub emergency: &'a mut Emergency,
-    /// `None` if there are none in this node.
-    /// The error register for the errors of the application.
-    pub reported: u8,
+    pub emergency: &'a mut Emergency<A::Errors>,
     pub storing: &'a mut Storing,
     pub process_data: &'a mut ProcessData<TPDOS, RPDOS, PRODUCERS>,
     pub application: &'a mut A,
@@ -61,11 +64,11 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::HardwareVersion => return Ok(Value::Text(self.device.hardware_version)),
             Object::SoftwareVersion => return Ok(Value::Text(self.device.software_version)),
             Object::DeviceType => A::DEVICE_TYPE,
-            Object::ErrorRegister => (self.emergency.error_register() | self.reported).into(),
-            Object::NumberOfErrors => self.emergency.number_of_errors().into(),
+            Object::ErrorRegister => self.emergency.error_register().into(),
+            Object::NumberOfErrors => self.emergency.faults.number_of_errors().into(),
             // CiA 301 names this code for object 1003h, and CANopenNode sends it, although the sub-index exists.
             Object::ErrorField(sub_index) => {
-                self.emergency.error(sub_index).ok_or(Abort::NoData)?
+                self.emergency.faults.error(sub_index).ok_or(Abort::NoData)?
             }
             Object::StoreParameters | Object::RestoreDefaultParameters => ON_COMMAND,
             Object::CobIdEmergency => u32::from(emergency::COB_ID) + node_id,
@@ -75,10 +78,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::ProductCode => self.lss.address_part(AddressPart::ProductCode),
             Object::RevisionNumber => self.lss.address_part(AddressPart::RevisionNumber),
             Object::SerialNumber => self.lss.address_part(AddressPart::SerialNumber),
-            Object::BusOffs => self.emergency.bus_offs().into(),
-            Object::Overruns => self.emergency.overruns().into(),
-            Object::TransmitErrorCounter => self.emergency.error_counters().transmit.into(),
-            Object::ReceiveErrorCounter => self.emergency.error_counters().receive.into(),
+            Object::BusOffs => self.emergency.faults.bus_offs().into(),
+            Object::Overruns => self.emergency.faults.overruns().into(),
+            Object::TransmitErrorCounter => self.emergency.faults.error_counters().transmit.into(),
+            Object::ReceiveErrorCounter => self.emergency.faults.error_counters().receive.into(),
             Object::HomeBitRate => self.bit_rate.home().map_or(0, |rate| rate.kbit_per_s().into()),
             Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
             Object::Rescues => self.bit_rate.rescues().into(),
@@ -99,7 +102,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort> {
         match (entry.object, value) {
             (Object::NumberOfErrors, number) if number as u8 == 0 => {
-                self.emergency.clear_history();
+                self.emergency.faults.clear_history();
                 Ok(Written::Now)
             }
             (Object::NumberOfErrors, _) => Err(Abort::InvalidValue),

@@ -2,9 +2,8 @@
 
 use super::{Action, Due, Node};
 use crate::{
-    Application, Device, Frame, Instant, NodeId,
+    Application, Device, Frame, Instant,
     application::Event,
-    emergency::Errors,
     object_dictionary::{
         self, DefaultValue, Description, Entry, Object, PARAMETERS, SDO_SERVER, TABLE,
     },
@@ -27,7 +26,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// effect.
     pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
         if code != 0 && Self::HAS_APPLICATION {
-            self.errors().report(code, register, information);
+            self.emergency.errors().report(code, register, information);
             self.due = Due::Now;
         }
     }
@@ -36,7 +35,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// error is left.
     pub fn end_report(&mut self, code: u16) {
         if Self::HAS_APPLICATION {
-            self.errors().end(code);
+            self.emergency.errors().end(code);
             self.due = Due::Now;
         }
     }
@@ -67,10 +66,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
     }
 
-    fn errors(&mut self) -> Errors<'_> {
-        self.reports.errors(&mut self.emergency)
-    }
-
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
         if !Self::HAS_PROCESS_DATA || self.bit_rate.is_switching() {
             return;
@@ -78,52 +73,36 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let Some(node) = self.node_id() else {
             return;
         };
-        let mut errors = self.reports.errors(&mut self.emergency);
-        self.process_data.handle_frame(frame, node, &mut self.application, &mut errors, now);
+        let mut errors = self.emergency.errors();
+        self.product.process_data.handle_frame(
+            frame,
+            node,
+            &mut self.product.application,
+            &mut errors,
+            now,
+        );
         self.due = Due::Now;
     }
 
-    /// Informs the application and process data of a new NMT state or bit rate.
     pub(super) fn inform_application(&mut self) {
-        if !Self::HAS_APPLICATION {
-            return;
-        }
-        let (state, rate) = (self.nmt_state(), self.bit_rate());
-        let (known_state, known_rate) = self.known;
-        self.known = (state, rate);
-        if rate != known_rate {
-            self.application.handle(Event::BitRate(rate));
-        }
-        if state != known_state {
-            self.process_data.follow(state);
-            self.application.handle(Event::Nmt(state));
+        if Self::HAS_APPLICATION {
+            self.product.inform(self.nmt_state(), self.bit_rate());
         }
     }
 
     /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
     pub(super) fn watch_producers(&mut self, now: Instant) {
         let mut is_any_lost = false;
-        let mut errors = self.reports.errors(&mut self.emergency);
-        while let Some(producer) = self.process_data.next_lost(&mut errors, now) {
+        let mut errors = self.emergency.errors();
+        while let Some(producer) = self.product.process_data.next_lost(&mut errors, now) {
             self.nmt.handle_communication_error();
-            self.application.handle(Event::HeartbeatLost(producer));
+            self.product.application.handle(Event::HeartbeatLost(producer));
             is_any_lost = true;
         }
-        self.process_data.end_errors(&mut errors);
+        self.product.process_data.end_errors(&mut errors);
         if is_any_lost {
             self.lock_lss();
         }
-    }
-
-    pub(super) fn next_emergency(&mut self, node: NodeId) -> Option<Frame> {
-        if !Self::HAS_APPLICATION {
-            return self.emergency.next(node, 0);
-        }
-        if self.emergency.must_wait() {
-            return None;
-        }
-        let report = self.reports.next(node, self.emergency.error_register());
-        report.or_else(|| self.emergency.next(node, self.reports.error_register()))
     }
 
     /// The next frame of process data, or the action for new COB-IDs.
@@ -131,10 +110,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !Self::HAS_PROCESS_DATA {
             return None;
         }
-        if self.process_data.take_new_receives() {
+        if self.product.process_data.take_new_receives() {
             return Some(Action::SetReceives);
         }
-        let frame = self.process_data.next_frame(self.node_id()?, &self.application, now)?;
+        let frame = self.product.process_data.next_frame(
+            self.node_id()?,
+            &self.product.application,
+            now,
+        )?;
         Some(Action::Transmit(frame))
     }
 
@@ -143,8 +126,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !Self::HAS_PROCESS_DATA {
             return None;
         }
-        let tpdos = self.process_data.poll_at().filter(|_| may_send);
-        let producers = self.process_data.producers_poll_at();
+        let tpdos = self.product.process_data.poll_at().filter(|_| may_send);
+        let producers = self.product.process_data.producers_poll_at();
         Instant::earliest(tpdos, producers.filter(|_| !self.bit_rate.is_switching()))
     }
 }

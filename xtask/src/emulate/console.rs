@@ -1,15 +1,16 @@
-//! The console of `cargo emulate`: presses the button, sets the temperature, and shows the LEDs.
+//! The console of `cargo emulate`: switches the power, presses the button, sets the temperature, and shows the LEDs.
 
 use std::{io, thread};
 
 use anyhow::{Context, bail};
-use emulator::{board::Board, network::Network};
+use emulator::network::Network;
 use testkit::io_board;
 
 use super::client::Input;
 
 /// The commands, for a person.
-pub const HELP: &str = "button down|up [BOARD]        press or release the button\n\
+pub const HELP: &str = "power off|on [BOARD]          cut or restore the supply\n\
+     button down|up [BOARD]        press or release the button\n\
      temperature CELSIUS [BOARD]   set the temperature of the chip";
 
 /// Passes the lines of the standard input on, in the background.
@@ -31,21 +32,32 @@ pub fn execute(line: &str, network: &mut Network) -> anyhow::Result<()> {
     let words: Vec<&str> = line.split_whitespace().collect();
     match words[..] {
         [] => Ok(()),
+        ["power", "off", ref number @ ..] => {
+            network.power_off(board(network, number)?);
+            Ok(())
+        }
+        ["power", "on", ref number @ ..] => {
+            network.power_on(board(network, number)?);
+            Ok(())
+        }
         ["button", position @ ("down" | "up"), ref number @ ..] => {
-            io_board::press(board(network, number)?, position == "down");
+            let number = board(network, number)?;
+            io_board::press(network.board_mut(number), position == "down");
             Ok(())
         }
         ["temperature", celsius, ref number @ ..] => {
             let celsius = celsius.parse().ok().filter(|celsius| (-40..=125).contains(celsius));
             let celsius = celsius.context("CELSIUS is a whole number from -40 to 125")?;
-            io_board::set_temperature(board(network, number)?, celsius);
+            let number = board(network, number)?;
+            io_board::set_temperature(network.board_mut(number), celsius);
             Ok(())
         }
         _ => bail!("the commands are:\n{HELP}"),
     }
 }
 
-fn board<'a>(network: &'a mut Network, number: &[&str]) -> anyhow::Result<&'a mut Board> {
+/// The number of the board that a command names.
+fn board(network: &Network, number: &[&str]) -> anyhow::Result<usize> {
     let number: usize = match number {
         [] => 0,
         [number] => number.parse().context("BOARD is a number, 0 for the first")?,
@@ -55,7 +67,7 @@ fn board<'a>(network: &'a mut Network, number: &[&str]) -> anyhow::Result<&'a mu
     if number >= count {
         bail!("there is no board {number}: the last one is {}", count.saturating_sub(1));
     }
-    Ok(network.board_mut(number))
+    Ok(number)
 }
 
 /// The LEDs of the boards, as last shown.
@@ -80,10 +92,9 @@ impl Leds {
 #[cfg(test)]
 mod tests {
     use emulator::chip::{Part, Pin};
-    use testkit::image;
+    use testkit::{boards, image};
 
     use super::*;
-    use crate::boards;
 
     fn network() -> Network {
         let mut network = Network::new();
@@ -92,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_reach_the_pins_of_the_board() {
+    fn commands_reach_the_board() {
         let mut network = network();
         for (line, level) in [("button down", true), (" button  up 0 ", false)] {
             execute(line, &mut network).expect("a command");
@@ -100,6 +111,10 @@ mod tests {
         }
         execute("temperature -10", &mut network).expect("a command");
         assert_eq!(network.board(0).chip().adc_mut().analogue.temperature, -10);
+        for (line, is_powered) in [("power off", false), ("power on 0", true)] {
+            execute(line, &mut network).expect("a command");
+            assert_eq!(network.board(0).is_powered(), is_powered, "{line}");
+        }
         execute("", &mut network).expect("an empty line does nothing");
     }
 
@@ -112,6 +127,8 @@ mod tests {
             ("button pressed", "the commands are"),
             ("button down 0 0", "the commands are"),
             ("button down 1", "there is no board 1"),
+            ("power off 1", "there is no board 1"),
+            ("power", "the commands are"),
             ("button down first", "BOARD is a number"),
             ("temperature hot", "CELSIUS"),
             ("temperature 200", "CELSIUS"),

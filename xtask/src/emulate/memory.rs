@@ -9,7 +9,7 @@ use anyhow::{Context, ensure};
 use emulator::{board::Board, chip::FLASH_BASE, image::Image, network::Network};
 use lss_slave::Settings;
 
-use crate::boards;
+use testkit::boards;
 
 /// The flash files, if they are wanted.
 pub struct Memory {

@@ -12,12 +12,10 @@ use lss_slave::{BitRate, NodeId, Settings};
 
 use super::situation::{Event, Foreign, Master, Node, Situation, Traffic, What, ms};
 use testkit::{
-    frames,
+    boards, frames,
     image_rig::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
     random::Random,
 };
-
-use crate::boards;
 
 /// The interval between questions to a board that is looked for.
 pub const POLL: Time = Time::from_ms(20);

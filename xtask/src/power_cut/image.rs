@@ -18,13 +18,12 @@ use lss_slave::{
 
 use super::{Expected, Named, Tally};
 use testkit::{
+    boards,
     image_rig::{
         BOOT, DEFAULT_BIT_RATE, SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, flash_with, has_joined,
     },
     random::Random,
 };
-
-use crate::boards;
 
 /// The time-out for an answer; a store takes 1 ms.
 const PATIENCE: Time = Time::from_ms(20);

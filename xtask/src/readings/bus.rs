@@ -12,11 +12,9 @@ use emulator::{
 use lss_slave::{BitRate, Settings};
 
 use testkit::{
-    frames,
+    boards, frames,
     image_rig::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
 };
-
-use crate::boards;
 
 /// The time allowed for an answer, besides two frames.
 const PATIENCE: Time = Time::from_ms(5);

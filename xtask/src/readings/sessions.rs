@@ -9,9 +9,7 @@ use emulator::{
 use lss_slave::{BitRate, BitRateSetting, NodeId, Settings};
 
 use super::bus::{AWAY, Bus, Variant};
-use testkit::{frames::number, image_rig::bit_per_s};
-
-use crate::boards;
+use testkit::{boards, frames::number, image_rig::bit_per_s};
 
 /// The time for a rescue, and for a detection on a bus with a frame a second.
 const SEARCH: Time = Time::from_s(10);

@@ -7,14 +7,16 @@ use emulator::{
     chip::Part,
 };
 use lss_slave::{BitRateSetting, Settings};
-use testkit::image_rig::{DEFAULT_BIT_RATE, SETTINGS_OFFSET, flash_with};
+use testkit::{
+    boards, image,
+    image_rig::{DEFAULT_BIT_RATE, SETTINGS_OFFSET, flash_with},
+};
 use zencan_client::{
     RawAbortCode, SdoClient, SdoClientError,
     common::{CanId, pdo::PdoMapping, sdo::AbortCode},
 };
 
-use super::{START, tokio_bus::TokioBus};
-use crate::boards;
+use zencan_sessions::{START, TokioBus};
 
 const NODE_ID: u8 = 5;
 const STORED: Settings = Settings::new(BitRateSetting::Fixed(DEFAULT_BIT_RATE))
@@ -24,12 +26,10 @@ const TEMPERATURE: PdoMapping = PdoMapping { index: 0x6401, sub: 1, size: 16 };
 
 #[test]
 fn zencan_client_uses_objects_and_pdos_of_the_example() {
-    let image = testkit::image::build_example(Part::Stm32f407, "io").expect("it builds");
+    let image = image::build_example(Part::Stm32f407, "io").expect("it builds");
     let mut board = boards::board(Part::Stm32f407, &image, 0);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[STORED]));
-    let runtime =
-        tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
-    runtime.expect("a runtime").block_on(async {
+    zencan_sessions::run(async {
         let bus = TokioBus::new([board], DEFAULT_BIT_RATE);
         bus.pass(START).await;
         session(&bus).await.expect("all requests are answered");

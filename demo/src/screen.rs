@@ -9,7 +9,7 @@ use emulator::{
 };
 use lss_slave::lss::{self, AddressPart, FastscanStep, Request};
 
-use crate::explain::explain;
+use testkit::explain::explain;
 
 const CHAPTER: Style = Style::new().bold();
 const MASTER: Style = AnsiColor::Cyan.on_default();

@@ -1,4 +1,4 @@
-//! Boards and an adapter on one bus, whose virtual time is tokio's paused clock.
+//! The emulated bus for the masters of zencan-client: its virtual time is tokio's paused clock.
 
 use std::{
     convert::Infallible,
@@ -11,20 +11,21 @@ use emulator::{
     board::Board,
     can::{Adapter, Frame, Id},
     chip::Finding,
-    network::{AdapterId, Event, Network},
+    network::{AdapterId, Network},
 };
 use lss_slave::BitRate;
-use testkit::image_rig::bit_per_s;
+use testkit::{boards::FIRST_START, image_rig::bit_per_s};
 use tokio::time::Instant;
 use zencan_client::common::{
     CanId, CanMessage,
     traits::{AsyncCanReceiver, AsyncCanSender, CanSendError},
 };
 
-use super::span;
-
 /// The master's polling interval for received frames; tokio's clock has no finer steps.
 const POLL: Duration = Duration::from_millis(1);
+
+/// The time until a board has booted for the first time.
+pub const START: Duration = Duration::from_millis(FIRST_START.as_ms());
 
 /// The boards, and the master's adapter. Clones share both.
 #[derive(Clone)]
@@ -53,16 +54,6 @@ impl TokioBus {
         let now = span(inner.begin.elapsed());
         inner.network.run_until(now);
         inner
-    }
-
-    /// Virtual time.
-    pub fn now(&self) -> Time {
-        self.now_inner().network.now()
-    }
-
-    /// All events so far.
-    pub fn events(&self) -> Vec<Event> {
-        self.now_inner().network.trace().to_vec()
     }
 
     /// The findings about the boards' firmware.
@@ -182,4 +173,19 @@ fn to_message(frame: &Frame) -> CanMessage {
         Id::Extended(id) => CanId::extended(id),
     };
     if frame.remote { CanMessage::new_rtr(id) } else { CanMessage::new(id, frame.payload()) }
+}
+
+/// Runs a session while tokio's clock stands still, except when all wait.
+///
+/// # Panics
+/// There is no runtime.
+pub fn run<T>(session: impl Future<Output = T>) -> T {
+    let mut builder = tokio::runtime::Builder::new_current_thread();
+    let runtime = builder.enable_time().start_paused(true).build();
+    runtime.expect("a runtime").block_on(session)
+}
+
+/// Converts a duration of tokio's clock to the emulation's.
+fn span(duration: Duration) -> Time {
+    Time::from_ns(duration.as_nanos() as u64)
 }

@@ -2,7 +2,6 @@
 
 use std::ops::Range;
 
-use clap::builder::{PossibleValuesParser, TypedValueParser};
 use emulator::{
     Time,
     board::{self, Board},
@@ -10,9 +9,9 @@ use emulator::{
     image::Image,
 };
 use lss_slave::{Settings, lss::Address, settings::Log};
-use testkit::{
+
+use crate::{
     flash::BoardFlash,
-    image::{self, BuildError},
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
 };
 
@@ -20,32 +19,6 @@ use testkit::{
 pub const FIRST_START: Time = Time::from_s(1);
 /// The place of the settings log in the flash.
 const SETTINGS: Range<usize> = SETTINGS_OFFSET as usize..SETTINGS_OFFSET as usize + SETTINGS_LENGTH;
-
-/// Parser for the name of a chip on the command line.
-pub fn part() -> impl TypedValueParser<Value = Part> {
-    PossibleValuesParser::new(Part::ALL.map(Part::name)).map(|name| {
-        let named = Part::ALL.into_iter().find(|part| part.name() == name);
-        named.expect("only names of parts are possible")
-    })
-}
-
-/// An application that the firmware has in place of `src/application.rs`.
-#[derive(Clone, Copy, clap::ValueEnum)]
-pub enum Example {
-    /// Digital and analogue I/O, `src/io.rs`
-    Io,
-}
-
-/// Builds the firmware for `part`, with its own application or an example.
-///
-/// # Errors
-/// It does not build.
-pub fn image(part: Part, example: Option<Example>) -> Result<Image, BuildError> {
-    match example {
-        None => image::build(part),
-        Some(Example::Io) => image::build_example(part, "io"),
-    }
-}
 
 /// The board with this number, with erased settings, switched on at time zero. Each number gives a different unique id.
 pub fn board(part: Part, image: &Image, number: usize) -> Board {

@@ -1,0 +1,50 @@
+//! The product around the protocol: its description, its application and its process data.
+
+use super::parameters::Part;
+use crate::{
+    Application, BitRate, Device,
+    application::Event,
+    nmt,
+    process_data::ProcessData,
+    settings::parameters::{Parameter, Parameters},
+};
+
+#[derive(Clone, Debug)]
+pub(super) struct Product<A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
+    pub device: Device,
+    pub application: A,
+    pub process_data: ProcessData<TPDOS, RPDOS, PRODUCERS>,
+    /// The NMT state and the bit rate that the application knows.
+    known: (nmt::State, BitRate),
+}
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Product<A, TPDOS, RPDOS, PRODUCERS>
+{
+    /// A product after power-on.
+    pub const fn new(device: Device, application: A, rate: BitRate) -> Self {
+        let known = (nmt::State::Initialisation, rate);
+        Self { device, application, process_data: ProcessData::new::<A>(), known }
+    }
+
+    /// Informs the application and process data of the NMT state and the bit rate, if they are new.
+    pub fn inform(&mut self, state: nmt::State, rate: BitRate) {
+        let (known_state, known_rate) = self.known;
+        self.known = (state, rate);
+        if rate != known_rate {
+            self.application.handle(Event::BitRate(rate));
+        }
+        if state != known_state {
+            self.process_data.follow(state);
+            self.application.handle(Event::Nmt(state));
+        }
+    }
+
+    /// Takes a stored parameter in place of the default; returns whether it was taken.
+    pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
+        match Part::of(parameter.index) {
+            Part::Communication => self.process_data.restore::<A>(parameter),
+            Part::Application => self.application.restore(parameter),
+        }
+    }
+}
