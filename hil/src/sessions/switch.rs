@@ -55,6 +55,7 @@ fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
     }
     let heartbeats = bench.bus.collect(Duration::from_millis(200))?;
     bench.bus.request(Request::ActivateBitTiming(delay_ms))?;
+    let latency = ms(bench.bus.latency());
     let line = TimeLine::new(Instant::now(), &heartbeats);
     let delay = Duration::from_millis(delay_ms.into());
 
@@ -72,17 +73,20 @@ fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
     received.extend(first);
 
     let times: Vec<_> = heartbeats.iter().chain(&received).map(|frame| line.place(frame)).collect();
-    let last_frame =
-        times.iter().copied().filter(|at| *at < UNDER_WAY_MS).fold(f64::NEG_INFINITY, f64::max);
-    let first_frame = times.iter().copied().find(|at| *at >= UNDER_WAY_MS);
+    let last_frame = times
+        .iter()
+        .copied()
+        .filter(|at| *at < UNDER_WAY_MS + latency)
+        .fold(f64::NEG_INFINITY, f64::max);
+    let first_frame = times.iter().copied().find(|at| *at >= UNDER_WAY_MS + latency);
     let clock = if line.has_stamps(&received) { bench.bus.clock() } else { Clock::Host };
     let expected = 2.0 * f64::from(delay_ms);
     let seen = match first_frame {
         None => "silent after the switch".to_owned(),
         Some(at) => format!("the first frame after {at:.0} ms, by {clock}"),
     };
-    let is_good =
-        first_frame.is_some_and(|at| (expected - EARLY_MS..expected + LATE_MS).contains(&at));
+    let is_good = first_frame
+        .is_some_and(|at| (expected - EARLY_MS..expected + LATE_MS + latency).contains(&at));
     bench.report.expect(format!("{what}: silence"), is_good, seen, format!("{expected:.0} ms"));
     for (at, is_acknowledged) in &acknowledged {
         let rate = if *at < f64::from(delay_ms) { from } else { to };
