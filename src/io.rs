@@ -4,17 +4,19 @@
 //! The image has it with `--features io`, in place of `application.rs`. `docs/tutorial.md` builds it step by step.
 
 use lss_slave::{
+    application::{Domain, Text},
     objects,
     process_data::{Rpdo, Tpdo},
+    sdo::Abort,
 };
 
 /// The name of the product in its electronic data sheet.
 pub const DESCRIPTION: &str = "Digital and analogue I/O on an STM32F4";
 
-/// The button, and the temperature.
-pub const TPDOS: usize = 2;
-/// The LEDs.
-pub const RPDOS: usize = 1;
+/// The button, the temperature, and two for a master to map.
+pub const TPDOS: usize = 4;
+/// The LEDs, and three for a master to map.
+pub const RPDOS: usize = 4;
 /// One node, such as the master.
 pub const PRODUCERS: usize = 1;
 
@@ -27,6 +29,14 @@ objects! {
 
     0x2100 {
         0 "Filter constant of the temperature" filter: u8 = 3, rw, 0..=8, stored;
+    }
+    0x2101 "Calibration of the temperature" {
+        1 "Gain" gain: f32 = 1.0, rw, 0.5..=2.0, stored;
+        2 "Time in milliseconds since 1970" calibrated: i64 = 0, rw, stored;
+        3 "Inspector" inspector: Text<16> = Text::EMPTY, rw, stored;
+    }
+    0x2102 {
+        0 "Transfer test" transfer_test: Domain = Domain, rw;
     }
     0x6000 "Read input 8-bit" {
         1 "Button" inputs: u8 = 0, ro, mappable;
@@ -50,6 +60,48 @@ impl lss_slave::Application for Application {
         Tpdo::new(&[(0x6401, 1)]).with_event_timer(1000).with_inhibit_time(100),
     ];
     const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1)])];
+
+    fn accept(&mut self, value: &Value) -> Result<(), Abort> {
+        match value {
+            Value::outputs(4..) => Err(Abort::InvalidValue), // There are two LEDs.
+            _ => Ok(()),
+        }
+    }
+
+    // The only domain is the transfer test. Its content is known to both sides, so that it takes no memory.
+
+    fn domain_len(&self, _: u16, _: u8) -> Result<u32, Abort> {
+        Ok(TEST_LEN)
+    }
+
+    fn read_domain(&self, _: u16, _: u8, offset: u32, to: &mut [u8]) -> usize {
+        to.iter_mut().zip(test_content(offset)).map(|(to, byte)| *to = byte).count()
+    }
+
+    fn write_domain(&mut self, _: u16, _: u8, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        let mut expected = test_content(offset);
+        for &byte in bytes {
+            match expected.next() {
+                Some(expected) if byte == expected => {}
+                Some(_) => return Err(Abort::InvalidValue),
+                None => return Err(Abort::TooLong),
+            }
+        }
+        Ok(())
+    }
+
+    fn end_domain(&mut self, _: u16, _: u8, len: u32) -> Result<(), Abort> {
+        if len < TEST_LEN { Err(Abort::TooShort) } else { Ok(()) }
+    }
+}
+
+/// The length of the transfer test in bytes.
+const TEST_LEN: u32 = 100_000;
+
+/// The content of the transfer test from `offset` on, by which a master measures the bus in both directions: the
+/// highest byte of each offset times 2654435761.
+pub fn test_content(offset: u32) -> impl Iterator<Item = u8> {
+    (offset..TEST_LEN).map(|offset| (offset.wrapping_mul(2_654_435_761) >> 24) as u8)
 }
 
 /// What the board measures.
@@ -83,7 +135,8 @@ impl Application {
     /// least the delta 6426h from the one sent before.
     pub fn step(&mut self, sample: Sample, filter: &mut Filter) -> u8 {
         self.inputs = sample.is_pressed.into();
-        let temperature = filter.next(sample.temperature, self.filter);
+        let calibrated = (f32::from(sample.temperature) * self.gain) as i16;
+        let temperature = filter.next(calibrated, self.filter);
         if u32::from(temperature.abs_diff(self.temperature)) >= self.delta {
             self.temperature = temperature;
         }
@@ -120,6 +173,14 @@ mod tests {
             reported.push(io.temperature);
         }
         assert_eq!(reported, [250, 250, 255, 255, 250]);
+    }
+
+    #[test]
+    fn the_gain_calibrates_the_temperature() {
+        let (mut io, mut filter) = (Application::new(), Filter::default());
+        (io.filter, io.gain) = (0, 1.1);
+        steps(&mut io, &mut filter, 250, 1);
+        assert_eq!(io.temperature, 275);
     }
 
     #[test]

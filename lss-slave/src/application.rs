@@ -37,7 +37,10 @@ mod value;
 pub use declaration::{check, complete, longest};
 pub use text::{OctetString, Text};
 pub(crate) use value::copy;
-pub use value::{Domain, Value};
+pub use value::{
+    Domain, Integer24, Integer40, Integer48, Integer56, Unsigned24, Unsigned40, Unsigned48,
+    Unsigned56, Value,
+};
 
 use core::iter;
 

@@ -74,6 +74,9 @@ pub(crate) enum ErrorBehaviour {
 }
 
 impl ErrorBehaviour {
+    /// The behaviour of a new device.
+    pub const DEFAULT: Self = Self::EnterPreOperational;
+
     pub const fn new(value: u8) -> Option<Self> {
         match value {
             0 => Some(Self::EnterPreOperational),

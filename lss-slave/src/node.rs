@@ -121,7 +121,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub const HAS_TPDOS: bool = TPDOS > 0;
     /// The greatest number of bytes that the stored parameters take.
     pub const PARAMETERS: usize =
-        <A as Parameters>::LEN + ProcessData::<TPDOS, RPDOS, PRODUCERS>::PARAMETERS;
+        <A as Parameters>::LEN + ProcessData::<TPDOS, RPDOS, PRODUCERS>::stored_len::<A>();
 
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
@@ -294,7 +294,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// its limits; returns whether it was taken. [`Application::accept`] is not called. Pass all parameters before the
     /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
-        self.product.restore(parameter)
+        let is_taken = self.product.restore(parameter);
+        self.nmt.set_error_behaviour(self.product.process_data.error_behaviour::<A>());
+        is_taken
     }
 
     /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
@@ -312,7 +314,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 (Change::Keep, _) => part.keep(persistent, &mut packer),
                 (Change::Remove, _) => {}
                 // The heartbeat time is among the settings.
-                (Change::Renew, Part::Communication) => self.product.process_data.save(&mut packer),
+                (Change::Renew, Part::Communication) => {
+                    self.product.process_data.save::<A>(&mut packer);
+                }
                 (Change::Renew, Part::Application) => self.product.application.save(&mut packer),
             }
         }
@@ -322,7 +326,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Records the outcome of the last [`Action::Store`].
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         if self.storing.handle_stored(outcome) {
-            self.product.process_data.end_store(outcome.is_ok());
+            self.product.process_data.end_store::<A>(outcome.is_ok());
             if outcome.is_ok() {
                 self.emergency.faults.end(Fault::SettingsLost);
             }
@@ -494,7 +498,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     fn reset_communication(&mut self) -> Action {
         self.lss.reset_communication();
-        self.nmt.reset_communication(self.storing.persistent().heartbeat_ms);
+        let error_behaviour = self.product.process_data.error_behaviour::<A>();
+        self.nmt.reset_communication(self.storing.persistent().heartbeat_ms, error_behaviour);
         self.product.process_data.reset::<A>();
         self.end_sdo();
         Action::SetNodeId(self.node_id())
@@ -566,7 +571,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 Store(settings) => {
                     match Part::Communication.change(self.storing.download()) {
                         Change::Keep => {}
-                        Change::Renew => self.product.process_data.stage(),
+                        Change::Renew => {
+                            let error_behaviour = self.nmt.error_behaviour();
+                            self.product.process_data.stage::<A>(error_behaviour);
+                        }
                         Change::Remove => self.product.process_data.stage_declared::<A>(),
                     }
                     return Some(Action::Store(settings));

@@ -102,8 +102,16 @@ pub enum DataType {
     VisibleString = 0x09,
     OctetString = 0x0A,
     Domain = 0x0F,
+    Integer24 = 0x10,
     Real64 = 0x11,
+    Integer40 = 0x12,
+    Integer48 = 0x13,
+    Integer56 = 0x14,
     Integer64 = 0x15,
+    Unsigned24 = 0x16,
+    Unsigned40 = 0x18,
+    Unsigned48 = 0x19,
+    Unsigned56 = 0x1A,
     Unsigned64 = 0x1B,
 }
 
@@ -113,10 +121,28 @@ impl DataType {
         match self {
             Self::Boolean | Self::Integer8 | Self::Unsigned8 => 1,
             Self::Integer16 | Self::Unsigned16 => 2,
+            Self::Integer24 | Self::Unsigned24 => 3,
             Self::Integer32 | Self::Unsigned32 | Self::Real32 => 4,
+            Self::Integer40 | Self::Unsigned40 => 5,
+            Self::Integer48 | Self::Unsigned48 => 6,
+            Self::Integer56 | Self::Unsigned56 => 7,
             Self::Integer64 | Self::Unsigned64 | Self::Real64 => 8,
             Self::VisibleString | Self::OctetString | Self::Domain => 0,
         }
+    }
+
+    /// Whether integers of this type reach from `low` to `high`; true for any other type.
+    #[doc(hidden)]
+    pub const fn reaches(self, low: i128, high: i128) -> bool {
+        let numbers = 1_i128 << (8 * self.size() as u32);
+        let lowest = match self {
+            Self::Integer8 | Self::Integer16 | Self::Integer24 | Self::Integer32 => -numbers / 2,
+            Self::Integer40 | Self::Integer48 | Self::Integer56 | Self::Integer64 => -numbers / 2,
+            Self::Unsigned8 | Self::Unsigned16 | Self::Unsigned24 | Self::Unsigned32 => 0,
+            Self::Unsigned40 | Self::Unsigned48 | Self::Unsigned56 | Self::Unsigned64 => 0,
+            _ => return true,
+        };
+        lowest <= low && high < lowest + numbers
     }
 }
 

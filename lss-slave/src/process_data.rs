@@ -21,7 +21,7 @@ use crate::{
     Application, Frame, Instant, NodeId,
     application::Event,
     emergency::{COMMUNICATION, Errors},
-    nmt,
+    nmt::{self, ErrorBehaviour},
     object_dictionary::{Entry, Object},
     sdo::Abort,
 };
@@ -64,6 +64,21 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     /// The process data that the application declares. A wrong declaration does not compile.
     pub const fn new<A: Application>() -> Self {
+        let Configuration { tpdos, rpdos, producers, sync, .. } = Self::declared::<A>();
+        Self {
+            tpdos,
+            rpdos,
+            producers,
+            sync,
+            is_running: false,
+            has_new_receives: false,
+            persistent: None,
+            staged: None,
+        }
+    }
+
+    /// The parameters of a new device.
+    const fn declared<A: Application>() -> Configuration<TPDOS, RPDOS, PRODUCERS> {
         let (tpdos, rpdos) = const {
             assert!(
                 TPDOS <= MAX_PDOS && RPDOS <= MAX_PDOS,
@@ -90,24 +105,23 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             }
             (tpdos, rpdos)
         };
-        Self {
+        Configuration {
             tpdos,
             rpdos,
             producers: [Producer::UNUSED; PRODUCERS],
             sync: Sync::new(),
-            is_running: false,
-            has_new_receives: false,
-            persistent: None,
-            staged: None,
+            error_behaviour: ErrorBehaviour::DEFAULT,
         }
     }
 
     /// Restarts as after power-on, with the persistent parameters.
     pub fn reset<A: Application>(&mut self) {
         if Self::IS_USED {
-            let Configuration { tpdos, rpdos, producers, sync } = self.persistent::<A>();
-            let (is_running, has_new_receives) = (false, false);
-            *self = Self { tpdos, rpdos, producers, sync, is_running, has_new_receives, ..*self };
+            let Configuration { tpdos, rpdos, producers, sync, .. } = self.persistent::<A>();
+            (self.tpdos, self.rpdos, self.producers, self.sync) = (tpdos, rpdos, producers, sync);
+            (self.is_running, self.has_new_receives) = (false, false);
+            self.tpdos.iter_mut().for_each(TransmitPdo::restart);
+            self.rpdos.iter_mut().for_each(ReceivePdo::restart);
         }
     }
 

@@ -270,12 +270,10 @@ fn default_of_application(entry: &Entry, application: &impl Dictionary) -> Optio
     let is_negative = bytes.last().is_some_and(|top| top & 0x80 != 0);
     use DataType::*;
     Some(match entry.data_type {
-        Boolean | Unsigned8 | Unsigned16 | Unsigned32 | Unsigned64 => {
-            u64::from_le_bytes(number(false)).to_string()
-        }
-        Integer8 | Integer16 | Integer32 | Integer64 => {
-            i64::from_le_bytes(number(is_negative)).to_string()
-        }
+        Boolean | Unsigned8 | Unsigned16 | Unsigned24 | Unsigned32 | Unsigned40 | Unsigned48
+        | Unsigned56 | Unsigned64 => u64::from_le_bytes(number(false)).to_string(),
+        Integer8 | Integer16 | Integer24 | Integer32 | Integer40 | Integer48 | Integer56
+        | Integer64 => i64::from_le_bytes(number(is_negative)).to_string(),
         Real32 => f32::from_bits(u64::from_le_bytes(number(false)) as u32).to_string(),
         Real64 => f64::from_bits(u64::from_le_bytes(number(false))).to_string(),
         VisibleString => String::from_utf8_lossy(&bytes).into_owned(),

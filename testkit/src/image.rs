@@ -46,6 +46,14 @@ pub fn image() -> &'static Image {
     IMAGE.get_or_init(|| build(Part::Stm32f405).unwrap_or_else(|error| panic!("{error}")))
 }
 
+/// The release image with the example `io` for the STM32F407, built once.
+pub fn example() -> &'static Image {
+    static IMAGE: OnceLock<Image> = OnceLock::new();
+    IMAGE.get_or_init(|| {
+        build_example(Part::Stm32f407, "io").unwrap_or_else(|error| panic!("{error}"))
+    })
+}
+
 /// Builds the release firmware for `part` with the running `cargo`, and loads it.
 ///
 /// # Errors

@@ -1,7 +1,7 @@
 //! A test rig for the release image: emulated boards and an LSS master on one bus, with checks of the boards'
 //! behaviour.
 
-use std::thread;
+use std::{ops::Range, thread};
 
 use emulator::{
     Time, board,
@@ -14,7 +14,8 @@ use lss_slave::{BitRate, BitRateSetting, NodeId, Settings, settings::Log};
 use super::{
     flash::BoardFlash,
     frames::{self, Frames},
-    image::image,
+    image::{example, image},
+    sdo::{self, Client},
 };
 
 /// The bit rate of the image on a board with blank flash: `DEFAULTS` of src/device.rs.
@@ -50,6 +51,13 @@ pub fn blank_board(number: u8) -> board::Board {
 /// A board with stored `settings`.
 pub fn board_with(number: u8, settings: Settings) -> board::Board {
     let mut board = blank_board(number);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
+    board
+}
+
+/// A board with the image of the example `io` and stored `settings`.
+pub fn example_board(settings: Settings) -> board::Board {
+    let mut board = board::Board::new(Part::Stm32f407, example(), board::Settings::default());
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
 }
@@ -213,6 +221,22 @@ impl ImageRig {
         }
     }
 
+    /// A client of the SDO server of the node `node_id`, which is the master.
+    pub fn sdo_client(&mut self, node_id: u8) -> SdoClient<'_> {
+        SdoClient { rig: self, node_id }
+    }
+
+    /// The share of a span in which frames, with the intermissions of three bits, are on the bus, in percent.
+    pub fn bus_load(&self, span: Range<Time>) -> u64 {
+        let intermission = self.bit_time() * 3;
+        let events = self.network.trace().iter().filter(|event| span.contains(&event.time));
+        let busy = events.filter_map(|event| match event.what {
+            What::Frame { start, .. } => Some((event.time + intermission - start).as_ps()),
+            _ => None,
+        });
+        busy.sum::<u64>() * 100 / (span.end - span.start).as_ps()
+    }
+
     /// Adds a node at a bit rate that no other node uses, disconnected from the bus.
     pub fn add_disturber(&mut self) -> AdapterId {
         let disturber = self.network.add_adapter(Adapter::new(333_000));
@@ -278,6 +302,31 @@ impl ImageRig {
             let causes: Vec<_> = board.resets().iter().map(|&(_, cause)| cause).collect();
             assert_eq!(causes, *expected, "resets of board {number}: {:?}", board.resets());
         }
+    }
+}
+
+/// The master as a client of the SDO server of one node. It answers at once.
+pub struct SdoClient<'a> {
+    rig: &'a mut ImageRig,
+    node_id: u8,
+}
+
+impl Client for SdoClient<'_> {
+    fn say(&mut self, messages: &[[u8; 8]], is_last: impl Fn(&[u8; 8]) -> bool) -> Vec<[u8; 8]> {
+        for message in messages {
+            let frame = on_the_wire(&sdo::of_client(self.node_id, message));
+            self.rig.network.send(self.rig.master, frame);
+        }
+        let mut answers = Vec::new();
+        while !answers.last().is_some_and(&is_last) {
+            let frame = self.rig.next_frame().1.0.pop().expect("an answer");
+            answers.extend(sdo::of_server(self.node_id, &frame));
+        }
+        answers
+    }
+
+    fn confirm(&mut self, message: [u8; 8]) {
+        self.rig.transmit(on_the_wire(&sdo::of_client(self.node_id, &message)));
     }
 }
 

@@ -1,5 +1,5 @@
-//! An SDO client (CiA 301, 7.2.4) for the tests, written independently of the server. It checks each byte of the
-//! answers.
+//! An SDO client (CiA 301, 7.2.4) for the tests, of a node in the process and of the release image. It is written
+//! independently of the server, and checks each byte of the answers.
 
 use lss_slave::{Application, Frame};
 
@@ -22,12 +22,58 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     pub fn sdo(&mut self, text: &str) -> Frames {
         self.receive(&request(0x40, text))
     }
+}
+
+impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> Client
+    for NodeRig<A, TPDOS, RPDOS, PRODUCERS>
+{
+    fn say(&mut self, messages: &[[u8; 8]], is_last: impl Fn(&[u8; 8]) -> bool) -> Vec<[u8; 8]> {
+        let node_id = self.node.node_id().expect("a node-ID").get();
+        let mut answers = Vec::new();
+        for message in messages {
+            let sent = self.receive(&of_client(node_id, message));
+            answers
+                .extend(sent.0.iter().map(|frame| of_server(node_id, frame).expect("an answer")));
+        }
+        let ends = answers.iter().position(is_last);
+        assert_eq!(ends.map(|at| at + 1), Some(answers.len()), "{answers:02X?}");
+        answers
+    }
+
+    fn confirm(&mut self, message: [u8; 8]) {
+        let node_id = self.node.node_id().expect("a node-ID").get();
+        let answers = self.receive(&of_client(node_id, &message));
+        assert!(answers.0.is_empty(), "{answers:?} to a confirmation");
+    }
+}
+
+/// A message of the client to a node.
+pub(crate) fn of_client(node_id: u8, message: &[u8; 8]) -> Frame {
+    Frame::new(0x600 + u16::from(node_id), message).expect("a frame")
+}
+
+/// The message in a frame of the server of a node.
+pub(crate) fn of_server(node_id: u8, frame: &Frame) -> Option<[u8; 8]> {
+    let is_it = frame.cob_id() == 0x580 + u16::from(node_id);
+    is_it.then(|| frame.data().try_into().expect("eight bytes"))
+}
+
+/// A client of the SDO server of one node.
+pub trait Client {
+    /// Sends messages; returns the answers, to the first one for which `is_last` is true.
+    ///
+    /// # Panics
+    /// If this answer does not come.
+    fn say(&mut self, messages: &[[u8; 8]], is_last: impl Fn(&[u8; 8]) -> bool) -> Vec<[u8; 8]>;
+
+    /// Sends a message that is not answered.
+    fn confirm(&mut self, message: [u8; 8]);
 
     /// Reads an object.
     ///
     /// # Errors
     /// The abort code.
-    pub fn upload(&mut self, index: u16, sub_index: u8) -> Result<Vec<u8>, u32> {
+    fn upload(&mut self, index: u16, sub_index: u8) -> Result<Vec<u8>, u32> {
         let answer = self.transfer([0x40, 0, 0, 0, 0, 0, 0, 0], index, sub_index)?;
         let size = u32::from_le_bytes([answer[4], answer[5], answer[6], answer[7]]);
         match answer[0] {
@@ -46,7 +92,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     }
 
     /// Reads a number of up to four bytes.
-    pub fn number(&mut self, index: u16, sub_index: u8) -> u32 {
+    fn number(&mut self, index: u16, sub_index: u8) -> u32 {
         let mut bytes = self.upload(index, sub_index).expect("the object can be read");
         assert!(bytes.len() <= 4, "a number");
         bytes.resize(4, 0);
@@ -57,7 +103,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     ///
     /// # Errors
     /// The abort code.
-    pub fn download(&mut self, index: u16, sub_index: u8, data: &[u8]) -> Result<(), u32> {
+    fn download(&mut self, index: u16, sub_index: u8, data: &[u8]) -> Result<(), u32> {
         if !(1..=4).contains(&data.len()) {
             return self.download_segments(index, sub_index, data, Some(data.len() as u32));
         }
@@ -73,7 +119,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     ///
     /// # Errors
     /// The abort code.
-    pub fn download_segments(
+    fn download_segments(
         &mut self,
         index: u16,
         sub_index: u8,
@@ -109,45 +155,32 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     ///
     /// # Errors
     /// The abort code.
-    pub fn block_upload(
-        &mut self,
-        index: u16,
-        sub_index: u8,
-        block_size: u8,
-    ) -> Result<Vec<u8>, u32> {
+    fn block_upload(&mut self, index: u16, sub_index: u8, block_size: u8) -> Result<Vec<u8>, u32> {
         let request = [0xA4, 0, 0, 0, block_size, 0, 0, 0];
         let answer = self.transfer(request, index, sub_index)?;
         assert_eq!(answer[0], 0xC6, "the server checks by CRC and indicates the size");
         let size = u32::from_le_bytes([answer[4], answer[5], answer[6], answer[7]]) as usize;
         let mut data = Vec::new();
-        let mut sent = self.say([0xA3, 0, 0, 0, 0, 0, 0, 0]);
-        loop {
-            let last = sent.0.len();
-            assert!((1..=usize::from(block_size)).contains(&last), "{last} segments");
-            let mut is_end = false;
-            for (number, segment) in (1..).zip(&sent.0) {
-                assert_eq!(segment.cob_id(), self.response_cob_id());
-                is_end = segment.data()[0] & 0x80 != 0;
-                assert_eq!(segment.data()[0] & 0x7F, number, "the sequence number");
-                assert!(!is_end || usize::from(number) == last, "the last one ends the block");
-                data.extend(&segment.data()[1..]);
+        let mut message = [0xA3, 0, 0, 0, 0, 0, 0, 0];
+        let mut is_end = false;
+        while !is_end {
+            let is_last = |segment: &[u8; 8]| segment[0] & 0x80 != 0 || segment[0] == block_size;
+            let segments = self.say(&[message], is_last);
+            for (number, segment) in (1..).zip(&segments) {
+                assert_eq!(segment[0] & 0x7F, number, "the sequence number");
+                is_end = segment[0] & 0x80 != 0;
+                data.extend(&segment[1..]);
             }
-            assert!(is_end || last == usize::from(block_size), "a block that is not full ends it");
-            sent = self.say([0xA2, last as u8, block_size, 0, 0, 0, 0, 0]);
-            if is_end {
-                break;
-            }
+            message = [0xA2, segments.len() as u8, block_size, 0, 0, 0, 0, 0];
         }
-        let [end] = sent.0[..] else { panic!("the end, not {sent:?}") };
-        let end: [u8; 8] = end.data().try_into().expect("eight bytes");
-        let [command, c0, c1, rest @ ..] = end;
+        let [command, c0, c1, rest @ ..] = self.exchange(message);
         assert_eq!((command & 0xE3, rest), (0xC1, [0; 5]));
         let unused = usize::from(command >> 2 & 7);
         assert!(data[data.len() - unused..].iter().all(|&byte| byte == 0), "unused bytes are 0");
         data.truncate(data.len() - unused);
         assert_eq!(data.len(), size, "the size that was indicated");
         assert_eq!(u16::from_le_bytes([c0, c1]), crc(&data), "the CRC");
-        assert!(self.say([0xA1, 0, 0, 0, 0, 0, 0, 0]).0.is_empty(), "it is not answered");
+        self.confirm([0xA1, 0, 0, 0, 0, 0, 0, 0]);
         Ok(data)
     }
 
@@ -155,43 +188,34 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     ///
     /// # Errors
     /// The abort code.
-    pub fn block_download(&mut self, index: u16, sub_index: u8, data: &[u8]) -> Result<(), u32> {
+    fn block_download(&mut self, index: u16, sub_index: u8, data: &[u8]) -> Result<(), u32> {
         let [s0, s1, s2, s3] = (data.len() as u32).to_le_bytes();
         let answer = self.transfer([0xC6, 0, 0, 0, s0, s1, s2, s3], index, sub_index)?;
         assert_eq!(answer[0], 0xA4, "the server checks by CRC");
         let mut block_size = answer[4];
         let mut rest = data;
-        let mut last_len;
-        loop {
+        let (mut unused, mut is_end) = (0, false);
+        while !is_end {
             assert!((1..=127).contains(&block_size), "block size {block_size}");
-            let mut number = 0;
-            loop {
-                number += 1;
-                let (part, others) = rest.split_at(rest.len().min(7));
-                (rest, last_len) = (others, part.len() as u8);
-                let mut request = [0; 8];
-                request[0] = number | if rest.is_empty() { 0x80 } else { 0 };
-                request[1..][..part.len()].copy_from_slice(part);
-                let answers = self.say(request);
-                if let [answer] = &answers.0[..] {
-                    let answer: [u8; 8] = answer.data().try_into().expect("eight bytes");
-                    if answer[0] == 0x80 {
-                        return Err(abort_code(&answer, index, sub_index));
-                    }
-                    assert_eq!(answer[..2], [0xA2, number], "all segments are confirmed");
-                    assert_eq!(answer[3..], [0; 5]);
-                    block_size = answer[2];
-                    break;
-                }
-                assert!(answers.0.is_empty());
-                assert!(number < block_size && !rest.is_empty(), "the block is not confirmed");
+            let mut block = Vec::new();
+            while !is_end && block.len() < usize::from(block_size) {
+                let (segment, others) = rest.split_at(rest.len().min(7));
+                (rest, unused, is_end) = (others, 7 - segment.len() as u8, others.is_empty());
+                let mut message = [0; 8];
+                message[0] = (block.len() as u8 + 1) | if is_end { 0x80 } else { 0 };
+                message[1..][..segment.len()].copy_from_slice(segment);
+                block.push(message);
             }
-            if rest.is_empty() {
-                break;
+            let [answer] = self.say(&block, |_| true)[..] else { panic!("one answer") };
+            if answer[0] == 0x80 {
+                return Err(abort_code(&answer, index, sub_index));
             }
+            assert_eq!(answer[..2], [0xA2, block.len() as u8], "all segments are confirmed");
+            assert_eq!(answer[3..], [0; 5]);
+            block_size = answer[2];
         }
         let [c0, c1] = crc(data).to_le_bytes();
-        let answer = self.exchange([0xC1 | (7 - last_len) << 2, c0, c1, 0, 0, 0, 0, 0]);
+        let answer = self.exchange([0xC1 | unused << 2, c0, c1, 0, 0, 0, 0, 0]);
         match answer[0] {
             0x80 => Err(abort_code(&answer, index, sub_index)),
             _ => {
@@ -201,6 +225,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
         }
     }
 
+    /// The data of an upload in segments that has begun.
     fn upload_segments(&mut self) -> Vec<u8> {
         let mut data = Vec::new();
         for toggle in [0x00, 0x10].into_iter().cycle() {
@@ -234,21 +259,11 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
         }
     }
 
+    /// The answer to a request.
     fn exchange(&mut self, request: [u8; 8]) -> [u8; 8] {
-        let answers = self.say(request);
-        let [answer] = answers.0[..] else { panic!("one answer, not {answers:?}") };
-        assert_eq!(answer.cob_id(), self.response_cob_id());
-        answer.data().try_into().expect("eight bytes")
-    }
-
-    /// The frames that follow a message of the client.
-    fn say(&mut self, message: [u8; 8]) -> Frames {
-        let message = Frame::new(self.response_cob_id() + 0x80, &message).expect("a frame");
-        self.receive(&message)
-    }
-
-    fn response_cob_id(&self) -> u16 {
-        0x580 + u16::from(self.node.node_id().expect("a node-ID").get())
+        let answers = self.say(&[request], |_| true);
+        let [answer] = answers[..] else { panic!("one answer, not {answers:02X?}") };
+        answer
     }
 }
 

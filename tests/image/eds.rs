@@ -1,16 +1,17 @@
-//! The release image is what its EDS says: every value is read and written by SDO.
+//! The release image is what its EDS says, the default one and that of the example `io`: every value is read and
+//! written by SDO.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, ops::Range};
 
 use emulator::Time;
-use lss_slave::{BitRate, Frame};
+use lss_slave::BitRate;
 use lss_slave_firmware::device::DEFAULTS;
 use testkit::{
     eds::parse,
-    image_rig::{ImageRig, on_the_wire, settings},
+    image_rig::{ImageRig, board_with, example_board, settings},
+    sdo::Client,
 };
 
-const EDS: &str = include_str!("../../eds/lss-slave.eds");
 const NODE_ID: u8 = 0x40;
 const READ_ONLY: u32 = 0x0601_0002;
 const WRITE_ONLY: u32 = 0x0601_0001;
@@ -20,6 +21,22 @@ const OUT_OF_RANGE: [u32; 3] = [0x0609_0030, 0x0609_0031, 0x0609_0032];
 const NO_OBJECT: u32 = 0x0602_0000;
 const NO_SUB_INDEX: u32 = 0x0609_0011;
 const NO_DATA: u32 = 0x0800_0024;
+/// The parameters of PDOs, which change by a procedure of their own.
+const PDOS: Range<u16> = 0x1400..0x1C00;
+/// The temperature of the example is measured: it has not kept its default.
+const MEASURED: u16 = 0x6401;
+
+/// The data type of a value.
+#[derive(Clone, Copy, PartialEq)]
+enum Type {
+    Unsigned(usize),
+    Signed(usize),
+    Real32,
+    Real64,
+    Text,
+    Octets,
+    Domain,
+}
 
 /// A value as its section in the EDS describes it.
 struct Value {
@@ -29,55 +46,125 @@ struct Value {
 }
 
 impl Value {
-    /// The length in bytes of a number and whether it is signed; `None` for a text.
-    fn number_type(&self) -> Option<(usize, bool)> {
+    fn data_type(&self) -> Type {
         match &*self.keys["DataType"] {
-            "0x0001" | "0x0005" => Some((1, false)),
-            "0x0002" => Some((1, true)),
-            "0x0003" => Some((2, true)),
-            "0x0004" => Some((4, true)),
-            "0x0006" => Some((2, false)),
-            "0x0007" => Some((4, false)),
-            "0x0009" => None,
+            "0x0001" | "0x0005" => Type::Unsigned(1),
+            "0x0002" => Type::Signed(1),
+            "0x0003" => Type::Signed(2),
+            "0x0004" => Type::Signed(4),
+            "0x0006" => Type::Unsigned(2),
+            "0x0007" => Type::Unsigned(4),
+            "0x0008" => Type::Real32,
+            "0x0009" => Type::Text,
+            "0x000A" => Type::Octets,
+            "0x000F" => Type::Domain,
+            "0x0010" => Type::Signed(3),
+            "0x0011" => Type::Real64,
+            "0x0012" => Type::Signed(5),
+            "0x0013" => Type::Signed(6),
+            "0x0014" => Type::Signed(7),
+            "0x0015" => Type::Signed(8),
+            "0x0016" => Type::Unsigned(3),
+            "0x0018" => Type::Unsigned(5),
+            "0x0019" => Type::Unsigned(6),
+            "0x001A" => Type::Unsigned(7),
+            "0x001B" => Type::Unsigned(8),
             other => panic!("data type {other}"),
         }
     }
 
+    /// The length of a number in bytes.
     fn len(&self) -> Option<usize> {
-        self.number_type().map(|(len, _)| len)
+        match self.data_type() {
+            Type::Unsigned(len) | Type::Signed(len) => Some(len),
+            Type::Real32 => Some(4),
+            Type::Real64 => Some(8),
+            Type::Text | Type::Octets | Type::Domain => None,
+        }
     }
 
-    /// The number at `key`.
-    fn number(&self, key: &str) -> Option<i64> {
+    fn number(&self, key: &str) -> Option<i128> {
         let text = self.keys.get(key)?;
         let (base, text) = match text.strip_prefix("$NODEID+") {
-            Some(rest) => (i64::from(NODE_ID), rest),
+            Some(rest) => (i128::from(NODE_ID), rest),
             None => (0, text.as_str()),
         };
         let number = match text.strip_prefix("0x") {
-            Some(hex) => i64::from_str_radix(hex, 16),
+            Some(hex) => i128::from_str_radix(hex, 16),
             None => text.parse(),
         };
         Some(base + number.expect("a number"))
     }
 
-    /// Whether the data type has this number.
-    fn can_be(&self, number: i64) -> bool {
-        let (len, is_signed) = self.number_type().expect("a number");
-        let numbers = 1 << (8 * len);
-        let lowest = if is_signed { -numbers / 2 } else { 0 };
-        (lowest..lowest + numbers).contains(&number)
+    /// The bytes of the value at `key`.
+    fn bytes(&self, key: &str) -> Option<Vec<u8>> {
+        let text = self.keys.get(key)?;
+        Some(match self.data_type() {
+            Type::Unsigned(len) | Type::Signed(len) => {
+                self.number(key)?.to_le_bytes()[..len].to_vec()
+            }
+            Type::Real32 => text.parse::<f32>().expect("a number").to_le_bytes().to_vec(),
+            Type::Real64 => text.parse::<f64>().expect("a number").to_le_bytes().to_vec(),
+            Type::Text => text.as_bytes().to_vec(),
+            Type::Octets => text
+                .as_bytes()
+                .chunks(2)
+                .map(|hex| u8::from_str_radix(str::from_utf8(hex).unwrap(), 16).expect("hex"))
+                .collect(),
+            Type::Domain => panic!("a domain has no default"),
+        })
+    }
+
+    /// The numbers of the type next to the limits, beyond them.
+    fn beyond(&self) -> Vec<Vec<u8>> {
+        let (low, high) = (&self.keys["LowLimit"], &self.keys["HighLimit"]);
+        let (len, lowest) = match self.data_type() {
+            Type::Unsigned(len) => (len, 0),
+            Type::Signed(len) => (len, -1_i128 << (8 * len - 1)),
+            Type::Real32 => {
+                let (low, high): (f32, f32) = (low.parse().unwrap(), high.parse().unwrap());
+                let numbers = [low.next_down(), high.next_up(), f32::NAN, f32::INFINITY];
+                return numbers.map(|number| number.to_le_bytes().to_vec()).to_vec();
+            }
+            _ => panic!("limits of a value without order"),
+        };
+        let [low, high] = ["LowLimit", "HighLimit"].map(|key| self.number(key).unwrap());
+        [low - 1, high + 1]
+            .into_iter()
+            .filter(|number| (lowest..lowest + (1 << (8 * len))).contains(number))
+            .map(|number| number.to_le_bytes()[..len].to_vec())
+            .collect()
     }
 
     fn is_writable(&self) -> bool {
         matches!(&*self.keys["AccessType"], "rw" | "wo")
     }
+
+    fn name(&self) -> String {
+        format!("[{:04X}] sub {}", self.index, self.sub_index)
+    }
+
+    fn upload(&self, bench: &mut ImageRig) -> Result<Vec<u8>, u32> {
+        bench.sdo_client(NODE_ID).upload(self.index, self.sub_index)
+    }
+
+    fn download(&self, bench: &mut ImageRig, data: &[u8]) -> Result<(), u32> {
+        bench.sdo_client(NODE_ID).download(self.index, self.sub_index, data)
+    }
+
+    /// Whether the value is this, or cannot be read because it is write-only.
+    fn holds(&self, bench: &mut ImageRig, data: &[u8]) -> bool {
+        match self.upload(bench) {
+            Err(WRITE_ONLY) => self.keys["AccessType"] == "wo",
+            read => read.as_deref() == Ok(data),
+        }
+    }
 }
 
-/// The values of the EDS, without the heads of objects with sub-indices.
-fn values() -> Vec<Value> {
+/// The values of an EDS, without the heads of objects with sub-indices.
+fn values(eds: &str) -> Vec<Value> {
     let mut values = Vec::new();
-    for (name, keys) in parse(EDS) {
+    for (name, keys) in parse(eds) {
         let (index, sub_index) = name.split_once("sub").unwrap_or((&name, "0"));
         let index = u16::from_str_radix(index, 16);
         let sub_index = u8::from_str_radix(sub_index, 16);
@@ -90,164 +177,149 @@ fn values() -> Vec<Value> {
     values
 }
 
-/// A board with this node-ID and the heartbeat time of a new device.
-fn board() -> ImageRig {
-    let settings = settings(NODE_ID, BitRate::Kbit1000);
-    let mut bench = ImageRig::with(settings.with_heartbeat_ms(DEFAULTS.heartbeat_ms));
-    bench.collect(Time::from_ms(20));
-    bench
-}
-
-/// The answer to an SDO request.
-fn exchange(bench: &mut ImageRig, request: [u8; 8]) -> [u8; 8] {
-    let request = Frame::new(0x600 + u16::from(NODE_ID), &request).expect("a frame");
-    bench.transmit(on_the_wire(&request));
-    let answer_cob_id = 0x580 + u16::from(NODE_ID);
-    loop {
-        let frame = bench.next_frame().1.0.pop().expect("an answer");
-        if frame.cob_id() == answer_cob_id {
-            return frame.data().try_into().expect("eight bytes");
-        }
-    }
-}
-
-/// The answer to the first request of a transfer, or the abort code.
-fn begin(bench: &mut ImageRig, mut request: [u8; 8], value: &Value) -> Result<[u8; 8], u32> {
-    let [low, high] = value.index.to_le_bytes();
-    request[1..4].copy_from_slice(&[low, high, value.sub_index]);
-    let answer = exchange(bench, request);
-    assert_eq!(answer[1..4], request[1..4]);
-    match answer {
-        [0x80, .., a, b, c, d] => Err(u32::from_le_bytes([a, b, c, d])),
-        _ => Ok(answer),
-    }
-}
-
-fn upload(bench: &mut ImageRig, value: &Value) -> Result<Vec<u8>, u32> {
-    let answer = begin(bench, [0x40, 0, 0, 0, 0, 0, 0, 0], value)?;
-    if answer[0] & 0xF3 == 0x43 {
-        return Ok(answer[4..8 - usize::from(answer[0] >> 2 & 3)].to_vec());
-    }
-    assert_eq!(answer[0], 0x41, "a segmented transfer");
-    let mut data = Vec::new();
-    for toggle in [0x00, 0x10].into_iter().cycle() {
-        let segment = exchange(bench, [0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
-        data.extend(&segment[1..8 - usize::from(segment[0] >> 1 & 7)]);
-        if segment[0] & 1 == 1 {
-            break;
-        }
-    }
-    Ok(data)
-}
-
-fn download(bench: &mut ImageRig, value: &Value, number: i64, len: usize) -> Result<(), u32> {
-    let mut request = [0; 8];
-    request[0] = 0x23 | (4 - len as u8) << 2;
-    request[4..4 + len].copy_from_slice(&number.to_le_bytes()[..len]);
-    begin(bench, request, value).map(|answer| assert_eq!(answer[0], 0x60))
+/// A board with the default image and one with the example, each with the values of its EDS. They have this node-ID and
+/// the heartbeat time of a new device.
+fn boards() -> [(ImageRig, Vec<Value>); 2] {
+    let settings = settings(NODE_ID, BitRate::Kbit1000).with_heartbeat_ms(DEFAULTS.heartbeat_ms);
+    let default = (board_with(0, settings), include_str!("../../eds/lss-slave.eds"));
+    let example = (example_board(settings), include_str!("../../eds/io.eds"));
+    [default, example].map(|(board, eds)| {
+        let mut bench = ImageRig::new(BitRate::Kbit1000, [board]);
+        bench.collect(Time::from_ms(20));
+        (bench, values(eds))
+    })
 }
 
 #[test]
 fn every_value_of_the_image_has_the_length_and_the_default_of_its_eds() {
-    let mut bench = board();
-    let (mut defaults, values) = (0, values());
-    for value in &values {
-        let name = format!("[{:04X}] sub {}", value.index, value.sub_index);
-        let read = match upload(&mut bench, value) {
-            Err(NO_DATA) if value.index == 0x1003 && value.sub_index > 0 => continue,
-            Err(WRITE_ONLY) if value.keys["AccessType"] == "wo" => continue,
-            read => read.unwrap_or_else(|code| panic!("{name} is not read: {code:08X}")),
-        };
-        assert_ne!(value.keys["AccessType"], "wo", "{name} can be read");
-        let Some(len) = value.len() else {
-            assert_eq!(String::from_utf8_lossy(&read), value.keys["DefaultValue"], "{name}");
-            defaults += 1;
-            continue;
-        };
-        assert_eq!(read.len(), len, "{name}");
-        if let Some(default) = value.number("DefaultValue") {
-            assert_eq!(read, default.to_le_bytes()[..len], "{name}");
-            defaults += 1;
+    let mut counts = Vec::new();
+    for (mut bench, values) in boards() {
+        let mut defaults = 0;
+        for value in &values {
+            let name = value.name();
+            if value.data_type() == Type::Domain {
+                let mut client = bench.sdo_client(NODE_ID);
+                let read = client.block_upload(value.index, value.sub_index, 127);
+                assert!(read.is_ok_and(|read| !read.is_empty()), "{name}");
+                continue;
+            }
+            let read = match value.upload(&mut bench) {
+                Err(NO_DATA) if value.index == 0x1003 && value.sub_index > 0 => continue,
+                Err(WRITE_ONLY) if value.keys["AccessType"] == "wo" => continue,
+                read => read.unwrap_or_else(|code| panic!("{name} is not read: {code:08X}")),
+            };
+            assert_ne!(value.keys["AccessType"], "wo", "{name} can be read");
+            if let Some(len) = value.len() {
+                assert_eq!(read.len(), len, "{name}");
+            }
+            if let Some(default) = value.bytes("DefaultValue")
+                && (value.index, value.sub_index) != (MEASURED, 1)
+            {
+                assert_eq!(read, default, "{name}");
+                defaults += 1;
+            }
         }
+        counts.push((values.len(), defaults));
     }
-    assert!(values.len() >= 35 && defaults >= 19, "{} values, {defaults} defaults", values.len());
+    assert!(counts[0] >= (35, 19) && counts[1] >= (95, 70), "values and defaults: {counts:?}");
 }
 
 #[test]
 fn every_value_of_the_image_is_writable_only_if_its_eds_says_so() {
-    let mut bench = board();
-    let mut writable = Vec::new();
-    for value in &values() {
-        let name = format!("[{:04X}] sub {}", value.index, value.sub_index);
-        if !value.is_writable() {
-            assert_eq!(
-                download(&mut bench, value, 1, value.len().unwrap_or(4)),
-                Err(READ_ONLY),
-                "{name}"
-            );
-            continue;
+    let mut all = Vec::new();
+    for (mut bench, values) in boards() {
+        let mut writable = Vec::new();
+        for value in &values {
+            let name = value.name();
+            let (data_type, len) = (value.data_type(), value.len().unwrap_or(4));
+            let mut download = |len: usize| value.download(&mut bench, &vec![0; len]);
+            if !value.is_writable() {
+                assert_eq!(download(len), Err(READ_ONLY), "{name}");
+                continue;
+            }
+            if data_type == Type::Domain {
+                // The application knows what it expects.
+                assert_ne!(download(len), Err(READ_ONLY), "{name}");
+                continue;
+            }
+            if value.len().is_some() {
+                // The default image has no transfers in segments.
+                if len != 4 {
+                    assert_eq!(download(len + 1), Err(TOO_LONG), "{name}");
+                }
+                if len > 1 {
+                    assert_eq!(download(len - 1), Err(TOO_SHORT), "{name}");
+                }
+            }
+            let acts = value.keys.contains_key("ObjFlags") || PDOS.contains(&value.index);
+            if let (Some(default), false) = (value.bytes("DefaultValue"), acts) {
+                assert_eq!(value.download(&mut bench, &default), Ok(()), "{name}");
+                writable.push((value.index, value.sub_index));
+            }
         }
-        let len = value.len().expect("a number");
-        if len < 4 {
-            assert_eq!(download(&mut bench, value, 0, len + 1), Err(TOO_LONG), "{name}");
-        }
-        if len > 1 {
-            assert_eq!(download(&mut bench, value, 0, len - 1), Err(TOO_SHORT), "{name}");
-        }
-        let acts = value.keys.contains_key("ObjFlags");
-        if let (Some(default), false) = (value.number("DefaultValue"), acts) {
-            assert_eq!(download(&mut bench, value, default, len), Ok(()), "{name}");
-            writable.push((value.index, value.sub_index));
-        }
+        all.push(writable);
     }
-    assert!(writable.starts_with(&[(0x1017, 0), (0x1029, 1)]), "{writable:X?}");
-}
-
-/// Whether the value is this number, or cannot be read because it is write-only.
-fn holds(bench: &mut ImageRig, value: &Value, number: i64) -> bool {
-    match upload(bench, value) {
-        Err(WRITE_ONLY) => value.keys["AccessType"] == "wo",
-        read => read.is_ok_and(|read| read == number.to_le_bytes()[..read.len()]),
-    }
+    assert_eq!(all[0], [(0x1017, 0), (0x1029, 1)]);
+    let of_example: Vec<_> = all[1].iter().filter(|(index, _)| *index >= 0x2000).collect();
+    let expected = [(0x2100, 0), (0x2101, 1), (0x2101, 2), (0x2101, 3), (0x6200, 1), (0x6426, 1)];
+    assert!(of_example.into_iter().eq(&expected), "{all:X?}");
 }
 
 #[test]
 fn every_value_of_the_image_keeps_the_limits_of_its_eds() {
-    let mut bench = board();
     let mut limited = Vec::new();
-    for value in &values() {
-        let (Some(low), Some(high)) = (value.number("LowLimit"), value.number("HighLimit")) else {
-            continue;
-        };
-        let len = value.len().expect("a number");
-        for legal in [low, high] {
-            assert_eq!(download(&mut bench, value, legal, len), Ok(()));
-            assert!(holds(&mut bench, value, legal));
+    for (mut bench, values) in boards() {
+        let has_limits = |value: &&Value| value.keys.contains_key("LowLimit");
+        for value in values.iter().filter(has_limits).filter(|v| !PDOS.contains(&v.index)) {
+            let [low, high] = ["LowLimit", "HighLimit"].map(|key| value.bytes(key).unwrap());
+            for legal in [low, high.clone()] {
+                assert_eq!(value.download(&mut bench, &legal), Ok(()), "{}", value.name());
+                assert!(value.holds(&mut bench, &legal), "{}", value.name());
+            }
+            for number in value.beyond() {
+                let code = value.download(&mut bench, &number).expect_err("out of its limits");
+                assert!(OUT_OF_RANGE.contains(&code), "{}: {code:08X}", value.name());
+                assert!(value.holds(&mut bench, &high), "{}", value.name());
+            }
+            limited.push(value.index);
         }
-        for number in [low - 1, high + 1].into_iter().filter(|&number| value.can_be(number)) {
-            let code = download(&mut bench, value, number, len).expect_err("out of its limits");
-            assert!(OUT_OF_RANGE.contains(&code), "{code:08X}");
-            assert!(holds(&mut bench, value, high));
-        }
-        limited.push(value.index);
     }
-    assert!(limited.contains(&0x1029), "{limited:X?}");
+    assert_eq!(limited, [0x1029, 0x1019, 0x1029, 0x2100, 0x2101]);
 }
 
 #[test]
 fn the_image_has_no_value_beside_those_of_its_eds() {
-    let mut bench = board();
-    let values = values();
-    let last =
-        |index| values.iter().filter(|value| value.index == index).map(|v| v.sub_index).max();
-    // The areas of the communication profile that a node of this kind could have, and the neighbours of its own.
-    let indices = (0x1000..0x1030).chain([0x1200, 0x1280, 0x1400, 0x1600, 0x1800, 0x1A00, 0x1FFF]);
-    for index in indices.chain([0x1F80, 0x2000, 0x2001, 0x2100, 0x5FFF, 0x6000, 0x9FFF]) {
-        let (sub_index, code) = match last(index) {
-            Some(last) => (last + 1, NO_SUB_INDEX),
-            None => (0, NO_OBJECT),
+    for (mut bench, values) in boards() {
+        let last = |index| {
+            values.iter().filter(|value| value.index == index).map(|value| value.sub_index).max()
         };
-        let missing = Value { index, sub_index, keys: BTreeMap::new() };
-        assert_eq!(upload(&mut bench, &missing), Err(code), "[{index:04X}] sub {sub_index}");
+        // The areas of the communication profile that a node of this kind could have, and the neighbours of its own.
+        let indices = (0x1000..0x1030)
+            .chain([0x1200, 0x1280, 0x1400, 0x1401, 0x1600, 0x1601, 0x1800, 0x1802])
+            .chain([0x1A00, 0x1A02, 0x1F80, 0x1FFF, 0x2000, 0x2001, 0x2100, 0x2101, 0x2103])
+            .chain([0x5FFF, 0x6000, 0x6001, 0x9FFF]);
+        for index in indices {
+            let (sub_index, code) = match last(index) {
+                Some(last) => (last + 1, NO_SUB_INDEX),
+                None => (0, NO_OBJECT),
+            };
+            let missing = Value { index, sub_index, keys: BTreeMap::new() };
+            assert_eq!(missing.upload(&mut bench), Err(code), "{}", missing.name());
+        }
     }
+}
+
+#[test]
+fn a_string_and_a_64_bit_number_keep_what_is_written() {
+    let [_, (mut bench, _)] = boards();
+    let mut client = bench.sdo_client(NODE_ID);
+    for (sub_index, data) in [(2, &(-1_234_567_890_123_i64).to_le_bytes()[..]), (3, b"A. Lovelace")]
+    {
+        assert_eq!(client.download(0x2101, sub_index, data), Ok(()));
+        assert_eq!(client.upload(0x2101, sub_index).as_deref(), Ok(data));
+        assert_eq!(client.block_upload(0x2101, sub_index, 3).as_deref(), Ok(data));
+    }
+    assert_eq!(client.block_download(0x2101, 3, &[b'x'; 16]), Ok(()));
+    assert_eq!(client.download(0x2101, 3, &[b'x'; 17]), Err(TOO_LONG));
+    assert_eq!(client.upload(0x2101, 3), Ok(vec![b'x'; 16]));
 }

@@ -3,6 +3,7 @@
 mod answer_time;
 mod bad_input;
 mod bit_rate;
+mod block_transfer;
 mod can_traps;
 mod chip_traps;
 mod chips;

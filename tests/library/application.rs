@@ -2,7 +2,10 @@
 
 use lss_slave::{
     Application, Node,
-    application::{Dictionary, Domain, OctetString, Text},
+    application::{
+        Dictionary, Domain, Integer24, Integer40, Integer48, Integer56, OctetString, Text,
+        Unsigned24, Unsigned40, Unsigned48, Unsigned56,
+    },
     object_dictionary::{Entry, Number},
     objects,
     sdo::Abort,
@@ -10,6 +13,7 @@ use lss_slave::{
 use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 objects! {
@@ -30,6 +34,18 @@ objects! {
         2 "16 bits" u16: u16 = 16, rw;
         3 "32 bits" u32: u32 = 32, ro;
         4 "64 bits" u64: u64 = 0x1122_3344_5566_7788, rw;
+    }
+    0x2102 "Signed numbers of other lengths" {
+        1 "24 bits" i24: Integer24 = -2, rw, -8_388_608..=8_388_606, mappable, stored;
+        2 "40 bits" i40: Integer40 = -2, rw, mappable;
+        3 "48 bits" i48: Integer48 = -2, rw, mappable;
+        4 "56 bits" i56: Integer56 = -2, rw, mappable;
+    }
+    0x2103 "Unsigned numbers of other lengths" {
+        1 "24 bits" u24: Unsigned24 = 0x12_3456, rw, mappable;
+        2 "40 bits" u40: Unsigned40 = 40, rw, mappable;
+        3 "48 bits" u48: Unsigned48 = 48, rw, mappable;
+        4 "56 bits" u56: Unsigned56 = 56, rw, 1..=72_057_594_037_927_935, mappable;
     }
     0x2200 {
         0 "Real number" f32: f32 = 1.5, rw, 0.0..=2.0;
@@ -89,7 +105,7 @@ fn an_object_with_a_name_has_its_highest_sub_index() {
     assert_eq!(board.number(0x2100, 0), 5);
     assert_eq!(board.number(0x2101, 0), 4);
     assert_eq!(board.upload(0x2100, 4), Err(0x0609_0011), "there is a gap");
-    assert_eq!(board.upload(0x2102, 0), Err(0x0602_0000));
+    assert_eq!(board.upload(0x2104, 0), Err(0x0602_0000));
     assert_eq!(board.upload(0x2001, 1), Err(0x0609_0011));
 }
 
@@ -105,6 +121,54 @@ fn a_value_out_of_its_limits_is_refused() {
     assert_eq!(board.download(0x2100, 1, &[0xF5]), Err(0x0609_0032), "-11");
     assert_eq!(board.download(0x2200, 0, &2.5_f32.to_le_bytes()), Err(0x0609_0031));
     assert_eq!(board.download(0x2001, 0, &[2]), Err(0x0609_0030), "a boolean is 0 or 1");
+}
+
+#[test]
+fn a_real_number_with_limits_must_be_a_number() {
+    let mut board = board();
+    assert_eq!(board.download(0x2200, 0, &f32::NAN.to_le_bytes()), Err(0x0609_0031));
+    assert_eq!(board.download(0x2201, 0, &f64::NAN.to_le_bytes()), Ok(()), "without limits");
+}
+
+#[test]
+fn integers_of_24_to_56_bits_have_their_length_and_their_sign() {
+    let mut board = board();
+    for (sub_index, len) in [(1, 3), (2, 5), (3, 6), (4, 7)] {
+        let minus_two = [&[0xFE][..], &vec![0xFF; len - 1]].concat();
+        assert_eq!(board.upload(0x2102, sub_index), Ok(minus_two));
+        let lowest = [vec![0; len - 1], vec![0x80]].concat();
+        let highest = [vec![0xFF; len - 1], vec![0x7F]].concat();
+        for value in [lowest, highest].iter().take(if len == 3 { 1 } else { 2 }) {
+            assert_eq!(board.download(0x2102, sub_index, value), Ok(()));
+            assert_eq!(board.upload(0x2102, sub_index).as_ref(), Ok(value));
+        }
+        let all = vec![0xFF; len];
+        assert_eq!(board.download(0x2103, sub_index, &all), Ok(()));
+        assert_eq!(board.upload(0x2103, sub_index), Ok(all));
+        let (long, short) = (vec![0; len + 1], vec![0; len - 1]);
+        for index in [0x2102, 0x2103] {
+            assert_eq!(board.download(index, sub_index, &long), Err(0x0607_0012), "{index:X}");
+            assert_eq!(board.download(index, sub_index, &short), Err(0x0607_0013), "{index:X}");
+        }
+    }
+    let application = board.node.application();
+    assert_eq!((application.i24, application.i40), (-0x80_0000, 0x7F_FFFF_FFFF));
+    assert_eq!((application.i48, application.i56), (0x7FFF_FFFF_FFFF, 0x7F_FFFF_FFFF_FFFF));
+    assert_eq!((application.u24, application.u40), (0xFF_FFFF, 0xFF_FFFF_FFFF));
+    assert_eq!((application.u48, application.u56), (0xFFFF_FFFF_FFFF, 0xFF_FFFF_FFFF_FFFF));
+    assert_eq!(board.download(0x2102, 1, &[0xFF, 0xFF, 0x7F]), Err(0x0609_0031));
+    assert_eq!(board.download(0x2103, 4, &[0; 7]), Err(0x0609_0032));
+}
+
+#[test]
+fn a_field_out_of_its_range_is_read_as_the_nearest_number() {
+    let mut board = board();
+    for (i24, expected) in [(i32::MIN, [0, 0, 0x80]), (i32::MAX, [0xFF, 0xFF, 0x7F])] {
+        board.node.application_mut().i24 = i24;
+        assert_eq!(board.upload(0x2102, 1), Ok(expected.to_vec()));
+    }
+    board.node.application_mut().u40 = 1 << 40;
+    assert_eq!(board.upload(0x2103, 2), Ok(vec![0xFF; 5]));
 }
 
 #[test]

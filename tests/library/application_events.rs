@@ -1,7 +1,10 @@
 //! Events of the node for its application, and errors of the application as emergency messages (CiA 301, 7.2.7).
 
 use lss_slave::{BitRate, BusEvent, application::Event, nmt::State};
-use testkit::frames::{Frames, SILENCE};
+use testkit::{
+    frames::{Frames, SILENCE},
+    sdo::Client,
+};
 
 use crate::process_data::{Board, board, take_events};
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use lss_slave::{
     Application, BitRates, Device, Node,
-    application::{Domain, OctetString, Text},
+    application::{Domain, Integer24, OctetString, Text, Unsigned56},
     object_dictionary::{
         Access, DataType, DefaultValue, Description, Entry, Object, Options, TABLE,
     },
@@ -15,6 +15,7 @@ use testkit::{
     eds::{DataSheet, Product, Sections, parse},
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults},
+    sdo::Client,
 };
 
 const COMMITTED: &str = include_str!("../../eds/lss-slave.eds");
@@ -30,11 +31,15 @@ objects! {
     0x2100 "Signed numbers" {
         1 "8 bits" i8: i8 = -8, rw, -10..=10;
         2 "16 bits" i16: i16 = -300, ro, mappable;
+        3 "24 bits" i24: Integer24 = -24, rw, -8_388_608..=0, mappable;
         0xB "64 bits" i64: i64 = i64::MIN, rw;
     }
     0x2101 "Percentages" {
         1 "First" first: u8 = 50, rw, 0..=100, stored;
         2 "Second" second: u8 = 60, rw;
+    }
+    0x5FFE {
+        0 "Time" time: Unsigned56 = 0xFF_FFFF_FFFF_FFFF, rw;
     }
     0x5FFF {
         0 "Large number" u64: u64 = u64::MAX, rw, 1..=0xFFFF_FFFF_FFFF_FFFF;
@@ -106,7 +111,7 @@ fn every_object_is_in_the_list_of_its_range() {
     );
     assert_eq!(
         section(&sections, "ManufacturerObjects"),
-        "1=0x2000 2=0x2001 3=0x2100 4=0x2101 5=0x5FFF SupportedObjects=5"
+        "1=0x2000 2=0x2001 3=0x2100 4=0x2101 5=0x5FFE 6=0x5FFF SupportedObjects=6"
     );
     let optional = &sections["OptionalObjects"];
     assert_eq!((&*optional["1"], &*optional["9"]), ("0x1003", "0x1029"));
@@ -134,7 +139,7 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
             "AccessType=const DataType=0x0007 DefaultValue=0x00000000 ObjectType=0x7 PDOMapping=0 \
              ParameterName=Vendor-ID",
         ),
-        ("2100", "ObjectType=0x9 ParameterName=Signed numbers SubNumber=4"),
+        ("2100", "ObjectType=0x9 ParameterName=Signed numbers SubNumber=5"),
         (
             "2100sub0",
             "AccessType=const DataType=0x0005 DefaultValue=11 ObjectType=0x7 PDOMapping=0 \
@@ -151,11 +156,21 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
              ParameterName=16 bits",
         ),
         (
+            "2100sub3",
+            "AccessType=rw DataType=0x0010 DefaultValue=-24 HighLimit=0 LowLimit=-8388608 \
+             ObjectType=0x7 PDOMapping=1 ParameterName=24 bits",
+        ),
+        (
             "2100subB",
             "AccessType=rw DataType=0x0015 DefaultValue=-9223372036854775808 ObjectType=0x7 \
              PDOMapping=0 ParameterName=64 bits",
         ),
         ("2101", "ObjectType=0x8 ParameterName=Percentages SubNumber=3"),
+        (
+            "5FFE",
+            "AccessType=rw DataType=0x001A DefaultValue=72057594037927935 ObjectType=0x7 \
+             PDOMapping=0 ParameterName=Time",
+        ),
         (
             "5FFF",
             "AccessType=rw DataType=0x001B DefaultValue=18446744073709551615 \
@@ -342,6 +357,7 @@ fn the_page_has_one_line_for_each_value() {
     for line in [
         "| 2100h | | **Signed numbers** | RECORD | | | | |",
         "| 2100h | 1 | 8 bits | INTEGER8 | rw | -8 | -10 to 10 | |",
+        "| 2100h | 3 | 24 bits | INTEGER24 | rw | -24 | -8388608 to 0 | mappable |",
         "| 2100h | 2 | 16 bits | INTEGER16 | ro | -300 | | mappable |",
         "| 2101h | 1 | First | UNSIGNED8 | rw | 50 | 0 to 100 | stored |",
         "| 6003h | 0 | Label | VISIBLE_STRING | const | A \\| B | | |",

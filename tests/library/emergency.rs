@@ -5,6 +5,7 @@ use testkit::{
     flash::{BoardFlash, Operation},
     frames::{Frames, SILENCE},
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 const BUS_OFF_RECOVERED: &str = "0C0: 40 81 11 00 00 00 00 00";

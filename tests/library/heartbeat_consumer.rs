@@ -1,7 +1,7 @@
 //! The heartbeat consumer 1016h (CiA 301, 7.2.8.3.2): when a producer is lost, and what follows.
 
 use lss_slave::{NodeId, application::Event, nmt::State};
-use testkit::frames::SILENCE;
+use testkit::{frames::SILENCE, sdo::Client};
 
 use crate::process_data::{
     Board, INCOMPATIBLE, INVALID_VALUE, board, operational, receive, set, take_events, write,

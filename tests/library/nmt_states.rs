@@ -5,6 +5,7 @@ use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 /// The commands to all nodes, with the resulting state and its heartbeat.

@@ -9,6 +9,7 @@ use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults, device},
     random::Random,
+    sdo::Client,
 };
 
 const DOES_NOT_EXIST: u32 = 0x0602_0000;

@@ -13,6 +13,7 @@ use testkit::{
     flash::{BoardFlash, Operation},
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 objects! {
@@ -406,10 +407,33 @@ fn a_node_without_an_application_keeps_its_settings_but_no_parameters() {
 }
 
 #[test]
+fn the_error_behaviour_is_stored_with_the_parameters_of_communication() {
+    let mut board = board();
+    for (sub_index, expected) in [(3, 0), (2, 1), (1, 1)] {
+        board.download(0x1029, 1, &[1]).unwrap();
+        save(&mut board, sub_index).unwrap();
+        board.nmt("82 40");
+        assert_eq!(board.number(0x1029, 1), expected, "1010h sub {sub_index}");
+        board.power_cycle();
+        assert_eq!(board.number(0x1029, 1), expected, "1010h sub {sub_index}");
+    }
+    board.download(0x1029, 1, &[2]).unwrap();
+    board.nmt("82 40");
+    assert_eq!(board.number(0x1029, 1), 1, "the stored one");
+    for (sub_index, expected) in [(3, 1), (2, 0)] {
+        board.download(0x1011, sub_index, b"load").unwrap();
+        board.power_cycle();
+        assert_eq!(board.number(0x1029, 1), expected, "1011h sub {sub_index}");
+    }
+}
+
+#[test]
 fn the_capacity_is_the_sum_of_the_longest_values() {
     let lens = [2, 1, 4, 8, 12, 1];
     let sum: usize = lens.iter().map(|len| HEADER + len).sum();
-    assert_eq!(lss_slave::Node::<Pump>::PARAMETERS, sum);
+    let of_error_behaviour = HEADER + 1;
+    assert_eq!(lss_slave::Node::<Pump>::PARAMETERS, sum + of_error_behaviour);
+    assert_eq!(lss_slave::Node::<Volatile>::PARAMETERS, 0);
     assert_eq!(<lss_slave::Node>::PARAMETERS, 0);
     let mut board = board();
     board.node.application_mut().label = Text::from_bytes(b"twelve bytes").unwrap();

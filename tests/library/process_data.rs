@@ -15,6 +15,7 @@ use testkit::{
     flash::BoardFlash,
     frames::{Frames, SILENCE, bytes},
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 pub const INVALID_VALUE: u32 = 0x0609_0030;

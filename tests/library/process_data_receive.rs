@@ -1,7 +1,7 @@
 //! RPDOs and SYNC (CiA 301, 7.2.2 and 7.2.5): their effect on the application, and the errors that they report.
 
 use lss_slave::{Action, application::Event};
-use testkit::frames::SILENCE;
+use testkit::{frames::SILENCE, sdo::Client};
 
 use crate::process_data::{
     Board, INVALID_VALUE, board, map, operational, receive, set, take_events, write,

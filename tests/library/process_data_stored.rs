@@ -4,6 +4,7 @@
 use lss_slave::{
     Application, Device, Node,
     lss::StoreError,
+    nmt::State,
     object_dictionary::{Access, Object},
     objects,
     process_data::{Rpdo, Tpdo},
@@ -14,6 +15,7 @@ use testkit::{
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
     random::Random,
+    sdo::Client,
 };
 
 use crate::process_data::{Board, Machine, board, map, receive, set, write};
@@ -44,7 +46,8 @@ fn parameters<A: Application + Clone, const T: usize, const R: usize, const P: u
     let mut parameters = Vec::new();
     for (entry, _) in entries {
         let is_here = match entry.object {
-            Object::SyncCobId
+            Object::CommunicationErrorBehaviour
+            | Object::SyncCobId
             | Object::SyncCounterOverflow
             | Object::ConsumerHeartbeatTime(_)
             | Object::RpdoParameter(_)
@@ -68,6 +71,7 @@ fn change_all(board: &mut Board) {
     set(board, 0x1005, 0, 0x81, 4);
     set(board, 0x1019, 0, 10, 1);
     set(board, 0x1016, 2, 0x0005_03E8, 4);
+    set(board, 0x1029, 1, 2, 1);
     map(board, 0x1400, 0x333, &[0x0005_0008, 0x6200_0320]);
     set(board, 0x1400, 2, 3, 1);
     set(board, 0x1801, 1, 0x8000_02C0, 4);
@@ -118,8 +122,9 @@ fn stored_pdos_and_producers_work_after_a_power_cycle() {
     assert_eq!(board.node.application().command, 0x0102_0304);
     assert_eq!(receive(&mut board, "705: 05"), SILENCE);
     board.pass_ms(1001);
-    assert_eq!(board.number(0x1001, 0), 0x11, "the heartbeat of node 5 is missing");
+    assert_eq!(board.node.nmt_state(), State::Stopped, "the error behaviour");
     board.nmt("80 40");
+    assert_eq!(board.number(0x1001, 0), 0x11, "the heartbeat of node 5 is missing");
     assert_eq!(save(&mut board, 2), Ok(()));
     board.nmt("82 40");
     assert_eq!(board.number(0x1001, 0), 0, "that it is missing is not stored");
@@ -394,7 +399,8 @@ fn set_of(board: &mut NodeRig<Machine, 2, 2, 2>, index: u16, sub_index: u8, valu
 fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     let of_sync = HEADER + 4 + HEADER + 1;
     let pdos = 3 * (HEADER + 4 * (5 + 8)) + 2 * (HEADER + 4 * (2 + 8));
-    let capacity = of_sync + pdos + 2 * (HEADER + 4);
+    let of_error_behaviour = HEADER + 1;
+    let capacity = of_sync + of_error_behaviour + pdos + 2 * (HEADER + 4);
     assert_eq!(Node::<Machine, 3, 2, 2>::PARAMETERS, capacity);
     let mut board = board();
     for (parameter, cob_id, value) in [
@@ -408,6 +414,7 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     }
     set(&mut board, 0x1016, 1, 0x0005_0001, 4);
     set(&mut board, 0x1016, 2, 0x0006_0001, 4);
+    set(&mut board, 0x1029, 1, 1, 1);
     assert_eq!(save(&mut board, 1), Ok(()));
     assert_eq!(board.stored_parameters().len(), capacity);
 }

@@ -5,7 +5,7 @@ use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
-    sdo,
+    sdo::{self, Client},
 };
 
 /// A board with node-ID 40h and these names.

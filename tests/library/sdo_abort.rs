@@ -5,6 +5,7 @@ use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 /// A board with node-ID 40h; checks that the next transfer works like the first.

@@ -1,7 +1,11 @@
 //! SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15) of a node with an application.
 
 use lss_slave::BusEvent;
-use testkit::{frames::SILENCE, node_rig::NodeRig, sdo::crc};
+use testkit::{
+    frames::SILENCE,
+    node_rig::NodeRig,
+    sdo::{Client, crc},
+};
 
 use crate::sdo_machine::{CONSTANT, Machine, board, board_with_memory, bytes};
 

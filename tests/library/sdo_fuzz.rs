@@ -5,6 +5,7 @@ use testkit::{
     frames::{Frames, SILENCE},
     node_rig::NodeRig,
     random::Random,
+    sdo::Client,
 };
 
 const FRAMES: usize = 100_000;

@@ -1,6 +1,11 @@
 //! A second description of the SDO server, written from CiA 301, which must agree with it about random messages.
 
-use testkit::{frames::Frames, node_rig::NodeRig, random::Random, sdo::crc};
+use testkit::{
+    frames::Frames,
+    node_rig::NodeRig,
+    random::Random,
+    sdo::{Client, crc},
+};
 
 use crate::sdo_machine::{CONSTANT, Machine, board};
 

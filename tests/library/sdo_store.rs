@@ -5,6 +5,7 @@ use testkit::{
     flash::Operation,
     frames::SILENCE,
     node_rig::{NodeRig, defaults},
+    sdo::Client,
 };
 
 const SAVE: &str = "23 10 10 01 73 61 76 65";

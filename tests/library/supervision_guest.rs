@@ -9,6 +9,7 @@ use testkit::{
     flash::BoardFlash,
     frames::{self, SILENCE},
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
     supervised::{doubt, guest, looking, powered_on, proven, unproven},
 };
 

@@ -11,6 +11,7 @@ use testkit::{
     frames::{self, SILENCE},
     node_rig::{ADDRESS, NodeRig, defaults, device},
     random::Random,
+    sdo::Client,
 };
 
 /// Sequences of events that a controller reports for a while.

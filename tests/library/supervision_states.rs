@@ -11,6 +11,7 @@ use lss_slave::{
 };
 use testkit::{
     node_rig::NodeRig,
+    sdo::Client,
     supervised::{TURN_US, guest, looking, powered_on, proven, switched, unproven},
 };
 

@@ -18,6 +18,8 @@ const HOURS_A_YEAR: u64 = 8_766;
 /// Cuts at random instants in each session on the board.
 const INSTANTS: usize = 250;
 const INSTANTS_LONG: usize = 2_000;
+/// Cuts of each kind in each session on the board, with `--quick`.
+const QUICK: usize = 12;
 
 /// Cut the power at every step of writing the settings, and check that none are lost
 ///
@@ -26,8 +28,8 @@ const INSTANTS_LONG: usize = 2_000;
 /// anything. The same for stores of parameters, in turn with stores of settings, in three power-ons (--long: four).
 ///
 /// In the release image on an emulated board: two commissionings by LSS, from a blank flash and from one that has to be
-/// erased. The power fails in every flash operation, in every pause between two, and at random instants from power-on
-/// to the last answer.
+/// erased; with the example `io`, two stores of parameters by 1010h with a commissioning between them. The power fails
+/// in every flash operation, in every pause between two, and at random instants from power-on to the last answer.
 ///
 /// Fails if settings are lost.
 #[derive(clap::Args)]
@@ -36,12 +38,26 @@ pub struct Arguments {
     /// More power-ons in a history, and on the board two cuts in a row and more instants; takes some minutes
     #[arg(long)]
     long: bool,
+    /// A power-on less in a history, and on the board a random share of the cuts; takes less than a minute
+    #[arg(long, conflicts_with = "long")]
+    quick: bool,
     /// Seed for the content left by interrupted steps; random if not given
     #[arg(long)]
     seed: Option<u64>,
-    /// The chip on the board
+    /// The chip on the board with the default image
     #[arg(long, default_value = "stm32f405")]
     chip: Part,
+}
+
+impl Arguments {
+    /// The power-ons in a history of settings, and in one of parameters.
+    const fn lives(&self) -> (usize, usize) {
+        match (self.quick, self.long) {
+            (true, _) => (3, 2),
+            (_, true) => (6, 4),
+            _ => (4, 3),
+        }
+    }
 }
 
 /// The number of trials, and their failures.
@@ -103,23 +119,32 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut losses = Vec::new();
 
     println!("\nThe settings log, cut in each step and in each pair of steps");
-    for history in library::Histories::all(arguments.long) {
+    for history in library::Histories::all(arguments.lives()) {
         let tally = history.run(&mut random);
         losses.extend(print(&history.to_string(), tally));
     }
 
-    println!("\nThe release image for the {}", arguments.chip.name());
-    for session in image::Session::ALL {
-        let course = session.course(arguments.chip, &image)?;
-        let instants = if arguments.long { INSTANTS_LONG } else { INSTANTS };
-        let kinds = [
-            ("in every flash operation", course.in_operations(&mut random), arguments.long),
-            ("in every pause between them", course.between_operations(&mut random), false),
-            ("at random instants", course.at_instants(instants, &mut random), false),
-        ];
-        for (place, cuts, twice) in kinds {
-            let tally = session.run(arguments.chip, &image, &cuts, &mut random, twice)?;
-            losses.extend(print(&format!("{}, {place}", session.name()), tally));
+    let example = testkit::image::example();
+    for (what, part, image, sessions) in [
+        ("The release image", arguments.chip, &image, image::Session::DEFAULT),
+        ("The example io", Part::Stm32f407, example, image::Session::EXAMPLE),
+    ] {
+        println!("\n{what} for the {}", part.name());
+        for session in sessions {
+            let course = session.course(part, image)?;
+            let instants = if arguments.long { INSTANTS_LONG } else { INSTANTS };
+            let kinds = [
+                ("in every flash operation", course.in_operations(&mut random), arguments.long),
+                ("in every pause between them", course.between_operations(&mut random), false),
+                ("at random instants", course.at_instants(instants, &mut random), false),
+            ];
+            for (place, mut cuts, twice) in kinds {
+                while arguments.quick && cuts.len() > QUICK {
+                    cuts.swap_remove(random.within(0..cuts.len() as u64) as usize);
+                }
+                let tally = session.run(part, image, &cuts, &mut random, twice)?;
+                losses.extend(print(&format!("{}, {place}", session.name()), tally));
+            }
         }
     }
     let worst = image::worst_answer_time(arguments.chip, &image)?;

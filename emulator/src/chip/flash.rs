@@ -131,6 +131,11 @@ impl Flash {
         self.changed.take()
     }
 
+    /// FLASH_ACR.
+    pub fn access_control(&self) -> u32 {
+        self.acr
+    }
+
     /// The number of wait states.
     pub fn latency(&self) -> u32 {
         self.acr & 0xF

@@ -16,6 +16,7 @@ impl Pwr {
     const CR: u32 = 0x00;
     const CSR: u32 = 0x04;
     const PVDE: u32 = 1 << 4;
+    const DBP: u32 = 1 << 8;
     const PVDO: u32 = 1 << 2;
     /// The thresholds that PLS selects, in mV (RM0090 5.4.1), without hysteresis.
     const THRESHOLDS_MV: [u32; 8] = [2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900];
@@ -31,6 +32,11 @@ impl Pwr {
     /// Resets all registers; the supply remains the same.
     pub fn reset(&mut self) {
         *self = Self { supply_mv: self.supply_mv, ..Self::new(self.part) };
+    }
+
+    /// Whether DBP lets the program write to the RTC and to RCC_BDCR.
+    pub fn backup_domain_is_writable(&self) -> bool {
+        self.cr & Self::DBP != 0
     }
 
     /// Sets the supply in mV.

@@ -1,6 +1,7 @@
 //! The chip's registers as seen by a program, without a CPU.
 
 mod adc;
+mod start_up;
 mod timer;
 
 use emulator::{
@@ -254,13 +255,13 @@ fn a_peripheral_without_clock_reads_0_loses_writes_and_is_found() {
 fn an_unknown_register_is_found_once_and_counted() {
     let mut chip = chip(Part::Stm32f405);
     for _ in 0..3 {
-        assert_eq!(read(&mut chip, 0x4000_0400, Time::from_us(5)), 0);
+        assert_eq!(read(&mut chip, 0x4000_3800, Time::from_us(5)), 0);
     }
     let [finding] = chip.findings() else { panic!("{:?}", chip.findings()) };
     assert_eq!((finding.problem, finding.count, finding.pc), (Problem::Unmodelled, 3, 0x0800_1234));
     assert_eq!(
         finding.to_string(),
-        "0.005000 ms, pc 08001234: 32-bit read of 40000400: not modelled (3 times)"
+        "0.005000 ms, pc 08001234: 32-bit read of 40003800: not modelled (3 times)"
     );
 }
 

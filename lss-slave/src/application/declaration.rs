@@ -84,6 +84,24 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// default, its access (`constant`, `ro`, `rw`, `wo`), optional limits of a number, and options: `mappable` into a PDO,
 /// `stored` by 1010h.
 ///
+/// | type | of CiA 301 |
+/// |---|---|
+/// | `bool` | BOOLEAN |
+/// | `i8`, `i16`, `i32`, `i64`, `u8`, `u16`, `u32`, `u64` | INTEGER8 to INTEGER64, UNSIGNED8 to UNSIGNED64 |
+/// | [`Integer24`] to [`Integer56`], [`Unsigned24`] to [`Unsigned56`] | the same; fields of 32 or 64 bits hold them |
+/// | `f32`, `f64` | REAL32, REAL64 |
+/// | `&'static str`, [`Text`] | VISIBLE_STRING |
+/// | [`OctetString`] | OCTET_STRING |
+/// | [`Domain`] | DOMAIN |
+///
+/// [`Integer24`]: crate::application::Integer24
+/// [`Integer56`]: crate::application::Integer56
+/// [`Unsigned24`]: crate::application::Unsigned24
+/// [`Unsigned56`]: crate::application::Unsigned56
+/// [`Text`]: crate::application::Text
+/// [`OctetString`]: crate::application::OctetString
+/// [`Domain`]: crate::application::Domain
+///
 /// # What does not compile
 /// Each of these declarations is wrong in one place; its twin differs from it in that place only.
 ///
@@ -175,6 +193,20 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// # }
 /// ```
 ///
+/// A limit out of the range of the type:
+/// ```compile_fail,E0080
+/// # use lss_slave::application::Unsigned24;
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: Unsigned24 = 0, rw, 0..=16_777_216; }
+/// # }
+/// ```
+/// ```
+/// # use lss_slave::application::Unsigned24;
+/// # lss_slave::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: Unsigned24 = 0, rw, 0..=16_777_215; }
+/// # }
+/// ```
+///
 /// A text that is mapped into a PDO:
 /// ```compile_fail,E0080
 /// # lss_slave::objects! { struct Objects, values Value;
@@ -217,7 +249,7 @@ macro_rules! objects {
         $visibility struct $name {
             $($(
                 #[doc = $text]
-                pub $field: $type,
+                pub $field: <$type as $crate::application::Value>::Field,
             )+)*
         }
 
@@ -227,7 +259,7 @@ macro_rules! objects {
         $visibility enum $value {
             $($(
                 #[doc = $text]
-                $field($type),
+                $field(<$type as $crate::application::Value>::Field),
             )+)*
         }
 
@@ -299,14 +331,14 @@ macro_rules! objects {
 
                 fn len(&self, field: u8) -> usize {
                     match field {
-                        $($(_ if field == Field::$field as u8 => application::Value::len(&self.$field),)+)*
+                        $($(_ if field == Field::$field as u8 => <$type as application::Value>::len(&self.$field),)+)*
                         _ => 0,
                     }
                 }
 
                 fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize {
                     match field {
-                        $($(_ if field == Field::$field as u8 => application::Value::read(&self.$field, offset, to),)+)*
+                        $($(_ if field == Field::$field as u8 => <$type as application::Value>::read(&self.$field, offset, to),)+)*
                         _ => 0,
                     }
                 }
@@ -314,13 +346,11 @@ macro_rules! objects {
                 fn parse(field: u8, bytes: &[u8]) -> Result<$value, sdo::Abort> {
                     match field {
                         $($(_ if field == Field::$field as u8 => {
-                            let value: $type = application::Value::parse(bytes)?;
+                            let value = <$type as application::Value>::parse(bytes)?;
                             $(
-                                if value < $low {
-                                    return Err(sdo::Abort::TooLow);
-                                }
-                                if value > $high {
-                                    return Err(sdo::Abort::TooHigh);
+                                // A real number that is none is not between the limits.
+                                if !($low..=$high).contains(&value) {
+                                    return Err(if value < $low { sdo::Abort::TooLow } else { sdo::Abort::TooHigh });
                                 }
                             )?
                             Ok($value::$field(value))
@@ -338,10 +368,21 @@ macro_rules! objects {
 
             application::check(<$name as application::Dictionary>::OBJECTS);
             $($($(
-                let (default, low, high): ($type, $type, $type) = ($default, $low, $high);
+                let (default, low, high): $crate::objects!(@three $type) = ($default, $low, $high);
                 assert!(low <= default && default <= high, "a default is out of its limits");
+                assert!(
+                    <$type as application::Value>::DATA_TYPE.reaches($low as i128, $high as i128),
+                    "a limit is out of the range of its type"
+                );
             )?)+)*
         };
+    };
+    (@three $type:ty) => {
+        (
+            <$type as application::Value>::Field,
+            <$type as application::Value>::Field,
+            <$type as application::Value>::Field,
+        )
     };
     (@errors) => { [emergency::Report; 0] };
     (@errors $($index:literal)+) => { [emergency::Report; 8] };
@@ -363,6 +404,9 @@ macro_rules! objects {
     (@access wo) => { object_dictionary::Access::WriteOnly };
     (@limits $type:ty) => { None };
     (@limits $type:ty, $low:literal, $high:literal) => {
-        Some((<$type>::into($low), <$type>::into($high)))
+        Some((
+            <<$type as application::Value>::Field>::into($low),
+            <<$type as application::Value>::Field>::into($high),
+        ))
     };
 }

@@ -1,27 +1,30 @@
 //! The types that a value in the dictionary may have.
 
+use core::fmt::Debug;
+
 use super::text::{OctetString, Text};
 use crate::{object_dictionary::DataType, sdo::Abort};
 
 /// A type of value in the dictionary (CiA 301, 7.1.4).
-#[expect(clippy::len_without_is_empty, reason = "it is the length in bytes")]
-pub trait Value: Sized {
+pub trait Value {
+    /// The type of the field that holds the value.
+    type Field: Copy + Debug;
     /// The CiA 301 data type.
     const DATA_TYPE: DataType;
     /// The length of the longest value that a client can write, in bytes.
     const CAPACITY: usize;
 
     /// The length of the value in bytes.
-    fn len(&self) -> usize;
+    fn len(field: &Self::Field) -> usize;
 
     /// Copies the bytes of the value from `offset` to `to`; returns their number.
-    fn read(&self, offset: usize, to: &mut [u8]) -> usize;
+    fn read(field: &Self::Field, offset: usize, to: &mut [u8]) -> usize;
 
     /// The value in these bytes.
     ///
     /// # Errors
     /// [`Abort::TooLong`] or [`Abort::TooShort`].
-    fn parse(bytes: &[u8]) -> Result<Self, Abort>;
+    fn parse(bytes: &[u8]) -> Result<Self::Field, Abort>;
 }
 
 /// Copies `from`, from `offset` on, to `to` as far as both reach; returns the number of bytes.
@@ -33,15 +36,16 @@ pub(crate) fn copy(from: &[u8], offset: usize, to: &mut [u8]) -> usize {
 macro_rules! numbers {
     ($($number:ty => $data_type:ident,)*) => {$(
         impl Value for $number {
+            type Field = Self;
             const DATA_TYPE: DataType = DataType::$data_type;
             const CAPACITY: usize = size_of::<Self>();
 
-            fn len(&self) -> usize {
+            fn len(_: &Self) -> usize {
                 size_of::<Self>()
             }
 
-            fn read(&self, offset: usize, to: &mut [u8]) -> usize {
-                copy(&self.to_le_bytes(), offset, to)
+            fn read(field: &Self, offset: usize, to: &mut [u8]) -> usize {
+                copy(&field.to_le_bytes(), offset, to)
             }
 
             fn parse(bytes: &[u8]) -> Result<Self, Abort> {
@@ -64,20 +68,67 @@ numbers! {
     f64 => Real64,
 }
 
+macro_rules! short_numbers {
+    ($($number:ident($field:ty) of $bits:literal bits;)*) => {$(
+        #[doc = concat!("A number of ", $bits, " bits. Its field is an `", stringify!($field), "`; a client reads the")]
+        /// nearest number of this type.
+        #[derive(Debug)]
+        pub enum $number {}
+
+        impl Value for $number {
+            type Field = $field;
+            const DATA_TYPE: DataType = DataType::$number;
+            const CAPACITY: usize = $bits / 8;
+
+            fn len(_: &$field) -> usize {
+                Self::CAPACITY
+            }
+
+            fn read(field: &$field, offset: usize, to: &mut [u8]) -> usize {
+                const UNUSED: u32 = <$field>::BITS - $bits;
+                let number = (*field).clamp(<$field>::MIN >> UNUSED, <$field>::MAX >> UNUSED);
+                let bytes = number.to_le_bytes();
+                copy(bytes.get(..Self::CAPACITY).unwrap_or(&bytes), offset, to)
+            }
+
+            fn parse(bytes: &[u8]) -> Result<$field, Abort> {
+                const UNUSED: u32 = <$field>::BITS - $bits;
+                let bytes = parse_number::<{ $bits / 8 }>(bytes)?;
+                let mut number = [0; size_of::<$field>()];
+                copy(&bytes, 0, &mut number);
+                // The sign is the highest of the bits.
+                Ok(<$field>::from_le_bytes(number) << UNUSED >> UNUSED)
+            }
+        }
+    )*};
+}
+
+short_numbers! {
+    Integer24(i32) of 24 bits;
+    Integer40(i64) of 40 bits;
+    Integer48(i64) of 48 bits;
+    Integer56(i64) of 56 bits;
+    Unsigned24(u32) of 24 bits;
+    Unsigned40(u64) of 40 bits;
+    Unsigned48(u64) of 48 bits;
+    Unsigned56(u64) of 56 bits;
+}
+
 fn parse_number<const N: usize>(bytes: &[u8]) -> Result<[u8; N], Abort> {
     bytes.try_into().map_err(|_| if bytes.len() > N { Abort::TooLong } else { Abort::TooShort })
 }
 
 impl Value for bool {
+    type Field = Self;
     const DATA_TYPE: DataType = DataType::Boolean;
     const CAPACITY: usize = 1;
 
-    fn len(&self) -> usize {
+    fn len(_: &Self) -> usize {
         1
     }
 
-    fn read(&self, offset: usize, to: &mut [u8]) -> usize {
-        copy(&[u8::from(*self)], offset, to)
+    fn read(field: &Self, offset: usize, to: &mut [u8]) -> usize {
+        copy(&[u8::from(*field)], offset, to)
     }
 
     fn parse(bytes: &[u8]) -> Result<Self, Abort> {
@@ -91,15 +142,16 @@ impl Value for bool {
 
 /// A constant text, which a client cannot write.
 impl Value for &'static str {
+    type Field = Self;
     const DATA_TYPE: DataType = DataType::VisibleString;
     const CAPACITY: usize = 0;
 
-    fn len(&self) -> usize {
-        str::len(self)
+    fn len(field: &Self) -> usize {
+        str::len(field)
     }
 
-    fn read(&self, offset: usize, to: &mut [u8]) -> usize {
-        copy(self.as_bytes(), offset, to)
+    fn read(field: &Self, offset: usize, to: &mut [u8]) -> usize {
+        copy(field.as_bytes(), offset, to)
     }
 
     fn parse(_: &[u8]) -> Result<Self, Abort> {
@@ -110,15 +162,16 @@ impl Value for &'static str {
 macro_rules! strings {
     ($($string:ident => $data_type:ident,)*) => {$(
         impl<const N: usize> Value for $string<N> {
+            type Field = Self;
             const DATA_TYPE: DataType = DataType::$data_type;
             const CAPACITY: usize = N;
 
-            fn len(&self) -> usize {
-                self.as_bytes().len()
+            fn len(field: &Self) -> usize {
+                field.as_bytes().len()
             }
 
-            fn read(&self, offset: usize, to: &mut [u8]) -> usize {
-                copy(self.as_bytes(), offset, to)
+            fn read(field: &Self, offset: usize, to: &mut [u8]) -> usize {
+                copy(field.as_bytes(), offset, to)
             }
 
             fn parse(bytes: &[u8]) -> Result<Self, Abort> {
@@ -138,14 +191,15 @@ strings! {
 pub struct Domain;
 
 impl Value for Domain {
+    type Field = Self;
     const DATA_TYPE: DataType = DataType::Domain;
     const CAPACITY: usize = 0;
 
-    fn len(&self) -> usize {
+    fn len(_: &Self) -> usize {
         0
     }
 
-    fn read(&self, _: usize, _: &mut [u8]) -> usize {
+    fn read(_: &Self, _: usize, _: &mut [u8]) -> usize {
         0
     }
 

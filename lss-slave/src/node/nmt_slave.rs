@@ -37,17 +37,21 @@ impl NmtSlave {
             state: State::Initialisation,
             boot_up: BootUp::Due,
             heartbeat: Heartbeat::new(heartbeat_ms),
-            error_behaviour: ErrorBehaviour::EnterPreOperational,
+            error_behaviour: ErrorBehaviour::DEFAULT,
             command: None,
         }
     }
 
-    /// Restarts with the boot-up and this producer heartbeat time.
-    pub const fn reset_communication(&mut self, heartbeat_ms: u16) {
+    /// Restarts with the boot-up, this producer heartbeat time and this error behaviour.
+    pub const fn reset_communication(
+        &mut self,
+        heartbeat_ms: u16,
+        error_behaviour: ErrorBehaviour,
+    ) {
         self.state = State::Initialisation;
         self.boot_up = BootUp::Due;
         self.heartbeat.period_ms = heartbeat_ms;
-        self.error_behaviour = ErrorBehaviour::EnterPreOperational;
+        self.error_behaviour = error_behaviour;
     }
 
     /// The NMT state.

@@ -1,4 +1,5 @@
-//! The parameters of process data that 1010h stores: each entry of 1016h, 1005h, 1019h, and each PDO as a whole.
+//! The parameters of communication that 1010h stores beside the settings: each entry of 1016h, 1005h, 1019h, 1029h, and
+//! each PDO as a whole.
 
 use super::{
     ProcessData,
@@ -14,6 +15,7 @@ use super::{
 };
 use crate::{
     Application,
+    nmt::ErrorBehaviour,
     object_dictionary::{DataType, Entry},
     settings::parameters::{HEADER, Packer, Parameter},
 };
@@ -22,6 +24,8 @@ const U8: u8 = DataType::Unsigned8 as u8;
 const U32: u8 = DataType::Unsigned32 as u8;
 /// The data type of a stored PDO: PDO_COMMUNICATION_PARAMETER (CiA 301, 7.4.8.1), here followed by the mapping.
 const PDO: u8 = 0x20;
+const ERROR_BEHAVIOUR: u16 = 0x1029;
+const COMMUNICATION_ERROR: u8 = 1;
 
 /// The parameters of process data, with nothing received or sent yet.
 #[derive(Clone, Copy, Debug)]
@@ -30,41 +34,61 @@ pub(super) struct Configuration<const TPDOS: usize, const RPDOS: usize, const PR
     pub rpdos: [ReceivePdo; RPDOS],
     pub producers: [Producer; PRODUCERS],
     pub sync: Sync,
+    pub error_behaviour: ErrorBehaviour,
 }
 
 impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     ProcessData<TPDOS, RPDOS, PRODUCERS>
 {
+    /// Whether parameters of communication are stored beside the settings: the node has process data, or the
+    /// application has stored values.
+    const fn is_stored<A: Application>() -> bool {
+        Self::IS_USED || A::STORED_LEN > 0
+    }
+
     /// The greatest number of bytes that the stored parameters take.
-    pub const PARAMETERS: usize = (if Self::HAS_PDOS { HEADER + 4 + HEADER + 1 } else { 0 })
-        + PRODUCERS * (HEADER + 4)
-        + RPDOS * (HEADER + 4 * (RECEIVE_PARAMETERS + MAX_MAPPED))
-        + TPDOS * (HEADER + 4 * (TRANSMIT_PARAMETERS + MAX_MAPPED));
+    pub const fn stored_len<A: Application>() -> usize {
+        let of_sync = if Self::HAS_PDOS { HEADER + 4 + HEADER + 1 } else { 0 };
+        let of_error_behaviour = if Self::is_stored::<A>() { HEADER + 1 } else { 0 };
+        of_sync
+            + of_error_behaviour
+            + PRODUCERS * (HEADER + 4)
+            + RPDOS * (HEADER + 4 * (RECEIVE_PARAMETERS + MAX_MAPPED))
+            + TPDOS * (HEADER + 4 * (TRANSMIT_PARAMETERS + MAX_MAPPED))
+    }
 
     /// The parameters to which a reset returns.
     pub(super) fn persistent<A: Application>(&self) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
-        self.persistent.unwrap_or_else(|| Self::new::<A>().configuration())
+        self.persistent.unwrap_or_else(Self::declared::<A>)
     }
 
-    /// Takes a stored parameter in place of the declared one, if it belongs to process data and is legal. A PDO with a
+    /// The error behaviour to which a reset returns.
+    pub const fn error_behaviour<A: Application>(&self) -> ErrorBehaviour {
+        match &self.persistent {
+            Some(persistent) if Self::is_stored::<A>() => persistent.error_behaviour,
+            _ => ErrorBehaviour::DEFAULT,
+        }
+    }
+
+    /// Takes a stored parameter in place of the declared one, if it belongs to communication and is legal. A PDO with a
     /// value that cannot be mapped stays as it is declared. Returns whether the parameter was taken.
     pub fn restore<A: Application>(&mut self, parameter: &Parameter<'_>) -> bool {
-        if !Self::IS_USED {
+        if !Self::is_stored::<A>() {
             return false;
         }
-        let mut persistent = self.persistent::<A>();
+        let persistent = self.persistent.get_or_insert_with(Self::declared::<A>);
         let is_taken = persistent.take(parameter, A::OBJECTS).is_some();
-        if is_taken {
-            self.persistent = Some(persistent);
-            self.reset::<A>();
-        }
+        self.reset::<A>();
         is_taken
     }
 
     /// The current parameters.
-    fn configuration(&self) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
+    fn configuration(
+        &self,
+        error_behaviour: ErrorBehaviour,
+    ) -> Configuration<TPDOS, RPDOS, PRODUCERS> {
         let Self { tpdos, rpdos, producers, sync, .. } = *self;
-        let mut configuration = Configuration { tpdos, rpdos, producers, sync };
+        let mut configuration = Configuration { tpdos, rpdos, producers, sync, error_behaviour };
         configuration.tpdos.iter_mut().for_each(TransmitPdo::restart);
         configuration.rpdos.iter_mut().for_each(ReceivePdo::restart);
         configuration.producers.iter_mut().for_each(Producer::forget);
@@ -73,22 +97,22 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     }
 
     /// Begins a store of the current parameters.
-    pub fn stage(&mut self) {
-        if Self::IS_USED {
-            self.staged = Some(self.configuration());
+    pub fn stage<A: Application>(&mut self, error_behaviour: ErrorBehaviour) {
+        if Self::is_stored::<A>() {
+            self.staged = Some(self.configuration(error_behaviour));
         }
     }
 
     /// Begins a store that removes the parameters, so that the declared ones apply.
     pub fn stage_declared<A: Application>(&mut self) {
-        if Self::IS_USED {
-            self.staged = Some(Self::new::<A>().configuration());
+        if Self::is_stored::<A>() {
+            self.staged = Some(Self::declared::<A>());
         }
     }
 
     /// Packs the parameters of the store in progress.
-    pub fn save(&self, to: &mut Packer<'_>) {
-        if Self::IS_USED
+    pub fn save<A: Application>(&self, to: &mut Packer<'_>) {
+        if Self::is_stored::<A>()
             && let Some(staged) = &self.staged
         {
             staged.save(to);
@@ -96,8 +120,8 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     }
 
     /// Ends the store in progress, if it concerns these parameters.
-    pub fn end_store(&mut self, is_done: bool) {
-        if Self::IS_USED
+    pub fn end_store<A: Application>(&mut self, is_done: bool) {
+        if Self::is_stored::<A>()
             && let Some(staged) = self.staged.take()
             && is_done
         {
@@ -113,6 +137,10 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         if TPDOS + RPDOS > 0 {
             put(to, SYNC_COB_ID, 0, U32, &u32::from(self.sync.cob_id()).to_le_bytes());
             put(to, SYNC_COUNTER_OVERFLOW, 0, U8, &[self.sync.overflow()]);
+        }
+        if self.error_behaviour != ErrorBehaviour::DEFAULT {
+            let value = [self.error_behaviour as u8];
+            put(to, ERROR_BEHAVIOUR, COMMUNICATION_ERROR, U8, &value);
         }
         // An entry that is not stored is 0.
         let used = (1..).zip(&self.producers).filter(|(_, producer)| producer.value() != 0);
@@ -134,6 +162,11 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             (SYNC_COUNTER_OVERFLOW, 0, U8) if TPDOS + RPDOS > 0 => {
                 let &[overflow] = value else { return None };
                 self.sync.set_overflow(overflow).ok()
+            }
+            (ERROR_BEHAVIOUR, COMMUNICATION_ERROR, U8) => {
+                let &[value] = value else { return None };
+                self.error_behaviour = ErrorBehaviour::new(value)?;
+                Some(())
             }
             (CONSUMER_HEARTBEAT_TIME, 1.., U32) => {
                 let at = usize::from(sub_index).wrapping_sub(1);

@@ -20,45 +20,26 @@ pub(super) const TPDO_MAPPING: u16 = 0x1A00;
 
 type MappingRows = [Entry; MAX_MAPPED + 1];
 
+/// The rows of each of a number of PDOs, at compile time.
+macro_rules! rows {
+    ($number:expr, $of:ident) => {{
+        let mut all = [$of(0); $number];
+        let mut at = 0;
+        while at < $number {
+            all[at] = $of(at);
+            at += 1;
+        }
+        all
+    }};
+}
+
 impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     ProcessData<TPDOS, RPDOS, PRODUCERS>
 {
-    const RPDO_PARAMETERS: [[Entry; 3]; RPDOS] = {
-        let mut all = [rpdo_parameter(0); RPDOS];
-        let mut at = 0;
-        while at < RPDOS {
-            all[at] = rpdo_parameter(at);
-            at += 1;
-        }
-        all
-    };
-    const RPDO_MAPPINGS: [MappingRows; RPDOS] = {
-        let mut all = [rpdo_mapping(0); RPDOS];
-        let mut at = 0;
-        while at < RPDOS {
-            all[at] = rpdo_mapping(at);
-            at += 1;
-        }
-        all
-    };
-    const TPDO_PARAMETERS: [[Entry; 6]; TPDOS] = {
-        let mut all = [tpdo_parameter(0); TPDOS];
-        let mut at = 0;
-        while at < TPDOS {
-            all[at] = tpdo_parameter(at);
-            at += 1;
-        }
-        all
-    };
-    const TPDO_MAPPINGS: [MappingRows; TPDOS] = {
-        let mut all = [tpdo_mapping(0); TPDOS];
-        let mut at = 0;
-        while at < TPDOS {
-            all[at] = tpdo_mapping(at);
-            at += 1;
-        }
-        all
-    };
+    const RPDO_PARAMETERS: [[Entry; 3]; RPDOS] = rows!(RPDOS, rpdo_parameter);
+    const RPDO_MAPPINGS: [MappingRows; RPDOS] = rows!(RPDOS, rpdo_mapping);
+    const TPDO_PARAMETERS: [[Entry; 6]; TPDOS] = rows!(TPDOS, tpdo_parameter);
+    const TPDO_MAPPINGS: [MappingRows; TPDOS] = rows!(TPDOS, tpdo_mapping);
     const PRODUCER_ROWS: [Entry; MAX_PRODUCERS + 1] = {
         let highest = Object::HighestSubIndex(PRODUCERS as u8);
         let mut rows =

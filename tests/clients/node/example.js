@@ -21,6 +21,8 @@ function sheetOfNode() {
         [0x1200, 1, 0x600], [0x1200, 2, 0x580], [0x1400, 1, 0x200], [0x1800, 1, 0x180], [0x1801, 1, 0x280],
     ])
         eds.getSubEntry(index, subIndex).value = cobId + NODE_ID;
+    for (const index of [0x1401, 0x1402, 0x1403, 0x1802, 0x1803])
+        eds.getSubEntry(index, 1).value = 0x80000000; // Not valid.
     eds.getEntry(0x1014).value = 0x80 + NODE_ID;
     return eds;
 }

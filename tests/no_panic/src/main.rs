@@ -14,7 +14,7 @@ use core::{
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use lss_slave::{
     Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
-    application::{Domain, Event, OctetString, Text},
+    application::{Domain, Event, Integer24, OctetString, Text, Unsigned56},
     bit_rate::BitRateSetting,
     emergency::Fault,
     indicator::{BusState, Indicators},
@@ -171,6 +171,8 @@ objects! {
         3 "16 bits" word: i16 = 16, ro;
         4 "64 bits" long: u64 = 64, rw, stored;
         5 "Real" real: f64 = 0.5, wo, 0.0..=1.0;
+        6 "24 bits" short: Integer24 = -24, rw, -100..=100, mappable;
+        7 "56 bits" large: Unsigned56 = 56, rw, stored;
     }
     0x2200 "Strings" {
         1 "Constant" constant: &'static str = "constant", constant;

@@ -1,7 +1,7 @@
-//! Power cuts in the release image on an emulated board: in every flash operation of a commissioning by LSS, in every
-//! pause between two of them, and at any instant.
+//! Power cuts in the release image on an emulated board: in every flash operation of a commissioning by LSS or a store
+//! of parameters by 1010h, in every pause between two of them, and at any instant.
 
-use std::{iter, ops::Range};
+use std::{fmt, iter, ops::Range};
 
 use anyhow::{Context, bail, ensure};
 use emulator::{
@@ -14,11 +14,16 @@ use emulator::{
 use lss_slave::{
     BitRate, NodeId, Settings,
     lss::{REQUEST_COB_ID, RESPONSE_COB_ID, Request},
+    settings::{
+        Log,
+        parameters::{HEADER, Packer, Parameter},
+    },
 };
 
 use super::{Expected, Named, Tally};
 use testkit::{
     boards,
+    flash::BoardFlash,
     image_rig::{
         BOOT, DEFAULT_BIT_RATE, SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, flash_with, has_joined,
     },
@@ -29,20 +34,77 @@ use testkit::{
 const PATIENCE: Time = Time::from_ms(20);
 /// The number of stores after which the next power-on moves to the other half of the flash.
 const STORES_TO_MOVE: u16 = 384;
-/// The settings that an LSS master stores, one after the other.
-const COMMISSIONINGS: [(u8, BitRate); 2] = [(5, BitRate::Kbit500), (6, BitRate::Kbit250)];
-/// The settings that it stores after the cuts.
-const LAST_COMMISSIONING: (u8, BitRate) = (7, BitRate::Kbit1000);
+/// What a master stores in the default image, one after the other.
+const COMMISSIONINGS: [Store; 2] =
+    [Store::Settings(5, BitRate::Kbit500), Store::Settings(6, BitRate::Kbit250)];
+/// What it stores after the cuts.
+const LAST_COMMISSIONING: Store = Store::Settings(7, BitRate::Kbit1000);
+/// The same with the example: all parameters, settings, and the parameters of the application.
+const STORES: [Store; 3] = [
+    Store::Parameters(1, [5, 1]),
+    Store::Settings(6, BitRate::Kbit250),
+    Store::Parameters(3, [7, 1]),
+];
+const LAST_STORE: Store = Store::Parameters(1, [8, 2]);
+/// The length of the packed parameters.
+const PACKED: usize = PARAMETERS.len() * (HEADER + 1);
+/// The parameters of the example: index, sub-index, and value of a new device. They are the filter constant and the error
+/// behaviour.
+const PARAMETERS: [(u16, u8, u8); 2] = [(0x2100, 0, 3), (0x1029, 1, 0)];
 /// The number of requests whose answer time is measured.
 const MEASUREMENTS: u8 = 40;
 /// The number of frames behind each of them: 5 ms at 1 Mbit/s.
 const FULL_BUS_FRAMES: usize = 40;
 
-/// The content of the flash before the session.
-#[derive(Clone, Copy)]
+/// The image, and the content of the flash before the session.
+#[derive(Clone, Copy, PartialEq)]
 pub enum Session {
     Blank,
     Moving,
+    /// The example `io`, with stored settings.
+    Example,
+    /// The same, in a flash with other parameters that has to be erased.
+    MovingExample,
+}
+
+/// What a session makes persistent at a time.
+#[derive(Clone, Copy, Debug)]
+enum Store {
+    /// Node-ID and bit rate, by LSS.
+    Settings(u8, BitRate),
+    /// The values of [`PARAMETERS`], by this sub-index of 1010h.
+    Parameters(u8, [u8; 2]),
+}
+
+/// The persistent settings, and the values of [`PARAMETERS`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Content {
+    settings: Settings,
+    values: [u8; 2],
+}
+
+/// `node-ID 5, 500 kbit/s, [3, 0]` or `the defaults`.
+struct Shown(Option<Content>);
+
+impl fmt::Display for Shown {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        Named(self.0.map(|content| content.settings)).fmt(f)?;
+        self.0.map_or(Ok(()), |content| write!(f, ", {:?}", content.values))
+    }
+}
+
+impl Store {
+    /// The content after this store.
+    fn after(self, before: Option<Content>) -> Content {
+        match (self, before) {
+            (Self::Settings(node_id, bit_rate), _) => Content {
+                settings: settings((node_id, bit_rate)),
+                values: before.map_or(PARAMETERS.map(|(.., new)| new), |content| content.values),
+            },
+            (Self::Parameters(_, values), Some(before)) => Content { values, ..before },
+            (Self::Parameters(..), None) => unreachable!("parameters need a node-ID"),
+        }
+    }
 }
 
 /// The time of a power cut.
@@ -90,6 +152,8 @@ fn instant(range: Range<Time>, random: &mut Random) -> Time {
 struct Rig {
     network: Network,
     master: AdapterId,
+    /// The node-ID of the board, once it is known.
+    node_id: u8,
 }
 
 fn settings((node_id, bit_rate): (u8, BitRate)) -> Settings {
@@ -98,30 +162,68 @@ fn settings((node_id, bit_rate): (u8, BitRate)) -> Settings {
 }
 
 impl Session {
-    /// The starting contents that are tried.
-    pub const ALL: [Self; 2] = [Self::Blank, Self::Moving];
+    /// The sessions with the default image.
+    pub const DEFAULT: [Self; 2] = [Self::Blank, Self::Moving];
+    /// The sessions with the example.
+    pub const EXAMPLE: [Self; 2] = [Self::Example, Self::MovingExample];
 
     pub const fn name(self) -> &'static str {
         match self {
             Self::Blank => "blank flash, two commissionings",
             Self::Moving => "flash to be erased, two commissionings",
+            Self::Example => "settings stored, parameters twice",
+            Self::MovingExample => "flash to be erased, parameters twice",
+        }
+    }
+
+    const fn has_parameters(self) -> bool {
+        matches!(self, Self::Example | Self::MovingExample)
+    }
+
+    /// What the session stores, and what is stored after the cuts.
+    const fn stores(self) -> (&'static [Store], Store) {
+        if self.has_parameters() {
+            (&STORES, LAST_STORE)
+        } else {
+            (&COMMISSIONINGS, LAST_COMMISSIONING)
         }
     }
 
     /// The content of the settings' flash, and its meaning.
-    fn begin(self) -> (Vec<u8>, Expected) {
-        if matches!(self, Self::Blank) {
-            return (vec![0xFF; SETTINGS_LENGTH], Expected::NOTHING);
+    fn begin(self) -> (Vec<u8>, Expected<Content>) {
+        let known = |content| Expected { known: Some(content), attempted: None };
+        let first = Store::Settings(5, DEFAULT_BIT_RATE).after(None);
+        match self {
+            Self::Blank => (vec![0xFF; SETTINGS_LENGTH], Expected::NOTHING),
+            Self::Example => (flash_with(&[first.settings]), known(first)),
+            Self::Moving => {
+                let number = |number| ((number % 127) as u8 + 1, BitRate::Kbit125);
+                let stores: Vec<_> = (0..STORES_TO_MOVE).map(|n| settings(number(n))).collect();
+                let (id, rate) = number(STORES_TO_MOVE - 1);
+                (flash_with(&stores), known(Store::Settings(id, rate).after(None)))
+            }
+            Self::MovingExample => {
+                let content = Content { values: [4, 2], ..first };
+                let mut packed = [0; PACKED];
+                let mut packer = Packer::new(&mut packed);
+                for ((index, sub_index, _), value) in PARAMETERS.into_iter().zip(content.values) {
+                    packer.put(&Parameter { index, sub_index, data_type: 0x05, value: &[value] });
+                }
+                let (mut log, _) = Log::<_, PACKED>::open_with_parameters(BoardFlash::blank(0));
+                log.store_with_parameters(content.settings, &packed).expect("the flash works");
+                // They refer to the same parameters.
+                for _ in 1..STORES_TO_MOVE {
+                    log.store(content.settings).expect("the flash works");
+                }
+                (log.close().content(), known(content))
+            }
         }
-        let settings = |number| settings(((number % 127) as u8 + 1, BitRate::Kbit125));
-        let stores: Vec<_> = (0..STORES_TO_MOVE).map(settings).collect();
-        (flash_with(&stores), Expected { known: stores.last().copied(), attempted: None })
     }
 
     /// The session without a cut.
     pub fn course(self, part: Part, image: &Image) -> anyhow::Result<Course> {
         let (content, mut expected) = self.begin();
-        let rig = session(part, image, &content, None, &mut expected)?;
+        let rig = self.live(part, image, &content, None, &mut expected)?;
         let operations = rig.network.board(0).chip().flash().operation_times().to_vec();
         Ok(Course { operations, end: rig.network.now() })
     }
@@ -140,75 +242,120 @@ impl Session {
         let (content, begin) = self.begin();
         for &cut in cuts {
             let mut expected = begin.clone();
-            let rig = session(part, image, &content, Some(cut), &mut expected)?;
+            let rig = self.live(part, image, &content, Some(cut), &mut expected)?;
             tally.cuts += 1;
             let left = rig.settings_flash();
-            if let Err(loss) = check(part, image, &left, expected.clone()) {
+            if let Err(loss) = self.check(part, image, &left, expected.clone()) {
                 tally.losses.push(format!("{cut:?}: {loss:#}"));
                 continue;
             }
             if !twice {
                 continue;
             }
-            let operations = session(part, image, &left, None, &mut expected.clone())?.operations();
+            let operations =
+                self.live(part, image, &left, None, &mut expected.clone())?.operations();
             for operation in 0..operations {
                 let mut expected = expected.clone();
                 let second = PowerCut { operation, seed: random.u64() };
-                let rig = session(part, image, &left, Some(Cut::In(second)), &mut expected)?;
+                let rig = self.live(part, image, &left, Some(Cut::In(second)), &mut expected)?;
                 tally.cuts += 1;
-                if let Err(loss) = check(part, image, &rig.settings_flash(), expected) {
+                if let Err(loss) = self.check(part, image, &rig.settings_flash(), expected) {
                     tally.losses.push(format!("{cut:?}, {second:?}: {loss:#}"));
                 }
             }
         }
         Ok(tally)
     }
-}
 
-/// Power-on and both commissionings, until the power fails.
-fn session(
-    part: Part,
-    image: &Image,
-    content: &[u8],
-    cut: Option<Cut>,
-    expected: &mut Expected,
-) -> anyhow::Result<Rig> {
-    let mut rig = Rig::new(part, image, content);
-    match cut {
-        Some(Cut::In(cut)) => rig.network.board(0).chip().flash_mut().cut_power(cut),
-        Some(Cut::At(time)) => rig.network.board_mut(0).cut_power_at(time),
-        None => {}
+    /// Power-on and all stores, until the power fails.
+    fn live(
+        self,
+        part: Part,
+        image: &Image,
+        content: &[u8],
+        cut: Option<Cut>,
+        expected: &mut Expected<Content>,
+    ) -> anyhow::Result<Rig> {
+        let mut rig = Rig::new(part, image, content);
+        match cut {
+            Some(Cut::In(cut)) => rig.network.board(0).chip().flash_mut().cut_power(cut),
+            Some(Cut::At(time)) => rig.network.board_mut(0).cut_power_at(time),
+            None => {}
+        }
+        let outcome = self.store_all(&mut rig, expected);
+        let is_powered = rig.network.board(0).is_powered();
+        if is_powered {
+            outcome?;
+        }
+        ensure!(is_powered == cut.is_none(), "the power failed without a cut, or not at the cut");
+        Ok(rig)
     }
-    let outcome = rig.commission_all(expected);
-    let is_powered = rig.network.board(0).is_powered();
-    if is_powered {
-        outcome?;
-    }
-    ensure!(is_powered == cut.is_none(), "the power failed without a cut, or not at the cut");
-    Ok(rig)
-}
 
-/// Checks after power returns: the board is reachable with legal settings, and can be commissioned.
-fn check(part: Part, image: &Image, content: &[u8], mut expected: Expected) -> anyhow::Result<()> {
-    let Expected { known, attempted } = expected;
-    let mut rig = Rig::new(part, image, content);
-    ensure!(rig.boot()?, "the power failed during the boot");
-    let found = rig.found()?;
-    ensure!(
-        expected.admits(found),
-        "{}, not {} or {}",
-        Named(found),
-        Named(known),
-        Named(attempted)
-    );
-    rig.commission(LAST_COMMISSIONING)?;
-    let mut rig = Rig::new(part, image, &rig.settings_flash());
-    rig.boot()?;
-    let found = rig.found()?;
-    ensure!(found == Some(settings(LAST_COMMISSIONING)), "{} after the cut", Named(found));
-    let findings = rig.network.board(0).findings();
-    ensure!(findings.is_empty(), "{findings:?}");
-    Ok(())
+    /// Power-on and all stores. A power failure is an error.
+    fn store_all(self, rig: &mut Rig, expected: &mut Expected<Content>) -> anyhow::Result<()> {
+        ensure!(rig.boot()?, "the power failed during the boot");
+        let mut content = self.found(rig)?;
+        ensure!(expected.admits(content), "the board has {} at power-on", Shown(content));
+        for store in self.stores().0 {
+            let new = store.after(content);
+            expected.attempt(new);
+            rig.store(*store)?;
+            expected.acknowledge();
+            content = Some(new);
+        }
+        Ok(())
+    }
+
+    /// Checks after power returns: the board is reachable with legal content, and can store.
+    fn check(
+        self,
+        part: Part,
+        image: &Image,
+        flash: &[u8],
+        mut expected: Expected<Content>,
+    ) -> anyhow::Result<()> {
+        let Expected { known, attempted } = expected;
+        let mut rig = Rig::new(part, image, flash);
+        ensure!(rig.boot()?, "the power failed during the boot");
+        let found = self.found(&mut rig)?;
+        ensure!(
+            expected.admits(found),
+            "{}, not {} or {}",
+            Shown(found),
+            Shown(known),
+            Shown(attempted)
+        );
+        let (_, last) = self.stores();
+        rig.store(last)?;
+        let mut rig = Rig::new(part, image, &rig.settings_flash());
+        rig.boot()?;
+        let found_then = self.found(&mut rig)?;
+        ensure!(found_then == Some(last.after(found)), "{} after the cut", Shown(found_then));
+        let findings = rig.network.board(0).findings();
+        ensure!(findings.is_empty(), "{findings:?}");
+        Ok(())
+    }
+
+    /// The content as the board reports it on the bus; `None`: the defaults. Leaves it in LSS configuration state.
+    fn found(self, rig: &mut Rig) -> anyhow::Result<Option<Content>> {
+        let rate = rig.bit_rate()?;
+        rig.request(Request::SwitchToConfiguration);
+        let node_id = rig.ask(Request::InquireNodeId)?[1];
+        if node_id == 0xFF && rate == DEFAULT_BIT_RATE {
+            return Ok(None);
+        }
+        rig.node_id = node_id;
+        let mut content = Store::Settings(node_id, rate).after(None);
+        if self.has_parameters() {
+            for (value, (index, sub_index, _)) in content.values.iter_mut().zip(PARAMETERS) {
+                let [i0, i1] = index.to_le_bytes();
+                let answer = rig.ask_sdo([0x40, i0, i1, sub_index, 0, 0, 0, 0])?;
+                ensure!(answer[0] == 0x4F, "{index:04X}h is not read: {answer:02X?}");
+                *value = answer[4];
+            }
+        }
+        Ok(Some(content))
+    }
 }
 
 impl Rig {
@@ -221,7 +368,7 @@ impl Rig {
         let master = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
         // It takes no part until it knows the bit rate: its errors would make the board search for another.
         network.adapter_mut(master).close();
-        Self { network, master }
+        Self { network, master, node_id: 0xFF }
     }
 
     fn operations(&self) -> u64 {
@@ -261,41 +408,34 @@ impl Rig {
         known.context("the board is at no bit rate of CiA 301")
     }
 
-    /// The settings as the board reports them on the bus; `None`: the defaults. Leaves it in LSS configuration state.
-    fn found(&mut self) -> anyhow::Result<Option<Settings>> {
-        let rate = self.bit_rate()?;
-        self.request(Request::SwitchToConfiguration);
-        let answer = self.ask(Request::InquireNodeId)?;
-        Ok(match answer[1] {
-            0xFF if rate == DEFAULT_BIT_RATE => None,
-            id => Some(settings((id, rate))),
-        })
-    }
-
-    /// Power-on and all commissionings. A power failure is an error.
-    fn commission_all(&mut self, expected: &mut Expected) -> anyhow::Result<()> {
-        ensure!(self.boot()?, "the power failed during the boot");
-        let found = self.found()?;
-        ensure!(expected.admits(found), "the board has {} at power-on", Named(found));
-        for commissioning in COMMISSIONINGS {
-            expected.attempt(settings(commissioning));
-            self.commission(commissioning)?;
-            expected.acknowledge();
+    /// Makes settings or parameters persistent.
+    fn store(&mut self, store: Store) -> anyhow::Result<()> {
+        match store {
+            Store::Settings(node_id, bit_rate) => {
+                let index = bit_rate.index();
+                for request in [
+                    Request::ConfigureNodeId(node_id),
+                    Request::ConfigureBitTiming { table: 0, index },
+                    Request::StoreConfiguration,
+                ] {
+                    let answer = self.ask(request)?;
+                    ensure!(answer[1] == 0, "{request:?} is refused: {answer:02X?}");
+                }
+            }
+            Store::Parameters(save, values) => {
+                for ((index, sub_index, _), value) in PARAMETERS.into_iter().zip(values) {
+                    let [i0, i1] = index.to_le_bytes();
+                    self.write([0x2F, i0, i1, sub_index, value, 0, 0, 0])?;
+                }
+                self.write([0x23, 0x10, 0x10, save, b's', b'a', b'v', b'e'])?;
+            }
         }
         Ok(())
     }
 
-    /// Stores a node-ID and a bit rate.
-    fn commission(&mut self, (node_id, bit_rate): (u8, BitRate)) -> anyhow::Result<()> {
-        let index = bit_rate.index();
-        for request in [
-            Request::ConfigureNodeId(node_id),
-            Request::ConfigureBitTiming { table: 0, index },
-            Request::StoreConfiguration,
-        ] {
-            let answer = self.ask(request)?;
-            ensure!(answer[1] == 0, "{request:?} is refused: {answer:02X?}");
-        }
+    fn write(&mut self, request: [u8; 8]) -> anyhow::Result<()> {
+        let answer = self.ask_sdo(request)?;
+        ensure!(answer[0] == 0x60, "{request:02X?} is refused: {answer:02X?}");
         Ok(())
     }
 
@@ -307,19 +447,32 @@ impl Rig {
     /// Sends a request and returns its answer.
     fn ask(&mut self, request: Request) -> anyhow::Result<[u8; 8]> {
         self.request(request);
-        while let Some((_, frame)) = self.network.run_until_received(self.master, PATIENCE) {
-            if frame.id == Id::Standard(RESPONSE_COB_ID) {
-                return Ok(frame.data);
+        self.answer(RESPONSE_COB_ID).with_context(|| format!("{request:?} has no answer"))
+    }
+
+    /// Sends a request to the SDO server of the board and returns its answer.
+    fn ask_sdo(&mut self, request: [u8; 8]) -> anyhow::Result<[u8; 8]> {
+        let node_id = u16::from(self.node_id);
+        let frame = Frame::data(Id::Standard(0x600 + node_id), &request);
+        self.network.send(self.master, frame);
+        self.answer(0x580 + node_id).with_context(|| format!("{request:02X?} has no answer"))
+    }
+
+    /// The next frame with this COB-ID.
+    fn answer(&mut self, cob_id: u16) -> Option<[u8; 8]> {
+        loop {
+            let (_, frame) = self.network.run_until_received(self.master, PATIENCE)?;
+            if frame.id == Id::Standard(cob_id) {
+                return Some(frame.data);
             }
         }
-        bail!("{request:?} has no answer")
     }
 }
 
 /// The longest time from the end of a store request to the end of its answer. The flash is as slow as the data sheet
 /// allows, and the bus is full of frames that the node must examine and that have a lower priority than its answer.
 pub fn worst_answer_time(part: Part, image: &Image) -> anyhow::Result<Time> {
-    let stored = flash_with(&[settings(LAST_COMMISSIONING)]);
+    let stored = flash_with(&[settings((7, BitRate::Kbit1000))]);
     let mut rig = Rig::new(part, image, &stored);
     ensure!(rig.boot()?, "the power failed during the boot");
     rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);

@@ -113,12 +113,10 @@ fn live<const P: usize, const W: usize, const E: usize>(
 }
 
 impl Histories {
-    /// The histories that are tried.
-    pub fn all(long: bool) -> Vec<Self> {
-        let lives = if long { 6 } else { 4 };
+    /// The histories that are tried, with at most these lives: those of settings, those of parameters.
+    pub fn all((lives, lives_of_parameters): (usize, usize)) -> Vec<Self> {
         let settings =
             |lives, records, garbage| Self { lives, records, garbage, parameters: false };
-        let lives_of_parameters = if long { 4 } else { 3 };
         let parameters = |records| Self {
             lives: lives_of_parameters,
             records,

@@ -4,7 +4,7 @@ use crate::chip::{BusFault, Part, Problem};
 
 const OPTLOCK: u32 = 1 << 0;
 const OPTSTRT: u32 = 1 << 1;
-const BOR_LEV: u32 = 0xC;
+const BOR_LEV: u32 = 0b11 << 2;
 
 /// One of the two registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,7 +33,7 @@ fn unprotected(part: Part) -> [u32; 2] {
 }
 
 impl Options {
-    /// The factory settings: no protection, no brown-out reset.
+    /// The factory settings: no protection, the lowest brown-out level.
     pub fn new(part: Part) -> Self {
         let [first, second] = unprotected(part);
         let stored = [first | 0xAAEC | OPTLOCK, second];
@@ -58,6 +58,23 @@ impl Options {
             for (register, bits) in registers.iter_mut().zip(bits) {
                 *register = *register & !self.part.protection_bits() | bits;
             }
+        }
+    }
+
+    /// Sets BOR_LEV, as a programming tool does.
+    pub fn set_brown_out_level(&mut self, level: u8) {
+        for word in [&mut self.stored[0], &mut self.registers[0]] {
+            *word = *word & !BOR_LEV | u32::from(3 - level.min(3)) << BOR_LEV.trailing_zeros();
+        }
+    }
+
+    /// The supply in mV below which the chip is held in reset (F405 data sheet, falling edge, typical).
+    pub fn brown_out_mv(&self) -> u32 {
+        match self.stored[0] & BOR_LEV {
+            0b0000 => 2_830,
+            0b0100 => 2_500,
+            0b1000 => 2_190,
+            _ => 1_680,
         }
     }
 

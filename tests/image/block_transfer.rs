@@ -1,0 +1,73 @@
+//! SDO block transfer with the release image of the example `io`: its share of the bus.
+//!
+//! `cargo test --test image block_transfer:: -- --nocapture` prints the shares.
+
+use emulator::Time;
+use lss_slave::BitRate;
+use lss_slave_firmware::io;
+use testkit::{
+    image_rig::{ImageRig, SdoClient, example_board, settings},
+    sdo::Client,
+};
+
+/// The transfer test of the example, a domain of 100,000 bytes.
+const TRANSFER_TEST: u16 = 0x2102;
+const NODE_ID: u8 = 1;
+const INVALID_VALUE: u32 = 0x0609_0030;
+const TOO_LONG: u32 = 0x0607_0012;
+const TOO_SHORT: u32 = 0x0607_0013;
+
+fn board() -> ImageRig {
+    let settings = settings(NODE_ID, BitRate::Kbit1000);
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [example_board(settings)]);
+    rig.collect(Time::from_ms(20));
+    rig
+}
+
+fn content() -> Vec<u8> {
+    io::test_content(0).collect()
+}
+
+/// Prints the speed of a transfer of the whole domain; returns the share of the bus in percent.
+fn share<T>(
+    name: &str,
+    rig: &mut ImageRig,
+    transfer: impl FnOnce(&mut SdoClient<'_>) -> T,
+) -> (T, u64) {
+    let from = rig.network.now();
+    let result = transfer(&mut rig.sdo_client(NODE_ID));
+    let until = rig.network.now();
+    let share = rig.bus_load(from..until);
+    let kbytes_per_s = content().len() as u64 * 1_000 / (until - from).as_us();
+    println!("block {name}: {share} % of the bus, {kbytes_per_s} KB/s");
+    (result, share)
+}
+
+#[test]
+fn a_domain_of_100_kb_fills_the_bus_both_ways() {
+    let mut rig = board();
+    assert_eq!(content().len(), 100_000);
+    let (uploaded, upload) =
+        share("upload", &mut rig, |client| client.block_upload(TRANSFER_TEST, 0, 127));
+    assert!(uploaded == Ok(content()));
+    let (downloaded, download) =
+        share("download", &mut rig, |client| client.block_download(TRANSFER_TEST, 0, &content()));
+    assert_eq!(downloaded, Ok(()));
+    assert!(upload >= 95 && download >= 97, "{upload} %, {download} %");
+}
+
+#[test]
+fn a_domain_with_a_wrong_byte_or_length_is_refused() {
+    let mut rig = board();
+    let mut wrong = content();
+    wrong[500] ^= 1;
+    let long = [content(), vec![0]].concat();
+    for (data, code) in
+        [(&content()[..1_000], TOO_SHORT), (&wrong, INVALID_VALUE), (&long, TOO_LONG)]
+    {
+        let mut client = rig.sdo_client(NODE_ID);
+        assert_eq!(client.block_download(TRANSFER_TEST, 0, data), Err(code));
+        // The rest of the block follows the abort, and is refused.
+        rig.collect(Time::from_ms(50));
+    }
+}
