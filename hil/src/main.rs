@@ -59,7 +59,7 @@ struct Arguments {
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
     /// Read registers and reset the first board with probe-rs; its chip
-    #[arg(long, value_name = "CHIP", value_parser = PossibleValuesParser::new(Probe::CHIPS.map(|(name, _)| name)))]
+    #[arg(long, value_name = "CHIP", value_parser = PossibleValuesParser::new(Probe::chips()))]
     probe: Option<String>,
     /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
     #[arg(long, value_name = "MS", default_value_t = 2)]

@@ -7,6 +7,11 @@ use std::{
     time::{Duration, Instant},
 };
 
+use lss_slave_firmware::{
+    chip::{CHIPS, Chip},
+    device,
+};
+
 /// The longest run of `probe-rs`.
 const LIMIT: Duration = Duration::from_secs(20);
 
@@ -17,18 +22,15 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// The chips of this firmware, and their names in probe-rs; the package makes no difference.
-    pub const CHIPS: [(&str, &str); 4] = [
-        ("stm32f405", "STM32F405RGTx"),
-        ("stm32f407", "STM32F407VGTx"),
-        ("stm32f427", "STM32F427VITx"),
-        ("stm32f446", "STM32F446RETx"),
-    ];
+    /// The features of the chips with the clocks of the emulated board.
+    pub fn chips() -> impl Iterator<Item = &'static str> {
+        let has_its_clocks = |chip: &&Chip| device::sysclk_hz(chip) == device::SYSCLK_HZ;
+        const { &CHIPS }.iter().filter(has_its_clocks).map(|chip| chip.feature)
+    }
 
     /// The probe of a board with this chip; `None` for a chip that the firmware does not know.
     pub fn new(chip: &str) -> Option<Self> {
-        let (_, chip) = Self::CHIPS.into_iter().find(|(name, _)| *name == chip)?;
-        Some(Self { chip })
+        Some(Self { chip: Chip::named(chip)?.probe_rs })
     }
 
     /// Reads a word without halting the core.

@@ -16,7 +16,7 @@ use emulator::{
     network::{Network, What},
 };
 use lss_slave::{BitRate, NodeId, Settings, bit_rate::BitTiming};
-use lss_slave_firmware::{chip::CHIPS, device};
+use lss_slave_firmware::{chip::Chip, device};
 use testkit::{
     boards, frames,
     image_rig::{bit_per_s, on_the_wire},
@@ -143,8 +143,8 @@ fn boot(variant: &Variant) -> anyhow::Result<(u32, Time)> {
 
 /// The core clock that the firmware's table gives for a part.
 fn core_hz(part: Part) -> anyhow::Result<u32> {
-    let chip = CHIPS.iter().find(|chip| chip.feature == part.name());
-    Ok(device::sysclk_hz(chip.context("src/chip.rs does not have this chip")?))
+    let chip = Chip::named(part.name()).context("src/chip.rs does not have this chip")?;
+    Ok(device::sysclk_hz(&chip))
 }
 
 /// The board sets each rate exactly, with a bit timing that tolerates 0.5 % at both ends, and answers a master with such
