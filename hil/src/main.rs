@@ -64,9 +64,16 @@ struct Arguments {
     /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
     #[arg(long, value_name = "MS", default_value_t = 2)]
     latency: u16,
-    /// Ask for a power cut and a short circuit even if the standard input is no terminal
-    #[arg(long)]
-    ask: bool,
+    /// Whether to ask for a power cut and a short circuit; by default if the standard input is a terminal
+    #[arg(long, value_name = "WHETHER", value_enum, default_value = "auto")]
+    ask: Ask,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Ask {
+    Auto,
+    Always,
+    Never,
 }
 
 const EXAMPLES: &str = "Examples:
@@ -104,10 +111,12 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
         Ok(adapter) => {
             report.adapter = adapter.description();
             report.bench(&format!("adapter: {}", adapter.description()));
-            let person = match arguments.ask || io::stdin().is_terminal() {
-                true => Person::at_standard_input(),
-                false => Person::absent(),
+            let is_asked = match arguments.ask {
+                Ask::Auto => io::stdin().is_terminal(),
+                Ask::Always => true,
+                Ask::Never => false,
             };
+            let person = if is_asked { Person::at_standard_input() } else { Person::absent() };
             let probe = arguments.probe.as_deref().and_then(Probe::new);
             let bus =
                 Bus::new(adapter, Duration::from_millis(arguments.latency.into()), is_interrupted);

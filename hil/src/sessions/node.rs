@@ -90,7 +90,7 @@ pub fn nmt(bench: &mut Bench) -> Result<(), Stop> {
             (START, "start again", 0x05),
         ] {
             bench.bus.nmt(command, id)?;
-            bench.bus.pass(Duration::from_millis(20))?;
+            bench.bus.pass(Duration::from_millis(20) + 2 * bench.bus.latency())?;
             let cob_id = 0x700 + u16::from(id);
             let heartbeat =
                 bench.bus.wait_for(bench.bus.patience(), |frame| frame.cob_id() == cob_id)?;

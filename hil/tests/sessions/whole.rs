@@ -104,7 +104,8 @@ fn a_person_is_asked_to_cut_the_power() {
     let boards = Emulated::start(&["--node-id", "5"]);
     let adapter = proxy::start(boards.address, Fault::PowerCut);
     let directory = Directory::new("person");
-    let mut command = run::command(&directory, &adapter, &["--session", "hands", "--ask"]);
+    let mut command =
+        run::command(&directory, &adapter, &["--session", "hands", "--ask", "always"]);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
     // Yes to the power cut, no to the short circuit.
     child.stdin.take().expect("it is piped").write_all(b"y\n\n").expect("it reads");
