@@ -38,6 +38,7 @@ impl Instant {
     }
 
     /// The earlier of two optional deadlines.
+    #[inline(never)] // It has several callers.
     pub(crate) fn earliest(a: Option<Self>, b: Option<Self>) -> Option<Self> {
         match (a, b) {
             (Some(a), Some(b)) => Some(a.earlier(b)),
