@@ -1,10 +1,14 @@
 //! A short storm of random frames against the release image and against the node; `cargo xtask storm` makes long ones.
 
+use emulator::{board::Board, chip::Part};
 use testkit::{
-    image::image,
+    image::{example, image},
     image_rig::blank_board,
     random::Random,
-    storm::{image::ImageStorm, node::NodeStorm},
+    storm::{
+        image::{ExampleStorm, ImageStorm},
+        node::NodeStorm,
+    },
 };
 
 #[test]
@@ -14,6 +18,17 @@ fn in_a_storm_the_image_sends_and_stores_exactly_what_the_node_does() {
     assert!(storm.stores > 5, "{} stores", storm.stores);
     assert!(storm.resets > 5, "{} resets", storm.resets);
     assert!(storm.switches > 5, "{} switches", storm.switches);
+}
+
+#[test]
+fn in_a_storm_the_example_sends_and_stores_exactly_what_its_node_does() {
+    let board = Board::new(Part::Stm32f407, example(), Default::default());
+    let seed = Random::from_environment().u64();
+    let mut storm = ExampleStorm::with_example(board, example(), seed);
+    storm.rage(10_000);
+    let ExampleStorm { stores, resets, switches, pdos, .. } = storm;
+    println!("{stores} stores, {resets} resets, {switches} switches, {pdos} PDOs");
+    assert!(stores > 5 && resets > 2 && switches > 2 && pdos > 100);
 }
 
 #[test]
