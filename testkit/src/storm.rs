@@ -44,7 +44,7 @@ pub trait Stormed: Application + Clone {
     /// The longest time from the start of a board to the first sample of its inputs.
     const FIRST_SAMPLE: Time = Time::ZERO;
 
-    /// Frames for the objects and the process data of the application on this node, in this order.
+    /// Frames for the objects and the process data of the application on this node, in this order; node-ID 0: none.
     fn script(_: &mut Random, _node_id: u8) -> Vec<Frame> {
         Vec::new()
     }
@@ -64,7 +64,7 @@ impl Stormed for NoApplication {}
 
 /// The next frame: of the script under way, or a random one.
 fn next<A: Stormed>(random: &mut Random, script: &mut VecDeque<Frame>, target: &Target) -> Frame {
-    if script.is_empty() && target.node_id != 0 && random.one_in(4) {
+    if script.is_empty() && random.one_in(4) {
         script.extend(A::script(random, target.node_id));
     }
     if script.is_empty() || random.one_in(16) {
@@ -193,6 +193,11 @@ fn delivered(frame: &Frame) -> Option<lss_slave::Frame> {
 /// The LSS request in `frame`, if there is one: command specifier and parameters.
 fn lss_data(frame: &Frame) -> Option<[u8; 8]> {
     (frame.id == LSS && !frame.remote && frame.dlc == 8).then_some(frame.data)
+}
+
+/// Whether only PDOs may have the COB-ID of `frame` (CiA 301, 7.3.5).
+fn is_pdo(frame: &lss_slave::Frame) -> bool {
+    matches!(frame.cob_id(), 0x180..=0x57F | 0x680..=0x6DF)
 }
 
 /// The bit rate of the storm.

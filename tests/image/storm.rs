@@ -7,7 +7,7 @@ use testkit::{
     random::Random,
     storm::{
         image::{ExampleStorm, ImageStorm},
-        node::NodeStorm,
+        node::{ExampleNodeStorm, NodeStorm},
     },
 };
 
@@ -36,4 +36,13 @@ fn no_storm_makes_the_node_store_unasked_or_silences_it() {
     let mut storm = NodeStorm::new(Random::from_environment().u64());
     storm.rage(200_000);
     assert!(storm.stores > 100, "{} stores", storm.stores);
+}
+
+#[test]
+fn no_storm_makes_the_example_store_or_answer_unasked_or_silences_it() {
+    let mut storm = ExampleNodeStorm::with_example(Random::from_environment().u64());
+    storm.rage(100_000);
+    let ExampleNodeStorm { stores, pdos, .. } = storm;
+    println!("{stores} stores, {pdos} PDOs");
+    assert!(stores > 100 && pdos > 1_000);
 }

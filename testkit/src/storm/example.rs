@@ -8,13 +8,13 @@ use emulator::{
 use lss_slave_firmware::io::{Application, RPDOS, TPDOS, test_content};
 
 use super::{
-    NMT, SDO_COB_ID, Stormed,
-    sdo_messages::{
-        Address, block_download, block_upload, download, expedited, initiate, upload,
-    },
+    LSS, NMT, SDO_COB_ID, Stormed,
+    sdo_messages::{Address, block_download, block_upload, download, expedited, initiate, upload},
 };
 use crate::random::Random;
 
+/// The first node-ID of the node.
+pub(super) const NODE_ID: u8 = 0x40;
 const SYNC: Id = Id::Standard(0x080);
 /// The node whose heartbeat is watched, and the longest time that the node waits for it.
 const PRODUCER: u8 = 0x0A;
@@ -43,12 +43,16 @@ impl Stormed for Application {
     const FIRST_SAMPLE: Time = Time::from_ms(12);
 
     fn script(random: &mut Random, node_id: u8) -> Vec<Frame> {
+        if node_id == 0 {
+            return commissioning();
+        }
         let messages = match random.within(0..16) {
-            0..5 => {
+            0..7 => {
+                let start = Frame::data(NMT, &[0x01, node_id]);
                 let count = random.within(1..12);
-                return (0..count).map(|_| process_data(random, node_id)).collect();
+                let rest = (0..count).map(|_| process_data(random, node_id));
+                return [start].into_iter().chain(rest).collect();
             }
-            5..7 => return vec![Frame::data(NMT, &[0x01, node_id])],
             7..9 => download_a_value(random),
             9..11 => upload_a_value(random),
             11..13 => configure_pdo(random, node_id),
@@ -105,6 +109,15 @@ fn to_server(node_id: u8, message: &[u8; 8]) -> Frame {
 
 fn sub_index(random: &mut Random) -> u8 {
     random.pick(&[1, 2, 3])
+}
+
+/// The LSS requests that give a node its node-ID.
+fn commissioning() -> Vec<Frame> {
+    let requests = [[0x04, 0x01], [0x11, NODE_ID], [0x04, 0x00]];
+    requests
+        .iter()
+        .map(|[command, value]| Frame::data(LSS, &[*command, *value, 0, 0, 0, 0, 0, 0]))
+        .collect()
 }
 
 /// A SYNC, an RPDO or a heartbeat.

@@ -14,7 +14,7 @@ use lss_slave::{
 };
 use lss_slave_firmware::io::{self, Filter, Sample};
 
-use super::{RATE, Stormed, Target, delivered, lss_data, next};
+use super::{RATE, Stormed, Target, delivered, example::NODE_ID, is_pdo, lss_data, next};
 use crate::{
     flash::BoardFlash,
     frames::{self, Frames},
@@ -78,18 +78,18 @@ impl ImageStorm {
 }
 
 impl ExampleStorm {
-    /// A board with the example and stored settings: node-ID 40h, 1 Mbit/s.
+    /// A board with the example and stored settings: a node-ID, 1 Mbit/s.
     pub fn with_example(board: Emulated, image: &Image, seed: u64) -> Self {
-        let settings = settings(0x40, RATE);
+        let settings = settings(NODE_ID, RATE);
         let mut rig = rig(board, image, settings);
         rig.collect(io::Application::FIRST_SAMPLE);
-        let temperature = rig.sdo_client(0x40).number(0x6401, 1) as i16;
+        let temperature = rig.sdo_client(NODE_ID).number(0x6401, 1) as i16;
         let sample = Sample { is_pressed: false, temperature };
         let sample = Box::new(move |io: &mut io::Application| {
             io.step(sample, &mut Filter::default());
         });
         let mut storm = Self::with(rig, settings, seed, io::Application::new(), sample);
-        storm.first.extend(io::Application::end_times(0x40));
+        storm.first.extend(io::Application::end_times(NODE_ID));
         storm
     }
 }
@@ -425,11 +425,6 @@ fn compared(frame: &lss_slave::Frame) -> Option<lss_slave::Frame> {
     let is_of_controller = matches!(frame.data(), [_, 0x01 | 0x03, 0x10, ..] | [_, 0x00, 0x20, ..]);
     let is_compared = frame.cob_id() == lss::RESPONSE_COB_ID || is_sdo && !is_of_controller;
     (is_compared || is_pdo(frame)).then_some(*frame)
-}
-
-/// Whether only PDOs may have the COB-ID of `frame` (CiA 301, 7.3.5).
-fn is_pdo(frame: &lss_slave::Frame) -> bool {
-    matches!(frame.cob_id(), 0x180..=0x57F | 0x680..=0x6DF)
 }
 
 fn is_sdo_answer(action: &&Action) -> bool {

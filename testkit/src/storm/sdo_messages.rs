@@ -37,9 +37,10 @@ pub fn upload(address: Address, segments: u8) -> Vec<[u8; 8]> {
 /// A block download of a value that fits one block.
 pub fn block_download(address: Address, data: &[u8]) -> Vec<[u8; 8]> {
     let last = data.chunks(7).count();
-    let segments = data.chunks(7).zip(1..).map(|(part, number)| {
-        segment(number as u8 | if number == last { 0x80 } else { 0 }, part)
-    });
+    let segments = data
+        .chunks(7)
+        .zip(1..)
+        .map(|(part, number)| segment(number as u8 | if number == last { 0x80 } else { 0 }, part));
     let unused = (last * 7 - data.len()) as u8;
     let end = segment(0xC1 | unused << 2, &crc(data).to_le_bytes());
     let begin = initiate(0xC6, address, data.len() as u32);
