@@ -233,7 +233,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             if actions.iter().any(|action| matches!(action, Action::Store(_))) {
                 self.stores += 1;
                 self.settle();
-            } else if actions.iter().filter(|action| is_sdo_answer(action)).count() > 1 {
+            } else if actions.iter().filter(is_sdo_answer).count() > 1 {
                 // The next request would come within the block.
                 self.settle();
             }
