@@ -1,7 +1,7 @@
 //! The board after a reset: watchdog, clocks, pins and identity.
 
 use lss_slave::lss::Address;
-use lss_slave_firmware::device;
+use lss_slave_firmware::{chip::UNIQUE_ID, device};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Output, alt::can1},
     pac::{CAN1, DBGMCU, Peripherals, RCC},
@@ -93,11 +93,11 @@ pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
     (0..READS_IN_100_MS).any(|_| it_is_there())
 }
 
-/// The serial number, derived from the chip's 96-bit unique id (RM0090, 39.1).
+/// The serial number, derived from the chip's unique id.
 pub fn serial_number() -> u32 {
-    const UNIQUE_ID: *const [u8; 12] = 0x1FFF_7A10 as *const _;
+    const ID: *const [u8; 12] = UNIQUE_ID as *const _;
     // SAFETY: read-only memory of every STM32F4.
-    Address::serial_number_of(&unsafe { UNIQUE_ID.read() })
+    Address::serial_number_of(&unsafe { ID.read() })
 }
 
 fn log_reset_cause(rcc: &RCC) {

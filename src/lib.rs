@@ -4,6 +4,7 @@
 #![cfg_attr(not(test), no_std)]
 
 pub mod application;
+pub mod chip;
 pub mod device;
 pub mod io;
 

@@ -23,15 +23,6 @@ mod transmit_queue;
 use defmt_rtt as _;
 use panic_probe as _;
 
-const _: () = assert!(
-    cfg!(feature = "stm32f405") as u8
-        + cfg!(feature = "stm32f407") as u8
-        + cfg!(feature = "stm32f427") as u8
-        + cfg!(feature = "stm32f446") as u8
-        == 1,
-    "choose one chip: --features stm32f405, stm32f407, stm32f427 or stm32f446"
-);
-
 #[rtic::app(device = stm32f4xx_hal::pac)]
 mod app {
     use lss_slave::{

@@ -5,6 +5,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use lss_slave_firmware::chip::CHIPS;
+
 /// The directories with documents.
 const DIRECTORIES: [&str; 5] = ["", "docs", "fuzz", "lss-slave", "tests/clients"];
 /// Directories that commands make.
@@ -128,6 +130,16 @@ fn every_command_of_the_project_that_a_document_names_exists() {
         }
     }
     assert_none(&faults);
+}
+
+#[test]
+fn the_readme_lists_every_chip_with_its_manual() {
+    let readme = fs::read_to_string(root().join("README.md")).expect("the README");
+    let listed = readme.lines().filter(|line| line.starts_with("| `stm32f4"));
+    let listed: Vec<String> =
+        listed.map(|line| line.splitn(4, '|').take(3).collect::<Vec<_>>().join("|")).collect();
+    let chips = CHIPS.map(|chip| format!("| `{}` | {} ", chip.feature, chip.manual));
+    assert_eq!(listed, chips);
 }
 
 #[test]

@@ -49,7 +49,7 @@ struct Arguments {
     /// Show every frame of the Fastscan, not only the start and end of its parts
     #[arg(long)]
     all: bool,
-    /// The chip on the boards: stm32f405, stm32f407, stm32f427 or stm32f446
+    /// The chip on the boards, such as stm32f446; the README lists them all
     #[arg(long, default_value = "stm32f405")]
     chip: Part,
     /// Draw the switch of the bit rate as a timing diagram

@@ -15,15 +15,15 @@ pub use log::LogLine;
 use crate::{
     Time,
     can::{Clock, bxcan},
-    chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Readings, Request, ResetCause},
+    chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Readings, Request, ResetCause, StartUp},
     engine::{Engine, Halt, Lockup, Watcher, rsemu::Rsemu},
     image::Image,
 };
 #[cfg(feature = "log")]
 use log::Log;
 
-/// The time for which NRST stays low after the supply has come up (F405 data sheet, tRSTTEMPO).
-const POWER_ON_HOLD: Time = Time::from_us(1_500);
+/// The hysteresis of the brown-out reset, in mV (F405 data sheet, typical).
+const BROWN_OUT_HYSTERESIS: u32 = 100;
 /// The time for which an internal reset pulls NRST low (RM0090 7.1.1).
 const RESET_HOLD: Time = Time::from_us(20);
 /// The longest time that a program runs before its log is fetched.
@@ -73,7 +73,10 @@ pub struct Board {
     engine: Box<dyn Engine>,
     #[cfg(feature = "log")]
     log: Log,
+    start_up: StartUp,
     powered: bool,
+    /// The supply is on, but too low for the chip to leave its reset.
+    browned_out: bool,
     /// The time while there is no power.
     dark: Time,
     /// The time at which the supply will fail.
@@ -104,7 +107,9 @@ impl Board {
             engine,
             #[cfg(feature = "log")]
             log: Log::new(image.clone()),
+            start_up: chip_readings.start_up,
             powered: false,
+            browned_out: false,
             dark: Time::ZERO,
             power_cut_at: None,
             power_ups: 0,
@@ -202,7 +207,10 @@ impl Board {
         #[cfg(feature = "log")]
         self.log.restart();
         self.chip().reset(cause, now);
-        let hold = if cause == ResetCause::PowerOn { POWER_ON_HOLD } else { RESET_HOLD };
+        let hold = match cause {
+            ResetCause::PowerOn | ResetCause::BrownOut => self.start_up.reset(),
+            _ => RESET_HOLD,
+        };
         self.engine.reset(now, hold);
         self.resets.push((now, cause));
     }
@@ -214,6 +222,7 @@ impl Board {
 
     /// Switches the supply off now. An unfinished flash operation leaves undefined bits.
     pub fn power_off(&mut self) {
+        self.browned_out = false;
         if !self.powered {
             return;
         }
@@ -229,14 +238,25 @@ impl Board {
             return;
         }
         self.powered = true;
+        self.browned_out = false;
         self.power_ups += 1;
         self.engine.scramble_ram(self.power_ups);
         self.start(ResetCause::PowerOn, self.dark);
     }
 
-    /// Sets the supply in mV, initially 3,300. It may be 1,700 to 3,600; no brown-out resets the chip.
+    /// Sets the supply in mV, initially 3,300, at most 3,600. Below the brown-out level of the option bytes the chip is
+    /// held in reset, as if the power was off, but RAM keeps its content.
     pub fn set_supply(&mut self, mv: u32) {
         self.chip().set_supply(mv);
+        let least = self.chip().flash().brown_out_mv();
+        if self.powered && mv < least {
+            self.power_off();
+            self.browned_out = true;
+        } else if self.browned_out && mv >= least + BROWN_OUT_HYSTERESIS {
+            self.browned_out = false;
+            self.powered = true;
+            self.start(ResetCause::BrownOut, self.dark);
+        }
     }
 
     /// Stops the crystal now, as a broken joint does.

@@ -10,9 +10,12 @@ mod map;
 mod part;
 mod rcc;
 mod readings;
+mod rng;
+mod rtc;
 mod surroundings;
 mod system;
 mod timer;
+mod usart;
 
 pub use adc::{Adc, Analogue};
 pub use finding::{Finding, Problem};
@@ -22,12 +25,17 @@ pub use iwdg::Iwdg;
 pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
 pub use part::{Part, UnknownPart};
 pub use rcc::{Clocks, ResetCause};
-pub use readings::Readings;
+pub use readings::{Readings, StartUp};
+
+use std::ops::BitOr;
 
 use map::Block;
-use rcc::{Gate, Rcc};
+use rcc::{Apb, Gate, Rcc};
+use rng::Rng;
+use rtc::Rtc;
 use system::{Dbgmcu, Exti, Factory, Pwr, Syscfg};
 use timer::Timer;
+use usart::Usart;
 
 use crate::{
     Time,
@@ -51,8 +59,12 @@ pub struct Chip {
     pwr: Pwr,
     flash: Flash,
     iwdg: Iwdg,
-    /// TIM2 and TIM5.
-    timers: [Timer; 2],
+    /// TIM1 to TIM14.
+    timers: Vec<Timer>,
+    /// USART1 to USART6.
+    usarts: Vec<Usart>,
+    rng: Rng,
+    rtc: Rtc,
     gpio: Gpio,
     syscfg: Syscfg,
     exti: Exti,
@@ -70,6 +82,8 @@ pub struct Chip {
 
 /// First address of the option bytes.
 const OPTION_BYTES: u32 = 0x1FFF_C000;
+
+const BACKUP_DOMAIN_PROTECTED: &str = "the backup domain is written while DBP protects it";
 
 impl Chip {
     /// A nominal chip with erased flash at power-on, with `crystal` at HSE.
@@ -89,11 +103,14 @@ impl Chip {
         flash.let_cut_words_flip(readings.cut_words_flip);
         let mut chip = Self {
             part,
-            rcc: Rcc::new(part, crystal, readings.hse_start),
+            rcc: Rcc::new(part, crystal, &readings),
             pwr: Pwr::new(part),
             flash,
             iwdg: Iwdg::new(readings.lsi_hz),
-            timers: [Timer::new(), Timer::new()],
+            timers: timer::KINDS.iter().map(Timer::new).collect(),
+            usarts: usart::KINDS.iter().map(Usart::new).collect(),
+            rng: Rng::new(),
+            rtc: Rtc::new(),
             gpio: Gpio::new(part),
             syscfg: Syscfg::default(),
             exti: Exti::default(),
@@ -152,6 +169,11 @@ impl Chip {
         &mut self.adc
     }
 
+    /// The bytes that the USARTs have sent since the last call, those of USART1 first.
+    pub fn take_sent(&mut self) -> Vec<Vec<u8>> {
+        self.usarts.iter_mut().map(Usart::take_sent).collect()
+    }
+
     /// The independent watchdog, to detune LSI.
     pub fn iwdg_mut(&mut self) -> &mut Iwdg {
         &mut self.iwdg
@@ -182,8 +204,9 @@ impl Chip {
             | u128::from(can.rx0) << 20
             | u128::from(can.rx1) << 21
             | u128::from(can.sce) << 22
-            | u128::from(self.timers[0].irq()) << 28
-            | u128::from(self.timers[1].irq()) << 50
+            | u128::from(self.rng.irq()) << 80
+            | self.timers.iter().map(Timer::irqs).fold(0, BitOr::bitor)
+            | self.usarts.iter().map(Usart::irqs).fold(0, BitOr::bitor)
     }
 
     /// When the chip next does something by itself, CAN apart, which lives on the bus's time.
@@ -232,15 +255,19 @@ impl Chip {
     pub fn reset(&mut self, cause: ResetCause, now: Time) {
         self.flash.reset(now);
         self.rcc.reset(cause);
+        self.rtc.set_clock(self.rcc.rtc_clock(self.readings.lsi_hz), now);
         self.pwr.reset();
         self.iwdg.reset();
         self.timers.iter_mut().for_each(Timer::reset);
+        self.usarts.iter_mut().for_each(Usart::reset);
+        self.rng.reset();
         self.adc.reset();
         self.gpio.reset(now);
         self.syscfg = Syscfg::default();
         self.exti = Exti::default();
         if cause == ResetCause::PowerOn {
             self.flash.power_on();
+            self.rtc = Rtc::new();
             self.dbgmcu = Dbgmcu::new(self.part);
         }
         self.can1.reset();
@@ -277,6 +304,9 @@ impl Chip {
             Block::Rcc => self.rcc.read(offset, now),
             Block::Pwr => self.pwr.read(offset),
             Block::Timer(timer) => self.timers[usize::from(timer)].read(offset, now),
+            Block::Usart(usart) => self.usarts[usize::from(usart)].read(offset),
+            Block::Rng => self.rng.read(offset),
+            Block::Rtc => self.rtc.read(offset, now),
             Block::Iwdg => self.iwdg.read(offset, now),
             Block::Adc => self.adc.read(offset, now),
             Block::Can1 => self.can1.read(offset, now),
@@ -353,19 +383,28 @@ impl Chip {
                 let result = self.flash.write(offset, value, now)?;
                 return Ok(result.and_then(|()| self.check_latency()));
             }
+            Block::Rcc if offset == Rcc::BDCR && !self.pwr.backup_domain_is_writable() => {
+                return Ok(Err(Problem::Misuse(BACKUP_DOMAIN_PROTECTED)));
+            }
             Block::Rcc => {
                 let before = self.clocks();
                 let result = self.rcc.write(offset, value, now);
                 self.carry_out_resets(now);
+                self.rtc.set_clock(self.rcc.rtc_clock(self.readings.lsi_hz), now);
                 if self.clocks() != before {
                     self.follow_clocks(now);
                 }
-                return Ok(result.and_then(|()| self.check_latency()));
+                let result = result.and_then(|()| self.check_latency());
+                return Ok(result.and_then(|()| self.check_voltage()));
             }
             Block::Timer(timer) => {
                 return Ok(self.timers[usize::from(timer)].write(offset, value, now));
             }
             Block::Adc => return Ok(self.adc.write(offset, value, now)),
+            Block::Rtc if !self.pwr.backup_domain_is_writable() => {
+                return Ok(Err(Problem::Misuse(BACKUP_DOMAIN_PROTECTED)));
+            }
+            Block::Rtc => return Ok(self.rtc.write(offset, value, now)),
             Block::Iwdg => {
                 let accepted = self.iwdg.write(offset, value, now);
                 if self.iwdg.running() {
@@ -382,11 +421,13 @@ impl Chip {
                 let modelled = self.can1.write(offset, value, now);
                 if modelled && offset == 0 && value & 3 == 0 && !self.can1_has_its_pins() {
                     return Ok(Err(Problem::Misuse(
-                        "CAN1 leaves initialisation with no pins in AF9",
+                        "CAN1 leaves initialisation with no pins in its alternate function",
                     )));
                 }
                 modelled
             }
+            Block::Usart(usart) => self.usarts[usize::from(usart)].write(offset, value),
+            Block::Rng => self.rng.write(offset, value),
             Block::Pwr => self.pwr.write(offset, value),
             Block::Syscfg => self.syscfg.write(offset, value),
             Block::Exti => self.exti.write(offset, value),
@@ -407,7 +448,11 @@ impl Chip {
         self.can1.set_clock(clocks.pclk1);
         self.adc.set_clock(clocks.pclk2);
         for timer in &mut self.timers {
-            timer.set_clock(clocks.timclk1, now);
+            let clock = match timer.apb() {
+                Apb::One => clocks.timclk1,
+                Apb::Two => clocks.timclk2,
+            };
+            timer.set_clock(clock, now);
         }
     }
 
@@ -420,6 +465,17 @@ impl Chip {
             if self.rcc.held_in_reset(Gate::Timer(number as u8)) {
                 timer.reset();
             }
+        }
+        for (number, usart) in self.usarts.iter_mut().enumerate() {
+            if self.rcc.held_in_reset(Gate::Usart(number as u8)) {
+                usart.reset();
+            }
+        }
+        if self.rcc.held_in_reset(Gate::Rng) {
+            self.rng.reset();
+        }
+        if self.rcc.backup_domain_held_in_reset() {
+            self.rtc = Rtc::new();
         }
         if self.rcc.held_in_reset(Gate::Adc) {
             self.adc.reset();
@@ -438,11 +494,16 @@ impl Chip {
         }
     }
 
-    /// RM0090 table 10: at 2.7..3.6 V a wait state more for every 30 MHz.
     fn check_latency(&self) -> Result<(), Problem> {
-        let needed = self.clocks().hclk.hz.saturating_sub(1) / 30_000_000;
-        if self.flash.latency() < needed {
+        if self.flash.latency() < self.part.wait_states(self.clocks().hclk.hz) {
             return Err(Problem::Misuse("too few flash wait states for this HCLK"));
+        }
+        Ok(())
+    }
+
+    fn check_voltage(&self) -> Result<(), Problem> {
+        if self.clocks().hclk.hz > self.pwr.max_hclk() {
+            return Err(Problem::Misuse("HCLK above the limit of the voltage scale (PWR_CR.VOS)"));
         }
         Ok(())
     }

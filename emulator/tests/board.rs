@@ -12,6 +12,7 @@ use programs::{Program, R0, R1, R2, R3};
 
 const RCC_CR: u32 = 0x4002_3800;
 const RCC_CFGR: u32 = 0x4002_3808;
+const FLASH_ACR: u32 = 0x4002_3C00;
 const RCC_AHB1ENR: u32 = 0x4002_3830;
 const RCC_CSR: u32 = 0x4002_3874;
 const GPIOD: u32 = 0x4002_0C00;
@@ -351,6 +352,60 @@ fn a_slow_core_takes_two_and_three_times_as_long_and_systick_does_not() {
     assert!(thrice.abs_diff(3 * once) < once / 20, "{once} ns, {thrice} ns");
 }
 
+#[test]
+fn flash_waits_cost_what_prefetch_and_cache_do_not_hide() {
+    const LINES: u64 = 300 / 8;
+    let cycles = |acr: u32, flash_waits: bool| {
+        let mut program = Program::new();
+        program.store(RCC_AHB1ENR, 1 << 3).store(FLASH_ACR, acr).store(GPIOD, 1 << 24);
+        for _ in 0..300 {
+            program.add(R1, 1);
+        }
+        program.store(GPIOD + 0x18, 1 << 12).stop();
+        let chip_readings = Readings { flash_waits, ..Readings::default() };
+        let settings = Settings { chip_readings, ..Settings::default() };
+        let mut board = Board::new(Part::Stm32f405, &program.image(), settings);
+        run(&mut board, Time::from_ms(3));
+        (board.output(Pin('D', 12)).since - START).as_ns() * 16 / 1_000
+    };
+    let never = cycles(5, false);
+    assert_eq!(cycles(0, true), never);
+    let always = cycles(5, true);
+    assert!((5 * LINES..5 * (LINES + 8)).contains(&(always - never)), "{never}, {always}");
+    let prefetched = cycles(1 << 8 | 5, true);
+    assert!(prefetched - never < 30, "{never}, {prefetched}");
+}
+
+#[test]
+fn a_brown_out_holds_the_chip_in_reset_and_keeps_ram() {
+    const RCC_CSR: u32 = 0x4002_3874;
+    let mut program = Program::new();
+    program.load(R1, COUNTER).add(R1, 1).store_register(COUNTER, R1);
+    program.load(R0, RCC_CSR).store_register(COUNTER + 4, R0).stop();
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(5));
+    let first = word(&board, COUNTER);
+    assert_eq!(word(&board, COUNTER + 4) >> 24, 0x0E);
+
+    board.set_supply(1_700);
+    run(&mut board, Time::from_ms(10));
+    assert_eq!(board.resets().len(), 1, "the factory's level is lower");
+    board.set_supply(3_300);
+    board.chip().flash_mut().set_brown_out_level(3);
+    board.set_supply(2_840);
+    assert!(board.is_powered());
+    board.set_supply(2_800);
+    assert!(!board.is_powered());
+    run(&mut board, Time::from_ms(20));
+    board.set_supply(2_900);
+    assert!(!board.is_powered(), "hysteresis");
+    board.set_supply(2_950);
+    run(&mut board, Time::from_ms(30));
+    assert_eq!(board.resets()[1..], [(Time::from_ms(20), ResetCause::BrownOut)]);
+    assert_eq!(word(&board, COUNTER), first.wrapping_add(1));
+    assert_eq!(word(&board, COUNTER + 4) >> 24 & 0x0E, 0x0E, "flags add up");
+}
+
 /// Waits for the crystal, runs on it, and sleeps; the non-maskable interrupt writes 4 to `COUNTER`.
 fn on_crystal(security: u32) -> Program {
     let mut program = Program::new();
@@ -409,7 +464,7 @@ fn a_fault_in_the_fault_handler_locks_up_until_the_watchdog_resets() {
 #[test]
 fn findings_name_the_instruction() {
     let mut program = Program::new();
-    program.load(R0, 0x4000_0400);
+    program.load(R0, 0x4000_3800);
     let pc = program.here() - 2;
     program.stop();
     let mut board = board(program);

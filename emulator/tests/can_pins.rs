@@ -27,11 +27,16 @@ struct PinRig {
 impl PinRig {
     /// A running chip with these pin modes, and an adapter.
     fn new(moder: u32, btr: u32) -> Self {
-        let chip = Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
+        Self::of(Part::Stm32f405, 9, moder, btr)
+    }
+
+    /// The same with another part and alternate function.
+    fn of(part: Part, function: u32, moder: u32, btr: u32) -> Self {
+        let chip = Chip::new(part, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
         let mut rig = Self { bus: Bus::new(), chip, adapter: Adapter::new(500_000) };
         rig.write(RCC_AHB1ENR, 1 << 1);
         rig.write(RCC_APB1ENR, 1 << 25);
-        rig.write(GPIOB + 0x24, 0x99);
+        rig.write(GPIOB + 0x24, function << 4 | function);
         rig.write(GPIOB, moder);
         rig.start(btr);
         rig
@@ -63,6 +68,17 @@ impl PinRig {
         self.adapter.send(Frame::data(Id::Standard(0x123), &[1]));
         self.run(Time::from_ms(1));
         self.adapter.unsent() == 0
+    }
+}
+
+#[test]
+fn pb8_and_pb9_carry_can1_by_function_8_on_parts_of_100_mhz_else_by_9() {
+    for part in Part::ALL {
+        let is_slow = part.clock_limits().0 == 100_000_000;
+        for function in [8, 9] {
+            let mut rig = PinRig::of(part, function, BOTH, BTR);
+            assert_eq!(rig.is_heard(), is_slow == (function == 8), "{part:?}, AF{function}");
+        }
     }
 }
 

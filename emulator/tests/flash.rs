@@ -116,9 +116,12 @@ fn an_erase_sets_its_sector_and_no_other() {
         (Part::Stm32f405, 3, 0xC000..0x1_0000),
         (Part::Stm32f405, 4, 0x1_0000..0x2_0000),
         (Part::Stm32f405, 11, 0xE_0000..0x10_0000),
+        (Part::Stm32f413, 12, 0x10_0000..0x12_0000),
+        (Part::Stm32f413, 15, 0x16_0000..0x18_0000),
         (Part::Stm32f446, 7, 0x6_0000..0x8_0000),
         (Part::Stm32f427, 16, 0x10_0000..0x10_4000),
         (Part::Stm32f427, 27, 0x1E_0000..0x20_0000),
+        (Part::Stm32f469, 27, 0x1E_0000..0x20_0000),
     ] {
         let mut rig = FlashRig::unlocked(part);
         rig.chip.flash_mut().load(0, &vec![0; part.flash_size() as usize]);
@@ -132,8 +135,30 @@ fn an_erase_sets_its_sector_and_no_other() {
 }
 
 #[test]
+fn sectors_0_to_3_of_every_part_have_16_kb() {
+    for part in Part::ALL {
+        for sector in 0..4 {
+            let mut rig = FlashRig::unlocked(part);
+            rig.chip.flash_mut().load(0, &[0; 0x1_0000]);
+            rig.erase(sector);
+            rig.wait();
+            let bytes = &rig.chip.flash().bytes()[..0x1_0000];
+            let erased = bytes.iter().enumerate().filter(|(_, byte)| **byte == 0xFF);
+            let erased = erased.map(|(offset, _)| offset as u32);
+            assert!(erased.eq(sector * 0x4000..(sector + 1) * 0x4000), "{part:?}, {sector}");
+        }
+    }
+}
+
+#[test]
 fn a_sector_that_the_part_lacks_is_a_sequence_error() {
-    for (part, number) in [(Part::Stm32f405, 12), (Part::Stm32f446, 8), (Part::Stm32f427, 12)] {
+    for (part, number) in [
+        (Part::Stm32f405, 12),
+        (Part::Stm32f413, 16),
+        (Part::Stm32f427, 12),
+        (Part::Stm32f446, 8),
+        (Part::Stm32f469, 15),
+    ] {
         let mut rig = FlashRig::unlocked(part);
         rig.erase(number);
         assert_eq!(rig.read(SR), PGSERR, "{part:?}");
@@ -153,6 +178,33 @@ fn times_follow_the_data_sheet() {
         rig.chip.flash_mut().set_timing(timing);
         rig.set(CR, size << 8 | SER | 1 << 3 | STRT);
         assert_eq!(rig.wait().as_ms(), ms, "{timing:?}");
+    }
+}
+
+#[test]
+fn sectors_12_to_15_of_an_f413_take_as_long_as_others_of_their_size() {
+    let times = [5, 12, 15].map(|number| {
+        let mut rig = FlashRig::unlocked(Part::Stm32f413);
+        rig.erase(number);
+        rig.wait().as_ms()
+    });
+    assert_eq!(times, [1_000; 3]);
+}
+
+#[test]
+fn the_last_protection_bit_of_an_f413_is_for_two_sectors() {
+    for (protected, bits) in [(13, 0x5FFF), (14, 0x3FFF), (15, 0x3FFF)] {
+        let mut rig = FlashRig::unlocked(Part::Stm32f413);
+        rig.chip.flash_mut().protect_sectors(1 << protected);
+        assert_eq!(rig.read(OPTCR) >> 16, bits);
+        for number in 12..16 {
+            rig.erase(number);
+            rig.wait();
+            let is_refused = rig.read(SR) & WRPERR != 0;
+            let is_protected = number == protected || protected >= 14 && number >= 14;
+            assert_eq!(is_refused, is_protected, "sector {number}, {protected} protected");
+            rig.set(SR, WRPERR);
+        }
     }
 }
 

@@ -2,13 +2,15 @@
 
 use emulator::{
     Time,
+    board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{ResetCause, Timing},
+    chip::{Part, Readings, ResetCause, Timing},
     network::{Event, Source, What},
 };
 use lss_slave::{BitRate, Frame as NodeFrame};
 use testkit::{
     frames::{self, Frames, SILENCE},
+    image::image,
     image_rig::{
         CORE_MHZ, ImageRig, SETTINGS_OFFSET, blank_board, board_with, flash_with, on_the_wire,
         settings,
@@ -22,6 +24,8 @@ const ANSWER_CYCLES: u64 = 600;
 const BOOT_UP_CYCLES: u64 = 2_200;
 /// The limit for an SDO upload, which searches the object dictionary.
 const SDO_CYCLES: u64 = 1_000;
+/// The limits for these three if reads of the flash have wait states.
+const WITH_WAITS: [u64; 3] = [800, 3_200, 1_500];
 /// The limit for the CPU load of a 1 Mbit/s bus that is full of requests.
 const MOST_LOAD_PERCENT: u64 = 10;
 /// The time-out of a fast master.
@@ -50,7 +54,22 @@ fn cycles_to(rig: &mut ImageRig, request: &str, command: u8) -> u64 {
 
 #[test]
 fn every_lss_answer_but_the_one_to_store_takes_less_than_4_us() {
-    let mut rig = ImageRig::with(settings(0xFF, BitRate::Kbit1000));
+    let rig = ImageRig::with(settings(0xFF, BitRate::Kbit1000));
+    check_answers(rig, [ANSWER_CYCLES, BOOT_UP_CYCLES, SDO_CYCLES]);
+}
+
+#[test]
+fn with_wait_states_of_the_flash_each_of_them_takes_less_than_5_us() {
+    let chip_readings = Readings { flash_waits: true, ..Readings::default() };
+    let board = board::Settings { chip_readings, ..Default::default() };
+    let mut board = Board::new(Part::Stm32f405, image(), board);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0xFF, BitRate::Kbit1000)]));
+    let rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    check_answers(rig, WITH_WAITS);
+}
+
+/// Prints the time of each answer and compares it with the limits for an LSS answer, a boot-up and an SDO upload.
+fn check_answers(mut rig: ImageRig, [answer, boot_up, sdo]: [u64; 3]) {
     let waiting = [
         ("identify non-configured", "4C"),
         ("Fastscan, begin", "51 00 00 00 00 80"),
@@ -73,7 +92,7 @@ fn every_lss_answer_but_the_one_to_store_takes_less_than_4_us() {
         assert!(cycles < most, "{name}: {cycles} cycles");
     };
     for (name, request) in waiting {
-        measure(&mut rig, name, frames::request(request), ANSWER_CYCLES);
+        measure(&mut rig, name, frames::request(request), answer);
     }
     rig.lss("04 01");
     let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
@@ -85,20 +104,20 @@ fn every_lss_answer_but_the_one_to_store_takes_less_than_4_us() {
         assert_eq!(rig.lss(&format!("{command:02X} {part}")), SILENCE);
     }
     let last_step = format!("43 {}", address[3]);
-    measure(&mut rig, "switch state selective", frames::request(&last_step), ANSWER_CYCLES);
+    measure(&mut rig, "switch state selective", frames::request(&last_step), answer);
     for (command, part) in (0x46..0x4B).zip([0, 1, 2, 2, 3]) {
         assert_eq!(rig.lss(&format!("{command:02X} {}", address[part])), SILENCE);
     }
     let last_step = format!("4B {}", address[3]);
-    measure(&mut rig, "identify remote slave", frames::request(&last_step), ANSWER_CYCLES);
+    measure(&mut rig, "identify remote slave", frames::request(&last_step), answer);
     for (name, request) in configuration {
-        measure(&mut rig, name, frames::request(request), ANSWER_CYCLES);
+        measure(&mut rig, name, frames::request(request), answer);
     }
     rig.lss("11 04");
-    measure(&mut rig, "waiting, first boot-up", frames::request("04 00"), BOOT_UP_CYCLES);
-    measure(&mut rig, "NMT reset communication", frames::command("82 00"), BOOT_UP_CYCLES);
+    measure(&mut rig, "waiting, first boot-up", frames::request("04 00"), boot_up);
+    measure(&mut rig, "NMT reset communication", frames::command("82 00"), boot_up);
     let read = NodeFrame::new(0x604, &[0x40, 0x18, 0x10, 0x01, 0, 0, 0, 0]).expect("a frame");
-    measure(&mut rig, "SDO upload of the vendor-ID", read, SDO_CYCLES);
+    measure(&mut rig, "SDO upload of the vendor-ID", read, sdo);
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! The release image on difficult hardware: a low supply, a crystal that does not start or stops, no fault below the
-//! stack, commit words that read differently each time, a slow core.
+//! stack, commit words that read differently each time, a slow core, a brown-out.
 
 use emulator::{
     Time,
     board::{self, Board},
-    chip::{FLASH_BASE, Part, PowerCut, RAM_BASE, Readings, ResetCause},
+    chip::{FLASH_BASE, Part, PowerCut, RAM_BASE, Readings, ResetCause, StartUp},
     network::{Event, Source, What},
 };
 use lss_slave::{BitRate, Settings};
@@ -213,6 +213,45 @@ fn a_core_that_is_two_or_three_times_slower_answers_and_stores() {
         let mut rig = node_40(Readings { slowdown, ..Readings::default() });
         rig.lss("04 01");
         assert_eq!(rig.lss("5E"), ["5E 40"]);
+        rig.lss("11 04");
+        assert_eq!(rig.lss("17"), ["17 00"]);
+        rig.power_cycle(0);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
+    }
+}
+
+/// With the brown-out level of the flash's needs, a supply that sags at any time of a store leaves old or new settings.
+#[test]
+fn a_brown_out_while_settings_are_written_loses_none() {
+    let mut found_new = 0;
+    for us in (0..=220).step_by(5) {
+        let mut rig = node_40(Readings::default());
+        rig.network.board(0).chip().flash_mut().set_brown_out_level(3);
+        rig.lss("04 01");
+        rig.lss("11 04");
+        rig.transmit_request("17");
+        rig.network.run_for(Time::from_us(us));
+        rig.network.board_mut(0).set_supply(2_800);
+        rig.network.run_for(Time::from_ms(2));
+        let since = rig.network.now();
+        rig.network.board_mut(0).set_supply(3_300);
+        rig.expect_reset(0, ResetCause::BrownOut);
+        rig.boot(0, since);
+        let shown = rig.collect(Time::from_ms(20));
+        let is_new = shown == ["704: 00"];
+        assert!(is_new || shown == ["740: 00"], "after {us} us: {shown:?}");
+        found_new += u32::from(is_new);
+    }
+    assert!((5..40).contains(&found_new), "{found_new} of 45 found the new settings");
+}
+
+#[test]
+fn a_board_that_starts_as_slowly_or_as_quickly_as_allowed_stores() {
+    for (start_up, hse_start) in
+        [(StartUp::Fastest, Time::from_us(100)), (StartUp::Slowest, Time::from_ms(10))]
+    {
+        let mut rig = node_40(Readings { start_up, hse_start, ..Readings::default() });
+        rig.lss("04 01");
         rig.lss("11 04");
         assert_eq!(rig.lss("17"), ["17 00"]);
         rig.power_cycle(0);

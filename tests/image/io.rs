@@ -590,7 +590,7 @@ fn fill_the_bus(mut rig: ImageRig, rpdo_cob_ids: &[u16], bursts: Range<u64>, mos
     note_most("LSS answer while PDOs fill the bus", &mut at_once, ANSWER_CYCLES, INTERRUPT_CYCLES);
     // The controller gets a frame only if it is more urgent than those of the node that wait for the bus.
     note("LSS answer behind a PDO of the node", &waited, most_us * CORE_MHZ);
-    assert!(at_once.len() > ROUNDS / 4, "{} answers at once", at_once.len());
+    assert!(at_once.len() > ROUNDS / 10, "{} answers at once", at_once.len());
     assert_eq!((at_once.len() + waited.len(), by_sync), (ROUNDS, syncs));
     assert_eq!(echoes.last(), Some(&value));
     assert!(load > 97, "{load} %");

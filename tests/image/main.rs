@@ -6,6 +6,7 @@ mod bit_rate;
 mod block_transfer;
 mod can_traps;
 mod chip_traps;
+mod chips;
 mod commissioning;
 mod do_no_harm;
 mod eds;

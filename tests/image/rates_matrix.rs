@@ -300,6 +300,24 @@ fn crystals_that_are_half_a_per_cent_off_on_both_ends_work_at_every_rate() {
     }
 }
 
+/// HSI is 1 % off at 25 degrees, up to 4 % between -10 and 85 degrees and up to 8 % between -40 and 105 (data sheets,
+/// ACC_HSI).
+#[test]
+fn a_clock_as_inaccurate_as_hsi_works_at_25_degrees_with_an_exact_master() {
+    for bit_rate in BitRate::ALL {
+        for (ppm, works) in [
+            (10_000, true),
+            (-10_000, true),
+            (40_000, false),
+            (-40_000, false),
+            (45_000, false),
+            (-80_000, false),
+        ] {
+            assert_eq!(understand_each_other(bit_rate, ppm, 0), works, "{bit_rate:?}, {ppm} ppm");
+        }
+    }
+}
+
 #[test]
 fn the_limit_of_each_rate_follows_from_its_bit_timing() {
     println!("tolerance of both crystals in opposite directions, in ppm");

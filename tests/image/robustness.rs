@@ -222,23 +222,6 @@ fn boards_with_crystals_3000_ppm_apart_communicate_at_every_bit_rate() {
 }
 
 #[test]
-fn the_images_for_all_chips_boot_answer_and_store() {
-    for part in Part::ALL {
-        let image = testkit::image::build(part).unwrap_or_else(|error| panic!("{error}"));
-        let board = Board::new(part, &image, board::Settings::default());
-        let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
-        assert_eq!(rig.lss("4C"), ["50"], "{}", part.name());
-        rig.lss("04 01");
-        rig.lss("11 04");
-        rig.lss("13 00 00");
-        assert_eq!(rig.lss("17"), ["17 00"], "{}", part.name());
-        rig.set_master_bit_rate(BitRate::Kbit1000);
-        rig.power_cycle(0);
-        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"], "{}", part.name());
-    }
-}
-
-#[test]
 fn the_same_session_has_the_same_trace_twice() {
     let live = || {
         let boards = [1, 2, 3].map(|number| {

@@ -6,8 +6,8 @@ use lss_slave::{BitRate, BitRateSetting, BitRates, bit_rate::BitTiming};
 use testkit::random::Random;
 
 const MHZ: u32 = 1_000_000;
-/// The fastest APB1 of any STM32F4 (RM0390: 45 MHz; RM0090: 42 MHz).
-const MAX_APB1: u32 = 45 * MHZ;
+/// The fastest APB1 of any STM32F4 (RM0402, RM0430: 50 MHz).
+const MAX_APB1: u32 = 50 * MHZ;
 
 fn rate_hz(rate: BitRate) -> u64 {
     u64::from(rate.kbit_per_s()) * 1000
@@ -96,7 +96,7 @@ fn reachable_clocks() -> BTreeSet<u32> {
 }
 
 fn whole_mhz() -> impl Iterator<Item = u32> {
-    (1..=45).map(|mhz| mhz * MHZ)
+    (1..=50).map(|mhz| mhz * MHZ)
 }
 
 #[test]
@@ -268,4 +268,17 @@ fn the_table_of_cia_301_has_these_rates_at_these_indices() {
             assert_eq!(BitRate::from_table(table, index), None, "table {table}");
         }
     }
+}
+
+#[test]
+fn only_40_mhz_makes_every_rate_exact_with_crystals_of_half_a_per_cent() {
+    let suits = |clock_hz: &u32| {
+        BitRate::ALL.iter().all(|&rate| {
+            BitTiming::solve(rate, *clock_hz).is_some_and(|timing| {
+                rate_error(timing, rate, *clock_hz).0 == 0
+                    && crystal_tolerance(timing) >= BitTiming::CRYSTAL_ERROR_PPM
+            })
+        })
+    };
+    assert_eq!(whole_mhz().filter(suits).collect::<Vec<_>>(), [40 * MHZ]);
 }

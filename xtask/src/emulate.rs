@@ -4,6 +4,7 @@ pub mod client;
 mod console;
 pub mod memory;
 mod pace;
+pub mod programs;
 mod slcan;
 
 use std::{
@@ -11,11 +12,13 @@ use std::{
     net::{SocketAddr, TcpListener},
     path::PathBuf,
     sync::mpsc,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context, ensure};
 use emulator::{
+    Time,
+    board::Board,
     chip::Part,
     network::{Network, Recording},
 };
@@ -30,9 +33,14 @@ use client::{Client, ClientId, Input};
 use console::Leds;
 use memory::Memory;
 use pace::Pace;
+use programs::Programs;
 
 /// The longest time until the programs get a received frame.
 const TICK: Duration = Duration::from_millis(1);
+/// The longest real time without a look at the clients' lines, while a busy program slows the emulation down.
+const TURN: Duration = Duration::from_millis(20);
+/// The step of virtual time within a turn.
+const SLICE: Time = Time::from_us(500);
 const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 
 /// Offer the CAN bus of emulated boards to any CAN program, as SLCAN adapters over TCP
@@ -43,12 +51,18 @@ const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 ///
 /// The boards run the release firmware in real time until Ctrl-C. An adapter that is opened at a different bit rate
 /// from theirs disturbs the bus, as on a desk; an adapter that is closed drops its waiting frames.
+///
+/// With --elf any program for an STM32F4 runs beside them. Its defmt or RTT log and what it sends by a USART are printed,
+/// and at the end every access that the emulated board does not model or a chip does not tolerate.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Number of boards on the bus: 1..=127
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=127))]
+    /// Number of boards with our firmware: 1..=127; 0 beside --elf
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=127))]
     boards: u8,
+    /// Another program for the chip, on a board of its own; the option can be repeated
+    #[arg(long, value_name = "FILE")]
+    elf: Vec<PathBuf>,
     /// Address on which to wait for CAN programs
     #[arg(long, default_value = "127.0.0.1:29536", value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
@@ -125,36 +139,43 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         format!("cannot listen at {} (choose another address with --listen)", arguments.listen)
     })?;
     let address = listener.local_addr()?;
+    ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
     let presets = (0..usize::from(arguments.boards))
         .map(|number| arguments.preset(number))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let image = example::image(arguments.chip, arguments.example)?;
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);
-    for (number, preset) in presets.into_iter().enumerate() {
-        let mut board = boards::board(arguments.chip, &image, number);
-        memory.restore(&mut board, &image, number, preset)?;
+    let image = (arguments.boards > 0)
+        .then(|| example::image(arguments.chip, arguments.example))
+        .transpose()?;
+    for (number, (preset, image)) in presets.into_iter().zip(image.iter().cycle()).enumerate() {
+        let mut board = boards::board(arguments.chip, image, number);
+        memory.restore(&mut board, image, number, preset)?;
         network.add_board(board);
     }
     network.run_for(FIRST_START);
     memory.save(&network)?;
+    let mut programs = Programs::load(&arguments.elf, arguments.chip, &mut network)?;
 
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let (stop, console_sender) = (sender.clone(), sender.clone());
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
     client::accept(listener, sender);
-    println!("ready: SLCAN on {address}; {}", describe(&network));
+    println!("ready: SLCAN on {address}; {}", describe(programs.ours(&network), &programs));
     if arguments.console || arguments.example.is_some() {
         println!("commands:\n{}", console::HELP);
         console::read(console_sender);
     }
-    serve(&mut network, &inputs, &mut memory, arguments.bit_rate.unwrap_or(DEFAULT_BIT_RATE))
+    let bit_rate = arguments.bit_rate.unwrap_or(DEFAULT_BIT_RATE);
+    serve(&mut network, &inputs, &mut memory, &mut programs, bit_rate)?;
+    print!("{}", programs.report(&network));
+    Ok(())
 }
 
-fn describe(network: &Network) -> String {
+fn describe(ours: &[Board], programs: &Programs) -> String {
     let board = |number: usize| {
-        let stored = match boards::stored_settings(&network.board(number).flash()) {
+        let stored = match boards::stored_settings(&ours[number].flash()) {
             None => "blank".to_owned(),
             Some(Settings { node_id, bit_rate, .. }) => {
                 let node_id = node_id.map_or("none".to_owned(), |id| id.get().to_string());
@@ -163,7 +184,7 @@ fn describe(network: &Network) -> String {
         };
         format!("board {number}: serial number {:08X}, {stored}", boards::serial_number(number))
     };
-    (0..network.boards().len()).map(board).collect::<Vec<_>>().join("; ")
+    (0..ours.len()).map(board).chain(programs.names()).collect::<Vec<_>>().join("; ")
 }
 
 /// Runs the network in real time, each client with an adapter set to `bit_rate`, until [`Input::Stop`].
@@ -171,6 +192,7 @@ pub fn serve(
     network: &mut Network,
     inputs: &mpsc::Receiver<Input>,
     memory: &mut Memory,
+    programs: &mut Programs,
     bit_rate: BitRate,
 ) -> anyhow::Result<()> {
     let bit_rate = bit_per_s(bit_rate);
@@ -180,11 +202,15 @@ pub fn serve(
     let mut pace = Pace::new(network.now());
     loop {
         let first = inputs.recv_timeout(TICK);
-        network.run_until(pace.due(network.now()));
+        let (due, turn) = (pace.due(network.now()), Instant::now());
+        while network.now() < due && turn.elapsed() < TURN {
+            network.run_until(due.min(network.now() + SLICE));
+        }
         for client in clients.values_mut() {
             client.deliver(network);
         }
-        leds.show(network);
+        leds.show(programs.ours(network));
+        programs.print(network);
         memory.save(network)?;
         // Take all waiting inputs: on a busy computer each run takes long.
         for input in first.into_iter().chain(inputs.try_iter().take(client::WAITING)) {
@@ -232,7 +258,9 @@ mod tests {
             let (sender, inputs) = mpsc::sync_channel(client::WAITING);
             client::accept(listener, sender);
             let mut memory = Memory::open(None).expect("there are no files");
-            serve(&mut Network::new(), &inputs, &mut memory, BitRate::Kbit500)
+            let mut network = Network::new();
+            let mut programs = Programs::none(&network);
+            serve(&mut network, &inputs, &mut memory, &mut programs, BitRate::Kbit500)
         });
         address
     }

@@ -7,6 +7,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use emulator::chip::Part;
+use lss_slave_firmware::chip::Chip;
 
 /// Write the firmware to a board, with probe-rs, and show its log
 ///
@@ -21,12 +22,13 @@ pub struct Arguments {
 /// Builds the firmware, writes it to the connected board, and shows its log until Ctrl-C.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     find_probe_rs()?;
+    let chip = Chip::named(arguments.chip.name()).expect("a test compares the names");
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let status = Command::new(cargo)
         .args(["run", "--release", "--target", "thumbv7em-none-eabihf"])
         .args(["--package", "lss-slave-firmware", "--bin", "lss-slave"])
-        .args(["--features", arguments.chip.name()])
-        .env("PROBE_RS_CHIP", probe_rs_name(arguments.chip))
+        .args(["--features", chip.feature])
+        .env("PROBE_RS_CHIP", chip.probe_rs)
         .status()
         .context("cannot run cargo")?;
     if !status.success() {
@@ -44,15 +46,5 @@ fn find_probe_rs() -> anyhow::Result<()> {
         ),
         Err(error) => Err(error).context("cannot run probe-rs"),
         Ok(_) => Ok(()),
-    }
-}
-
-/// The name of the chip in probe-rs; the package makes no difference.
-const fn probe_rs_name(part: Part) -> &'static str {
-    match part {
-        Part::Stm32f405 => "STM32F405RGTx",
-        Part::Stm32f407 => "STM32F407VGTx",
-        Part::Stm32f427 => "STM32F427VITx",
-        Part::Stm32f446 => "STM32F446RETx",
     }
 }

@@ -29,6 +29,7 @@ use crate::emulate::{
     self,
     client::{self, Input},
     memory::Memory,
+    programs::Programs,
 };
 use system::System;
 
@@ -98,7 +99,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let _ = sender.send(Input::Stop);
         outcome
     });
-    emulate::serve(&mut network, &inputs, &mut Memory::open(None)?, DEFAULT_BIT_RATE)?;
+    let mut programs = Programs::none(&network);
+    emulate::serve(
+        &mut network,
+        &inputs,
+        &mut Memory::open(None)?,
+        &mut programs,
+        DEFAULT_BIT_RATE,
+    )?;
     outcome.join().expect("it does not panic")?;
     for (number, board) in network.boards().iter().enumerate() {
         if let Some(finding) = board.findings().first() {

@@ -1,8 +1,9 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`, `cargo xtask no-harm`,
-//! `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
+//! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
+mod chips;
 mod eds;
 mod emulate;
 mod example;
@@ -41,6 +42,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Bench(bench::Arguments),
+    Chips(chips::Arguments),
     Eds(eds::Arguments),
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
@@ -58,6 +60,7 @@ enum Command {
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Chips(arguments) => chips::run(&arguments),
         Command::Eds(arguments) => eds::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),

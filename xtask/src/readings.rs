@@ -1,8 +1,8 @@
 //! `cargo xtask readings`: the image's sessions under each doubtful reading of the manuals.
 
-mod bus;
+pub mod bus;
 mod matrix;
-mod sessions;
+pub mod sessions;
 
 use std::time::Instant;
 

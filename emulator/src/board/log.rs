@@ -1,4 +1,4 @@
-//! The program's log: defmt frames fetched from the RTT buffer in RAM, as a debug probe does.
+//! The program's log: defmt frames, or lines of text, fetched from the RTT buffer in RAM as a debug probe does.
 
 use defmt_decoder::DecodeError;
 
@@ -9,7 +9,7 @@ use crate::{Time, engine::Engine, image::Image};
 pub struct LogLine {
     /// The time at which it was fetched, at most one poll interval after it was written.
     pub time: Time,
-    /// `trace`, `debug`, `info`, `warn` or `error`; empty for `println`.
+    /// `trace`, `debug`, `info`, `warn` or `error`; empty for `println` and for plain text.
     pub level: &'static str,
     /// The message.
     pub text: String,
@@ -29,7 +29,7 @@ const CHANNEL: u32 = 24;
 
 impl Log {
     pub fn new(image: Image) -> Self {
-        let control_block = image.defmt_table().and_then(|_| image.symbol("_SEGGER_RTT"));
+        let control_block = image.symbol("_SEGGER_RTT");
         Self { image, control_block, frame: Vec::new(), lines: Vec::new() }
     }
 
@@ -82,6 +82,11 @@ impl Log {
     fn push(&mut self, byte: u8, now: Time) {
         self.frame.push(byte);
         let Some(table) = self.image.defmt_table() else {
+            if byte == b'\n' {
+                let text = String::from_utf8_lossy(&self.frame).trim_end().to_owned();
+                self.lines.push(LogLine { time: now, level: "", text });
+                self.frame.clear();
+            }
             return;
         };
         // With rzCOBS a zero byte ends a frame.

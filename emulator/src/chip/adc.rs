@@ -138,15 +138,10 @@ impl Adc {
         self.reg(SQR3) & 0x1F
     }
 
-    /// The channel of the temperature sensor: on the later parts it shares that of VBAT (RM0090 13.10, RM0390 13.10).
-    fn sensor(&self) -> u32 {
-        if self.part.has_overdrive() { 18 } else { 16 }
-    }
-
     fn convert(&self) -> u16 {
         let is_internal_on = self.common & TSVREFE != 0;
         let uv = match self.channel() {
-            channel if channel == self.sensor() && is_internal_on => {
+            channel if channel == self.part.temperature_channel() && is_internal_on => {
                 sensor_uv(self.analogue.temperature)
             }
             REFERENCE if is_internal_on => REFERENCE_MV * 1_000,

@@ -131,6 +131,11 @@ impl Flash {
         self.changed.take()
     }
 
+    /// FLASH_ACR.
+    pub fn access_control(&self) -> u32 {
+        self.acr
+    }
+
     /// The number of wait states.
     pub fn latency(&self) -> u32 {
         self.acr & 0xF
@@ -235,7 +240,7 @@ impl Flash {
             Self::SR => Some(self.sr | busy),
             CR => Some(self.cr),
             OPTCR => Some(self.options.read(Register::Optcr)),
-            OPTCR1 if self.part == Part::Stm32f427 => Some(self.options.read(Register::Optcr1)),
+            OPTCR1 if self.part.has_two_banks() => Some(self.options.read(Register::Optcr1)),
             _ => None,
         }
     }
@@ -255,7 +260,7 @@ impl Flash {
             Self::SR => self.sr &= !value,
             CR => return Ok(self.write_cr(value, now)),
             OPTCR => return Ok(self.write_options(Register::Optcr, value, now)),
-            OPTCR1 if self.part == Part::Stm32f427 => {
+            OPTCR1 if self.part.has_two_banks() => {
                 return Ok(self.write_options(Register::Optcr1, value, now));
             }
             _ => return Ok(Err(Problem::Unmodelled)),
@@ -352,8 +357,11 @@ impl Flash {
         let range = match self.cr & (CR_PG | CR_SER | CR_MER | CR_MER1) {
             CR_SER => {
                 let number = self.cr >> 3 & 0x1F;
-                let sector = if number >= 16 { number - 4 } else { number };
-                self.array.sector(sector).filter(|_| !(12..16).contains(&number))
+                match number {
+                    16.. if self.part.has_two_banks() => self.array.sector(number - 4),
+                    12..16 if self.part.has_two_banks() => None,
+                    _ => self.array.sector(number),
+                }
             }
             CR_MER => Some(0..bank_size),
             CR_MER1 if whole > bank_size => Some(bank_size..whole),
@@ -373,7 +381,9 @@ impl Flash {
             return Ok(());
         }
         let size = self.cr >> 8 & 3;
-        let time = (first..=last).map(|sector| self.timing.erase(sector, size).as_ps()).sum();
+        let time = (first..=last)
+            .map(|sector| self.timing.erase(self.array.place(sector).1, size).as_ps())
+            .sum();
         let before = self.array.bytes()[range.clone()].to_vec();
         self.array.erase(range.clone());
         if self.failing_erases > 0 {

@@ -1,6 +1,9 @@
 //! The address map: the properties of an access and the block that each address belongs to.
 
-use super::rcc::Gate;
+use super::{
+    rcc::{Apb, Gate},
+    timer, usart,
+};
 use crate::Time;
 
 /// First address of the flash.
@@ -64,8 +67,12 @@ pub(super) enum Block {
     FlashRegisters,
     Rcc,
     Pwr,
-    /// TIM2 and TIM5, as 0 and 1.
+    /// TIM1 as 0.
     Timer(u8),
+    /// USART1 as 0.
+    Usart(u8),
+    Rtc,
+    Rng,
     Iwdg,
     Can1,
     /// ADC1 and the common registers.
@@ -79,10 +86,9 @@ pub(super) enum Block {
 }
 
 impl Block {
-    pub const fn of(address: u32) -> (Self, u32) {
+    pub fn of(address: u32) -> (Self, u32) {
         let block = match address {
-            0x4000_0000..0x4000_0400 => Self::Timer(0),
-            0x4000_0C00..0x4000_1000 => Self::Timer(1),
+            0x4000_2800..0x4000_2C00 => Self::Rtc,
             0x4000_3000..0x4000_3400 => Self::Iwdg,
             0x4000_6400..0x4000_6800 => Self::Can1,
             0x4000_7000..0x4000_7400 => Self::Pwr,
@@ -94,15 +100,32 @@ impl Block {
             0x4002_3C00..0x4002_4000 => Self::FlashRegisters,
             0xE004_2000..0xE004_2400 => Self::Dbgmcu,
             0x1FFF_0000..0x2000_0000 => Self::Factory,
+            0x5006_0800..0x5006_0C00 => Self::Rng,
             FLASH_BASE..CCM_BASE => return (Self::Flash, address - FLASH_BASE),
+            0x4000_0000..0x4001_0000 => Self::one_of_many(Apb::One, address),
+            0x4001_0000..0x4002_0000 => Self::one_of_many(Apb::Two, address),
             _ => Self::Unknown,
         };
         (block, address & 0x3FF)
     }
 
-    pub const fn gate(self) -> Option<Gate> {
+    /// A timer or USART.
+    fn one_of_many(apb: Apb, address: u32) -> Self {
+        let place = (apb, address >> 10 & 0x3F);
+        let timer = timer::KINDS.iter().position(|kind| (kind.gate.0, kind.slot) == place);
+        let usart = usart::KINDS.iter().position(|kind| (kind.gate.0, kind.slot) == place);
+        match (timer, usart) {
+            (Some(number), _) => Self::Timer(number as u8),
+            (_, Some(number)) => Self::Usart(number as u8),
+            _ => Self::Unknown,
+        }
+    }
+
+    pub fn gate(self) -> Option<Gate> {
         match self {
             Self::Timer(timer) => Some(Gate::Timer(timer)),
+            Self::Usart(usart) => Some(Gate::Usart(usart)),
+            Self::Rng => Some(Gate::Rng),
             Self::Pwr => Some(Gate::Pwr),
             Self::Can1 => Some(Gate::Can1),
             Self::Adc => Some(Gate::Adc),
@@ -117,6 +140,8 @@ impl Block {
         matches!(
             self,
             Self::Timer(_)
+                | Self::Usart(_)
+                | Self::Rtc
                 | Self::Iwdg
                 | Self::Can1
                 | Self::Adc

@@ -2,17 +2,39 @@
 
 use std::{error, fmt, str::FromStr};
 
-/// A microcontroller, in the package with the largest memory that the firmware's `memory.x` relies on.
+use super::Pin;
+
+/// A microcontroller, in its version with the largest flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Part {
     /// STM32F405xG: 168 MHz, 1 MB flash, 128 KB + 64 KB RAM.
     Stm32f405,
     /// STM32F407xG: as the F405, with Ethernet and camera interface.
     Stm32f407,
+    /// STM32F412xG: 100 MHz, 1 MB flash, 256 KB RAM.
+    Stm32f412,
+    /// STM32F413xH: 100 MHz, 1.5 MB flash, 320 KB RAM, a third CAN controller.
+    Stm32f413,
+    /// STM32F415xG: as the F405, with cryptographic processor.
+    Stm32f415,
+    /// STM32F417xG: as the F407, with cryptographic processor.
+    Stm32f417,
+    /// STM32F423xH: as the F413, with AES.
+    Stm32f423,
     /// STM32F427xI: 180 MHz, 2 MB flash in two banks, 192 KB + 64 KB RAM.
     Stm32f427,
+    /// STM32F429xI: as the F427, with display controller.
+    Stm32f429,
+    /// STM32F437xI: as the F427, with cryptographic processor.
+    Stm32f437,
+    /// STM32F439xI: as the F429, with cryptographic processor.
+    Stm32f439,
     /// STM32F446xE: 180 MHz, 512 KB flash, 128 KB RAM.
     Stm32f446,
+    /// STM32F469xI: 180 MHz, 2 MB flash in two banks, 320 KB + 64 KB RAM.
+    Stm32f469,
+    /// STM32F479xI: as the F469, with cryptographic processor.
+    Stm32f479,
 }
 
 /// There is no chip of this name.
@@ -36,91 +58,256 @@ impl FromStr for Part {
 }
 
 const KB: u32 = 1024;
+const MHZ: u32 = 1_000_000;
+
+/// Parts that differ in nothing that is modelled, except their number of interrupts.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Line {
+    /// F405, F407, F415, F417 (RM0090).
+    F405,
+    /// F412 (RM0402).
+    F412,
+    /// F413, F423 (RM0430).
+    F413,
+    /// F427, F429, F437, F439 (RM0090).
+    F427,
+    /// F446 (RM0390).
+    F446,
+    /// F469, F479 (RM0386).
+    F469,
+}
 
 impl Part {
     /// Every part, in the order of their numbers.
-    pub const ALL: [Self; 4] = [Self::Stm32f405, Self::Stm32f407, Self::Stm32f427, Self::Stm32f446];
+    pub const ALL: [Self; 14] = [
+        Self::Stm32f405,
+        Self::Stm32f407,
+        Self::Stm32f412,
+        Self::Stm32f413,
+        Self::Stm32f415,
+        Self::Stm32f417,
+        Self::Stm32f423,
+        Self::Stm32f427,
+        Self::Stm32f429,
+        Self::Stm32f437,
+        Self::Stm32f439,
+        Self::Stm32f446,
+        Self::Stm32f469,
+        Self::Stm32f479,
+    ];
+
+    const fn line(self) -> Line {
+        match self {
+            Self::Stm32f405 | Self::Stm32f407 | Self::Stm32f415 | Self::Stm32f417 => Line::F405,
+            Self::Stm32f412 => Line::F412,
+            Self::Stm32f413 | Self::Stm32f423 => Line::F413,
+            Self::Stm32f427 | Self::Stm32f429 | Self::Stm32f437 | Self::Stm32f439 => Line::F427,
+            Self::Stm32f446 => Line::F446,
+            Self::Stm32f469 | Self::Stm32f479 => Line::F469,
+        }
+    }
 
     /// The name in lower case, which is also the firmware's feature: `stm32f405`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Stm32f405 => "stm32f405",
             Self::Stm32f407 => "stm32f407",
+            Self::Stm32f412 => "stm32f412",
+            Self::Stm32f413 => "stm32f413",
+            Self::Stm32f415 => "stm32f415",
+            Self::Stm32f417 => "stm32f417",
+            Self::Stm32f423 => "stm32f423",
             Self::Stm32f427 => "stm32f427",
+            Self::Stm32f429 => "stm32f429",
+            Self::Stm32f437 => "stm32f437",
+            Self::Stm32f439 => "stm32f439",
             Self::Stm32f446 => "stm32f446",
+            Self::Stm32f469 => "stm32f469",
+            Self::Stm32f479 => "stm32f479",
+        }
+    }
+
+    /// The number of the reference manual.
+    pub const fn manual(self) -> &'static str {
+        match self.line() {
+            Line::F405 | Line::F427 => "RM0090",
+            Line::F412 => "RM0402",
+            Line::F413 => "RM0430",
+            Line::F446 => "RM0390",
+            Line::F469 => "RM0386",
         }
     }
 
     /// Bytes of flash at 0x0800_0000.
     pub const fn flash_size(self) -> u32 {
-        match self {
-            Self::Stm32f405 | Self::Stm32f407 => 1024 * KB,
-            Self::Stm32f427 => 2048 * KB,
-            Self::Stm32f446 => 512 * KB,
+        match self.line() {
+            Line::F405 | Line::F412 => 1024 * KB,
+            Line::F413 => 1536 * KB,
+            Line::F427 | Line::F469 => 2048 * KB,
+            Line::F446 => 512 * KB,
         }
     }
 
     /// Bytes of flash per bank: the CPU stalls only when it needs the busy bank.
     pub const fn flash_bank_size(self) -> u32 {
-        match self {
-            Self::Stm32f427 => 1024 * KB,
-            _ => self.flash_size(),
+        if self.has_two_banks() { self.flash_size() / 2 } else { self.flash_size() }
+    }
+
+    /// Whether the flash has two banks of twelve sectors.
+    pub const fn has_two_banks(self) -> bool {
+        matches!(self.line(), Line::F427 | Line::F469)
+    }
+
+    /// The bits of FLASH_OPTCR that protect sectors; on the F413 the last bit is for two sectors.
+    pub(super) const fn protection_bits(self) -> u32 {
+        match self.line() {
+            Line::F413 => 0x7FFF_0000,
+            _ => 0x0FFF_0000,
         }
     }
 
     /// Bytes of SRAM at 0x2000_0000 (SRAM1, SRAM2 and SRAM3 adjoin).
     pub const fn ram_size(self) -> u32 {
-        match self {
-            Self::Stm32f405 | Self::Stm32f407 | Self::Stm32f446 => 128 * KB,
-            Self::Stm32f427 => 192 * KB,
+        match self.line() {
+            Line::F405 | Line::F446 => 128 * KB,
+            Line::F412 => 256 * KB,
+            Line::F427 => 192 * KB,
+            Line::F413 | Line::F469 => 320 * KB,
         }
     }
 
     /// Bytes of core-coupled memory at 0x1000_0000, or 0: data only, no code.
     pub const fn ccm_size(self) -> u32 {
-        match self {
-            Self::Stm32f405 | Self::Stm32f407 | Self::Stm32f427 => 64 * KB,
-            Self::Stm32f446 => 0,
+        match self.line() {
+            Line::F405 | Line::F427 | Line::F469 => 64 * KB,
+            Line::F412 | Line::F413 | Line::F446 => 0,
         }
     }
 
-    /// DBGMCU_IDCODE (RM0090 38.6.1, RM0390 33.6.1): device in bits 11..0, revision in bits 31..16.
+    /// DBGMCU_IDCODE (chapter "Debug support" of the manual): device in bits 11..0, revision in bits 31..16.
     pub const fn id_code(self) -> u32 {
-        match self {
-            Self::Stm32f405 | Self::Stm32f407 => 0x100F_0413,
-            Self::Stm32f427 => 0x2003_0419,
-            Self::Stm32f446 => 0x1000_0421,
+        match self.line() {
+            Line::F405 => 0x100F_0413,
+            Line::F412 => 0x3000_0441,
+            Line::F413 => 0x1000_0463,
+            Line::F427 => 0x2003_0419,
+            Line::F446 => 0x1000_0421,
+            Line::F469 => 0x1000_0434,
         }
     }
 
     /// The number of interrupt lines of the NVIC.
     pub const fn irq_count(self) -> u16 {
-        match self {
-            Self::Stm32f405 | Self::Stm32f407 => 82,
-            Self::Stm32f427 => 91,
-            Self::Stm32f446 => 97,
+        match self.line() {
+            Line::F405 => 82,
+            Line::F412 | Line::F446 => 97,
+            Line::F413 => 102,
+            Line::F427 => 91,
+            Line::F469 => 93,
         }
     }
 
     /// The highest legal (SYSCLK, APB1, APB2) in Hz, with over-drive if the part has it.
     pub const fn clock_limits(self) -> (u32, u32, u32) {
-        match self {
-            Self::Stm32f405 | Self::Stm32f407 => (168_000_000, 42_000_000, 84_000_000),
-            Self::Stm32f427 | Self::Stm32f446 => (180_000_000, 45_000_000, 90_000_000),
+        match self.line() {
+            Line::F405 => (168 * MHZ, 42 * MHZ, 84 * MHZ),
+            Line::F412 | Line::F413 => (100 * MHZ, 50 * MHZ, 100 * MHZ),
+            Line::F427 | Line::F446 | Line::F469 => (180 * MHZ, 45 * MHZ, 90 * MHZ),
+        }
+    }
+
+    /// The highest HCLK in Hz at the value of PWR_CR.VOS, with over-drive or without (chapter "Power controller").
+    pub(super) const fn voltage_limit(self, vos: u32, overdrive: bool) -> u32 {
+        match (self.line(), vos, overdrive) {
+            (Line::F405, 0b01, _) => 168 * MHZ,
+            (Line::F405, _, _) => 144 * MHZ,
+            (Line::F412 | Line::F413, 0b11, _) => 100 * MHZ,
+            (Line::F412 | Line::F413, 0b10, _) => 84 * MHZ,
+            (Line::F412 | Line::F413, _, _) => 64 * MHZ,
+            (_, 0b11, true) => 180 * MHZ,
+            (_, 0b11, false) | (_, 0b10, true) => 168 * MHZ,
+            (_, 0b10, false) => 144 * MHZ,
+            _ => 120 * MHZ,
+        }
+    }
+
+    /// PWR_CR after a reset.
+    pub(super) const fn power_after_reset(self) -> u32 {
+        match self.line() {
+            Line::F405 => 0x4000,
+            Line::F412 | Line::F413 => 0x8000,
+            Line::F427 | Line::F446 | Line::F469 => 0xC000,
+        }
+    }
+
+    /// The bits of PWR_CR that can be written.
+    pub(super) const fn power_bits(self) -> u32 {
+        match self.line() {
+            Line::F405 => 0x43F3,
+            Line::F412 | Line::F413 => 0x0030_EFF3,
+            Line::F427 | Line::F446 | Line::F469 => 0x000F_EFF3,
+        }
+    }
+
+    /// The flash wait states that `hclk_hz` needs at 2.7..3.6 V (chapter "Embedded flash memory interface").
+    pub const fn wait_states(self, hclk_hz: u32) -> u32 {
+        match self.line() {
+            Line::F412 if hclk_hz <= 30 * MHZ => 0,
+            Line::F412 if hclk_hz <= 64 * MHZ => 1,
+            Line::F412 if hclk_hz <= 90 * MHZ => 2,
+            Line::F412 => 3,
+            // ST's header for this part has the values of the F412, which are laxer.
+            Line::F413 => hclk_hz.saturating_sub(1) / (25 * MHZ),
+            _ => hclk_hz.saturating_sub(1) / (30 * MHZ),
         }
     }
 
     /// Whether the PWR block has over-drive and the SAI PLL exists.
     pub const fn has_overdrive(self) -> bool {
-        matches!(self, Self::Stm32f427 | Self::Stm32f446)
+        matches!(self.line(), Line::F427 | Line::F446 | Line::F469)
+    }
+
+    /// Whether RCC_DCKCFGR exists.
+    pub(super) const fn has_dedicated_clocks(self) -> bool {
+        !matches!(self.line(), Line::F405)
+    }
+
+    /// Whether RCC_CKGATENR and RCC_DCKCFGR2 exist.
+    pub(super) const fn has_clock_gating(self) -> bool {
+        matches!(self.line(), Line::F412 | Line::F413 | Line::F446)
+    }
+
+    /// The ADC channel of the temperature sensor: on the later parts it shares that of VBAT (RM0090 13.10, RM0390
+    /// 13.10).
+    pub(super) const fn temperature_channel(self) -> u32 {
+        match self.line() {
+            Line::F405 => 16,
+            _ => 18,
+        }
     }
 
     /// The number of GPIO ports, from A on.
     pub const fn gpio_ports(self) -> usize {
-        match self {
-            Self::Stm32f405 | Self::Stm32f407 => 9,
-            Self::Stm32f427 => 11,
-            Self::Stm32f446 => 8,
+        match self.line() {
+            Line::F405 => 9,
+            Line::F412 | Line::F413 | Line::F446 => 8,
+            Line::F427 | Line::F469 => 11,
+        }
+    }
+
+    /// The pins that can carry CAN1, receive and transmit, with their alternate functions (data sheet, table of the
+    /// alternate functions).
+    pub(super) const fn can1_pins(self) -> &'static [[(Pin, u32); 2]] {
+        const A: [(Pin, u32); 2] = [(Pin('A', 11), 9), (Pin('A', 12), 9)];
+        const B: [(Pin, u32); 2] = [(Pin('B', 8), 9), (Pin('B', 9), 9)];
+        const B_8: [(Pin, u32); 2] = [(Pin('B', 8), 8), (Pin('B', 9), 8)];
+        const D: [(Pin, u32); 2] = [(Pin('D', 0), 9), (Pin('D', 1), 9)];
+        const G: [(Pin, u32); 2] = [(Pin('G', 0), 9), (Pin('G', 1), 9)];
+        const I: [(Pin, u32); 2] = [(Pin('I', 9), 9), (Pin('H', 13), 9)];
+        match self.line() {
+            Line::F405 | Line::F427 | Line::F469 => &[A, B, D, I],
+            Line::F412 | Line::F413 => &[A, B_8, D, G],
+            Line::F446 => &[A, B, D],
         }
     }
 }

@@ -1,6 +1,6 @@
 //! RCC (RM0090 chapter 7): oscillators, PLL, prescalers, peripheral clocks and resets, reset flags.
 
-use super::{Part, Problem};
+use super::{Part, Problem, Readings, StartUp, timer, usart};
 use crate::{Time, can::Clock};
 
 const CR: u32 = 0x00;
@@ -9,6 +9,7 @@ const CFGR: u32 = 0x08;
 const CIR: u32 = 0x0C;
 const APB1RSTR: u32 = 0x20;
 const AHB1ENR: u32 = 0x30;
+const AHB2ENR: u32 = 0x34;
 const APB1ENR: u32 = 0x40;
 const APB2ENR: u32 = 0x44;
 const CSR: u32 = 0x74;
@@ -21,11 +22,15 @@ const PLLI2SON: u32 = 1 << 26;
 const PLLSAION: u32 = 1 << 28;
 const LSION: u32 = 1 << 0;
 const RMVF: u32 = 1 << 24;
+const LSEON: u32 = 1 << 0;
+const RTCSEL: u32 = 0b11 << 8;
+const RTCEN: u32 = 1 << 15;
+const RTC_ON_LSI: u32 = RTCEN | 2 << 8;
+const RTC_ON_HSE: u32 = RTCEN | 3 << 8;
+const BDRST: u32 = 1 << 16;
+/// BDRST, RTCEN, RTCSEL, LSEBYP and LSEON.
+const BDCR_WRITABLE: u32 = 0x0001_8305;
 const CSSF: u32 = 1 << 7;
-
-/// Typical start-up times from the F405 data sheet: PLL lock and LSI.
-const PLL_LOCK: Time = Time::from_us(100);
-const LSI_START: Time = Time::from_us(20);
 
 /// The internal oscillator, assumed to be exact.
 const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
@@ -35,6 +40,8 @@ const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
 pub enum ResetCause {
     /// The supply came up.
     PowerOn,
+    /// The supply fell below the brown-out level that the option bytes select, and rose again.
+    BrownOut,
     /// The NRST pin was pulled low.
     Pin,
     /// `AIRCR.SYSRESETREQ`.
@@ -48,6 +55,7 @@ impl ResetCause {
     const fn flags(self) -> u32 {
         match self {
             Self::PowerOn => 0x0E00_0000,
+            Self::BrownOut => 1 << 26 | 1 << 25,
             Self::Pin => 1 << 26,
             Self::Software => 1 << 28 | 1 << 26,
             Self::Watchdog => 1 << 29 | 1 << 26,
@@ -68,6 +76,26 @@ pub struct Clocks {
     pub timclk1: Clock,
     /// APB2: ADC, SYSCFG, EXTI.
     pub pclk2: Clock,
+    /// The timers of APB2, in the same way.
+    pub timclk2: Clock,
+}
+
+/// A peripheral bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Apb {
+    /// APB1, from 4000_0000h on.
+    One,
+    /// APB2, from 4001_0000h on.
+    Two,
+}
+
+impl Apb {
+    const fn enable(self) -> u32 {
+        match self {
+            Self::One => APB1ENR,
+            Self::Two => APB2ENR,
+        }
+    }
 }
 
 /// A peripheral with an enable bit in RCC.
@@ -75,8 +103,12 @@ pub struct Clocks {
 pub enum Gate {
     /// GPIO port 0 = A.
     Gpio(u8),
-    /// TIM2 and TIM5, as 0 and 1.
+    /// TIM1 as 0.
     Timer(u8),
+    /// USART1 as 0.
+    Usart(u8),
+    /// The random number generator.
+    Rng,
     /// CAN1.
     Can1,
     /// PWR.
@@ -88,10 +120,13 @@ pub enum Gate {
 }
 
 impl Gate {
-    const fn enable(self) -> (u32, u32) {
+    fn enable(self) -> (u32, u32) {
+        let on_bus = |(apb, bit): (Apb, u32)| (apb.enable(), bit);
         match self {
-            Self::Gpio(port) => (AHB1ENR, port as u32),
-            Self::Timer(timer) => (APB1ENR, 3 * timer as u32),
+            Self::Gpio(port) => (AHB1ENR, port.into()),
+            Self::Timer(timer) => on_bus(timer::KINDS[usize::from(timer)].gate),
+            Self::Usart(usart) => on_bus(usart::KINDS[usize::from(usart)].gate),
+            Self::Rng => (AHB2ENR, 6),
             Self::Can1 => (APB1ENR, 25),
             Self::Pwr => (APB1ENR, 28),
             Self::Adc => (APB2ENR, 8),
@@ -108,6 +143,7 @@ pub struct Rcc {
     /// The crystal oscillates when switched on.
     crystal_works: bool,
     hse_start: Time,
+    start_up: StartUp,
     regs: [u32; 38],
     hse_ready: Time,
     pll_ready: [Time; 3],
@@ -115,13 +151,17 @@ pub struct Rcc {
 }
 
 impl Rcc {
-    /// The state after power-on, with `crystal` as HSE, which takes `hse_start` to become ready.
-    pub fn new(part: Part, crystal: Clock, hse_start: Time) -> Self {
+    /// The offset of the backup domain's register.
+    pub const BDCR: u32 = 0x70;
+
+    /// The state after power-on, with `crystal` as HSE.
+    pub fn new(part: Part, crystal: Clock, readings: &Readings) -> Self {
         let mut rcc = Self {
             part,
             crystal,
             crystal_works: crystal.hz > 0,
-            hse_start,
+            hse_start: readings.hse_start,
+            start_up: readings.start_up,
             regs: [0; 38],
             hse_ready: Time::MAX,
             pll_ready: [Time::MAX; 3],
@@ -137,7 +177,7 @@ impl Rcc {
             ResetCause::PowerOn => 0,
             _ => self.reg(CSR) & 0xFE00_0000,
         };
-        let backup_domain = if cause == ResetCause::PowerOn { 0 } else { self.reg(0x70) };
+        let backup_domain = if cause == ResetCause::PowerOn { 0 } else { self.reg(Self::BDCR) };
         self.regs = [0; 38];
         let ccm = if self.part.ccm_size() > 0 { 1 << 20 } else { 0 };
         for (offset, value) in [
@@ -149,7 +189,7 @@ impl Rcc {
             (0x58, 0x0000_0001),
             (0x60, 0x36FE_C9FF),
             (0x64, 0x0007_5F33),
-            (0x70, backup_domain),
+            (Self::BDCR, backup_domain),
             (CSR, flags | cause.flags()),
             (0x84, 0x2000_3000),
             (0x88, 0x2400_3000),
@@ -231,9 +271,21 @@ impl Rcc {
             }
             // The upper bits, which read as 0, clear flags.
             CIR => value = value & 0x7F00 | old & 0xFF & !(value >> 16),
+            Self::BDCR => {
+                // A clock of the RTC stays selected until BDRST.
+                let selected =
+                    if old & RTCSEL != 0 { value & !RTCSEL | old & RTCSEL } else { value };
+                value = if value & BDRST != 0 { BDRST } else { selected & BDCR_WRITABLE };
+                if value & LSEON != 0 && old & LSEON == 0 {
+                    self.regs[Self::BDCR as usize / 4] = value;
+                    return Err(Problem::Misuse(
+                        "LSE is switched on, but the board has no crystal for it",
+                    ));
+                }
+            }
             CSR => {
                 if value & LSION != 0 && old & LSION == 0 {
-                    self.lsi_ready = now + LSI_START;
+                    self.lsi_ready = now + self.start_up.lsi();
                 }
                 let flags = if value & RMVF != 0 { 0 } else { old & 0xFE00_0000 };
                 value = value & LSION | flags;
@@ -255,7 +307,7 @@ impl Rcc {
         }
         for (index, bit) in [PLLON, PLLI2SON, PLLSAION].into_iter().enumerate() {
             if starts(bit) {
-                self.pll_ready[index] = now + PLL_LOCK;
+                self.pll_ready[index] = now + self.start_up.pll();
             }
         }
         self.regs[CR as usize / 4] = value;
@@ -318,6 +370,21 @@ impl Rcc {
         !self.crystal_works && self.sysclk_needs_hse()
     }
 
+    /// Whether the backup domain is held in reset.
+    pub fn backup_domain_held_in_reset(&self) -> bool {
+        self.reg(Self::BDCR) & BDRST != 0
+    }
+
+    /// The frequency of the clock that the RTC gets, with LSI of `lsi_hz`; 0 if it gets none.
+    pub fn rtc_clock(&self, lsi_hz: u32) -> u32 {
+        let divider = self.reg(CFGR) >> 16 & 0x1F;
+        match self.reg(Self::BDCR) & (RTCEN | RTCSEL) {
+            RTC_ON_LSI if self.reg(CSR) & LSION != 0 => lsi_hz,
+            RTC_ON_HSE if divider > 1 && self.reg(CR) & HSEON != 0 => self.crystal.hz / divider,
+            _ => 0,
+        }
+    }
+
     /// The level of the non-maskable interrupt: the clock security system has detected a failure of the crystal.
     pub fn nmi(&self) -> bool {
         self.reg(CIR) & CSSF != 0
@@ -327,7 +394,7 @@ impl Rcc {
     pub fn force_lsi(&mut self, now: Time) {
         if self.reg(CSR) & LSION == 0 {
             self.regs[CSR as usize / 4] |= LSION;
-            self.lsi_ready = now + LSI_START;
+            self.lsi_ready = now + self.start_up.lsi();
         }
     }
 
@@ -336,9 +403,10 @@ impl Rcc {
             0x00..=0x18 | 0x20 | 0x24 | 0x30..=0x38 | 0x40 | 0x44 | 0x50..=0x58 | 0x60 | 0x64 => {
                 true
             }
-            0x70 | 0x74 | 0x80 | 0x84 => true,
-            0x88 | 0x8C => self.part.has_overdrive(),
-            0x90 | 0x94 => self.part == Part::Stm32f446,
+            Self::BDCR | CSR | 0x80 | 0x84 => true,
+            0x88 => self.part.has_overdrive(),
+            0x8C => self.part.has_dedicated_clocks(),
+            0x90 | 0x94 => self.part.has_clock_gating(),
             _ => false,
         }
     }
@@ -396,12 +464,14 @@ impl Rcc {
         let apb = |code: u32| if code & 4 == 0 { 0 } else { (code & 3) + 1 };
         let divided = |shift: u32| Clock { hz: sysclk.hz >> shift, ..sysclk };
         let apb1 = apb(cfgr >> 10 & 7);
+        let apb2 = apb(cfgr >> 13 & 7);
         Clocks {
             sysclk,
             hclk: divided(ahb),
             pclk1: divided(ahb + apb1),
             timclk1: divided(ahb + apb1.saturating_sub(1)),
-            pclk2: divided(ahb + apb(cfgr >> 13 & 7)),
+            pclk2: divided(ahb + apb2),
+            timclk2: divided(ahb + apb2.saturating_sub(1)),
         }
     }
 }

@@ -10,6 +10,9 @@ pub struct Readings {
     pub no_fault_below_ram: bool,
     /// The factor for the cycles of an instruction, for flash wait states and cache misses: 1 to 3.
     pub slowdown: u8,
+    /// A read of the flash takes the wait states of FLASH_ACR unless the prefetch or a cache hides them (RM0090 3.5).
+    /// Otherwise it takes none.
+    pub flash_waits: bool,
     /// A word whose programming was interrupted reads as any value between the old and the new one, differently at each
     /// power-on, until it is programmed again or erased.
     pub cut_words_flip: bool,
@@ -17,8 +20,49 @@ pub struct Readings {
     pub lsi_hz: u32,
     /// From HSEON to HSERDY: 0.1 to 10 ms for a working crystal; [`Time::MAX`] for one that never starts.
     pub hse_start: Time,
+    /// The other times of the start.
+    pub start_up: StartUp,
     /// The programming and erase times of the flash.
     pub flash_timing: Timing,
+}
+
+/// The start-up times of the reset circuit, the PLL and LSI, within their range in the F405 data sheet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum StartUp {
+    /// The shortest times: 0.5 ms, 75 us and 15 us.
+    Fastest,
+    /// The typical times: 1.5 ms, 100 us and 20 us.
+    #[default]
+    Typical,
+    /// The longest times: 3 ms, 300 us and 40 us.
+    Slowest,
+}
+
+impl StartUp {
+    /// The time for which NRST stays low after the supply has come up (tRSTTEMPO).
+    pub const fn reset(self) -> Time {
+        Time::from_us(match self {
+            Self::Fastest => 500,
+            Self::Typical => 1_500,
+            Self::Slowest => 3_000,
+        })
+    }
+
+    pub(super) const fn pll(self) -> Time {
+        Time::from_us(match self {
+            Self::Fastest => 75,
+            Self::Typical => 100,
+            Self::Slowest => 300,
+        })
+    }
+
+    pub(super) const fn lsi(self) -> Time {
+        Time::from_us(match self {
+            Self::Fastest => 15,
+            Self::Typical => 20,
+            Self::Slowest => 40,
+        })
+    }
 }
 
 impl Default for Readings {
@@ -26,9 +70,11 @@ impl Default for Readings {
         Self {
             no_fault_below_ram: false,
             slowdown: 1,
+            flash_waits: false,
             cut_words_flip: false,
             lsi_hz: 32_000,
             hse_start: Time::from_ms(2),
+            start_up: StartUp::Typical,
             flash_timing: Timing::Typical,
         }
     }

@@ -16,6 +16,7 @@ impl Pwr {
     const CR: u32 = 0x00;
     const CSR: u32 = 0x04;
     const PVDE: u32 = 1 << 4;
+    const DBP: u32 = 1 << 8;
     const PVDO: u32 = 1 << 2;
     /// The thresholds that PLS selects, in mV (RM0090 5.4.1), without hysteresis.
     const THRESHOLDS_MV: [u32; 8] = [2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900];
@@ -25,8 +26,7 @@ impl Pwr {
 
     /// The state after a reset, with 3.3 V.
     pub fn new(part: Part) -> Self {
-        let cr = if part.has_overdrive() { 0xC000 } else { 0x4000 };
-        Self { part, supply_mv: 3_300, cr, csr: 0 }
+        Self { part, supply_mv: 3_300, cr: part.power_after_reset(), csr: 0 }
     }
 
     /// Resets all registers; the supply remains the same.
@@ -34,9 +34,19 @@ impl Pwr {
         *self = Self { supply_mv: self.supply_mv, ..Self::new(self.part) };
     }
 
+    /// Whether DBP lets the program write to the RTC and to RCC_BDCR.
+    pub fn backup_domain_is_writable(&self) -> bool {
+        self.cr & Self::DBP != 0
+    }
+
     /// Sets the supply in mV.
     pub fn set_supply(&mut self, mv: u32) {
         self.supply_mv = mv;
+    }
+
+    /// The highest HCLK in Hz at the present voltage scale.
+    pub fn max_hclk(&self) -> u32 {
+        self.part.voltage_limit(self.cr >> 14 & 3, self.cr & Self::OVERDRIVE == Self::OVERDRIVE)
     }
 
     fn pvdo(&self) -> u32 {
@@ -56,9 +66,7 @@ impl Pwr {
     /// Writes a register; returns false if it does not exist.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
-            Self::CR => {
-                self.cr = value & if self.part.has_overdrive() { 0x000F_EFF3 } else { 0x43F3 }
-            }
+            Self::CR => self.cr = value & self.part.power_bits(),
             Self::CSR => self.csr = value & (1 << 8 | 1 << 9),
             _ => return false,
         }

@@ -1,6 +1,6 @@
-//! TIM2 and TIM5 (RM0090 chapter 18): 32-bit up-counters with compare interrupts.
+//! TIM1 to TIM14 (RM0090 chapters 17 to 20): up-counters with compare interrupts.
 
-use super::Problem;
+use super::{Problem, rcc::Apb};
 use crate::{Time, can::Clock};
 
 const CR1: u32 = 0x00;
@@ -15,21 +15,62 @@ const CCER: u32 = 0x20;
 const CNT: u32 = 0x24;
 const PSC: u32 = 0x28;
 const ARR: u32 = 0x2C;
+const RCR: u32 = 0x30;
 const CCR1: u32 = 0x34;
 const CCR4: u32 = 0x40;
+const BDTR: u32 = 0x44;
 
 const CEN: u32 = 1 << 0;
 const URS: u32 = 1 << 2;
-/// The bits of SR, EGR and DIER: the update and the four channels.
+const OPM: u32 = 1 << 3;
+const ARPE: u32 = 1 << 7;
+/// The bits of SR, EGR and DIER: the update, followed by the channels.
 const UPDATE: u32 = 1 << 0;
-const EVENTS: u32 = 0b1_1111;
 
 /// Picoseconds in a second, times the million of "parts per million".
 const SCALE: u128 = 1_000_000_000_000_000_000;
 
-/// A general-purpose timer of 32 bits on APB1, as a time base: no pins, no captures, no DMA.
+/// The properties in which the timers differ.
+#[derive(Debug)]
+pub struct Kind {
+    /// The number of its block of registers, counted from the start of its bus.
+    pub slot: u32,
+    /// The bus, and the number of its bits in the bus's RCC registers.
+    pub gate: (Apb, u32),
+    /// The number of compare channels.
+    channels: u8,
+    /// The largest value of the counter.
+    max: u32,
+    /// The interrupt of the update event and that of the channels.
+    irqs: (u32, u32),
+}
+
+const fn kind(slot: u32, gate: (Apb, u32), channels: u8, irqs: (u32, u32)) -> Kind {
+    Kind { slot, gate, channels, max: 0xFFFF, irqs }
+}
+
+/// TIM1 to TIM14 (RM0090 2.3, 7.3 and table 61).
+pub static KINDS: [Kind; 14] = [
+    kind(0, (Apb::Two, 0), 4, (25, 27)),
+    Kind { max: u32::MAX, ..kind(0, (Apb::One, 0), 4, (28, 28)) },
+    kind(1, (Apb::One, 1), 4, (29, 29)),
+    kind(2, (Apb::One, 2), 4, (30, 30)),
+    Kind { max: u32::MAX, ..kind(3, (Apb::One, 3), 4, (50, 50)) },
+    kind(4, (Apb::One, 4), 0, (54, 54)),
+    kind(5, (Apb::One, 5), 0, (55, 55)),
+    kind(1, (Apb::Two, 1), 4, (44, 46)),
+    kind(16, (Apb::Two, 16), 2, (24, 24)),
+    kind(17, (Apb::Two, 17), 1, (25, 25)),
+    kind(18, (Apb::Two, 18), 1, (26, 26)),
+    kind(6, (Apb::One, 6), 2, (43, 43)),
+    kind(7, (Apb::One, 7), 1, (44, 44)),
+    kind(8, (Apb::One, 8), 1, (45, 45)),
+];
+
+/// A timer as a time base: it counts up, with no pins, no captures and no DMA.
 #[derive(Debug)]
 pub struct Timer {
+    kind: &'static Kind,
     clock: Clock,
     cr1: u32,
     dier: u32,
@@ -50,15 +91,16 @@ pub struct Timer {
 
 impl Timer {
     /// The state after a reset: stopped, on a clock of 16 MHz.
-    pub fn new() -> Self {
+    pub fn new(kind: &'static Kind) -> Self {
         Self {
+            kind,
             clock: Clock { hz: 16_000_000, ppm: 0 },
             cr1: 0,
             dier: 0,
             sr: 0,
             prescaler: 0,
             divider: 0,
-            reload: u32::MAX,
+            reload: kind.max,
             compare: [0; 4],
             origin: 0,
             since: Time::ZERO,
@@ -69,10 +111,10 @@ impl Timer {
 
     /// Resets all registers; the clock remains the same.
     pub fn reset(&mut self) {
-        *self = Self { clock: self.clock, ..Self::new() };
+        *self = Self { clock: self.clock, ..Self::new(self.kind) };
     }
 
-    /// Sets the clock of the APB1 timers (RM0090 7.2).
+    /// Sets the clock of the timers on its bus (RM0090 7.2).
     pub fn set_clock(&mut self, clock: Clock, now: Time) {
         if self.clock != clock {
             self.advance(now);
@@ -87,9 +129,21 @@ impl Timer {
         self.deadline
     }
 
-    /// The level of the interrupt line, as of the latest access or [`advance`](Self::advance).
-    pub fn irq(&self) -> bool {
-        self.sr & self.dier != 0
+    /// The bus on which it is.
+    pub fn apb(&self) -> Apb {
+        self.kind.gate.0
+    }
+
+    /// The levels of its interrupts as of the latest access or [`advance`](Self::advance), bit n for interrupt n.
+    pub fn irqs(&self) -> u128 {
+        let raised = self.sr & self.dier;
+        let (update, compare) = self.kind.irqs;
+        u128::from(raised & UPDATE != 0) << update | u128::from(raised & !UPDATE != 0) << compare
+    }
+
+    /// The bits of SR, EGR and DIER that it has.
+    fn event_bits(&self) -> u32 {
+        (UPDATE << (1 + self.kind.channels)) - 1
     }
 
     /// Updates SR with the events until `now`.
@@ -99,29 +153,52 @@ impl Timer {
         if passed == 0 {
             return;
         }
+        let overflow = self.counts_to(0);
+        let stops = self.cr1 & OPM != 0 && overflow.is_some_and(|counts| counts <= passed);
+        let passed = if stops { overflow.unwrap_or(passed) } else { passed };
         for (bit, value) in self.events() {
             if self.counts_to(value).is_some_and(|counts| counts <= passed) {
                 self.sr |= bit;
             }
         }
-        self.seen = counts;
+        self.seen += passed;
+        if stops {
+            self.settle(now);
+            self.cr1 &= !CEN;
+        }
         self.plan();
     }
 
     /// The value of a register, or `None` if it does not exist or is not modelled.
     pub fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
         self.advance(now);
+        if !self.exists(offset) {
+            return None;
+        }
         Some(match offset {
             CR1 => self.cr1,
             DIER => self.dier,
             SR => self.sr,
-            CR2 | SMCR | EGR | CCMR1 | CCMR2 | CCER => 0,
             CNT => self.count_after(self.seen),
             PSC => self.prescaler,
             ARR => self.reload,
             CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4],
-            _ => return None,
+            _ => 0,
         })
+    }
+
+    fn exists(&self, offset: u32) -> bool {
+        let channels = u32::from(self.kind.channels);
+        match offset {
+            CR1 | DIER | SR | EGR | CNT | PSC | ARR => true,
+            CR2 => channels != 1,
+            SMCR => channels > 1,
+            CCMR1 | CCER => channels > 0,
+            CCMR2 => channels > 2,
+            CCR1..=CCR4 => (offset - CCR1) / 4 < channels,
+            RCR | BDTR => self.kind.irqs.0 != self.kind.irqs.1,
+            _ => false,
+        }
     }
 
     /// Writes a register.
@@ -134,13 +211,22 @@ impl Timer {
         if matches!(offset, CR1 | EGR | CNT | ARR) {
             self.settle(now);
         }
+        if !self.exists(offset) {
+            return Err(Problem::Unmodelled);
+        }
+        if offset == ARR && self.cr1 & (CEN | ARPE) == CEN | ARPE && value != self.reload {
+            return Err(Problem::Misuse("a preloaded auto-reload value is not modelled"));
+        }
+        // A register of 16 bits ignores the upper half of the bus.
+        let value = match offset {
+            CNT | ARR | CCR1..=CCR4 => value & self.kind.max,
+            _ => value & 0xFFFF,
+        };
         let writable = match offset {
-            CR1 => CEN | URS,
-            DIER | EGR => EVENTS,
-            CR2 | SMCR | CCMR1 | CCMR2 | CCER => 0,
-            PSC => 0xFFFF,
-            SR | CNT | ARR | CCR1..=CCR4 => u32::MAX,
-            _ => return Err(Problem::Unmodelled),
+            CR1 => CEN | URS | OPM | ARPE,
+            DIER | EGR => self.event_bits(),
+            PSC | SR | CNT | ARR | CCR1..=CCR4 => u32::MAX,
+            _ => 0,
         };
         match offset {
             CR1 => self.cr1 = value & writable,
@@ -149,7 +235,7 @@ impl Timer {
             SR => self.sr &= value,
             EGR => self.generate(value & writable),
             CNT => self.origin = value,
-            PSC => self.prescaler = value & writable,
+            PSC => self.prescaler = value,
             ARR => self.reload = value,
             CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4] = value,
             _ => {}
@@ -207,7 +293,7 @@ impl Timer {
 
     /// The flags of SR, and the counter value that sets each.
     fn events(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
-        let channels = self.compare.into_iter().enumerate();
+        let channels = self.compare.into_iter().take(self.kind.channels.into()).enumerate();
         channels.map(|(channel, value)| (UPDATE << (1 + channel), value)).chain([(UPDATE, 0)])
     }
 

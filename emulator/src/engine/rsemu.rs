@@ -1,5 +1,6 @@
 //! The engine: rsemu's ARMv7E-M core with the chip's memories mapped directly and its peripherals behind calls.
 
+mod accelerator;
 mod bus;
 mod follow;
 mod watched;
@@ -23,6 +24,7 @@ use crate::{
     Time,
     chip::{Access, CCM_BASE, Chip, FLASH_BASE, Problem, RAM_BASE, Width},
 };
+use accelerator::Accelerator;
 use bus::Link;
 
 /// Bits of SYST_CSR: counter enabled, and its interrupt enabled.
@@ -49,6 +51,8 @@ pub struct Rsemu {
     spin: Option<u64>,
     /// The factor by which an instruction's cycles are multiplied.
     slowdown: u64,
+    /// Whether reads of the flash have wait states.
+    flash_waits: bool,
     irqs: u128,
     polls: u32,
     watcher: Option<Box<dyn Watcher>>,
@@ -86,6 +90,7 @@ impl Rsemu {
             flash_busy: false,
             spin: None,
             slowdown: readings.slowdown.max(1).into(),
+            flash_waits: readings.flash_waits,
             irqs: 0,
             polls: 0,
             watcher: None,
@@ -235,6 +240,7 @@ impl Engine for Rsemu {
         self.stalled_until = self.clock.cycle_at(Time::from_ps(reached) + hold);
         self.flash_busy = false;
         self.spin = None;
+        *self.link.accelerator() = Accelerator::new();
         self.sync_flash();
     }
 
@@ -259,6 +265,12 @@ impl Engine for Rsemu {
             self.cycles += used;
             if self.slowdown > 1 && !self.cpu.is_asleep() {
                 self.skip(used * (self.slowdown - 1));
+            }
+            if self.flash_waits {
+                let waits = self.link.accelerator().take_waits();
+                if waits > 0 {
+                    self.skip(waits);
+                }
             }
             if before & xpsr::IT_MASK != 0 {
                 self.mend_stacked_itstate(before, pc);

@@ -64,7 +64,7 @@ fn a_channel_measures_its_voltage_against_the_supply() {
 
 #[test]
 fn the_sensor_and_its_calibration_give_the_temperature() {
-    for (part, channel) in [(Part::Stm32f405, 16), (Part::Stm32f446, 18)] {
+    for (part, channel) in [(Part::Stm32f405, 16), (Part::Stm32f412, 18), (Part::Stm32f446, 18)] {
         for celsius in [-40, 25, 85] {
             let mut chip = converting(part, channel, |chip| {
                 chip.adc_mut().analogue.temperature = celsius;

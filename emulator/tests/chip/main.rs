@@ -1,6 +1,7 @@
 //! The chip's registers as seen by a program, without a CPU.
 
 mod adc;
+mod start_up;
 mod timer;
 
 use emulator::{
@@ -55,7 +56,7 @@ fn to_128_mhz(chip: &mut Chip) {
 
 #[test]
 fn the_pll_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
-    for part in Part::ALL {
+    for part in Part::ALL.into_iter().filter(|part| part.clock_limits().0 > 128_000_000) {
         let mut chip = chip(part);
         to_128_mhz(&mut chip);
         let clocks = chip.clocks();
@@ -64,6 +65,74 @@ fn the_pll_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
         assert_eq!(clocks.pclk2, Clock { hz: 64_000_000, ppm: 20 });
         assert_eq!(read(&mut chip, RCC_CFGR, Time::from_s(1)) & 0xF, 0b1010);
         assert_eq!(chip.findings(), []);
+    }
+}
+
+/// The problems of a PLL clock of 8 MHz / 4 * `n` / 2 with APB1 at an eighth and APB2 at a quarter of it.
+fn problems_at(part: Part, n: u32, wait_states: u32, power: Option<u32>) -> Vec<Problem> {
+    let mut chip = chip(part);
+    let ready = Time::from_ms(10);
+    if let Some(power) = power {
+        write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
+        write(&mut chip, PWR_CR, power, Time::ZERO);
+    }
+    write(&mut chip, FLASH_ACR, wait_states, Time::ZERO);
+    write(&mut chip, RCC_CR, 0x0001_0083, Time::ZERO);
+    write(&mut chip, RCC_PLLCFGR, 1 << 22 | n << 6 | 4, Time::ZERO);
+    write(&mut chip, RCC_CR, 0x0101_0083, ready);
+    write(&mut chip, RCC_CFGR, 5 << 13 | 6 << 10, ready);
+    write(&mut chip, RCC_CFGR, 5 << 13 | 6 << 10 | 2, ready + Time::from_ms(1));
+    problems(&chip)
+}
+
+#[test]
+fn each_manual_has_its_own_number_of_wait_states() {
+    for (part, mhz, wait_states) in [
+        (Part::Stm32f405, 150, 4),
+        (Part::Stm32f405, 160, 5),
+        (Part::Stm32f412, 64, 1),
+        (Part::Stm32f412, 80, 2),
+        (Part::Stm32f413, 75, 2),
+        (Part::Stm32f413, 80, 3),
+        (Part::Stm32f469, 160, 5),
+    ] {
+        assert_eq!(problems_at(part, mhz, wait_states, None), [], "{part:?} {mhz} MHz");
+        let too_few = Problem::Misuse("too few flash wait states for this HCLK");
+        let found = problems_at(part, mhz, wait_states - 1, None);
+        assert_eq!(found, [too_few], "{part:?} {mhz} MHz");
+    }
+}
+
+#[test]
+fn a_clock_above_the_voltage_scale_is_found() {
+    let too_fast = Problem::Misuse("HCLK above the limit of the voltage scale (PWR_CR.VOS)");
+    for (part, power, mhz) in [
+        (Part::Stm32f405, Some(0), 144),
+        (Part::Stm32f405, None, 168),
+        (Part::Stm32f412, Some(0x4000), 64),
+        (Part::Stm32f412, None, 84),
+        (Part::Stm32f423, Some(0xC000), 100),
+        (Part::Stm32f429, Some(0x4000), 120),
+        (Part::Stm32f446, Some(0x8000), 144),
+        (Part::Stm32f479, None, 168),
+    ] {
+        assert_eq!(problems_at(part, mhz, 7, power), [], "{part:?} {power:?} {mhz} MHz");
+        let is_highest = mhz * 1_000_000 == part.clock_limits().0;
+        let found = problems_at(part, mhz + 2, 7, power);
+        if is_highest {
+            assert!(!found.is_empty(), "{part:?}");
+        } else {
+            assert_eq!(found, [too_fast], "{part:?} {power:?}");
+        }
+    }
+}
+
+#[test]
+fn a_part_of_100_mhz_starts_at_voltage_scale_2() {
+    for part in [Part::Stm32f412, Part::Stm32f413, Part::Stm32f423] {
+        let mut chip = chip(part);
+        write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
+        assert_eq!(read(&mut chip, PWR_CR, Time::ZERO), 0x8000, "{part:?}");
     }
 }
 
@@ -186,13 +255,13 @@ fn a_peripheral_without_clock_reads_0_loses_writes_and_is_found() {
 fn an_unknown_register_is_found_once_and_counted() {
     let mut chip = chip(Part::Stm32f405);
     for _ in 0..3 {
-        assert_eq!(read(&mut chip, 0x4000_0400, Time::from_us(5)), 0);
+        assert_eq!(read(&mut chip, 0x4000_3800, Time::from_us(5)), 0);
     }
     let [finding] = chip.findings() else { panic!("{:?}", chip.findings()) };
     assert_eq!((finding.problem, finding.count, finding.pc), (Problem::Unmodelled, 3, 0x0800_1234));
     assert_eq!(
         finding.to_string(),
-        "0.005000 ms, pc 08001234: 32-bit read of 40000400: not modelled (3 times)"
+        "0.005000 ms, pc 08001234: 32-bit read of 40003800: not modelled (3 times)"
     );
 }
 
@@ -291,7 +360,10 @@ fn can_that_starts_without_pins_is_found() {
     write(&mut chip, RCC_APB1ENR, 1 << 25, Time::ZERO);
     write(&mut chip, 0x4000_6400, 0, Time::ZERO);
     let problem = chip.findings()[0].problem;
-    assert_eq!(problem.to_string(), "CAN1 leaves initialisation with no pins in AF9");
+    assert_eq!(
+        problem.to_string(),
+        "CAN1 leaves initialisation with no pins in its alternate function"
+    );
 }
 
 #[test]

@@ -1,9 +1,9 @@
-//! The registers of TIM2 and TIM5 as seen by a program, without a CPU.
+//! The registers of the timers as seen by a program, without a CPU.
 
 use emulator::{
     Time,
     can::Clock,
-    chip::{Chip, Part, Problem},
+    chip::{Access, Chip, Part, Problem, Width},
 };
 
 use super::{FLASH_ACR, RCC_APB1ENR, RCC_CFGR, RCC_CR, RCC_PLLCFGR, problems, read, write};
@@ -143,6 +143,81 @@ fn a_stopped_timer_keeps_its_count_and_an_update_clears_it() {
     let registers = [CR1, CNT, PSC, ARR, CCR4];
     let values = registers.map(|register| read(&mut chip, TIM2 + register, Time::from_us(130)));
     assert_eq!(values, [0, 0, 0, u32::MAX, 0]);
+}
+
+#[test]
+fn a_timer_of_16_bits_ignores_the_upper_half_of_the_bus() {
+    const TIM12: u32 = 0x4000_1800;
+    let mut chip = Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
+    write(&mut chip, RCC_APB1ENR, 1 << 6, Time::ZERO);
+    // The bridge repeats a half-word in the upper half.
+    let half = |register| Access {
+        address: TIM12 + register,
+        width: Width::Half,
+        now: Time::ZERO,
+        pc: 0x0800_1234,
+    };
+    for (register, value) in [(PSC, 15), (ARR, 0xFFFF), (EGR, 1), (SR, 0xFFFE), (CCR1, 0x8000)] {
+        chip.write(half(register), value).expect("no bus error");
+    }
+    write(&mut chip, TIM12 + DIER, 1 << 1 | 1 << 0, Time::ZERO);
+    write(&mut chip, TIM12 + CR1, 1, Time::ZERO);
+    for (us, irqs, flag) in [(0x8000, 1 << 43, 1 << 1), (0x1_0000, 1 << 43, 1 << 0)] {
+        let at = Time::from_us(us);
+        assert_eq!(chip.next_event(), at);
+        chip.advance(at);
+        assert_eq!(chip.irqs(), irqs);
+        assert_eq!(read(&mut chip, TIM12 + CNT, at), us as u32 & 0xFFFF);
+        write(&mut chip, TIM12 + SR, !flag, at);
+        assert_eq!(chip.irqs(), 0);
+    }
+    assert_eq!(problems(&chip), []);
+    assert_eq!(read(&mut chip, TIM12 + CCR4, Time::from_us(70_000)), 0);
+    assert_eq!(problems(&chip), [Problem::Unmodelled], "it has two channels");
+}
+
+#[test]
+fn every_timer_interrupts_on_its_own_line() {
+    const RCC_APB2ENR: u32 = 0x4002_3844;
+    for (timer, irq) in [
+        (0x4001_0000, 25),
+        (0x4000_0000, 28),
+        (0x4000_0400, 29),
+        (0x4000_0800, 30),
+        (0x4000_0C00, 50),
+        (0x4000_1000, 54),
+        (0x4000_1400, 55),
+        (0x4001_0400, 44),
+        (0x4001_4000, 24),
+        (0x4001_4400, 25),
+        (0x4001_4800, 26),
+        (0x4000_1800, 43),
+        (0x4000_1C00, 44),
+        (0x4000_2000, 45),
+    ] {
+        let mut chip = Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]);
+        write(&mut chip, RCC_APB1ENR, 0x1FF, Time::ZERO);
+        write(&mut chip, RCC_APB2ENR, 7 << 16 | 3, Time::ZERO);
+        for (register, value) in [(ARR, 15), (DIER, 1), (CR1, 1)] {
+            write(&mut chip, timer + register, value, Time::ZERO);
+        }
+        assert_eq!(chip.next_event(), Time::from_us(1), "{timer:#x}");
+        chip.advance(Time::from_us(1));
+        assert_eq!(chip.irqs(), 1 << irq, "{timer:#x}");
+        assert_eq!(problems(&chip), []);
+    }
+}
+
+#[test]
+fn in_one_pulse_mode_a_timer_stops_at_its_overflow() {
+    let mut chip = counting(TIM2);
+    write(&mut chip, TIM2 + ARR, 99, Time::ZERO);
+    write(&mut chip, TIM2 + CR1, 1 << 3 | 1, Time::ZERO);
+    let after = Time::from_us(250);
+    let [cr1, count, flags] =
+        [CR1, CNT, SR].map(|register| read(&mut chip, TIM2 + register, after));
+    assert_eq!((cr1, count, flags & 1), (1 << 3, 0, 1));
+    assert_eq!(problems(&chip), []);
 }
 
 #[test]

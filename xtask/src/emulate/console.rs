@@ -3,7 +3,7 @@
 use std::{io, thread};
 
 use anyhow::{Context, bail};
-use emulator::network::Network;
+use emulator::{board::Board, network::Network};
 use testkit::io_board;
 
 use super::client::Input;
@@ -76,10 +76,10 @@ pub struct Leds(Vec<[bool; 2]>);
 
 impl Leds {
     /// Prints the LEDs that have changed.
-    pub fn show(&mut self, network: &Network) {
-        self.0.resize(network.boards().len(), [false; 2]);
+    pub fn show(&mut self, boards: &[Board]) {
+        self.0.resize(boards.len(), [false; 2]);
         for (number, shown) in self.0.iter_mut().enumerate() {
-            let lit = io_board::leds(network.board(number));
+            let lit = io_board::leds(&boards[number]);
             if *shown != lit {
                 let [first, second] = lit.map(|is_lit| if is_lit { "on" } else { "off" });
                 println!("board {number}: LED 1 {first}, LED 2 {second}");

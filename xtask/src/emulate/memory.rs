@@ -72,7 +72,7 @@ impl Memory {
 
     /// Writes the files of the boards whose flash has changed.
     pub fn save(&mut self, network: &Network) -> anyhow::Result<()> {
-        for (number, board) in network.boards().iter().enumerate() {
+        for (number, board) in network.boards().iter().take(self.saved.len()).enumerate() {
             let Some(path) = self.path(number) else { return Ok(()) };
             let operations = board.chip().flash().operations();
             if self.saved[number] != Some(operations) {

@@ -4,7 +4,7 @@ use emulator::{
     Time,
     board::Settings,
     can::bxcan::{Acknowledge, Readings as Can, TransmitLock},
-    chip::{Readings as Chip, Timing},
+    chip::{Readings as Chip, StartUp, Timing},
 };
 
 /// A reading, as the settings of a board.
@@ -45,6 +45,7 @@ pub fn readings() -> Vec<Reading> {
     let usual = Chip::default();
     let chip = [
         ("no fault below RAM", Chip { no_fault_below_ram: true, ..usual }),
+        ("flash with wait states", Chip { flash_waits: true, ..usual }),
         ("core twice as slow", Chip { slowdown: 2, ..usual }),
         ("core three times as slow", Chip { slowdown: 3, ..usual }),
         ("cut words read differently each time", Chip { cut_words_flip: true, ..usual }),
@@ -52,6 +53,8 @@ pub fn readings() -> Vec<Reading> {
         ("LSI at 47 kHz", Chip { lsi_hz: 47_000, ..usual }),
         ("crystal starts in 0.1 ms", Chip { hse_start: Time::from_us(100), ..usual }),
         ("crystal starts in 10 ms", Chip { hse_start: Time::from_ms(10), ..usual }),
+        ("reset, PLL and LSI as fast as allowed", Chip { start_up: StartUp::Fastest, ..usual }),
+        ("reset, PLL and LSI as slow as allowed", Chip { start_up: StartUp::Slowest, ..usual }),
         ("flash as slow as allowed", Chip { flash_timing: Timing::Worst, ..usual }),
     ];
     let settings = Settings::default();

@@ -22,7 +22,7 @@ const OTHER_RATES: [BitRate; 4] =
 /// The time from 17 to its answer.
 const STORE: Time = Time::from_ms(20);
 
-type Session = fn(&Variant) -> anyhow::Result<()>;
+pub type Session = fn(&Variant) -> anyhow::Result<()>;
 
 /// The sessions by name.
 pub fn all(quick: bool) -> Vec<(&'static str, Session)> {
@@ -88,7 +88,8 @@ fn configure(variant: &Variant, boards: u8) -> anyhow::Result<()> {
     bus.check()
 }
 
-fn fastscan(bus: &mut Bus) -> anyhow::Result<[u32; 4]> {
+/// The LSS address that Fastscan finds.
+pub fn fastscan(bus: &mut Bus) -> anyhow::Result<[u32; 4]> {
     bus.ask("51 00 00 00 00 80", "4F")?;
     let mut address = [0; 4];
     for sub in 0..4_u8 {

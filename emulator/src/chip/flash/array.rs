@@ -69,10 +69,15 @@ impl Array {
         }
     }
 
+    /// The bank of sector number `sector`, and its number there.
+    pub fn place(&self, sector: u32) -> (u32, u32) {
+        if self.part.has_two_banks() { (sector / 12, sector % 12) } else { (0, sector) }
+    }
+
     /// The byte range of sector number `sector` (RM0090 tables 5 and 6), if the part has it.
     pub fn sector(&self, sector: u32) -> Option<Range<usize>> {
         const KB: u32 = 1024;
-        let (bank, index) = (sector / 12, sector % 12);
+        let (bank, index) = self.place(sector);
         let (start, length) = match index {
             0..4 => (index * 16 * KB, 16 * KB),
             4 => (64 * KB, 64 * KB),

@@ -4,8 +4,7 @@ use crate::chip::{BusFault, Part, Problem};
 
 const OPTLOCK: u32 = 1 << 0;
 const OPTSTRT: u32 = 1 << 1;
-/// The options that the emulator models or that have no effect without a reset pin: BOR_LEV and nWRP.
-const MODELLED: u32 = 0x0FFF_000C;
+const BOR_LEV: u32 = 0b11 << 2;
 
 /// One of the two registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +18,7 @@ pub enum Register {
 /// The option bytes.
 #[derive(Debug)]
 pub struct Options {
+    part: Part,
     /// The programmed content, as OPTCR and OPTCR1 show it after a reset.
     stored: [u32; 2],
     registers: [u32; 2],
@@ -26,12 +26,18 @@ pub struct Options {
     locked_until_reset: bool,
 }
 
+/// The nWRP bits of both registers without any protection.
+fn unprotected(part: Part) -> [u32; 2] {
+    let bits = part.protection_bits();
+    [bits, if part.has_two_banks() { bits } else { 0 }]
+}
+
 impl Options {
-    /// The factory settings: no protection, no brown-out reset.
+    /// The factory settings: no protection, the lowest brown-out level.
     pub fn new(part: Part) -> Self {
-        let second = if part == Part::Stm32f427 { 0x0FFF_0000 } else { 0 };
-        let stored = [0x0FFF_AAEC | OPTLOCK, second];
-        Self { stored, registers: stored, half_unlocked: false, locked_until_reset: false }
+        let [first, second] = unprotected(part);
+        let stored = [first | 0xAAEC | OPTLOCK, second];
+        Self { part, stored, registers: stored, half_unlocked: false, locked_until_reset: false }
     }
 
     /// Loads the registers from the programmed content.
@@ -41,17 +47,55 @@ impl Options {
         self.locked_until_reset = false;
     }
 
-    /// Protects the sectors whose bit is 1, as a programming tool does.
+    /// Protects the sectors whose bit is 1, and no others, as a programming tool does.
     pub fn protect(&mut self, sectors: u32) {
-        for (index, sectors) in [sectors, sectors >> 12].into_iter().enumerate() {
-            self.stored[index] = self.stored[index] & !0x0FFF_0000 | (!sectors & 0xFFF) << 16;
-            self.registers[index] = self.registers[index] & !0x0FFF_0000 | (!sectors & 0xFFF) << 16;
+        let mut bits = unprotected(self.part);
+        for sector in (0..28).filter(|sector| sectors >> sector & 1 == 1) {
+            let (register, bit) = self.protection(sector);
+            bits[register] &= !bit;
+        }
+        for registers in [&mut self.stored, &mut self.registers] {
+            for (register, bits) in registers.iter_mut().zip(bits) {
+                *register = *register & !self.part.protection_bits() | bits;
+            }
+        }
+    }
+
+    /// Sets BOR_LEV, as a programming tool does.
+    pub fn set_brown_out_level(&mut self, level: u8) {
+        for word in [&mut self.stored[0], &mut self.registers[0]] {
+            *word = *word & !BOR_LEV | u32::from(3 - level.min(3)) << BOR_LEV.trailing_zeros();
+        }
+    }
+
+    /// The supply in mV below which the chip is held in reset (F405 data sheet, falling edge, typical).
+    pub fn brown_out_mv(&self) -> u32 {
+        match self.stored[0] & BOR_LEV {
+            0b0000 => 2_830,
+            0b0100 => 2_500,
+            0b1000 => 2_190,
+            _ => 1_680,
         }
     }
 
     /// Whether the sector cannot be programmed or erased.
     pub fn protects(&self, sector: u32) -> bool {
-        self.stored[sector as usize / 12] >> (16 + sector % 12) & 1 == 0
+        let (register, bit) = self.protection(sector);
+        self.stored[register] & bit == 0
+    }
+
+    /// The register and the bit that protect a sector.
+    fn protection(&self, sector: u32) -> (usize, u32) {
+        let highest = self.part.protection_bits().ilog2();
+        match self.part.has_two_banks() {
+            true => (sector as usize / 12, 1 << (16 + sector % 12)),
+            false => (0, 1 << (16 + sector).min(highest)),
+        }
+    }
+
+    /// The options that the emulator models or that have no effect without a reset pin: BOR_LEV and nWRP.
+    fn modelled(&self) -> u32 {
+        self.part.protection_bits() | BOR_LEV
     }
 
     /// The value of a register.
@@ -63,7 +107,7 @@ impl Options {
     pub fn word(&self, offset: u32) -> Option<u32> {
         match offset {
             0 => Some(self.stored[0] & 0xFFFC | 0xFFFF_0003),
-            8 => Some(self.stored[0] >> 16 | 0xFFFF_F000),
+            8 => Some(self.stored[0] >> 16 | !(self.part.protection_bits() >> 16)),
             _ => None,
         }
     }
@@ -90,9 +134,10 @@ impl Options {
         if self.registers[0] & OPTLOCK != 0 {
             return Err(Problem::Misuse("option bytes written while they are locked"));
         }
+        let writable = self.modelled() | OPTLOCK;
         let present = &mut self.registers[register as usize];
-        let changes = (*present ^ value) & !(MODELLED | OPTLOCK | OPTSTRT);
-        *present = value & (MODELLED | OPTLOCK) | *present & !(MODELLED | OPTLOCK);
+        let changes = (*present ^ value) & !(writable | OPTSTRT);
+        *present = value & writable | *present & !writable;
         if changes != 0 {
             return Err(Problem::Unmodelled);
         }

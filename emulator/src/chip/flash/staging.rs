@@ -31,6 +31,16 @@ impl Flash {
         self.options.protect(sectors);
     }
 
+    /// Sets the brown-out level in the option bytes: 0, as from the factory, to 3.
+    pub fn set_brown_out_level(&mut self, level: u8) {
+        self.options.set_brown_out_level(level);
+    }
+
+    /// The supply in mV below which the chip is held in reset.
+    pub fn brown_out_mv(&self) -> u32 {
+        self.options.brown_out_mv()
+    }
+
     /// Sets the supply in mV, which limits the width of programming.
     pub(in crate::chip) fn set_supply(&mut self, mv: u32) {
         self.supply_mv = mv;

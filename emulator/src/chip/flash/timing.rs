@@ -23,10 +23,10 @@ impl Timing {
         }
     }
 
-    /// The erase time of a sector, by its number and PSIZE (0 = x8, 1 = x16, 2 = x32).
+    /// The erase time of a sector, by its number in its bank and PSIZE (0 = x8, 1 = x16, 2 = x32).
     pub const fn erase(self, sector: u32, psize: u32) -> Time {
         let psize = if matches!(self, Self::Slowest) { 0 } else { psize };
-        let typical = match (sector % 12, psize) {
+        let typical = match (sector, psize) {
             (0..4, 0) => 400,
             (0..4, 1) => 300,
             (0..4, _) => 250,

@@ -1,7 +1,7 @@
 //! The bus matrix: the address ranges that are memory, and the calls for loads and stores elsewhere.
 
 use std::sync::{
-    Arc, Mutex,
+    Arc, Mutex, MutexGuard,
     atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering::Relaxed},
 };
 
@@ -10,6 +10,7 @@ use rsemu::core::{
     space::{AddressSpace, Mapping, MemAttrs, MemOps, MemResult, Perms, RamStore, Region},
 };
 
+use super::accelerator::Accelerator;
 use crate::{
     chip::{Access, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Readings, Width},
     engine::{Transfer, clock::CycleClock},
@@ -28,6 +29,7 @@ pub struct Link {
     pub watched: AtomicBool,
     transfers: Mutex<Vec<Transfer>>,
     clock: Mutex<CycleClock>,
+    accelerator: Mutex<Accelerator>,
 }
 
 impl Link {
@@ -39,7 +41,13 @@ impl Link {
             watched: AtomicBool::new(false),
             transfers: Mutex::default(),
             clock: Mutex::new(clock),
+            accelerator: Mutex::new(Accelerator::new()),
         }
+    }
+
+    /// The flash's accelerator, which works only if the chip's readings ask for it.
+    pub fn accelerator(&self) -> MutexGuard<'_, Accelerator> {
+        self.accelerator.lock().expect("nothing panics while it holds the accelerator")
     }
 
     /// Takes over a new clock.
@@ -104,6 +112,33 @@ impl MemOps for Aperture {
     }
 }
 
+/// Reads of the flash, with their wait states.
+#[derive(Debug)]
+struct SlowFlash {
+    base: u32,
+    flash: Arc<RamStore>,
+    link: Arc<Link>,
+}
+
+impl MemOps for SlowFlash {
+    fn read(&self, offset: u64, dst: &mut [u8], attrs: MemAttrs) -> MemResult {
+        if !attrs.debug {
+            let (address, cycle) = (self.base + offset as u32, self.link.cycles.load(Relaxed));
+            let mut accelerator = self.link.accelerator();
+            if attrs.is_fetch() {
+                accelerator.fetch(address, cycle);
+            } else {
+                accelerator.load(address, cycle);
+            }
+        }
+        self.flash.read_at(offset, dst)
+    }
+
+    fn write(&self, _: u64, _: &[u8], _: MemAttrs) -> MemResult {
+        Err(BusError::Unassigned)
+    }
+}
+
 /// A range of addresses without a register that causes no fault.
 #[derive(Debug)]
 struct Nothing;
@@ -136,9 +171,19 @@ pub fn address_space(
         let aperture = Aperture { base, chip: Arc::clone(chip), link: Arc::clone(link) };
         Mapping::new(Region::io(name, length, Arc::new(aperture)), base.into()).with_perms(perms)
     };
+    let code = |name: &str, base: u32| {
+        if !readings.flash_waits {
+            return memory(name, flash, base, Perms::RX);
+        }
+        // The alias has the lines of the flash.
+        let reads =
+            SlowFlash { base: FLASH_BASE, flash: Arc::clone(flash), link: Arc::clone(link) };
+        let region = Region::io(name, flash.len(), Arc::new(reads));
+        Mapping::new(region, base.into()).with_perms(Perms::RX)
+    };
     let mut mappings = vec![
-        memory("flash at reset", flash, 0, Perms::RX),
-        memory("flash", flash, FLASH_BASE, Perms::RX),
+        code("flash at reset", 0),
+        code("flash", FLASH_BASE),
         calls("flash programming", FLASH_BASE, flash.len(), Perms::WRITE),
         calls("system memory", 0x1FFF_0000, 0xC010, Perms::RW),
         memory("sram", ram, RAM_BASE, Perms::RWX),

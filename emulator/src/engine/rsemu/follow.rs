@@ -35,6 +35,9 @@ impl Rsemu {
             self.clock.change(hclk, self.cycles);
             self.link.set_clock(self.clock);
         }
+        if self.flash_waits {
+            self.link.accelerator().configure(chip.flash().access_control());
+        }
         if chip.is_stopped() {
             self.stalled_until = u64::MAX;
         }

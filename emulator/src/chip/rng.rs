@@ -1,0 +1,57 @@
+//! The random number generator (RM0090 chapter 24): every run gives the same numbers, without waiting.
+
+const CR: u32 = 0x00;
+const SR: u32 = 0x04;
+const DR: u32 = 0x08;
+
+const RNGEN: u32 = 1 << 2;
+const IE: u32 = 1 << 3;
+
+/// A generator that is always ready while it is on.
+#[derive(Debug)]
+pub struct Rng {
+    cr: u32,
+    state: u32,
+}
+
+impl Rng {
+    /// The state after power-on.
+    pub fn new() -> Self {
+        Self { cr: 0, state: 0x2545_F491 }
+    }
+
+    /// Resets the registers.
+    pub fn reset(&mut self) {
+        self.cr = 0;
+    }
+
+    /// The level of its interrupt.
+    pub fn irq(&self) -> bool {
+        self.cr == RNGEN | IE
+    }
+
+    /// The value of a register, or `None` if it does not exist.
+    pub fn read(&mut self, offset: u32) -> Option<u32> {
+        let is_on = self.cr & RNGEN != 0;
+        Some(match offset {
+            CR => self.cr,
+            SR => is_on.into(),
+            DR if is_on => {
+                self.state ^= self.state << 13;
+                self.state ^= self.state >> 17;
+                self.state ^= self.state << 5;
+                self.state
+            }
+            DR => 0,
+            _ => return None,
+        })
+    }
+
+    /// Writes a register; returns false if it does not exist.
+    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+        if offset == CR {
+            self.cr = value & (RNGEN | IE);
+        }
+        offset <= DR
+    }
+}

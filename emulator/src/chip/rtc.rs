@@ -1,0 +1,175 @@
+//! The real-time clock (RM0090 chapter 26): the calendar and the backup registers, without alarms and wake-up timer.
+
+use super::Problem;
+use crate::Time;
+
+const TR: u32 = 0x00;
+const DR: u32 = 0x04;
+const CR: u32 = 0x08;
+const ISR: u32 = 0x0C;
+const PRER: u32 = 0x10;
+const WUTR: u32 = 0x14;
+const WPR: u32 = 0x24;
+const SSR: u32 = 0x28;
+const BACKUP: u32 = 0x50;
+const END: u32 = 0xA0;
+
+/// WUTE, ALRBE and ALRAE.
+const CR_TIMERS: u32 = 0b111 << 8;
+/// WUTWF, ALRBWF and ALRAWF: those registers may be written.
+const ISR_WRITE_FLAGS: u32 = 0b111;
+const INITS: u32 = 1 << 4;
+const RSF: u32 = 1 << 5;
+const INITF: u32 = 1 << 6;
+const INIT: u32 = 1 << 7;
+/// The years and the day of the week in DR.
+const YEAR: u32 = 0xFF << 16;
+const WEEKDAY: u32 = 0b111 << 13;
+
+/// The real-time clock and its backup registers.
+#[derive(Debug)]
+pub struct Rtc {
+    /// Calendar and prescalers are those at `since`.
+    regs: [u32; END as usize / 4],
+    since: Time,
+    /// The frequency of its clock in Hz; 0 if it has none.
+    hz: u32,
+    /// The number of keys that WPR has received: registers are writable with two.
+    keys: u8,
+}
+
+impl Rtc {
+    /// The state after a reset of the backup domain.
+    pub fn new() -> Self {
+        let mut regs = [0; END as usize / 4];
+        for (offset, value) in [(DR, 0x2101), (PRER, 0x007F_00FF), (WUTR, 0xFFFF)] {
+            regs[offset as usize / 4] = value;
+        }
+        Self { regs, since: Time::ZERO, hz: 0, keys: 0 }
+    }
+
+    /// Sets the frequency of its clock in Hz, 0 for none.
+    pub fn set_clock(&mut self, hz: u32, now: Time) {
+        if self.hz != hz {
+            self.settle(now);
+            self.hz = hz;
+        }
+    }
+
+    fn reg(&self, offset: u32) -> u32 {
+        self.regs[offset as usize / 4]
+    }
+
+    /// The whole seconds since the calendar was settled, and the value of the sub-second counter.
+    fn passed(&self, now: Time) -> (u64, u32) {
+        let (asynchronous, synchronous) = (self.reg(PRER) >> 16 & 0x7F, self.reg(PRER) & 0x7FFF);
+        if self.reg(ISR) & INIT != 0 {
+            return (0, synchronous);
+        }
+        let ps = u128::from(now.saturating_sub(self.since).as_ps());
+        let period = u128::from(asynchronous + 1) * 1_000_000_000_000;
+        let ticks = (ps * u128::from(self.hz) / period) as u64;
+        let in_second = u64::from(synchronous) + 1;
+        (ticks / in_second, synchronous - (ticks % in_second) as u32)
+    }
+
+    /// Takes the present second over into the registers.
+    fn settle(&mut self, now: Time) {
+        let (seconds, _) = self.passed(now);
+        let [time, date] = later([self.reg(TR), self.reg(DR)], seconds);
+        self.regs[TR as usize / 4] = time;
+        self.regs[DR as usize / 4] = date;
+        self.since = now;
+    }
+
+    /// The value of a register, or `None` if it does not exist.
+    pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
+        let value = *self.regs.get(offset as usize / 4)?;
+        let flag = |bit, is_set: bool| if is_set { bit } else { 0 };
+        let (seconds, subseconds) = self.passed(now);
+        let [time, date] = later([self.reg(TR), self.reg(DR)], seconds);
+        Some(match offset {
+            TR => time,
+            DR => date,
+            SSR => subseconds,
+            ISR => {
+                let initializing = value & INIT != 0;
+                // The shadow registers follow at once.
+                value & INIT
+                    | ISR_WRITE_FLAGS
+                    | flag(INITS, date & YEAR != 0)
+                    | flag(RSF, !initializing)
+                    | flag(INITF, initializing)
+            }
+            WPR => 0,
+            _ => value,
+        })
+    }
+
+    /// Writes a register. The backup registers need no key.
+    ///
+    /// # Errors
+    /// The register does not exist, or is protected, or the write switches on an alarm or the wake-up timer.
+    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        match offset {
+            WPR => {
+                self.keys = match (value & 0xFF, self.keys) {
+                    (0xCA, _) => 1,
+                    (0x53, 1) => 2,
+                    _ => 0,
+                };
+                return Ok(());
+            }
+            TR..BACKUP if self.keys < 2 => {
+                return Err(Problem::Misuse("RTC register written without the keys"));
+            }
+            CR if value & CR_TIMERS != 0 => return Err(Problem::Unmodelled),
+            TR | DR if self.reg(ISR) & INIT == 0 => {
+                return Err(Problem::Misuse("the calendar is written outside of initialisation"));
+            }
+            TR..END => {
+                if offset < BACKUP {
+                    self.settle(now);
+                }
+                self.regs[offset as usize / 4] = value;
+            }
+            _ => return Err(Problem::Unmodelled),
+        }
+        Ok(())
+    }
+}
+
+/// TR and DR after this number of seconds, in 24-hour format.
+fn later([time, date]: [u32; 2], seconds: u64) -> [u32; 2] {
+    let number = |bcd: u32| 10 * (bcd >> 4) + (bcd & 0xF);
+    let bcd = |number: u32| 16 * (number / 10) + number % 10;
+    let of_day = number(time >> 16 & 0x3F) * 3600 + number(time >> 8 & 0x7F) * 60;
+    let total = u64::from(of_day + number(time & 0x7F)) + seconds;
+    let (days, of_day) = (total / 86_400, (total % 86_400) as u32);
+
+    let [mut year, mut month, mut day] =
+        [date >> 16 & 0xFF, date >> 8 & 0x1F, date & 0x3F].map(number);
+    for _ in 0..days {
+        let length = match month {
+            2 if year % 4 == 0 => 29,
+            2 => 28,
+            4 | 6 | 9 | 11 => 30,
+            _ => 31,
+        };
+        day += 1;
+        if day > length {
+            (month, day) = (month + 1, 1);
+        }
+        if month > 12 {
+            (year, month) = ((year + 1) % 100, 1);
+        }
+    }
+    let weekday = match (date & WEEKDAY) >> 13 {
+        0 => 0,
+        weekday => (u64::from(weekday - 1) + days) as u32 % 7 + 1,
+    };
+    [
+        bcd(of_day / 3600) << 16 | bcd(of_day / 60 % 60) << 8 | bcd(of_day % 60),
+        bcd(year) << 16 | weekday << 13 | bcd(month) << 8 | bcd(day),
+    ]
+}

@@ -1,0 +1,84 @@
+//! USART1 to USART6 as outputs (RM0090 chapter 30): a byte is sent at once, and nothing is received.
+
+use super::rcc::Apb;
+
+const SR: u32 = 0x00;
+const DR: u32 = 0x04;
+const CR1: u32 = 0x0C;
+
+/// TXE and TC, which lie at the same places in SR and as TXEIE and TCIE in CR1.
+const SENT: u32 = 1 << 7 | 1 << 6;
+/// UE and TE.
+const TRANSMITTER_ON: u32 = 1 << 13 | 1 << 3;
+
+/// The properties in which the USARTs differ.
+#[derive(Debug)]
+pub struct Kind {
+    /// The number of its block of registers, counted from the start of its bus.
+    pub slot: u32,
+    /// The bus, and the number of its bits in the bus's RCC registers.
+    pub gate: (Apb, u32),
+    irq: u32,
+}
+
+const fn kind(slot: u32, gate: (Apb, u32), irq: u32) -> Kind {
+    Kind { slot, gate, irq }
+}
+
+/// USART1 to USART6 (RM0090 2.3, 7.3 and table 61).
+pub static KINDS: [Kind; 6] = [
+    kind(4, (Apb::Two, 4), 37),
+    kind(17, (Apb::One, 17), 38),
+    kind(18, (Apb::One, 18), 39),
+    kind(19, (Apb::One, 19), 52),
+    kind(20, (Apb::One, 20), 53),
+    kind(5, (Apb::Two, 5), 71),
+];
+
+/// A transmitter whose bytes are collected.
+#[derive(Debug)]
+pub struct Usart {
+    kind: &'static Kind,
+    regs: [u32; 7],
+    sent: Vec<u8>,
+}
+
+impl Usart {
+    /// The state after a reset.
+    pub fn new(kind: &'static Kind) -> Self {
+        Self { kind, regs: [0; 7], sent: Vec::new() }
+    }
+
+    /// Resets all registers; what was sent is kept.
+    pub fn reset(&mut self) {
+        self.regs = [0; 7];
+    }
+
+    /// The bytes sent since the last call.
+    pub fn take_sent(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.sent)
+    }
+
+    /// The level of its interrupt, bit n for interrupt n.
+    pub fn irqs(&self) -> u128 {
+        u128::from(self.regs[CR1 as usize / 4] & SENT != 0) << self.kind.irq
+    }
+
+    /// The value of a register, or `None` if it does not exist.
+    pub fn read(&self, offset: u32) -> Option<u32> {
+        let value = *self.regs.get(offset as usize / 4)?;
+        Some(if offset == SR { SENT } else { value })
+    }
+
+    /// Writes a register; returns false if it does not exist.
+    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+        let is_on = self.regs[CR1 as usize / 4] & TRANSMITTER_ON == TRANSMITTER_ON;
+        match (offset, self.regs.get_mut(offset as usize / 4)) {
+            (_, None) => return false,
+            (SR, _) => {}
+            (DR, _) => self.sent.extend(is_on.then_some(value as u8)),
+            (_, Some(register)) => *register = value,
+        }
+        true
+    }
+}

@@ -1,0 +1,137 @@
+//! CAN drivers of others on the emulated chip: each property is shown by the driver of embassy-stm32 and by bxcan.
+//!
+//! The programs are those of `emulator/foreign/`.
+
+#[path = "../../foreign/src/command.rs"]
+#[allow(dead_code, reason = "the programs use the rest")]
+mod command;
+mod errors;
+mod filters;
+mod modes;
+mod programs;
+mod rates;
+mod receive;
+mod rig;
+mod transmit;
+
+use std::{fs, path::Path};
+
+/// Defines a test of each property with each driver.
+macro_rules! shown_by {
+    ($($driver:ident $variant:ident),*: $properties:tt) => {$(
+        mod $driver {
+            use crate::rig::Driver::$variant as DRIVER;
+
+            shown_by!(@ $properties);
+        }
+    )*};
+    (@ { $($module:ident: $($property:ident),*;)* }) => {$($(
+        #[test]
+        #[ignore = "builds embassy-stm32, about 80 s of CPU time"]
+        fn $property() {
+            crate::$module::$property(DRIVER);
+        }
+    )*)*
+
+        pub const PROPERTIES: &[&str] = &[$($(stringify!($property)),*),*];
+    };
+}
+
+shown_by! { embassy Embassy, bxcan Bxcan: {
+    rates: frames_go_both_ways_at_1000_kbit,
+        frames_go_both_ways_at_500_kbit,
+        frames_go_both_ways_at_250_kbit,
+        frames_go_both_ways_at_125_kbit,
+        frames_go_both_ways_at_50_kbit,
+        a_new_bit_rate_takes_effect_on_a_running_controller,
+        frames_of_each_kind_and_length_go_both_ways,
+        a_node_joins_the_bus_only_when_it_is_quiet;
+    programs: its_log_is_read_and_its_led_blinks_every_millisecond;
+    modes: loopback_receives_its_own_frames_without_another_node,
+        loopback_shows_its_frames_on_the_bus,
+        loopback_ignores_the_bus,
+        without_loopback_a_node_does_not_receive_its_own_frames,
+        a_silent_node_receives,
+        a_silent_node_does_not_acknowledge,
+        silent_loopback_is_a_self_test_apart_from_the_bus,
+        a_sleeping_node_neither_receives_nor_acknowledges,
+        the_entry_to_sleep_mode_interrupts,
+        sleep_mode_begins_when_the_frame_under_way_has_ended,
+        a_node_that_its_program_wakes_up_joins_the_bus_again,
+        a_frame_on_the_bus_wakes_up_a_node_that_is_set_to;
+    filters: without_a_filter_nothing_is_received_but_all_is_acknowledged,
+        a_mask_of_32_bits_sorts_into_fifo_0,
+        a_mask_of_32_bits_sorts_into_fifo_1,
+        a_mask_of_32_bits_covers_extended_identifiers,
+        two_masks_of_16_bits_share_a_bank_of_fifo_0,
+        two_masks_of_16_bits_share_a_bank_of_fifo_1,
+        a_list_of_16_bits_has_four_identifiers_for_fifo_0,
+        a_list_of_16_bits_has_four_identifiers_for_fifo_1,
+        a_list_of_32_bits_has_two_identifiers_of_either_kind,
+        a_list_tells_remote_frames_from_data_frames,
+        a_filter_of_32_bits_precedes_one_of_16_bits,
+        a_list_precedes_a_mask_of_the_same_width,
+        of_equal_filters_the_lower_number_takes_the_frame,
+        filters_can_change_while_the_bus_runs,
+        the_last_bank_works_like_the_first;
+    transmit: three_mailboxes_go_by_identifier,
+        mailboxes_of_rising_urgency_overtake_the_one_that_waits,
+        a_standard_frame_precedes_an_extended_one_of_the_same_base,
+        a_data_frame_precedes_a_remote_frame_of_the_same_identifier,
+        three_frames_leave_without_a_gap,
+        an_identifier_that_waits_is_refused_a_second_time,
+        a_fourth_frame_takes_the_place_of_the_least_urgent,
+        a_frame_that_waits_can_be_aborted,
+        a_frame_under_way_is_sent_in_spite_of_an_abort,
+        an_empty_mailbox_cannot_be_aborted,
+        the_end_of_a_transmission_interrupts,
+        a_frame_that_loses_the_arbitration_is_sent_afterwards,
+        one_shot_gives_up_after_a_lost_arbitration,
+        one_shot_sends_once_when_nobody_acknowledges,
+        one_shot_delivers_on_a_good_bus;
+    receive: a_fifo_keeps_three_frames_in_their_order,
+        a_fourth_frame_replaces_the_newest,
+        after_an_overrun_frames_are_received_as_before,
+        a_full_fifo_leaves_the_other_one_room,
+        a_burst_of_fifty_frames_arrives_without_loss,
+        a_frame_in_fifo_0_interrupts,
+        a_frame_in_fifo_1_interrupts;
+    errors: a_node_alone_becomes_error_passive_and_stays_on_the_bus,
+        a_frame_that_nobody_acknowledged_arrives_once_somebody_does,
+        a_node_whose_dominant_bits_are_lost_goes_bus_off,
+        bus_off_ends_after_128_times_11_recessive_bits,
+        a_frame_survives_bus_off_in_its_mailbox,
+        bus_off_lasts_as_long_as_the_bus_is_dominant,
+        a_frame_with_an_error_is_repeated_and_received_once,
+        the_receive_error_counter_rises_with_each_bad_frame,
+        a_transmission_with_an_error_is_repeated_at_once;
+} }
+
+/// The lines of the table in `docs/testing.md`: properties, section, drivers, own tests.
+#[test]
+fn the_table_names_each_property_and_tests_that_exist() {
+    assert_eq!(embassy::PROPERTIES, bxcan::PROPERTIES);
+    let directory = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let text = fs::read_to_string(directory.join("../docs/testing.md")).expect("a file");
+    let (_, text) = text.split_once("## Drivers of others").expect("the section");
+    let section = text.lines().take_while(|line| !line.starts_with("## "));
+    let rows = section.filter(|line| line.starts_with("| `"));
+    let cells: Vec<Vec<&str>> = rows.map(|row| row.split('|').skip(1).collect()).collect();
+    let quoted = |cell: &str| -> Vec<String> {
+        cell.split('`').skip(1).step_by(2).map(str::to_owned).collect()
+    };
+    let mut listed: Vec<String> = cells.iter().flat_map(|row| quoted(row[0])).collect();
+    let mut shown: Vec<&str> = embassy::PROPERTIES.to_vec();
+    listed.sort();
+    shown.sort();
+    assert_eq!(listed, shown);
+
+    let sources: String = ["bxcan", "can"]
+        .iter()
+        .flat_map(|tests| fs::read_dir(directory.join("tests").join(tests)).expect("a directory"))
+        .map(|file| fs::read_to_string(file.expect("an entry").path()).expect("a source"))
+        .collect();
+    for name in cells.iter().flat_map(|row| quoted(row[3])) {
+        assert!(sources.contains(&format!("fn {name}()")), "there is no test {name}");
+    }
+}

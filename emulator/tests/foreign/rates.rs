@@ -1,0 +1,89 @@
+//! Frames in normal mode, at five bit rates (RM0090 32.4.2, 32.7.7).
+
+use emulator::can::{Frame, Id};
+
+use crate::{
+    command::Command,
+    rig::{Driver, Queued, Received, Rig, extended, standard},
+};
+
+fn frames_go_both_ways(driver: Driver, bit_rate: u32) {
+    let mut rig = Rig::joined(driver, bit_rate, 0);
+    let (from_node, from_adapter) = (standard(0x123, &[0x55, 0, 0xFF]), standard(0x456, &[7; 8]));
+    assert_eq!(rig.transmit(from_node), Queued::In(0));
+    rig.send(from_adapter);
+    rig.run_us(300_000_000 / u64::from(bit_rate));
+    assert_eq!(rig.heard(), [from_node]);
+    assert_eq!(rig.receive(), Received::Frame(from_adapter));
+    assert_eq!(rig.receive(), Received::Empty);
+    assert_eq!(rig.error_counters(), (0, 0));
+}
+
+pub fn frames_go_both_ways_at_1000_kbit(driver: Driver) {
+    frames_go_both_ways(driver, 1_000_000);
+}
+
+pub fn frames_go_both_ways_at_500_kbit(driver: Driver) {
+    frames_go_both_ways(driver, 500_000);
+}
+
+pub fn frames_go_both_ways_at_250_kbit(driver: Driver) {
+    frames_go_both_ways(driver, 250_000);
+}
+
+pub fn frames_go_both_ways_at_125_kbit(driver: Driver) {
+    frames_go_both_ways(driver, 125_000);
+}
+
+pub fn frames_go_both_ways_at_50_kbit(driver: Driver) {
+    frames_go_both_ways(driver, 50_000);
+}
+
+pub fn a_new_bit_rate_takes_effect_on_a_running_controller(driver: Driver) {
+    let mut rig = Rig::joined(driver, 1_000_000, 0);
+    for bit_rate in [125_000, 500_000] {
+        rig.join(bit_rate, 0);
+        let frame = standard(0x321, &bit_rate.to_le_bytes());
+        rig.transmit(frame);
+        rig.run_us(2_000);
+        assert_eq!(rig.heard(), [frame]);
+    }
+    assert_eq!(rig.error_counters(), (0, 0));
+}
+
+pub fn frames_of_each_kind_and_length_go_both_ways(driver: Driver) {
+    let mut rig = Rig::joined(driver, 500_000, 0);
+    let bytes = [0x80, 1, 0x7F, 0xFE, 0, 0xFF, 0xAA, 0x55];
+    let mut frames = Vec::new();
+    for length in 0..=8 {
+        frames.push(standard(0x7FF - length as u16, &bytes[..length]));
+        frames.push(extended(0x1FFF_FFFF - length as u32, &bytes[..length]));
+        frames.push(Frame::remote(Id::Standard(length as u16), length as u8));
+        frames.push(Frame::remote(Id::Extended(0x40000 + length as u32), length as u8));
+    }
+    for frame in frames {
+        assert_ne!(rig.transmit(frame), Queued::Refused, "{frame}");
+        rig.run_us(400);
+        assert_eq!(rig.heard(), [frame]);
+        rig.send(frame);
+        rig.run_us(400);
+        assert_eq!(rig.receive(), Received::Frame(frame));
+    }
+}
+
+/// INRQ and SLEEP clear only after 11 recessive bits.
+pub fn a_node_joins_the_bus_only_when_it_is_quiet(driver: Driver) {
+    use emulator::network::Short;
+
+    let mut rig = Rig::new(driver);
+    rig.call(Command::Configure, &[500_000, 0]);
+    rig.network.set_short(Some(Short::Dominant));
+    rig.begin(Command::Enable, &[]);
+    rig.run_us(2_000);
+    assert!(!rig.is_ready());
+    rig.network.set_short(None);
+    rig.run_us(20);
+    assert!(!rig.is_ready(), "ten bits");
+    rig.run_us(10);
+    assert!(rig.is_ready());
+}

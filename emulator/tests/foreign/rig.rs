@@ -1,0 +1,330 @@
+//! A board whose program has a CAN driver of others, remotely controlled through its RAM, and an adapter on its bus.
+
+use std::{env, path::Path, process::Command as Process, sync::LazyLock};
+
+use emulator::{
+    Time,
+    board::{Board, Settings},
+    can::{Adapter, BitSegments, Clock, Frame, Id},
+    chip::{Finding, Part},
+    image::Image,
+    network::{AdapterId, Network, Recording},
+};
+
+use crate::command::*;
+
+pub const MSR: u32 = 0x004;
+const RF0R: u32 = 0x00C;
+pub const ESR: u32 = 0x018;
+
+/// Bits of MSR: sleep mode, transmission, reception.
+pub const SLAK: u32 = 1 << 1;
+pub const TXM: u32 = 1 << 8;
+/// Bit of ESR: bus-off.
+pub const BOFF: u32 = 1 << 2;
+
+/// The longest time for a command that waits for the bus, and for the start of the program.
+const PATIENCE: Time = Time::from_ms(50);
+/// The time between two looks at the program's answer.
+const LOOK: Time = Time::from_us(2);
+
+/// A program of `emulator/foreign/`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Driver {
+    /// The driver of embassy-stm32.
+    Embassy,
+    /// The crate bxcan.
+    Bxcan,
+}
+
+impl Driver {
+    pub fn image(self) -> &'static Image {
+        static EMBASSY: LazyLock<Image> = LazyLock::new(|| build("embassy", "embassy"));
+        static BXCAN: LazyLock<Image> = LazyLock::new(|| build("bxcan", "bxcan"));
+        match self {
+            Self::Embassy => &EMBASSY,
+            Self::Bxcan => &BXCAN,
+        }
+    }
+}
+
+/// The program that does at its start what many do.
+pub fn start_image() -> &'static Image {
+    static START: LazyLock<Image> = LazyLock::new(|| build("start", "embassy"));
+    &START
+}
+
+fn build(program: &str, feature: &str) -> Image {
+    let directory = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let target = directory.join("../target/foreign");
+    let status = Process::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+        .current_dir(directory.join("foreign"))
+        .args(["build", "--quiet", "--locked", "--release", "--target", "thumbv7em-none-eabihf"])
+        .args(["--features", feature, "--bin", program])
+        .arg("--target-dir")
+        .arg(&target)
+        // The host build's settings are not meant for the program.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .env_remove("CARGO_BUILD_TARGET")
+        .status()
+        .expect("cargo runs");
+    assert!(status.success(), "emulator/foreign/src/bin/{program}.rs does not build");
+    Image::load(target.join("thumbv7em-none-eabihf/release").join(program)).expect("an image")
+}
+
+/// The answer to an attempt to transmit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Queued {
+    Refused,
+    In(u32),
+    /// In the place of this frame, which was aborted.
+    Replacing(Frame),
+}
+
+/// The answer to an attempt to receive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Received {
+    Empty,
+    Frame(Frame),
+    Overrun,
+    BusError,
+}
+
+/// An adapter with its sample point at 75 %.
+///
+/// A receiver's bits begin up to one of its quanta before the sender's, as the emulated bus has no delay. At 1 Mbit/s a
+/// quantum of embassy-stm32 lasts 143 ns: a sender that samples later than that before the end of a bit would see the
+/// acknowledgement come early.
+pub fn adapter(bit_rate: u32) -> Adapter {
+    let bit_timing = BitSegments { prescaler: 1, segment_1: 11, segment_2: 4, jump_width: 2 };
+    Adapter::with_timing(Clock { hz: 16 * bit_rate, ppm: 0 }, bit_timing)
+}
+
+/// A board, an adapter, and the bus between them.
+pub struct Rig {
+    pub driver: Driver,
+    pub network: Network,
+    pub board: usize,
+    pub adapter: AdapterId,
+    control: u32,
+}
+
+impl Rig {
+    /// A board that has started; its controller and the adapter are off the bus.
+    pub fn new(driver: Driver) -> Self {
+        let image = driver.image();
+        let mut network = Network::new();
+        network.record(Recording::Off);
+        let board = network.add_board(Board::new(Part::Stm32f405, image, Settings::default()));
+        let adapter = network.add_adapter(adapter(1_000_000));
+        network.adapter_mut(adapter).close();
+        let control = image.symbol("REMOTE_CONTROL").expect("the program has the words");
+        let mut rig = Self { driver, network, board, adapter, control };
+        rig.wait("the program's start", |rig| rig.word(0) == READY);
+        rig
+    }
+
+    /// A board and an adapter that have joined the bus; everything is accepted into FIFO 0.
+    pub fn joined(driver: Driver, bit_rate: u32, modes: u32) -> Self {
+        let mut rig = Self::new(driver);
+        rig.join(bit_rate, modes);
+        rig
+    }
+
+    pub fn join(&mut self, bit_rate: u32, modes: u32) {
+        self.network.adapter_mut(self.adapter).close();
+        self.adapter = self.network.add_adapter(adapter(bit_rate));
+        self.call(Command::Configure, &[bit_rate, modes]);
+        self.accept_everything();
+        self.call(Command::Enable, &[]);
+    }
+
+    pub fn accept_everything(&mut self) {
+        self.call(Command::Filter, &[0, 0, MASK_32, 0, 0]);
+    }
+
+    /// Replaces all filters by banks from 0 on: FIFO, kind and words of each.
+    pub fn set_filters(&mut self, banks: &[(u32, u32, [u32; 4])]) {
+        self.call(Command::ClearFilters, &[]);
+        for (number, (fifo, kind, [a, b, c, d])) in (0..).zip(banks) {
+            self.call(Command::Filter, &[number, *fifo, *kind, *a, *b, *c, *d]);
+        }
+    }
+
+    fn word(&self, index: u32) -> u32 {
+        let mut bytes = [0; 4];
+        let board = self.network.board(self.board);
+        assert!(board.read_memory(self.control + 4 * index, &mut bytes), "the words are in RAM");
+        u32::from_le_bytes(bytes)
+    }
+
+    /// Gives the program a command without waiting until it is ready.
+    pub fn begin(&mut self, command: Command, arguments: &[u32]) {
+        assert_eq!(self.word(0), READY, "{command:?} comes while another command is carried out");
+        let words = arguments.iter().copied().chain(std::iter::repeat(0)).take(WORDS);
+        let bytes: Vec<u8> =
+            [command as u32].into_iter().chain(words).flat_map(u32::to_le_bytes).collect();
+        self.network.board_mut(self.board).write_memory(self.control, &bytes);
+    }
+
+    pub fn is_ready(&self) -> bool {
+        self.word(0) == READY
+    }
+
+    /// Carries out a command and returns the answer.
+    pub fn call(&mut self, command: Command, arguments: &[u32]) -> [u32; WORDS] {
+        self.begin(command, arguments);
+        self.wait(&format!("the answer to {command:?}"), |rig| rig.is_ready());
+        std::array::from_fn(|index| self.word(1 + index as u32))
+    }
+
+    pub fn wait(&mut self, what: &str, mut done: impl FnMut(&mut Self) -> bool) {
+        let limit = self.network.now() + PATIENCE;
+        while !done(self) {
+            self.network.run_for(LOOK);
+            if self.network.now() >= limit {
+                let board = self.network.board(self.board);
+                panic!(
+                    "{what} never came: pc {:08x}, {:?}, {:#?}, {:#?}",
+                    board.pc(),
+                    board.lockup(),
+                    board.log(),
+                    board.findings()
+                );
+            }
+        }
+    }
+
+    pub fn run_us(&mut self, us: u64) {
+        self.network.run_for(Time::from_us(us));
+    }
+
+    pub fn transmit(&mut self, frame: Frame) -> Queued {
+        let [answer, mailbox, replaced @ .., _] = self.call(Command::Transmit, &words(frame));
+        match answer {
+            QUEUED => Queued::In(mailbox),
+            REPLACED => Queued::Replacing(from_words(replaced)),
+            _ => Queued::Refused,
+        }
+    }
+
+    pub fn receive(&mut self) -> Received {
+        let [answer, a, b, c, d, ..] = self.call(Command::Receive, &[]);
+        match answer {
+            FRAME => Received::Frame(from_words([a, b, c, d])),
+            OVERRUN => Received::Overrun,
+            BUS_ERROR => Received::BusError,
+            _ => Received::Empty,
+        }
+    }
+
+    /// The frames that the program takes out of its FIFOs until they are empty.
+    pub fn receive_all(&mut self) -> Vec<Frame> {
+        let mut frames = Vec::new();
+        loop {
+            match self.receive() {
+                Received::Frame(frame) => frames.push(frame),
+                Received::Empty => return frames,
+                Received::BusError | Received::Overrun => {}
+            }
+        }
+    }
+
+    pub fn abort(&mut self, mailbox: u32) -> bool {
+        self.call(Command::Abort, &[mailbox])[0] == 1
+    }
+
+    pub fn is_idle(&mut self) -> bool {
+        self.call(Command::IsIdle, &[])[0] == 1
+    }
+
+    /// The numbers of interrupts so far: transmit, FIFO 0, FIFO 1, status change and error.
+    pub fn interrupts(&mut self) -> [u32; 4] {
+        let [transmit, fifo_0, fifo_1, change, ..] = self.call(Command::Interrupts, &[]);
+        [transmit, fifo_0, fifo_1, change]
+    }
+
+    pub fn send(&mut self, frame: Frame) {
+        self.network.send(self.adapter, frame);
+    }
+
+    /// The frames that the adapter has received.
+    pub fn heard(&mut self) -> Vec<Frame> {
+        std::iter::from_fn(|| self.network.receive(self.adapter)).map(|(_, frame)| frame).collect()
+    }
+
+    pub fn can_register(&self, offset: u32) -> u32 {
+        let board = self.network.board(self.board);
+        let now = board.now();
+        board.chip().can1().read(offset, now).expect("a register")
+    }
+
+    /// The transmit and receive error counters.
+    pub fn error_counters(&self) -> (u32, u32) {
+        let esr = self.can_register(ESR);
+        (esr >> 16 & 0xFF, esr >> 24)
+    }
+
+    /// Adds an adapter on the bus.
+    pub fn add_adapter(&mut self, bit_rate: u32) -> AdapterId {
+        self.network.add_adapter(adapter(bit_rate))
+    }
+
+    /// The number of messages in a FIFO.
+    pub fn waiting(&self, fifo: u32) -> u32 {
+        self.can_register(RF0R + 4 * fifo) & 3
+    }
+}
+
+/// Accesses that RM0090 does not define for the chip.
+///
+/// embassy-stm32 has one RCC for all F4: it clears bits of DCKCFGR, which only the F42x and F43x have (6.3.25).
+const EXPLAINED: [(Driver, u32, bool); 2] =
+    [(Driver::Embassy, 0x4002_388C, false), (Driver::Embassy, 0x4002_388C, true)];
+
+/// Whether a finding is one of those.
+pub fn explained(driver: Driver, finding: &Finding) -> bool {
+    EXPLAINED.contains(&(driver, finding.address, finding.write))
+}
+
+/// No property leaves an unexplained finding.
+impl Drop for Rig {
+    fn drop(&mut self) {
+        if !std::thread::panicking() {
+            let findings = self.network.board(self.board).findings();
+            let unexplained = findings.iter().filter(|finding| !explained(self.driver, finding));
+            let texts: Vec<String> = unexplained.map(Finding::to_string).collect();
+            assert!(texts.is_empty(), "{:?}: {texts:#?}", self.driver);
+        }
+    }
+}
+
+pub fn standard(id: u16, payload: &[u8]) -> Frame {
+    Frame::data(Id::Standard(id), payload)
+}
+
+pub fn extended(id: u32, payload: &[u8]) -> Frame {
+    Frame::data(Id::Extended(id), payload)
+}
+
+fn words(frame: Frame) -> [u32; 4] {
+    let id = match frame.id {
+        Id::Standard(id) => id.into(),
+        Id::Extended(id) => id | EXTENDED,
+    };
+    let data = u64::from_le_bytes(frame.data);
+    let remote = if frame.remote { REMOTE } else { 0 };
+    [id | remote, frame.dlc.into(), data as u32, (data >> 32) as u32]
+}
+
+fn from_words([id, dlc, low, high]: [u32; 4]) -> Frame {
+    let number = id & !(EXTENDED | REMOTE);
+    let frame_id =
+        if id & EXTENDED != 0 { Id::Extended(number) } else { Id::Standard(number as u16) };
+    if id & REMOTE != 0 {
+        return Frame::remote(frame_id, dlc as u8);
+    }
+    let bytes = (u64::from(high) << 32 | u64::from(low)).to_le_bytes();
+    Frame::data(frame_id, &bytes[..dlc as usize])
+}

@@ -1,0 +1,193 @@
+//! The CAN adapter: one interface to SLCAN over a serial line or TCP, and to SocketCAN.
+
+mod slcan;
+mod socketcan;
+
+use std::{
+    fmt,
+    str::FromStr,
+    time::{Duration, Instant},
+};
+
+use lss_slave::{BitRate, Frame};
+
+use crate::stop::Stop;
+
+/// The part that an adapter takes on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Sends, receives and acknowledges.
+    Normal,
+    /// Receives and never drives the bus.
+    ListenOnly,
+}
+
+/// A frame from the bus.
+#[derive(Clone, Copy, Debug)]
+pub struct Received {
+    pub frame: Frame,
+    /// The time of reception on the clock of [`Adapter::clock`], since an arbitrary instant.
+    pub at: Duration,
+    /// The time at which this program got the frame.
+    pub here: Instant,
+}
+
+/// The clock of [`Received::at`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clock {
+    /// The adapter's own, in steps of 1 ms.
+    Adapter,
+    /// The kernel's, which stamps a frame when its driver gets it.
+    Kernel,
+    /// This program's, with the latency of the adapter and of the computer.
+    Host,
+}
+
+impl fmt::Display for Clock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Adapter => "the adapter's time stamps, in steps of 1 ms",
+            Self::Kernel => "the kernel's time stamps",
+            Self::Host => "the computer's clock, since the adapter has no time stamps",
+        })
+    }
+}
+
+/// The adapter's view of the bus.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Status {
+    /// Its error counters are above 127, or it is bus-off.
+    pub is_error_passive: bool,
+    /// It has found errors since the last question.
+    pub has_errors: bool,
+}
+
+/// A CAN adapter. After an error it can be opened again, which connects to it again.
+pub trait Adapter {
+    /// Joins the bus at `rate`. An open adapter leaves the bus first and drops its waiting frames.
+    fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop>;
+    /// Leaves the bus.
+    fn close(&mut self) -> Result<(), Stop>;
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop>;
+    /// The next frame, if one comes within `wait`. Remote frames and those with 29-bit identifiers are skipped.
+    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop>;
+    /// The adapter's errors, if it can report them.
+    fn status(&mut self) -> Result<Option<Status>, Stop>;
+    /// Waits until the adapter has carried out what it was told before, if it answers questions.
+    fn settle(&mut self) -> Result<(), Stop> {
+        Ok(())
+    }
+    fn clock(&self) -> Clock;
+    /// The only bit rate that the adapter can be opened at.
+    fn fixed_rate(&self) -> Option<BitRate> {
+        None
+    }
+    /// The time from a question to the adapter itself to its answer, if that is known.
+    fn latency(&self) -> Option<Duration>;
+    /// The adapter and its version, for a person.
+    fn description(&self) -> String;
+}
+
+/// The place of an adapter, as on the command line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// `slcan:DEVICE`, with `@BAUD` if the line is no USB device.
+    Serial { device: String, baud: u32 },
+    /// `slcan:tcp:HOST:PORT`.
+    Tcp(String),
+    /// `socketcan:INTERFACE`, with `@KBIT` if the interface is up and its bit rate cannot be set.
+    SocketCan { interface: String, fixed_rate: Option<BitRate> },
+}
+
+/// The baud rate of a serial line; USB devices ignore it.
+const BAUD: u32 = 115_200;
+
+impl FromStr for Place {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            Some(("slcan", rest)) if !rest.is_empty() => {
+                if let Some(address) = rest.strip_prefix("tcp:") {
+                    let port =
+                        address.rsplit_once(':').and_then(|(_, port)| port.parse::<u16>().ok());
+                    return match port {
+                        Some(_) => Ok(Self::Tcp(address.to_owned())),
+                        None => Err("slcan:tcp: needs HOST:PORT".into()),
+                    };
+                }
+                let (device, baud) = match rest.rsplit_once('@') {
+                    Some((device, baud)) => {
+                        (device, baud.parse().map_err(|_| "@BAUD is a number")?)
+                    }
+                    None => (rest, BAUD),
+                };
+                Ok(Self::Serial { device: device.to_owned(), baud })
+            }
+            Some(("socketcan", interface)) if !interface.is_empty() => {
+                let (interface, fixed_rate) = match interface.split_once('@') {
+                    Some((interface, rate)) => (interface, Some(bit_rate(rate)?)),
+                    None => (interface, None),
+                };
+                Ok(Self::SocketCan { interface: interface.to_owned(), fixed_rate })
+            }
+            _ => Err("use slcan:/dev/ttyACM0, slcan:tcp:HOST:PORT or socketcan:can0".into()),
+        }
+    }
+}
+
+/// The bit rate with this number of kbit/s.
+fn bit_rate(kbit: &str) -> Result<BitRate, String> {
+    let rate = BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s().to_string() == kbit);
+    rate.ok_or_else(|| format!("{kbit} is no bit rate of CiA 301 in kbit/s"))
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Serial { device, .. } => write!(f, "slcan:{device}"),
+            Self::Tcp(address) => write!(f, "slcan:tcp:{address}"),
+            Self::SocketCan { interface, .. } => write!(f, "socketcan:{interface}"),
+        }
+    }
+}
+
+impl Place {
+    /// Connects to the adapter, which stays off the bus.
+    pub fn connect(&self) -> Result<Box<dyn Adapter>, Stop> {
+        Ok(match self {
+            Self::Serial { .. } | Self::Tcp(_) => Box::new(slcan::Slcan::connect(self.clone())?),
+            Self::SocketCan { interface, fixed_rate } => {
+                socketcan::connect(interface, *fixed_rate)?
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_three_kinds_of_adapters_are_recognised() {
+        let serial = |device: &str, baud| Ok(Place::Serial { device: device.into(), baud });
+        assert_eq!("slcan:/dev/ttyACM0".parse(), serial("/dev/ttyACM0", BAUD));
+        assert_eq!("slcan:COM3@1000000".parse(), serial("COM3", 1_000_000));
+        assert_eq!("slcan:tcp:[::1]:29536".parse(), Ok(Place::Tcp("[::1]:29536".into())));
+        let socketcan = |fixed_rate| Ok(Place::SocketCan { interface: "can0".into(), fixed_rate });
+        assert_eq!("socketcan:can0".parse(), socketcan(None));
+        assert_eq!("socketcan:can0@125".parse(), socketcan(Some(BitRate::Kbit125)));
+        for text in [
+            "",
+            "can0",
+            "slcan:",
+            "slcan:tcp:",
+            "slcan:tcp:host",
+            "socketcan:",
+            "socketcan:can0@100",
+            "pcan:1",
+        ] {
+            assert!(text.parse::<Place>().is_err(), "{text}");
+        }
+    }
+}

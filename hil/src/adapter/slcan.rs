@@ -1,0 +1,414 @@
+//! SLCAN (LAWICEL): an adapter that takes commands as lines of ASCII, over a serial line or TCP.
+
+use std::{
+    collections::VecDeque,
+    io::{self, Read, Write},
+    net::{TcpStream, ToSocketAddrs},
+    time::{Duration, Instant},
+};
+
+use lss_slave::{BitRate, Frame};
+
+use super::{Adapter, Clock, Mode, Place, Received, Status};
+use crate::stop::Stop;
+
+/// The wait for the answer to a command; some adapters answer none.
+const ANSWER: Duration = Duration::from_millis(300);
+/// The number of questions by which the latency is measured.
+const QUESTIONS: usize = 5;
+/// The wait for a connection, and for a line to take what is written.
+const CONNECTION: Duration = Duration::from_secs(3);
+/// Time stamps count milliseconds and wrap to zero at this value.
+const STAMPS_MS: u64 = 60_000;
+/// The longest line that is taken: a frame with eight bytes and a time stamp has 31 characters.
+const LINE: usize = 64;
+
+/// A line to the adapter, with bounded waits.
+trait Port: Read + Write {
+    /// Bounds the reads that follow.
+    fn set_wait(&mut self, wait: Duration) -> io::Result<()>;
+}
+
+impl Port for TcpStream {
+    fn set_wait(&mut self, wait: Duration) -> io::Result<()> {
+        self.set_read_timeout(Some(wait))
+    }
+}
+
+impl Port for Box<dyn serialport::SerialPort> {
+    fn set_wait(&mut self, wait: Duration) -> io::Result<()> {
+        Ok(self.set_timeout(wait)?)
+    }
+}
+
+pub struct Slcan {
+    place: Place,
+    /// `None` after an error.
+    port: Option<Box<dyn Port>>,
+    /// Bytes of an incomplete line.
+    line: Vec<u8>,
+    inbox: VecDeque<Received>,
+    /// The version as the adapter reports it.
+    version: Option<String>,
+    latency: Option<Duration>,
+    reports_status: bool,
+    has_reported_status: bool,
+    stamps: Option<Stamps>,
+}
+
+/// The adapter's clock, continued over its wraps.
+struct Stamps {
+    last_ms: u64,
+    last_here: Instant,
+}
+
+/// A line from the adapter.
+#[derive(Debug, PartialEq, Eq)]
+enum Line {
+    /// A frame that this program can hold, and the adapter's time in ms.
+    Frame(Frame, Option<u64>),
+    /// Any other frame.
+    OtherFrame,
+    /// The answer to a frame to send.
+    Queued,
+    /// The answer to any other command: the line without its end.
+    Answer(Vec<u8>),
+    /// The answer to a command that is unknown, or not possible now.
+    Refused,
+}
+
+impl Slcan {
+    /// Connects to the adapter and asks for its version.
+    pub fn connect(place: Place) -> Result<Self, Stop> {
+        let mut adapter = Self {
+            place,
+            port: None,
+            line: Vec::new(),
+            inbox: VecDeque::new(),
+            version: None,
+            latency: None,
+            reports_status: true,
+            has_reported_status: false,
+            stamps: None,
+        };
+        adapter.reconnect()?;
+        Ok(adapter)
+    }
+
+    fn reconnect(&mut self) -> Result<(), Stop> {
+        self.port = Some(connect(&self.place)?);
+        self.line.clear();
+        self.stamps = None;
+        // End any earlier line, and leave the bus.
+        self.write(b"\r\rC\r")?;
+        let until = Instant::now() + ANSWER;
+        let mut is_answered = false;
+        while self.read_line(until)?.is_some() {
+            is_answered = true;
+        }
+        let mut latencies = Vec::new();
+        for _ in 0..QUESTIONS {
+            let begin = Instant::now();
+            if let Some(Line::Answer(line)) = self.command("V", |line| line.starts_with(b"V"))? {
+                latencies.push(begin.elapsed());
+                self.version = Some(String::from_utf8_lossy(&line).into_owned());
+            }
+        }
+        latencies.sort();
+        self.latency = latencies.get(latencies.len() / 2).copied();
+        if !is_answered && latencies.is_empty() {
+            return Err(Stop::NoAdapter(format!(
+                "{} opens, but answers no SLCAN command. Is it the CAN adapter, and does its firmware speak SLCAN?",
+                self.place
+            )));
+        }
+        self.command("Z1", <[u8]>::is_empty)?;
+        Ok(())
+    }
+
+    /// Sends a command and waits for the line that answers it; others are skipped. Frames that come before are kept.
+    fn command(
+        &mut self,
+        command: &str,
+        is_answer: fn(&[u8]) -> bool,
+    ) -> Result<Option<Line>, Stop> {
+        self.write(format!("{command}\r").as_bytes())?;
+        let until = Instant::now() + ANSWER;
+        loop {
+            match self.read_line(until)? {
+                None => return Ok(None),
+                Some(Line::Refused) => return Ok(Some(Line::Refused)),
+                Some(Line::Answer(line)) if is_answer(&line) => {
+                    return Ok(Some(Line::Answer(line)));
+                }
+                Some(_) => {}
+            }
+        }
+    }
+
+    /// Sends a command that the adapter must not refuse.
+    fn must(&mut self, command: &str, what: &str) -> Result<(), Stop> {
+        match self.command(command, <[u8]>::is_empty)? {
+            Some(Line::Refused) => Err(Stop::NoAdapter(format!("{} refuses {what}", self.place))),
+            _ => Ok(()),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), Stop> {
+        let Some(port) = &mut self.port else { return Err(self.gone("it was closed")) };
+        port.write_all(bytes).and_then(|()| port.flush()).map_err(|error| self.lose(error))
+    }
+
+    /// The next line, if it is complete before `until`. A frame is also put in the inbox.
+    fn read_line(&mut self, until: Instant) -> Result<Option<Line>, Stop> {
+        loop {
+            let end = self.line.iter().position(|byte| [b'\r', 0x07].contains(byte));
+            if let Some(end) = end {
+                let line: Vec<u8> = self.line.drain(..=end).collect();
+                let line = parse(&line);
+                if let Line::Frame(frame, stamp) = line {
+                    let here = Instant::now();
+                    let at = self.time(stamp, here);
+                    self.inbox.push_back(Received { frame, at, here });
+                }
+                return Ok(Some(line));
+            }
+            if self.line.len() > LINE {
+                self.line.clear();
+            }
+            let wait = until.saturating_duration_since(Instant::now());
+            if wait.is_zero() {
+                return Ok(None);
+            }
+            let Some(port) = &mut self.port else { return Err(self.gone("it was closed")) };
+            let mut bytes = [0; 512];
+            let read = port
+                .set_wait(wait.max(Duration::from_millis(1)))
+                .and_then(|()| port.read(&mut bytes));
+            match read {
+                Ok(0) => return Err(self.lose(io::Error::other("the connection was closed"))),
+                Ok(count) => self.line.extend(&bytes[..count]),
+                Err(error) if is_timeout(&error) => {}
+                Err(error) => return Err(self.lose(error)),
+            }
+        }
+    }
+
+    /// The time of a frame on the clock of [`Adapter::clock`].
+    fn time(&mut self, stamp: Option<u64>, here: Instant) -> Duration {
+        static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
+        let start = *START.get_or_init(Instant::now);
+        let Some(stamp) = stamp else { return here.saturating_duration_since(start) };
+        let last = self.stamps.get_or_insert(Stamps { last_ms: stamp, last_here: here });
+        let passed = here.duration_since(last.last_here).as_millis() as u64;
+        let step = (stamp + STAMPS_MS - last.last_ms % STAMPS_MS) % STAMPS_MS;
+        // The multiple of the range that is closest to the time passed here.
+        let wraps = (passed + STAMPS_MS / 2).saturating_sub(step) / STAMPS_MS;
+        last.last_ms += step + wraps * STAMPS_MS;
+        last.last_here = here;
+        Duration::from_millis(last.last_ms)
+    }
+
+    fn lose(&mut self, error: io::Error) -> Stop {
+        self.port = None;
+        self.gone(&error.to_string())
+    }
+
+    fn gone(&self, why: &str) -> Stop {
+        Stop::AdapterGone(format!("{}: {why}", self.place))
+    }
+}
+
+fn is_timeout(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    [TimedOut, WouldBlock, Interrupted].contains(&error.kind())
+}
+
+fn connect(place: &Place) -> Result<Box<dyn Port>, Stop> {
+    let none = |why: String| Stop::NoAdapter(format!("{place}: {why}"));
+    match place {
+        Place::Tcp(address) => {
+            let addresses = address.to_socket_addrs().map_err(|error| none(error.to_string()))?;
+            let mut last = none("the host has no address".into());
+            for address in addresses {
+                match TcpStream::connect_timeout(&address, CONNECTION) {
+                    Ok(stream) => {
+                        // Without this option only the latency is worse.
+                        let _ = stream.set_nodelay(true);
+                        let bounded = stream.set_write_timeout(Some(CONNECTION));
+                        bounded.map_err(|error| none(error.to_string()))?;
+                        return Ok(Box::new(stream));
+                    }
+                    Err(error) => last = none(format!("{error}. Does `cargo emulate` run there?")),
+                }
+            }
+            Err(last)
+        }
+        Place::Serial { device, baud } => match serialport::new(device, *baud)
+            .timeout(CONNECTION)
+            .open()
+        {
+            Ok(port) => Ok(Box::new(port)),
+            Err(error) => {
+                let ports = serialport::available_ports().unwrap_or_default();
+                let names: Vec<_> = ports.into_iter().map(|port| port.port_name).collect();
+                let there = match names.is_empty() {
+                    true => "there is no serial port at all: is the adapter plugged in?".to_owned(),
+                    false => format!("the serial ports are {}", names.join(", ")),
+                };
+                Err(none(format!("{error}; {there}")))
+            }
+        },
+        Place::SocketCan { .. } => Err(none("it is no serial line".into())),
+    }
+}
+
+impl Adapter for Slcan {
+    fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
+        match self.port {
+            None => self.reconnect()?,
+            Some(_) => self.close()?,
+        }
+        let index = match rate {
+            BitRate::Kbit1000 => 8,
+            BitRate::Kbit800 => 7,
+            BitRate::Kbit500 => 6,
+            BitRate::Kbit250 => 5,
+            BitRate::Kbit125 => 4,
+            BitRate::Kbit50 => 2,
+            BitRate::Kbit20 => 1,
+            BitRate::Kbit10 => 0,
+        };
+        self.must(&format!("S{index}"), &format!("{} kbit/s", rate.kbit_per_s()))?;
+        self.must(if mode == Mode::Normal { "O" } else { "L" }, "to open its channel")?;
+        // Errors before this moment do not count.
+        self.status()?;
+        Ok(())
+    }
+
+    fn close(&mut self) -> Result<(), Stop> {
+        // It is refused if the channel is closed. Answers to frames that were dropped may precede it.
+        self.write(b"C\r")?;
+        match self.version {
+            Some(_) => {
+                while self.command("V", |line| line.starts_with(b"V"))? == Some(Line::Refused) {}
+            }
+            None => {
+                let until = Instant::now() + ANSWER / 4;
+                while self.read_line(until)?.is_some() {}
+            }
+        }
+        self.inbox.clear();
+        Ok(())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
+        let mut line = format!("t{:03X}{}", frame.cob_id(), frame.data().len());
+        for byte in frame.data() {
+            line += &format!("{byte:02X}");
+        }
+        self.write(format!("{line}\r").as_bytes())
+    }
+
+    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
+        let until = Instant::now() + wait;
+        while self.inbox.is_empty() && self.read_line(until)?.is_some() {}
+        Ok(self.inbox.pop_front())
+    }
+
+    fn status(&mut self) -> Result<Option<Status>, Stop> {
+        if !self.reports_status {
+            return Ok(None);
+        }
+        let flags = match self.command("F", |line| line.starts_with(b"F"))? {
+            Some(Line::Answer(line)) => parse_flags(&line),
+            _ => None,
+        };
+        // A refusal may also belong to a frame that found the queue full.
+        self.reports_status = flags.is_some() || self.has_reported_status;
+        self.has_reported_status |= flags.is_some();
+        Ok(flags)
+    }
+
+    fn settle(&mut self) -> Result<(), Stop> {
+        if self.version.is_some() {
+            self.command("V", |line| line.starts_with(b"V"))?;
+        }
+        Ok(())
+    }
+
+    fn clock(&self) -> Clock {
+        if self.stamps.is_some() { Clock::Adapter } else { Clock::Host }
+    }
+
+    fn latency(&self) -> Option<Duration> {
+        self.latency
+    }
+
+    fn description(&self) -> String {
+        match &self.version {
+            Some(version) => format!("{}, version {}", self.place, &version[1..]),
+            None => format!("{}, which reports no version", self.place),
+        }
+    }
+}
+
+/// The flags in the answer to `F`, as the CANUSB has them: 4 bus warning, 20h error passive, 80h bus error.
+fn parse_flags(line: &[u8]) -> Option<Status> {
+    let digits = str::from_utf8(line.strip_prefix(b"F")?).ok()?;
+    let flags = u8::from_str_radix(digits, 16).ok()?;
+    Some(Status { is_error_passive: flags & 0x20 != 0, has_errors: flags & 0x80 != 0 })
+}
+
+/// A line with its end.
+fn parse(line: &[u8]) -> Line {
+    let Some((&end, line)) = line.split_last() else { return Line::Refused };
+    // Some adapters end their lines with both.
+    let line = line.strip_prefix(b"\n").unwrap_or(line);
+    if end == 0x07 {
+        return Line::Refused;
+    }
+    match line.first() {
+        Some(b't') => parse_frame(line).unwrap_or(Line::OtherFrame),
+        Some(b'T' | b'r' | b'R') => Line::OtherFrame,
+        Some(b'z' | b'Z') => Line::Queued,
+        _ => Line::Answer(line.to_vec()),
+    }
+}
+
+fn parse_frame(line: &[u8]) -> Option<Line> {
+    let text = str::from_utf8(line).ok().filter(|text| text.is_ascii())?;
+    let cob_id = u16::from_str_radix(text.get(1..4)?, 16).ok()?;
+    let len = usize::from_str_radix(text.get(4..5)?, 16).ok()?;
+    let (data, stamp) = text.get(5..)?.split_at_checked(2 * len)?;
+    let bytes = (0..len).map(|at| u8::from_str_radix(&data[2 * at..2 * at + 2], 16));
+    let bytes = bytes.collect::<Result<Vec<u8>, _>>().ok()?;
+    let stamp = match stamp {
+        "" => None,
+        digits => Some(u64::from_str_radix(digits, 16).ok()?),
+    };
+    Some(Line::Frame(Frame::new(cob_id, &bytes)?, stamp))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_adapters_are_read() {
+        let frame = Frame::new(0x7E4, &[0x5E, 5]).expect("a frame");
+        assert_eq!(parse(b"t7E425E05\r"), Line::Frame(frame, None));
+        assert_eq!(parse(b"t7E425E05EA5F\r"), Line::Frame(frame, Some(59_999)));
+        assert_eq!(parse(b"\r"), Line::Answer(vec![]));
+        assert_eq!(parse(b"\x07"), Line::Refused);
+        assert_eq!(parse(b"V1013\r"), Line::Answer(b"V1013".to_vec()));
+        for other in
+            ["T000007E50\r", "r7E40\r", "t7E4\r", "t7E42GG\r", "t7E41\r", "tX\r", "t8001AA\r"]
+        {
+            assert_eq!(parse(other.as_bytes()), Line::OtherFrame, "{other:?}");
+        }
+        assert_eq!(parse_flags(b"FA4"), Some(Status { is_error_passive: true, has_errors: true }));
+        assert_eq!(parse_flags(b"F00"), Some(Status::default()));
+        assert_eq!(parse_flags(b"V1013"), None);
+    }
+}

@@ -1,0 +1,165 @@
+//! The way back: to the base rate after each session, and to the original settings in the end.
+
+use std::{
+    thread,
+    time::{Duration, Instant},
+};
+
+use lss_slave::{BitRateSetting, NodeId, lss::Request};
+
+use super::{Bench, RESET_NODE, SEARCH, START};
+use crate::{
+    board::{self, Board, Original},
+    report::Left,
+    sdo,
+    stop::Stop,
+};
+
+impl Bench {
+    /// Brings all boards back to their node-IDs at the base rate, as each session finds them.
+    pub fn settle(&mut self) -> Result<(), Stop> {
+        if self.bus.rate() != self.base {
+            self.bus.open(self.base)?;
+        }
+        if self.missing()?.is_empty() {
+            return Ok(());
+        }
+        self.report.progress("bringing the boards back");
+        let wanted: Vec<_> =
+            self.boards.iter().map(|board| (*board, Some(board.id), self.base.into())).collect();
+        let lost = self.store_everywhere(&wanted)?;
+        self.bus.open(self.base)?;
+        self.restart()?;
+        match lost.is_empty() && self.missing()?.is_empty() {
+            true => Ok(()),
+            false => Err(Stop::Bench(format!(
+                "the boards cannot be brought back to {} kbit/s: {}",
+                self.base.kbit_per_s(),
+                lost.join("; ")
+            ))),
+        }
+    }
+
+    /// Finds each board at whatever rate it has, and stores these settings. Returns what failed.
+    fn store_everywhere(
+        &mut self,
+        wanted: &[(Board, Option<NodeId>, BitRateSetting)],
+    ) -> Result<Vec<String>, Stop> {
+        let mut rest = wanted.to_vec();
+        let mut refusals = Vec::new();
+        for attempt in 0..3 {
+            for rate in board::rates_from(self.bus.rate()) {
+                if rest.is_empty() {
+                    return Ok(refusals);
+                }
+                if self.bus.fixed_rate().is_some_and(|fixed| fixed != rate) {
+                    continue;
+                }
+                self.bus.open(rate)?;
+                let mut still = Vec::new();
+                for (board, node_id, setting) in rest {
+                    let is_found = board::is_there(&mut self.bus, board.address)?
+                        && board::select(&mut self.bus, board.address)?;
+                    if !is_found {
+                        still.push((board, node_id, setting));
+                        continue;
+                    }
+                    if let Err(why) = board::store(&mut self.bus, node_id, Some(setting))? {
+                        refusals.push(format!("{board}: {why}"));
+                    }
+                }
+                rest = still;
+                if !rest.is_empty() && attempt == 1 {
+                    // A board that answers nothing may still listen, and return to its stored rate.
+                    self.bus.nmt(RESET_NODE, 0)?;
+                    self.bus.pass(Duration::from_millis(100))?;
+                }
+            }
+        }
+        refusals.extend(rest.iter().map(|(board, ..)| format!("{board} answers at no bit rate")));
+        Ok(refusals)
+    }
+
+    /// Stores the original settings again, after whatever has happened.
+    pub fn restore(&mut self) {
+        if !self.is_changed {
+            self.bus.leave();
+            return;
+        }
+        println!("restoring the boards");
+        self.bus.insist();
+        let outcome = self.try_restore();
+        self.bus.leave();
+        self.report.left = match outcome {
+            Ok(faults) if faults.is_empty() => Left::Restored,
+            Ok(faults) => Left::Changed(format!("{}. {}", faults.join("; "), self.advice())),
+            Err(stop) => Left::Changed(format!("{stop}. {}", self.advice())),
+        };
+    }
+
+    fn advice(&self) -> String {
+        let originals: Vec<_> =
+            self.boards.iter().map(|board| format!("{board}: {}", board.original)).collect();
+        format!("The settings were, {}", originals.join("; "))
+    }
+
+    fn try_restore(&mut self) -> Result<Vec<String>, Stop> {
+        self.reopen()?;
+        let wanted: Vec<_> = self
+            .boards
+            .iter()
+            .map(|board| (*board, board.original.node_id, board.original.bit_rate))
+            .collect();
+        let mut faults = self.store_everywhere(&wanted)?;
+        self.bus.nmt(RESET_NODE, 0)?;
+        self.bus.pass(Duration::from_millis(200))?;
+        for board in self.boards.clone() {
+            let Original { node_id, bit_rate, heartbeat_ms, was_operational } = board.original;
+            if let BitRateSetting::Fixed(rate) = bit_rate
+                && self.bus.fixed_rate().is_none()
+            {
+                self.bus.open(rate)?;
+            }
+            let is_there = self.reach(board.address, SEARCH)?;
+            let id = if is_there { board::inquire_node_id(&mut self.bus)? } else { None };
+            self.bus.request(Request::SwitchToWaiting)?;
+            if id != Some(NodeId::to_lss(node_id)) {
+                let id = id.map_or("no answer".to_owned(), |id| format!("node-ID {id:02X}"));
+                faults.push(format!("{board} after its restart: {id}"));
+                continue;
+            }
+            let Some(node_id) = node_id else { continue };
+            let present = sdo::read_number(&mut self.bus, node_id.get(), 0x1017, 0)?;
+            if present != Ok(heartbeat_ms.into()) {
+                faults.extend(self.store_heartbeat(node_id.get(), heartbeat_ms)?.err());
+            }
+            if was_operational {
+                self.bus.nmt(START, node_id.get())?;
+            }
+        }
+        Ok(faults)
+    }
+
+    /// Writes the heartbeat time and stores it by 1010h.
+    fn store_heartbeat(&mut self, node: u8, milliseconds: u16) -> Result<Result<(), String>, Stop> {
+        const SAVE: u32 = u32::from_le_bytes(*b"save");
+        let written = sdo::write(&mut self.bus, node, (0x1017, 0), milliseconds.into(), 2)?;
+        let saved = sdo::write(&mut self.bus, node, (0x1010, 1), SAVE, 4)?;
+        Ok(written.and(saved).map_err(|failure| format!("heartbeat time: {failure}")))
+    }
+
+    /// Connects to the adapter again if it has vanished, as a USB plug that was pulled and put back does.
+    fn reopen(&mut self) -> Result<(), Stop> {
+        const LIMIT: Duration = Duration::from_secs(10);
+        let until = Instant::now() + LIMIT;
+        loop {
+            match self.bus.open(self.bus.rate()) {
+                Err(Stop::NoAdapter(_) | Stop::AdapterGone(_)) if Instant::now() < until => {
+                    thread::sleep(Duration::from_millis(500));
+                    self.bus.check_interrupt()?;
+                }
+                outcome => return outcome,
+            }
+        }
+    }
+}

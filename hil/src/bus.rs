@@ -1,0 +1,290 @@
+//! The master's view of the bus: requests with bounded waits, and everything that nodes send unasked.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use lss_slave::{
+    BitRate, Frame,
+    lss::{self, Request},
+    nmt,
+};
+
+use crate::{
+    adapter::{Adapter, Clock, Mode, Received, Status},
+    stop::Stop,
+};
+
+/// The wait for an answer that must come, besides the frames' own time and the adapter's latency.
+const PATIENCE: Duration = Duration::from_millis(500);
+/// The same for an answer that may fail to come.
+const SHORT: Duration = Duration::from_millis(60);
+/// An upper limit for the bits of a request and its answer.
+const EXCHANGE_BITS: u32 = 320;
+/// The longest wait between two looks at Ctrl-C.
+const SLICE: Duration = Duration::from_millis(50);
+/// The number of unasked frames that are kept.
+const KEPT: usize = 1000;
+
+/// The bus, and a master on it.
+pub struct Bus {
+    adapter: Box<dyn Adapter>,
+    latency: Duration,
+    rate: BitRate,
+    is_interrupted: Arc<AtomicBool>,
+    /// Whether another master ends the run.
+    minds_masters: bool,
+    /// Frames that nodes sent, the oldest first.
+    unasked: VecDeque<Received>,
+    /// The last NMT state that each node has reported by a heartbeat.
+    pub states: BTreeMap<u8, u8>,
+    /// The time from the latest LSS request to its answer.
+    pub last_answer: Option<Duration>,
+}
+
+/// The time of `bits` at `rate`.
+pub fn bits(bits: u32, rate: BitRate) -> Duration {
+    Duration::from_micros(u64::from(bits) * 1000 / u64::from(rate.kbit_per_s()))
+}
+
+impl Bus {
+    /// A master with this adapter, whose latency is at least `latency`.
+    pub fn new(
+        adapter: Box<dyn Adapter>,
+        latency: Duration,
+        is_interrupted: Arc<AtomicBool>,
+    ) -> Self {
+        Self {
+            adapter,
+            latency,
+            rate: BitRate::Kbit125,
+            is_interrupted,
+            minds_masters: true,
+            unasked: VecDeque::new(),
+            states: BTreeMap::new(),
+            last_answer: None,
+        }
+    }
+
+    /// Joins the bus at another rate, or again.
+    pub fn open(&mut self, rate: BitRate) -> Result<(), Stop> {
+        self.rate = rate;
+        self.adapter.open(rate, Mode::Normal)
+    }
+
+    /// Joins the bus as a listener.
+    pub fn listen(&mut self, rate: BitRate) -> Result<(), Stop> {
+        self.rate = rate;
+        self.adapter.open(rate, Mode::ListenOnly)
+    }
+
+    /// Leaves the bus, as far as the adapter still works.
+    pub fn leave(&mut self) {
+        let _ = self.adapter.close();
+    }
+
+    pub fn rate(&self) -> BitRate {
+        self.rate
+    }
+
+    /// The only rate of the adapter, if it cannot be set.
+    pub fn fixed_rate(&self) -> Option<BitRate> {
+        self.adapter.fixed_rate()
+    }
+
+    pub fn status(&mut self) -> Result<Option<Status>, Stop> {
+        self.adapter.status()
+    }
+
+    pub fn clock(&self) -> Clock {
+        self.adapter.clock()
+    }
+
+    /// The time that the adapter adds to a request and its answer.
+    pub fn latency(&self) -> Duration {
+        self.adapter.latency().unwrap_or_default().max(self.latency)
+    }
+
+    /// Forgets a Ctrl-C and other masters: the boards must be restored in spite of both.
+    pub fn insist(&mut self) {
+        self.is_interrupted.store(false, Ordering::Relaxed);
+        self.minds_masters = false;
+    }
+
+    pub fn check_interrupt(&self) -> Result<(), Stop> {
+        if self.is_interrupted.load(Ordering::Relaxed) { Err(Stop::Interrupted) } else { Ok(()) }
+    }
+
+    pub fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
+        self.check_interrupt()?;
+        self.adapter.send(frame)
+    }
+
+    /// Sends a frame with this COB-ID.
+    pub fn send_to(&mut self, cob_id: u16, data: &[u8]) -> Result<(), Stop> {
+        match Frame::new(cob_id, data) {
+            Some(frame) => self.send(&frame),
+            None => Ok(()),
+        }
+    }
+
+    pub fn request(&mut self, request: Request) -> Result<(), Stop> {
+        self.send_to(lss::REQUEST_COB_ID, &request.to_bytes())
+    }
+
+    /// Sends an NMT command; node 0 is all nodes.
+    pub fn nmt(&mut self, command: u8, node: u8) -> Result<(), Stop> {
+        self.send_to(nmt::COMMAND_COB_ID, &[command, node])
+    }
+
+    /// The next frame, if one comes before `until`.
+    pub fn receive(&mut self, until: Instant) -> Result<Option<Received>, Stop> {
+        loop {
+            self.check_interrupt()?;
+            let wait = until.saturating_duration_since(Instant::now()).min(SLICE);
+            if let Some(received) = self.adapter.receive(wait)? {
+                self.note(&received)?;
+                return Ok(Some(received));
+            }
+            if Instant::now() >= until {
+                return Ok(None);
+            }
+        }
+    }
+
+    /// Waits for the first frame that `is_wanted`; others are kept as unasked.
+    pub fn wait_for(
+        &mut self,
+        wait: Duration,
+        is_wanted: impl Fn(&Frame) -> bool,
+    ) -> Result<Option<Received>, Stop> {
+        let until = Instant::now() + wait;
+        while let Some(received) = self.receive(until)? {
+            if is_wanted(&received.frame) {
+                return Ok(Some(received));
+            }
+            self.keep(received);
+        }
+        Ok(None)
+    }
+
+    /// All frames of the next `span`.
+    pub fn collect(&mut self, span: Duration) -> Result<Vec<Received>, Stop> {
+        let until = Instant::now() + span;
+        let mut all = Vec::new();
+        while let Some(received) = self.receive(until)? {
+            all.push(received);
+        }
+        Ok(all)
+    }
+
+    /// Lets time pass; what is received is kept as unasked.
+    pub fn pass(&mut self, span: Duration) -> Result<(), Stop> {
+        for received in self.collect(span)? {
+            self.keep(received);
+        }
+        Ok(())
+    }
+
+    /// Takes the unasked frames received so far.
+    pub fn take_unasked(&mut self) -> Vec<Received> {
+        self.unasked.drain(..).collect()
+    }
+
+    /// The wait for an answer that must come.
+    pub fn patience(&self) -> Duration {
+        PATIENCE + self.exchange()
+    }
+
+    /// The wait for an answer that may fail to come.
+    pub fn short(&self) -> Duration {
+        SHORT + self.exchange()
+    }
+
+    fn exchange(&self) -> Duration {
+        bits(EXCHANGE_BITS, self.rate) + 4 * self.latency()
+    }
+
+    /// Sends an LSS request that must be answered; returns the answer.
+    pub fn ask(&mut self, request: Request) -> Result<Option<[u8; 8]>, Stop> {
+        self.ask_within(request, self.patience())
+    }
+
+    /// Sends an LSS request that may remain without an answer.
+    pub fn probe(&mut self, request: Request) -> Result<Option<[u8; 8]>, Stop> {
+        match self.ask_within(request, self.short())? {
+            None => {
+                // The computer may have paused, and the adapter with it.
+                self.flush()?;
+                self.answer_to(request, Duration::ZERO)
+            }
+            answer => Ok(answer),
+        }
+    }
+
+    /// Waits until what was sent has left the adapter.
+    pub fn flush(&mut self) -> Result<(), Stop> {
+        for _ in 0..2 {
+            self.adapter.settle()?;
+            self.pass(self.exchange())?;
+        }
+        Ok(())
+    }
+
+    fn ask_within(&mut self, request: Request, wait: Duration) -> Result<Option<[u8; 8]>, Stop> {
+        self.unasked.retain(|received| received.frame.cob_id() != lss::RESPONSE_COB_ID);
+        let begin = Instant::now();
+        self.request(request)?;
+        let answer = self.answer_to(request, wait)?;
+        self.last_answer = answer.map(|_| begin.elapsed());
+        Ok(answer)
+    }
+
+    /// The answer with the command specifier that belongs to the request; an answer to an earlier request that came too
+    /// late is skipped.
+    fn answer_to(&mut self, request: Request, wait: Duration) -> Result<Option<[u8; 8]>, Stop> {
+        let specifier = match request {
+            Request::Select(..) => 0x44,
+            Request::Identify(..) | Request::Fastscan(_) => 0x4F,
+            Request::IdentifyNonConfigured => 0x50,
+            _ => request.to_bytes()[0],
+        };
+        let is_answer = |frame: &Frame| {
+            frame.cob_id() == lss::RESPONSE_COB_ID && frame.data().first() == Some(&specifier)
+        };
+        let kept = self.unasked.iter().find(|received| is_answer(&received.frame)).copied();
+        let answer = match kept {
+            None => self.wait_for(wait, is_answer)?,
+            kept => kept,
+        };
+        Ok(answer.and_then(|answer| answer.frame.data().try_into().ok()))
+    }
+
+    fn keep(&mut self, received: Received) {
+        if self.unasked.len() == KEPT {
+            self.unasked.pop_front();
+        }
+        self.unasked.push_back(received);
+    }
+
+    fn note(&mut self, received: &Received) -> Result<(), Stop> {
+        let frame = &received.frame;
+        match (frame.cob_id(), frame.data()) {
+            (0x701..=0x77F, &[state]) => {
+                self.states.insert((frame.cob_id() & 0x7F) as u8, state);
+            }
+            (nmt::COMMAND_COB_ID | lss::REQUEST_COB_ID | 0x601..=0x67F, _)
+                if self.minds_masters =>
+            {
+                return Err(Stop::OtherMaster(*frame));
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,160 @@
+//! `cargo hil`: checks flashed boards through a CAN adapter (hardware in the loop), and reports.
+
+mod adapter;
+mod bench;
+mod board;
+mod bus;
+mod diagnosis;
+mod person;
+mod probe;
+mod registers;
+mod report;
+mod sdo;
+mod sessions;
+mod stop;
+
+use std::{
+    io::{self, IsTerminal},
+    path::PathBuf,
+    process::ExitCode,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use anyhow::Context;
+use clap::{Parser, builder::PossibleValuesParser};
+
+use adapter::Place;
+use bench::Bench;
+use bus::Bus;
+use person::Person;
+use probe::Probe;
+use report::Report;
+use stop::Stop;
+
+/// Check flashed boards through a CAN adapter, and report
+///
+/// First it diagnoses the bench. Then it drives all boards of this firmware on the bus through every LSS service, all
+/// bit rates, SDO, NMT and heartbeat, and compares what they do with the emulated board. In the end it stores their
+/// original settings again, also after Ctrl-C and after an error. No other node may be on the bus.
+///
+/// It ends with 0 if nothing failed, with 1 otherwise. How to begin: docs/first-board.md.
+#[derive(Parser)]
+#[command(name = "cargo hil", bin_name = "cargo hil", version, verbatim_doc_comment, after_help = EXAMPLES)]
+struct Arguments {
+    /// The CAN adapter: slcan:DEVICE[@BAUD], slcan:tcp:HOST:PORT, socketcan:INTERFACE; socketcan:INTERFACE@KBIT if
+    /// the interface is up and its bit rate must stay
+    #[arg(long, value_name = "ADAPTER")]
+    adapter: Place,
+    /// Leave out most bit rates and repetitions: about 20 s instead of 40 with one board
+    #[arg(long)]
+    quick: bool,
+    /// Run only this session, and the first, which finds the boards; can be repeated
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(sessions::ALL.map(|session| session.name)))]
+    session: Vec<String>,
+    /// Write the report to FILE.txt, FILE.json and FILE.html
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Read registers and reset the first board with probe-rs; its chip
+    #[arg(long, value_name = "CHIP", value_parser = PossibleValuesParser::new(Probe::chips()))]
+    probe: Option<String>,
+    /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
+    #[arg(long, value_name = "MS", default_value_t = 2)]
+    latency: u16,
+    /// Whether to ask for a power cut and a short circuit; by default if the standard input is a terminal
+    #[arg(long, value_name = "WHETHER", value_enum, default_value = "auto")]
+    ask: Ask,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Ask {
+    Auto,
+    Always,
+    Never,
+}
+
+const EXAMPLES: &str = "Examples:
+  cargo hil --adapter slcan:/dev/ttyACM0 --report first-board
+  cargo hil --adapter socketcan:can0 --quick
+  cargo hil --adapter slcan:tcp:127.0.0.1:29536      with `cargo emulate` in another window";
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match run(&arguments) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Runs the sessions and reports; returns whether nothing failed.
+fn run(arguments: &Arguments) -> anyhow::Result<bool> {
+    let is_interrupted = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&is_interrupted);
+    ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+        eprintln!("Ctrl-C: restoring the boards; again to end at once");
+    })
+    .context("cannot wait for Ctrl-C")?;
+
+    let mut report = Report::new(arguments.adapter.to_string());
+    report.begin("bench");
+    let mut report = match arguments.adapter.connect() {
+        Ok(adapter) => {
+            report.adapter = adapter.description();
+            report.bench(&format!("adapter: {}", adapter.description()));
+            let is_asked = match arguments.ask {
+                Ask::Auto => io::stdin().is_terminal(),
+                Ask::Always => true,
+                Ask::Never => false,
+            };
+            let person = if is_asked { Person::at_standard_input() } else { Person::absent() };
+            let probe = arguments.probe.as_deref().and_then(Probe::new);
+            let bus =
+                Bus::new(adapter, Duration::from_millis(arguments.latency.into()), is_interrupted);
+            let mut bench = Bench::new(bus, report, person, probe, arguments.quick);
+            let outcome = check(&mut bench, &arguments.session);
+            bench.report.stopped = outcome.err().map(|stop| stop.to_string());
+            if let Some(reason) = &bench.report.stopped {
+                println!("  STOP    {reason}");
+            }
+            bench.restore();
+            bench.report
+        }
+        Err(stop) => {
+            report.stopped = Some(stop.to_string());
+            report
+        }
+    };
+    report.end();
+    println!("{}", report.summary());
+    if let Some(path) = &arguments.report {
+        let files =
+            report.write(path).with_context(|| format!("cannot write {}", path.display()))?;
+        println!("Report: {}", files.map(|file| file.display().to_string()).join(", "));
+    }
+    Ok(report.is_good())
+}
+
+fn check(bench: &mut Bench, sessions: &[String]) -> Result<(), Stop> {
+    diagnosis::find_rate(&mut bench.bus, &mut bench.report)?;
+    sessions::run(bench, sessions)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_arguments_are_consistent() {
+        super::Arguments::command().debug_assert();
+    }
+}

@@ -1,0 +1,91 @@
+//! A debug probe, by the program `probe-rs`.
+
+use std::{
+    io::{self, Read},
+    process::{Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use lss_slave_firmware::{
+    chip::{CHIPS, Chip},
+    device,
+};
+
+/// The longest run of `probe-rs`.
+const LIMIT: Duration = Duration::from_secs(20);
+
+/// The probe of the first board.
+pub struct Probe {
+    /// The name of the chip in probe-rs.
+    chip: &'static str,
+}
+
+impl Probe {
+    /// The features of the chips with the clocks of the emulated board.
+    pub fn chips() -> impl Iterator<Item = &'static str> {
+        let has_its_clocks = |chip: &&Chip| device::sysclk_hz(chip) == device::SYSCLK_HZ;
+        const { &CHIPS }.iter().filter(has_its_clocks).map(|chip| chip.feature)
+    }
+
+    /// The probe of a board with this chip; `None` for a chip that the firmware does not know.
+    pub fn new(chip: &str) -> Option<Self> {
+        Some(Self { chip: Chip::named(chip)?.probe_rs })
+    }
+
+    /// Reads a word without halting the core.
+    pub fn read(&self, address: u32) -> Result<u32, String> {
+        let output =
+            self.run(&["read", "--chip", self.chip, "b32", &format!("{address:#X}"), "1"])?;
+        let words = output.split_whitespace().rev();
+        let value = words
+            .filter(|word| word.len() == 8)
+            .find_map(|word| u32::from_str_radix(word, 16).ok());
+        value.ok_or_else(|| format!("probe-rs read prints {output:?} instead of a word"))
+    }
+
+    /// Resets the board by its reset line or the debug port.
+    pub fn reset(&self) -> Result<(), String> {
+        self.run(&["reset", "--chip", self.chip]).map(drop)
+    }
+
+    fn run(&self, arguments: &[&str]) -> Result<String, String> {
+        let mut command = Command::new("probe-rs");
+        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => {
+                "probe-rs is missing: `cargo install probe-rs-tools --locked`".to_owned()
+            }
+            _ => format!("cannot run probe-rs: {error}"),
+        })?;
+        let until = Instant::now() + LIMIT;
+        let status = loop {
+            match child.try_wait() {
+                Ok(Some(status)) => break status,
+                Ok(None) if Instant::now() < until => thread::sleep(Duration::from_millis(20)),
+                _ => {
+                    // It is over in any case.
+                    let _ = child.kill();
+                    let _ = child.wait();
+                    return Err(format!("probe-rs did not end in {} s", LIMIT.as_secs()));
+                }
+            }
+        };
+        let text = |pipe: Option<&mut dyn Read>| {
+            let mut bytes = Vec::new();
+            if let Some(pipe) = pipe {
+                // What was read until an error is enough for a person.
+                let _ = pipe.read_to_end(&mut bytes);
+            }
+            String::from_utf8_lossy(&bytes).trim().to_owned()
+        };
+        if status.success() {
+            return Ok(text(child.stdout.as_mut().map(|pipe| pipe as &mut dyn Read)));
+        }
+        let why = text(child.stderr.as_mut().map(|pipe| pipe as &mut dyn Read));
+        Err(format!(
+            "probe-rs fails: {why}. If it cannot connect to a core that sleeps: docs/first-board.md, \"When the probe \
+             cannot connect\""
+        ))
+    }
+}

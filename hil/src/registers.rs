@@ -1,0 +1,137 @@
+//! The values of the registers that matter, on the emulated board that runs the same firmware.
+
+use lss_slave::{BitRate, NodeId, bit_rate::BitTiming, lss, nmt};
+use lss_slave_firmware::device;
+
+/// A register, and the value of its bits that do not vary.
+#[derive(Clone, Copy, Debug)]
+pub struct Register {
+    pub name: &'static str,
+    pub address: u32,
+    pub mask: u32,
+    pub value: u32,
+}
+
+const CAN_BTR: &str = "CAN_BTR";
+const ALL: u32 = u32::MAX;
+/// RCC_PLLCFGR: a crystal of 8 MHz, divided by 4, times 160, divided by 2; the rest is for clocks that are not used.
+const PLL: u32 = 0x0740_2804;
+
+const fn register(name: &'static str, address: u32, mask: u32, value: u32) -> Register {
+    Register { name, address, mask, value }
+}
+
+/// The registers of a board with this node-ID that takes part in the bus at its home rate.
+pub fn expected(rate: BitRate, id: NodeId) -> Vec<Register> {
+    // A filter bank in list mode holds four identifiers, each in the upper 11 bits of a half-word.
+    let entry = |cob_id: u16| u32::from(cob_id) << 5;
+    let pair = |low: u16, high: u16| entry(high) << 16 | entry(low);
+    let sdo = 0x600 + u16::from(id.get());
+    vec![
+        // HSE, PLL and CSS on, and ready.
+        register(
+            "RCC_CR",
+            0x4002_3800,
+            0x030F_0000,
+            if device::CRYSTAL_IS_EXTERNAL_CLOCK { 0x030F_0000 } else { 0x030B_0000 },
+        ),
+        register("RCC_PLLCFGR", 0x4002_3804, 0x0F43_7FFF, PLL),
+        // PLL as system clock, and the dividers of the buses.
+        register("RCC_CFGR", 0x4002_3808, 0x0000_FCFF, 0x0000_940A),
+        // CAN1 has its clock.
+        register("RCC_APB1ENR", 0x4002_3840, 1 << 25, 1 << 25),
+        // Wait states, prefetch and caches.
+        register("FLASH_ACR", 0x4002_3C00, 0x0000_070F, 0x0000_0705),
+        register("CAN_MCR", 0x4000_6400, 0x0001_00FF, 0x0001_0040),
+        register("CAN_IER", 0x4000_6414, 0x0003_877F, 0x0000_8603),
+        // Neither warning, error passive nor bus-off.
+        register("CAN_ESR", 0x4000_6418, 0x0000_0007, 0),
+        register(CAN_BTR, 0x4000_641C, ALL, BitTiming::solve(rate, device::APB1_HZ).map_or(0, btr)),
+        register("CAN_FMR", 0x4000_6600, 1, 0),
+        register("CAN_FM1R", 0x4000_6604, 0x3FFF, 0b01),
+        register("CAN_FS1R", 0x4000_660C, 0x3FFF, 0),
+        register("CAN_FFA1R", 0x4000_6614, 0x3FFF, 0b10),
+        register("CAN_FA1R", 0x4000_661C, 0x3FFF, 0b11),
+        register("CAN_F0R1", 0x4000_6640, ALL, pair(lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID)),
+        register("CAN_F0R2", 0x4000_6644, ALL, pair(sdo, lss::REQUEST_COB_ID)),
+    ]
+}
+
+/// The value of CAN_BTR in normal mode (RM0090, 32.9.2).
+fn btr(timing: BitTiming) -> u32 {
+    (u32::from(timing.sync_jump_width) - 1) << 24
+        | (u32::from(timing.segment2) - 1) << 20
+        | (u32::from(timing.segment1) - 1) << 16
+        | (u32::from(timing.prescaler) - 1)
+}
+
+impl Register {
+    /// A value in words, where that helps.
+    pub fn explain(&self, value: u32) -> String {
+        if self.name != CAN_BTR {
+            return format!("{value:08X}");
+        }
+        let segment1 = (value >> 16 & 0xF) + 1;
+        let quanta = 1 + segment1 + (value >> 20 & 7) + 1;
+        let prescaler = (value & 0x3FF) + 1;
+        let mode = match value >> 30 {
+            0 => "",
+            1 => ", loop back",
+            2 => ", silent",
+            _ => ", loop back and silent",
+        };
+        format!(
+            "{value:08X} ({} kbit/s, sample point {} %{mode})",
+            device::APB1_HZ / 1000 / (prescaler * quanta),
+            100 * (1 + segment1) / quanta
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use emulator::{
+        Time,
+        chip::{Access, Width},
+    };
+    use testkit::image_rig::{ImageRig, settings};
+
+    use super::*;
+
+    #[test]
+    fn the_table_has_the_values_of_the_emulated_board() {
+        let mut differences = Vec::new();
+        for (rate, id) in BitRate::ALL.into_iter().zip([1, 5, 0x7E].into_iter().cycle()) {
+            let mut rig = ImageRig::with(settings(id, rate));
+            rig.network.run_for(Time::from_ms(500));
+            for register in expected(rate, NodeId::new(id).expect("1..=127")) {
+                let board = rig.network.board(0);
+                let access = Access {
+                    address: register.address,
+                    width: Width::Word,
+                    now: board.now(),
+                    pc: 0,
+                };
+                let value = board.chip().read(access).expect("a register") & register.mask;
+                if value != register.value {
+                    differences.push(format!(
+                        "{rate:?} {}: {}",
+                        register.name,
+                        register.explain(value)
+                    ));
+                }
+            }
+        }
+        assert!(differences.is_empty(), "{differences:#?}");
+    }
+
+    #[test]
+    fn a_wrong_sample_point_is_named() {
+        let id = NodeId::new(1).expect("1..=127");
+        let btr =
+            expected(BitRate::Kbit125, id).into_iter().find(|register| register.name == CAN_BTR);
+        let btr = btr.expect("it is in the table");
+        assert!(btr.explain(btr.value).contains("125 kbit/s, sample point 85 %"));
+        assert!(btr.explain(0x0049_000F | 0x8000_0000).contains("sample point 68 %, silent"));
+    }
+}

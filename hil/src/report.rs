@@ -1,0 +1,195 @@
+//! The report of a run: what was seen, what differs from the expectation, and what was not tried.
+
+mod html;
+mod json;
+mod text;
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use lss_slave::BitRate;
+
+/// The outcome of a check.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    Passed,
+    /// What was expected instead.
+    Failed {
+        expected: String,
+    },
+    NotTried,
+}
+
+/// One thing that was looked at.
+#[derive(Clone, Debug)]
+pub struct Check {
+    pub session: &'static str,
+    pub what: String,
+    pub outcome: Outcome,
+    /// What was seen, or why it was not tried.
+    pub seen: String,
+}
+
+/// The time from a request to its answer, at the computer.
+#[derive(Clone, Copy, Debug)]
+pub struct Answer {
+    pub rate: BitRate,
+    pub time: Duration,
+}
+
+/// A switch of the bit rate, in ms since the request to activate it.
+#[derive(Clone, Debug)]
+pub struct Switch {
+    pub from: BitRate,
+    pub to: BitRate,
+    pub delay_ms: u16,
+    /// The last frame before the silence, at or before the request.
+    pub last_frame: f64,
+    /// The first frame after it; `None`: there was none.
+    pub first_frame: Option<f64>,
+    /// Frames of the master that were acknowledged or not.
+    pub acknowledged: Vec<(f64, bool)>,
+}
+
+/// The settings that the boards were left with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Left {
+    /// Nothing was changed.
+    Untouched,
+    /// As they were found.
+    Restored,
+    /// A board could not be restored.
+    Changed(String),
+}
+
+pub struct Report {
+    pub adapter: String,
+    pub bench: Vec<String>,
+    pub boards: Vec<String>,
+    pub checks: Vec<Check>,
+    pub answers: Vec<Answer>,
+    pub switches: Vec<Switch>,
+    /// The reason why the run ended early.
+    pub stopped: Option<String>,
+    pub left: Left,
+    begin: Instant,
+    pub took: Duration,
+    session: &'static str,
+}
+
+impl Report {
+    pub fn new(adapter: String) -> Self {
+        Self {
+            adapter,
+            bench: Vec::new(),
+            boards: Vec::new(),
+            checks: Vec::new(),
+            answers: Vec::new(),
+            switches: Vec::new(),
+            stopped: None,
+            left: Left::Untouched,
+            begin: Instant::now(),
+            took: Duration::ZERO,
+            session: "bench",
+        }
+    }
+
+    /// Shows what is going on.
+    pub fn progress(&self, what: &str) {
+        println!("  ...     {what}");
+    }
+
+    /// Adds a sentence about the bench.
+    pub fn bench(&mut self, sentence: &str) {
+        println!("          {sentence}");
+        self.bench.push(sentence.to_owned());
+    }
+
+    /// Adds a line about a board.
+    pub fn board(&mut self, line: String) {
+        println!("          {line}");
+        self.boards.push(line);
+    }
+
+    /// Begins a session: the checks that follow belong to it.
+    pub fn begin(&mut self, session: &'static str) {
+        println!("{session} ({} s)", self.begin.elapsed().as_secs());
+        self.session = session;
+    }
+
+    pub fn passed(&mut self, what: impl Into<String>, seen: impl Into<String>) {
+        self.add(what.into(), Outcome::Passed, seen.into());
+    }
+
+    pub fn failed(
+        &mut self,
+        what: impl Into<String>,
+        seen: impl Into<String>,
+        expected: impl Into<String>,
+    ) {
+        self.add(what.into(), Outcome::Failed { expected: expected.into() }, seen.into());
+    }
+
+    pub fn not_tried(&mut self, what: impl Into<String>, why: impl Into<String>) {
+        self.add(what.into(), Outcome::NotTried, why.into());
+    }
+
+    /// Adds a check that passes if `is_good`.
+    pub fn expect(
+        &mut self,
+        what: impl Into<String>,
+        is_good: bool,
+        seen: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> bool {
+        match is_good {
+            true => self.passed(what, seen),
+            false => self.failed(what, seen, expected),
+        }
+        is_good
+    }
+
+    /// Adds a check that passes if the text seen is the expected one.
+    pub fn equal(&mut self, what: impl Into<String>, seen: String, expected: &str) -> bool {
+        self.expect(what, seen == expected, seen.clone(), expected)
+    }
+
+    fn add(&mut self, what: String, outcome: Outcome, seen: String) {
+        let check = Check { session: self.session, what, outcome, seen };
+        println!("{}", text::line(&check));
+        self.checks.push(check);
+    }
+
+    /// Ends the run.
+    pub fn end(&mut self) {
+        self.took = self.begin.elapsed();
+    }
+
+    pub fn failures(&self) -> impl Iterator<Item = &Check> {
+        self.checks.iter().filter(|check| matches!(check.outcome, Outcome::Failed { .. }))
+    }
+
+    pub fn is_good(&self) -> bool {
+        self.stopped.is_none()
+            && self.failures().next().is_none()
+            && !matches!(self.left, Left::Changed(_))
+    }
+
+    /// The last lines: the result, what differs, what was not tried.
+    pub fn summary(&self) -> String {
+        text::summary(self)
+    }
+
+    /// Writes FILE.txt, FILE.json and FILE.html; an ending of `path` is replaced.
+    pub fn write(&self, path: &Path) -> io::Result<[PathBuf; 3]> {
+        let files = ["txt", "json", "html"].map(|ending| path.with_extension(ending));
+        let [text, json, html] = &files;
+        fs::write(text, text::whole(self))?;
+        fs::write(json, json::whole(self))?;
+        fs::write(html, html::whole(self))?;
+        Ok(files)
+    }
+}

@@ -1,0 +1,134 @@
+//! What only hands can do, or a probe: a power cut, and a short circuit of the bus.
+
+use std::time::{Duration, Instant};
+
+use lss_slave::{NodeId, lss::Request};
+
+use crate::{
+    bench::{BOOT, Bench, RESET_NODE},
+    board, sdo,
+    stop::Stop,
+};
+
+/// The wait for the person's hands.
+const HANDS: Duration = Duration::from_secs(60);
+/// The wait for a board after the end of a short circuit.
+const RECOVERY: Duration = Duration::from_secs(5);
+
+pub fn run(bench: &mut Bench) -> Result<(), Stop> {
+    power_cut(bench)?;
+    bench.settle()?;
+    short_circuit(bench)
+}
+
+/// A stored node-ID is active after the power was away. The boot-up with it proves both.
+fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
+    let has_probe = bench.probe.is_some();
+    let question = "Can you switch the power of the first board off and on?";
+    if !has_probe && !bench.person.agrees(question, || bench.bus.check_interrupt().is_err()) {
+        bench.report.not_tried(
+            "settings through a power cut",
+            "nobody at hand to switch the power, and no --probe",
+        );
+        return Ok(());
+    }
+    let board = bench.boards[0];
+    let is_taken = |id: &NodeId| bench.boards.iter().any(|board| board.id == *id);
+    let Some(other) = (1..=127).filter_map(NodeId::new).find(|id| !is_taken(id)) else {
+        return Ok(());
+    };
+    let stored = match board::select(&mut bench.bus, board.address)? {
+        true => board::store(&mut bench.bus, Some(other), None)?,
+        false => Err("43 is not answered".into()),
+    };
+    if let Err(why) = stored {
+        bench.report.failed("a node-ID is stored", why, "11 00, 17 00");
+        return Ok(());
+    }
+    let what = match &bench.probe {
+        Some(probe) => match probe.reset() {
+            Ok(()) => "settings through a reset by the probe",
+            Err(why) => {
+                bench.report.not_tried("settings through a reset by the probe", why);
+                return Ok(());
+            }
+        },
+        None => {
+            bench.report.progress("now: switch the power off, wait 2 s, switch it on again");
+            "settings through a power cut"
+        }
+    };
+    let cob_id = 0x700 + u16::from(other.get());
+    let boot_up =
+        bench.bus.wait_for(HANDS, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
+    let seen = if boot_up.is_some() {
+        "a boot-up with the stored node-ID"
+    } else {
+        "no boot-up with it in 60 s"
+    };
+    bench.report.equal(what, seen.into(), "a boot-up with the stored node-ID");
+    bench.bus.states.remove(&other.get());
+    Ok(())
+}
+
+/// A short circuit leads to bus-off; the boards come back by themselves.
+fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
+    let question = "May the bus be shorted? You would connect CANH and CANL with a wire for 2 s";
+    if !bench.person.agrees(question, || bench.bus.check_interrupt().is_err()) {
+        bench.report.not_tried("bus-off by a short circuit", "nobody has agreed to it");
+        return Ok(());
+    }
+    if bench.bus.status()?.is_none() {
+        bench.report.not_tried("bus-off by a short circuit", "the adapter reports no errors");
+        return Ok(());
+    }
+    // With a short heartbeat the boards are bus-off soon.
+    for board in bench.boards.clone() {
+        let _ = sdo::write(&mut bench.bus, board.id.get(), (0x1017, 0), 20, 2)?;
+    }
+    bench.report.progress("now: connect CANH and CANL for 2 s");
+    let until = Instant::now() + HANDS;
+    let mut has_errors = false;
+    while !has_errors && Instant::now() < until {
+        bench.bus.pass(Duration::from_millis(100))?;
+        has_errors = bench.bus.status()?.is_some_and(|status| status.has_errors);
+    }
+    if !has_errors {
+        bench.report.not_tried("bus-off by a short circuit", "the bus was not shorted within 60 s");
+        return Ok(());
+    }
+    // The adapter may be bus-off itself: it joins the bus again until the boards are heard.
+    let until = Instant::now() + HANDS;
+    let mut end = None;
+    while end.is_none() && Instant::now() < until {
+        bench.bus.open(bench.base)?;
+        end = bench.bus.wait_for(Duration::from_millis(200), |_| true)?;
+    }
+    let mut missing = bench.missing()?;
+    let until = Instant::now() + RECOVERY;
+    while !missing.is_empty() && Instant::now() < until {
+        missing = bench.missing()?;
+    }
+    let seen =
+        if missing.is_empty() { "all boards answer again".to_owned() } else { missing.join("; ") };
+    bench.report.expect(
+        "after a short circuit",
+        missing.is_empty(),
+        seen,
+        "all boards answer again",
+    );
+    for board in bench.boards.clone() {
+        if let Ok(count) = bench.number(board, 0x2000, 1)? {
+            bench.report.expect(
+                format!("{board}: recoveries from bus-off, 2000h sub 1"),
+                count > 0,
+                count.to_string(),
+                "at least 1",
+            );
+        }
+    }
+    bench.bus.request(Request::SwitchToWaiting)?;
+    bench.bus.nmt(RESET_NODE, 0)?;
+    bench.boot_ups(BOOT)?;
+    Ok(())
+}

@@ -1,0 +1,106 @@
+//! The boards' identity, by LSS and by SDO.
+
+use std::time::Duration;
+
+use lss_slave::lss::{Address, AddressPart, Request};
+use lss_slave_firmware::device;
+
+use crate::{bench::Bench, board, sdo, stop::Stop};
+
+/// Finds the boards, and stops unless all nodes on the bus are boards of this product.
+pub fn find(bench: &mut Bench) -> Result<(), Stop> {
+    bench.report.progress("finding the boards by their serial numbers");
+    bench.addresses = board::find_all(&mut bench.bus)?;
+    if bench.addresses.is_empty() {
+        return Err(Stop::Bench(
+            "boards answered, but no serial number could be found: is a request lost?".into(),
+        ));
+    }
+    let mut own = Vec::new();
+    for address in bench.addresses.clone() {
+        if board::select(&mut bench.bus, address)? {
+            own.extend(board::inquire_node_id(&mut bench.bus)?);
+        }
+    }
+    bench.bus.request(Request::SwitchToWaiting)?;
+    // Heartbeats come once a second by default.
+    bench.bus.pass(Duration::from_millis(1100))?;
+    let others: Vec<u8> =
+        bench.bus.states.keys().filter(|node| !own.contains(node)).copied().collect();
+    for node in others {
+        let mut parts = [0; 4];
+        for (part, sub_index) in parts.iter_mut().zip(1..) {
+            *part = sdo::read_number(&mut bench.bus, node, 0x1018, sub_index)?.unwrap_or(0);
+        }
+        let [vendor_id, product_code, revision_number, serial_number] = parts;
+        if (vendor_id, product_code) != (device::VENDOR_ID, device::PRODUCT_CODE)
+            || serial_number == 0
+        {
+            return Err(Stop::Bench(format!(
+                "not our board: node {node} with vendor-ID {vendor_id:08X} and product code {product_code:08X} is on \
+                 the bus too. Take it off: the sessions change the bit rate of the whole bus. Nothing was changed"
+            )));
+        }
+        // An answer came too late to be found.
+        bench.addresses.push(Address { vendor_id, product_code, revision_number, serial_number });
+    }
+    Ok(())
+}
+
+/// Checks the identity of each board.
+pub fn check(bench: &mut Bench) -> Result<(), Stop> {
+    for board in bench.boards.clone() {
+        let address = board.address;
+        let parts = [
+            (AddressPart::VendorId, address.vendor_id, "vendor-ID"),
+            (AddressPart::ProductCode, address.product_code, "product code"),
+            (AddressPart::RevisionNumber, address.revision_number, "revision number"),
+            (AddressPart::SerialNumber, address.serial_number, "serial number"),
+        ];
+        let is_selected = board::select(&mut bench.bus, address)?;
+        bench.report.expect(
+            format!("{board}: switch state selective"),
+            is_selected,
+            yes(is_selected),
+            "44",
+        );
+        for (at, (part, number, name)) in parts.into_iter().enumerate() {
+            let answer = bench.bus.ask(Request::Inquire(part))?;
+            let by_lss = answer.filter(|answer| answer[0] == 0x5A + at as u8);
+            let by_lss =
+                by_lss.map(|bytes| u32::from_le_bytes([bytes[1], bytes[2], bytes[3], bytes[4]]));
+            let by_sdo = bench.number(board, 0x1018, at as u8 + 1)?;
+            let seen = format!(
+                "{} by LSS, {} by SDO",
+                by_lss.map_or("no answer".into(), |number| format!("{number:08X}")),
+                by_sdo.map_or_else(|failure| failure.to_string(), |number| format!("{number:08X}"))
+            );
+            let is_equal = by_lss == Some(number) && by_sdo == Ok(number);
+            bench.report.expect(
+                format!("{board}: {name}"),
+                is_equal,
+                seen,
+                format!("{number:08X}"),
+            );
+        }
+        bench.report.equal(
+            format!("{board}: revision of this firmware"),
+            format!("{:08X}", address.revision_number),
+            &format!("{:08X}", device::REVISION_NUMBER),
+        );
+        for (index, expected, name) in [
+            (0x1008, device::NAME, "device name"),
+            (0x1009, device::HARDWARE_VERSION, "hardware version"),
+            (0x100A, device::SOFTWARE_VERSION, "software version"),
+        ] {
+            let text = sdo::read_text(&mut bench.bus, board.id.get(), index)?;
+            let seen = text.unwrap_or_else(|failure| failure.to_string());
+            bench.report.equal(format!("{board}: {name}"), seen, expected);
+        }
+    }
+    bench.bus.request(Request::SwitchToWaiting)
+}
+
+fn yes(is_selected: bool) -> &'static str {
+    if is_selected { "44" } else { "no answer" }
+}

@@ -1,0 +1,125 @@
+//! SDO, NMT and heartbeat.
+
+use std::time::Duration;
+
+use crate::{
+    bench::{BOOT, Bench, PRE_OPERATIONAL, RESET_COMMUNICATION, START, STOP},
+    sdo,
+    stop::Stop,
+};
+
+pub fn sdo(bench: &mut Bench) -> Result<(), Stop> {
+    for board in bench.boards.clone() {
+        let id = board.id.get();
+        for (index, sub_index, expected) in [
+            (0x1000, 0, "00000000"),
+            (0x1001, 0, "00000000"),
+            (0x1018, 0, "00000004"),
+            (0x2000, 6, &format!("{:08X}", bench.base.kbit_per_s())),
+            // Abort codes of CiA 301.
+            (0x5FFF, 0, "abort 06020000"),
+            (0x1018, 9, "abort 06090011"),
+        ] {
+            let seen = match bench.number(board, index, sub_index)? {
+                Ok(number) => format!("{number:08X}"),
+                Err(failure) => failure.to_string(),
+            };
+            bench.report.equal(format!("{board}: {index:04X}h sub {sub_index}"), seen, expected);
+        }
+        for (what, object, value, len, expected) in [
+            ("write to a constant", (0x1000, 0), 1, 4, "abort 06010002"),
+            ("write of another length", (0x1017, 0), 1, 4, "abort 06070012"),
+            ("write out of range", (0x1029, 1), 3, 1, "abort 06090030"),
+        ] {
+            let seen = match sdo::write(&mut bench.bus, id, object, value, len)? {
+                Ok(()) => "written".to_owned(),
+                Err(failure) => failure.to_string(),
+            };
+            bench.report.equal(format!("{board}: {what}"), seen, expected);
+        }
+        heartbeat(bench, id)?;
+    }
+    Ok(())
+}
+
+/// The heartbeat keeps its time, and is not stored without 1010h.
+fn heartbeat(bench: &mut Bench, id: u8) -> Result<(), Stop> {
+    const PERIOD_MS: u16 = 100;
+    const COUNT: u32 = 10;
+    let written = sdo::write(&mut bench.bus, id, (0x1017, 0), PERIOD_MS.into(), 2)?;
+    if let Err(failure) = written {
+        bench.report.failed(format!("node {id}: write 1017h"), failure.to_string(), "written");
+        return Ok(());
+    }
+    let frames = bench.bus.collect(Duration::from_millis(u64::from(PERIOD_MS)) * (COUNT + 2))?;
+    let cob_id = 0x700 + u16::from(id);
+    let times: Vec<_> = frames
+        .iter()
+        .filter(|received| received.frame.cob_id() == cob_id)
+        .map(|received| received.at)
+        .collect();
+    let mean = match times.first().zip(times.last()) {
+        Some((first, last)) if times.len() > 5 => {
+            (*last - *first).as_secs_f64() * 1e3 / (times.len() - 1) as f64
+        }
+        _ => 0.0,
+    };
+    // A crystal is off by 0.5 % at most; the stamps have a resolution of 1 ms, and the computer's clock is jittery.
+    bench.report.expect(
+        format!("node {id}: heartbeat of {PERIOD_MS} ms"),
+        (mean - f64::from(PERIOD_MS)).abs() < 3.0,
+        format!(
+            "{mean:.1} ms, the mean of {}, by {}",
+            times.len().saturating_sub(1),
+            bench.bus.clock()
+        ),
+        format!("{PERIOD_MS} ms"),
+    );
+    Ok(())
+}
+
+pub fn nmt(bench: &mut Bench) -> Result<(), Stop> {
+    for board in bench.boards.clone() {
+        let id = board.id.get();
+        // A heartbeat that comes soon shows the state.
+        let _ = sdo::write(&mut bench.bus, id, (0x1017, 0), 50, 2)?;
+        for (command, name, state) in [
+            (START, "start", 0x05),
+            (PRE_OPERATIONAL, "enter pre-operational", 0x7F),
+            (STOP, "stop", 0x04),
+            (START, "start again", 0x05),
+        ] {
+            bench.bus.nmt(command, id)?;
+            bench.bus.pass(Duration::from_millis(20) + 2 * bench.bus.latency())?;
+            let cob_id = 0x700 + u16::from(id);
+            let heartbeat =
+                bench.bus.wait_for(bench.bus.patience(), |frame| frame.cob_id() == cob_id)?;
+            let seen = heartbeat.map_or("no heartbeat".to_owned(), |heartbeat| {
+                format!("state {:02X}", heartbeat.frame.data().first().copied().unwrap_or(0))
+            });
+            bench.report.equal(format!("{board}: NMT {name}"), seen, &format!("state {state:02X}"));
+        }
+        bench.bus.nmt(RESET_COMMUNICATION, id)?;
+        let boot_up = bench.bus.wait_for(BOOT, |frame| {
+            frame.cob_id() == 0x700 + u16::from(id) && frame.data() == [0]
+        })?;
+        let seen = if boot_up.is_some() { "a boot-up" } else { "no boot-up" };
+        bench.report.equal(format!("{board}: NMT reset communication"), seen.into(), "a boot-up");
+    }
+    let all = bench.restart()?;
+    let seen = if all { "a boot-up of each board" } else { "a boot-up is missing" };
+    bench.report.equal("NMT reset node to all", seen.into(), "a boot-up of each board");
+    for board in bench.boards.clone() {
+        let seen = match bench.number(board, 0x1017, 0)? {
+            Ok(milliseconds) => format!("{milliseconds} ms"),
+            Err(failure) => failure.to_string(),
+        };
+        let expected = format!("{} ms", board.original.heartbeat_ms);
+        bench.report.equal(
+            format!("{board}: the stored heartbeat time after the reset"),
+            seen,
+            &expected,
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,160 @@
+//! All bit rates, by activation and by store and reset.
+
+use std::time::{Duration, Instant};
+
+use lss_slave::{BitRate, lss::Request};
+
+use super::timing;
+use crate::{
+    bench::{Bench, RESET_NODE},
+    board,
+    stop::Stop,
+};
+
+/// The switch delay: longer than the adapter takes to change its rate.
+const DELAY_MS: u16 = 300;
+/// The number of answers that are measured at each rate.
+const ANSWERS: usize = 20;
+/// The rates at which a bad bus shows first.
+const FAST: [BitRate; 3] = [BitRate::Kbit1000, BitRate::Kbit800, BitRate::Kbit500];
+
+/// The rates to try, the base rate last: the session ends where it began.
+fn rates(bench: &Bench) -> Vec<BitRate> {
+    let wanted: &[BitRate] = match bench.is_quick {
+        true => &[BitRate::Kbit1000, BitRate::Kbit250, BitRate::Kbit10],
+        false => &BitRate::ALL,
+    };
+    let others = wanted.iter().copied().filter(|rate| *rate != bench.base);
+    others.chain([bench.base]).collect()
+}
+
+/// Reports that the rate of the adapter cannot be set; returns whether it can.
+pub fn can_change(bench: &mut Bench) -> bool {
+    let is_fixed = bench.bus.fixed_rate().is_some();
+    if is_fixed {
+        bench.report.not_tried("other bit rates", "the adapter's bit rate is fixed");
+    }
+    !is_fixed
+}
+
+pub fn by_activation(bench: &mut Bench) -> Result<(), Stop> {
+    if !can_change(bench) {
+        return Ok(());
+    }
+    let mut bad = Vec::new();
+    let rates = rates(bench);
+    for &rate in &rates {
+        let from = bench.bus.rate();
+        bench.bus.request(Request::SwitchToConfiguration)?;
+        let accepted =
+            bench.bus.ask(Request::ConfigureBitTiming { table: 0, index: rate.index() })?;
+        if !matches!(accepted, Some([0x13, 0, ..])) {
+            let seen = accepted.map_or("no answer".to_owned(), |answer| board::text(&answer));
+            bench.report.failed(format!("13, {} kbit/s", rate.kbit_per_s()), seen, "13 00");
+            continue;
+        }
+        bench.bus.request(Request::ActivateBitTiming(DELAY_MS))?;
+        let requested = Instant::now();
+        let delay = Duration::from_millis(DELAY_MS.into());
+        bench.bus.pass(delay + delay / 4)?;
+        bench.bus.open(rate)?;
+        bench
+            .bus
+            .pass((2 * delay + Duration::from_millis(30)).saturating_sub(requested.elapsed()))?;
+        let what = format!("{} to {} kbit/s by activation", from.kbit_per_s(), rate.kbit_per_s());
+        if !check(bench, rate, &what)? {
+            bad.push(rate);
+            bench.settle()?;
+        }
+    }
+    judge(bench, &rates, &bad);
+    Ok(())
+}
+
+pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
+    if !can_change(bench) {
+        return Ok(());
+    }
+    for rate in rates(bench) {
+        let what = format!("{} kbit/s by store and reset", rate.kbit_per_s());
+        let mut refusal = None;
+        for board in bench.boards.clone() {
+            let is_selected = board::select(&mut bench.bus, board.address)?;
+            let stored = match is_selected {
+                true => board::store(&mut bench.bus, Some(board.id), Some(rate.into()))?,
+                false => Err("43 is not answered".into()),
+            };
+            refusal = refusal.or(stored.err());
+        }
+        if let Some(why) = refusal {
+            bench.report.failed(&what, why, "11 00, 13 00, 17 00");
+            bench.settle()?;
+            continue;
+        }
+        bench.bus.nmt(RESET_NODE, 0)?;
+        // The command must have left before the adapter does.
+        bench.bus.flush()?;
+        let before = bench.bus.rate();
+        bench.bus.open(rate)?;
+        bench.bus.pass(Duration::from_millis(300))?;
+        if check(bench, rate, &what)? {
+            continue;
+        }
+        if rate != before {
+            bench.bus.open(before)?;
+            if bench.missing()?.is_empty() {
+                bench.report.failed(
+                    format!("{what}: the value of 17 is lost"),
+                    format!("the boards are at {} kbit/s after the reset", before.kbit_per_s()),
+                    format!("{} kbit/s, which 17 00 said was stored", rate.kbit_per_s()),
+                );
+            }
+        }
+        bench.settle()?;
+    }
+    Ok(())
+}
+
+/// Checks that all boards answer at this rate, without errors on the bus.
+fn check(bench: &mut Bench, rate: BitRate, what: &str) -> Result<bool, Stop> {
+    let missing = bench.missing()?;
+    if !missing.is_empty() {
+        bench.report.failed(
+            what,
+            format!("silent after the switch: {}", missing.join("; ")),
+            "an answer of each board",
+        );
+        return Ok(false);
+    }
+    bench.bus.status()?;
+    for board in bench.boards.clone() {
+        let _ = board::select(&mut bench.bus, board.address)?;
+        timing::measure(bench, what, ANSWERS)?;
+        let seen = match bench.number(board, 0x2000, 6)? {
+            Ok(kbit) => format!("{kbit} kbit/s"),
+            Err(failure) => failure.to_string(),
+        };
+        bench.report.equal(
+            format!("{board}: rate in use, 2000h sub 6"),
+            seen,
+            &format!("{} kbit/s", rate.kbit_per_s()),
+        );
+    }
+    let has_errors = bench.bus.status()?.is_some_and(|status| status.has_errors);
+    if has_errors {
+        bench.report.failed(format!("{what}: errors on the bus"), "the adapter saw errors", "none");
+    }
+    Ok(!has_errors)
+}
+
+/// Names the cause if only fast rates are bad.
+fn judge(bench: &mut Bench, rates: &[BitRate], bad: &[BitRate]) {
+    let slow_are_good = rates.iter().any(|rate| !FAST.contains(rate) && !bad.contains(rate));
+    if !bad.is_empty() && slow_are_good && bad.iter().all(|rate| FAST.contains(rate)) {
+        bench.report.bench(
+            "termination suspected: only fast bit rates fail. There must be 120 ohm between CANH and CANL at both ends \
+             of the bus and nowhere else (60 ohm without power), and the cable must be short: 25 m at 1000 kbit/s. \
+             A wrong sample point or crystal does the same: compare the registers with --probe",
+        );
+    }
+}

@@ -1,0 +1,121 @@
+//! Every LSS service of CiA 305, with its refusals and silences.
+
+use lss_slave::{
+    NodeId,
+    lss::{AddressPart, IdentifyKey, Request},
+};
+
+use crate::{
+    bench::{BOOT, Bench, RESET_COMMUNICATION, RESET_NODE},
+    board,
+    stop::Stop,
+};
+
+/// The bytes of a request.
+fn bytes(head: &[u8]) -> [u8; 8] {
+    let mut bytes = [0; 8];
+    bytes[..head.len()].copy_from_slice(head);
+    bytes
+}
+
+pub fn run(bench: &mut Bench) -> Result<(), Stop> {
+    let board = bench.boards[0];
+    let address = board.address;
+    let id = board.id.get();
+    let base = bench.base.index();
+
+    bench.bus.request(Request::SwitchToWaiting)?;
+    bench.check_answer("5E in waiting state", bytes(&[0x5E]), &[])?;
+    bench.check_answer("11 in waiting state", bytes(&[0x11, id]), &[])?;
+    for part in [AddressPart::VendorId, AddressPart::ProductCode, AddressPart::SerialNumber] {
+        let number = match part {
+            AddressPart::VendorId => address.vendor_id,
+            AddressPart::ProductCode => address.product_code,
+            _ => address.serial_number,
+        };
+        bench.bus.request(Request::Select(part, number))?;
+    }
+    bench.check_answer("5E after a selection without the revision number", bytes(&[0x5E]), &[])?;
+    bench.check_answer("4C, all boards have a node-ID", bytes(&[0x4C]), &[])?;
+    bench.check_answer(
+        "51 80, all boards have a node-ID",
+        bytes(&[0x51, 0, 0, 0, 0, 0x80]),
+        &[],
+    )?;
+
+    use IdentifyKey as Key;
+    for (what, serial, expected) in [
+        ("identify, exact serial number", address.serial_number, &[0x4F][..]),
+        ("identify, another serial number", !address.serial_number, &[]),
+    ] {
+        bench.bus.request(Request::Identify(Key::VendorId, address.vendor_id))?;
+        bench.bus.request(Request::Identify(Key::ProductCode, address.product_code))?;
+        bench.bus.request(Request::Identify(Key::RevisionNumberLow, 0))?;
+        bench.bus.request(Request::Identify(Key::RevisionNumberHigh, u32::MAX))?;
+        bench.bus.request(Request::Identify(Key::SerialNumberLow, serial))?;
+        let last = Request::Identify(Key::SerialNumberHigh, serial).to_bytes();
+        bench.check_answer(what, last, expected)?;
+    }
+
+    let is_selected = board::select(&mut bench.bus, address)?;
+    bench.report.expect(
+        "switch state selective",
+        is_selected,
+        if is_selected { "44" } else { "no answer" },
+        "44",
+    );
+    bench.check_answer("5E", bytes(&[0x5E]), &[0x5E, id])?;
+    for (what, request, expected) in [
+        ("04 with mode 2 is ignored", bytes(&[0x04, 2]), &[][..]),
+        ("an unknown command", bytes(&[0x7F]), &[]),
+        ("the master's 44", bytes(&[0x44]), &[]),
+        ("11, node-ID 0", bytes(&[0x11, 0]), &[0x11, 1]),
+        ("11, node-ID 128", bytes(&[0x11, 128]), &[0x11, 1]),
+        ("13, another table", bytes(&[0x13, 1, 0]), &[0x13, 1]),
+        ("13, the reserved index 5", bytes(&[0x13, 0, 5]), &[0x13, 1]),
+        ("13, index 10", bytes(&[0x13, 0, 10]), &[0x13, 1]),
+        ("13, this rate", bytes(&[0x13, 0, base]), &[0x13, 0]),
+        ("reserved bytes are ignored", [0x5E, 1, 2, 3, 4, 5, 6, 7], &[0x5E, id]),
+        ("17, unchanged settings", bytes(&[0x17]), &[0x17, 0]),
+    ] {
+        bench.check_answer(what, request, expected)?;
+    }
+    bench.bus.send_to(0x7E5, &[0x5E])?;
+    let answer = bench.bus.wait_for(bench.bus.short(), |frame| frame.cob_id() == 0x7E4)?;
+    let seen = if answer.is_some() { "an answer" } else { "no answer" };
+    bench.report.equal("a request of one byte", seen.into(), "no answer");
+
+    node_id(bench)?;
+    bench.bus.request(Request::SwitchToWaiting)?;
+    bench.check_answer("5E after 04 00", bytes(&[0x5E]), &[])?;
+    Ok(())
+}
+
+/// A new node-ID takes effect at NMT reset communication, and is gone after NMT reset node if it was not stored.
+fn node_id(bench: &mut Bench) -> Result<(), Stop> {
+    let board = bench.boards[0];
+    let is_taken = |id: &NodeId| bench.boards.iter().any(|board| board.id == *id);
+    let Some(other) = (1..=127).filter_map(NodeId::new).find(|id| !is_taken(id)) else {
+        return Ok(());
+    };
+    let (id, other) = (board.id.get(), other.get());
+    bench.check_answer("11, another node-ID", bytes(&[0x11, other]), &[0x11, 0])?;
+    bench.check_answer("5E answers the active node-ID", bytes(&[0x5E]), &[0x5E, id])?;
+    bench.bus.nmt(RESET_COMMUNICATION, id)?;
+    let cob_id = 0x700 + u16::from(other);
+    let boot_up =
+        bench.bus.wait_for(BOOT, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
+    let seen = if boot_up.is_some() { "a boot-up" } else { "no boot-up" };
+    bench.report.equal("the new node-ID after NMT reset communication", seen.into(), "a boot-up");
+    bench.bus.nmt(RESET_NODE, other)?;
+    let nodes = bench.boot_ups(BOOT)?;
+    bench.report.expect(
+        "the stored node-ID after NMT reset node",
+        nodes.contains(&id),
+        format!("boot-ups of {nodes:?}"),
+        format!("[{id}]"),
+    );
+    bench.bus.states.remove(&other);
+    let _ = board::select(&mut bench.bus, board.address)?;
+    Ok(())
+}

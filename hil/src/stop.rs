@@ -1,0 +1,38 @@
+//! The reasons that end a run at once.
+
+use std::fmt;
+
+use lss_slave::Frame;
+
+/// A reason to end the sessions and to restore the boards.
+#[derive(Clone, Debug)]
+pub enum Stop {
+    /// There is no such adapter, or it refuses to work.
+    NoAdapter(String),
+    /// The adapter was there and is gone.
+    AdapterGone(String),
+    /// Ctrl-C.
+    Interrupted,
+    /// A frame that only a master sends.
+    OtherMaster(Frame),
+    /// The bench is not fit for the sessions, in words.
+    Bench(String),
+}
+
+impl fmt::Display for Stop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoAdapter(why) => write!(f, "no adapter: {why}"),
+            Self::AdapterGone(why) => write!(f, "the adapter has vanished: {why}"),
+            Self::Interrupted => f.write_str("interrupted"),
+            Self::OtherMaster(frame) => write!(
+                f,
+                "two masters: another program or device on this bus sends requests ({frame:?}). Stop it, or take it \
+                 off the bus"
+            ),
+            Self::Bench(words) => f.write_str(words),
+        }
+    }
+}
+
+impl std::error::Error for Stop {}

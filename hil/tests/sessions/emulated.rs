@@ -1,0 +1,81 @@
+//! `cargo emulate` as a child process.
+
+use std::{
+    env,
+    io::{BufRead, BufReader},
+    net::SocketAddr,
+    path::PathBuf,
+    process::{Child, Command, Stdio},
+    sync::mpsc,
+    thread,
+    time::Duration,
+};
+
+/// The wait for the first line: the emulator and the firmware may have to be built.
+const BUILD: Duration = Duration::from_secs(1200);
+
+/// Emulated boards in real time.
+pub struct Emulated {
+    child: Child,
+    pub address: SocketAddr,
+}
+
+impl Emulated {
+    /// Starts boards with these further arguments, on a free port.
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut child = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+            .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+            .args(["run", "--quiet", "--package", "xtask", "--", "emulate"])
+            .args(["--listen", "127.0.0.1:0"])
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("cargo runs");
+        let stdout = BufReader::new(child.stdout.take().expect("it is piped"));
+        let (sender, lines) = mpsc::channel();
+        thread::spawn(move || {
+            stdout.lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
+        });
+        let description = lines.recv_timeout(BUILD).expect("it starts");
+        let address =
+            description.strip_prefix("ready: SLCAN on ").and_then(|rest| rest.split(';').next());
+        let address = address.and_then(|address| address.parse().ok()).expect("an address");
+        Self { child, address }
+    }
+
+    /// The adapter of `cargo hil`.
+    pub fn adapter(&self) -> String {
+        format!("slcan:tcp:{}", self.address)
+    }
+}
+
+impl Drop for Emulated {
+    fn drop(&mut self) {
+        // It may have ended before.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A new directory for a test, removed by [`Drop`].
+pub struct Directory(pub PathBuf);
+
+impl Directory {
+    pub fn new(name: &str) -> Self {
+        let path = env::temp_dir().join(format!("hil-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).expect("the directory can be made");
+        Self(path)
+    }
+
+    pub fn path(&self) -> &str {
+        self.0.to_str().expect("UTF-8")
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        // What is left is temporary anyway.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}

@@ -1,0 +1,8 @@
+//! `cargo hil` against `cargo emulate`: whole boards, boards broken on purpose, and bad benches.
+
+mod broken;
+mod emulated;
+mod lone;
+mod proxy;
+mod run;
+mod whole;

@@ -1,0 +1,184 @@
+//! Whole boards: everything passes, and they are left as they were found.
+
+use std::{
+    io::Write,
+    process::{Command, Stdio},
+    time::{Duration, Instant},
+};
+
+use lss_slave::settings::Log;
+use testkit::{
+    flash::BoardFlash,
+    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
+};
+
+use crate::{
+    emulated::{Directory, Emulated},
+    lone::Program,
+    proxy::{self, Fault},
+    run::{self, Run},
+};
+
+/// The settings in the flash file of the first board: node-ID or FF, and the index of the bit rate.
+fn stored(directory: &Directory) -> (u8, u8) {
+    let flash = std::fs::read(directory.0.join("board-0.bin")).expect("a flash file");
+    let log = flash[SETTINGS_OFFSET as usize..][..SETTINGS_LENGTH].to_vec();
+    let settings =
+        Log::open(BoardFlash::with_content(log, 0)).0.settings().expect("stored settings");
+    (lss_slave::NodeId::to_lss(settings.node_id), settings.bit_rate.index())
+}
+
+#[test]
+fn a_blank_board_passes_the_whole_session_and_stays_as_it_was() {
+    let flash = Directory::new("blank");
+    let boards = Emulated::start(&["--flash", flash.path()]);
+    let directory = Directory::new("whole");
+    let begin = Instant::now();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_hil"));
+    command.args(["--adapter", &boards.adapter(), "--report"]).arg(directory.0.join("report"));
+    let output = command.stdin(Stdio::null()).output().expect("it runs");
+    let run = Run::new(directory, output, begin.elapsed());
+    run.assert_good();
+    assert!(run.took < Duration::from_secs(300), "{:?}", run.took);
+    assert_eq!(stored(&flash), (0xFF, 4));
+
+    let file = |name: &str| std::fs::read_to_string(run.directory.0.join(name)).expect(name);
+    let page = file("report.html");
+    assert_eq!(page.matches("<svg").count(), 2, "answer times and switches");
+    assert!(file("report.txt").contains("The boards are as they were found."));
+    assert!(run.report["answers"].as_array().is_some_and(|answers| answers.len() > 400));
+    assert!(run.report["switches"].as_array().is_some_and(|switches| switches.len() == 4));
+}
+
+#[test]
+fn three_boards_at_another_rate_keep_their_settings() {
+    let flash = Directory::new("three");
+    let boards = Emulated::start(&[
+        "--boards",
+        "3",
+        "--node-id",
+        "5",
+        "--bit-rate",
+        "500",
+        "--flash",
+        flash.path(),
+    ]);
+    let run = run::run(
+        "three-run",
+        &boards.adapter(),
+        &["--session", "bursts", "--session", "fastscan", "--session", "rescue"],
+    );
+    run.assert_good();
+    assert_eq!(run.report["boards"].as_array().map(Vec::len), Some(3));
+    assert_eq!(stored(&flash), (5, 2));
+}
+
+#[test]
+fn a_board_that_detects_the_bit_rate_still_does_afterwards() {
+    let flash = Directory::new("automatic");
+    {
+        // Index 9 and a node-ID, stored by a run that is cut off before it restores.
+        let boards = Emulated::start(&["--node-id", "9", "--flash", flash.path()]);
+        let mut master = Program::connect(boards.address);
+        for line in
+            ["S4", "O", "t7E580401000000000000", "t7E581300090000000000", "t7E581700000000000000"]
+        {
+            master.send(line);
+        }
+        std::thread::sleep(Duration::from_millis(500));
+    }
+    assert_eq!(stored(&flash), (9, 9));
+    let boards = Emulated::start(&["--flash", flash.path()]);
+    let run = run::run("automatic-run", &boards.adapter(), &["--session", "sdo"]);
+    run.assert_good();
+    assert!(
+        run.report["boards"][0]
+            .as_str()
+            .is_some_and(|board| board.contains("node-ID 9, automatic"))
+    );
+    assert_eq!(stored(&flash), (9, 9));
+}
+
+#[test]
+fn a_person_is_asked_to_cut_the_power() {
+    let boards = Emulated::start(&["--node-id", "5"]);
+    let adapter = proxy::start(boards.address, Fault::PowerCut);
+    let directory = Directory::new("person");
+    let mut command =
+        run::command(&directory, &adapter, &["--session", "hands", "--ask", "always"]);
+    let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
+    // Yes to the power cut, no to the short circuit.
+    child.stdin.take().expect("it is piped").write_all(b"y\n\n").expect("it reads");
+    let run = Run::new(directory, child.wait_with_output().expect("it ends"), Duration::ZERO);
+    run.assert_good();
+    assert!(run.output.contains("passed  settings through a power cut"));
+    assert!(run.output.contains("not tried  bus-off by a short circuit: nobody has agreed to it"));
+}
+
+#[cfg(unix)]
+mod serial {
+    use std::{
+        io::{ErrorKind, Read},
+        net::TcpStream,
+        thread,
+    };
+
+    use nix::{
+        fcntl::OFlag,
+        pty::{grantpt, posix_openpt, ptsname_r, unlockpt},
+    };
+
+    use super::*;
+
+    /// A serial line to the boards. It ends when the program sends `end`. Returns its name.
+    fn line(boards: &Emulated, end: &'static str) -> String {
+        // Children must not hold the line open.
+        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
+        let mut master = posix_openpt(flags).expect("a pseudo terminal");
+        grantpt(&master).and_then(|()| unlockpt(&master)).expect("it is ours");
+        let name = ptsname_r(&master).expect("it has a name");
+        let mut bus = TcpStream::connect(boards.address).expect("it listens");
+        bus.set_nodelay(true).expect("it is connected");
+        bus.set_read_timeout(Some(Duration::from_millis(1))).expect("not zero");
+        thread::spawn(move || {
+            let mut bytes = [0; 256];
+            let mut sent = String::new();
+            loop {
+                // Errors: nothing came yet, or the program has not opened its end.
+                if let Ok(count) = master.read(&mut bytes) {
+                    sent += &String::from_utf8_lossy(&bytes[..count]);
+                    if sent.contains(end) || bus.write_all(&bytes[..count]).is_err() {
+                        return;
+                    }
+                }
+                match bus.read(&mut bytes) {
+                    Ok(count) => _ = master.write_all(&bytes[..count]),
+                    Err(error)
+                        if [ErrorKind::WouldBlock, ErrorKind::TimedOut].contains(&error.kind()) => {
+                    }
+                    Err(_) => return,
+                }
+            }
+        });
+        name
+    }
+
+    #[test]
+    fn a_serial_line_serves_as_well() {
+        let boards = Emulated::start(&["--node-id", "5", "--bit-rate", "250"]);
+        let adapter = format!("slcan:{}", line(&boards, "nothing"));
+        run::run("serial", &adapter, &["--session", "answers", "--session", "activate"])
+            .assert_good();
+    }
+
+    #[test]
+    fn a_serial_port_that_vanishes_ends_the_run_in_words() {
+        let boards = Emulated::start(&["--node-id", "5"]);
+        // Activate bit timing.
+        let adapter = format!("slcan:{}", line(&boards, "t7E5815"));
+        let run = run::run("vanishes", &adapter, &["--session", "activate"]);
+        run.assert_named("the adapter has vanished");
+        run.assert_left("changed: no adapter");
+        assert!(run.took < Duration::from_secs(40), "{:?}", run.took);
+    }
+}

@@ -1,0 +1,79 @@
+//! The chips that the firmware runs on, and what it relies on of each.
+
+/// An STM32F4 with bxCAN. The sizes are those of its smallest version, which the image must fit. On every chip sectors
+/// 0 to 3 of the flash have 16 KB (chapter "Embedded flash memory interface" of each manual).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Chip {
+    /// The feature of the firmware, the chip's name in lower case.
+    pub feature: &'static str,
+    /// The reference manual.
+    pub manual: &'static str,
+    /// KB of flash.
+    pub flash_kb: u32,
+    /// KB of RAM from 2000_0000h on, which adjoin.
+    pub ram_kb: u32,
+    /// The highest clock of the core without over-drive, in MHz.
+    pub max_sysclk_mhz: u32,
+    /// The highest clock of APB1 without over-drive, in MHz.
+    pub max_apb1_mhz: u32,
+    /// The name in probe-rs; the package makes no difference.
+    pub probe_rs: &'static str,
+    /// Whether the features of the build select it.
+    pub is_selected: bool,
+}
+
+impl Chip {
+    /// The chip of this feature.
+    pub fn named(feature: &str) -> Option<Self> {
+        CHIPS.into_iter().find(|chip| chip.feature == feature)
+    }
+}
+
+macro_rules! chips {
+    ($(
+        $feature:literal $manual:ident $flash_kb:literal $ram_kb:literal $sysclk:literal $apb1:literal
+        $probe_rs:literal;
+    )*) => {
+        [$(Chip {
+            feature: $feature,
+            manual: stringify!($manual),
+            flash_kb: $flash_kb,
+            ram_kb: $ram_kb,
+            max_sysclk_mhz: $sysclk,
+            max_apb1_mhz: $apb1,
+            probe_rs: $probe_rs,
+            is_selected: cfg!(feature = $feature),
+        },)*]
+    };
+}
+
+/// Every chip, in the order of their numbers.
+pub const CHIPS: [Chip; 14] = chips! {
+    // feature, manual, KB of flash and RAM, MHz of core and APB1, name in probe-rs
+    "stm32f405" RM0090  512 128 168 42 "STM32F405RGTx";
+    "stm32f407" RM0090  512 128 168 42 "STM32F407VGTx";
+    "stm32f412" RM0402  512 256 100 50 "STM32F412VGTx";
+    "stm32f413" RM0430 1024 320 100 50 "STM32F413VHTx";
+    "stm32f415" RM0090 1024 128 168 42 "STM32F415RGTx";
+    "stm32f417" RM0090  512 128 168 42 "STM32F417VGTx";
+    "stm32f423" RM0430 1536 320 100 50 "STM32F423VHTx";
+    "stm32f427" RM0090 1024 192 168 42 "STM32F427VITx";
+    "stm32f429" RM0090  512 192 168 42 "STM32F429VITx";
+    "stm32f437" RM0090 1024 192 168 42 "STM32F437VITx";
+    "stm32f439" RM0090 1024 192 168 42 "STM32F439VITx";
+    "stm32f446" RM0390  256 128 168 42 "STM32F446RETx";
+    "stm32f469" RM0386  512 320 168 42 "STM32F469VITx";
+    "stm32f479" RM0386 1024 320 168 42 "STM32F479VITx";
+};
+
+/// The chip of this build. A build for a computer has none: then the first of [`CHIPS`].
+pub const CHIP: Chip = {
+    let mut i = CHIPS.len() - 1;
+    while i > 0 && !CHIPS[i].is_selected {
+        i -= 1;
+    }
+    CHIPS[i]
+};
+
+/// The address of the 96-bit unique id (chapter "Device electronic signature" of each manual).
+pub const UNIQUE_ID: usize = 0x1FFF_7A10;

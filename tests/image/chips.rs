@@ -1,0 +1,61 @@
+//! The chips: the firmware's table against the emulated boards and `Cargo.toml`, and the images of four chips.
+//! `cargo xtask chips` runs those of all chips.
+
+use emulator::{
+    Time,
+    board::{self, Board},
+    chip::Part,
+};
+use lss_slave::BitRate;
+use lss_slave_firmware::{chip::CHIPS, device};
+use testkit::{image, image_rig::ImageRig};
+
+const MHZ: u32 = 1_000_000;
+
+#[test]
+fn the_firmware_relies_on_no_more_than_the_emulated_chips_have() {
+    assert_eq!(CHIPS.map(|chip| chip.feature), Part::ALL.map(Part::name));
+    for (chip, part) in CHIPS.into_iter().zip(Part::ALL) {
+        assert_eq!(chip.manual, part.manual(), "{part:?}");
+        assert_eq!(chip.ram_kb * 1024, part.ram_size(), "{part:?}");
+        assert!(chip.flash_kb * 1024 <= part.flash_size(), "{part:?}");
+        let (sysclk, apb1, _) = part.clock_limits();
+        assert!(chip.max_sysclk_mhz * MHZ <= sysclk, "{part:?}");
+        assert!(chip.max_apb1_mhz * MHZ <= apb1, "{part:?}");
+        assert!(device::sysclk_hz(&chip) <= chip.max_sysclk_mhz * MHZ, "{part:?}");
+        assert!(device::APB1_HZ <= chip.max_apb1_mhz * MHZ, "{part:?}");
+    }
+}
+
+#[test]
+fn each_chip_is_a_feature_of_the_firmware_and_of_the_hal() {
+    let manifest = include_str!("../../Cargo.toml");
+    for feature in CHIPS.map(|chip| chip.feature) {
+        let line = format!("{feature} = [\"chip\", \"stm32f4xx-hal/{feature}\"]");
+        assert!(manifest.lines().any(|of_manifest| of_manifest == line), "{line}");
+    }
+    assert_eq!(manifest.matches("[\"chip\", ").count(), CHIPS.len());
+}
+
+/// The images of all 14 chips take minutes to build.
+#[test]
+fn an_image_is_commissioned_switched_and_power_cycled() {
+    for part in [Part::Stm32f405, Part::Stm32f407, Part::Stm32f427, Part::Stm32f446] {
+        let name = part.name();
+        let image = image::build(part).unwrap_or_else(|error| panic!("{error}"));
+        let board = Board::new(part, &image, board::Settings::default());
+        let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
+        assert_eq!(rig.lss("4C"), ["50"], "{name}");
+        rig.lss("04 01");
+        rig.lss("11 04");
+        rig.lss("13 00 00");
+        assert_eq!(rig.lss("17"), ["17 00"], "{name}");
+        rig.transmit_request("15 32 00");
+        rig.network.run_for(Time::from_ms(60));
+        rig.set_master_bit_rate(BitRate::Kbit1000);
+        rig.network.run_for(Time::from_ms(60));
+        assert_eq!(rig.lss("04 00"), ["704: 00"], "{name}");
+        rig.power_cycle(0);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"], "{name}");
+    }
+}

@@ -1,0 +1,259 @@
+//! `cargo xtask chips`: the image of every chip, built and run on its emulated board.
+
+use std::{
+    env,
+    process::{Command, Stdio},
+    sync::Mutex,
+    time::Instant,
+};
+
+use anyhow::{Context, bail, ensure};
+use emulator::{
+    Time, board,
+    can::{Adapter, BitSegments, Clock, Frame, Id},
+    chip::Part,
+    image::Image,
+    network::{Network, What},
+};
+use lss_slave::{BitRate, NodeId, Settings, bit_rate::BitTiming};
+use lss_slave_firmware::{chip::Chip, device};
+use testkit::{
+    boards, frames,
+    image_rig::{bit_per_s, on_the_wire},
+};
+
+use crate::{
+    parallel,
+    readings::{
+        bus::{AWAY, Variant},
+        sessions,
+    },
+};
+
+/// Build the image of every chip, and run it on its emulated board
+///
+/// For each chip the table shows the clock of the core, the flash that the image takes, the time from power-on to the
+/// boot-up, whether all eight bit rates are exact and work with crystals that are 0.5 % off at both ends, and the
+/// outcome of the sessions: a blank board is found by Fastscan, gets a node-ID and a bit rate, stores, switches, loses
+/// its power and boots up with what was stored; then those of `cargo xtask readings --quick`. A wrong choice of chips
+/// must not build.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// Only this chip
+    #[arg(long)]
+    chip: Option<Part>,
+}
+
+/// The results of one chip.
+struct Row {
+    core_mhz: u32,
+    boot: Time,
+    rates: anyhow::Result<()>,
+    sessions: anyhow::Result<()>,
+}
+
+/// Prints the table. Fails if a chip fails, or a wrong choice of chips builds.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let begin = Instant::now();
+    let parts: Vec<_> = Part::ALL
+        .into_iter()
+        .filter(|part| arguments.chip.is_none_or(|only| only == *part))
+        .collect();
+    let images =
+        parts.iter().map(|&part| testkit::image::build(part)).collect::<Result<Vec<_>, _>>()?;
+    let built = begin.elapsed().as_secs();
+
+    println!("| chip | manual | core | flash | boot-up | all rates exact | sessions |");
+    println!("|---|---|---|---|---|---|---|");
+    let boards: Vec<_> = parts.iter().zip(&images).collect();
+    let rows = Mutex::new(Vec::new());
+    parallel::map(
+        &boards,
+        |&(&part, image)| row(part, image),
+        |at, row| {
+            rows.lock().expect("nobody panics").push((at, row));
+        },
+    );
+    let mut rows = rows.into_inner().expect("nobody panics");
+    rows.sort_by_key(|(at, _)| *at);
+    let mut failures = Vec::new();
+    for (at, row) in rows {
+        let (part, image) = boards[at];
+        let bytes: usize = image.segments().map(|(_, bytes)| bytes.len()).sum();
+        print!("| `{}` | {} | ", part.name(), part.manual());
+        match row {
+            Ok(Row { core_mhz, boot, rates, sessions }) => {
+                let outcome =
+                    |result: &anyhow::Result<()>| if result.is_ok() { "yes" } else { "NO" };
+                let ms = boot.as_ps() as f64 / 1e9;
+                let (exact, passed) = (outcome(&rates), outcome(&sessions));
+                println!("{core_mhz} MHz | {bytes} | {ms:.1} ms | {exact} | {passed} |");
+                failures.extend(
+                    [rates, sessions].into_iter().filter_map(Result::err).map(|e| (part, e)),
+                );
+            }
+            Err(error) => {
+                println!("- | {bytes} | NO | - | - |");
+                failures.push((part, error));
+            }
+        }
+    }
+    for (part, error) in &failures {
+        println!("{}: {error:#}", part.name());
+    }
+    refuse_wrong_choices()?;
+    let seconds = begin.elapsed().as_secs();
+    println!(
+        "\n{} chips, {} failures; two chips and no chip do not build; {seconds} s, {built} of them to build",
+        parts.len(),
+        failures.len()
+    );
+    ensure!(failures.is_empty(), "the image does not work on every chip");
+    Ok(())
+}
+
+fn row(part: Part, image: &Image) -> anyhow::Result<Row> {
+    let variant = Variant { image, part, settings: board::Settings::default() };
+    let (core_mhz, boot) = boot(&variant)?;
+    let mut sessions = commission(&variant).context("commissioning");
+    for (name, session) in sessions::all(true) {
+        sessions = sessions.and_then(|()| session(&variant).context(name));
+    }
+    Ok(Row { core_mhz, boot, rates: check_rates(&variant), sessions })
+}
+
+fn stored(bit_rate: BitRate) -> Settings {
+    Settings::new(bit_rate.into()).with_node_id(NodeId::new(5)).with_heartbeat_ms(0)
+}
+
+/// The clock of the core in MHz, and the time from power-on to the end of the boot-up at 1 Mbit/s.
+fn boot(variant: &Variant) -> anyhow::Result<(u32, Time)> {
+    let mut bus =
+        variant.bus(BitRate::Kbit1000, [variant.board(0, Some(stored(BitRate::Kbit1000)))]);
+    bus.hear("705: 00", AWAY)?;
+    let boot = bus.network.now();
+    bus.check()?;
+    let chip = bus.network.board(0).chip();
+    let clocks = chip.clocks();
+    ensure!(clocks.hclk.hz == core_hz(variant.part)?, "the core runs at {} Hz", clocks.hclk.hz);
+    ensure!(clocks.pclk1.hz == device::APB1_HZ, "APB1 runs at {} Hz", clocks.pclk1.hz);
+    Ok((clocks.hclk.hz / 1_000_000, boot))
+}
+
+/// The core clock that the firmware's table gives for a part.
+fn core_hz(part: Part) -> anyhow::Result<u32> {
+    let chip = Chip::named(part.name()).context("src/chip.rs does not have this chip")?;
+    Ok(device::sysclk_hz(&chip))
+}
+
+/// The board sets each rate exactly, with a bit timing that tolerates 0.5 % at both ends, and answers a master with such
+/// a difference without an error.
+fn check_rates(variant: &Variant) -> anyhow::Result<()> {
+    for rate in BitRate::ALL {
+        for ppm in [0, 5_000, -5_000] {
+            check_rate(variant, rate, ppm)
+                .with_context(|| format!("{} kbit/s at {ppm} ppm", rate.kbit_per_s()))?;
+        }
+    }
+    Ok(())
+}
+
+fn check_rate(variant: &Variant, rate: BitRate, ppm: i32) -> anyhow::Result<()> {
+    let crystal = Clock { ppm, ..variant.settings.crystal };
+    let settings = board::Settings { crystal, ..variant.settings };
+    let board = Variant { settings, ..*variant }.board(0, Some(stored(rate)));
+    let mut network = Network::new();
+    network.add_board(board);
+    let timing = BitTiming::solve(rate, device::APB1_HZ).context("no bit timing")?;
+    let master = network.add_adapter(Adapter::with_timing(
+        Clock { hz: device::APB1_HZ, ppm: -ppm },
+        BitSegments {
+            prescaler: timing.prescaler,
+            segment_1: timing.segment1,
+            segment_2: timing.segment2,
+            jump_width: timing.sync_jump_width,
+        },
+    ));
+    let expect = |network: &mut Network, expected: &str| -> anyhow::Result<()> {
+        let frame = network.run_until_received(master, Time::from_s(1));
+        let (_, frame) = frame.with_context(|| format!("{expected} is not received"))?;
+        ensure!(frame == on_the_wire(&frames::of_node(expected)), "{frame}, not {expected}");
+        Ok(())
+    };
+    expect(&mut network, "705: 00")?;
+    // The longest runs of equal bits, which nobody answers.
+    for data in [[0x00; 8], [0xFF; 8], [0x0F; 8]] {
+        network.send(master, Frame::data(Id::Standard(0x400), &data));
+    }
+    network.send(master, on_the_wire(&frames::of_master("04 01")));
+    network.send(master, on_the_wire(&frames::of_master("5E")));
+    expect(&mut network, "5E 05")?;
+
+    let written = network.trace().iter().rev().find_map(|event| match event.what {
+        What::BitTiming { btr, .. } => Some(btr),
+        _ => None,
+    });
+    let btr = written.context("no bit timing is set")?;
+    let timing = BitTiming {
+        prescaler: (btr & 0x3FF) as u16 + 1,
+        segment1: (btr >> 16 & 0xF) as u8 + 1,
+        segment2: (btr >> 20 & 7) as u8 + 1,
+        sync_jump_width: (btr >> 24 & 3) as u8 + 1,
+    };
+    let apb1_hz = network.board(0).chip().clocks().pclk1.hz;
+    let periods = u32::from(timing.prescaler) * timing.quanta();
+    ensure!(periods * bit_per_s(rate) == apb1_hz, "CAN_BTR is {btr:08X} at {apb1_hz} Hz");
+    let tolerance = timing.crystal_tolerance_ppm();
+    ensure!(
+        tolerance >= BitTiming::CRYSTAL_ERROR_PPM,
+        "CAN_BTR {btr:08X} tolerates {tolerance} ppm"
+    );
+    if let Some(event) =
+        network.trace().iter().find(|event| matches!(event.what, What::Error { .. }))
+    {
+        bail!("{event}");
+    }
+    let findings = network.board(0).findings();
+    ensure!(findings.is_empty(), "{}", findings[0]);
+    Ok(())
+}
+
+/// A blank board is found, gets a node-ID and a rate, stores, switches, loses its power and boots up with both.
+fn commission(variant: &Variant) -> anyhow::Result<()> {
+    let mut bus = variant.bus(BitRate::Kbit125, [variant.board(0, None)]);
+    bus.reach("4C", "50", AWAY)?;
+    let address = sessions::fastscan(&mut bus)?;
+    ensure!(address[3] == boards::serial_number(0), "serial number {:08X}", address[3]);
+    for (request, answer) in [("11 05", "11 00"), ("13 00 00", "13 00"), ("17", "17 00")] {
+        bus.ask(request, answer)?;
+    }
+    bus.send("15 32 00");
+    bus.run_ms(55);
+    bus.set_master_rate(BitRate::Kbit1000);
+    bus.run_ms(55);
+    bus.send("04 00");
+    bus.hear("705: 00", AWAY)?;
+    bus.network.power_off(0);
+    bus.run_ms(10);
+    bus.power_on(0);
+    bus.hear("705: 00", AWAY)?;
+    bus.hear("705: 7F", AWAY)?;
+    bus.check()
+}
+
+/// The choice of two chips, or of none, is refused by the firmware's build script, not only by that of the HAL.
+fn refuse_wrong_choices() -> anyhow::Result<()> {
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    for features in ["chip", "stm32f405,stm32f407"] {
+        let output = Command::new(&cargo)
+            .args(["check", "--keep-going", "--release", "--target", "thumbv7em-none-eabihf"])
+            .args(["--package", "lss-slave-firmware", "--bin", "lss-slave", "--features", features])
+            .stdin(Stdio::null())
+            .output()
+            .context("cannot run cargo")?;
+        let is_refused = String::from_utf8_lossy(&output.stderr).contains("choose one chip");
+        ensure!(!output.status.success() && is_refused, "--features {features} is not refused");
+    }
+    Ok(())
+}

@@ -1,0 +1,217 @@
+//! Programs of others, which run beside the boards with our firmware: their output, and what they touched.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, ensure};
+use emulator::{
+    Time,
+    board::Board,
+    chip::{FLASH_BASE, Part, ResetCause},
+    image::Image,
+    network::Network,
+};
+use testkit::boards;
+
+/// The programs, on the boards that follow ours.
+pub struct Programs {
+    /// The number of the first one's board.
+    first: usize,
+    programs: Vec<Program>,
+}
+
+struct Program {
+    name: String,
+    part: Part,
+    image: Image,
+    /// The number of log lines that were printed.
+    printed: usize,
+    /// The bytes of each USART since its last end of line.
+    serial: Vec<Vec<u8>>,
+}
+
+impl Programs {
+    /// No programs: all boards are ours.
+    pub fn none(network: &Network) -> Self {
+        Self { first: network.boards().len(), programs: Vec::new() }
+    }
+
+    /// Puts each ELF file on a board of its own with the chip `part`.
+    ///
+    /// # Errors
+    /// A file cannot be read, or the chip does not start with it.
+    pub fn load(paths: &[PathBuf], part: Part, network: &mut Network) -> anyhow::Result<Self> {
+        let mut loaded = Self::none(network);
+        for path in paths {
+            let image = Image::load(path).with_context(|| path.display().to_string())?;
+            check(&image, part).with_context(|| path.display().to_string())?;
+            network.add_board(boards::board(part, &image, network.boards().len()));
+            loaded.programs.push(Program::new(path, part, image));
+        }
+        Ok(loaded)
+    }
+
+    /// The number of each program's board, with its name.
+    pub fn names(&self) -> impl Iterator<Item = String> {
+        let numbered = (self.first..).zip(&self.programs);
+        numbered.map(|(number, program)| format!("board {number}: {}", program.name))
+    }
+
+    /// The boards with our firmware.
+    pub fn ours<'a>(&self, network: &'a Network) -> &'a [Board] {
+        &network.boards()[..self.first]
+    }
+
+    /// Prints the log and the serial lines that have come since the last call.
+    pub fn print(&mut self, network: &Network) {
+        for (program, board) in self.programs.iter_mut().zip(&network.boards()[self.first..]) {
+            for line in program.new_lines(board) {
+                println!("{line}");
+            }
+        }
+    }
+
+    /// A report on each program: its time, and every access that a chip does not tolerate or the board does not model.
+    pub fn report(&self, network: &Network) -> String {
+        let boards = &network.boards()[self.first..];
+        self.programs.iter().zip(boards).map(|(program, board)| program.report(board)).collect()
+    }
+}
+
+fn check(image: &Image, part: Part) -> anyhow::Result<()> {
+    let end = FLASH_BASE + part.flash_size();
+    let mut starts = false;
+    for (address, bytes) in image.segments() {
+        let fits = address >= FLASH_BASE && u64::from(address) + bytes.len() as u64 <= end.into();
+        ensure!(fits, "{address:08x} is not in the flash of {}: another --chip?", part.name());
+        starts |= address == FLASH_BASE;
+    }
+    ensure!(starts, "there is nothing at {FLASH_BASE:08x}, where the chip starts");
+    Ok(())
+}
+
+impl Program {
+    fn new(path: &Path, part: Part, image: Image) -> Self {
+        let name = path.file_name().map_or_else(String::new, |name| name.display().to_string());
+        Self { name, part, image, printed: 0, serial: Vec::new() }
+    }
+
+    fn new_lines(&mut self, board: &Board) -> Vec<String> {
+        let mut lines = Vec::new();
+        let log = board.log();
+        for line in &log[self.printed..] {
+            lines.push(format!("{:>14}  {}: {:5} {}", line.time, self.name, line.level, line.text));
+        }
+        self.printed = log.len();
+        let sent = board.chip().take_sent();
+        self.serial.resize(sent.len(), Vec::new());
+        for (number, (serial, sent)) in (1..).zip(self.serial.iter_mut().zip(sent)) {
+            serial.extend(sent);
+            while let Some(end) = serial.iter().position(|byte| *byte == b'\n') {
+                let line: Vec<u8> = serial.drain(..=end).collect();
+                let text = String::from_utf8_lossy(&line);
+                let text = text.trim_end();
+                lines.push(format!("{:>14}  {}: USART{number} {text}", board.now(), self.name));
+            }
+        }
+        lines
+    }
+
+    fn report(&self, board: &Board) -> String {
+        let (cycles, busy) = board.cycles();
+        let resets = board.resets();
+        let last_on = resets.iter().rposition(|(_, cause)| *cause == ResetCause::PowerOn);
+        let (switched_on, resets) = resets.split_at(last_on.map_or(0, |index| index + 1));
+        let since = switched_on.last().map_or(Time::ZERO, |(time, _)| *time);
+        let mut report = format!(
+            "{} on {}: {} ms, awake for {} % of it",
+            self.name,
+            self.part.name(),
+            (board.now() - since).as_ms(),
+            100 * busy / cycles.max(1)
+        );
+        let resets: Vec<String> =
+            resets.iter().map(|(time, cause)| format!("{cause:?} at {time} ms")).collect();
+        if !resets.is_empty() {
+            report += &format!("\n  reset: {}", resets.join(", "));
+        }
+        if let Some(lockup) = board.lockup() {
+            report += &format!("\n  locked up at {}: {lockup:x?}", self.place(board.pc()));
+        }
+        let findings = board.findings();
+        if findings.is_empty() {
+            report += "\n  it touched nothing that the board does not model";
+        }
+        for finding in findings {
+            report += &format!("\n  {finding}, in {}", self.place(finding.pc));
+        }
+        report + "\n"
+    }
+
+    /// The function at an address.
+    fn place(&self, address: u32) -> String {
+        match self.image.symbol_at(address) {
+            Some((name, _)) => format!("{:#}", rustc_demangle::demangle(name)),
+            None => format!("{address:08x}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Loads a word from `address` and stops.
+    fn program_that_reads(address: u32) -> Image {
+        let half = |word: u32| {
+            [
+                0xF240 | word >> 12 | (word >> 11 & 1) << 10,
+                (word >> 8 & 7) << 12 | 7 << 8 | word & 0xFF,
+            ]
+        };
+        let [low, high] = [half(address & 0xFFFF), half(address >> 16)];
+        let code = [low[0], low[1], high[0] | 0x80, high[1], 0x6838, 0xE7FE];
+        let vectors = [0x2000_1000_u32, FLASH_BASE + 9];
+        let code = code.into_iter().flat_map(|half| (half as u16).to_le_bytes());
+        let bytes = vectors.into_iter().flat_map(u32::to_le_bytes).chain(code).collect();
+        Image::from_segments(vec![(FLASH_BASE, bytes)])
+    }
+
+    fn report_on(image: Image) -> String {
+        let mut network = Network::new();
+        let mut programs = Programs::none(&network);
+        programs.programs.push(Program::new(
+            Path::new("dir/a.elf"),
+            Part::Stm32f405,
+            image.clone(),
+        ));
+        network.add_board(boards::board(Part::Stm32f405, &image, 0));
+        network.run_for(Time::from_ms(5));
+        programs.print(&network);
+        programs.report(&network)
+    }
+
+    #[test]
+    fn the_report_names_each_access_that_is_not_modelled() {
+        let report = report_on(program_that_reads(0x4000_3800));
+        assert!(report.starts_with("a.elf on stm32f405: 5 ms"), "{report}");
+        assert!(report.contains("32-bit read of 40003800: not modelled"), "{report}");
+        let report = report_on(program_that_reads(0x4002_3800));
+        assert!(report.contains("it touched nothing that the board does not model"), "{report}");
+        let report = report_on(program_that_reads(0x6000_0000));
+        assert!(report.contains("locked up at"), "{report}");
+    }
+
+    #[test]
+    fn a_program_that_the_chip_does_not_start_is_refused() {
+        let refusal = |address| {
+            let image = Image::from_segments(vec![(address, vec![0; 8])]);
+            check(&image, Part::Stm32f446).expect_err("refused").to_string()
+        };
+        assert!(refusal(0x2000_0000).contains("is not in the flash"));
+        assert!(refusal(0x0808_0000).contains("another --chip?"));
+        assert!(refusal(0x0800_4000).contains("nothing at 08000000"));
+        let mut network = Network::new();
+        let missing = Programs::load(&["no/such".into()], Part::Stm32f405, &mut network);
+        assert!(missing.is_err_and(|error| error.to_string().contains("no/such")));
+    }
+}
