@@ -7,17 +7,14 @@ use libfuzzer_sys::fuzz_target;
 use lss_slave::{
     Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
     Settings,
-    lss::{Address, StoreError},
+    lss::StoreError,
     nmt::State,
     objects,
     process_data::{Rpdo, Tpdo},
     settings::parameters::unpack,
 };
+use lss_slave_fuzz::{ADDRESS, act_until_nothing_is_due};
 
-const ADDRESS: Address =
-    Address { vendor_id: 0x11, product_code: 0x22, revision_number: 0x33, serial_number: 0x44 };
-/// More actions than are ever due at one time.
-const MOST_ACTIONS: usize = 32;
 const PARAMETERS: usize = MachineNode::PARAMETERS;
 
 type MachineNode = Node<Machine, 2, 2, 2>;
@@ -94,13 +91,9 @@ impl Board {
     }
 
     fn act_until_nothing_is_due(&mut self) {
-        for _ in 0..MOST_ACTIONS {
-            match self.node.poll(self.now) {
-                Some(action) => self.act(action),
-                None => return,
-            }
-        }
-        panic!("{MOST_ACTIONS} actions without an end");
+        act_until_nothing_is_due(|| {
+            self.node.poll(self.now).map(|action| self.act(action)).is_some()
+        });
     }
 
     fn receive(&mut self, cob_id: u16, data: &[u8]) {

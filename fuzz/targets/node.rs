@@ -5,15 +5,9 @@
 use libfuzzer_sys::fuzz_target;
 use lss_slave::{
     Action, BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
-    Settings,
-    emergency::Fault,
-    lss::{Address, StoreError},
+    Settings, emergency::Fault, lss::StoreError,
 };
-
-const ADDRESS: Address =
-    Address { vendor_id: 0x11, product_code: 0x22, revision_number: 0x33, serial_number: 0x44 };
-/// More actions than are ever due at one time.
-const MOST_ACTIONS: usize = 16;
+use lss_slave_fuzz::{ADDRESS, act_until_nothing_is_due};
 
 /// A board that tracks the permissions of its node.
 struct Board {
@@ -34,8 +28,7 @@ impl Board {
             .with_rescue(true)
             .with_lss_lock(id & 1 == 1);
         let bit_rate = BitRate::from_table(0, rate).map_or(BitRateSetting::Automatic, Into::into);
-        let settings =
-            Settings::new(bit_rate).with_node_id(NodeId::new(id)).with_heartbeat_ms(5);
+        let settings = Settings::new(bit_rate).with_node_id(NodeId::new(id)).with_heartbeat_ms(5);
         let node = Node::new(device, Some(settings));
         let may_transmit = !node.is_listening();
         let now = Instant::from_micros(u32::MAX - 1_000_000);
@@ -68,13 +61,9 @@ impl Board {
     }
 
     fn act_until_nothing_is_due(&mut self) {
-        for _ in 0..MOST_ACTIONS {
-            match self.node.poll(self.now) {
-                Some(action) => self.act(action),
-                None => return,
-            }
-        }
-        panic!("{MOST_ACTIONS} actions without an end");
+        act_until_nothing_is_due(|| {
+            self.node.poll(self.now).map(|action| self.act(action)).is_some()
+        });
     }
 
     fn step(&mut self, [kind, ms, data @ ..]: [u8; 10]) {

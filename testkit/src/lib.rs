@@ -15,6 +15,7 @@ pub mod image_rig;
 #[cfg(feature = "image")]
 pub mod io_board;
 pub mod node_rig;
+pub mod power_cut;
 pub mod random;
 pub mod sdo;
 pub mod settings;

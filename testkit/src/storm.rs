@@ -1,10 +1,17 @@
 //! Storms: random frames of every kind, from valid requests to noise, and their permitted effects.
 
+mod example;
 pub mod image;
 pub mod node;
+mod sdo_messages;
 
-use emulator::can::{Frame, Id};
-use lss_slave::{BitRate, lss};
+use std::collections::VecDeque;
+
+use emulator::{
+    Time,
+    can::{Frame, Id},
+};
+use lss_slave::{Application, BitRate, application::NoApplication, lss};
 
 use super::random::Random;
 
@@ -30,6 +37,40 @@ struct Target {
     address: [u32; 4],
     /// The active node-ID; 0: none.
     node_id: u8,
+}
+
+/// An application in a storm.
+pub trait Stormed: Application + Clone {
+    /// The longest time from the start of a board to the first sample of its inputs.
+    const FIRST_SAMPLE: Time = Time::ZERO;
+
+    /// Frames for the objects and the process data of the application on this node, in this order; node-ID 0: none.
+    fn script(_: &mut Random, _node_id: u8) -> Vec<Frame> {
+        Vec::new()
+    }
+
+    /// Requests that end the effects of time on the process data of a node after its boot-up.
+    fn end_times(_node_id: u8) -> Vec<Frame> {
+        Vec::new()
+    }
+
+    /// The same frame, or another in place of one whose effects would depend on time or on the board.
+    fn without_time(_: &mut Random, frame: Frame, _node_id: u8) -> Frame {
+        frame
+    }
+}
+
+impl Stormed for NoApplication {}
+
+/// The next frame: of the script under way, or a random one.
+fn next<A: Stormed>(random: &mut Random, script: &mut VecDeque<Frame>, target: &Target) -> Frame {
+    if script.is_empty() && random.one_in(4) {
+        script.extend(A::script(random, target.node_id));
+    }
+    if script.is_empty() || random.one_in(16) {
+        return frame(random, target);
+    }
+    script.pop_front().expect("it is not empty")
 }
 
 /// A random frame: a valid or nearly valid request of LSS, NMT or SDO, or noise.
@@ -152,6 +193,11 @@ fn delivered(frame: &Frame) -> Option<lss_slave::Frame> {
 /// The LSS request in `frame`, if there is one: command specifier and parameters.
 fn lss_data(frame: &Frame) -> Option<[u8; 8]> {
     (frame.id == LSS && !frame.remote && frame.dlc == 8).then_some(frame.data)
+}
+
+/// Whether only PDOs may have the COB-ID of `frame` (CiA 301, 7.3.5).
+fn is_pdo(frame: &lss_slave::Frame) -> bool {
+    matches!(frame.cob_id(), 0x180..=0x57F | 0x680..=0x6DF)
 }
 
 /// The bit rate of the storm.

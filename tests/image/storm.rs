@@ -1,10 +1,14 @@
 //! A short storm of random frames against the release image and against the node; `cargo xtask storm` makes long ones.
 
+use emulator::{board::Board, chip::Part};
 use testkit::{
-    image::image,
+    image::{example, image},
     image_rig::blank_board,
     random::Random,
-    storm::{image::ImageStorm, node::NodeStorm},
+    storm::{
+        image::{ExampleStorm, ImageStorm},
+        node::{ExampleNodeStorm, NodeStorm},
+    },
 };
 
 #[test]
@@ -17,8 +21,28 @@ fn in_a_storm_the_image_sends_and_stores_exactly_what_the_node_does() {
 }
 
 #[test]
+fn in_a_storm_the_example_sends_and_stores_exactly_what_its_node_does() {
+    let board = Board::new(Part::Stm32f407, example(), Default::default());
+    let seed = Random::from_environment().u64();
+    let mut storm = ExampleStorm::with_example(board, example(), seed);
+    storm.rage(10_000);
+    let ExampleStorm { stores, resets, switches, pdos, .. } = storm;
+    println!("{stores} stores, {resets} resets, {switches} switches, {pdos} PDOs");
+    assert!(stores > 5 && resets > 2 && switches > 2 && pdos > 100);
+}
+
+#[test]
 fn no_storm_makes_the_node_store_unasked_or_silences_it() {
     let mut storm = NodeStorm::new(Random::from_environment().u64());
     storm.rage(200_000);
     assert!(storm.stores > 100, "{} stores", storm.stores);
+}
+
+#[test]
+fn no_storm_makes_the_example_store_or_answer_unasked_or_silences_it() {
+    let mut storm = ExampleNodeStorm::with_example(Random::from_environment().u64());
+    storm.rage(100_000);
+    let ExampleNodeStorm { stores, pdos, .. } = storm;
+    println!("{stores} stores, {pdos} PDOs");
+    assert!(stores > 100 && pdos > 1_000);
 }

@@ -7,8 +7,10 @@ use emulator::{chip::Part, image::Image};
 use testkit::{
     boards,
     random::Random,
-    storm::{image::ImageStorm, node::NodeStorm},
+    storm::{Stormed, image::ImageStorm, node::NodeStorm},
 };
+
+use crate::example::{self, Example};
 
 /// Lines of progress of each storm.
 const PARTS: u64 = 10;
@@ -20,6 +22,11 @@ const PARTS: u64 = 10;
 /// on an emulated board and to the node as its model: the image must give the model's answers and have exactly the same
 /// settings in its flash, without a panic, a fault, a reset of its own, or an access that a real chip does not
 /// tolerate. Both must answer at the end.
+///
+/// With an example, requests for its objects by every SDO service, PDOs, SYNC and heartbeats are among the frames, and
+/// the node in the process has the same application. The inputs of the board do not change. Effects of time are left
+/// out of the comparison: the inhibit times and event timers of TPDOs, missed heartbeats, and two values that change
+/// the temperature with the next sample.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -35,40 +42,59 @@ pub struct Arguments {
     /// The chip on the board
     #[arg(long, default_value = "stm32f405")]
     chip: Part,
+    /// Storm an example of an application
+    #[arg(long)]
+    example: Option<Example>,
 }
 
 /// Runs both storms. Panics if anything breaks.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let image = testkit::image::build(arguments.chip)?;
+    let chip = arguments.chip;
+    let image = example::image(chip, arguments.example)?;
+    let board = boards::board(chip, &image, 0);
     let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
     println!("--seed {seed}");
-    rage_at_node(arguments.frames, seed);
-    rage_at_image(arguments, &image, seed);
+    match arguments.example {
+        None => {
+            rage_at_node(arguments, NodeStorm::new(seed));
+            rage_at_image(arguments, &image, ImageStorm::new(board, &image, seed));
+        }
+        Some(Example::Io) => {
+            rage_at_node(arguments, NodeStorm::with_example(seed));
+            rage_at_image(arguments, &image, ImageStorm::with_example(board, &image, seed));
+        }
+    }
     Ok(())
 }
 
-fn rage_at_node(frames: u64, seed: u64) {
+fn rage_at_node<A: Stormed, const T: usize, const R: usize, const P: usize>(
+    arguments: &Arguments,
+    mut storm: NodeStorm<A, T, R, P>,
+) {
     println!("\nThe node in the process");
     let begin = Instant::now();
-    let mut storm = NodeStorm::new(seed);
-    for part in parts(frames) {
+    for part in parts(arguments.frames) {
         storm.rage(part);
+        let NodeStorm { frames, stores, pdos, .. } = storm;
         let seconds = begin.elapsed().as_secs();
-        println!("{:>12} frames, {:>8} stores  {seconds:>5} s", storm.frames, storm.stores);
+        println!("{frames:>12} frames, {stores:>8} stores, {pdos} PDOs  {seconds:>5} s");
     }
 }
 
-fn rage_at_image(arguments: &Arguments, image: &Image, seed: u64) {
+fn rage_at_image<A: Stormed, const T: usize, const R: usize, const P: usize>(
+    arguments: &Arguments,
+    image: &Image,
+    mut storm: ImageStorm<A, T, R, P>,
+) {
     println!("\nThe release image for the {}", arguments.chip.name());
     let begin = Instant::now();
-    let mut storm = ImageStorm::new(boards::board(arguments.chip, image, 0), image, seed);
     for part in parts(arguments.image_frames) {
         storm.rage(part);
-        let ImageStorm { frames, stores, resets, switches, .. } = storm;
+        let ImageStorm { frames, stores, resets, switches, pdos, .. } = storm;
         let (seconds, virtual_ms) = (begin.elapsed().as_secs(), storm.now());
         println!(
             "{frames:>12} frames, {stores:>8} stores, {resets} resets, {switches} switches, \
-             {virtual_ms} ms virtual  {seconds:>5} s"
+             {pdos} PDOs, {virtual_ms} ms virtual  {seconds:>5} s"
         );
     }
     println!("{:>12} bytes of stack at most", storm.stack_depth(image));

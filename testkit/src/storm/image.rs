@@ -1,18 +1,27 @@
 //! A storm of random frames against the release image, back to back at 1 Mbit/s, with a node in the process as its
 //! model: both must send the same frames and leave the same content in their flash.
 
+use std::collections::VecDeque;
+
 use emulator::{
     Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
 };
-use lss_slave::{Action, BitRate, lss::Address};
+use lss_slave::{
+    Action, BitRate, Settings,
+    application::NoApplication,
+    lss::{self, Address},
+    nmt,
+};
+use lss_slave_firmware::io::{self, Filter, Sample};
 
-use super::{RATE, Target, delivered, frame, lss_data};
+use super::{RATE, Stormed, Target, delivered, example::NODE_ID, is_pdo, lss_data, next};
 use crate::{
     flash::BoardFlash,
     frames::{self, Frames},
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
     node_rig::{self as model, NodeRig},
     random::Random,
+    sdo::Client,
     stack,
 };
 
@@ -21,15 +30,26 @@ const BURST: usize = 200;
 /// The number of frames sent into a silent period.
 const FRAMES_IN_SILENCE: u64 = 6;
 /// The longest time from a request to its answer, that of a store.
-const PATIENCE: Time = Time::from_ms(3);
+const PATIENCE: Time = Time::from_ms(20);
 /// The number of latest frames in a failure report.
 const LAST_FRAMES: usize = 12;
 
 /// An emulated board with the release image, the node in the process as its model, and the frames sent to both.
-pub struct ImageStorm {
+pub struct ImageStorm<
+    A: Stormed = NoApplication,
+    const TPDOS: usize = 0,
+    const RPDOS: usize = 0,
+    const PRODUCERS: usize = 0,
+> {
     rig: ImageRig,
-    model: NodeRig,
+    model: NodeRig<A, TPDOS, RPDOS, PRODUCERS>,
+    /// Gives the model the inputs that the board samples, which never change.
+    sample: Box<dyn Fn(&mut A)>,
     random: Random,
+    /// The rest of a script.
+    script: VecDeque<Frame>,
+    /// Requests that come before all others.
+    first: VecDeque<Frame>,
     address: [u32; 4],
     /// The frames that the model has sent and the board still has to send.
     expected: Vec<lss_slave::Frame>,
@@ -37,20 +57,62 @@ pub struct ImageStorm {
     rate: BitRate,
     /// The number of frames so far.
     pub frames: u64,
-    /// The number of stores, resets and bit rate switches so far.
+    /// The number of stores, resets, bit rate switches and PDOs of the board so far.
     pub stores: u64,
     pub resets: u64,
     pub switches: u64,
+    pub pdos: u64,
 }
+
+/// The storm against the image with the example `io`.
+pub type ExampleStorm =
+    ImageStorm<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
 
 impl ImageStorm {
     /// A board with stored settings: no node-ID, 1 Mbit/s.
-    pub fn new(mut board: Emulated, image: &Image, seed: u64) -> Self {
-        let content = flash_with(&[settings(0xFF, RATE)]);
-        board.set_flash(SETTINGS_OFFSET, &content);
-        stack::paint(&mut board, image);
-        let mut rig = ImageRig::new(RATE, [board]);
-        rig.network.record(Recording::Latest(2_000));
+    pub fn new(board: Emulated, image: &Image, seed: u64) -> Self {
+        let settings = settings(0xFF, RATE);
+        let rig = rig(board, image, settings);
+        Self::with(rig, settings, seed, NoApplication, Box::new(|_| {}))
+    }
+}
+
+impl ExampleStorm {
+    /// A board with the example and stored settings: a node-ID, 1 Mbit/s.
+    pub fn with_example(board: Emulated, image: &Image, seed: u64) -> Self {
+        let settings = settings(NODE_ID, RATE);
+        let mut rig = rig(board, image, settings);
+        rig.collect(io::Application::FIRST_SAMPLE);
+        let temperature = rig.sdo_client(NODE_ID).number(0x6401, 1) as i16;
+        let sample = Sample { is_pressed: false, temperature };
+        let sample = Box::new(move |io: &mut io::Application| {
+            io.step(sample, &mut Filter::default());
+        });
+        let mut storm = Self::with(rig, settings, seed, io::Application::new(), sample);
+        storm.first.extend(io::Application::end_times(NODE_ID));
+        storm
+    }
+}
+
+/// A board with stored settings, and a master at the rate of the storm.
+fn rig(mut board: Emulated, image: &Image, settings: Settings) -> ImageRig {
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
+    stack::paint(&mut board, image);
+    let mut rig = ImageRig::new(RATE, [board]);
+    rig.network.record(Recording::Latest(2_000));
+    rig
+}
+
+impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    ImageStorm<A, TPDOS, RPDOS, PRODUCERS>
+{
+    fn with(
+        mut rig: ImageRig,
+        stored: Settings,
+        seed: u64,
+        application: A,
+        sample: Box<dyn Fn(&mut A)>,
+    ) -> Self {
         rig.lss("04 01");
         let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
             let answer = rig.lss(inquiry);
@@ -64,13 +126,17 @@ impl ImageStorm {
                 .with_name("LSS slave")
                 .with_versions("1.0", "0.1.0")
                 .with_defaults(settings(0xFF, RATE).with_heartbeat_ms(1000));
-        let flash = BoardFlash::with_content(content, 0);
-        let mut model = NodeRig::with_device(device, flash, 0);
+        let flash = BoardFlash::with_content(flash_with(&[stored]), 0);
+        let mut model = NodeRig::with_application(device, flash, 0, application);
         model.take_actions();
+        sample(model.node.application_mut());
         Self {
             rig,
             model,
+            sample,
             random: Random::from_seed(seed),
+            script: VecDeque::new(),
+            first: VecDeque::new(),
             address,
             expected: Vec::new(),
             burst: Vec::new(),
@@ -79,6 +145,7 @@ impl ImageStorm {
             stores: 0,
             resets: 0,
             switches: 0,
+            pdos: 0,
         }
     }
 
@@ -117,7 +184,8 @@ impl ImageStorm {
     fn next_frame(&mut self) -> Frame {
         let node_id = self.model.node.node_id().map_or(0, |id| id.get());
         let target = Target { address: self.address, node_id };
-        let mut frame = frame(&mut self.random, &target);
+        let frame = next::<A>(&mut self.random, &mut self.script, &target);
+        let mut frame = A::without_time(&mut self.random, frame, node_id);
         if let Some(data) = lss_data(&frame) {
             match data[0] {
                 // The model has no bit-rate detection.
@@ -139,8 +207,16 @@ impl ImageStorm {
         self.put(on_the_wire(&frames::request(text)));
     }
 
-    /// Sends a frame to the model and to the board. Waits for the board if the order of what follows depends on it.
+    /// Sends a frame to the model and to the board, after those that come first.
     fn put(&mut self, frame: Frame) {
+        while let Some(frame) = self.first.pop_front() {
+            self.put_now(frame);
+        }
+        self.put_now(frame);
+    }
+
+    /// Sends a frame to the model and to the board. Waits for the board if the order of what follows depends on it.
+    fn put_now(&mut self, frame: Frame) {
         let actions = self.feed_model(&frame);
         if actions.contains(&Action::ResetDevice) {
             self.settle_before(&actions);
@@ -156,6 +232,9 @@ impl ImageStorm {
             self.send(frame);
             if actions.iter().any(|action| matches!(action, Action::Store(_))) {
                 self.stores += 1;
+                self.settle();
+            } else if actions.iter().filter(is_sdo_answer).count() > 1 {
+                // The next request would come within the block.
                 self.settle();
             }
         }
@@ -174,6 +253,10 @@ impl ImageStorm {
             Action::Transmit(frame) => compared(frame),
             _ => None,
         }));
+        if actions.iter().any(is_boot_up) {
+            let node_id = self.model.node.node_id().expect("a node that boots up has one");
+            self.first = A::end_times(node_id.get()).into();
+        }
         actions
     }
 
@@ -202,30 +285,26 @@ impl ImageStorm {
 
     fn settle_with(&mut self, content: Option<Vec<u8>>) {
         self.wait_until_sent();
-        let patience = PATIENCE + self.rig.bit_time() * (160 * (self.expected.len() as u64 + 4));
-        let until = self.rig.network.now() + patience;
+        let frame_time = self.rig.bit_time() * 160;
+        let until =
+            self.rig.network.now() + PATIENCE + frame_time * (self.expected.len() as u64 + 4);
         let mut sent = Vec::new();
-        let mut is_quiet = false;
-        // One more check after the last answer, since there must not be another.
-        while !is_quiet && self.rig.network.now() < until {
-            is_quiet = sent.len() >= self.expected.len();
-            let received = self.rig.collect(Time::from_ms(1));
+        let expected = Sent::of(std::mem::take(&mut self.expected));
+        // After the last frame there must not be another.
+        let mut is_complete = false;
+        while !is_complete && self.rig.network.now() < until {
+            let received = self.rig.collect(frame_time.max(Time::from_ms(1)));
+            let before = sent.len();
             sent.extend(received.0.iter().filter_map(compared));
+            is_complete =
+                sent.len() == before && Sent::of(sent.clone()).is_what_remains_of(&expected);
         }
-        let by_cob_id = |mut frames: Vec<lss_slave::Frame>| {
-            frames.sort_by_key(|frame| frame.cob_id());
-            Frames(frames)
-        };
+        let sent = Sent::of(sent);
+        self.pdos += sent.pdos.len() as u64;
         let last = self.burst.len().saturating_sub(LAST_FRAMES);
         let last: Vec<_> = self.burst[last..].iter().map(ToString::to_string).collect();
         let context = format!("frame {}, after {last:#?}", self.frames);
-        let expected = by_cob_id(std::mem::take(&mut self.expected));
-        assert!(
-            by_cob_id(sent.clone()) == expected,
-            "{:?}\nnot {expected:?}\n{}",
-            by_cob_id(sent),
-            context
-        );
+        assert!(is_complete, "{sent:?}\nnot {expected:?}\n{context}");
         if let Some(content) = content {
             let flash = self.rig.network.board(0).flash();
             let stored = &flash[SETTINGS_OFFSET as usize..][..content.len()];
@@ -253,6 +332,8 @@ impl ImageStorm {
         self.resets += 1;
         self.set_rate();
         self.rig.boot(0, since);
+        self.rig.network.run_for(A::FIRST_SAMPLE);
+        (self.sample)(self.model.node.application_mut());
         self.settle();
         self.return_to_the_rate_of_the_storm();
     }
@@ -306,11 +387,51 @@ impl ImageStorm {
     }
 }
 
+/// The compared frames of a node, by COB-ID, in order of their times.
+#[derive(Debug)]
+struct Sent {
+    answers: Frames,
+    pdos: Vec<lss_slave::Frame>,
+}
+
+impl Sent {
+    fn of(mut frames: Vec<lss_slave::Frame>) -> Self {
+        frames.sort_by_key(|frame| frame.cob_id());
+        let (pdos, answers) = frames.into_iter().partition(is_pdo);
+        Self { answers: Frames(answers), pdos }
+    }
+
+    /// Whether these are the `expected` frames. A PDO may have replaced older ones of its COB-ID that waited for the
+    /// bus.
+    fn is_what_remains_of(&self, expected: &Self) -> bool {
+        let mut pdos = self.pdos.iter().rev().peekable();
+        let mut later = None;
+        for pdo in expected.pdos.iter().rev() {
+            let is_last = later != Some(pdo.cob_id());
+            later = Some(pdo.cob_id());
+            if pdos.next_if_eq(&pdo).is_none() && is_last {
+                return false;
+            }
+        }
+        pdos.next().is_none() && self.answers == expected.answers
+    }
+}
+
 /// Returns `frame` if the model predicts its content and order. Excluded are heartbeats and emergencies, which depend
 /// on time; boot-ups, since two that wait for a full bus become one; and the controller's observations in the error
 /// register 1001h, the error history 1003h and 2000h.
 fn compared(frame: &lss_slave::Frame) -> Option<lss_slave::Frame> {
     let is_sdo = frame.cob_id() & !0x7F == 0x580;
     let is_of_controller = matches!(frame.data(), [_, 0x01 | 0x03, 0x10, ..] | [_, 0x00, 0x20, ..]);
-    (frame.cob_id() == 0x7E4 || is_sdo && !is_of_controller).then_some(*frame)
+    let is_compared = frame.cob_id() == lss::RESPONSE_COB_ID || is_sdo && !is_of_controller;
+    (is_compared || is_pdo(frame)).then_some(*frame)
+}
+
+fn is_sdo_answer(action: &&Action) -> bool {
+    matches!(action, Action::Transmit(frame) if frame.cob_id() & !0x7F == 0x580)
+}
+
+fn is_boot_up(action: &Action) -> bool {
+    matches!(action, Action::Transmit(frame)
+        if frame.cob_id() & !0x7F == nmt::ERROR_CONTROL_COB_ID && frame.data() == [0])
 }
