@@ -45,7 +45,7 @@ use stop::Stop;
 #[derive(Parser)]
 #[command(name = "cargo hil", bin_name = "cargo hil", version, verbatim_doc_comment, after_help = EXAMPLES)]
 struct Arguments {
-    /// The CAN adapter: slcan:DEVICE[@BAUD], slcan:tcp:HOST:PORT, socketcan:INTERFACE; socketcan:INTERFACE@KBIT if
+    /// The CAN adapter: `slcan:DEVICE[@BAUD]`, slcan:tcp:HOST:PORT, socketcan:INTERFACE; socketcan:INTERFACE@KBIT if
     /// the interface is up and its bit rate must stay
     #[arg(long, value_name = "ADAPTER")]
     adapter: Place,
