@@ -408,12 +408,13 @@ fn a_wrong_stored_rate_is_found_by_three_or_four_sparse_frames() {
             }
         }
     }
-    // A node that repeats its boot-up may miss frames, and does not wait for the next one after the first error.
+    // A node that repeats its boot-up may miss frames, and does not wait for the next one after the first error. Which
+    // pairs are late depends on the phase of the boot-up to the frames, to the microsecond.
     for (node_id, stored, time, what) in &late {
         let may_be_late = (*node_id, *stored) == (1, BitRate::Kbit50);
         assert!(may_be_late && time.is_some_and(|time| time < Time::from_ms(7100)), "{what}");
     }
-    assert!(late.len() <= 2, "{late:?}");
+    assert!(late.len() <= 4, "{late:?}");
 }
 
 #[test]
