@@ -21,9 +21,11 @@ fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     let sizes = format!("FLASH_SIZE = {}K;\nRAM_SIZE = {}K;\n", chip.flash_kb, chip.ram_kb);
     fs::write(out.join("chip.x"), sizes).expect("OUT_DIR is writable");
-    fs::copy("memory.x", out.join("memory.x")).expect("memory.x lies beside build.rs");
     println!("cargo::rustc-link-search={}", out.display());
-    for arg in ["-Tlink.x", "-Tdefmt.x", "--nmagic"] {
+    let folder = env::var("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR");
+    for arg in [&format!("-L{folder}"), "-Tlink.x", "-Tdefmt.x", "--nmagic"] {
         println!("cargo::rustc-link-arg-bins={arg}");
     }
+    // A product takes its drivers from there: xtask/product/build.rs.
+    println!("cargo::metadata=sources={folder}/src");
 }

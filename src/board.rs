@@ -1,7 +1,7 @@
 //! The board after a reset: watchdog, clocks, pins and identity.
 
+use crate::product::{chip::UNIQUE_ID, device};
 use lss_slave::lss::Address;
-use lss_slave_firmware::{chip::UNIQUE_ID, device};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Output, alt::can1},
     pac::{CAN1, DBGMCU, Peripherals, RCC},

@@ -15,13 +15,13 @@
 
 use core::{array, iter, mem};
 
+use crate::product::Receives;
 use bxcan::{
     Data, Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
 };
 use cortex_m::peripheral::SCB;
 use lss_slave::{BitRate, BusEvent, Frame, Instant, indicator::BusState, lss};
-use lss_slave_firmware::Receives;
 use stm32f4xx_hal::{
     can::Can,
     gpio::{PinPull, Pull, alt::can1},

@@ -1,7 +1,7 @@
 //! Time: a free-running count of microseconds, and an interrupt at the next deadline.
 
+use crate::product::device::APB1_HZ;
 use lss_slave::Instant;
-use lss_slave_firmware::device::APB1_HZ;
 use stm32f4xx_hal::{
     pac::{Interrupt, TIM2},
     rcc::{Enable, Rcc},

@@ -2,8 +2,8 @@
 
 use core::mem::MaybeUninit;
 
+use crate::product::device::CRYSTAL_IS_EXTERNAL_CLOCK;
 use cortex_m::peripheral::SCB;
-use lss_slave_firmware::device::CRYSTAL_IS_EXTERNAL_CLOCK;
 use stm32f4xx_hal::pac::RCC;
 
 use crate::board;

@@ -21,6 +21,8 @@ mod transmit_pin;
 mod transmit_queue;
 
 use defmt_rtt as _;
+// The drivers take from `product` what is the product's own, so that any product can have them.
+use lss_slave_firmware as product;
 use panic_probe as _;
 
 #[rtic::app(device = stm32f4xx_hal::pac)]

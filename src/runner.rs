@@ -2,13 +2,13 @@
 
 use core::mem;
 
+use crate::product::{Application, Node};
 use cortex_m::peripheral::SCB;
 use lss_slave::{
     Action, BusEvent, Instant, NodeId, Settings,
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
 };
-use lss_slave_firmware::{Application, Node};
 use stm32f4xx_hal::pac::Interrupt;
 
 use crate::{
