@@ -4,7 +4,7 @@ use std::{
     env, error, fmt,
     fs::{self, File},
     io,
-    path::{Path, PathBuf},
+    path::Path,
     process::{Command, Output, Stdio},
     sync::{OnceLock, mpsc},
     thread,

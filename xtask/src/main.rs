@@ -1,6 +1,6 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
-//! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
 mod chips;
@@ -11,6 +11,7 @@ mod flash;
 mod fuzz;
 #[cfg(target_os = "linux")]
 mod linux;
+mod new_product;
 mod no_harm;
 mod parallel;
 mod power_cut;
@@ -49,6 +50,7 @@ enum Command {
     Fuzz(fuzz::Arguments),
     #[cfg(target_os = "linux")]
     Linux(linux::Arguments),
+    NewProduct(new_product::Arguments),
     NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
@@ -67,6 +69,7 @@ fn main() -> ExitCode {
         Command::Fuzz(arguments) => fuzz::run(&arguments),
         #[cfg(target_os = "linux")]
         Command::Linux(arguments) => linux::run(&arguments),
+        Command::NewProduct(arguments) => new_product::run(&arguments),
         Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(_) => qemu::run(),
