@@ -1,6 +1,7 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
-//! `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
+//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
 mod chips;
@@ -17,6 +18,7 @@ mod parallel;
 mod power_cut;
 mod qemu;
 mod readings;
+mod release;
 mod size;
 mod storm;
 
@@ -55,6 +57,7 @@ enum Command {
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
     Readings(readings::Arguments),
+    Release(release::Arguments),
     Size(size::Arguments),
     Storm(storm::Arguments),
 }
@@ -74,6 +77,7 @@ fn main() -> ExitCode {
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(_) => qemu::run(),
         Command::Readings(arguments) => readings::run(&arguments),
+        Command::Release(arguments) => release::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
     };
