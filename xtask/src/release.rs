@@ -32,9 +32,9 @@ use crate::{eds, size};
 pub struct Arguments {
     /// Only these chips
     chips: Vec<Part>,
-    /// The folder for the folders
-    #[arg(long, value_name = "DIR", default_value = "target/release-kit")]
-    out: PathBuf,
+    /// The folder for the folders [default: target/release-kit in this repository]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Also build each program in another folder with another registry of cargo, and compare
     #[arg(long)]
     check_reproducible: bool,
@@ -69,7 +69,8 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     let sums = sums.collect::<String>();
     files.push(("SHA256SUMS".to_owned(), sums.into_bytes()));
 
-    let folder = arguments.out.join(chip.name());
+    let usual = || elsewhere::workspace().join("target/release-kit");
+    let folder = arguments.out.clone().unwrap_or_else(usual).join(chip.name());
     fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
     for (name, content) in files {
         let path = folder.join(name);

@@ -129,8 +129,6 @@ fn insert(bytes: &mut BTreeMap<u32, u8>, start: u32, new: &[u8]) -> anyhow::Resu
 
 #[cfg(test)]
 mod tests {
-    use emulator::chip::Part as Chip;
-
     use super::*;
 
     const VECTORS: u32 = 0x0800_0000;
@@ -138,15 +136,6 @@ mod tests {
 
     fn image(segments: &[(u32, &[u8])]) -> Image {
         Image::from_segments(segments.iter().map(|(at, bytes)| (*at, bytes.to_vec())).collect())
-    }
-
-    #[test]
-    fn the_settings_are_sectors_1_and_2_of_every_chip() {
-        assert_eq!(SETTINGS, 0x0800_4000..0x0800_C000);
-        for chip in Chip::ALL {
-            let sectors: Vec<_> = chip.flash().sectors.iter().take(4).copied().collect();
-            assert_eq!(sectors, [0x4000; 4], "{}", chip.name());
-        }
     }
 
     #[test]
@@ -171,6 +160,7 @@ mod tests {
 
     #[test]
     fn a_file_with_a_byte_for_the_settings_is_refused() {
+        assert_eq!(SETTINGS, 0x0800_4000..0x0800_C000);
         for address in [SETTINGS.start, SETTINGS.end - 1] {
             let text = hex(&[(address, vec![0xFF])]).expect("valid");
             let error = read_hex(&text).expect_err("a byte for the settings").to_string();

@@ -1,6 +1,10 @@
 //! The licence texts of the packages in the firmware.
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, bail};
 
@@ -86,7 +90,7 @@ fn texts_in_folder(package: &Package) -> anyhow::Result<Option<Vec<String>>> {
         }
     }
     paths.sort();
-    let read = |path: &std::path::PathBuf| {
+    let read = |path: &PathBuf| {
         let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
         Ok(text.replace("\r\n", "\n"))
     };
