@@ -136,7 +136,7 @@ fn check_name(name: &str) -> anyhow::Result<()> {
     );
     ensure!(
         !TAKEN.contains(&name) && syn::parse_str::<syn::Ident>(&name.replace('-', "_")).is_ok(),
-        "`{name}` cannot be the name of a product, because something else in its program has that name"
+        "`{name}` cannot be the name of a product, because Rust or something in its program has that name"
     );
     Ok(())
 }
@@ -245,14 +245,19 @@ impl Product<'_> {
         }
     }
 
-    /// The path of a folder of this repository from the product on.
+    /// The path of a folder of this repository, from the product on if both lie in one folder.
     fn path(&self, folder: &str) -> String {
-        let to = workspace().join(folder);
-        let (mut to, mut from) = (to.components().peekable(), self.folder.components().peekable());
+        let path = workspace().join(folder);
+        let (mut to, mut from) =
+            (path.components().peekable(), self.folder.components().peekable());
+        let mut common = 0;
         while to.peek().is_some() && to.peek() == from.peek() {
             (to.next(), from.next());
+            common += 1;
         }
-        let path: PathBuf = from.map(|_| Component::ParentDir).chain(to).collect();
+        let relative = || from.map(|_| Component::ParentDir).chain(to).collect();
+        // Both have the root in common.
+        let path: PathBuf = if common > 1 { relative() } else { path.components().collect() };
         path.display().to_string().replace('\\', "/")
     }
 }
