@@ -252,7 +252,8 @@ impl Product<'_> {
             (path.components().peekable(), self.folder.components().peekable());
         let mut common = 0;
         while to.peek().is_some() && to.peek() == from.peek() {
-            (to.next(), from.next());
+            to.next();
+            from.next();
             common += 1;
         }
         let relative = || from.map(|_| Component::ParentDir).chain(to).collect();

@@ -1,4 +1,4 @@
-//! `cargo xtask release`: for each chip a folder with all that leaves the house.
+//! `cargo xtask release`: the files of a release, in a folder for each chip.
 
 mod elsewhere;
 mod image;
