@@ -104,8 +104,8 @@ fn quietly(command: &mut Command, folder: &Path) -> bool {
     command.status().is_ok_and(|status| status.success())
 }
 
-/// Names that the product cannot have: of crates that it uses, of its modules, and of the test harness.
-const TAKEN: [&str; 16] = [
+/// Names that the product cannot have: of crates and modules in its program, and of the test harness.
+const TAKEN: [&str; 20] = [
     "alloc",
     "app",
     "bxcan",
@@ -113,13 +113,17 @@ const TAKEN: [&str; 16] = [
     "cortex-m",
     "cortex-m-rt",
     "defmt",
+    "defmt-rtt",
+    "embedded-storage",
     "emulator",
     "fugit",
     "lss-slave",
     "lss-slave-firmware",
+    "panic-probe",
     "product",
     "rtic",
     "std",
+    "stm32f4xx-hal",
     "test",
     "testkit",
 ];
