@@ -1,6 +1,5 @@
 //! The board after a reset: watchdog, clocks, pins and identity.
 
-use crate::product::{chip::UNIQUE_ID, device};
 use lss_slave::lss::Address;
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Output, alt::can1},
@@ -15,6 +14,7 @@ use crate::{
     crystal,
     flash::SettingsFlash,
     pins::{Pins, Ports},
+    product::{chip::UNIQUE_ID, device},
     supply::Supply,
     transmit_pin::TransmitPin,
 };

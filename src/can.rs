@@ -15,7 +15,6 @@
 
 use core::{array, iter, mem};
 
-use crate::product::Receives;
 use bxcan::{
     Data, Fifo, StandardId,
     filter::{BankConfig, ListEntry16, Mask16},
@@ -29,7 +28,10 @@ use stm32f4xx_hal::{
     rcc::Reset,
 };
 
-use crate::{bit_timing::BTR, clock, transmit_pin::TransmitPin, transmit_queue::TransmitQueue};
+use crate::{
+    bit_timing::BTR, clock, product::Receives, transmit_pin::TransmitPin,
+    transmit_queue::TransmitQueue,
+};
 
 /// The number of CAN_MSR reads after which the controller is considered unresponsive. After a reset it enters
 /// initialisation mode within a few clock cycles, or 11 of the bits that CAN_BTR then defines: 88 cycles of APB1.

@@ -2,11 +2,10 @@
 
 use core::mem::MaybeUninit;
 
-use crate::product::device::CRYSTAL_IS_EXTERNAL_CLOCK;
 use cortex_m::peripheral::SCB;
 use stm32f4xx_hal::pac::RCC;
 
-use crate::board;
+use crate::{board, product::device::CRYSTAL_IS_EXTERNAL_CLOCK};
 
 /// Survives a reset and shows whether a failure of the crystal caused it.
 #[unsafe(link_section = ".uninit.CRYSTAL_NOTE")]

@@ -2,7 +2,6 @@
 
 use core::mem;
 
-use crate::product::{Application, Node};
 use cortex_m::peripheral::SCB;
 use lss_slave::{
     Action, BusEvent, Instant, NodeId, Settings,
@@ -14,6 +13,7 @@ use stm32f4xx_hal::pac::Interrupt;
 use crate::{
     can::{Controller, Received},
     clock::{self, Alarm},
+    product::{Application, Node},
 };
 
 /// The greatest number of bytes that the stored parameters take.

@@ -2,8 +2,9 @@
 
 use core::cmp::Reverse;
 
-use crate::product::Node;
 use lss_slave::{Frame, nmt};
+
+use crate::product::Node;
 
 /// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
 /// other frames fills the queue.
