@@ -257,7 +257,7 @@ impl Rig {
     pub fn can_register(&self, offset: u32) -> u32 {
         let board = self.network.board(self.board);
         let now = board.now();
-        board.chip().can1().read(offset, now).expect("a register")
+        board.chip().can(1).read(offset, now).expect("a register")
     }
 
     /// The transmit and receive error counters.
