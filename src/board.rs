@@ -82,6 +82,13 @@ impl Board {
             f: chip.GPIOF,
             g: chip.GPIOG,
             h: chip.GPIOH,
+            #[cfg(not(any(
+                feature = "stm32f412",
+                feature = "stm32f413",
+                feature = "stm32f423",
+                feature = "stm32f446"
+            )))]
+            i: chip.GPIOI,
         };
         let pins = Pins::new(ports, &mut rcc);
         let settings_flash = SettingsFlash::new(chip.FLASH, supply);

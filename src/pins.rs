@@ -8,7 +8,7 @@ use stm32f4xx_hal::{
 
 use crate::{can_pins::CanPins, led::Led};
 
-/// The ports of the chip that a board may use. Some chips also have I, J and K.
+/// The ports of the chip that a board may use.
 #[allow(dead_code, reason = "no board uses all of them")]
 pub struct Ports {
     pub a: pac::GPIOA,
@@ -19,6 +19,13 @@ pub struct Ports {
     pub f: pac::GPIOF,
     pub g: pac::GPIOG,
     pub h: pac::GPIOH,
+    #[cfg(not(any(
+        feature = "stm32f412",
+        feature = "stm32f413",
+        feature = "stm32f423",
+        feature = "stm32f446"
+    )))]
+    pub i: pac::GPIOI,
 }
 
 /// The number of switches for the node-ID, at most 7.

@@ -17,6 +17,6 @@ pub enum Example {
 pub fn image(part: Part, example: Option<Example>) -> Result<Image, BuildError> {
     match example {
         None => image::build(part),
-        Some(Example::Io) => image::build_example(part, "io"),
+        Some(Example::Io) => image::build_with_features(part, &["io"]),
     }
 }
