@@ -54,6 +54,12 @@ pub fn start_image() -> &'static Image {
     &START
 }
 
+/// The program that passes frames between CAN1 at 500 kbit/s and CAN2 at 250 kbit/s.
+pub fn gateway_image() -> &'static Image {
+    static GATEWAY: LazyLock<Image> = LazyLock::new(|| build("gateway", "bxcan"));
+    &GATEWAY
+}
+
 fn build(program: &str, feature: &str) -> Image {
     let directory = Path::new(env!("CARGO_MANIFEST_DIR"));
     let target = directory.join("../target/foreign");
