@@ -2,6 +2,7 @@
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
 //! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
 
+mod apart;
 mod bench;
 mod chips;
 mod eds;
