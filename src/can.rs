@@ -9,9 +9,11 @@
 //! - Changing the configuration and dropping it both wait for a mode: the first is called in that mode, the second
 //!   never.
 //! - `clear_request_completed_flag` returns one mailbox and clears the flags of all three, so it is not used.
+//! - It sets the filters of CAN2 only by a driver of CAN1, which it puts into initialisation mode without a limit to the
+//!   wait. So the filters are written directly, which takes 280 bytes less flash.
 //!
-//! Compared with register access alone, `bxcan` costs 444 bytes of flash and 0.8 us per answer, and leaves two
-//! unreachable panics in the image (docs/size-and-speed.md).
+//! Compared with register access alone, `bxcan` costs 0.8 us per answer, and leaves an unreachable panic in the image
+//! (docs/size-and-speed.md).
 
 use core::{iter, mem};
 
