@@ -43,7 +43,7 @@ impl Rig {
         let buses = (0..part.cans()).map(|_| (Bus::new(), Adapter::new(500_000))).collect();
         let mut rig = Self { chip, buses };
         rig.write(RCC_AHB1ENR, 0x1FF);
-        rig.write(RCC_APB1ENR, (1 << part.cans()) - 1 << 25);
+        rig.write(RCC_APB1ENR, ((1 << part.cans()) - 1) << 25);
         rig
     }
 
