@@ -50,7 +50,7 @@ pub fn image() -> &'static Image {
 pub fn example() -> &'static Image {
     static IMAGE: OnceLock<Image> = OnceLock::new();
     IMAGE.get_or_init(|| {
-        build_example(Part::Stm32f407, "io").unwrap_or_else(|error| panic!("{error}"))
+        build_with_features(Part::Stm32f407, &["io"]).unwrap_or_else(|error| panic!("{error}"))
     })
 }
 
@@ -62,12 +62,12 @@ pub fn build(part: Part) -> Result<Image, BuildError> {
     build_with(workspace(), part, || cargo_build(part, &[])).and_then(parse)
 }
 
-/// Builds the release firmware for `part` with an example of an application, a feature of the firmware.
+/// Builds the release firmware for `part` with these features of the firmware: an example, another CAN controller.
 ///
 /// # Errors
 /// The same as for [`build`].
-pub fn build_example(part: Part, example: &str) -> Result<Image, BuildError> {
-    build_with(workspace(), part, || cargo_build(part, &[example])).and_then(parse)
+pub fn build_with_features(part: Part, features: &[&str]) -> Result<Image, BuildError> {
+    build_with(workspace(), part, || cargo_build(part, features)).and_then(parse)
 }
 
 /// Builds the release firmware of a product for `part`: the program `name` of the package of that name in `directory`,

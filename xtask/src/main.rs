@@ -3,6 +3,7 @@
 //! `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
 //! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask storm`.
 
+mod apart;
 mod bench;
 mod chips;
 mod eds;
