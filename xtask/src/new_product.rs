@@ -275,7 +275,10 @@ fn with_drivers(main: &str) -> anyhow::Result<String> {
     let drivers = "include!(concat!(env!(\"OUT_DIR\"), \"/drivers.rs\"));";
     let main = replace(&main, "\nmod pins;\n", &format!("\nmod pins;\n{drivers}\n"))?;
     let allowed = "#[allow(dead_code, reason = \"no task takes `io` yet\")]";
-    Ok(replace(&main, "#[rtic::app(", &format!("{allowed}\n#[rtic::app("))? + "\n")
+    let at = main.find("#[rtic::app(").context("main.rs has no RTIC app")?;
+    let (before, app) = main.split_at(at);
+    let indent = &before[before.trim_end_matches(' ').len()..];
+    Ok(format!("{before}{allowed}\n{indent}{app}\n"))
 }
 
 /// `text` with this value of a public constant.
