@@ -352,7 +352,8 @@ mod tests {
         for (path, content) in files(None, "/products/door-lock") {
             assert!(path == "Cargo.lock" || !content.contains('@'), "{path}: {content}");
             if path.starts_with("src/") {
-                assert!(!content.contains("feature = "), "{path}: {content}");
+                assert!(!content.contains("#[cfg(feature"), "{path}: {content}");
+                assert!(!content.contains("#[cfg(not(feature"), "{path}: {content}");
                 assert!(path == "src/lib.rs" || !content.contains("lss_slave_firmware"), "{path}");
             }
         }
