@@ -1,5 +1,5 @@
-//! The CAN controller of this build: CAN1, or by the features `can2` and `can3` another. The build script checks that the
-//! chip has it.
+//! The CAN controller of this build: CAN1, or by the features `can2` and `can3` another. The build script checks that
+//! the chip has it.
 
 use stm32f4xx_hal::{
     gpio::alt::CanCommon,

@@ -17,6 +17,7 @@ mod io_board;
 mod led;
 mod memory;
 mod pins;
+mod report;
 mod roll_call;
 mod runner;
 mod supply;
@@ -34,7 +35,6 @@ macro_rules! application {
         #[rtic::app(device = stm32f4xx_hal::pac)]
         mod app {
             use lss_slave::{
-                BitRateSetting, NodeId, Settings,
                 emergency::Fault,
                 indicator,
                 lss::StoreError,
@@ -49,6 +49,7 @@ macro_rules! application {
                 fault,
                 flash::SettingsFlash,
                 led::Led,
+                report::report,
                 roll_call::{self, Task},
                 runner::{PARAMETERS, Runner},
             };
@@ -100,8 +101,8 @@ macro_rules! application {
                 }
             }
 
-            /// Handles received frames and sends the answer. If it runs late by more than three frames (150 us at 1 Mbit/s),
-            /// frames are lost.
+            /// Handles received frames and sends the answer. If it runs late by more than three frames (150 us at
+            /// 1 Mbit/s), frames are lost.
             #[task(binds = $received, shared = [runner], priority = 3)]
             fn received(mut cx: received::Context) {
                 roll_call::answer(Task::Received);
@@ -122,11 +123,11 @@ macro_rules! application {
                 cx.shared.runner.lock(Runner::handle_status);
             }
 
-            /// Does what is due: ends of switch delays, heartbeats, steps of the indicators. If it runs late, the bit rate
-            /// switches late.
+            /// Does what is due: ends of switch delays, heartbeats, steps of the indicators. If it runs late, the bit
+            /// rate switches late.
             ///
-            /// Starts a roll call four times a second, and feeds the watchdog if all tasks have answered. The watchdog resets
-            /// the chip after 1.4 to 3.8 s, depending on its oscillator.
+            /// Starts a roll call four times a second, and feeds the watchdog if all tasks have answered. The watchdog
+            /// resets the chip after 1.4 to 3.8 s, depending on its oscillator.
             #[task(binds = TIM2, local = [indicators, watchdog, steps: u8 = 0], shared = [runner], priority = 3)]
             fn due(mut cx: due::Context) {
                 const ROLL_CALL_STEPS: u8 = 250 / indicator::STEP_MS as u8;
@@ -176,40 +177,6 @@ macro_rules! application {
                     Ok(()) => defmt::info!("settings stored"),
                     Err(error) => {
                         defmt::error!("the settings were not stored, the old ones stay: {}", error);
-                    }
-                }
-            }
-
-            fn report(found: Found, settings: &Settings) {
-                match found {
-                    Found::Complete => {}
-                    Found::Interrupted => {
-                        defmt::warn!(
-                            "a store was interrupted or its record is unknown; using the settings before it"
-                        )
-                    }
-                    Found::Blank => defmt::info!("no settings stored yet; using the defaults"),
-                    Found::Damaged => {
-                        defmt::error!("the settings in the flash are damaged; using the defaults")
-                    }
-                    Found::ParametersDamaged => {
-                        defmt::error!("the parameters in flash are damaged; using their defaults");
-                    }
-                    Found::MediumFailed(error) => {
-                        defmt::error!("the flash failed, a store may fail too: {}", error);
-                    }
-                }
-                let node_id = NodeId::to_lss(settings.node_id);
-                match settings.bit_rate {
-                    BitRateSetting::Fixed(rate) => {
-                        let kbit_per_s = rate.kbit_per_s();
-                        defmt::info!("node-ID {=u8} (255: none), {=u16} kbit/s", node_id, kbit_per_s);
-                    }
-                    BitRateSetting::Automatic => {
-                        defmt::info!(
-                            "node-ID {=u8} (255: none), listening until the bit rate is found",
-                            node_id
-                        );
                     }
                 }
             }

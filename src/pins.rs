@@ -37,8 +37,8 @@ pub struct Pins {
     pub can: CanPins,
     /// The RUN (green) and ERR (red) indicators.
     pub indicators: (Led, Led),
-    /// Switches to ground for the node-ID of a device that has stored no settings, that for bit 0 first; a closed switch
-    /// is a 1. If all are open, or there are none, it is that of `device::DEFAULTS`.
+    /// Switches to ground for the node-ID of a device that has stored no settings, that for bit 0 first; a closed
+    /// switch is a 1. If all are open, or there are none, it is that of `device::DEFAULTS`.
     pub node_id_switches: [ErasedPin<Input>; SWITCHES],
     #[cfg(feature = "io")]
     pub io: crate::io_board::IoPins,

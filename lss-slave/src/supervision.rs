@@ -364,8 +364,11 @@ impl Supervision {
             self.errors = Errors::NONE;
             self.sending = Sending::Free;
         }
-        if let (Place::Looking { look, .. }, Error | FormError) = (&mut self.place, event) {
-            look.add_error(now);
+        match (&mut self.place, event) {
+            // Errors in the open turn may come from the node's own frames.
+            (Place::Looking { turn: Turn::HomeOpen, .. }, _) => {}
+            (Place::Looking { look, .. }, Error | FormError) => look.add_error(now),
+            _ => {}
         }
         match (&mut self.place, event) {
             (Place::Home, Received | Acknowledged) => {

@@ -315,6 +315,24 @@ fn after_a_disturbance_of_30_ms_no_look_waits() {
 }
 
 #[test]
+fn errors_in_the_open_turn_of_home_are_no_part_of_a_disturbance() {
+    let mut board = unproven();
+    board.see(Error);
+    for _ in 0..3 {
+        board.see(FormError);
+        board.pass_ms(5);
+    }
+    board.pass_us(25_000 + TURN_US);
+    assert!(!board.node.is_listening());
+    // Its own frame has disturbed the others.
+    board.see(Error);
+    board.pass_us(TURN_US);
+    assert!(board.node.is_listening());
+    board.pass_ms(1_000);
+    assert_ne!(board.bit_rate(), BitRate::Kbit125, "it waits for the next rare frame");
+}
+
+#[test]
 fn bus_off_is_recovered_from_also_while_the_node_looks() {
     let mut board = unproven();
     board.see(Error);
