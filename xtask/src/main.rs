@@ -1,6 +1,6 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
-//! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`.
 
 mod bench;
 mod chips;
@@ -17,6 +17,7 @@ mod power_cut;
 mod qemu;
 mod readings;
 mod size;
+mod soak;
 mod storm;
 
 use std::{io, process::ExitCode};
@@ -54,6 +55,7 @@ enum Command {
     Qemu(qemu::Arguments),
     Readings(readings::Arguments),
     Size(size::Arguments),
+    Soak(soak::Arguments),
     Storm(storm::Arguments),
 }
 
@@ -72,6 +74,7 @@ fn main() -> ExitCode {
         Command::Qemu(_) => qemu::run(),
         Command::Readings(arguments) => readings::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
+        Command::Soak(arguments) => soak::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
     };
     match outcome {

@@ -80,7 +80,7 @@ mod tests {
     /// The digest of a node in a switch that began at `micros`, 1 ms later.
     fn switching(micros: u32, request_of_switch: &str) -> u64 {
         let mut node = Node::new(device(ADDRESS).with_rescue(true), None);
-        let at = |ms| Instant::from_micros(micros).plus_micros(ms * 1000);
+        let at = |ms: u32| Instant::from_micros(micros).plus_micros(ms * 1000);
         while node.poll(at(0)).is_some() {}
         for text in ["04 01", request_of_switch] {
             while node.handle_frame(&request(text), at(0)).or_else(|| node.poll(at(0))).is_some() {}
