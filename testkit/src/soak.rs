@@ -20,9 +20,10 @@ pub const BOARDS: usize = 8;
 const HEARTBEAT_MS: u16 = 1000;
 const SECOND: u64 = 1_000_000;
 /// The bit rates of the network.
-const RATES: [BitRate; 4] = [BitRate::Kbit1000, BitRate::Kbit500, BitRate::Kbit250, BitRate::Kbit125];
-/// The time after which every board is found again: the 30 s for which the supervision trusts a switch, and the 10 s in
-/// which it finds the others, with a margin.
+const RATES: [BitRate; 4] =
+    [BitRate::Kbit1000, BitRate::Kbit500, BitRate::Kbit250, BitRate::Kbit125];
+/// The time after which every board is found again: the 30 s for which the supervision trusts a switch, the 10 s in
+/// which it finds the others, and the time of the selections.
 const PATIENCE: u64 = 60 * SECOND;
 
 /// The counts of a life.
@@ -39,7 +40,7 @@ pub struct Counts {
     pub equal_node_ids: u64,
     pub strangers: u64,
     pub inquiries: u64,
-    /// Boards that the master did not find at once.
+    /// Selections of a board that was not found yet.
     pub late: u64,
     /// The longest time until all boards were found, in milliseconds.
     pub longest_search_ms: u64,
@@ -52,6 +53,8 @@ pub struct Soak {
     counts: Counts,
     /// The number of boards made.
     made: u32,
+    /// The number of the latest kind of event.
+    latest: u64,
 }
 
 /// The LSS address of the board with this serial number.
@@ -60,12 +63,14 @@ const fn address(serial_number: u32) -> Address {
 }
 
 fn board(serial_number: u32, node_id: u8, rate: BitRate) -> NodeRig {
-    let settings = defaults(node_id)
-        .with_bit_rate(rate.into())
-        .with_heartbeat_ms(HEARTBEAT_MS);
+    let settings = defaults(node_id).with_bit_rate(rate.into()).with_heartbeat_ms(HEARTBEAT_MS);
     let device = device(address(serial_number)).with_rescue(true);
     let flash = BoardFlash::blank(u64::from(serial_number));
-    NodeRig::with_device(device.with_defaults(settings), flash, serial_number.wrapping_mul(0x9E37_79B9))
+    NodeRig::with_device(
+        device.with_defaults(settings),
+        flash,
+        serial_number.wrapping_mul(0x9E37_79B9),
+    )
 }
 
 impl Soak {
@@ -78,6 +83,7 @@ impl Soak {
             random: Random::from_seed(seed),
             counts: Counts::default(),
             made: BOARDS as u32,
+            latest: 0,
         };
         for board in 0..BOARDS {
             soak.assign(board, board as u8 + 1);
@@ -103,7 +109,8 @@ impl Soak {
         let quiet = self.random.within(60..3600) * SECOND;
         self.bus.pass(quiet);
         self.bus.note_event();
-        match self.random.within(0..10) {
+        self.latest = self.random.within(0..10);
+        match self.latest {
             0 => self.cut_power(),
             1 => self.cut_power_of_all(),
             2 | 3 => self.switch(),
@@ -166,7 +173,8 @@ impl Soak {
                 }
             }
             if step == 3 {
-                let share = if is_abandoned { self.random.within(0..2 * delay_ms * 1000 + 1) } else { 0 };
+                let share =
+                    if is_abandoned { self.random.within(0..2 * delay_ms * 1000 + 1) } else { 0 };
                 self.bus.pass(delay_ms * 1000);
                 self.bus.set_master_rate(to);
                 self.bus.pass(delay_ms * 1000 + share + 2_000);
@@ -287,11 +295,12 @@ impl Soak {
             if found == BOARDS {
                 break;
             }
-            self.counts.late += u64::from(self.bus.now == begin);
+            self.counts.late += (BOARDS - found) as u64;
             assert!(
                 self.bus.now < begin + PATIENCE,
-                "{} s: {found} of {BOARDS} boards are found at {:?}\n{}",
+                "{} s, event {}: {found} of {BOARDS} boards are found at {:?}\n{}",
                 self.bus.now / SECOND,
+                self.latest,
                 self.bus.master_rate(),
                 self.bus.situation()
             );

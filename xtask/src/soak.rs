@@ -14,7 +14,7 @@ use testkit::{
 
 const DAY_MICROS: f64 = 86_400e6;
 /// The virtual days with `--quick`.
-const QUICK_DAYS: f64 = 0.5;
+const QUICK_DAYS: f64 = 0.25;
 /// The sessions of the release image, and those with `--quick`.
 const SESSIONS: u64 = 20;
 const QUICK_SESSIONS: u64 = 1;
@@ -25,7 +25,7 @@ const PARTS: u32 = 30;
 ///
 /// Eight boards send heartbeats. After up to an hour of quiet something happens: power cuts, switches of the bit rate
 /// that are interrupted or abandoned, stores in which the power fails, new boards, boards with the node-ID of another,
-/// strangers at a wrong bit rate. Then a master finds all boards within two minutes. In the quiet time every heartbeat
+/// strangers at a wrong bit rate. Then a master finds all boards within a minute. In the quiet time every heartbeat
 /// is in time, and there is no emergency. No node sends with a node-ID that it does not have, and no settings that were
 /// confirmed are lost.
 ///
@@ -37,7 +37,7 @@ pub struct Arguments {
     /// Days of virtual time
     #[arg(long, default_value_t = 30.0)]
     days: f64,
-    /// Half a day
+    /// Six hours, and one session of the emulated boards
     #[arg(long, conflicts_with = "days")]
     quick: bool,
     /// Seed of the events; random if not given

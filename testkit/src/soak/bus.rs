@@ -7,12 +7,14 @@ use lss_slave::{BitRate, BusEvent, Frame, NodeId, lss, nmt};
 use super::{HEARTBEAT_MS, SECOND, address};
 use crate::{
     flash::BoardFlash,
-    frames::{Frames, number, request, text},
+    frames::{self, Frames, number, request, text},
     node_rig::NodeRig,
 };
 
 /// The number of errors in succession after which the error flags of a controller destroy no frames.
 const PASSIVE: u8 = 16;
+/// A lone controller is error passive after this number of attempts; a silent listener can receive it then.
+const ATTEMPTS_TO_PASSIVE: usize = 16;
 /// The attempts of the master's controller, and the pause in microseconds after each.
 const ATTEMPTS: [(usize, u64); 2] = [(20, 1_000), (24, 50_000)];
 /// A heartbeat is late after its time and this.
@@ -187,21 +189,26 @@ impl Bus {
 
     /// Sends a request of the LSS master; returns the answers of the next 2 ms.
     pub fn lss(&mut self, text: &str) -> Vec<String> {
-        self.send(&request(text))
+        self.send(&request(text));
+        self.answers.iter().map(|answer| frames::text(answer)[5..].to_string()).collect()
     }
 
-    fn send(&mut self, frame: &Frame) -> Vec<String> {
+    /// Sends a frame of the master, for up to 1.2 s; returns whether anyone acknowledges it.
+    fn send(&mut self, frame: &Frame) -> bool {
         self.answers.clear();
+        let (mut attempt, mut is_sent) = (0, false);
         'attempts: for (count, pause) in ATTEMPTS {
             for _ in 0..count {
-                if self.attempt(None, frame) {
+                is_sent = self.attempt(None, frame, attempt);
+                if is_sent {
                     break 'attempts;
                 }
+                attempt += 1;
                 self.pass(pause);
             }
         }
         self.pass(2_000);
-        self.answers.iter().map(|answer| text(answer)[5..].to_string()).collect()
+        is_sent
     }
 
     pub fn expect(&mut self, answer: &str, request: &str) {
@@ -228,7 +235,9 @@ impl Bus {
     /// Whether the board answers switch state selective, which ends with the board in configuration state.
     fn is_selected(&mut self, board: usize) -> bool {
         let address = address(self.slots[board].serial_number);
-        self.lss("04 00");
+        if !self.send(&request("04 00")) {
+            return false;
+        }
         for (command, part) in [
             ("40", address.vendor_id),
             ("41", address.product_code),
@@ -275,15 +284,22 @@ impl Bus {
         lines
     }
 
+    /// Whether a station at another bit rate destroys a frame of this one.
+    fn is_destroyed(&self, from: Option<usize>, rate: BitRate) -> bool {
+        let differs = |slot: &Slot| slot.takes_part_at().is_some_and(|other| other != rate);
+        let mut active = self.others(from).filter(|slot| slot.errors < PASSIVE);
+        active.any(differs) || from.is_some() && self.master_rate != rate
+    }
+
     /// Whether a frame of this station would be acknowledged.
     fn has_company(&self, from: Option<usize>, rate: BitRate) -> bool {
-        let others = || self.slots.iter().enumerate().filter(|(number, _)| Some(*number) != from);
-        let is_destroyed = others().any(|(_, slot)| {
-            slot.errors < PASSIVE && slot.takes_part_at().is_some_and(|other| other != rate)
-        });
-        let master = from.map(|_| self.master_rate);
-        let is_heard = others().any(|(_, slot)| slot.takes_part_at() == Some(rate));
-        !is_destroyed && master.is_none_or(|master| master == rate) && (is_heard || master.is_some())
+        let takes_part = |slot: &Slot| slot.takes_part_at() == Some(rate);
+        !self.is_destroyed(from, rate) && (from.is_some() || self.others(from).any(takes_part))
+    }
+
+    fn others(&self, than: Option<usize>) -> impl Iterator<Item = &Slot> {
+        let slots = self.slots.iter().enumerate();
+        slots.filter(move |(number, _)| Some(*number) != than).map(|(_, slot)| slot)
     }
 
     fn note_company(&mut self, number: usize) {
@@ -295,14 +311,15 @@ impl Bus {
         self.slots[from].rig.take_actions();
         for frame in frames.0 {
             self.judge(from, &frame);
-            self.attempt(Some(from), &frame);
+            self.attempt(Some(from), &frame, 0);
         }
     }
 
     /// One transmission of a frame; returns whether it is valid.
-    fn attempt(&mut self, from: Option<usize>, frame: &Frame) -> bool {
+    fn attempt(&mut self, from: Option<usize>, frame: &Frame, attempt: usize) -> bool {
         let rate = from.map_or(self.master_rate, |number| self.slots[number].rig.bit_rate());
         let is_valid = self.has_company(from, rate);
+        let is_heard = is_valid || attempt >= ATTEMPTS_TO_PASSIVE && !self.is_destroyed(from, rate);
         self.counts.frames += u64::from(is_valid);
         if let (Some(number), true) = (from, is_valid) {
             self.slots[number].errors = 0;
@@ -317,7 +334,7 @@ impl Bus {
             self.note_company(number);
             let slot = &mut self.slots[number];
             let frames = match slot.rig.bit_rate() == rate {
-                true if is_valid => slot.receive(frame),
+                true if is_heard => slot.receive(frame),
                 true if slot.rig.node.is_listening() => slot.see(BusEvent::FormError),
                 _ => slot.see(BusEvent::Error),
             };
@@ -362,7 +379,10 @@ impl Bus {
             let is_sent = gap <= u64::from(HEARTBEAT_MS) * 1000 + LATE;
             let is_configured = slot.rig.node.node_id().is_some();
             let now = self.now / SECOND;
-            assert!(is_sent || !is_configured, "{now} s: no heartbeat of board {number} for {gap} us");
+            assert!(
+                is_sent || !is_configured,
+                "{now} s: no heartbeat of board {number} for {gap} us"
+            );
         }
     }
 }

@@ -39,7 +39,8 @@ pub fn session(random: &mut Random) -> Time {
         rig.collect(Time::from_s(1));
         let frames = rig.collect(Time::from_s(QUIET_S)).0;
         for number in 1..=BOARDS as u16 {
-            let sent = frames.iter().filter(|frame| frame.cob_id() == 0x700 + number).count() as u64;
+            let sent =
+                frames.iter().filter(|frame| frame.cob_id() == 0x700 + number).count() as u64;
             assert!(sent.abs_diff(QUIET_S) <= 1, "board {number} sends {sent} heartbeats in 5 s");
         }
         let others = frames.iter().filter(|frame| frame.cob_id() & 0x780 != 0x700).count();

@@ -73,7 +73,10 @@ fn replace(text: &mut String, name: &str, end: char, with: impl Fn(&str) -> Stri
 
 #[cfg(test)]
 mod tests {
-    use testkit::{frames::request, node_rig::{ADDRESS, device}};
+    use testkit::{
+        frames::request,
+        node_rig::{ADDRESS, device},
+    };
 
     use super::*;
 

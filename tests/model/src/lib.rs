@@ -111,7 +111,10 @@ pub enum Event {
     /// The store in progress ends.
     Stored(usize, Result<(), StoreError>),
     /// The power of a board fails; a store in progress may have been completed.
-    Cut { board: usize, is_store_completed: bool },
+    Cut {
+        board: usize,
+        is_store_completed: bool,
+    },
     PowerOn(usize),
 }
 

@@ -22,13 +22,25 @@ pub type Awaited = (u8, Option<u8>);
 pub enum Task {
     Idle,
     /// Switch state selective.
-    Select { board: usize, step: usize },
+    Select {
+        board: usize,
+        step: usize,
+    },
     /// Fastscan, by a master that knows all but the two lowest bits of the serial number.
-    Scan { step: usize, found: u32 },
+    Scan {
+        step: usize,
+        found: u32,
+    },
     /// Configure the node-ID of the selected board and store it.
-    Assign { board: usize, step: usize },
+    Assign {
+        board: usize,
+        step: usize,
+    },
     /// Configure, activate and store a bit rate for all boards.
-    Switch { to: BitRate, step: usize },
+    Switch {
+        to: BitRate,
+        step: usize,
+    },
     /// Switch state global to waiting, at the end or after a failure.
     Leave,
     /// An NMT command to all nodes.
@@ -130,7 +142,11 @@ impl Master {
         match self.awaited {
             Some((awaited, None)) if awaited == command => self.advance(),
             Some((awaited, Some(success))) if awaited == command => {
-                if error == success { self.advance() } else { self.give_up() }
+                if error == success {
+                    self.advance()
+                } else {
+                    self.give_up()
+                }
             }
             _ => {}
         }

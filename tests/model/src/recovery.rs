@@ -2,7 +2,11 @@
 
 use testkit::frames::{number, request};
 
-use crate::{board::RATES, master::{Master, Task}, network::Network};
+use crate::{
+    board::RATES,
+    master::{Master, Task},
+    network::Network,
+};
 
 /// The time that the master spends at one bit rate: the 30 s for which the supervision trusts a switch, and the 10 s in
 /// which it finds the others.
@@ -36,12 +40,8 @@ pub fn lost(mut network: Network) -> Vec<usize> {
 fn answers(network: &mut Network, board: usize) -> bool {
     let address = network.boards[board].address();
     network.master.task = Task::Idle;
-    let parts = [
-        address.vendor_id,
-        address.product_code,
-        address.revision_number,
-        address.serial_number,
-    ];
+    let parts =
+        [address.vendor_id, address.product_code, address.revision_number, address.serial_number];
     let requests = ["40", "41", "42", "43"].into_iter().zip(parts);
     let requests = requests.map(|(command, part)| request(&format!("{command} {}", number(part))));
     for frame in [request("04 00")].into_iter().chain(requests) {
@@ -55,4 +55,3 @@ fn answers(network: &mut Network, board: usize) -> bool {
     network.pass(PAUSE_MS * 1000);
     answer.is_some_and(|answer| answer.data()[0] == 0x44)
 }
-

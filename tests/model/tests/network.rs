@@ -1,6 +1,8 @@
 //! A share of the states of the network, and the proof that the checker finds a defect of each kind.
 
-use network_model::{FOUND, KEPT, ONE_SELECTED, OWN_NODE_ID, Scenario, check::check, mutation::Mutation};
+use network_model::{
+    FOUND, KEPT, ONE_SELECTED, OWN_NODE_ID, Scenario, check::check, mutation::Mutation,
+};
 
 /// The states that one test visits at most, with repetitions.
 const STATES: usize = 60_000;
