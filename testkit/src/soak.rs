@@ -311,3 +311,47 @@ impl Soak {
         self.bus.note_quiet();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn quiet() -> Soak {
+        let mut soak = Soak::new(1);
+        soak.find_all();
+        soak
+    }
+
+    #[test]
+    #[should_panic(expected = "7 of 8 boards are found")]
+    fn a_board_that_is_not_found_is_noticed() {
+        let mut soak = quiet();
+        soak.bus.cut(3);
+        soak.find_all();
+    }
+
+    #[test]
+    #[should_panic(expected = "no heartbeat of board 3")]
+    fn a_missing_heartbeat_is_noticed() {
+        let mut soak = quiet();
+        soak.bus.cut(3);
+        soak.bus.pass(2 * SECOND);
+    }
+
+    #[test]
+    #[should_panic(expected = "63 was confirmed")]
+    fn a_lost_node_id_is_noticed() {
+        let mut soak = quiet();
+        soak.bus.note_stored(3, 0x63, true);
+        soak.bus.cut(3);
+        soak.bus.power_on(3);
+    }
+
+    #[test]
+    #[should_panic(expected = "without a cause")]
+    fn an_emergency_without_a_cause_is_noticed() {
+        let mut soak = quiet();
+        soak.bus.pass(10 * SECOND);
+        soak.bus.report_fault(3);
+    }
+}

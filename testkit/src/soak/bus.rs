@@ -173,6 +173,14 @@ impl Bus {
         self.slots[board] = Slot::new(rig, serial_number, self.now);
     }
 
+    /// A board reports a fault that it does not have.
+    #[cfg(test)]
+    pub fn report_fault(&mut self, board: usize) {
+        self.note_company(board);
+        self.slots[board].rig.node.handle_fault(lss_slave::emergency::Fault::Overrun);
+        self.pass(SECOND);
+    }
+
     /// A stranger sends at a bit rate that nobody uses.
     pub fn disturb(&mut self, span: u64, every: u64) {
         for _ in 0..span.div_ceil(every) {

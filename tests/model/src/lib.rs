@@ -66,8 +66,8 @@ impl Scenario {
         let sampled = |scenario, recover_every| Self { recover_every, ..scenario };
         let overruns = |scenario| Self { has_overruns: true, ..scenario };
         vec![
-            ("1 board, 3 procedures, 3 faults", Self::new(1, 3, 3)),
-            ("1 board, 3 procedures, 3 faults, overruns", overruns(Self::new(1, 3, 3))),
+            ("1 board, 3 procedures, 3 faults", sampled(Self::new(1, 3, 3), 10)),
+            ("1 board, overruns, 2 procedures, 2 faults", overruns(Self::new(1, 2, 2))),
             ("1 board without supervision, 3 procedures, 3 faults", plain(Self::new(1, 3, 3))),
             ("2 boards, 2 procedures, 1 fault", sampled(Self::new(2, 2, 1), 10)),
             ("2 boards, 2 procedures, 2 faults", sampled(Self::new(2, 2, 2), 50)),
