@@ -5,7 +5,7 @@ use network_model::{
 };
 
 /// The states that one test visits at most, with repetitions.
-const STATES: usize = 60_000;
+const STATES: usize = 40_000;
 
 fn hold_in(scenario: Scenario) {
     let report = check(scenario, STATES);
