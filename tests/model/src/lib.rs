@@ -67,13 +67,28 @@ impl Scenario {
         let overruns = |scenario| Self { has_overruns: true, ..scenario };
         vec![
             ("1 board, 3 procedures, 3 faults", sampled(Self::new(1, 3, 3), 10)),
-            ("1 board, overruns, 2 procedures, 2 faults", overruns(Self::new(1, 2, 2))),
-            ("1 board without supervision, 3 procedures, 3 faults", plain(Self::new(1, 3, 3))),
+            (
+                "1 board, overruns, 2 procedures, 2 faults",
+                overruns(sampled(Self::new(1, 2, 2), 10)),
+            ),
+            (
+                "1 board without supervision, 3 procedures, 3 faults",
+                plain(sampled(Self::new(1, 3, 3), 20)),
+            ),
             ("2 boards, 2 procedures, 1 fault", sampled(Self::new(2, 2, 1), 10)),
             ("2 boards, 2 procedures, 2 faults", sampled(Self::new(2, 2, 2), 50)),
-            ("2 boards, no switch, 3 procedures, 3 faults", constant(Self::new(2, 3, 3))),
-            ("2 boards without supervision, 2 procedures, 2 faults", plain(Self::new(2, 2, 2))),
-            ("3 boards, no switch, 3 procedures, 1 fault", constant(Self::new(3, 3, 1))),
+            (
+                "2 boards, no switch, 3 procedures, 3 faults",
+                constant(sampled(Self::new(2, 3, 3), 10)),
+            ),
+            (
+                "2 boards without supervision, 2 procedures, 2 faults",
+                plain(sampled(Self::new(2, 2, 2), 100)),
+            ),
+            (
+                "3 boards, no switch, 3 procedures, 1 fault",
+                constant(sampled(Self::new(3, 3, 1), 10)),
+            ),
             ("3 boards, 2 procedures, 1 fault", sampled(Self::new(3, 2, 1), 50)),
         ]
     }

@@ -13,6 +13,8 @@ use crate::{
 const AT_EACH_RATE_MS: u32 = 40_000;
 /// The pause after each question.
 const PAUSE_MS: u32 = 50;
+/// The time after which a controller gives a frame up.
+const SEND_MS: u32 = 1_220;
 
 /// The boards that no master finds: with power for all of them, it selects each by its LSS address, at each bit rate.
 pub fn lost(mut network: Network) -> Vec<usize> {
@@ -26,18 +28,22 @@ pub fn lost(mut network: Network) -> Vec<usize> {
     let mut lost: Vec<usize> = (0..network.boards.len()).collect();
     for rate in RATES {
         network.master = Master::new(rate);
-        for _ in 0..AT_EACH_RATE_MS / PAUSE_MS {
-            lost.retain(|&board| !answers(&mut network, board));
-            if lost.is_empty() {
-                return lost;
-            }
+        let mut left_ms = AT_EACH_RATE_MS;
+        while left_ms > 0 && !lost.is_empty() {
+            lost.retain(|&board| {
+                let is_found = answers(&mut network, board);
+                let took_ms = if is_found == Some(true) { 0 } else { PAUSE_MS };
+                left_ms =
+                    left_ms.saturating_sub(if is_found.is_none() { SEND_MS } else { took_ms });
+                is_found != Some(true)
+            });
         }
     }
     lost
 }
 
-/// Whether a board answers switch state selective, as the only one.
-fn answers(network: &mut Network, board: usize) -> bool {
+/// Whether a board answers switch state selective; `None` if a request does not get through.
+fn answers(network: &mut Network, board: usize) -> Option<bool> {
     let address = network.boards[board].address();
     network.master.task = Task::Idle;
     let parts =
@@ -48,10 +54,10 @@ fn answers(network: &mut Network, board: usize) -> bool {
         // An answer to an earlier master may still wait.
         while (0..network.boards.len()).any(|board| network.answer(board, false).is_some()) {}
         if !network.send(&frame, None) {
-            return false;
+            return None;
         }
     }
     let answer = network.answer(board, true);
     network.pass(PAUSE_MS * 1000);
-    answer.is_some_and(|answer| answer.data()[0] == 0x44)
+    Some(answer.is_some_and(|answer| answer.data()[0] == 0x44))
 }
