@@ -1,4 +1,4 @@
-//! The bus of the long life: it carries frames, makes errors where bit rates differ, and checks the rules for each board.
+//! The bus of the long life: it carries frames, makes errors where bit rates differ, and checks each board.
 
 use std::fmt::Write;
 
