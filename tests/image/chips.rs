@@ -23,6 +23,7 @@ fn the_firmware_relies_on_no_more_than_the_emulated_chips_have() {
         assert!(chip.max_sysclk_mhz * MHZ <= sysclk, "{part:?}");
         assert!(chip.max_apb1_mhz * MHZ <= apb1, "{part:?}");
         assert!(device::sysclk_hz(&chip) <= chip.max_sysclk_mhz * MHZ, "{part:?}");
+        assert_eq!(chip.controllers as usize, part.cans(), "{part:?}");
         assert!(device::APB1_HZ <= chip.max_apb1_mhz * MHZ, "{part:?}");
     }
 }
