@@ -478,7 +478,13 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.nmt.note_dropped();
         match step {
             Step::TakePart(rate) => Action::SetBitRate(rate),
-            Step::Listen(rate) => Action::Listen(rate),
+            Step::Listen(rate) => {
+                // It may miss the request to leave the LSS configuration state, and must take none meant for others.
+                if !self.bit_rate.is_detecting() {
+                    self.lss.enter_waiting();
+                }
+                Action::Listen(rate)
+            }
             Step::DropFrames => Action::StopTransmitting,
         }
     }

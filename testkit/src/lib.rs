@@ -19,6 +19,7 @@ pub mod power_cut;
 pub mod random;
 pub mod sdo;
 pub mod settings;
+pub mod soak;
 #[cfg(feature = "image")]
 pub mod stack;
 #[cfg(feature = "image")]

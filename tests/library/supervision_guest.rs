@@ -3,7 +3,7 @@
 use lss_slave::{
     BitRate, BitRateSetting,
     BusEvent::{Acknowledged, BusOff, Error, ErrorPassive, FormError, Received},
-    lss, nmt,
+    NodeId, lss, nmt,
 };
 use testkit::{
     flash::BoardFlash,
@@ -64,8 +64,29 @@ fn the_first_valid_frame_elsewhere_decides_and_is_not_obeyed() {
     ];
     assert_eq!(board.timeline(), expected, "a heartbeat at once, no boot-up");
     assert_eq!(board.node.nmt_state(), nmt::State::Operational);
-    assert_eq!(board.node.lss().state(), lss::State::Configuration);
+    board.lss("04 01");
     assert_eq!(board.lss("5E"), ["5E 40"], "the second is");
+}
+
+#[test]
+fn a_node_that_looks_elsewhere_is_no_longer_selected() {
+    let mut board = proven();
+    board.lss("04 01");
+    doubt(&mut board);
+    // Meanwhile, the master leaves the configuration state and selects another device.
+    assert_eq!(board.node.lss().state(), lss::State::Waiting);
+    board.see(Received);
+    assert_eq!(board.lss("11 05"), SILENCE, "it is for the other one");
+    assert_eq!(board.node.lss().pending_node_id(), NodeId::new(0x40));
+}
+
+#[test]
+fn a_guest_that_leaves_is_no_longer_selected() {
+    let mut board = guest();
+    board.lss("04 01");
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    send_home(&mut board);
+    assert_eq!(board.lss("5E"), SILENCE);
 }
 
 #[test]
@@ -113,10 +134,12 @@ fn a_bit_rate_that_was_configured_stays_pending_when_another_is_found() {
     board.lss("13 00 02");
     rescue(&mut board);
     assert_eq!(lss_rates(&board), [1000, 500]);
+    board.lss("04 01");
     assert_eq!(board.lss("17"), ["17 00"]);
     assert_eq!(board.stored().map(|settings| settings.bit_rate), Some(BitRate::Kbit500.into()));
     send_home(&mut board);
     assert_eq!(lss_rates(&board), [125, 500]);
+    board.lss("04 01");
     board.lss("15 00 00");
     assert_eq!(board.bit_rate(), BitRate::Kbit500);
 }

@@ -1,7 +1,8 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
 //! `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
-//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`,
+//! `cargo xtask storm`.
 
 mod apart;
 mod bench;
@@ -21,6 +22,7 @@ mod qemu;
 mod readings;
 mod release;
 mod size;
+mod soak;
 mod storm;
 
 use std::{io, process::ExitCode};
@@ -60,6 +62,7 @@ enum Command {
     Readings(readings::Arguments),
     Release(release::Arguments),
     Size(size::Arguments),
+    Soak(soak::Arguments),
     Storm(storm::Arguments),
 }
 
@@ -80,6 +83,7 @@ fn main() -> ExitCode {
         Command::Readings(arguments) => readings::run(&arguments),
         Command::Release(arguments) => release::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
+        Command::Soak(arguments) => soak::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
     };
     match outcome {

@@ -140,6 +140,11 @@ impl Slave {
         }
     }
 
+    /// Enters LSS waiting state and discards all progress. A pending node-ID stays pending.
+    pub const fn enter_waiting(&mut self) {
+        self.switch_to(State::Waiting);
+    }
+
     /// Performs NMT reset communication: activates the pending node-ID, unlocks, enters LSS waiting state and discards
     /// all progress.
     pub const fn reset_communication(&mut self) {

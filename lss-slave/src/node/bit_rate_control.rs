@@ -98,6 +98,11 @@ impl BitRateControl {
         self.supervision.is_listening()
     }
 
+    /// Whether automatic detection has not found a rate yet.
+    pub const fn is_detecting(&self) -> bool {
+        self.supervision.is_detecting()
+    }
+
     /// Whether a switch is in progress.
     pub const fn is_switching(&self) -> bool {
         self.switch.is_some()

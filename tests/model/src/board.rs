@@ -1,0 +1,348 @@
+//! A board of the model: the node of the library, and what the model knows of its controller and its memory.
+
+use std::hash::{Hash, Hasher};
+
+use lss_slave::{
+    Action, BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
+    Settings,
+    lss::{self, Address, State, StoreError},
+    nmt,
+};
+
+use crate::{digest::digest, mutation::Mutation};
+
+/// The clock of the controller, which can produce 125, 50, 20 and 10 kbit/s.
+const CLOCK_HZ: u32 = 1_000_000;
+/// The bit rates of the network: the one of new boards, and the one that a master switches to.
+pub const RATES: [BitRate; 2] = [BitRate::Kbit125, BitRate::Kbit50];
+/// The number of errors in succession after which a controller is error passive: its error flags destroy no frames.
+const PASSIVE: u8 = 16;
+
+/// The LSS address of a board: the serial numbers differ in the two lowest bits.
+pub const fn address(board: usize) -> Address {
+    Address {
+        vendor_id: 0x1111_1111,
+        product_code: 0x2222_2222,
+        revision_number: 0x3333_3333,
+        serial_number: 0x4444_4444 + board as u32,
+    }
+}
+
+/// A board, with or without power.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Board {
+    number: usize,
+    is_supervised: bool,
+    mutation: Option<Mutation>,
+    /// What the memory holds.
+    pub stored: Kept,
+    /// The settings that were confirmed, or found at a power-on, last.
+    pub confirmed: Kept,
+    /// The settings that were requested since, without a double.
+    pub newer: Vec<Kept>,
+    /// The requests to store that wait for an answer.
+    pub requests: Vec<Kept>,
+    pub running: Option<Running>,
+}
+
+/// Stored settings: the node-ID as in LSS, and the bit rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Kept {
+    pub node_id: u8,
+    pub bit_rate: BitRate,
+}
+
+/// A board with power.
+#[derive(Clone, Debug)]
+pub struct Running {
+    pub node: Node,
+    pub now: Instant,
+    /// `None` within a step of the model.
+    digest: Option<u64>,
+    pub bit_rate: BitRate,
+    /// The controller sends no dominant bit.
+    pub is_silent: bool,
+    pub may_transmit: bool,
+    /// The node is in the silence of a switch.
+    pub is_switching: bool,
+    /// Errors since the last valid frame or the start of the controller, up to [`PASSIVE`].
+    pub errors: u8,
+    /// The LSS answers that have not left.
+    pub answers: Vec<Frame>,
+    /// The other frames to send, within one step of the model.
+    pub messages: Vec<Frame>,
+    /// The store in progress.
+    pub store: Option<Kept>,
+}
+
+impl Running {
+    /// What distinguishes two boards.
+    fn key(&self) -> impl PartialEq + Hash {
+        let answers: Vec<_> = self.answers.iter().map(Frame::padded_data).collect();
+        let flags = (self.is_silent, self.may_transmit, self.is_switching, self.errors);
+        (self.digest, self.bit_rate.index(), flags, answers, self.store)
+    }
+
+    /// Whether its error flags destroy frames at other bit rates.
+    pub const fn is_active(&self) -> bool {
+        !self.is_silent && self.errors < PASSIVE
+    }
+
+    /// Whether the node is in LSS configuration state.
+    pub fn is_selected(&self) -> bool {
+        self.node.lss().state() == State::Configuration
+    }
+}
+
+impl PartialEq for Running {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+impl Eq for Running {}
+
+impl Hash for Running {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.key().hash(state);
+    }
+}
+
+impl Kept {
+    fn of(settings: Settings) -> Self {
+        let BitRateSetting::Fixed(bit_rate) = settings.bit_rate else {
+            panic!("no master of the model selects automatic detection")
+        };
+        Self { node_id: NodeId::to_lss(settings.node_id), bit_rate }
+    }
+
+    fn settings(self) -> Settings {
+        let node_id = NodeId::from_lss(self.node_id).expect("it comes from settings");
+        Settings::new(self.bit_rate.into()).with_node_id(node_id)
+    }
+}
+
+impl Board {
+    /// A new board with power and the first of [`RATES`].
+    pub fn new(number: usize, is_supervised: bool, mutation: Option<Mutation>) -> Self {
+        let stored = Kept { node_id: 0xFF, bit_rate: RATES[0] };
+        let mut board = Self {
+            number,
+            is_supervised,
+            mutation,
+            stored,
+            confirmed: stored,
+            newer: Vec::new(),
+            requests: Vec::new(),
+            running: None,
+        };
+        board.power_on();
+        board
+    }
+
+    /// The LSS address.
+    pub const fn address(&self) -> Address {
+        address(self.number)
+    }
+
+    /// Starts the node with the stored settings.
+    pub fn power_on(&mut self) {
+        self.confirmed = self.stored;
+        self.newer.clear();
+        self.requests.clear();
+        let device = Device::new(self.address(), BitRates::possible(CLOCK_HZ))
+            .with_rescue(self.is_supervised);
+        let node = Node::new(device, Some(self.stored.settings()));
+        self.running = Some(Running {
+            bit_rate: node.bit_rate(),
+            node,
+            now: Instant::from_micros(0),
+            digest: None,
+            is_silent: false,
+            may_transmit: true,
+            is_switching: false,
+            errors: 0,
+            answers: Vec::new(),
+            messages: Vec::new(),
+            store: None,
+        });
+        self.settle();
+    }
+
+    /// Cuts the power. A store in progress may have been completed.
+    pub fn cut(&mut self, is_store_completed: bool) {
+        let store = self.running.take().and_then(|running| running.store);
+        if let Some(store) = store.filter(|_| is_store_completed) {
+            self.stored = store;
+        }
+    }
+
+    /// The time until the node's next deadline in microseconds.
+    pub fn micros_to_deadline(&self) -> Option<u32> {
+        let running = self.running.as_ref()?;
+        Some(running.node.poll_at()?.micros_after(running.now))
+    }
+
+    /// Lets time pass for this board.
+    pub fn pass(&mut self, micros: u32) {
+        let Some(running) = &mut self.running else { return };
+        running.now = running.now.plus_micros(micros);
+        self.settle();
+    }
+
+    /// The board receives a valid frame.
+    pub fn receive(&mut self, frame: &Frame) {
+        let Some(running) = &mut self.running else { return };
+        running.errors = 0;
+        let is_received = matches!(frame.cob_id(), lss::REQUEST_COB_ID | nmt::COMMAND_COB_ID);
+        if !is_received && !running.node.is_listening() {
+            return self.see(BusEvent::Received);
+        }
+        for frame in Mutation::received(self.mutation, self.number, frame) {
+            let Some(running) = &mut self.running else { return };
+            let was_selected = running.is_selected();
+            let action = running.node.handle_frame(&frame, running.now);
+            if frame.cob_id() == lss::REQUEST_COB_ID && was_selected && !running.is_switching {
+                running.is_switching = frame.data()[0] == 0x15;
+                if frame.data()[0] == 0x17 {
+                    let pending = self.pending();
+                    self.requests.push(pending);
+                }
+            }
+            self.carry_out(action);
+            self.settle();
+        }
+    }
+
+    /// The controller detects an error of a frame.
+    pub fn see_error(&mut self, event: BusEvent) {
+        let Some(running) = &mut self.running else { return };
+        let becomes_passive = running.errors + 1 == PASSIVE && !running.is_silent;
+        running.errors = PASSIVE.min(running.errors + 1);
+        self.see(event);
+        if becomes_passive {
+            self.see(BusEvent::ErrorPassive);
+        }
+    }
+
+    /// The node learns of an event of its controller.
+    pub fn see(&mut self, event: BusEvent) {
+        let Some(running) = &mut self.running else { return };
+        if event == BusEvent::Acknowledged {
+            running.errors = 0;
+        }
+        running.node.handle_bus(event, running.now);
+        self.settle();
+    }
+
+    /// The store in progress ends.
+    pub fn end_store(&mut self, outcome: Result<(), StoreError>) {
+        let Some(running) = &mut self.running else { return };
+        let Some(store) = running.store.take() else { return };
+        if outcome.is_ok() && self.mutation != Some(Mutation::ConfirmsWithoutStoring) {
+            self.stored = store;
+        }
+        running.node.handle_stored(outcome);
+        self.settle();
+    }
+
+    /// Does what is due.
+    fn settle(&mut self) {
+        if let Some(running) = &mut self.running {
+            running.digest = None;
+        }
+        while let Some(running) = &mut self.running
+            && let Some(action) = running.node.poll(running.now)
+        {
+            self.carry_out(Some(action));
+        }
+        if self.running.is_some() && !self.requests.is_empty() {
+            let pending = self.pending();
+            if !self.newer.contains(&pending) {
+                self.newer.push(pending);
+            }
+        }
+    }
+
+    /// Updates the digest of the node, at the end of a step of the model.
+    pub fn seal(&mut self) {
+        if let Some(running) = &mut self.running {
+            running.digest.get_or_insert_with(|| digest(&running.node, running.now));
+        }
+    }
+
+    /// Whether no more than this number of answers are waiting, or in work. They have priority on the bus.
+    pub fn is_at_most_late_by(&self, answers: usize) -> bool {
+        let waiting = self.running.as_ref().map_or(0, |running| running.answers.len());
+        waiting.max(self.requests.len()) <= answers
+    }
+
+    /// What a store would store now.
+    fn pending(&self) -> Kept {
+        let lss = self.running.as_ref().expect("a board with power").node.lss();
+        let settings = Settings::new(lss.pending_bit_rate());
+        Kept::of(settings.with_node_id(lss.pending_node_id()))
+    }
+
+    /// Whether a power-on would find the settings that were confirmed, or newer ones.
+    pub fn keeps_its_word(&self) -> bool {
+        self.stored == self.confirmed || self.newer.contains(&self.stored)
+    }
+
+    /// Records the answer to the oldest request to store.
+    fn note_answer(&mut self, is_confirmed: bool) {
+        let request = self.requests.remove(0);
+        if is_confirmed {
+            self.confirmed = request;
+            if self.requests.is_empty() {
+                self.newer.retain(|newer| *newer != request);
+            }
+        }
+    }
+
+    fn carry_out(&mut self, action: Option<Action>) {
+        let (Some(action), Some(running)) = (action, &mut self.running) else { return };
+        match action {
+            Action::Transmit(frame) => {
+                let is_allowed = running.may_transmit && !running.is_silent;
+                if !is_allowed {
+                    let is_mutated = self.mutation == Some(Mutation::StaysSilent);
+                    assert!(is_mutated, "nothing is sent in a silent period");
+                    return;
+                }
+                if frame.cob_id() != lss::RESPONSE_COB_ID {
+                    running.messages.push(frame);
+                    return;
+                }
+                running.answers.push(frame);
+                if let [0x17, error, ..] = *frame.data() {
+                    self.note_answer(error == 0);
+                }
+            }
+            Action::StopTransmitting => {
+                running.may_transmit = false;
+                running.answers.clear();
+                running.messages.clear();
+            }
+            Action::SetBitRate(rate) | Action::Listen(rate) => {
+                running.is_silent = matches!(action, Action::Listen(_));
+                running.may_transmit &= !running.is_silent;
+                running.bit_rate = rate;
+                running.errors = 0;
+                running.answers.clear();
+                running.messages.clear();
+            }
+            Action::ResumeTransmitting => {
+                running.is_switching = false;
+                running.may_transmit = self.mutation != Some(Mutation::StaysSilent);
+            }
+            Action::Store(settings) => running.store = Some(Kept::of(settings)),
+            Action::ResetDevice => {
+                self.cut(false);
+                self.power_on();
+            }
+            Action::SetNodeId(_) => running.messages.clear(),
+            Action::SetReceives => {}
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! A share of the states of the network, and the proof that the checker finds a defect of each kind.
+
+use network_model::{
+    FOUND, KEPT, ONE_SELECTED, OWN_NODE_ID, Scenario, check::check, mutation::Mutation,
+};
+
+/// The states that one test visits at most, with repetitions.
+const STATES: usize = 40_000;
+
+fn hold_in(scenario: Scenario) {
+    let report = check(scenario, STATES);
+    println!("{report}");
+    assert!(report.violations.is_empty(), "{report}");
+    assert!(report.different > 5_000, "{report}");
+}
+
+#[test]
+fn the_properties_hold_with_one_board() {
+    hold_in(Scenario::new(1, 3, 2));
+}
+
+#[test]
+fn the_properties_hold_with_two_boards() {
+    hold_in(Scenario { recover_every: 50, ..Scenario::new(2, 2, 2) });
+}
+
+#[test]
+fn the_properties_hold_with_two_boards_without_supervision() {
+    hold_in(Scenario { is_supervised: false, recover_every: 50, ..Scenario::new(2, 2, 2) });
+}
+
+#[test]
+fn the_properties_hold_with_three_boards_at_one_bit_rate() {
+    hold_in(Scenario { has_switches: false, recover_every: 10, ..Scenario::new(3, 3, 1) });
+}
+
+/// Checks that the checker finds a violation, and no other first.
+fn is_violated(property: &str, scenario: Scenario) {
+    let report = check(scenario, 10 * STATES);
+    println!("{report}");
+    assert!(report.violations.iter().any(|(violated, _)| *violated == property), "{report}");
+}
+
+fn mutated(mutation: Mutation, boards: usize, recover_every: u64) -> Scenario {
+    let has_switches = mutation == Mutation::StaysSilent;
+    let mutation = Some(mutation);
+    Scenario { mutation, has_switches, recover_every, ..Scenario::new(boards, 2, 0) }
+}
+
+#[test]
+fn a_memory_that_confirms_without_storing_is_found() {
+    is_violated(KEPT, mutated(Mutation::ConfirmsWithoutStoring, 1, 0));
+}
+
+#[test]
+fn a_board_that_stays_silent_after_a_switch_is_found() {
+    is_violated(FOUND, mutated(Mutation::StaysSilent, 1, 1));
+}
+
+#[test]
+fn a_node_that_answers_every_fastscan_is_found() {
+    is_violated(ONE_SELECTED, mutated(Mutation::MatchesEveryScan, 2, 0));
+}
+
+#[test]
+fn a_node_that_takes_the_selection_of_others_is_found() {
+    is_violated(ONE_SELECTED, mutated(Mutation::MatchesEverySelect, 2, 0));
+}
+
+#[test]
+fn a_node_that_stays_selected_is_found() {
+    is_violated(ONE_SELECTED, mutated(Mutation::IgnoresWaiting, 2, 0));
+}
+
+#[test]
+fn a_node_that_takes_the_node_id_of_others_is_found() {
+    is_violated(OWN_NODE_ID, mutated(Mutation::TakesEveryNodeId, 2, 0));
+}
+
+#[test]
+fn a_request_that_one_board_misses_leaves_two_selected() {
+    // A limit of CiA 305: nobody confirms switch state global.
+    let scenario = Scenario { has_overruns: true, has_switches: false, ..Scenario::new(2, 2, 2) };
+    is_violated(ONE_SELECTED, Scenario { recover_every: 0, ..scenario });
+}
+
+#[test]
+fn a_master_that_takes_over_within_a_switch_selects_two() {
+    // Requests within the silence of a switch are ignored, also the one to leave the configuration state.
+    let scenario = Scenario { is_patient: false, recover_every: 0, ..Scenario::new(2, 2, 2) };
+    is_violated(ONE_SELECTED, scenario);
+}
