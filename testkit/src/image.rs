@@ -13,10 +13,13 @@ use std::{
 
 use emulator::{
     chip::Part,
+    coverage::Coverage,
     image::{Image, ImageError},
 };
 
 const TARGET: &str = "thumbv7em-none-eabihf";
+/// The environment variable with the directory for records of the branches that all boards have taken.
+pub const COVERAGE: &str = "LSS_SLAVE_COVERAGE";
 /// The time after which a build prints a notice that it is running.
 const PATIENCE: Duration = Duration::from_secs(3);
 
@@ -59,7 +62,7 @@ pub fn example() -> &'static Image {
 /// # Errors
 /// The message of `cargo`. A missing compilation target is first installed with `rustup`.
 pub fn build(part: Part) -> Result<Image, BuildError> {
-    build_with(part, || cargo_build(part, &[]))
+    build_features(part, &[])
 }
 
 /// Builds the release firmware for `part` with an example of an application, a feature of the firmware.
@@ -67,7 +70,12 @@ pub fn build(part: Part) -> Result<Image, BuildError> {
 /// # Errors
 /// The same as for [`build`].
 pub fn build_example(part: Part, example: &str) -> Result<Image, BuildError> {
-    build_with(part, || cargo_build(part, &[example]))
+    build_features(part, &[example])
+}
+
+fn build_features(part: Part, examples: &[&str]) -> Result<Image, BuildError> {
+    let features = [&[part.name()], examples].concat();
+    build_with(part, || cargo_build(&features), Some(&features.join("-")))
 }
 
 /// Builds the release firmware for `part` from a copy of its sources in `directory`, with the `target` directory there:
@@ -76,14 +84,20 @@ pub fn build_example(part: Part, example: &str) -> Result<Image, BuildError> {
 /// # Errors
 /// The same as for [`build`].
 pub fn build_in(directory: &Path, part: Part) -> Result<Image, BuildError> {
-    build_with(part, || {
-        let mut command = cargo_build(part, &[]);
+    let command = || {
+        let mut command = cargo_build(&[part.name()]);
         command.current_dir(directory).arg("--target-dir").arg(directory.join("target"));
         command
-    })
+    };
+    build_with(part, command, None)
 }
 
-fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildError> {
+/// Builds the firmware and loads it; `name` is that of its record, if branches are recorded.
+fn build_with(
+    part: Part,
+    command: impl Fn() -> Command,
+    name: Option<&str>,
+) -> Result<Image, BuildError> {
     let _lock = lock().map_err(|error| {
         BuildError::Cargo(format!("cannot wait for other builds of the firmware: {error}"))
     })?;
@@ -99,7 +113,26 @@ fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildE
     let path = executable(&messages).ok_or_else(|| {
         BuildError::Cargo("cargo reported no executable for `lss-slave`".to_owned())
     })?;
-    Image::load(path).map_err(BuildError::Image)
+    let image = Image::load(&path).map_err(BuildError::Image)?;
+    if let (Some(directory), Some(name)) = (env::var_os(COVERAGE), name) {
+        let coverage = coverage(Path::new(&directory), name, Path::new(&path))
+            .map_err(|error| BuildError::Cargo(format!("cannot record branches: {error}")))?;
+        image.record(coverage);
+    }
+    Ok(image)
+}
+
+/// The record `name.branches` in the directory, beside the image `name.elf` that it belongs to.
+fn coverage(directory: &Path, name: &str, image: &Path) -> io::Result<Coverage> {
+    let (copy, record) =
+        (directory.join(format!("{name}.elf")), directory.join(format!("{name}.branches")));
+    let bytes = fs::read(image)?;
+    if fs::read(&copy).ok().as_ref() != Some(&bytes) {
+        // It is not there, or belongs to another image.
+        let _ = fs::remove_file(&record);
+        fs::write(copy, bytes)?;
+    }
+    Ok(Coverage::new(record))
 }
 
 /// Waits until no other thread or process builds the firmware: all images of a target directory have one path.
@@ -115,7 +148,7 @@ fn workspace() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
-fn cargo_build(part: Part, features: &[&str]) -> Command {
+fn cargo_build(features: &[&str]) -> Command {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
     command
@@ -123,7 +156,7 @@ fn cargo_build(part: Part, features: &[&str]) -> Command {
         .args(["build", "--package", "lss-slave-firmware", "--release", "--target", TARGET])
         .args([
             "--features",
-            &[&[part.name()], features].concat().join(","),
+            &features.join(","),
             "--bin",
             "lss-slave",
             "--message-format",
