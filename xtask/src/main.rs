@@ -4,6 +4,7 @@
 
 mod bench;
 mod chips;
+mod coverage;
 mod eds;
 mod emulate;
 mod example;
@@ -43,6 +44,7 @@ struct Arguments {
 enum Command {
     Bench(bench::Arguments),
     Chips(chips::Arguments),
+    Coverage(coverage::Arguments),
     Eds(eds::Arguments),
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
@@ -61,6 +63,7 @@ fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Chips(arguments) => chips::run(&arguments),
+        Command::Coverage(arguments) => coverage::run(&arguments),
         Command::Eds(arguments) => eds::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
