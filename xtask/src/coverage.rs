@@ -1,57 +1,152 @@
 //! `cargo xtask coverage`: the branches of the release image that its tests have taken.
 
+mod explanations;
+mod lcov;
+mod page;
 mod program;
+mod report;
 mod thumb;
 
-use std::path::Path;
+use std::{env, fs, io, path::Path, process::Command};
 
+use anyhow::{Context, ensure};
 use emulator::coverage::Record;
+use testkit::image::COVERAGE;
 
-/// TODO
+use explanations::Explanations;
+use program::Program;
+use report::Report;
+
+/// The records that count, each with the features of its image: the firmware as it is, and the example.
+const IMAGES: [&str; 2] = ["stm32f405", "stm32f407-io"];
+/// The seed of the random tests, so that a branch is not taken by chance.
+const SEED: &str = "1";
+
+/// Show the branches of the release image that its tests take in one direction only, or never
+///
+/// Runs `cargo test --test image`. The emulator notes the outcome of each conditional branch, each condition of an IT
+/// block, each table branch and each computed jump on every board with the firmware for the STM32F405, or with the
+/// example `io` for the STM32F407. A copy that the compiler has inlined counts as a branch of its own. An outcome of our
+/// code that is missing needs a reason in docs/coverage.md, and a reason there a missing outcome: otherwise the command
+/// fails. Dependencies and start-up code are listed apart.
+///
+/// target/coverage/index.html has the sources with the branches marked, target/coverage/lcov.info the same for other
+/// programs.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
-pub struct Arguments {}
+pub struct Arguments {
+    /// Only the tests with one of these in their path
+    filter: Vec<String>,
+    /// Add to what the last runs have taken
+    #[arg(long)]
+    keep: bool,
+    /// Run no tests: report what the last runs have taken
+    #[arg(long, conflicts_with = "filter")]
+    report: bool,
+    /// Print also what is explained, and the dependencies
+    #[arg(long)]
+    all: bool,
+}
 
+/// Runs the tests and prints what is missing. Fails if some of it is not explained.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    for name in ["stm32f405", "stm32f407-io"] {
-        let directory = workspace.join("target/coverage");
-        let program = program::Program::load(&directory.join(format!("{name}.elf")), workspace)?;
-        let record = Record::read(&directory.join(format!("{name}.branches")))?;
-        println!(
-            "{name}: {} instructions, {} branches",
-            program.instructions.len(),
-            program.branches.len()
-        );
-        for branch in &program.branches {
-            let place = &program.instructions[&branch.address];
-            let missing: Vec<_> =
-                branch.outcomes(&record).into_iter().filter(|o| !o.was_seen).collect();
-            if missing.is_empty() {
-                continue;
-            }
-            println!(
-                "{} {}:{} {} {:08x} {}: {}",
-                if place.is_ours { "OUR" } else { "DEP" },
-                place.file,
-                place.line,
-                place.function,
-                branch.address,
-                branch.mnemonic(),
-                missing
-                    .iter()
-                    .map(|o| format!(
-                        "never {} {}",
-                        o.name,
-                        o.target
-                            .and_then(|t| program.instructions.get(&t))
-                            .map_or(String::new(), |p| format!("{}:{}", p.file, p.line))
-                    ))
-                    .collect::<Vec<_>>()
-                    .join(", ")
-            );
+    let workspace =
+        Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("xtask is in a workspace")?;
+    let directory = workspace.join("target/coverage");
+    if !arguments.report {
+        if !arguments.keep {
+            remove(&directory)?;
+        }
+        fs::create_dir_all(&directory)?;
+        test(workspace, &directory, &arguments.filter)?;
+    }
+    let page =
+        fs::read_to_string(workspace.join("docs/coverage.md")).context("docs/coverage.md")?;
+    let explanations = Explanations::parse(&page).context("docs/coverage.md")?;
+    let mut report = Report::default();
+    let mut images = Vec::new();
+    for image in IMAGES {
+        let path = directory.join(image).with_extension("branches");
+        if path.exists() {
+            let record = Record::read(&path).with_context(|| path.display().to_string())?;
+            report.add(image, &Program::load(&path.with_extension("elf"), workspace)?, &record);
+            images.push(image);
         }
     }
-    let _ = arguments;
+    report.explain(workspace, &explanations)?;
+    fs::write(directory.join("lcov.info"), lcov::lcov(&report)?)?;
+    fs::write(directory.join("index.html"), page::page(&report, &images)?)?;
+    print(&report, &images, arguments.all);
+    let unused: Vec<String> =
+        explanations.unused().map(|explanation| format!("  {explanation}\n")).collect();
+    ensure!(
+        report.count(None, None).unexplained == 0,
+        "outcomes without a test or a reason in docs/coverage.md; see target/coverage/index.html"
+    );
+    ensure!(
+        unused.is_empty(),
+        "docs/coverage.md explains what is not missing:\n{}",
+        unused.concat()
+    );
     Ok(())
+}
+
+fn remove(directory: &Path) -> io::Result<()> {
+    match fs::remove_dir_all(directory) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        outcome => outcome,
+    }
+}
+
+/// Runs the tests of the image with a record of the branches.
+fn test(workspace: &Path, directory: &Path, filter: &[String]) -> anyhow::Result<()> {
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let status = Command::new(cargo)
+        .current_dir(workspace)
+        .args(["test", "--test", "image", "--"])
+        .args(filter)
+        .env(COVERAGE, directory)
+        .env("SEED", SEED)
+        .status()
+        .context("cannot run cargo")?;
+    ensure!(status.success(), "the tests of the image fail");
+    Ok(())
+}
+
+fn print(report: &Report, images: &[&str], all: bool) {
+    let mut last = None;
+    let lines = report.ours().filter(|(_, line)| line.missing().next().is_some());
+    for (place, line) in lines.filter(|(_, line)| all || line.is_unexplained()) {
+        if last != Some((&place.file, &place.function)) {
+            println!("\n{}", place.function);
+            last = Some((&place.file, &place.function));
+        }
+        println!("  {}:{}: {}", place.file, place.line, report.text(place));
+        for branch in line.missing() {
+            println!("    {branch}");
+        }
+        if let Some(explanation) = line.explanation {
+            println!("    {}", explanation.reason);
+        }
+    }
+    if all {
+        println!("\n{:28} {:>8} {:>8}", "dependencies, outcomes", "total", "taken");
+        for (name, count) in report.dependencies() {
+            println!("{name:28} {:>8} {:>8}", count.total(), count.seen);
+        }
+    }
+    println!(
+        "\n{:28} {:>8} {:>8} {:>9} {:>13}",
+        "outcomes of our branches", "total", "taken", "explained", "not explained"
+    );
+    for image in images {
+        let count = report.count(None, Some(image));
+        println!(
+            "{image:28} {:>8} {:>8} {:>9} {:>13}",
+            count.total(),
+            count.seen,
+            count.explained,
+            count.unexplained
+        );
+    }
 }
