@@ -15,7 +15,7 @@ use testkit::image::COVERAGE;
 
 use explanations::Explanations;
 use program::Program;
-use report::Report;
+use report::{Count, Report};
 
 /// The records that count, each with the features of its image: the firmware as it is, and the example.
 const IMAGES: [&str; 2] = ["stm32f405", "stm32f407-io"];
@@ -136,17 +136,12 @@ fn print(report: &Report, images: &[&str], all: bool) {
         }
     }
     println!(
-        "\n{:28} {:>8} {:>8} {:>9} {:>13}",
-        "outcomes of our branches", "total", "taken", "explained", "not explained"
+        "\n{:28} {:>8} {:>8} {:>10} {:>6} {:>13}",
+        "outcomes of our branches", "total", "taken", "cannot be", "open", "not explained"
     );
     for image in images {
-        let count = report.count(None, Some(image));
-        println!(
-            "{image:28} {:>8} {:>8} {:>9} {:>13}",
-            count.total(),
-            count.seen,
-            count.explained,
-            count.unexplained
-        );
+        let Count { seen, explained, open, unexplained } = report.count(None, Some(image));
+        let total = report.count(None, Some(image)).total();
+        println!("{image:28} {total:>8} {seen:>8} {explained:>10} {open:>6} {unexplained:>13}");
     }
 }

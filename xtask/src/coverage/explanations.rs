@@ -1,4 +1,4 @@
-//! The reasons in `docs/coverage.md` why branches cannot be taken.
+//! The reasons in `docs/coverage.md` why branches are not taken.
 
 use std::{cell::Cell, fmt};
 
@@ -15,6 +15,8 @@ pub struct Explanation {
     function: String,
     text: String,
     pub reason: String,
+    /// Whether the branch could be taken, but no test does so yet: the reason begins with "open".
+    pub is_open: bool,
     is_used: Cell<bool>,
 }
 
@@ -89,7 +91,8 @@ fn explanation(file: String, item: &str) -> anyhow::Result<Explanation> {
     let (function, text, reason) =
         parts().with_context(|| format!("no function, text and reason: - {item}"))?;
     ensure!(!reason.is_empty() && !text.is_empty(), "no text or reason: - {item}");
-    Ok(Explanation { file, function, text, reason, is_used: Cell::new(false) })
+    let is_open = reason.starts_with("open: ");
+    Ok(Explanation { file, function, text, reason, is_open, is_used: Cell::new(false) })
 }
 
 #[cfg(test)]

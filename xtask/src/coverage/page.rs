@@ -23,18 +23,18 @@ pub fn page(report: &Report, images: &[&str]) -> Result<String, fmt::Error> {
          <p>Each branch of the object code has two outcomes or more. The tests of the image have shown those that count as \
          taken. <code>docs/coverage.md</code> explains why others cannot be.</p>\n\
          <p class=\"key\"><span class=\"run\">executed</span> <span class=\"idle\">not executed</span> \
-         <span class=\"explained\">explained</span> <span class=\"unexplained\">not explained</span></p>"
+         <span class=\"explained\">cannot be taken</span> <span class=\"open\">open</span> <span class=\"unexplained\">not explained</span></p>"
     )?;
     writeln!(
         text,
-        "<table><tr><th>image</th><th>outcomes</th><th>taken</th><th>explained</th><th>not explained</th></tr>"
+        "<table><tr><th>image</th><th>outcomes</th><th>taken</th><th>cannot be</th><th>open</th><th>not explained</th></tr>"
     )?;
     for image in images {
         row(&mut text, &escape(image), report.count(None, Some(image)))?;
     }
     writeln!(
         text,
-        "</table>\n<table><tr><th>file</th><th>outcomes</th><th>taken</th><th>explained</th><th>not explained</th></tr>"
+        "</table>\n<table><tr><th>file</th><th>outcomes</th><th>taken</th><th>cannot be</th><th>open</th><th>not explained</th></tr>"
     )?;
     for file in report.sources.keys() {
         let link = format!("<a href=\"#{0}\">{0}</a>", escape(file));
@@ -49,11 +49,11 @@ pub fn page(report: &Report, images: &[&str]) -> Result<String, fmt::Error> {
 }
 
 fn row(text: &mut String, name: &str, count: Count) -> fmt::Result {
-    let Count { seen, explained, unexplained } = count;
+    let Count { seen, explained, open, unexplained } = count;
     let class = if unexplained > 0 { " class=\"unexplained\"" } else { "" };
     writeln!(
         text,
-        "<tr><td>{name}</td><td>{}</td><td>{seen}</td><td>{explained}</td><td{class}>{unexplained}</td></tr>",
+        "<tr><td>{name}</td><td>{}</td><td>{seen}</td><td>{explained}</td><td>{open}</td><td{class}>{unexplained}</td></tr>",
         count.total()
     )
 }
@@ -71,6 +71,12 @@ fn source_file(text: &mut String, report: &Report, file: &str, source: &[String]
         let class = match here {
             [] => "",
             _ if here.iter().any(|(_, line)| line.is_unexplained()) => " unexplained",
+            _ if here.iter().any(|(_, line)| {
+                line.explanation.is_some_and(|explanation| explanation.is_open)
+            }) =>
+            {
+                " open"
+            }
             _ if here.iter().any(|(_, line)| line.explanation.is_some()) => " explained",
             _ if here.iter().any(|(_, line)| line.was_executed) => " run",
             _ => " idle",
@@ -89,6 +95,7 @@ fn notes(text: &mut String, place: &Place, line: &Line) -> fmt::Result {
         return Ok(());
     }
     let (class, reason) = match line.explanation {
+        Some(explanation) if explanation.is_open => ("open", explanation.reason.as_str()),
         Some(explanation) => ("explained", explanation.reason.as_str()),
         None => ("unexplained", ""),
     };

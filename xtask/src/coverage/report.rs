@@ -75,24 +75,30 @@ impl Line<'_> {
 pub struct Count {
     pub seen: usize,
     pub explained: usize,
+    pub open: usize,
     pub unexplained: usize,
 }
 
 impl Count {
     /// Adds the outcomes of some branches.
-    fn add<'a>(&mut self, branches: impl Iterator<Item = &'a Judged>, is_explained: bool) {
+    fn add<'a>(
+        &mut self,
+        branches: impl Iterator<Item = &'a Judged>,
+        explanation: Option<&Explanation>,
+    ) {
         for outcome in branches.flat_map(|branch| &branch.outcomes) {
-            match (outcome.was_seen, is_explained) {
-                (true, _) => self.seen += 1,
-                (false, true) => self.explained += 1,
-                (false, false) => self.unexplained += 1,
-            }
+            *match explanation {
+                _ if outcome.was_seen => &mut self.seen,
+                None => &mut self.unexplained,
+                Some(explanation) if explanation.is_open => &mut self.open,
+                Some(_) => &mut self.explained,
+            } += 1;
         }
     }
 
     /// The number of all outcomes.
     pub fn total(&self) -> usize {
-        self.seen + self.explained + self.unexplained
+        self.seen + self.explained + self.open + self.unexplained
     }
 }
 
@@ -167,7 +173,7 @@ impl<'a> Report<'a> {
                 .branches
                 .iter()
                 .filter(|branch| image.is_none_or(|image| branch.image == image));
-            count.add(branches, line.explanation.is_some());
+            count.add(branches, line.explanation);
         }
         count
     }
@@ -178,7 +184,7 @@ impl<'a> Report<'a> {
         for (place, line) in
             self.lines.iter().filter(|(place, line)| !place.is_ours && !line.branches.is_empty())
         {
-            all.entry(crate_of(&place.file)).or_default().add(line.branches.iter(), false);
+            all.entry(crate_of(&place.file)).or_default().add(line.branches.iter(), None);
         }
         all
     }
