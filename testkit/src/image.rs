@@ -20,6 +20,8 @@ use emulator::{
 const TARGET: &str = "thumbv7em-none-eabihf";
 /// The environment variable with the directory for records of the branches that all boards have taken.
 pub const COVERAGE: &str = "LSS_SLAVE_COVERAGE";
+/// The environment variable that runs the tests of the release image with the image of the example `io`.
+pub const EXAMPLE: &str = "LSS_SLAVE_EXAMPLE";
 /// The time after which a build prints a notice that it is running.
 const PATIENCE: Duration = Duration::from_secs(3);
 
@@ -43,10 +45,23 @@ impl fmt::Display for BuildError {
 
 impl error::Error for BuildError {}
 
-/// The release image for the STM32F405, built once.
+/// Whether the tests of the release image run with the example `io`, by the environment variable [`EXAMPLE`].
+fn is_with_example() -> bool {
+    env::var_os(EXAMPLE).is_some()
+}
+
+/// The chip that [`image`] is for: an STM32F405, or an STM32F407 with the example.
+pub fn part() -> Part {
+    if is_with_example() { Part::Stm32f407 } else { Part::Stm32f405 }
+}
+
+/// The release image, built once.
 pub fn image() -> &'static Image {
     static IMAGE: OnceLock<Image> = OnceLock::new();
-    IMAGE.get_or_init(|| build(Part::Stm32f405).unwrap_or_else(|error| panic!("{error}")))
+    if is_with_example() {
+        return example();
+    }
+    IMAGE.get_or_init(|| build(part()).unwrap_or_else(|error| panic!("{error}")))
 }
 
 /// The release image with the example `io` for the STM32F407, built once.

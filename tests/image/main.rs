@@ -17,6 +17,7 @@ mod medium_faults;
 mod node_id;
 mod overload;
 mod power_cut;
+mod rare_paths;
 mod rates_bus_off;
 mod rates_detection;
 mod rates_matrix;
