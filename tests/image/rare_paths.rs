@@ -487,18 +487,20 @@ fn settings_are_saved_and_defaults_restored_in_operational() {
 
 #[test]
 fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
-    let of_chip = Readings { slowdown: 30, ..Readings::default() };
-    let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
-    let mut board = Board::new(part(), image(), of_board);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0x40, BitRate::Kbit1000)]));
-    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
-    rig.collect(Time::from_ms(100));
-    for request in ["04 01", "11 FF"] {
-        rig.lss(request);
+    for (configure, boot_up) in [("11 FF", &SILENCE[..]), ("11 41", &["741: 00"])] {
+        let of_chip = Readings { slowdown: 30, ..Readings::default() };
+        let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+        let mut board = Board::new(part(), image(), of_board);
+        board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0x40, BitRate::Kbit1000)]));
+        let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+        rig.collect(Time::from_ms(100));
+        for request in ["04 01", configure] {
+            rig.lss(request);
+        }
+        queue(&mut rig, &frames::command("82 40"));
+        queue(&mut rig, &sdo::request(0x40, "40 17 10 00"));
+        assert_eq!(texts(&rig.collect(Time::from_ms(50))), *boot_up, "{configure}");
     }
-    queue(&mut rig, &frames::command("82 40"));
-    queue(&mut rig, &sdo::request(0x40, "40 17 10 00"));
-    assert_eq!(rig.collect(Time::from_ms(50)), SILENCE);
 }
 
 /// Node 40, which has followed its master to another bit rate as a guest.
