@@ -241,27 +241,29 @@ impl Board {
         self.chip().reset(ResetCause::PowerOn, self.dark);
     }
 
-    /// Switches the supply on now. RAM has random content, flash keeps its content.
+    /// Switches the supply on now. RAM has random content, flash keeps its content. A supply below the brown-out level
+    /// leaves the chip in reset.
     pub fn power_on(&mut self) {
-        if self.powered {
+        if self.powered || self.browned_out {
             return;
         }
-        self.powered = true;
-        self.browned_out = false;
         self.power_ups += 1;
         self.engine.scramble_ram(self.power_ups);
-        self.start(ResetCause::PowerOn, self.dark);
+        let is_supplied = self.chip().flash().is_supplied(BROWN_OUT_HYSTERESIS);
+        (self.powered, self.browned_out) = (is_supplied, !is_supplied);
+        if is_supplied {
+            self.start(ResetCause::PowerOn, self.dark);
+        }
     }
 
     /// Sets the supply in mV, initially 3,300, at most 3,600. Below the brown-out level of the option bytes the chip is
     /// held in reset, as if the power was off, but RAM keeps its content.
     pub fn set_supply(&mut self, mv: u32) {
         self.chip().set_supply(mv);
-        let least = self.chip().flash().brown_out_mv();
-        if self.powered && mv < least {
+        if self.powered && !self.chip().flash().is_supplied(0) {
             self.power_off();
             self.browned_out = true;
-        } else if self.browned_out && mv >= least + BROWN_OUT_HYSTERESIS {
+        } else if self.browned_out && self.chip().flash().is_supplied(BROWN_OUT_HYSTERESIS) {
             self.browned_out = false;
             self.powered = true;
             self.start(ResetCause::BrownOut, self.dark);

@@ -406,6 +406,23 @@ fn a_brown_out_holds_the_chip_in_reset_and_keeps_ram() {
     assert_eq!(word(&board, COUNTER + 4) >> 24 & 0x0E, 0x0E, "flags add up");
 }
 
+#[test]
+fn a_board_that_is_switched_on_at_a_low_supply_waits_for_more() {
+    let mut program = Program::new();
+    program.store(COUNTER, 1).stop();
+    let mut board = board(program);
+    board.chip().flash_mut().set_brown_out_level(3);
+    board.power_off();
+    board.set_supply(2_850);
+    board.power_on();
+    run(&mut board, Time::from_ms(10));
+    assert!(!board.is_powered(), "hysteresis");
+    board.set_supply(3_000);
+    run(&mut board, Time::from_ms(20));
+    assert!(board.is_powered());
+    assert_eq!(word(&board, COUNTER), 1);
+}
+
 /// Waits for the crystal, runs on it, and sleeps; the non-maskable interrupt writes 4 to `COUNTER`.
 fn on_crystal(security: u32) -> Program {
     let mut program = Program::new();

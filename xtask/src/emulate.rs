@@ -78,7 +78,7 @@ pub struct Arguments {
     /// Run an example of an application; implies --console
     #[arg(long)]
     example: Option<Example>,
-    /// Take commands from the standard input: switch the power, press the button, set the temperature
+    /// Take commands from the standard input: switch the power, short the bus, press the button, set the temperature
     #[arg(long)]
     console: bool,
     /// The chip on the boards

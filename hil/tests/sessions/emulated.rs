@@ -2,7 +2,7 @@
 
 use std::{
     env,
-    io::{BufRead, BufReader},
+    io::{BufRead, BufReader, Write},
     net::SocketAddr,
     path::PathBuf,
     process::{Child, Command, Stdio},
@@ -28,7 +28,7 @@ impl Emulated {
             .args(["run", "--quiet", "--package", "xtask", "--", "emulate"])
             .args(["--listen", "127.0.0.1:0"])
             .args(arguments)
-            .stdin(Stdio::null())
+            .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .expect("cargo runs");
@@ -42,6 +42,12 @@ impl Emulated {
             description.strip_prefix("ready: SLCAN on ").and_then(|rest| rest.split(';').next());
         let address = address.and_then(|address| address.parse().ok()).expect("an address");
         Self { child, address }
+    }
+
+    /// Gives a command to the console; needs `--console`.
+    pub fn command(&mut self, command: &str) {
+        let console = self.child.stdin.as_mut().expect("it is piped");
+        writeln!(console, "{command}").expect("it reads");
     }
 
     /// The adapter of `cargo hil`.

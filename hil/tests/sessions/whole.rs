@@ -1,8 +1,8 @@
 //! Whole boards: everything passes, and they are left as they were found.
 
 use std::{
-    io::Write,
-    process::{Command, Stdio},
+    io::{BufRead, BufReader, Write},
+    process::{Command, Output, Stdio},
     time::{Duration, Instant},
 };
 
@@ -113,6 +113,33 @@ fn a_person_is_asked_to_cut_the_power() {
     run.assert_good();
     assert!(run.output.contains("passed  settings through a power cut"));
     assert!(run.output.contains("not tried  bus-off by a short circuit: nobody has agreed to it"));
+}
+
+#[test]
+fn a_short_circuit_makes_the_boards_go_bus_off_and_come_back() {
+    let mut boards = Emulated::start(&["--node-id", "5", "--console"]);
+    let directory = Directory::new("short");
+    let arguments = ["--session", "hands", "--ask", "always"];
+    let mut command = run::command(&directory, &boards.adapter(), &arguments);
+    let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
+    // No to the power cut, yes to the short circuit.
+    child.stdin.as_mut().expect("it is piped").write_all(b"\ny\n").expect("it reads");
+    let mut stdout = Vec::new();
+    for line in BufReader::new(child.stdout.take().expect("it is piped")).lines() {
+        let line = line.expect("UTF-8");
+        if line.contains("now: connect CANH and CANL") {
+            boards.command("short on");
+            std::thread::sleep(Duration::from_secs(2));
+            boards.command("short off");
+        }
+        stdout.extend(line.bytes().chain([b'\n']));
+    }
+    let status = child.wait().expect("it ends");
+    let output = Output { status, stdout, stderr: Vec::new() };
+    let run = Run::new(directory, output, Duration::ZERO);
+    run.assert_good();
+    assert!(run.output.contains("passed  after a short circuit"));
+    assert!(run.output.contains("recoveries from bus-off, 2000h sub 1"));
 }
 
 #[cfg(unix)]

@@ -1,15 +1,16 @@
-//! The console of `cargo emulate`: switches the power, presses the button, sets the temperature, and shows the LEDs.
+//! The console of `cargo emulate`: switches the power, shorts the bus, presses the button, sets the temperature, and shows the LEDs.
 
 use std::{io, thread};
 
 use anyhow::{Context, bail};
-use emulator::{board::Board, network::Network};
+use emulator::{board::Board, can::Short, network::Network};
 use testkit::io_board;
 
 use super::client::Input;
 
 /// The commands, for a person.
 pub const HELP: &str = "power off|on [BOARD]          cut or restore the supply\n\
+     short on|off                  let CANH and CANL touch, or separate them\n\
      button down|up [BOARD]        press or release the button\n\
      temperature CELSIUS [BOARD]   set the temperature of the chip";
 
@@ -38,6 +39,10 @@ pub fn execute(line: &str, network: &mut Network) -> anyhow::Result<()> {
         }
         ["power", "on", ref number @ ..] => {
             network.power_on(board(network, number)?);
+            Ok(())
+        }
+        ["short", state @ ("on" | "off")] => {
+            network.set_short((state == "on").then_some(Short::Recessive));
             Ok(())
         }
         ["button", position @ ("down" | "up"), ref number @ ..] => {
@@ -129,6 +134,7 @@ mod tests {
             ("button down 1", "there is no board 1"),
             ("power off 1", "there is no board 1"),
             ("power", "the commands are"),
+            ("short", "the commands are"),
             ("button down first", "BOARD is a number"),
             ("temperature hot", "CELSIUS"),
             ("temperature 200", "CELSIUS"),

@@ -36,9 +36,9 @@ impl Flash {
         self.options.set_brown_out_level(level);
     }
 
-    /// The supply in mV below which the chip is held in reset.
-    pub fn brown_out_mv(&self) -> u32 {
-        self.options.brown_out_mv()
+    /// Whether the supply is at least `margin` mV above the level at which the chip is held in reset.
+    pub fn is_supplied(&self, margin: u32) -> bool {
+        self.supply_mv >= self.options.brown_out_mv() + margin
     }
 
     /// Sets the supply in mV, which limits the width of programming.

@@ -120,21 +120,22 @@ impl Accelerator {
         }
         self.current = Some(line);
         let now = cycle + self.waits;
-        let wait = match self.prefetched {
-            _ if self.acr & ICEN != 0 && self.instructions.hits(line) => 0,
-            Some((prefetched, ready)) if prefetched == line => ready.saturating_sub(now),
-            _ => {
-                // Only such a line goes into the cache.
-                if self.acr & ICEN != 0 {
-                    self.instructions.insert(line);
-                }
-                self.read(now)
+        let caches = self.acr & ICEN != 0;
+        let wait = if caches && self.instructions.hits(line) {
+            0
+        } else {
+            if caches {
+                self.instructions.insert(line);
+            }
+            match self.prefetched {
+                Some((prefetched, ready)) if prefetched == line => ready.saturating_sub(now),
+                _ => self.read(now),
             }
         };
         self.waits += wait;
         let next = line + 1;
         let is_there = self.prefetched.is_some_and(|(prefetched, _)| prefetched == next)
-            || self.acr & ICEN != 0 && self.instructions.contains(next);
+            || caches && self.instructions.contains(next);
         if self.acr & PRFTEN != 0 && !is_there {
             let now = now + wait;
             let ready = now + self.read(now);
@@ -200,6 +201,14 @@ mod tests {
     /// Jumps from line to line, each to the one after the next.
     fn jumps(lines: u32) -> impl Iterator<Item = u32> {
         (0..lines).map(|line| line * 32)
+    }
+
+    #[test]
+    fn prefetched_lines_are_cached_too() {
+        let mut accelerator = with(FIVE | ICEN | PRFTEN);
+        let straight = || (0..10 * 16).step_by(4);
+        assert_eq!(run(&mut accelerator, 0, straight()), 5 + 4 + 9 * 6);
+        assert_eq!(run(&mut accelerator, 100, straight()), 40);
     }
 
     #[test]
