@@ -11,7 +11,7 @@ use std::{env, fs, io, path::Path, process::Command};
 
 use anyhow::{Context, ensure};
 use emulator::coverage::Record;
-use testkit::image::COVERAGE;
+use testkit::image::{COVERAGE, EXAMPLE};
 
 use explanations::Explanations;
 use program::Program;
@@ -19,12 +19,30 @@ use report::{Count, Report};
 
 /// The records that count, each with the features of its image: the firmware as it is, and the example.
 const IMAGES: [&str; 2] = ["stm32f405", "stm32f407-io"];
+/// The tests that run a second time, with the example in the image: those of what the example has in common with the
+/// firmware as it is, but times and sizes.
+const TESTS_WITH_EXAMPLE: [&str; 12] = [
+    "bit_rate::",
+    "can_traps::",
+    "chip_traps::",
+    "errors::",
+    "medium_faults::",
+    "overload::",
+    "power_cut::",
+    "rare_paths::",
+    "rates_bus_off::",
+    "rates_detection::",
+    "rates_rescue::",
+    "robustness::",
+];
+/// One of them whose expectations are those of a smaller SDO server.
+const NOT_WITH_EXAMPLE: &str = "each_wrong_sdo_request_has_its_abort_code";
 /// The seed of the random tests, so that a branch is not taken by chance.
 const SEED: &str = "1";
 
 /// Show the branches of the release image that its tests take in one direction only, or never
 ///
-/// Runs `cargo test --test image`. The emulator notes the outcome of each conditional branch, each condition of an IT
+/// Runs `cargo test --test image`, and then a part of it again with the example `io` in the image. The emulator notes the outcome of each conditional branch, each condition of an IT
 /// block, each table branch and each computed jump on every board with the firmware for the STM32F405, or with the
 /// example `io` for the STM32F407. A copy that the compiler has inlined counts as a branch of its own. An outcome of our
 /// code that is missing needs a reason in docs/coverage.md, and a reason there a missing outcome: otherwise the command
@@ -35,7 +53,7 @@ const SEED: &str = "1";
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Only the tests with one of these in their path
+    /// Only the tests with one of these in their path, once
     filter: Vec<String>,
     /// Add to what the last runs have taken
     #[arg(long)]
@@ -58,7 +76,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             remove(&directory)?;
         }
         fs::create_dir_all(&directory)?;
-        test(workspace, &directory, &arguments.filter)?;
+        test(workspace, &directory, &arguments.filter, false)?;
+        if arguments.filter.is_empty() {
+            let filter = TESTS_WITH_EXAMPLE.map(str::to_owned);
+            test(workspace, &directory, &filter, true)?;
+        }
     }
     let page =
         fs::read_to_string(workspace.join("docs/coverage.md")).context("docs/coverage.md")?;
@@ -99,16 +121,24 @@ fn remove(directory: &Path) -> io::Result<()> {
 }
 
 /// Runs the tests of the image with a record of the branches.
-fn test(workspace: &Path, directory: &Path, filter: &[String]) -> anyhow::Result<()> {
+fn test(
+    workspace: &Path,
+    directory: &Path,
+    filter: &[String],
+    with_example: bool,
+) -> anyhow::Result<()> {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let status = Command::new(cargo)
+    let mut command = Command::new(cargo);
+    command
         .current_dir(workspace)
         .args(["test", "--test", "image", "--"])
         .args(filter)
         .env(COVERAGE, directory)
-        .env("SEED", SEED)
-        .status()
-        .context("cannot run cargo")?;
+        .env("SEED", SEED);
+    if with_example {
+        command.args(["--skip", NOT_WITH_EXAMPLE]).env(EXAMPLE, "io");
+    }
+    let status = command.status().context("cannot run cargo")?;
     ensure!(status.success(), "the tests of the image fail");
     Ok(())
 }
