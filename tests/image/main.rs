@@ -11,6 +11,7 @@ mod commissioning;
 mod do_no_harm;
 mod eds;
 mod errors;
+mod example_sweep;
 mod indicators;
 mod io;
 mod medium_faults;
