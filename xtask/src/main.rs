@@ -1,6 +1,7 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
-//! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask fuzz`,
+//! `cargo xtask linux`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`,
+//! `cargo xtask size`, `cargo xtask storm`.
 
 mod bench;
 mod chips;
