@@ -67,9 +67,9 @@ impl Explanations {
     pub fn find(&self, place: &Place, line: &str) -> Option<&Explanation> {
         let function = place.function.trim_end_matches("::{{closure}}");
         let found = self.0.iter().find(|explanation| {
-            let is_function = function.strip_suffix(&explanation.function).is_some_and(|path| {
-                path.is_empty() || path.ends_with("::") || explanation.function.starts_with('<')
-            });
+            let is_function = function
+                .strip_suffix(&explanation.function)
+                .is_some_and(|path| path.is_empty() || path.ends_with("::"));
             explanation.file == place.file && is_function && line.contains(&explanation.text)
         })?;
         found.is_used.set(true);

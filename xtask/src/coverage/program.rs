@@ -88,8 +88,8 @@ impl Program {
     }
 }
 
-/// The line of an instruction: that of the innermost call that is inlined from our code or a dependency's. The standard
-/// library's own lines count as those of its callers. `last` is the place of the instruction before.
+/// The line of an instruction: that of the innermost call that is inlined from our code or a dependency's. Lines of the
+/// standard library, and code without a line, count as their callers'. `last` is the place of the instruction before.
 fn place(
     lines: &Lines,
     address: u32,
@@ -118,7 +118,7 @@ fn place(
         if let Some(last) = last.filter(|last| line == 0 && last.function == place.function) {
             place = last.clone();
         }
-        if !file.contains("/library/") {
+        if !file.contains("/library/") && place.line > 0 {
             return Ok(place);
         }
         innermost.get_or_insert(place);

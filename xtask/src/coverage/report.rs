@@ -193,7 +193,7 @@ impl<'a> Report<'a> {
 fn text<'a>(sources: &'a BTreeMap<String, Vec<String>>, place: &Place) -> &'a str {
     let line =
         place.line.checked_sub(1).and_then(|line| sources.get(&place.file)?.get(line as usize));
-    line.map_or("", |line| line.trim())
+    line.map_or("no line", |line| line.trim())
 }
 
 /// The crate of a source file outside of the workspace.
