@@ -265,7 +265,8 @@ mod tests {
         const Z: u32 = 1 << 30;
         const C: u32 = 1 << 29;
         const V: u32 = 1 << 28;
-        let holds: [(u32, fn(u32) -> bool); 15] = [
+        type Holds = fn(u32) -> bool;
+        let holds: [(u32, Holds); 15] = [
             (0, |flags| flags & Z != 0),
             (1, |flags| flags & Z == 0),
             (2, |flags| flags & C != 0),
