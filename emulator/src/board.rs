@@ -16,6 +16,7 @@ use crate::{
     Time,
     can::{Clock, bxcan},
     chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Readings, Request, ResetCause, StartUp},
+    coverage::Recorder,
     engine::{Engine, Halt, Lockup, Watcher, rsemu::Rsemu},
     image::Image,
 };
@@ -123,6 +124,14 @@ impl Board {
             power_ups: 0,
             resets: Vec::new(),
         };
+        if let Some(coverage) = image.coverage() {
+            let ends =
+                image.segments().map(|(address, bytes)| address - FLASH_BASE + bytes.len() as u32);
+            let end = ends.max().unwrap_or(0) as usize;
+            let recorder =
+                Recorder::new(Arc::clone(coverage), &board.chip().flash().bytes()[..end]);
+            board.engine.record(recorder);
+        }
         board.power_on();
         board
     }

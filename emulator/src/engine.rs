@@ -3,7 +3,7 @@
 pub mod clock;
 pub mod rsemu;
 
-use crate::{Time, chip::Access};
+use crate::{Time, chip::Access, coverage::Recorder};
 
 /// The reason why a CPU stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,6 +63,9 @@ pub trait Engine: Send {
 
     /// The registers, before the next instruction.
     fn registers(&self) -> Registers;
+
+    /// Records the branches of the program from now on.
+    fn record(&mut self, recorder: Recorder);
 
     /// Registers `watcher` for every instruction from now on.
     fn watch(&mut self, watcher: Box<dyn Watcher>);

@@ -4,7 +4,7 @@ use std::{
     collections::HashMap,
     fmt, fs, io,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, OnceLock},
 };
 
 #[cfg(feature = "log")]
@@ -16,7 +16,7 @@ use object::{
     read::elf::{ElfFile32, FileHeader, ProgramHeader},
 };
 
-use crate::chip::FLASH_BASE;
+use crate::{chip::FLASH_BASE, coverage::Coverage};
 
 /// A linked program. Clones share the content.
 #[derive(Clone, Debug)]
@@ -26,6 +26,7 @@ pub struct Image(Arc<Content>);
 struct Content {
     segments: Vec<(u32, Vec<u8>)>,
     symbols: HashMap<String, u32>,
+    coverage: OnceLock<Arc<Coverage>>,
     #[cfg(feature = "log")]
     table: Option<Table>,
 }
@@ -80,6 +81,7 @@ impl Image {
         Ok(Self(Arc::new(Content {
             segments,
             symbols,
+            coverage: OnceLock::new(),
             #[cfg(feature = "log")]
             table: Table::parse(bytes).map_err(|error| malformed(&error))?,
         })))
@@ -90,6 +92,7 @@ impl Image {
         Self(Arc::new(Content {
             segments,
             symbols: HashMap::new(),
+            coverage: OnceLock::new(),
             #[cfg(feature = "log")]
             table: None,
         }))
@@ -98,6 +101,19 @@ impl Image {
     /// The address and content of each segment.
     pub fn segments(&self) -> impl Iterator<Item = (u32, &[u8])> {
         self.0.segments.iter().map(|(address, bytes)| (*address, bytes.as_slice()))
+    }
+
+    /// Records the branches on all boards that get this image from now on.
+    ///
+    /// # Panics
+    /// The image has a record already.
+    pub fn record(&self, coverage: Coverage) {
+        assert!(self.0.coverage.set(Arc::new(coverage)).is_ok(), "the image has a record already");
+    }
+
+    /// The record of the boards with this image.
+    pub(crate) fn coverage(&self) -> Option<&Arc<Coverage>> {
+        self.0.coverage.get()
     }
 
     /// The address of a symbol.

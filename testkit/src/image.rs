@@ -13,10 +13,15 @@ use std::{
 
 use emulator::{
     chip::Part,
+    coverage::Coverage,
     image::{Image, ImageError},
 };
 
 const TARGET: &str = "thumbv7em-none-eabihf";
+/// The environment variable with the directory for records of the branches that all boards have taken.
+pub const COVERAGE: &str = "LSS_SLAVE_COVERAGE";
+/// The environment variable that runs the tests of the release image with the image of the example `io`.
+pub const EXAMPLE: &str = "LSS_SLAVE_EXAMPLE";
 /// The time after which a build prints a notice that it is running.
 const PATIENCE: Duration = Duration::from_secs(3);
 
@@ -40,10 +45,23 @@ impl fmt::Display for BuildError {
 
 impl error::Error for BuildError {}
 
-/// The release image for the STM32F405, built once.
+/// Whether the tests of the release image run with the example `io`, by the environment variable [`EXAMPLE`].
+fn is_with_example() -> bool {
+    env::var_os(EXAMPLE).is_some()
+}
+
+/// The chip that [`image`] is for: an STM32F405, or an STM32F407 with the example.
+pub fn part() -> Part {
+    if is_with_example() { Part::Stm32f407 } else { Part::Stm32f405 }
+}
+
+/// The release image, built once.
 pub fn image() -> &'static Image {
     static IMAGE: OnceLock<Image> = OnceLock::new();
-    IMAGE.get_or_init(|| build(Part::Stm32f405).unwrap_or_else(|error| panic!("{error}")))
+    if is_with_example() {
+        return example();
+    }
+    IMAGE.get_or_init(|| build(part()).unwrap_or_else(|error| panic!("{error}")))
 }
 
 /// The release image with the example `io` for the STM32F407, built once.
@@ -59,7 +77,7 @@ pub fn example() -> &'static Image {
 /// # Errors
 /// The message of `cargo`. A missing compilation target is first installed with `rustup`.
 pub fn build(part: Part) -> Result<Image, BuildError> {
-    build_with(workspace(), part, || cargo_build(part, &[])).and_then(parse)
+    build_with_features(part, &[])
 }
 
 /// Builds the release firmware for `part` with these features of the firmware: an example, another CAN controller.
@@ -67,7 +85,15 @@ pub fn build(part: Part) -> Result<Image, BuildError> {
 /// # Errors
 /// The same as for [`build`].
 pub fn build_with_features(part: Part, features: &[&str]) -> Result<Image, BuildError> {
-    build_with(workspace(), part, || cargo_build(part, features)).and_then(parse)
+    let elf = build_with(workspace(), part, || cargo_build(part, features))?;
+    let image = Image::from_elf(&elf).map_err(BuildError::Image)?;
+    if let Some(directory) = env::var_os(COVERAGE) {
+        let name = [&[part.name()], features].concat().join("-");
+        let coverage = coverage(Path::new(&directory), &name, &elf)
+            .map_err(|error| BuildError::Cargo(format!("cannot record branches: {error}")))?;
+        image.record(coverage);
+    }
+    Ok(image)
 }
 
 /// Builds the release firmware of a product for `part`: the program `name` of the package of that name in `directory`,
@@ -157,6 +183,18 @@ fn build_with(
         BuildError::Cargo("cargo reported no executable for the firmware".to_owned())
     })?;
     fs::read(&path).map_err(|error| BuildError::Image(ImageError::Io(path.into(), error)))
+}
+
+/// The record `name.branches` in the directory, beside the image `name.elf` that it belongs to.
+fn coverage(directory: &Path, name: &str, image: &[u8]) -> io::Result<Coverage> {
+    let (copy, record) =
+        (directory.join(format!("{name}.elf")), directory.join(format!("{name}.branches")));
+    if fs::read(&copy).ok().as_deref() != Some(image) {
+        // It is not there, or belongs to another image.
+        let _ = fs::remove_file(&record);
+        fs::write(copy, image)?;
+    }
+    Ok(Coverage::new(record))
 }
 
 /// Waits until no other thread or process builds the firmware: all images of a target directory have one path.

@@ -14,7 +14,7 @@ use lss_slave::{BitRate, BitRateSetting, NodeId, Settings, settings::Log};
 use super::{
     flash::BoardFlash,
     frames::{self, Frames},
-    image::{example, image},
+    image::{example, image, part},
     sdo::{self, Client},
 };
 
@@ -45,7 +45,7 @@ pub struct ImageRig {
 /// A board with a blank settings flash; boards with different `number` have different serial numbers.
 pub fn blank_board(number: u8) -> board::Board {
     let settings = board::Settings { unique_id: [number; 12], ..Default::default() };
-    board::Board::new(Part::Stm32f405, image(), settings)
+    board::Board::new(part(), image(), settings)
 }
 
 /// A board with stored `settings`.

@@ -4,13 +4,13 @@ use emulator::{
     Time,
     board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{Part, Readings, ResetCause, Timing},
+    chip::{Readings, ResetCause, Timing},
     network::{Event, Source, What},
 };
 use lss_slave::{BitRate, Frame as NodeFrame};
 use testkit::{
     frames::{self, Frames, SILENCE},
-    image::image,
+    image::{image, part},
     image_rig::{
         CORE_MHZ, ImageRig, SETTINGS_OFFSET, blank_board, board_with, flash_with, on_the_wire,
         settings,
@@ -62,7 +62,7 @@ fn every_lss_answer_but_the_one_to_store_takes_less_than_4_us() {
 fn with_wait_states_of_the_flash_each_of_them_takes_less_than_5_us() {
     let chip_readings = Readings { flash_waits: true, ..Readings::default() };
     let board = board::Settings { chip_readings, ..Default::default() };
-    let mut board = Board::new(Part::Stm32f405, image(), board);
+    let mut board = Board::new(part(), image(), board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0xFF, BitRate::Kbit1000)]));
     let rig = ImageRig::new(BitRate::Kbit1000, [board]);
     check_answers(rig, WITH_WAITS);

@@ -7,13 +7,13 @@ use emulator::{
         Adapter, Frame, Id,
         bxcan::{Acknowledge, Readings, TransmitLock},
     },
-    chip::{Part, Pin},
+    chip::Pin,
     network::{Event, Short, What},
 };
 use lss_slave::{BitRate, BitRateSetting, Settings};
 use testkit::{
     frames,
-    image::image,
+    image::{image, part},
     image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
 };
 
@@ -22,7 +22,7 @@ const TRANSMIT: Pin = Pin('B', 9);
 
 fn board(settings: Settings, can_readings: Readings) -> Board {
     let of_board = board::Settings { can_readings, ..Default::default() };
-    let mut board = Board::new(Part::Stm32f405, image(), of_board);
+    let mut board = Board::new(part(), image(), of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
 }

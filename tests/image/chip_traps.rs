@@ -4,13 +4,13 @@
 use emulator::{
     Time,
     board::{self, Board},
-    chip::{FLASH_BASE, Part, PowerCut, RAM_BASE, Readings, ResetCause, StartUp},
+    chip::{FLASH_BASE, PowerCut, RAM_BASE, Readings, ResetCause, StartUp},
     network::{Event, Source, What},
 };
 use lss_slave::{BitRate, Settings};
 use testkit::{
     frames::SILENCE,
-    image::image,
+    image::{image, part},
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},
     random::Random,
 };
@@ -19,7 +19,7 @@ const RATE: BitRate = BitRate::Kbit1000;
 
 fn board_with(chip_readings: Readings, stored: &[Settings]) -> Board {
     let settings = board::Settings { chip_readings, ..Default::default() };
-    let mut board = Board::new(Part::Stm32f405, image(), settings);
+    let mut board = Board::new(part(), image(), settings);
     if !stored.is_empty() {
         board.set_flash(SETTINGS_OFFSET, &flash_with(stored));
     }

@@ -3,13 +3,12 @@
 use emulator::{
     Time, board,
     can::{Adapter, BitSegments, Clock, Frame, Id},
-    chip::Part,
     network::{AdapterId, Network, What},
 };
 use lss_slave::{BitRate, bit_rate::BitTiming};
 use testkit::{
     frames,
-    image::image,
+    image::{image, part},
     image_rig::{
         ImageRig, SETTINGS_OFFSET, bit_per_s, board_with, flash_with, on_the_wire, settings,
     },
@@ -258,7 +257,7 @@ fn each_bit_rate_has_its_value_in_can_btr() {
 fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> bool {
     let crystal = Clock { hz: 8_000_000, ppm: board_ppm };
     let settings_of_board = board::Settings { crystal, unique_id: [1; 12], ..Default::default() };
-    let mut board = board::Board::new(Part::Stm32f405, image(), settings_of_board);
+    let mut board = board::Board::new(part(), image(), settings_of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(1, bit_rate)]));
     let mut network = Network::new();
     network.add_board(board);

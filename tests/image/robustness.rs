@@ -4,13 +4,13 @@ use emulator::{
     Time,
     board::{self, Board},
     can::Clock,
-    chip::{FLASH_BASE, Part, PowerCut, ResetCause, Timing},
+    chip::{FLASH_BASE, PowerCut, ResetCause, Timing},
     network::{Event, What},
 };
 use lss_slave::{BitRate, Settings};
 use testkit::{
     frames::SILENCE,
-    image::image,
+    image::{image, part},
     image_rig::{ImageRig, SETTINGS_OFFSET, blank_board, board_with, flash_with, settings},
     random::Random,
 };
@@ -199,7 +199,7 @@ fn boards_with_crystals_3000_ppm_apart_communicate_at_every_bit_rate() {
         let boards = [1500, -1500].map(|ppm| {
             let crystal = Clock { hz: 8_000_000, ppm };
             let settings = board::Settings { crystal, ..Default::default() };
-            let mut board = Board::new(Part::Stm32f405, image(), settings);
+            let mut board = Board::new(part(), image(), settings);
             board.set_flash(SETTINGS_OFFSET, &stored);
             board
         });

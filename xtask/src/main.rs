@@ -1,12 +1,12 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
-//! `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
-//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`,
-//! `cargo xtask storm`.
+//! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask fuzz`,
+//! `cargo xtask linux`, `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
+//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`.
 
 mod apart;
 mod bench;
 mod chips;
+mod coverage;
 mod eds;
 mod emulate;
 mod example;
@@ -49,6 +49,7 @@ struct Arguments {
 enum Command {
     Bench(bench::Arguments),
     Chips(chips::Arguments),
+    Coverage(coverage::Arguments),
     Eds(eds::Arguments),
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
@@ -70,6 +71,7 @@ fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Chips(arguments) => chips::run(&arguments),
+        Command::Coverage(arguments) => coverage::run(&arguments),
         Command::Eds(arguments) => eds::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),

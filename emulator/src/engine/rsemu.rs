@@ -23,6 +23,7 @@ use super::{Engine, Halt, Lockup, Registers, Watcher, clock::CycleClock};
 use crate::{
     Time,
     chip::{Access, CCM_BASE, Chip, FLASH_BASE, Problem, RAM_BASE, Width},
+    coverage::{Executed, Recorder},
 };
 use accelerator::Accelerator;
 use bus::Link;
@@ -55,6 +56,7 @@ pub struct Rsemu {
     flash_waits: bool,
     irqs: u128,
     polls: u32,
+    recorder: Option<Recorder>,
     watcher: Option<Box<dyn Watcher>>,
 }
 
@@ -93,6 +95,7 @@ impl Rsemu {
             flash_waits: readings.flash_waits,
             irqs: 0,
             polls: 0,
+            recorder: None,
             watcher: None,
         }
     }
@@ -149,25 +152,46 @@ impl Rsemu {
         }
     }
 
+    /// The address of the xPSR that an exception entry has stacked, if the step was one.
+    ///
+    /// `before` and `pc` are the values before the step.
+    fn entry(&self, before: u32, pc: u32) -> Option<u32> {
+        const STACKED_PC: u32 = 6 * 4;
+        let regs = self.cpu.regs();
+        if (regs.xpsr ^ before) & xpsr::EXCEPTION == 0 {
+            return None;
+        }
+        let was_handler = before & xpsr::EXCEPTION != 0;
+        let used_psp = !was_handler && regs.control & control::SPSEL != 0;
+        let frame = if used_psp { regs.psp } else { regs.msp };
+        let mut stacked = [0; 4];
+        // An exception return changes the exception number too, but has not stacked this PC.
+        let has_stacked =
+            self.read_memory(frame + STACKED_PC, &mut stacked) && stacked == pc.to_le_bytes();
+        has_stacked.then_some(frame + STACKED_PC + 4)
+    }
+
     /// Restores ITSTATE in the stacked xPSR: rsemu 0.0.7 leaves it out at an exception entry, so that the rest of an
     /// interrupted IT block would run unconditionally.
     ///
     /// `before` and `pc` are the values before the step that may have been the entry.
     fn mend_stacked_itstate(&mut self, before: u32, pc: u32) {
-        const STACKED_PC: u32 = 6 * 4;
-        let regs = self.cpu.regs();
-        if (regs.xpsr ^ before) & xpsr::EXCEPTION == 0 {
-            return;
+        let mut stacked = [0; 4];
+        if let Some(address) = self.entry(before, pc)
+            && self.read_memory(address, &mut stacked)
+        {
+            let mended = u32::from_le_bytes(stacked) | before & xpsr::IT_MASK;
+            self.write_ram(address, &mended.to_le_bytes());
         }
-        let was_handler = before & xpsr::EXCEPTION != 0;
-        let used_psp = !was_handler && regs.control & control::SPSEL != 0;
-        let frame = if used_psp { regs.psp } else { regs.msp };
-        let mut stacked = [0; 8];
-        // An exception return changes the exception number too, but has not stacked this PC.
-        if self.read_memory(frame + STACKED_PC, &mut stacked) && stacked[..4] == pc.to_le_bytes() {
-            let [.., x0, x1, x2, x3] = stacked;
-            let mended = u32::from_le_bytes([x0, x1, x2, x3]) | before & xpsr::IT_MASK;
-            self.write_ram(frame + STACKED_PC + 4, &mended.to_le_bytes());
+    }
+
+    /// Records the step, unless it was an exception entry.
+    fn record_step(&mut self, before: u32, pc: u32) {
+        if self.recorder.is_some() && self.entry(before, pc).is_none() {
+            let next = self.cpu.pc();
+            if let Some(recorder) = &mut self.recorder {
+                recorder.executed(Executed { pc, next, xpsr: before });
+            }
         }
     }
 
@@ -275,6 +299,7 @@ impl Engine for Rsemu {
             if before & xpsr::IT_MASK != 0 {
                 self.mend_stacked_itstate(before, pc);
             }
+            self.record_step(before, pc);
             if let Some(step) = step {
                 self.notify_step(step);
             }
@@ -391,6 +416,10 @@ impl Engine for Rsemu {
             s: std::array::from_fn(|number| self.cpu.s(number as u8)),
             fpscr: self.cpu.fpscr(),
         }
+    }
+
+    fn record(&mut self, recorder: Recorder) {
+        self.recorder = Some(recorder);
     }
 
     fn watch(&mut self, watcher: Box<dyn Watcher>) {

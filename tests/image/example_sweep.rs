@@ -1,0 +1,327 @@
+//! The example `io` and the node in the process, asked the same: objects with every kind of value, wrong transfers, and
+//! parameters that fill the settings log or are damaged.
+
+use std::collections::VecDeque;
+
+use emulator::{Time, board::Board, chip::Part};
+use lss_slave::{BitRate, Frame};
+use lss_slave_firmware::io;
+use testkit::{
+    flash::BoardFlash,
+    frames::{self, SILENCE},
+    image::example,
+    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
+    node_rig::{self, NodeRig},
+    sdo::{self, Client},
+};
+
+const NODE_ID: u8 = 0x40;
+
+type Model = NodeRig<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
+
+/// The board and its model.
+struct Pair {
+    rig: ImageRig,
+    model: Model,
+}
+
+fn rig(content: &[u8]) -> ImageRig {
+    let mut board = Board::new(Part::Stm32f407, example(), Default::default());
+    board.set_flash(SETTINGS_OFFSET, content);
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    rig.collect(Time::from_ms(50));
+    rig
+}
+
+impl Pair {
+    fn new() -> Self {
+        let stored = settings(NODE_ID, BitRate::Kbit1000);
+        let content = flash_with(&[stored]);
+        let device = node_rig::device(node_rig::ADDRESS)
+            .with_name("LSS slave")
+            .with_versions("1.0", "0.1.0")
+            .with_defaults(settings(0xFF, BitRate::Kbit1000).with_heartbeat_ms(1000));
+        let flash = BoardFlash::with_content(content.clone(), 0);
+        let mut model = NodeRig::with_application(device, flash, 0, io::Application::new());
+        model.take_actions();
+        Self { rig: rig(&content), model }
+    }
+
+    /// Sends a request to both, and compares what their SDO servers answer.
+    fn ask(&mut self, request: [u8; 8]) {
+        let frame = Frame::new(0x600 + u16::from(NODE_ID), &request).expect("a frame");
+        let is_answer = |frame: &&Frame| frame.cob_id() == 0x580 + u16::from(NODE_ID);
+        let expected = self.model.receive(&frame).0;
+        let mut expected: VecDeque<Frame> = expected.iter().filter(is_answer).copied().collect();
+        self.rig.network.send(self.rig.master, on_the_wire(&frame));
+        let span = Time::from_us(600) + Time::from_us(150) * expected.len() as u64;
+        let mut sent: VecDeque<Frame> =
+            self.rig.collect(span).0.iter().filter(is_answer).copied().collect();
+        while sent.len() < expected.len() {
+            let (_, more) = self.rig.next_frame();
+            assert!(!more.0.is_empty(), "{request:02X?}: {sent:?}, not {expected:?}");
+            sent.extend(more.0.iter().filter(is_answer));
+        }
+        while let (Some(sent), Some(expected)) = (sent.pop_front(), expected.pop_front()) {
+            assert_eq!(sent, expected, "{request:02X?}");
+        }
+        assert!(
+            sent.is_empty() && expected.is_empty(),
+            "{request:02X?}: {sent:?}, not {expected:?}"
+        );
+    }
+
+    fn say(&mut self, text: &str) {
+        let mut request = frames::bytes(text);
+        request.resize(8, 0);
+        self.ask(request.try_into().expect("eight bytes"));
+    }
+}
+
+fn message(command: u8, index: u16, sub_index: u8, value: u32) -> [u8; 8] {
+    let ([i0, i1], [d0, d1, d2, d3]) = (index.to_le_bytes(), value.to_le_bytes());
+    [command, i0, i1, sub_index, d0, d1, d2, d3]
+}
+
+/// The objects, but those that a store or a chip decides: 1010h, 1011h, 1018h, 6401h. The last one does not exist.
+fn indices() -> impl Iterator<Item = u16> {
+    let single = [0x1000, 0x1001, 0x1003, 0x1005, 0x1008, 0x1014, 0x1016, 0x1017, 0x1029];
+    let pdos = [0x1400, 0x1600, 0x1800, 0x1A00].into_iter().flat_map(|first| first..=first + 4);
+    let of_application = [0x2100, 0x2101, 0x6000, 0x6200, 0x6426, 0xFFFF];
+    single.into_iter().chain(pdos).chain(of_application)
+}
+
+#[test]
+fn each_value_for_each_object_is_answered_as_by_the_node_in_the_process() {
+    const VALUES: [u32; 22] = [
+        0,
+        1,
+        2,
+        3,
+        9,
+        64,
+        65,
+        240,
+        241,
+        253,
+        254,
+        255,
+        0x80,
+        0x181,
+        0x580,
+        0x701,
+        0x7FF,
+        0x800,
+        0x4000_0081,
+        0x8000_0181,
+        0xA000_0000,
+        0xFFFF_FFFF,
+    ];
+    const MAPPED: [u32; 8] = [
+        0x6000_0108,
+        0x6200_0108,
+        0x6401_0110,
+        0x6200_0110,
+        0x2100_0008,
+        0x0005_0008,
+        0x0007_0020,
+        0x1F00_0108,
+    ];
+    let mut pair = Pair::new();
+    for index in indices() {
+        for sub_index in [0, 1, 2, 3, 4, 5, 6, 8, 9] {
+            for value in VALUES.into_iter().chain(MAPPED) {
+                // One, two and four bytes; the size that fits is one of them.
+                for command in [0x2F, 0x2B, 0x23] {
+                    pair.ask(message(command, index, sub_index, value));
+                }
+            }
+            pair.ask(message(0x40, index, sub_index, 0));
+        }
+    }
+}
+
+#[test]
+fn each_mapping_is_accepted_or_refused_as_by_the_node_in_the_process() {
+    let mut pair = Pair::new();
+    for (pdo, mapped) in [
+        (0x1600, &[0x6200_0108; 8][..]),
+        (0x1601, &[0x0007_0020, 0x0006_0010, 0x0005_0008, 0x0005_0008]),
+        (0x1602, &[0x0007_0020, 0x0007_0020, 0x0005_0008]),
+        (0x1603, &[0x6000_0108, 0x6200_0108]),
+        (0x1A00, &[0x6401_0110, 0x6401_0110, 0x6401_0110, 0x6401_0110, 0x6000_0108]),
+        (0x1A01, &[0x6200_0108, 0, 0x6000_0108]),
+        (0x1A02, &[0x6000_0108; 8]),
+        (0x1A03, &[0x0005_0008, 0x1001_0008]),
+    ] {
+        pair.ask(message(0x23, pdo - 0x200, 1, 0x8000_0123));
+        for number in [0_u32, 1] {
+            pair.ask(message(0x2F, pdo, 0, number));
+            for (at, code) in (1..).zip(mapped) {
+                pair.ask(message(0x23, pdo, at, *code));
+            }
+            for number in 0..=9 {
+                pair.ask(message(0x2F, pdo, 0, number));
+                pair.ask(message(0x40, pdo, 0, 0));
+            }
+        }
+        for sub_index in 0..=9 {
+            pair.ask(message(0x40, pdo, sub_index, 0));
+        }
+        pair.ask(message(0x23, pdo - 0x200, 1, 0x123));
+        pair.ask(message(0x23, pdo - 0x200, 1, 0x124));
+        pair.ask(message(0x23, pdo - 0x200, 1, 0x4000_0123));
+        pair.ask(message(0x2F, pdo, 0, 0));
+    }
+}
+
+#[test]
+fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
+    let mut pair = Pair::new();
+    for transfer in [
+        // Segmented uploads: complete, a wrong toggle bit, a foreign request in between, an abort.
+        &["40 08 10 00", "60", "70", "60"][..],
+        &["40 08 10 00", "70", "60"],
+        &["40 08 10 00", "60", "60", "70"],
+        &["40 08 10 00", "40 17 10 00", "60"],
+        &["40 08 10 00", "80 08 10 00", "60"],
+        &["40 08 10 00", "00 41", "20", "E0", "C0", "C0 02 21 00"],
+        &["40 02 21 00", "60", "70", "60", "80 02 21 00"],
+        &["40 FF 10 00", "40 08 10 05", "40 00 10 01"],
+        // Segmented downloads to a text: too long, too short, wrong size, no size.
+        &["21 01 21 03 03", "00 61 62 63 64 65 66 67", "10", "80 01 21 03"],
+        &["21 01 21 03 08", "00 61 62 63 64 65 66 67", "1D 61", "40 01 21 03", "60", "70"],
+        &["21 01 21 03 08", "00 61 62 63 64 65 66 67", "11 61"],
+        &["21 01 21 03 09", "00 61 62 63 64 65 66 67", "1D 61"],
+        &["21 01 21 03 09", "00 61 62 63 64 65 66 67", "0D 61"],
+        &["21 01 21 03 11"],
+        &[
+            "20 01 21 03",
+            "00 61 62 63 64 65 66 67",
+            "10 61 62 63 64 65 66 67",
+            "01 61 62 63 64 65 66 67",
+        ],
+        &["20 01 21 03", "00 61 62 63 64 65 66 67", "10 61 62 63 64 65 66 67", "0B 61 62"],
+        &["20 01 21 03", "0F"],
+        &["20 01 21 03", "01 FF FF 00 00 00 00 00"],
+        &["21 01 21 02 08", "00 01 02 03 04 05 06 07", "1D 08", "40 01 21 02", "60", "70"],
+        &["20 01 21 02", "09 01 02 03"],
+        &["20 01 21 02", "00 01 02 03 04 05 06 07", "11 01 02 03 04 05 06 07"],
+        &["21 01 21 01 04", "07 00 00 80 3F", "40 01 21 01"],
+        &["21 01 21 01 04", "07 00 00 80 40"],
+        &[
+            "21 01 21 01 05",
+            "21 01 21 01 03",
+            "22 01 21 01 00 00 80 3F",
+            "21 00 10 00 04",
+            "21 FF 10 00 04",
+        ],
+        &["21 17 10 00 02", "0B 0A 00", "21 17 10 00 02", "0D 0A", "20 17 10 00", "09 0A 00 00"],
+        &["23 01 21 03 61 62 63 64", "2F 01 21 03 61", "22 01 21 03 61 62 63 64", "40 01 21 03"],
+        &["22 02 21 00 00 00 00 00", "23 02 21 00 00 00 00 00", "21 02 21 00 00 00 00 00", "1F"],
+        // Block uploads: sizes, the switch of the protocol, too many confirmed, a repeated block, wrong requests.
+        &["A4 08 10 00 7F 00", "A3", "A2 02 7F", "A1"],
+        &["A0 08 10 00 7F 00", "A3", "A2 00 7F", "A2 01 7F", "A2 02 7F", "A1"],
+        &["A4 08 10 00 00 00", "A4 08 10 00 80 00", "A4 08 10 00 7F FF", "60", "70"],
+        &[
+            "A4 08 10 00 7F 09",
+            "A4 17 10 00 7F 04",
+            "A4 08 10 00 01 08",
+            "A3",
+            "A2 01 01",
+            "A2 01 01",
+            "A1",
+        ],
+        &["A4 08 10 00 7F 00", "A3", "A2 03 7F"],
+        &["A4 08 10 00 7F 00", "A3", "A2 02 00"],
+        &["A4 08 10 00 7F 00", "A3", "A2 02 80"],
+        &["A4 08 10 00 7F 00", "A1", "A4 08 10 00 7F 00", "40 17 10 00", "A3"],
+        &["A4 08 10 00 7F 00", "A3", "A3", "A4 08 10 00 7F 00", "A3", "A1"],
+        &["A4 17 10 00 7F 00", "A3", "A2 01 7F", "A1"],
+        &["A4 01 21 03 7F 00", "A3", "A2 01 7F", "A1", "A4 FF 10 00 7F 00", "A4 00 14 00 00 00"],
+        &["A4 02 21 00 02 00", "A3", "A2 02 03", "A2 01 02", "A2 02 02", "80 02 21 00"],
+        // Block downloads: complete, a wrong CRC, sizes, a lost segment, an abort.
+        &["C6 01 21 03 03", "81 61 62 63", "C1"],
+        &["C2 01 21 03 03", "81 61 62 63", "D1", "40 01 21 03"],
+        &["C2 01 21 03 04", "81 61 62 63", "D1"],
+        &["C2 01 21 03 03", "81 61 62 63", "C1"],
+        &["C0 01 21 03", "01 61 62 63 64 65 66 67", "82 61 62 63", "D1", "40 01 21 03"],
+        &["C0 01 21 03", "02 61", "83 62", "80 01 21 03"],
+        &[
+            "C0 01 21 03",
+            "01 61 62 63 64 65 66 67",
+            "02 61 62 63 64 65 66 67",
+            "83 61 62 63 64 65 66 67",
+            "C1",
+        ],
+        &["C2 01 21 03 11", "C2 17 10 00 01", "C2 17 10 00 03", "C2 00 10 00 04", "C2 FF 10 00 04"],
+        &["C2 17 10 00 02", "81 0A 00", "D5", "C2 17 10 00 02", "81 0A 00", "C1", "A1"],
+        &["C2 17 10 00 02", "81 0A 00", "D5 00", "40 17 10 00"],
+        &["C4 02 21 00", "81 00 9E 3C DA 78 17 B5", "80 02 21 00"],
+        &["C6 02 21 00", "81 01 01 01", "C1", "A3", "A2"],
+    ] {
+        for request in transfer {
+            pair.say(request);
+        }
+        pair.say("80 00 00 00");
+    }
+}
+
+#[test]
+fn parameters_survive_a_move_to_the_other_bank_by_the_hundreds_of_saves() {
+    let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+    let mut client = rig.sdo_client(NODE_ID);
+    assert!(client.download(0x2101, 3, b"inspector no. 16").is_ok());
+    let mut last = 0;
+    for delta in 0_u32..400 {
+        assert!(client.download(0x6426, 1, &delta.to_le_bytes()).is_ok());
+        if client.download(0x1010, 1, b"save").is_err() {
+            break;
+        }
+        last = delta;
+    }
+    assert!(last > 20, "{last} saves");
+    for _ in 0..2 {
+        rig.power_cycle(0);
+        rig.collect(Time::from_ms(50));
+        let mut client = rig.sdo_client(NODE_ID);
+        assert_eq!(client.number(0x6426, 1), last);
+        assert_eq!(client.upload(0x2101, 3), Ok(b"inspector no. 16".to_vec()));
+    }
+}
+
+#[test]
+fn damaged_parameters_are_defaults_and_the_settings_stay() {
+    let saved = {
+        let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+        let mut client = rig.sdo_client(NODE_ID);
+        assert!(client.download(0x6426, 1, &7_u32.to_le_bytes()).is_ok());
+        assert!(client.download(0x1010, 1, b"save").is_ok());
+        rig.network.board(0).flash()[SETTINGS_OFFSET as usize..][..0x8000].to_vec()
+    };
+    for at in [64, 68, 80, 100, 140] {
+        let mut content = saved.clone();
+        content[at] ^= 0x10;
+        let mut rig = rig(&content);
+        let delta = rig.sdo_client(NODE_ID).number(0x6426, 1);
+        assert!(matches!(delta, 5 | 7), "{delta} with byte {at} damaged");
+        rig.sdo_client(NODE_ID).download(0x1010, 1, b"save").expect("a save");
+        rig.power_cycle(0);
+        rig.collect(Time::from_ms(50));
+        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), delta);
+    }
+}
+
+#[test]
+fn an_rpdo_of_a_wrong_length_or_value_changes_nothing() {
+    let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+    rig.nmt("01 40");
+    for (data, outputs) in [(&[1][..], 1), (&[], 1), (&[2, 9], 2), (&[4], 2), (&[3], 3)] {
+        rig.transmit(on_the_wire(&Frame::new(0x240, data).expect("a frame")));
+        rig.collect(Time::from_ms(20));
+        assert_eq!(rig.sdo_client(NODE_ID).number(0x6200, 1), outputs, "{data:?}");
+    }
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "80 00 00 00")));
+    let is_answer = |frame: &&Frame| frame.cob_id() == 0x5C0;
+    assert_eq!(rig.collect(Time::from_ms(5)).0.iter().filter(is_answer).count(), SILENCE.len());
+}

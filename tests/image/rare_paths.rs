@@ -1,0 +1,564 @@
+//! The release image on paths that a healthy bus, a patient master and a sound flash do not take. `cargo xtask coverage`
+//! shows them.
+
+use emulator::{
+    Time,
+    board::{self, Board},
+    chip::{Access, Readings, ResetCause, StuckBits, Timing, Width},
+    network::{Short, What},
+};
+use lss_slave::BitRate;
+use testkit::{
+    frames::{self, Frames, SILENCE},
+    image::{image, part},
+    image_rig::{
+        DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, blank_board, flash_with,
+        on_the_wire, settings,
+    },
+    sdo,
+};
+
+/// The last sector of the settings' flash begins here.
+const SECOND_BANK: usize = SETTINGS_LENGTH / 2;
+
+fn node_40(heartbeat_ms: u16) -> ImageRig {
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
+    rig.collect(Time::from_ms(20));
+    rig
+}
+
+/// The answers of the SDO server of node 40.
+fn sdo(rig: &mut ImageRig, request: &str) -> Frames {
+    rig.transmit(on_the_wire(&sdo::request(0x40, request)));
+    let frames = rig.collect(Time::from_ms(5)).0;
+    Frames(frames.into_iter().filter(|frame| frame.cob_id() == 0x5C0).collect())
+}
+
+fn read(rig: &mut ImageRig, object: &str) -> u32 {
+    let [answer] = sdo(rig, &format!("40 {object}")).0[..] else {
+        panic!("no answer for {object}")
+    };
+    u32::from_le_bytes(*answer.data().last_chunk().expect("eight bytes"))
+}
+
+fn says(rig: &ImageRig, text: &str) -> bool {
+    rig.network.board(0).log().iter().any(|line| line.text.starts_with(text))
+}
+
+fn texts(frames: &Frames) -> Vec<String> {
+    frames.0.iter().map(frames::text).collect()
+}
+
+fn queue(rig: &mut ImageRig, frame: &lss_slave::Frame) {
+    rig.network.send(rig.master, on_the_wire(frame));
+}
+
+/// Sends requests at intervals of 50 ms until the board answers one; returns whether it does within 15 s.
+fn is_reached(rig: &mut ImageRig, request: &str) -> bool {
+    (0..300).any(|_| {
+        queue(rig, &frames::request(request));
+        let frames = rig.collect(Time::from_ms(50));
+        frames.0.iter().any(|frame| frame.cob_id() == 0x7E4)
+    })
+}
+
+#[test]
+fn each_wrong_sdo_request_has_its_abort_code() {
+    let mut rig = node_40(0);
+    for (request, answer) in [
+        ("2F 03 10 00 05", "80 03 10 00 30 00 09 06"),
+        ("2F 03 10 00 00", "60 03 10 00 00 00 00 00"),
+        ("2B 17 10 00 64", "60 17 10 00 00 00 00 00"),
+        ("22 17 10 00 64", "60 17 10 00 00 00 00 00"),
+        ("2F 17 10 00 64", "80 17 10 00 13 00 07 06"),
+        ("23 17 10 00 64", "80 17 10 00 12 00 07 06"),
+        ("21 17 10 00 01", "80 17 10 00 13 00 07 06"),
+        ("21 17 10 00 03", "80 17 10 00 12 00 07 06"),
+        ("21 17 10 00 02", "80 17 10 00 01 00 04 05"),
+        ("20 17 10 00 02", "80 17 10 00 01 00 04 05"),
+        ("23 10 10 01 73 61 76 66", "80 10 10 01 20 00 00 08"),
+        ("2F 29 10 01 03", "80 29 10 01 30 00 09 06"),
+        ("60", "80 00 00 00 01 00 04 05"),
+        ("40 08 10 00", "41 08 10 00 09 00 00 00"),
+        ("70", "80 08 10 00 00 00 03 05"),
+        ("60", "80 00 00 00 01 00 04 05"),
+        ("40 09 10 00", "41 09 10 00 03 00 00 00"),
+        ("60", "09 31 2E 30 00 00 00 00"),
+        ("E0 12 34 56", "80 12 34 56 01 00 04 05"),
+        ("40 00 10 01", "80 00 10 01 11 00 09 06"),
+        ("40 FF FF FF", "80 FF FF FF 00 00 02 06"),
+        ("40 00 00 00", "80 00 00 00 00 00 02 06"),
+        ("2F 01 10 00 00", "80 01 10 00 02 00 01 06"),
+    ] {
+        assert_eq!(texts(&sdo(&mut rig, request)), [format!("5C0: {answer}")], "{request}");
+    }
+    assert_eq!(sdo(&mut rig, "80 17 10 00"), SILENCE);
+}
+
+#[test]
+fn the_history_keeps_the_latest_eight_of_ten_errors() {
+    let mut rig = node_40(100);
+    for _ in 0..5 {
+        rig.network.set_short(Some(Short::Recessive));
+        rig.network.run_for(Time::from_s(1));
+        rig.network.set_short(None);
+        rig.collect(Time::from_s(3));
+    }
+    assert_eq!(read(&mut rig, "03 10 00"), 8);
+    for sub_index in 1..=8 {
+        let error = read(&mut rig, &format!("03 10 {sub_index:02X}"));
+        assert!(matches!(error, 0x8120 | 0x8140), "{error:X}");
+    }
+}
+
+#[test]
+fn a_core_that_is_too_slow_for_the_bus_reports_lost_frames() {
+    let of_chip = Readings { slowdown: 60, ..Readings::default() };
+    let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+    let mut board = Board::new(part(), image(), of_board);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0x40, BitRate::Kbit1000)]));
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    rig.collect(Time::from_ms(100));
+    for _ in 0..40 {
+        queue(&mut rig, &lss_slave::Frame::new(0x7E5, &[]).expect("a frame"));
+    }
+    let sent = texts(&rig.collect(Time::from_ms(200)));
+    assert!(says(&rig, "CAN: overrun, a received frame was lost"));
+    assert!(sent.iter().any(|text| text.starts_with("0C0: 10 81 11")), "{sent:?}");
+    assert!(sent.iter().any(|text| text.starts_with("0C0: 00 00 00")), "{sent:?}");
+}
+
+#[test]
+fn lost_settings_are_the_only_error_until_the_next_store() {
+    let mut board = blank_board(0);
+    board.set_flash(SETTINGS_OFFSET, &[0; SETTINGS_LENGTH]);
+    let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board]);
+    for request in ["04 01", "11 40", "04 00"] {
+        rig.lss(request);
+    }
+    rig.collect(Time::from_ms(50));
+    assert_eq!(read(&mut rig, "01 10 00") & 0xFF, 1);
+    assert_eq!(read(&mut rig, "03 10 01"), 0x6310);
+    rig.lss("04 01");
+    rig.lss("17");
+    rig.collect(Time::from_ms(50));
+    assert_eq!(read(&mut rig, "01 10 00") & 0xFF, 0);
+}
+
+#[test]
+fn a_configured_rate_stays_pending_while_the_board_follows_the_bus() {
+    let mut rig = node_40(100);
+    rig.lss("04 01");
+    assert_eq!(rig.lss("13 00 03"), ["13 00"]);
+    rig.set_master_bit_rate(BitRate::Kbit125);
+    for _ in 0..200 {
+        for frame in ["702:", "703: 00", "701: 05"] {
+            let (id, data) = frame.split_once(':').expect("an id and data");
+            let id = u16::from_str_radix(id, 16).expect("an id");
+            queue(&mut rig, &lss_slave::Frame::new(id, &frames::bytes(data)).expect("a frame"));
+        }
+        rig.collect(Time::from_ms(50));
+    }
+    assert!(is_reached(&mut rig, "5E"));
+    rig.lss("04 01");
+    let answers = texts(&rig.lss("17"));
+    assert!(answers.iter().any(|text| text.starts_with("7E4: 17 00")), "{answers:?}");
+    rig.network.power_off(0);
+    rig.set_master_bit_rate(BitRate::Kbit250);
+    rig.power_on(0);
+    rig.lss("04 01");
+    assert!(is_reached(&mut rig, "5E"));
+}
+
+#[test]
+fn a_board_that_has_found_its_rate_can_follow_the_bus_to_others() {
+    let mut rig = node_40(100);
+    for request in ["04 01", "13 00 09"] {
+        rig.lss(request);
+    }
+    rig.transmit_request("15 0A 00");
+    rig.network.run_for(Time::from_ms(10));
+    rig.set_master_bit_rate(BitRate::Kbit250);
+    assert!(is_reached(&mut rig, "5E"));
+    for request in ["04 01", "13 00 09"] {
+        rig.lss(request);
+    }
+    rig.transmit_request("15 0A 00");
+    rig.collect(Time::from_ms(100));
+    assert!(is_reached(&mut rig, "5E"), "a detection that continues keeps its result");
+    rig.collect(Time::from_s(31));
+    for rate in [BitRate::Kbit500, BitRate::Kbit250] {
+        rig.set_master_bit_rate(rate);
+        assert!(is_reached(&mut rig, "5E"), "{rate:?}");
+    }
+}
+
+#[test]
+fn fastscan_ignores_steps_beyond_32_bits_and_four_parts() {
+    let mut rig = ImageRig::blank();
+    assert_eq!(rig.lss("51 00 00 00 00 80 00 00"), ["4F"]);
+    for bit_check in ["20", "21", "7F"] {
+        assert_eq!(rig.lss(&format!("51 00 00 00 00 {bit_check} 00 00")), SILENCE, "{bit_check}");
+    }
+    assert_eq!(rig.lss("51 00 00 00 00 1F 00 04"), SILENCE, "there is no fifth part");
+    assert_eq!(rig.lss("51 00 00 00 00 1F 00 00"), ["4F"]);
+}
+
+#[test]
+fn of_nmt_commands_during_a_switch_the_reset_of_the_node_counts() {
+    for commands in [["01 40", "81 40", "82 40", "01 40"], ["82 40", "01 40", "81 40", "82 40"]] {
+        let mut rig = node_40(0);
+        rig.lss("04 01");
+        rig.transmit_request("15 64 00");
+        for command in commands {
+            rig.transmit_command(command);
+        }
+        rig.expect_reset(0, ResetCause::Software);
+        rig.collect(Time::from_ms(300));
+        assert_eq!(rig.network.board(0).resets().len(), 2, "{commands:?}");
+    }
+}
+
+#[test]
+fn a_board_without_a_node_id_does_not_start() {
+    let mut rig = ImageRig::blank();
+    assert_eq!(rig.nmt("01 00"), SILENCE);
+    for request in ["04 01", "11 40"] {
+        rig.lss(request);
+    }
+    assert_eq!(rig.lss("04 00"), ["740: 00"]);
+    assert_eq!(rig.collect(Time::from_ms(1_050)), ["740: 7F"]);
+}
+
+#[test]
+fn error_behaviour_2_stops_the_node_at_bus_off() {
+    for state in ["01 00", "80 00"] {
+        let mut rig = node_40(100);
+        rig.transmit_command(state);
+        sdo(&mut rig, "2F 29 10 01 02");
+        rig.network.set_short(Some(Short::Recessive));
+        rig.network.run_for(Time::from_s(1));
+        rig.network.set_short(None);
+        let sent = texts(&rig.collect(Time::from_s(4)));
+        assert_eq!(sent.last().map(String::as_str), Some("740: 04"), "{state}");
+    }
+}
+
+#[test]
+fn bus_off_before_the_first_boot_up_does_not_stop_the_node() {
+    let mut rig = ImageRig::blank();
+    rig.lss("04 01");
+    rig.network.set_short(Some(Short::Recessive));
+    queue(&mut rig, &frames::request("5E"));
+    rig.network.run_for(Time::from_s(1));
+    rig.network.set_short(None);
+    rig.collect(Time::from_s(4));
+    assert!(is_reached(&mut rig, "5E"));
+}
+
+/// Passes time that the board does not notice but in its count.
+fn skip_minutes(rig: &ImageRig, minutes: u32) {
+    const TIM2_CNT: u32 = 0x4000_0024;
+    let board = rig.network.board(0);
+    let counter = Access { address: TIM2_CNT, width: Width::Word, now: board.now(), pc: 0 };
+    let count = board.chip().read(counter).expect("a register");
+    board.chip().write(counter, count.wrapping_add(minutes * 60_000_000)).expect("a register");
+}
+
+#[test]
+fn heartbeats_go_on_after_more_than_half_an_hour_without_one() {
+    let mut rig = node_40(0);
+    skip_minutes(&rig, 40);
+    assert_eq!(read(&mut rig, "17 10 00") & 0xFFFF, 0);
+    sdo(&mut rig, "2B 17 10 00 14");
+    rig.collect(Time::from_ms(20));
+    assert_eq!(rig.collect(Time::from_ms(60)).0.len(), 3);
+    skip_minutes(&rig, 40);
+    assert_eq!(read(&mut rig, "17 10 00") & 0xFFFF, 20);
+    rig.collect(Time::from_ms(20));
+    assert_eq!(rig.collect(Time::from_ms(60)).0.len(), 3);
+}
+
+#[test]
+fn a_fast_heartbeat_resumes_once_after_a_pause() {
+    let mut rig = node_40(1);
+    rig.network.adapter_mut(rig.master).close();
+    rig.network.run_for(Time::from_ms(400));
+    rig.network.adapter_mut(rig.master).open();
+    rig.collect(Time::from_ms(200));
+    let sent = rig.collect(Time::from_ms(100)).0.len();
+    assert!((99..=101).contains(&sent), "{sent} heartbeats");
+}
+
+/// Node 40 on a board with the slowest flash, and with the request to store the heartbeat time just sent.
+fn saving() -> ImageRig {
+    let mut rig = node_40(0);
+    rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+    queue(&mut rig, &sdo::request(0x40, "2B 17 10 00 E8 03"));
+    queue(&mut rig, &sdo::request(0x40, "23 10 10 01 73 61 76 65"));
+    rig
+}
+
+#[test]
+fn one_save_runs_and_one_waits_and_a_third_is_refused() {
+    let mut rig = saving();
+    for _ in 0..4 {
+        queue(&mut rig, &sdo::request(0x40, "23 10 10 01 73 61 76 65"));
+    }
+    let answers = texts(&rig.collect(Time::from_ms(50)));
+    let count = |end: &str| answers.iter().filter(|text| **text == format!("5C0: {end}")).count();
+    let (done, refused) = (count("60 10 10 01 00 00 00 00"), answers.len() - 1);
+    assert!(done >= 2 && refused > done, "{answers:?}");
+}
+
+#[test]
+fn a_reset_or_a_stop_during_a_save_leaves_it_unanswered_but_done() {
+    for (command, delay) in [
+        ("02 40", 300),
+        ("02 40", 150),
+        ("82 40", 300),
+        ("82 40", 500),
+        ("82 40", 150),
+        ("80 40", 300),
+    ] {
+        let mut rig = saving();
+        rig.network.run_for(Time::from_us(delay));
+        queue(&mut rig, &frames::command(command));
+        rig.collect(Time::from_ms(50));
+        rig.power_cycle(0);
+        rig.collect(Time::from_ms(20));
+        assert_eq!(read(&mut rig, "17 10 00"), 1000, "{command} after {delay} us");
+    }
+}
+
+#[test]
+fn a_save_to_a_protected_flash_is_aborted() {
+    let mut rig = node_40(0);
+    rig.network.board(0).chip().flash_mut().protect_sectors(0b110);
+    sdo(&mut rig, "2B 17 10 00 E8 03");
+    assert_eq!(sdo(&mut rig, "23 10 10 01 73 61 76 65"), ["5C0: 80 10 10 01 00 00 06 06"]);
+}
+
+/// CRC-32 of IEEE 802.3.
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
+    !bytes
+        .iter()
+        .fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), |crc, _| step(crc)))
+}
+
+/// The content of the settings' flash with one record, whose kind, node-ID and bit rate are these.
+fn one_record(kind: u8, node_id: u8, bit_rate: u8) -> Vec<u8> {
+    let mut record = [0xFF; 32];
+    record[..7].copy_from_slice(&[9, 0, 0, 0, kind, node_id, bit_rate]);
+    record[8..10].copy_from_slice(&[0, 0]);
+    let crc = crc32(&record[..24]);
+    record[24..28].copy_from_slice(&crc.to_le_bytes());
+    record[28..].copy_from_slice(b"LSS1");
+    let mut content = vec![0xFF; SETTINGS_LENGTH];
+    content[..32].copy_from_slice(&record);
+    content
+}
+
+/// The node-ID of a board that boots with this content of its flash; FF for none.
+fn node_id_with(content: &[u8], rate: BitRate) -> u8 {
+    let mut board = blank_board(0);
+    board.set_flash(SETTINGS_OFFSET, content);
+    let mut rig = ImageRig::new(rate, [board]);
+    rig.lss("04 01");
+    let answers = rig.lss("5E").0;
+    answers.iter().find(|frame| frame.data()[0] == 0x5E).expect("an answer").data()[1]
+}
+
+#[test]
+fn a_record_counts_only_with_a_known_kind_and_legal_values() {
+    assert_eq!(node_id_with(&one_record(1, 0x40, 0), BitRate::Kbit1000), 0x40);
+    assert_eq!(node_id_with(&one_record(0, 0xFF, 0xFF), DEFAULT_BIT_RATE), 0xFF);
+    for (kind, node_id, bit_rate) in [
+        (2, 0x40, 0),
+        (0xFF, 0x40, 0),
+        (1, 0, 0),
+        (1, 0x80, 0),
+        (1, 0xFE, 0),
+        (1, 0x40, 5),
+        (1, 0x40, 10),
+    ] {
+        let content = one_record(kind, node_id, bit_rate);
+        assert_eq!(node_id_with(&content, DEFAULT_BIT_RATE), 0xFF, "{kind} {node_id} {bit_rate}");
+    }
+    let mut damaged = one_record(1, 0x40, 0);
+    damaged[20] = 0;
+    assert_eq!(node_id_with(&damaged, DEFAULT_BIT_RATE), 0xFF);
+}
+
+#[test]
+fn a_board_boots_with_any_damage_to_either_bank() {
+    let valid = flash_with(&[settings(0x40, DEFAULT_BIT_RATE)]);
+    let (blank, junk) = (vec![0xFF; SECOND_BANK], vec![0x5A; SECOND_BANK]);
+    let record = valid[..SECOND_BANK].to_vec();
+    for (first, second, node_id) in [
+        (&blank, &blank, 0xFF),
+        (&blank, &junk, 0xFF),
+        (&junk, &blank, 0xFF),
+        (&junk, &junk, 0xFF),
+        (&record, &blank, 0x40),
+        (&record, &junk, 0x40),
+        (&blank, &record, 0x40),
+        (&junk, &record, 0x40),
+        (&record, &record, 0x40),
+    ] {
+        let content = [first.as_slice(), second].concat();
+        assert_eq!(node_id_with(&content, DEFAULT_BIT_RATE), node_id);
+    }
+}
+
+#[test]
+fn a_board_whose_flash_fails_at_the_start_still_has_its_settings() {
+    let mut content = flash_with(&[settings(0x40, BitRate::Kbit1000)]);
+    // A store that was cut off after its first word.
+    content[64..68].copy_from_slice(&[3, 0, 0, 0]);
+    for stuck in [96, 96 + 28] {
+        let mut board = blank_board(0);
+        board.set_flash(SETTINGS_OFFSET, &content);
+        let bits = StuckBits { offset: SETTINGS_OFFSET + stuck, mask: 1, value: 1 };
+        board.chip().flash_mut().add_stuck_bits(bits);
+        let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+        assert!(says(&rig, "the flash failed, a store may fail too"));
+    }
+}
+
+#[test]
+fn a_new_board_with_a_weak_supply_answers_without_a_store() {
+    let mut board = blank_board(0);
+    board.set_supply(2_500);
+    let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board]);
+    assert!(says(&rig, "flash: not written, the supply is below 2.7 V"));
+    assert_eq!(rig.lss("4C"), ["50"]);
+    rig.lss("04 01");
+    assert_eq!(rig.lss("17"), ["17 02"]);
+}
+
+#[test]
+fn a_board_recovers_from_bus_off_at_a_slow_rate() {
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit20).with_heartbeat_ms(300));
+    rig.collect(Time::from_ms(50));
+    rig.network.set_short(Some(Short::Recessive));
+    rig.network.run_for(Time::from_s(8));
+    rig.network.set_short(None);
+    rig.collect(Time::from_s(4));
+    assert!(rig.did(0, Time::ZERO).any(|event| event.what == What::BusOff));
+    assert!(says(&rig, "CAN: recovered from bus-off"));
+    assert!(texts(&rig.collect(Time::from_s(1))).contains(&"740: 7F".to_owned()));
+}
+
+#[test]
+fn of_the_heartbeats_that_a_full_bus_delays_two_remain() {
+    let mut rig = node_40(20);
+    let urgent = lss_slave::Frame::new(0x001, &[0x55; 8]).expect("a frame");
+    for command in ["01 40", "02 40"] {
+        (0..800).for_each(|_| queue(&mut rig, &urgent));
+        queue(&mut rig, &frames::command(command));
+    }
+    while rig.network.adapter_mut(rig.master).unsent() > 0 {
+        rig.network.run_for(Time::from_ms(1));
+    }
+    let sent = texts(&rig.collect(Time::from_ms(1)));
+    let heartbeats: Vec<_> = sent.iter().filter(|text| text.starts_with("740")).collect();
+    assert_eq!(heartbeats, ["740: 7F", "740: 7F", "740: 05"]);
+}
+
+#[test]
+fn settings_are_saved_and_defaults_restored_in_operational() {
+    let mut rig = node_40(0);
+    rig.transmit_command("01 40");
+    sdo(&mut rig, "2B 17 10 00 14");
+    for (request, answer) in [
+        ("23 10 10 01 73 61 76 65", "60 10 10 01 00 00 00 00"),
+        ("23 11 10 01 6C 6F 61 65", "80 11 10 01 20 00 00 08"),
+        ("23 11 10 01 6C 6F 61 64", "60 11 10 01 00 00 00 00"),
+    ] {
+        assert_eq!(texts(&sdo(&mut rig, request)), [format!("5C0: {answer}")], "{request}");
+    }
+    let restore = sdo::request(0x40, "23 11 10 01 6C 6F 61 64");
+    (0..8).for_each(|_| queue(&mut rig, &restore));
+    assert!(!rig.collect(Time::from_ms(50)).0.is_empty());
+}
+
+#[test]
+fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
+    for (configure, boot_up) in [("11 FF", &SILENCE[..]), ("11 41", &["741: 00"])] {
+        let of_chip = Readings { slowdown: 30, ..Readings::default() };
+        let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+        let mut board = Board::new(part(), image(), of_board);
+        board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0x40, BitRate::Kbit1000)]));
+        let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+        rig.collect(Time::from_ms(100));
+        for request in ["04 01", configure] {
+            rig.lss(request);
+        }
+        queue(&mut rig, &frames::command("82 40"));
+        queue(&mut rig, &sdo::request(0x40, "40 17 10 00"));
+        assert_eq!(texts(&rig.collect(Time::from_ms(50))), *boot_up, "{configure}");
+    }
+}
+
+/// Node 40, which has followed its master to another bit rate as a guest.
+fn guest() -> ImageRig {
+    let mut rig = node_40(100);
+    rig.lss("04 01");
+    rig.set_master_bit_rate(BitRate::Kbit250);
+    assert!(is_reached(&mut rig, "5E"));
+    rig
+}
+
+#[test]
+fn a_guest_goes_home_when_its_master_is_gone() {
+    let mut rig = guest();
+    rig.network.adapter_mut(rig.master).close();
+    rig.network.run_for(Time::from_s(10));
+    rig.network.adapter_mut(rig.master).open();
+    rig.set_master_bit_rate(BitRate::Kbit1000);
+    assert!(is_reached(&mut rig, "5E"));
+}
+
+#[test]
+fn a_dominant_bus_ends_a_search_and_not_the_stay_of_a_guest() {
+    let mut rig = guest();
+    rig.network.set_short(Some(Short::Dominant));
+    rig.network.run_for(Time::from_s(3));
+    rig.network.set_short(None);
+    assert!(is_reached(&mut rig, "5E"));
+    for ms in [5, 40, 90, 130, 180, 230, 300, 400] {
+        let mut rig = node_40(100);
+        rig.lss("04 01");
+        rig.set_master_bit_rate(BitRate::Kbit250);
+        let foreign = Frames(vec![frames::stranger()]);
+        for _ in 0..60 {
+            queue(&mut rig, &foreign.0[0]);
+            rig.network.run_for(Time::from_ms(20));
+        }
+        rig.network.run_for(Time::from_ms(ms));
+        rig.network.set_short(Some(Short::Dominant));
+        rig.network.run_for(Time::from_ms(600));
+        rig.network.set_short(None);
+        rig.set_master_bit_rate(BitRate::Kbit1000);
+        assert!(is_reached(&mut rig, "5E"));
+    }
+}
+
+#[test]
+fn a_request_during_the_pause_of_a_lonely_board_is_answered() {
+    let mut unanswered = 0;
+    for delay in 0..12 {
+        let mut rig = node_40(50);
+        rig.lss("04 01");
+        rig.network.adapter_mut(rig.master).close();
+        rig.network.run_for(Time::from_ms(140 + 10 * delay));
+        rig.network.adapter_mut(rig.master).open();
+        queue(&mut rig, &frames::request("5E"));
+        let answers = texts(&rig.collect(Time::from_ms(100)));
+        unanswered += u32::from(!answers.iter().any(|text| text.starts_with("7E4: 5E")));
+    }
+    assert_eq!(unanswered, 0);
+}

@@ -1,0 +1,168 @@
+//! The branches of an image, each with the source line that it comes from.
+
+use std::{collections::BTreeMap, fs, path::Path};
+
+use addr2line::{
+    Context,
+    gimli::{Dwarf, EndianSlice, LittleEndian, SectionId},
+};
+use anyhow::Context as _;
+use object::{Object, ObjectSection, ObjectSymbol, SectionKind, read::elf::ElfFile32};
+
+use super::thumb::{self, Branch, Code};
+
+type Lines<'a> = Context<EndianSlice<'a, LittleEndian>>;
+
+/// A line of the sources, and the function that it is in.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Place {
+    /// Relative to the workspace for our code.
+    pub file: String,
+    /// From 1; 0 for code that belongs to no line.
+    pub line: u32,
+    /// Without the crate's hash and generic arguments.
+    pub function: String,
+    /// Whether the line is in the library or the firmware.
+    pub is_ours: bool,
+}
+
+/// The instructions of an image.
+pub struct Program {
+    /// The place of each instruction.
+    pub instructions: BTreeMap<u32, Place>,
+    pub branches: Vec<Branch>,
+}
+
+impl Program {
+    /// Reads an ELF file with debug information.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn load(path: &Path, workspace: &Path) -> anyhow::Result<Self> {
+        let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        Self::parse(&bytes, workspace).with_context(|| format!("cannot parse {}", path.display()))
+    }
+
+    fn parse(bytes: &[u8], workspace: &Path) -> anyhow::Result<Self> {
+        let file = ElfFile32::<object::Endianness>::parse(bytes)?;
+        let section = |id: SectionId| -> object::Result<_> {
+            let section = file.section_by_name(id.name());
+            let data = section.map(|section| section.data()).transpose()?;
+            Ok(EndianSlice::new(data.unwrap_or_default(), LittleEndian))
+        };
+        let lines = Context::from_dwarf(Dwarf::load(section)?)?;
+        // "$t" begins code and "$d" constants, up to the next of them.
+        let is_code: BTreeMap<u64, bool> = file
+            .symbols()
+            .filter_map(|symbol| Some((symbol.address(), symbol.name().ok()?.get(..2)?.to_owned())))
+            .filter(|(_, kind)| kind == "$t" || kind == "$d")
+            .map(|(address, kind)| (address, kind == "$t"))
+            .collect();
+        let mut program = Self { instructions: BTreeMap::new(), branches: Vec::new() };
+        for section in file.sections().filter(|section| section.kind() == SectionKind::Text) {
+            let (start, content) = (section.address(), section.data()?);
+            let end = start + content.len() as u64;
+            let starts: Vec<u64> =
+                is_code.range(start..end).map(|(address, _)| *address).chain([end, end]).collect();
+            let part =
+                |from: u64, to: u64| &content[(from - start) as usize..(to - start) as usize];
+            for window in starts.windows(3).filter(|window| is_code.get(&window[0]) == Some(&true))
+            {
+                let data = if is_code.get(&window[1]) == Some(&false) {
+                    part(window[1], window[2])
+                } else {
+                    &[]
+                };
+                let code = Code { base: window[0] as u32, bytes: part(window[0], window[1]), data };
+                let (instructions, branches) = thumb::decode(&code);
+                let mut last = None;
+                for address in instructions {
+                    let place = place(&lines, address, workspace, last.as_ref())?;
+                    last = Some(place.clone());
+                    program.instructions.insert(address, place);
+                }
+                program.branches.extend(branches);
+            }
+        }
+        Ok(program)
+    }
+}
+
+/// The line of an instruction: that of the innermost call that is inlined from our code or a dependency's. Lines of the
+/// standard library, and code without a line, count as their callers'. `last` is the place of the instruction before.
+fn place(
+    lines: &Lines,
+    address: u32,
+    workspace: &Path,
+    last: Option<&Place>,
+) -> anyhow::Result<Place> {
+    let mut frames = lines.find_frames(address.into()).skip_all_loads()?;
+    let mut innermost = None;
+    while let Some(frame) = frames.next()? {
+        let name = frame.function.as_ref().and_then(|function| function.raw_name().ok());
+        let function = name.map_or_else(|| "?".to_owned(), |name| plain_name(&name));
+        let location = frame.location.as_ref();
+        let file = location.and_then(|location| location.file).unwrap_or_default();
+        let line = location.and_then(|location| location.line).unwrap_or(0);
+        let own = Path::new(file)
+            .strip_prefix(workspace)
+            .ok()
+            .filter(|file| file.starts_with("src") || file.starts_with("lss-slave/src"));
+        let mut place = Place {
+            file: own.map_or_else(|| file.to_owned(), |own| own.display().to_string()),
+            line,
+            function,
+            is_ours: own.is_some(),
+        };
+        // The compiler gives no line to code that it has merged.
+        if let Some(last) = last.filter(|last| line == 0 && last.function == place.function) {
+            place = last.clone();
+        }
+        if !file.contains("/library/") && place.line > 0 {
+            return Ok(place);
+        }
+        innermost.get_or_insert(place);
+    }
+    Ok(innermost.unwrap_or_else(|| Place {
+        file: String::new(),
+        line: 0,
+        function: "?".to_owned(),
+        is_ours: false,
+    }))
+}
+
+/// The path of a function, without generic arguments: `<a::B as c::D<e::F>>::g` keeps its first bracket.
+fn plain_name(mangled: &str) -> String {
+    let name = format!("{:#}", rustc_demangle::demangle(mangled));
+    let mut plain = String::new();
+    let mut depth = 0;
+    for (at, char) in name.char_indices() {
+        let is_argument =
+            char == '<' && (depth > 0 || at > 0 && !name[..at].ends_with([' ', '(', '<', '&']));
+        if is_argument {
+            depth += 1;
+        } else if depth == 0 {
+            plain.push(char);
+        } else if char == '>' && !name[..at].ends_with('-') {
+            depth -= 1;
+        }
+    }
+    plain.replace("::::", "::").trim_end_matches("::").to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_functions_lose_their_generic_arguments() {
+        for (name, plain) in [
+            ("lss_slave::node::Node<A, B<C>>::poll", "lss_slave::node::Node::poll"),
+            ("<lss_slave::can::Can as a::B<u8>>::send", "<lss_slave::can::Can as a::B>::send"),
+            ("a::b::<fn(u8) -> u16>", "a::b"),
+            ("a::b::{closure#0}", "a::b::{closure#0}"),
+        ] {
+            assert_eq!(plain_name(name), plain);
+        }
+    }
+}
