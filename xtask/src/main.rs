@@ -1,6 +1,7 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
-//! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`.
+//! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`,
+//! `cargo xtask trace`, `cargo xtask unsafe-code`.
 
 mod bench;
 mod chips;
@@ -9,6 +10,7 @@ mod emulate;
 mod example;
 mod flash;
 mod fuzz;
+mod generated;
 #[cfg(target_os = "linux")]
 mod linux;
 mod no_harm;
@@ -17,9 +19,12 @@ mod power_cut;
 mod qemu;
 mod readings;
 mod size;
+mod sources;
 mod storm;
+mod trace;
+mod unsafe_code;
 
-use std::{io, process::ExitCode};
+use std::{io, path::Path, process::ExitCode};
 
 use anstyle::{AnsiColor, Style};
 use clap::{Parser, Subcommand};
@@ -55,6 +60,8 @@ enum Command {
     Readings(readings::Arguments),
     Size(size::Arguments),
     Storm(storm::Arguments),
+    Trace(trace::Arguments),
+    UnsafeCode(unsafe_code::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -73,6 +80,8 @@ fn main() -> ExitCode {
         Command::Readings(arguments) => readings::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
+        Command::Trace(arguments) => trace::run(&arguments),
+        Command::UnsafeCode(arguments) => unsafe_code::run(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -82,6 +91,11 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// The directory of the workspace.
+fn workspace() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
 /// Whether the reader of the output, such as `head`, has closed it.
