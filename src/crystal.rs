@@ -9,7 +9,7 @@ use stm32f4xx_hal::pac::RCC;
 use crate::board;
 
 /// Survives a reset and shows whether a failure of the crystal caused it.
-// SAFETY: cortex-m-rt places the section in RAM, and nothing initialises it.
+// SAFETY: the section of cortex-m-rt for variables that nothing initialises.
 #[unsafe(link_section = ".uninit.CRYSTAL_NOTE")]
 static mut NOTE: MaybeUninit<u32> = MaybeUninit::uninit();
 

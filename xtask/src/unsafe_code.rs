@@ -57,7 +57,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for (_, heading, items) in parts {
         write!(page, "\n## {heading}\n\n| file | in | what | argument |\n|---|---|---|---|\n")?;
         for (path, Item { kind, owner, argument, .. }) in items {
-            writeln!(page, "| `{path}` | `{owner}` | `{kind}` | {argument} |")?;
+            let owner = if owner.is_empty() { owner } else { format!("`{owner}`") };
+            writeln!(page, "| `{path}` | {owner} | `{kind}` | {argument} |")?;
         }
     }
     write_or_check("docs/unsafe.md", &page, arguments.check, "cargo xtask unsafe-code")
