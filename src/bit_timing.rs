@@ -1,7 +1,8 @@
 //! Bit timing of the bxCAN: the register values of the bit rates.
 
 use lss_slave::{BitRate, bit_rate::BitTiming};
-use lss_slave_firmware::device::APB1_HZ;
+
+use crate::product::device::APB1_HZ;
 
 /// The CAN_BTR values by index of the bit timing table; 0 for a rate that this clock cannot make and the node never
 /// requests.

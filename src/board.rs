@@ -1,22 +1,24 @@
 //! The board after a reset: watchdog, clocks, pins and identity.
 
-use lss_slave::lss::Address;
-use lss_slave_firmware::{chip::UNIQUE_ID, device};
+use lss_slave::{NodeId, Settings, lss::Address};
 use stm32f4xx_hal::{
-    gpio::{ErasedPin, Output, alt::can1},
-    pac::{CAN1, DBGMCU, Peripherals, RCC},
-    rcc::{Config, Enable, Rcc, RccExt},
+    gpio::{ErasedPin, Input},
+    pac::{DBGMCU, Peripherals, RCC},
+    rcc::{Config, Rcc, RccExt},
     time::Hertz,
     watchdog::IndependentWatchdog,
 };
 
 use crate::{
+    can_pins::CanPins,
     clock::Alarm,
+    controller::{self, Can},
     crystal,
     flash::SettingsFlash,
+    led::Led,
     pins::{Pins, Ports},
+    product::{chip::UNIQUE_ID, device},
     supply::Supply,
-    transmit_pin::TransmitPin,
 };
 
 /// The watchdog timeout in ms at 32 kHz; its oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is
@@ -36,9 +38,11 @@ pub type IoBoard = ();
 pub struct Board {
     pub rcc: Rcc,
     pub alarm: Alarm,
-    pub can: CAN1,
-    pub can_pins: (TransmitPin, can1::Rx),
-    pub indicators: (ErasedPin<Output>, ErasedPin<Output>),
+    pub can: Can,
+    pub can_pins: CanPins,
+    pub indicators: (Led, Led),
+    /// The settings of a device that has stored none.
+    pub defaults: Settings,
     pub settings_flash: SettingsFlash,
     pub watchdog: IndependentWatchdog,
     pub io: IoBoard,
@@ -68,8 +72,24 @@ impl Board {
         let mut rcc = chip.RCC.freeze(clocks);
         let alarm = Alarm::new(chip.TIM2, &mut rcc);
         // Before the pins are assigned, so that they do not glitch.
-        CAN1::enable(&mut rcc);
-        let ports = Ports { a: chip.GPIOA, b: chip.GPIOB, c: chip.GPIOC, d: chip.GPIOD };
+        controller::enable(&mut rcc);
+        let ports = Ports {
+            a: chip.GPIOA,
+            b: chip.GPIOB,
+            c: chip.GPIOC,
+            d: chip.GPIOD,
+            e: chip.GPIOE,
+            f: chip.GPIOF,
+            g: chip.GPIOG,
+            h: chip.GPIOH,
+            #[cfg(not(any(
+                feature = "stm32f412",
+                feature = "stm32f413",
+                feature = "stm32f423",
+                feature = "stm32f446"
+            )))]
+            i: chip.GPIOI,
+        };
         let pins = Pins::new(ports, &mut rcc);
         let settings_flash = SettingsFlash::new(chip.FLASH, supply);
         Self {
@@ -79,13 +99,30 @@ impl Board {
             io: (),
             rcc,
             alarm,
+            #[cfg(not(any(feature = "can2", feature = "can3")))]
             can: chip.CAN1,
+            #[cfg(feature = "can2")]
+            can: chip.CAN2,
+            #[cfg(feature = "can3")]
+            can: chip.CAN3,
             can_pins: pins.can,
             indicators: pins.indicators,
+            defaults: defaults(&pins.node_id_switches),
             settings_flash,
             watchdog,
         }
     }
+}
+
+/// The defaults of the product, with the node-ID of the switches if they give one.
+fn defaults(switches: &[ErasedPin<Input>]) -> Settings {
+    if switches.is_empty() {
+        return device::DEFAULTS;
+    }
+    // Longer than a pull-up needs for the wires to the switches.
+    cortex_m::asm::delay(device::SYSCLK_HZ / 10_000);
+    let value = switches.iter().rev().fold(0, |bits, switch| bits << 1 | u8::from(switch.is_low()));
+    device::DEFAULTS.with_node_id(NodeId::new(value).or(device::DEFAULTS.node_id))
 }
 
 /// Waits at least 100 ms for `it_is_there`, with the core at 16 MHz; returns false on a timeout.

@@ -1,11 +1,12 @@
 //! Time: a free-running count of microseconds, and an interrupt at the next deadline.
 
 use lss_slave::Instant;
-use lss_slave_firmware::device::APB1_HZ;
 use stm32f4xx_hal::{
     pac::{Interrupt, TIM2},
     rcc::{Enable, Rcc},
 };
+
+use crate::product::device::APB1_HZ;
 
 /// Clock periods per microsecond: if an APB is slower than the core, its timers run at twice its clock (RM0090, 7.2).
 const PERIODS: u32 = 2 * APB1_HZ / 1_000_000;

@@ -3,10 +3,9 @@
 use core::mem::MaybeUninit;
 
 use cortex_m::peripheral::SCB;
-use lss_slave_firmware::device::CRYSTAL_IS_EXTERNAL_CLOCK;
 use stm32f4xx_hal::pac::RCC;
 
-use crate::board;
+use crate::{board, product::device::CRYSTAL_IS_EXTERNAL_CLOCK};
 
 /// Survives a reset and shows whether a failure of the crystal caused it.
 // SAFETY: the section of cortex-m-rt for variables that nothing initialises.

@@ -1,5 +1,6 @@
 //! The settings that make the firmware your product: identity, defaults and clock. Edit this file first, then
-//! `pins.rs` and `application.rs`.
+//! `pins.rs` and `application.rs`. The chip and its CAN controller are features of the build: `stm32f446`, or
+//! `stm32f446,can2`.
 
 use lss_slave::{BitRate, BitRateSetting, BitRates, Settings, bit_rate::BitTiming};
 
@@ -25,7 +26,8 @@ pub const SOFTWARE_VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// The settings of a new device, until an LSS master stores others.
 pub const DEFAULTS: Settings = Settings::new(BitRateSetting::Fixed(BitRate::Kbit125))
-    // `None`: not configured, the device waits for an LSS master. Otherwise `NodeId::new(5)`, for example.
+    // `None`: not configured, the device waits for an LSS master. Otherwise `NodeId::new(5)`, for example. Switches
+    // take precedence: `pins.rs`.
     .with_node_id(None)
     // Milliseconds between heartbeats; 0 disables the heartbeat.
     .with_heartbeat_ms(1000);

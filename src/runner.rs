@@ -8,12 +8,12 @@ use lss_slave::{
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
 };
-use lss_slave_firmware::{Application, Node};
 use stm32f4xx_hal::pac::Interrupt;
 
 use crate::{
     can::{Controller, Received},
     clock::{self, Alarm},
+    product::{Application, Node},
 };
 
 /// The greatest number of bytes that the stored parameters take.

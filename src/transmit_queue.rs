@@ -3,7 +3,8 @@
 use core::cmp::Reverse;
 
 use lss_slave::{Frame, nmt};
-use lss_slave_firmware::Node;
+
+use crate::product::Node;
 
 /// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
 /// other frames fills the queue.

@@ -38,17 +38,20 @@ pub struct Settings {
     pub unique_id: [u8; 12],
     /// The chip's deviations from the nominal chip.
     pub chip_readings: Readings,
-    /// The behaviour of the CAN controller where the manual is ambiguous.
+    /// The CAN controller whose transceiver is on the network's first bus: 1 for CAN1.
+    pub controller: usize,
+    /// The behaviour of the CAN controllers where the manual is ambiguous.
     pub can_readings: bxcan::Readings,
 }
 
 impl Default for Settings {
-    /// An exact 8 MHz crystal, a unique id of zeros, a nominal chip, and the usual reading of the manual.
+    /// An exact 8 MHz crystal, a unique id of zeros, a nominal chip, CAN1, and the usual reading of the manual.
     fn default() -> Self {
         Self {
             crystal: Clock { hz: 8_000_000, ppm: 0 },
             unique_id: [0; 12],
             chip_readings: Readings::default(),
+            controller: 1,
             can_readings: bxcan::Readings::default(),
         }
     }
@@ -73,6 +76,7 @@ pub struct Board {
     engine: Box<dyn Engine>,
     #[cfg(feature = "log")]
     log: Log,
+    controller: usize,
     start_up: StartUp,
     powered: bool,
     /// The supply is on, but too low for the chip to leave its reset.
@@ -89,11 +93,14 @@ impl Board {
     /// A board with `image` in its flash, switched on at time zero.
     ///
     /// # Panics
-    /// A segment of the image lies outside of the part's flash.
+    /// A segment of the image lies outside of the part's flash, or the part has no such controller.
     pub fn new(part: Part, image: &Image, settings: Settings) -> Self {
-        let Settings { crystal, unique_id, chip_readings, can_readings } = settings;
+        let Settings { crystal, unique_id, chip_readings, controller, can_readings } = settings;
         let mut chip = Chip::with_readings(part, crystal, unique_id, chip_readings);
-        chip.can1_mut().set_readings(can_readings);
+        for can in chip.cans_mut() {
+            can.set_readings(can_readings);
+        }
+        assert!((1..=part.cans()).contains(&controller), "{} has no CAN{controller}", part.name());
         for (address, bytes) in image.segments() {
             let offset = address.wrapping_sub(FLASH_BASE);
             let fits = u64::from(offset) + bytes.len() as u64 <= part.flash_size().into();
@@ -107,6 +114,7 @@ impl Board {
             engine,
             #[cfg(feature = "log")]
             log: Log::new(image.clone()),
+            controller,
             start_up: chip_readings.start_up,
             powered: false,
             browned_out: false,
@@ -122,6 +130,11 @@ impl Board {
     /// The microcontroller's peripherals. The board cannot run while the guard is held.
     pub fn chip(&self) -> MutexGuard<'_, Chip> {
         self.chip.lock().expect("a panic while the chip was in use")
+    }
+
+    /// The CAN controller whose transceiver is on the network's first bus: 1 for CAN1.
+    pub fn controller(&self) -> usize {
+        self.controller
     }
 
     /// The board's current time.

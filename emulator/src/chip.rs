@@ -39,7 +39,10 @@ use usart::Usart;
 
 use crate::{
     Time,
-    can::{Bxcan, Clock, Pins},
+    can::{
+        Bxcan, Clock, Pins,
+        bxcan::{Interrupts, Role},
+    },
 };
 
 /// Something that the chip asks of its board.
@@ -71,9 +74,10 @@ pub struct Chip {
     dbgmcu: Dbgmcu,
     factory: Factory,
     adc: Adc,
-    can1: Bxcan,
-    /// Its pins as it knows them.
-    can1_joined: Pins,
+    /// CAN1 and CAN2, on some parts CAN3.
+    cans: Vec<Bxcan>,
+    /// Their pins as they know them.
+    cans_joined: Vec<Pins>,
     readings: Readings,
     findings: Vec<Finding>,
     request: Option<Request>,
@@ -82,6 +86,11 @@ pub struct Chip {
 
 /// First address of the option bytes.
 const OPTION_BYTES: u32 = 0x1FFF_C000;
+
+/// The roles of CAN1, CAN2 and CAN3.
+const ROLES: [Role; 3] = [Role::Master, Role::Slave, Role::Single];
+/// The first interrupts of CAN1, CAN2 and CAN3 (RM0090 table 61, for CAN3 the vector table of RM0430).
+const CAN_INTERRUPTS: [usize; 3] = [19, 63, 74];
 
 const BACKUP_DOMAIN_PROTECTED: &str = "the backup domain is written while DBP protects it";
 
@@ -117,15 +126,15 @@ impl Chip {
             dbgmcu: Dbgmcu::new(part),
             factory: Factory::new(part, unique_id),
             adc: Adc::new(part),
-            can1: Bxcan::new(),
-            can1_joined: Pins { transmit: true, receive: true },
+            cans: ROLES[..part.cans()].iter().map(|&role| Bxcan::new(role)).collect(),
+            cans_joined: vec![Pins { transmit: true, receive: true }; part.cans()],
             readings,
             findings: Vec::new(),
             request: None,
             can_written: false,
         };
         chip.follow_clocks(Time::ZERO);
-        chip.connect_can(Time::ZERO);
+        chip.connect_cans(Time::ZERO);
         chip
     }
 
@@ -179,14 +188,30 @@ impl Chip {
         &mut self.iwdg
     }
 
-    /// The CAN controller.
-    pub fn can1(&self) -> &Bxcan {
-        &self.can1
+    /// A CAN controller: 1 for CAN1.
+    ///
+    /// # Panics
+    /// The part has no such controller.
+    pub fn can(&self, number: usize) -> &Bxcan {
+        &self.cans[number - 1]
     }
 
-    /// The CAN controller, for the bus that it is on.
-    pub fn can1_mut(&mut self) -> &mut Bxcan {
-        &mut self.can1
+    /// A CAN controller, for the bus that it is on: 1 for CAN1.
+    ///
+    /// # Panics
+    /// The part has no such controller.
+    pub fn can_mut(&mut self, number: usize) -> &mut Bxcan {
+        &mut self.cans[number - 1]
+    }
+
+    /// All CAN controllers, CAN1 first.
+    pub fn cans(&self) -> &[Bxcan] {
+        &self.cans
+    }
+
+    /// All CAN controllers, CAN1 first, for the buses that they are on.
+    pub fn cans_mut(&mut self) -> &mut [Bxcan] {
+        &mut self.cans
     }
 
     /// Everything suspicious so far.
@@ -196,17 +221,24 @@ impl Chip {
 
     /// Levels of the interrupt lines, bit n for interrupt n (RM0090 table 61).
     pub fn irqs(&self) -> u128 {
-        let can = self.can1.irq();
         self.exti.irqs()
             | u128::from(self.flash.irq()) << 4
             | u128::from(self.adc.irq()) << 18
-            | u128::from(can.tx) << 19
-            | u128::from(can.rx0) << 20
-            | u128::from(can.rx1) << 21
-            | u128::from(can.sce) << 22
+            | self.can_irqs()
             | u128::from(self.rng.irq()) << 80
             | self.timers.iter().map(Timer::irqs).fold(0, BitOr::bitor)
             | self.usarts.iter().map(Usart::irqs).fold(0, BitOr::bitor)
+    }
+
+    fn can_irqs(&self) -> u128 {
+        let mut irqs = 0;
+        for (can, first) in self.cans.iter().zip(CAN_INTERRUPTS) {
+            let Interrupts { tx, rx0, rx1, sce } = can.irq();
+            for (at, level) in [tx, rx0, rx1, sce].into_iter().enumerate() {
+                irqs |= u128::from(level) << (first + at);
+            }
+        }
+        irqs
     }
 
     /// When the chip next does something by itself, CAN apart, which lives on the bus's time.
@@ -270,9 +302,10 @@ impl Chip {
             self.rtc = Rtc::new();
             self.dbgmcu = Dbgmcu::new(self.part);
         }
-        self.can1.reset();
+        self.cans.iter_mut().for_each(Bxcan::reset);
+        self.share_filters();
         self.follow_clocks(now);
-        self.connect_can(now);
+        self.connect_cans(now);
         self.request = None;
         self.can_written = false;
     }
@@ -309,7 +342,7 @@ impl Chip {
             Block::Rtc => self.rtc.read(offset, now),
             Block::Iwdg => self.iwdg.read(offset, now),
             Block::Adc => self.adc.read(offset, now),
-            Block::Can1 => self.can1.read(offset, now),
+            Block::Can(can) => self.cans.get(usize::from(can))?.read(offset, now),
             Block::Syscfg => self.syscfg.read(offset),
             Block::Exti => self.exti.read(offset),
             Block::Gpio(port) => self.gpio.read(usize::from(port), offset),
@@ -416,16 +449,7 @@ impl Chip {
                     Err(Problem::Misuse("IWDG register written while protected or being updated"))
                 });
             }
-            Block::Can1 => {
-                self.can_written = true;
-                let modelled = self.can1.write(offset, value, now);
-                if modelled && offset == 0 && value & 3 == 0 && !self.can1_has_its_pins() {
-                    return Ok(Err(Problem::Misuse(
-                        "CAN1 leaves initialisation with no pins in its alternate function",
-                    )));
-                }
-                modelled
-            }
+            Block::Can(can) => return Ok(self.write_can(can.into(), offset, value, now)),
             Block::Usart(usart) => self.usarts[usize::from(usart)].write(offset, value),
             Block::Rng => self.rng.write(offset, value),
             Block::Pwr => self.pwr.write(offset, value),
@@ -433,7 +457,7 @@ impl Chip {
             Block::Exti => self.exti.write(offset, value),
             Block::Gpio(port) => {
                 let modelled = self.gpio.write(usize::from(port), offset, value, now);
-                self.connect_can(now);
+                self.connect_cans(now);
                 modelled
             }
             Block::Dbgmcu => self.dbgmcu.write(offset, value),
@@ -442,10 +466,35 @@ impl Chip {
         Ok(if modelled { Ok(()) } else { Err(Problem::Unmodelled) })
     }
 
+    fn write_can(&mut self, can: usize, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        self.can_written = true;
+        let controller = self.cans.get_mut(can).ok_or(Problem::Unmodelled)?;
+        if !controller.write(offset, value, now) {
+            return Err(Problem::Unmodelled);
+        }
+        if can == 0 {
+            self.share_filters();
+        }
+        let is_start = offset == 0 && value & 3 == 0;
+        if is_start && !self.can_has_its_pins(can) {
+            return Err(Problem::Misuse(
+                "a CAN controller leaves initialisation with no pins in its alternate function",
+            ));
+        }
+        if is_start && can == 1 && !self.rcc.enabled(Gate::Can(0)) {
+            return Err(Problem::Misuse(
+                "CAN2 leaves initialisation while CAN1, which has its memory, has no clock",
+            ));
+        }
+        Ok(())
+    }
+
     /// Gives the peripherals the clocks that RCC now makes.
     fn follow_clocks(&mut self, now: Time) {
         let clocks = self.clocks();
-        self.can1.set_clock(clocks.pclk1);
+        for can in &mut self.cans {
+            can.set_clock(clocks.pclk1);
+        }
         self.adc.set_clock(clocks.pclk2);
         for timer in &mut self.timers {
             let clock = match timer.apb() {
@@ -457,9 +506,11 @@ impl Chip {
     }
 
     fn carry_out_resets(&mut self, now: Time) {
-        if self.rcc.held_in_reset(Gate::Can1) {
-            self.can1.reset();
-            self.can_written = true;
+        for can in 0..self.cans.len() {
+            if self.rcc.held_in_reset(Gate::Can(can as u8)) {
+                self.reset_can(can);
+                self.can_written = true;
+            }
         }
         for (number, timer) in self.timers.iter_mut().enumerate() {
             if self.rcc.held_in_reset(Gate::Timer(number as u8)) {
@@ -485,7 +536,7 @@ impl Chip {
                 self.gpio.reset_port(port, now);
             }
         }
-        self.connect_can(now);
+        self.connect_cans(now);
         if self.rcc.held_in_reset(Gate::Pwr) {
             self.pwr.reset();
         }

@@ -1,8 +1,8 @@
-//! Boards and CAN adapters on one bus, and the order in which they advance in time.
+//! Boards and CAN adapters on one bus or several, and the order in which they advance in time.
 
 mod trace;
 
-use std::sync::MutexGuard;
+use std::{iter, sync::MutexGuard};
 
 pub use crate::can::{Noise, Short};
 pub use trace::{Event, Recording, Source, What};
@@ -10,19 +10,28 @@ pub use trace::{Event, Recording, Source, What};
 use crate::{
     Time,
     board::{Board, Stop},
-    can::{Adapter, Bus, Controller, Frame, Station},
+    can::{Adapter, Bus, Bxcan, Controller, Frame, Station},
     chip::Chip,
 };
 use trace::Trace;
 
 /// The longest lead of an awake CPU over the bus and the other boards.
 const LOOKAHEAD: Time = Time::from_us(1);
+/// The greatest number of CAN controllers of a part.
+const CANS: usize = 3;
 
 /// The identifier of an adapter of a [`Network`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AdapterId(usize);
 
+/// The identifier of a bus of a [`Network`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BusId(usize);
+
 /// Boards and adapters on a CAN bus, in virtual time. The same calls always produce the same run.
+///
+/// A board's controller is on the first bus; [`connect`](Self::connect) puts its other controllers on further buses.
+/// A controller without a bus never leaves initialisation mode. The trace, shorts and noise are of the first bus.
 ///
 /// While every CPU sleeps the bus advances first, up to the next wake-up or interrupt. If one CPU is awake on a quiet
 /// bus, it advances first, until it writes to its CAN controller. Otherwise the CPUs run ahead of the bus by at most a
@@ -31,13 +40,19 @@ pub struct AdapterId(usize);
 #[derive(Default)]
 pub struct Network {
     now: Time,
+    /// The first, and those that were added.
     bus: Bus,
+    more_buses: Vec<Bus>,
     /// A station may act earlier than the bus expects.
     touched: bool,
     boards: Vec<Board>,
+    /// The bus of each controller of each board.
+    plugs: Vec<[Option<BusId>; CANS]>,
     /// The time of each board's next event; a board that sleeps longer stays behind in time.
     wake: Vec<Time>,
     adapters: Vec<Adapter>,
+    /// The bus of each adapter.
+    adapter_buses: Vec<BusId>,
     trace: Trace,
 }
 
@@ -52,22 +67,46 @@ impl Network {
         self.now
     }
 
-    /// Connects a board to the bus and returns its number. If the network has already run, the board is powered on now.
+    /// Adds a bus without stations.
+    pub fn add_bus(&mut self) -> BusId {
+        self.more_buses.push(Bus::new());
+        BusId(self.more_buses.len())
+    }
+
+    /// Puts another controller of a board, 2 for CAN2, on a bus.
+    pub fn connect(&mut self, board: usize, controller: usize, bus: BusId) {
+        self.plugs[board][controller - 1] = Some(bus);
+    }
+
+    fn bus(&self, bus: BusId) -> &Bus {
+        bus.0.checked_sub(1).map_or(&self.bus, |at| &self.more_buses[at])
+    }
+
+    /// Connects a board's controller to the first bus and returns the board's number. If the network has already run, the board is powered on now.
     pub fn add_board(&mut self, mut board: Board) -> usize {
         if board.now() < self.now() {
             board.power_off();
             board.run_until(self.now());
             board.power_on();
         }
+        let mut plugs = [None; CANS];
+        plugs[board.controller() - 1] = Some(BusId::default());
+        self.plugs.push(plugs);
         self.boards.push(board);
         self.wake.push(self.now);
         self.boards.len() - 1
     }
 
-    /// Connects an adapter to the bus.
-    pub fn add_adapter(&mut self, mut adapter: Adapter) -> AdapterId {
-        adapter.plug_in(self.now, self.bus.level());
+    /// Connects an adapter to the first bus.
+    pub fn add_adapter(&mut self, adapter: Adapter) -> AdapterId {
+        self.add_adapter_to(BusId::default(), adapter)
+    }
+
+    /// Connects an adapter to a bus.
+    pub fn add_adapter_to(&mut self, bus: BusId, mut adapter: Adapter) -> AdapterId {
+        adapter.plug_in(self.now, self.bus(bus).level());
         self.adapters.push(adapter);
+        self.adapter_buses.push(bus);
         AdapterId(self.adapters.len() - 1)
     }
 
@@ -88,8 +127,9 @@ impl Network {
 
     /// An adapter, to change its bit rate or to close it.
     pub fn adapter_mut(&mut self, adapter: AdapterId) -> &mut Adapter {
+        let level = self.bus(self.adapter_buses[adapter.0]).level();
         let adapter = &mut self.adapters[adapter.0];
-        adapter.controller().settle(self.now, self.bus.level());
+        adapter.controller().settle(self.now, level);
         adapter
     }
 
@@ -147,8 +187,12 @@ impl Network {
     /// Applies `act` to a station's controller when the bus has reached the current time.
     fn with_controller(&mut self, station: Source, act: impl FnOnce(&mut Controller)) {
         self.bus.settle(self.now);
+        self.more_buses.iter_mut().for_each(|bus| bus.settle(self.now));
         match station {
-            Source::Board(number) => act(self.boards[number].chip().can1_mut().controller()),
+            Source::Board(number) => {
+                let board = &self.boards[number];
+                act(board.chip().can_mut(board.controller()).controller());
+            }
             Source::Adapter(AdapterId(number)) => act(self.adapters[number].controller()),
         }
     }
@@ -211,7 +255,7 @@ impl Network {
 
     /// Runs up to `until`, or to an earlier time that needs a new decision.
     fn step(&mut self, until: Time) {
-        let quiet_until = if self.touched { self.now } else { self.bus.next_action() };
+        let quiet_until = if self.touched { self.now } else { self.next_action() };
         let soon = until.min(self.now + LOOKAHEAD);
         let (mut first, mut second) = (Time::MAX, Time::MAX);
         for &wake in &self.wake {
@@ -226,7 +270,7 @@ impl Network {
             }
         }
         self.now =
-            if self.touched || self.bus.next_action() <= end { self.run_bus(end) } else { end };
+            if self.touched || self.next_action() <= end { self.run_buses(end) } else { end };
     }
 
     /// Runs a board until `end`, or to its first write to the CAN controller from `soon` on; returns which.
@@ -250,39 +294,105 @@ impl Network {
         end
     }
 
-    /// Runs the bus until `until`, or to an event that concerns a CPU or an adapter's user; returns which.
-    fn run_bus(&mut self, until: Time) -> Time {
+    /// The time of the next action on any bus.
+    fn next_action(&self) -> Time {
+        self.more_buses.iter().map(Bus::next_action).fold(self.bus.next_action(), Time::min)
+    }
+
+    /// Runs the buses until `until`, or to an event that concerns a CPU or an adapter's user; returns which.
+    fn run_buses(&mut self, until: Time) -> Time {
         let powered = |(_, board): &(usize, &Board)| board.is_powered();
-        let boards: Vec<usize> =
+        let numbers: Vec<usize> =
             self.boards.iter().enumerate().filter(powered).map(|(number, _)| number).collect();
         let mut chips: Vec<MutexGuard<'_, Chip>> =
-            boards.iter().map(|&number| self.boards[number].chip()).collect();
-        let source = |station: usize| match boards.get(station) {
-            Some(&number) => Source::Board(number),
-            None => Source::Adapter(AdapterId(station - boards.len())),
-        };
-        let chip_stations = chips.iter_mut().map(|chip| chip.can1_mut() as &mut dyn Station);
-        let adapter_stations = self.adapters.iter_mut().map(|adapter| adapter as &mut dyn Station);
-        let mut stations: Vec<&mut dyn Station> = chip_stations.chain(adapter_stations).collect();
-        let trace = &mut self.trace;
-        let reached = self.bus.advance(until, &mut stations, &mut |station, controller, event| {
-            trace.observe(source(station), controller, event);
-        });
+            numbers.iter().map(|&number| self.boards[number].chip()).collect();
+        let buses = iter::once(&mut self.bus).chain(&mut self.more_buses);
+        let mut buses: Vec<Connected<'_>> = buses.map(Connected::new).collect();
+        for (&number, chip) in numbers.iter().zip(&mut chips) {
+            for (can, plug) in chip.cans_mut().iter_mut().zip(self.plugs[number]) {
+                if let Some(BusId(bus)) = plug {
+                    buses[bus].add(Source::Board(number), can);
+                }
+            }
+        }
+        for (number, (adapter, bus)) in
+            self.adapters.iter_mut().zip(&self.adapter_buses).enumerate()
+        {
+            buses[bus.0].add(Source::Adapter(AdapterId(number)), adapter);
+        }
+        let reached = advance(&mut buses, until, &mut self.trace);
+        drop(buses);
         self.touched = false;
 
         let mut interrupted = Vec::new();
-        for (&number, chip) in boards.iter().zip(&mut chips) {
-            self.trace.take_notes(number, chip);
-            if chip.can1().irq_changes() {
+        for (&number, chip) in numbers.iter().zip(&mut chips) {
+            for (can, plug) in chip.cans_mut().iter_mut().zip(self.plugs[number]) {
+                if plug == Some(BusId::default()) {
+                    self.trace.take_notes(number, can);
+                } else {
+                    can.take_notes();
+                }
+            }
+            if chip.cans().iter().any(Bxcan::irq_changes) {
                 interrupted.push(number);
             }
         }
         drop(chips);
         for number in interrupted {
             self.run_board(number, reached, reached);
-            self.boards[number].chip().can1_mut().update_irq();
+            self.boards[number].chip().cans_mut().iter_mut().for_each(Bxcan::update_irq);
             self.wake[number] = self.boards[number].wake_time();
         }
         reached
+    }
+}
+
+/// A bus and the stations on it.
+struct Connected<'a> {
+    bus: &'a mut Bus,
+    sources: Vec<Source>,
+    stations: Vec<&'a mut dyn Station>,
+}
+
+impl<'a> Connected<'a> {
+    fn new(bus: &'a mut Bus) -> Self {
+        Self { bus, sources: Vec::new(), stations: Vec::new() }
+    }
+
+    fn add(&mut self, source: Source, station: &'a mut dyn Station) {
+        self.sources.push(source);
+        self.stations.push(station);
+    }
+
+    fn advance(&mut self, until: Time, mut trace: Option<&mut Trace>) -> Time {
+        let sources = &self.sources;
+        self.bus.advance(until, &mut self.stations, &mut |station, controller, event| {
+            if let Some(trace) = &mut trace {
+                trace.observe(sources[station], controller, event);
+            }
+        })
+    }
+}
+
+/// Advances all buses to one time: `until`, or the first instant after which a station requests a stop; returns it.
+fn advance(buses: &mut [Connected<'_>], until: Time, trace: &mut Trace) -> Time {
+    let [first, others @ ..] = buses else { return until };
+    if others.is_empty() {
+        return first.advance(until, Some(trace));
+    }
+    // No bus must run past the stop of another: all go from action to action.
+    let mut now = first.bus.now();
+    loop {
+        first.advance(now, Some(trace));
+        for other in &mut *others {
+            other.advance(now, None);
+        }
+        let has_stopped =
+            first.bus.has_stopped() || others.iter().any(|other| other.bus.has_stopped());
+        if has_stopped || now >= until {
+            return now;
+        }
+        let next = others.iter().map(|other| other.bus.next_action());
+        now = next.fold(first.bus.next_action(), Time::min).max(now).min(until);
     }
 }

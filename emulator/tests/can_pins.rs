@@ -58,7 +58,7 @@ impl PinRig {
     fn run(&mut self, span: Time) {
         let until = self.bus.now() + span;
         let stations: &mut [&mut dyn emulator::can::Station] =
-            &mut [self.chip.can1_mut(), &mut self.adapter];
+            &mut [self.chip.can_mut(1), &mut self.adapter];
         while self.bus.advance(until, stations, &mut |_, _, _| {}) < until {}
     }
 
@@ -119,7 +119,7 @@ fn a_locked_transmit_pin_reaches_the_bus_only_in_its_alternate_function() {
     use emulator::can::bxcan::{Readings, TransmitLock};
     let mut rig = PinRig::new(TX_IS_OUTPUT, BTR);
     let transmit_lock = Some(TransmitLock { every: 1, frame: 1 });
-    rig.chip.can1_mut().set_readings(Readings { transmit_lock, ..Readings::default() });
+    rig.chip.can_mut(1).set_readings(Readings { transmit_lock, ..Readings::default() });
     rig.write(RCC_APB1RSTR, 1 << 25);
     rig.write(RCC_APB1RSTR, 0);
     rig.start(1 << 31 | BTR);

@@ -271,3 +271,52 @@ fn an_hour_of_sleep_is_short() {
     network.send(adapter, standard(0x601, &[1]));
     assert!(network.run_until_received(adapter, Time::from_ms(5)).is_some());
 }
+
+#[test]
+fn traffic_on_a_second_bus_does_not_change_what_happens_on_the_first() {
+    let session = |has_second: bool| {
+        let mut network = Network::new();
+        network.add_board(board(20));
+        let adapter = network.add_adapter(Adapter::new(250_000));
+        let others = has_second.then(|| {
+            let second = network.add_bus();
+            [333_000, 333_000].map(|rate| network.add_adapter_to(second, Adapter::new(rate)))
+        });
+        network.run_until(READY);
+        let (mut answers, mut heard) = (Vec::new(), 0);
+        for n in 0..30 {
+            network.send(adapter, standard(0x601, &[n; 8]));
+            if let Some([sender, receiver]) = others {
+                (0..8).for_each(|_| network.send(sender, standard(0x601, &[!n; 8])));
+                heard += std::iter::from_fn(|| network.receive(receiver)).count();
+            }
+            network.run_for(Time::from_us(2_345));
+            answers.extend(std::iter::from_fn(|| network.receive(adapter)));
+        }
+        (network.trace().to_vec(), answers, heard)
+    };
+    let (trace, answers, _) = session(false);
+    let (beside, answers_beside, heard) = session(true);
+    assert_eq!((answers.len(), answers), (30, answers_beside));
+    assert_eq!(trace, beside);
+    assert!(heard > 150, "{heard} frames on the second bus");
+}
+
+#[test]
+fn each_controller_answers_on_its_own_bus() {
+    let mut network = Network::new();
+    let settings = Settings { controller: 2, ..Settings::default() };
+    network.add_board(Board::new(Part::Stm32f405, &echo().image(), settings));
+    let second = network.add_bus();
+    let stranger = network.add_adapter(Adapter::new(250_000));
+    let adapter = network.add_adapter_to(second, Adapter::new(250_000));
+    network.connect(0, 1, second);
+    network.run_until(READY);
+    // The program uses CAN1, which is not on the first bus.
+    network.send(stranger, standard(0x601, &[1]));
+    network.send(adapter, standard(0x601, &[2]));
+    let (_, answer) = network.run_until_received(adapter, Time::from_ms(5)).expect("an answer");
+    assert_eq!(answer, reply(&[2]));
+    assert_eq!(network.adapter_mut(stranger).unsent(), 1);
+    assert!(frames(&network).is_empty());
+}

@@ -61,6 +61,9 @@ struct Arguments {
     /// Read registers and reset the first board with probe-rs; its chip
     #[arg(long, value_name = "CHIP", value_parser = PossibleValuesParser::new(Probe::chips()))]
     probe: Option<String>,
+    /// The CAN controller of the first board, whose registers the probe reads: 1, 2 or 3
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=3), requires = "probe")]
+    controller: u8,
     /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
     #[arg(long, value_name = "MS", default_value_t = 2)]
     latency: u16,
@@ -117,7 +120,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
                 Ask::Never => false,
             };
             let person = if is_asked { Person::at_standard_input() } else { Person::absent() };
-            let probe = arguments.probe.as_deref().and_then(Probe::new);
+            let probe = arguments.probe.as_deref();
+            let probe = probe.and_then(|chip| Probe::new(chip, arguments.controller));
             let bus =
                 Bus::new(adapter, Duration::from_millis(arguments.latency.into()), is_interrupted);
             let mut bench = Bench::new(bus, report, person, probe, arguments.quick);

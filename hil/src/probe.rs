@@ -19,6 +19,8 @@ const LIMIT: Duration = Duration::from_secs(20);
 pub struct Probe {
     /// The name of the chip in probe-rs.
     chip: &'static str,
+    /// The CAN controller on the bus, 1 for CAN1.
+    pub controller: u8,
 }
 
 impl Probe {
@@ -28,9 +30,10 @@ impl Probe {
         const { &CHIPS }.iter().filter(has_its_clocks).map(|chip| chip.feature)
     }
 
-    /// The probe of a board with this chip; `None` for a chip that the firmware does not know.
-    pub fn new(chip: &str) -> Option<Self> {
-        Some(Self { chip: Chip::named(chip)?.probe_rs })
+    /// The probe of a board with this chip and this CAN controller on the bus; `None` for a chip that the firmware does
+    /// not know.
+    pub fn new(chip: &str, controller: u8) -> Option<Self> {
+        Some(Self { chip: Chip::named(chip)?.probe_rs, controller })
     }
 
     /// Reads a word without halting the core.

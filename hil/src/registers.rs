@@ -21,8 +21,16 @@ const fn register(name: &'static str, address: u32, mask: u32, value: u32) -> Re
     Register { name, address, mask, value }
 }
 
-/// The registers of a board with this node-ID that takes part in the bus at its home rate.
-pub fn expected(rate: BitRate, id: NodeId) -> Vec<Register> {
+/// The registers of a board with this node-ID that takes part in the bus at its home rate with this CAN controller, 1
+/// for CAN1.
+pub fn expected(rate: BitRate, id: NodeId, controller: u8) -> Vec<Register> {
+    let can = 0x4000_6000 + 0x400 * u32::from(controller);
+    // CAN2 has its clock and that of CAN1, and banks of CAN1.
+    let (clocks, filters, first) = match controller {
+        2 => (0b11 << 25, 0x4000_6400, 14),
+        _ => (1 << (24 + controller), can, 0),
+    };
+    let bank = filters + 0x240 + 8 * first;
     // A filter bank in list mode holds four identifiers, each in the upper 11 bits of a half-word.
     let entry = |cob_id: u16| u32::from(cob_id) << 5;
     let pair = |low: u16, high: u16| entry(high) << 16 | entry(low);
@@ -38,22 +46,22 @@ pub fn expected(rate: BitRate, id: NodeId) -> Vec<Register> {
         register("RCC_PLLCFGR", 0x4002_3804, 0x0F43_7FFF, PLL),
         // PLL as system clock, and the dividers of the buses.
         register("RCC_CFGR", 0x4002_3808, 0x0000_FCFF, 0x0000_940A),
-        // CAN1 has its clock.
-        register("RCC_APB1ENR", 0x4002_3840, 1 << 25, 1 << 25),
+        // The controller has its clock.
+        register("RCC_APB1ENR", 0x4002_3840, clocks, clocks),
         // Wait states, prefetch and caches.
         register("FLASH_ACR", 0x4002_3C00, 0x0000_070F, 0x0000_0705),
-        register("CAN_MCR", 0x4000_6400, 0x0001_00FF, 0x0001_0040),
-        register("CAN_IER", 0x4000_6414, 0x0003_877F, 0x0000_8603),
+        register("CAN_MCR", can, 0x0001_00FF, 0x0001_0040),
+        register("CAN_IER", can + 0x14, 0x0003_877F, 0x0000_8603),
         // Neither warning, error passive nor bus-off.
-        register("CAN_ESR", 0x4000_6418, 0x0000_0007, 0),
-        register(CAN_BTR, 0x4000_641C, ALL, BitTiming::solve(rate, device::APB1_HZ).map_or(0, btr)),
-        register("CAN_FMR", 0x4000_6600, 1, 0),
-        register("CAN_FM1R", 0x4000_6604, 0x3FFF, 0b01),
-        register("CAN_FS1R", 0x4000_660C, 0x3FFF, 0),
-        register("CAN_FFA1R", 0x4000_6614, 0x3FFF, 0b10),
-        register("CAN_FA1R", 0x4000_661C, 0x3FFF, 0b11),
-        register("CAN_F0R1", 0x4000_6640, ALL, pair(lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID)),
-        register("CAN_F0R2", 0x4000_6644, ALL, pair(sdo, lss::REQUEST_COB_ID)),
+        register("CAN_ESR", can + 0x18, 0x0000_0007, 0),
+        register(CAN_BTR, can + 0x1C, ALL, BitTiming::solve(rate, device::APB1_HZ).map_or(0, btr)),
+        register("CAN_FMR", filters + 0x200, 1, 0),
+        register("CAN_FM1R", filters + 0x204, 0x0FFF_FFFF, 0b01 << first),
+        register("CAN_FS1R", filters + 0x20C, 0x0FFF_FFFF, 0),
+        register("CAN_FFA1R", filters + 0x214, 0x0FFF_FFFF, 0b10 << first),
+        register("CAN_FA1R", filters + 0x21C, 0x0FFF_FFFF, 0b11 << first),
+        register("first bank, R1", bank, ALL, pair(lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID)),
+        register("first bank, R2", bank + 4, ALL, pair(sdo, lss::REQUEST_COB_ID)),
     ]
 }
 
@@ -92,33 +100,41 @@ impl Register {
 mod tests {
     use emulator::{
         Time,
-        chip::{Access, Width},
+        chip::{Access, Part, Width},
     };
-    use testkit::image_rig::{ImageRig, settings};
+    use testkit::{
+        boards, image,
+        image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},
+    };
 
     use super::*;
 
     #[test]
-    fn the_table_has_the_values_of_the_emulated_board() {
+    fn the_table_has_the_values_of_the_emulated_board_on_can1_and_on_can2() {
+        let on_can2 = image::build_with_features(Part::Stm32f405, &["can2", "switches"]);
+        let on_can2 = on_can2.expect("it builds");
         let mut differences = Vec::new();
         for (rate, id) in BitRate::ALL.into_iter().zip([1, 5, 0x7E].into_iter().cycle()) {
-            let mut rig = ImageRig::with(settings(id, rate));
-            rig.network.run_for(Time::from_ms(500));
-            for register in expected(rate, NodeId::new(id).expect("1..=127")) {
-                let board = rig.network.board(0);
-                let access = Access {
-                    address: register.address,
-                    width: Width::Word,
-                    now: board.now(),
-                    pc: 0,
-                };
-                let value = board.chip().read(access).expect("a register") & register.mask;
-                if value != register.value {
-                    differences.push(format!(
-                        "{rate:?} {}: {}",
-                        register.name,
-                        register.explain(value)
-                    ));
+            for (controller, image) in [(1, image::image()), (2, &on_can2)] {
+                let settings = settings(id, rate);
+                let mut board = boards::board_on(Part::Stm32f405, controller, image, 0);
+                board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
+                let mut rig = ImageRig::new(rate, [board]);
+                rig.network.run_for(Time::from_ms(500));
+                for register in expected(rate, NodeId::new(id).expect("1..=127"), controller) {
+                    let board = rig.network.board(0);
+                    let access = Access {
+                        address: register.address,
+                        width: Width::Word,
+                        now: board.now(),
+                        pc: 0,
+                    };
+                    let value = board.chip().read(access).expect("a register") & register.mask;
+                    if value != register.value {
+                        let value = register.explain(value);
+                        differences
+                            .push(format!("CAN{controller} {rate:?} {}: {value}", register.name));
+                    }
                 }
             }
         }
@@ -129,7 +145,7 @@ mod tests {
     fn a_wrong_sample_point_is_named() {
         let id = NodeId::new(1).expect("1..=127");
         let btr =
-            expected(BitRate::Kbit125, id).into_iter().find(|register| register.name == CAN_BTR);
+            expected(BitRate::Kbit125, id, 1).into_iter().find(|register| register.name == CAN_BTR);
         let btr = btr.expect("it is in the table");
         assert!(btr.explain(btr.value).contains("125 kbit/s, sample point 85 %"));
         assert!(btr.explain(0x0049_000F | 0x8000_0000).contains("sample point 68 %, silent"));

@@ -142,7 +142,7 @@ impl Board {
     /// Runs the bus up to the CPU's time.
     fn run_bus(&mut self, now: Time) {
         loop {
-            let stations: &mut [&mut dyn Station] = &mut [self.chip.can1_mut(), &mut self.adapter];
+            let stations: &mut [&mut dyn Station] = &mut [self.chip.can_mut(1), &mut self.adapter];
             let reached = self.bus.advance(now, stations, &mut |_, _, _| {});
             while let Some((time, frame)) = self.adapter.receive() {
                 print(time, '<', frame);
@@ -151,8 +151,8 @@ impl Board {
                 break;
             }
         }
-        self.chip.can1_mut().update_irq();
-        self.chip.can1_mut().take_notes();
+        self.chip.can_mut(1).update_irq();
+        self.chip.can_mut(1).take_notes();
     }
 
     /// Reports the chip's outputs and its next event to QEMU.

@@ -50,7 +50,7 @@ pub fn image() -> &'static Image {
 pub fn example() -> &'static Image {
     static IMAGE: OnceLock<Image> = OnceLock::new();
     IMAGE.get_or_init(|| {
-        build_example(Part::Stm32f407, "io").unwrap_or_else(|error| panic!("{error}"))
+        build_with_features(Part::Stm32f407, &["io"]).unwrap_or_else(|error| panic!("{error}"))
     })
 }
 
@@ -59,15 +59,62 @@ pub fn example() -> &'static Image {
 /// # Errors
 /// The message of `cargo`. A missing compilation target is first installed with `rustup`.
 pub fn build(part: Part) -> Result<Image, BuildError> {
-    build_with(part, || cargo_build(part, &[]))
+    build_with(workspace(), part, || cargo_build(part, &[])).and_then(parse)
 }
 
-/// Builds the release firmware for `part` with an example of an application, a feature of the firmware.
+/// Builds the release firmware for `part` with these features of the firmware: an example, another CAN controller.
 ///
 /// # Errors
 /// The same as for [`build`].
-pub fn build_example(part: Part, example: &str) -> Result<Image, BuildError> {
-    build_with(part, || cargo_build(part, &[example]))
+pub fn build_with_features(part: Part, features: &[&str]) -> Result<Image, BuildError> {
+    build_with(workspace(), part, || cargo_build(part, features)).and_then(parse)
+}
+
+/// Builds the release firmware of a product for `part`: the program `name` of the package of that name in `directory`,
+/// which `cargo xtask new-product` has made.
+///
+/// # Errors
+/// The same as for [`build`].
+pub fn build_product(directory: &str, name: &str, part: Part) -> Result<Image, BuildError> {
+    let directory = Path::new(directory);
+    build_with(directory, part, || cargo_build_in(directory, name, name, &[part.name()]))
+        .and_then(parse)
+}
+
+/// Builds the release firmware for `part` for others: the ELF file. It does not depend on the `directory`, which holds the
+/// workspace or a copy of it, nor on the folder of cargo's registry, which is `cargo_home` or the usual one.
+///
+/// # Errors
+/// The same as for [`build`].
+pub fn build_release(
+    directory: &Path,
+    cargo_home: Option<&Path>,
+    part: Part,
+) -> Result<Vec<u8>, BuildError> {
+    let usual_home = || match env::var_os("CARGO_HOME") {
+        Some(home) => Some(home.into()),
+        None => env::home_dir().map(|home| home.join(".cargo")),
+    };
+    let home = cargo_home.map(Path::to_owned).or_else(usual_home);
+    // The debug information and the locations of panics contain the paths of the sources.
+    let new_names = [(Some(directory), "/lss-slave"), (home.as_deref(), "/cargo")];
+    let new_names = new_names.into_iter().filter_map(|(path, name)| {
+        path.map(|path| format!("--remap-path-prefix={}={name}", path.display()))
+    });
+    let flags = new_names.collect::<Vec<_>>().join("\u{1f}");
+    build_with(directory, part, || {
+        let mut command = cargo_build(part, &[]);
+        command
+            .current_dir(directory)
+            .arg("--locked")
+            .arg("--target-dir")
+            .arg(directory.join("target"))
+            .env("CARGO_ENCODED_RUSTFLAGS", &flags);
+        if let Some(home) = cargo_home {
+            command.env("CARGO_HOME", home);
+        }
+        command
+    })
 }
 
 /// Builds the release firmware for `part` from a copy of its sources in `directory`, with the `target` directory there:
@@ -76,15 +123,25 @@ pub fn build_example(part: Part, example: &str) -> Result<Image, BuildError> {
 /// # Errors
 /// The same as for [`build`].
 pub fn build_in(directory: &Path, part: Part) -> Result<Image, BuildError> {
-    build_with(part, || {
+    build_with(directory, part, || {
         let mut command = cargo_build(part, &[]);
         command.current_dir(directory).arg("--target-dir").arg(directory.join("target"));
         command
     })
+    .and_then(parse)
 }
 
-fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildError> {
-    let _lock = lock().map_err(|error| {
+fn parse(elf: Vec<u8>) -> Result<Image, BuildError> {
+    Image::from_elf(&elf).map_err(BuildError::Image)
+}
+
+/// Runs the command, which builds in `directory`, and returns the ELF file that it makes.
+fn build_with(
+    directory: &Path,
+    part: Part,
+    command: impl Fn() -> Command,
+) -> Result<Vec<u8>, BuildError> {
+    let _lock = lock(directory).map_err(|error| {
         BuildError::Cargo(format!("cannot wait for other builds of the firmware: {error}"))
     })?;
     let mut output = run_with_notice(&mut command(), part)?;
@@ -97,14 +154,14 @@ fn build_with(part: Part, command: impl Fn() -> Command) -> Result<Image, BuildE
     }
     let messages = String::from_utf8_lossy(&output.stdout);
     let path = executable(&messages).ok_or_else(|| {
-        BuildError::Cargo("cargo reported no executable for `lss-slave`".to_owned())
+        BuildError::Cargo("cargo reported no executable for the firmware".to_owned())
     })?;
-    Image::load(path).map_err(BuildError::Image)
+    fs::read(&path).map_err(|error| BuildError::Image(ImageError::Io(path.into(), error)))
 }
 
 /// Waits until no other thread or process builds the firmware: all images of a target directory have one path.
-fn lock() -> io::Result<File> {
-    let directory = workspace().join("target");
+fn lock(directory: &Path) -> io::Result<File> {
+    let directory = directory.join("target");
     fs::create_dir_all(&directory)?;
     let file = File::create(directory.join("firmware.lock"))?;
     file.lock()?;
@@ -116,19 +173,17 @@ fn workspace() -> &'static Path {
 }
 
 fn cargo_build(part: Part, features: &[&str]) -> Command {
+    let features = [&[part.name()], features].concat();
+    cargo_build_in(workspace(), "lss-slave-firmware", "lss-slave", &features)
+}
+
+fn cargo_build_in(directory: &Path, package: &str, program: &str, features: &[&str]) -> Command {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
     command
-        .current_dir(workspace())
-        .args(["build", "--package", "lss-slave-firmware", "--release", "--target", TARGET])
-        .args([
-            "--features",
-            &[&[part.name()], features].concat().join(","),
-            "--bin",
-            "lss-slave",
-            "--message-format",
-            "json-render-diagnostics",
-        ])
+        .current_dir(directory)
+        .args(["build", "--package", package, "--bin", program, "--release", "--target", TARGET])
+        .args(["--features", &features.join(","), "--message-format", "json-render-diagnostics"])
         // The host build's settings are not meant for the firmware.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")

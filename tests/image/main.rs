@@ -8,6 +8,7 @@ mod can_traps;
 mod chip_traps;
 mod chips;
 mod commissioning;
+mod controllers;
 mod do_no_harm;
 mod eds;
 mod errors;

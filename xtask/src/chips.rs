@@ -1,11 +1,8 @@
 //! `cargo xtask chips`: the image of every chip, built and run on its emulated board.
 
-use std::{
-    env,
-    process::{Command, Stdio},
-    sync::Mutex,
-    time::Instant,
-};
+mod choices;
+
+use std::{fmt, sync::Mutex, time::Instant};
 
 use anyhow::{Context, bail, ensure};
 use emulator::{
@@ -23,20 +20,20 @@ use testkit::{
 };
 
 use crate::{
-    parallel,
+    example, parallel,
     readings::{
         bus::{AWAY, Variant},
         sessions,
     },
 };
 
-/// Build the image of every chip, and run it on its emulated board
+/// Build the image of every chip, and run it on its emulated board; CAN2 and CAN3 on one chip each
 ///
 /// For each chip the table shows the clock of the core, the flash that the image takes, the time from power-on to the
 /// boot-up, whether all eight bit rates are exact and work with crystals that are 0.5 % off at both ends, and the
 /// outcome of the sessions: a blank board is found by Fastscan, gets a node-ID and a bit rate, stores, switches, loses
-/// its power and boots up with what was stored; then those of `cargo xtask readings --quick`. A wrong choice of chips
-/// must not build.
+/// its power and boots up with what was stored; then those of `cargo xtask readings --quick`. A wrong choice of
+/// chips, controller or pins must not build.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -53,24 +50,44 @@ struct Row {
     sessions: anyhow::Result<()>,
 }
 
-/// Prints the table. Fails if a chip fails, or a wrong choice of chips builds.
+/// A chip and the number of its CAN controller, 1 for CAN1.
+#[derive(Clone, Copy)]
+struct Target {
+    part: Part,
+    controller: u8,
+}
+
+/// CAN1 of every chip, and once each CAN2 with the RX and TX pins of most chips, CAN2 and CAN3 of a chip with 100 MHz.
+fn targets(only: Option<Part>) -> Vec<Target> {
+    let others = [(Part::Stm32f446, 2), (Part::Stm32f413, 2), (Part::Stm32f413, 3)];
+    let all = Part::ALL.map(|part| (part, 1)).into_iter().chain(others);
+    all.filter(|(part, _)| only.is_none_or(|only| only == *part))
+        .map(|(part, controller)| Target { part, controller })
+        .collect()
+}
+
+impl fmt::Display for Target {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "`{}`", self.part.name())?;
+        if self.controller > 1 { write!(f, ", CAN{}", self.controller) } else { Ok(()) }
+    }
+}
+
+/// Prints the table. Fails if a chip fails, or a wrong choice of chips, controller or pins builds.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
-    let parts: Vec<_> = Part::ALL
-        .into_iter()
-        .filter(|part| arguments.chip.is_none_or(|only| only == *part))
-        .collect();
-    let images =
-        parts.iter().map(|&part| testkit::image::build(part)).collect::<Result<Vec<_>, _>>()?;
+    let targets = targets(arguments.chip);
+    let build = |target: &Target| example::image(target.part, target.controller, None);
+    let images = targets.iter().map(build).collect::<Result<Vec<_>, _>>()?;
     let built = begin.elapsed().as_secs();
 
     println!("| chip | manual | core | flash | boot-up | all rates exact | sessions |");
     println!("|---|---|---|---|---|---|---|");
-    let boards: Vec<_> = parts.iter().zip(&images).collect();
+    let boards: Vec<_> = targets.iter().zip(&images).collect();
     let rows = Mutex::new(Vec::new());
     parallel::map(
         &boards,
-        |&(&part, image)| row(part, image),
+        |&(&target, image)| row(target, image),
         |at, row| {
             rows.lock().expect("nobody panics").push((at, row));
         },
@@ -79,9 +96,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     rows.sort_by_key(|(at, _)| *at);
     let mut failures = Vec::new();
     for (at, row) in rows {
-        let (part, image) = boards[at];
+        let (target, image) = boards[at];
         let bytes: usize = image.segments().map(|(_, bytes)| bytes.len()).sum();
-        print!("| `{}` | {} | ", part.name(), part.manual());
+        print!("| {target} | {} | ", target.part.manual());
         match row {
             Ok(Row { core_mhz, boot, rates, sessions }) => {
                 let outcome =
@@ -90,31 +107,33 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 let (exact, passed) = (outcome(&rates), outcome(&sessions));
                 println!("{core_mhz} MHz | {bytes} | {ms:.1} ms | {exact} | {passed} |");
                 failures.extend(
-                    [rates, sessions].into_iter().filter_map(Result::err).map(|e| (part, e)),
+                    [rates, sessions].into_iter().filter_map(Result::err).map(|e| (target, e)),
                 );
             }
             Err(error) => {
                 println!("- | {bytes} | NO | - | - |");
-                failures.push((part, error));
+                failures.push((target, error));
             }
         }
     }
-    for (part, error) in &failures {
-        println!("{}: {error:#}", part.name());
+    for (target, error) in &failures {
+        println!("{target}: {error:#}");
     }
-    refuse_wrong_choices()?;
+    choices::check()?;
     let seconds = begin.elapsed().as_secs();
     println!(
-        "\n{} chips, {} failures; two chips and no chip do not build; {seconds} s, {built} of them to build",
-        parts.len(),
+        "\n{} images, {} failures; legal pins build, wrong chips, controllers and pins do not; {seconds} s, {built} of \
+         them to build the images",
+        targets.len(),
         failures.len()
     );
     ensure!(failures.is_empty(), "the image does not work on every chip");
     Ok(())
 }
 
-fn row(part: Part, image: &Image) -> anyhow::Result<Row> {
-    let variant = Variant { image, part, settings: board::Settings::default() };
+fn row(Target { part, controller }: Target, image: &Image) -> anyhow::Result<Row> {
+    let settings = board::Settings { controller: controller.into(), ..Default::default() };
+    let variant = Variant { image, part, settings };
     let (core_mhz, boot) = boot(&variant)?;
     let mut sessions = commission(&variant).context("commissioning");
     for (name, session) in sessions::all(true) {
@@ -240,20 +259,4 @@ fn commission(variant: &Variant) -> anyhow::Result<()> {
     bus.hear("705: 00", AWAY)?;
     bus.hear("705: 7F", AWAY)?;
     bus.check()
-}
-
-/// The choice of two chips, or of none, is refused by the firmware's build script, not only by that of the HAL.
-fn refuse_wrong_choices() -> anyhow::Result<()> {
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    for features in ["chip", "stm32f405,stm32f407"] {
-        let output = Command::new(&cargo)
-            .args(["check", "--keep-going", "--release", "--target", "thumbv7em-none-eabihf"])
-            .args(["--package", "lss-slave-firmware", "--bin", "lss-slave", "--features", features])
-            .stdin(Stdio::null())
-            .output()
-            .context("cannot run cargo")?;
-        let is_refused = String::from_utf8_lossy(&output.stderr).contains("choose one chip");
-        ensure!(!output.status.success() && is_refused, "--features {features} is not refused");
-    }
-    Ok(())
 }

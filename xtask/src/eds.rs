@@ -16,21 +16,10 @@ pub struct Arguments {
 
 /// Writes or compares the files.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let device = describe(0);
-    let product = |file_name, description| Product {
-        file_name,
-        vendor_name: device::VENDOR_NAME,
-        description,
-        device,
-    };
-    let sheet = DataSheet::new(
-        product("lss-slave.eds", device::DESCRIPTION),
-        application::Node::entries(&device),
-        &application::Application::new(),
-    );
+    let sheet = of_firmware();
     let example = DataSheet::new(
         product("io.eds", io::DESCRIPTION),
-        io::Node::entries(&device),
+        io::Node::entries(&describe(0)),
         &io::Application::new(),
     );
     let files = [
@@ -42,4 +31,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         write_or_check(name, &content, arguments.check, "cargo xtask eds")?;
     }
     Ok(())
+}
+
+/// The data sheet of the firmware.
+pub fn of_firmware() -> DataSheet<'static> {
+    DataSheet::new(
+        product("lss-slave.eds", device::DESCRIPTION),
+        application::Node::entries(&describe(0)),
+        &application::Application::new(),
+    )
+}
+
+fn product(file_name: &'static str, description: &'static str) -> Product<'static> {
+    Product { file_name, vendor_name: device::VENDOR_NAME, description, device: describe(0) }
 }

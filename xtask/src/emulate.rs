@@ -84,6 +84,9 @@ pub struct Arguments {
     /// The chip on the boards
     #[arg(long, default_value = "stm32f405")]
     chip: Part,
+    /// The CAN controller on the bus: 1, 2, or on some chips 3
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=3))]
+    controller: u8,
 }
 
 /// The node-ID of the first board; `None`: the boards are stored as unconfigured.
@@ -139,6 +142,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         format!("cannot listen at {} (choose another address with --listen)", arguments.listen)
     })?;
     let address = listener.local_addr()?;
+    let (chip, controller) = (arguments.chip, arguments.controller);
+    ensure!(usize::from(controller) <= chip.cans(), "{} has no CAN{controller}", chip.name());
     ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
     let presets = (0..usize::from(arguments.boards))
         .map(|number| arguments.preset(number))
@@ -147,16 +152,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut network = Network::new();
     network.record(Recording::Off);
     let image = (arguments.boards > 0)
-        .then(|| example::image(arguments.chip, arguments.example))
+        .then(|| example::image(arguments.chip, arguments.controller, arguments.example))
         .transpose()?;
     for (number, (preset, image)) in presets.into_iter().zip(image.iter().cycle()).enumerate() {
-        let mut board = boards::board(arguments.chip, image, number);
+        let mut board = boards::board_on(arguments.chip, arguments.controller, image, number);
         memory.restore(&mut board, image, number, preset)?;
         network.add_board(board);
     }
     network.run_for(FIRST_START);
     memory.save(&network)?;
-    let mut programs = Programs::load(&arguments.elf, arguments.chip, &mut network)?;
+    let mut programs =
+        Programs::load(&arguments.elf, arguments.chip, arguments.controller, &mut network)?;
 
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let (stop, console_sender) = (sender.clone(), sender.clone());

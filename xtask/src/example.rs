@@ -1,4 +1,4 @@
-//! The examples of an application that the commands can run.
+//! What the commands can build the firmware with: a CAN controller, an example of an application.
 
 use emulator::{chip::Part, image::Image};
 use testkit::image::{self, BuildError};
@@ -10,13 +10,21 @@ pub enum Example {
     Io,
 }
 
-/// Builds the firmware for `part`, with its own application or an example.
+/// The features of the firmware for a CAN controller, 1 for CAN1, and its own application or an example.
+pub fn features(controller: u8, example: Option<Example>) -> Vec<&'static str> {
+    let controller = match controller {
+        2 => Some("can2"),
+        3 => Some("can3"),
+        _ => None,
+    };
+    let example = example.map(|Example::Io| "io");
+    controller.into_iter().chain(example).collect()
+}
+
+/// Builds the firmware for `part` with these features.
 ///
 /// # Errors
 /// It does not build.
-pub fn image(part: Part, example: Option<Example>) -> Result<Image, BuildError> {
-    match example {
-        None => image::build(part),
-        Some(Example::Io) => image::build_example(part, "io"),
-    }
+pub fn image(part: Part, controller: u8, example: Option<Example>) -> Result<Image, BuildError> {
+    image::build_with_features(part, &features(controller, example))
 }

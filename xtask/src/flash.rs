@@ -9,6 +9,8 @@ use anyhow::{Context, bail};
 use emulator::chip::Part;
 use lss_slave_firmware::chip::Chip;
 
+use crate::example;
+
 /// Write the firmware to a board, with probe-rs, and show its log
 ///
 /// The log runs until Ctrl-C. The board is not halted at a reset or a fault, so that the log continues.
@@ -17,17 +19,22 @@ pub struct Arguments {
     /// The chip on the board
     #[arg(default_value = "stm32f405")]
     chip: Part,
+    /// The CAN controller: 1, 2, or on some chips 3
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=3))]
+    controller: u8,
 }
 
 /// Builds the firmware, writes it to the connected board, and shows its log until Ctrl-C.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     find_probe_rs()?;
     let chip = Chip::named(arguments.chip.name()).expect("a test compares the names");
+    let mut features = example::features(arguments.controller, None);
+    features.push(chip.feature);
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let status = Command::new(cargo)
         .args(["run", "--release", "--target", "thumbv7em-none-eabihf"])
         .args(["--package", "lss-slave-firmware", "--bin", "lss-slave"])
-        .args(["--features", chip.feature])
+        .args(["--features", &features.join(",")])
         .env("PROBE_RS_CHIP", chip.probe_rs)
         .status()
         .context("cannot run cargo")?;

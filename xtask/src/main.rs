@@ -1,8 +1,10 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask eds`, `cargo xtask fuzz`, `cargo xtask linux`,
-//! `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`, `cargo xtask readings`, `cargo xtask size`, `cargo xtask storm`,
+//! `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
+//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask storm`,
 //! `cargo xtask trace`, `cargo xtask unsafe-code`.
 
+mod apart;
 mod bench;
 mod chips;
 mod eds;
@@ -13,11 +15,13 @@ mod fuzz;
 mod generated;
 #[cfg(target_os = "linux")]
 mod linux;
+mod new_product;
 mod no_harm;
 mod parallel;
 mod power_cut;
 mod qemu;
 mod readings;
+mod release;
 mod size;
 mod sources;
 mod storm;
@@ -54,10 +58,12 @@ enum Command {
     Fuzz(fuzz::Arguments),
     #[cfg(target_os = "linux")]
     Linux(linux::Arguments),
+    NewProduct(new_product::Arguments),
     NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
     Readings(readings::Arguments),
+    Release(release::Arguments),
     Size(size::Arguments),
     Storm(storm::Arguments),
     Trace(trace::Arguments),
@@ -74,10 +80,12 @@ fn main() -> ExitCode {
         Command::Fuzz(arguments) => fuzz::run(&arguments),
         #[cfg(target_os = "linux")]
         Command::Linux(arguments) => linux::run(&arguments),
+        Command::NewProduct(arguments) => new_product::run(&arguments),
         Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(_) => qemu::run(),
         Command::Readings(arguments) => readings::run(&arguments),
+        Command::Release(arguments) => release::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
         Command::Trace(arguments) => trace::run(&arguments),

@@ -50,7 +50,7 @@ pub struct Arguments {
 /// Runs both storms. Panics if anything breaks.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let chip = arguments.chip;
-    let image = example::image(chip, arguments.example)?;
+    let image = example::image(chip, 1, arguments.example)?;
     let board = boards::board(chip, &image, 0);
     let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
     println!("--seed {seed}");

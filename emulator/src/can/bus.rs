@@ -31,6 +31,8 @@ pub struct Bus {
     wire: Wire,
     /// The time of each station's next action.
     next: Vec<Time>,
+    /// Whether a station requested the end of the latest advance.
+    has_stopped: bool,
 }
 
 impl Bus {
@@ -70,6 +72,11 @@ impl Bus {
     /// `Time::MAX` on an idle bus.
     pub fn next_action(&self) -> Time {
         self.next.iter().copied().fold(self.wire.next_action(), Time::min)
+    }
+
+    /// Whether a station requested the end of the latest [`advance`](Self::advance).
+    pub fn has_stopped(&self) -> bool {
+        self.has_stopped
     }
 
     /// Runs the bus up to and including `until`, or up to the first instant after which a station requests a stop.
@@ -131,7 +138,8 @@ impl Bus {
                 self.next[index] = deliver(index, station, now);
             }
         }
-        if !stop.get() {
+        self.has_stopped = stop.get();
+        if !self.has_stopped {
             self.now = self.now.max(until);
         }
         for station in stations {

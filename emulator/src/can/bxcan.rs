@@ -1,4 +1,5 @@
-//! The STM32F4's CAN1 with its registers (RM0090 chapter 32), on top of a protocol controller.
+//! The STM32F4's CAN1, CAN2 and CAN3 with their registers (RM0090 chapter 32, RM0430 chapter 32), on top of a protocol
+//! controller.
 
 mod filters;
 mod mailbox;
@@ -63,9 +64,21 @@ enum Mode {
     Normal,
 }
 
-/// The bxCAN peripheral CAN1 with its 28 filter banks.
+/// The place of a controller among those of the chip, which decides on its filters (RM0090 32.2, RM0430 32.2).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// CAN1, which has the registers of the 28 filter banks.
+    Master,
+    /// CAN2, which uses those banks of CAN1 that CAN1's CAN2SB gives it, and has no filter registers.
+    Slave,
+    /// CAN3, with 14 banks of its own.
+    Single,
+}
+
+/// A bxCAN peripheral.
 #[derive(Debug)]
 pub struct Bxcan {
+    role: Role,
     controller: Controller,
     mode: Mode,
     /// The time at which INAK is set, in initialisation mode.
@@ -88,17 +101,12 @@ pub struct Bxcan {
     oddities: Oddities,
 }
 
-impl Default for Bxcan {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl Bxcan {
     /// A peripheral after reset, in sleep mode, on a clock of 16 MHz.
-    pub fn new() -> Self {
+    pub fn new(role: Role) -> Self {
         let clock = Clock { hz: 16_000_000, ppm: 0 };
         let mut bxcan = Self {
+            role,
             controller: Controller::new(clock, bit_timing(BTR_RESET_VALUE)),
             mode: Mode::Sleep,
             inak_from: Time::ZERO,
@@ -111,7 +119,7 @@ impl Bxcan {
             btr: BTR_RESET_VALUE,
             mailboxes: Mailboxes::default(),
             fifos: Default::default(),
-            filters: Filters::default(),
+            filters: Filters::new(role),
             notes: Vec::new(),
             irq: Interrupts::default(),
             oddities: Oddities::default(),
@@ -130,6 +138,11 @@ impl Bxcan {
         self.controller.connect(pins, from);
     }
 
+    /// Takes the filters over that CAN1 has for CAN2.
+    pub fn share_filters(&mut self, can1: &Self) {
+        self.filters = can1.filters.used_as(self.role);
+    }
+
     /// Resets every register. The clock stays, and a frame under way is cut off.
     pub fn reset(&mut self) {
         self.controller.reset();
@@ -144,7 +157,9 @@ impl Bxcan {
         self.btr = BTR_RESET_VALUE;
         self.mailboxes = Mailboxes::default();
         self.fifos = Default::default();
-        self.filters = Filters::default();
+        if self.role != Role::Slave {
+            self.filters = Filters::new(self.role);
+        }
         self.irq = Interrupts::default();
         self.oddities.reset();
     }
@@ -217,7 +232,8 @@ impl Bxcan {
                 let (fifo, word) = place(offset - RECEIVE_MAILBOXES);
                 self.fifos[fifo].read(word)
             }
-            _ => return self.filters.read(offset.checked_sub(FILTERS)?),
+            FILTERS.. if self.role != Role::Slave => return self.filters.read(offset - FILTERS),
+            _ => return None,
         })
     }
 
@@ -259,7 +275,9 @@ impl Bxcan {
                 }
                 return word != 1 || value & TDTR_TGT == 0;
             }
-            FILTERS.. => return self.filters.write(offset - FILTERS, value),
+            FILTERS.. if self.role != Role::Slave => {
+                return self.filters.write(offset - FILTERS, value);
+            }
             _ => return false,
         }
         true

@@ -1,31 +1,46 @@
-//! The pins of CAN1, which connect the controller to its transceiver according to the GPIO settings.
+//! The pins of the CAN controllers, which connect them to their transceivers according to the GPIO settings.
 
 use super::Chip;
 use crate::{Time, can::Pins};
 
 impl Chip {
-    /// The pins that are connected to CAN1 now.
-    fn can1_pins(&self) -> Pins {
+    /// The pins that are connected to a controller now, CAN1 as 0.
+    fn can_pins(&self, can: usize) -> Pins {
         let connected = |line: usize| {
-            let mut pins = self.part.can1_pins().iter().map(|pins| pins[line]);
+            let mut pins = self.part.can_pins(can).iter().map(|pins| pins[line]);
             pins.any(|(pin, function)| self.gpio.alternate_function(pin) == Some(function))
         };
         Pins { receive: connected(0), transmit: connected(1) }
     }
 
-    /// Whether CAN1 has the pins that it needs; a silent controller needs no transmit pin.
-    pub(super) fn can1_has_its_pins(&self) -> bool {
-        let Pins { transmit, receive } = self.can1_pins();
-        receive && (transmit || self.can1.is_silent())
+    /// Whether a controller has the pins that it needs; a silent one needs no transmit pin.
+    pub(super) fn can_has_its_pins(&self, can: usize) -> bool {
+        let Pins { transmit, receive } = self.can_pins(can);
+        receive && (transmit || self.cans[can].is_silent())
     }
 
-    /// Connects CAN1 to the pins that GPIO selects. A pin in any other mode leaves the bus recessive.
-    pub(super) fn connect_can(&mut self, now: Time) {
-        let pins = self.can1_pins();
-        if self.can1_joined != pins {
-            self.can1_joined = pins;
-            self.can1.connect(pins, now);
-            self.can_written = true;
+    /// Connects the controllers to the pins that GPIO selects. A pin in any other mode leaves the bus recessive.
+    pub(super) fn connect_cans(&mut self, now: Time) {
+        for can in 0..self.cans.len() {
+            let pins = self.can_pins(can);
+            if self.cans_joined[can] != pins {
+                self.cans_joined[can] = pins;
+                self.cans[can].connect(pins, now);
+                self.can_written = true;
+            }
+        }
+    }
+
+    /// Resets a controller. CAN2 keeps its filters, which CAN1 loses.
+    pub(super) fn reset_can(&mut self, can: usize) {
+        self.cans[can].reset();
+        self.share_filters();
+    }
+
+    /// Lets CAN2 have the filters that CAN1 has for it.
+    pub(super) fn share_filters(&mut self) {
+        if let [can1, can2, ..] = self.cans.as_mut_slice() {
+            can2.share_filters(can1);
         }
     }
 }

@@ -74,7 +74,8 @@ pub(super) enum Block {
     Rtc,
     Rng,
     Iwdg,
-    Can1,
+    /// CAN1 as 0.
+    Can(u8),
     /// ADC1 and the common registers.
     Adc,
     Syscfg,
@@ -90,7 +91,7 @@ impl Block {
         let block = match address {
             0x4000_2800..0x4000_2C00 => Self::Rtc,
             0x4000_3000..0x4000_3400 => Self::Iwdg,
-            0x4000_6400..0x4000_6800 => Self::Can1,
+            0x4000_6400..0x4000_7000 => Self::Can((address >> 10 & 3) as u8 - 1),
             0x4000_7000..0x4000_7400 => Self::Pwr,
             0x4001_2000..0x4001_2400 => Self::Adc,
             0x4001_3800..0x4001_3C00 => Self::Syscfg,
@@ -127,7 +128,7 @@ impl Block {
             Self::Usart(usart) => Some(Gate::Usart(usart)),
             Self::Rng => Some(Gate::Rng),
             Self::Pwr => Some(Gate::Pwr),
-            Self::Can1 => Some(Gate::Can1),
+            Self::Can(can) => Some(Gate::Can(can)),
             Self::Adc => Some(Gate::Adc),
             Self::Syscfg => Some(Gate::Syscfg),
             Self::Gpio(port) => Some(Gate::Gpio(port)),
@@ -143,7 +144,7 @@ impl Block {
                 | Self::Usart(_)
                 | Self::Rtc
                 | Self::Iwdg
-                | Self::Can1
+                | Self::Can(_)
                 | Self::Adc
                 | Self::Pwr
                 | Self::Syscfg

@@ -295,19 +295,39 @@ impl Part {
         }
     }
 
-    /// The pins that can carry CAN1, receive and transmit, with their alternate functions (data sheet, table of the
-    /// alternate functions).
-    pub(super) const fn can1_pins(self) -> &'static [[(Pin, u32); 2]] {
-        const A: [(Pin, u32); 2] = [(Pin('A', 11), 9), (Pin('A', 12), 9)];
-        const B: [(Pin, u32); 2] = [(Pin('B', 8), 9), (Pin('B', 9), 9)];
-        const B_8: [(Pin, u32); 2] = [(Pin('B', 8), 8), (Pin('B', 9), 8)];
-        const D: [(Pin, u32); 2] = [(Pin('D', 0), 9), (Pin('D', 1), 9)];
-        const G: [(Pin, u32); 2] = [(Pin('G', 0), 9), (Pin('G', 1), 9)];
-        const I: [(Pin, u32); 2] = [(Pin('I', 9), 9), (Pin('H', 13), 9)];
+    /// The number of CAN controllers.
+    pub const fn cans(self) -> usize {
         match self.line() {
-            Line::F405 | Line::F427 | Line::F469 => &[A, B, D, I],
-            Line::F412 | Line::F413 => &[A, B_8, D, G],
-            Line::F446 => &[A, B, D],
+            Line::F413 => 3,
+            _ => 2,
+        }
+    }
+
+    /// The pins that can carry a CAN controller (CAN1 as 0), receive and transmit, with their alternate functions. Each
+    /// receive pin goes with each transmit pin (data sheet, table of the alternate functions).
+    pub const fn can_pins(self, can: usize) -> &'static [[(Pin, u32); 2]] {
+        const fn pair(receive: Pin, transmit: Pin, function: u32) -> [(Pin, u32); 2] {
+            [(receive, function), (transmit, function)]
+        }
+        const A: [(Pin, u32); 2] = pair(Pin('A', 11), Pin('A', 12), 9);
+        const B: [(Pin, u32); 2] = pair(Pin('B', 8), Pin('B', 9), 9);
+        const B_8: [(Pin, u32); 2] = pair(Pin('B', 8), Pin('B', 9), 8);
+        const D: [(Pin, u32); 2] = pair(Pin('D', 0), Pin('D', 1), 9);
+        const G: [(Pin, u32); 2] = pair(Pin('G', 0), Pin('G', 1), 9);
+        const I: [(Pin, u32); 2] = pair(Pin('I', 9), Pin('H', 13), 9);
+        const B_LOW: [(Pin, u32); 2] = pair(Pin('B', 5), Pin('B', 6), 9);
+        const B_HIGH: [(Pin, u32); 2] = pair(Pin('B', 12), Pin('B', 13), 9);
+        const G_HIGH: [(Pin, u32); 2] = pair(Pin('G', 11), Pin('G', 12), 9);
+        const A_11: [(Pin, u32); 2] = pair(Pin('A', 8), Pin('A', 15), 11);
+        const B_11: [(Pin, u32); 2] = pair(Pin('B', 3), Pin('B', 4), 11);
+        match (can, self.line()) {
+            (0, Line::F405 | Line::F427 | Line::F469) => &[A, B, D, I],
+            (0, Line::F412 | Line::F413) => &[A, B_8, D, G],
+            (0, Line::F446) => &[A, B, D],
+            (1, Line::F412 | Line::F413) => &[B_LOW, B_HIGH, G_HIGH],
+            (1, _) => &[B_LOW, B_HIGH],
+            (2, Line::F413) => &[A_11, B_11],
+            _ => &[],
         }
     }
 }

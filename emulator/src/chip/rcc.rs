@@ -109,8 +109,8 @@ pub enum Gate {
     Usart(u8),
     /// The random number generator.
     Rng,
-    /// CAN1.
-    Can1,
+    /// CAN1 as 0.
+    Can(u8),
     /// PWR.
     Pwr,
     /// ADC1; its reset is that of all ADCs.
@@ -127,7 +127,7 @@ impl Gate {
             Self::Timer(timer) => on_bus(timer::KINDS[usize::from(timer)].gate),
             Self::Usart(usart) => on_bus(usart::KINDS[usize::from(usart)].gate),
             Self::Rng => (AHB2ENR, 6),
-            Self::Can1 => (APB1ENR, 25),
+            Self::Can(can) => (APB1ENR, 25 + u32::from(can)),
             Self::Pwr => (APB1ENR, 28),
             Self::Adc => (APB2ENR, 8),
             Self::Syscfg => (APB2ENR, 14),

@@ -1,7 +1,7 @@
 //! The chip's external circuit: the supply and the crystal.
 
 use super::Chip;
-use crate::Time;
+use crate::{Time, can::Bxcan};
 
 impl Chip {
     /// Sets the supply in mV. It affects only the voltage detector and the checks of legal settings; a reset at low
@@ -16,8 +16,9 @@ impl Chip {
         self.rcc.stop_crystal(now);
         self.follow_clocks(now);
         if self.is_stopped() {
-            // The controller has no clock and its pin is constant; it is assumed to be recessive.
-            self.can1.reset();
+            // The controllers have no clock and their pins are constant; they are assumed to be recessive.
+            self.cans.iter_mut().for_each(Bxcan::reset);
+            self.share_filters();
         }
     }
 

@@ -1,12 +1,12 @@
-//! The trace of a network: frames, error frames, and the boards' actions on their CAN controllers.
+//! The trace of a network's first bus: frames, error frames, and the boards' actions on their CAN controllers.
 
 use std::fmt;
 
 use super::AdapterId;
 use crate::{
     Time,
-    can::{self, Controller, ErrorKind, Frame, bxcan::Note},
-    chip::{Chip, ResetCause},
+    can::{self, Bxcan, Controller, ErrorKind, Frame, bxcan::Note},
+    chip::ResetCause,
 };
 
 /// The number of bits after the first error within which errors of others belong to the same error frame.
@@ -216,8 +216,7 @@ impl Trace {
     }
 
     /// Records an action of a board's program on its controller.
-    pub fn take_notes(&mut self, board: usize, chip: &mut Chip) {
-        let bxcan = chip.can1_mut();
+    pub fn take_notes(&mut self, board: usize, bxcan: &mut Bxcan) {
         for (time, note) in bxcan.take_notes() {
             let what = match note {
                 Note::Requested { mailbox, frame } => What::Requested { mailbox, frame },

@@ -2,7 +2,10 @@
 
 use emulator::{
     Time,
-    can::{Adapter, Bus, Bxcan, Clock, Frame, Id, bxcan::Readings},
+    can::{
+        Adapter, Bus, Bxcan, Clock, Frame, Id,
+        bxcan::{Readings, Role},
+    },
 };
 
 pub const MCR: u32 = 0x000;
@@ -49,7 +52,7 @@ pub struct CanRig {
 impl CanRig {
     /// After reset, APB1 at 32 MHz.
     pub fn new() -> Self {
-        let mut can = Bxcan::new();
+        let mut can = Bxcan::new(Role::Master);
         can.set_clock(Clock { hz: 32_000_000, ppm: 0 });
         Self { bus: Bus::new(), can, adapter: Adapter::new(1_000_000) }
     }

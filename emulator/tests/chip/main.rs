@@ -362,7 +362,7 @@ fn can_that_starts_without_pins_is_found() {
     let problem = chip.findings()[0].problem;
     assert_eq!(
         problem.to_string(),
-        "CAN1 leaves initialisation with no pins in its alternate function"
+        "a CAN controller leaves initialisation with no pins in its alternate function"
     );
 }
 

@@ -3,12 +3,12 @@
 use emulator::{
     Time,
     board::{Board, Settings},
-    can::Id,
+    can::{Frame, Id},
     chip::{Part, Pin},
-    network::{Network, Recording},
+    network::{AdapterId, Network, Recording},
 };
 
-use crate::rig::{Driver, Rig, adapter, explained, start_image};
+use crate::rig::{Driver, Rig, adapter, explained, gateway_image, standard, start_image};
 
 /// The number of times that a pin changes in 20 ms.
 fn changes(network: &mut Network, pin: Pin) -> u32 {
@@ -58,4 +58,43 @@ fn a_program_starts_that_uses_what_a_hal_offers() {
         .map(ToString::to_string)
         .collect();
     assert!(unexplained.is_empty(), "{unexplained:#?}");
+}
+
+#[test]
+#[ignore = "builds bxcan and stm32f4xx-hal"]
+fn a_gateway_passes_frames_by_its_filters_between_can1_and_can2() {
+    let mut network = Network::new();
+    network.record(Recording::Off);
+    let board =
+        network.add_board(Board::new(Part::Stm32f405, gateway_image(), Settings::default()));
+    let second = network.add_bus();
+    network.connect(board, 2, second);
+    let sides =
+        [network.add_adapter(adapter(500_000)), network.add_adapter_to(second, adapter(250_000))];
+    network.run_for(Time::from_ms(10));
+    let received = |network: &mut Network, side: AdapterId| -> Vec<Frame> {
+        std::iter::from_fn(|| network.receive(side)).map(|(_, frame)| frame).collect()
+    };
+    let mut passed = [Vec::new(), Vec::new()];
+    // Both sides send at once, at their own rates, what passes and what does not.
+    for n in 0..50_u16 {
+        for (from, side) in sides.into_iter().enumerate() {
+            let passing = standard([0x100, 0x200][from] | n, &[n as u8]);
+            for frame in [standard(n, &[]), passing, standard(0x300 | n, &[])] {
+                network.send(side, frame);
+            }
+            passed[1 - from].push(passing);
+        }
+        network.run_for(Time::from_ms(3));
+    }
+    // Neither side passes what the other does.
+    network.send(sides[0], standard(0x2FF, &[]));
+    network.send(sides[1], standard(0x1FF, &[]));
+    network.run_for(Time::from_ms(3));
+    for (side, expected) in sides.into_iter().zip(passed) {
+        assert_eq!(received(&mut network, side), expected);
+    }
+    let board = network.board(board);
+    assert_eq!(board.findings(), []);
+    assert!(board.log().iter().any(|line| line.text == "the gateway is ready"));
 }

@@ -54,6 +54,12 @@ pub fn start_image() -> &'static Image {
     &START
 }
 
+/// The program that passes frames between CAN1 at 500 kbit/s and CAN2 at 250 kbit/s.
+pub fn gateway_image() -> &'static Image {
+    static GATEWAY: LazyLock<Image> = LazyLock::new(|| build("gateway", "bxcan"));
+    &GATEWAY
+}
+
 fn build(program: &str, feature: &str) -> Image {
     let directory = Path::new(env!("CARGO_MANIFEST_DIR"));
     let target = directory.join("../target/foreign");
@@ -257,7 +263,7 @@ impl Rig {
     pub fn can_register(&self, offset: u32) -> u32 {
         let board = self.network.board(self.board);
         let now = board.now();
-        board.chip().can1().read(offset, now).expect("a register")
+        board.chip().can(1).read(offset, now).expect("a register")
     }
 
     /// The transmit and receive error counters.

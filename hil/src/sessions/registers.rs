@@ -7,7 +7,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         bench.report.not_tried("registers", "no --probe");
         return Ok(());
     };
-    let expected = registers::expected(bench.base, bench.boards[0].id);
+    let expected = registers::expected(bench.base, bench.boards[0].id, probe.controller);
     bench.report.progress("reading registers with probe-rs");
     for register in expected {
         match probe.read(register.address) {

@@ -39,12 +39,17 @@ impl Programs {
     ///
     /// # Errors
     /// A file cannot be read, or the chip does not start with it.
-    pub fn load(paths: &[PathBuf], part: Part, network: &mut Network) -> anyhow::Result<Self> {
+    pub fn load(
+        paths: &[PathBuf],
+        part: Part,
+        controller: u8,
+        network: &mut Network,
+    ) -> anyhow::Result<Self> {
         let mut loaded = Self::none(network);
         for path in paths {
             let image = Image::load(path).with_context(|| path.display().to_string())?;
             check(&image, part).with_context(|| path.display().to_string())?;
-            network.add_board(boards::board(part, &image, network.boards().len()));
+            network.add_board(boards::board_on(part, controller, &image, network.boards().len()));
             loaded.programs.push(Program::new(path, part, image));
         }
         Ok(loaded)
@@ -211,7 +216,7 @@ mod tests {
         assert!(refusal(0x0808_0000).contains("another --chip?"));
         assert!(refusal(0x0800_4000).contains("nothing at 08000000"));
         let mut network = Network::new();
-        let missing = Programs::load(&["no/such".into()], Part::Stm32f405, &mut network);
+        let missing = Programs::load(&["no/such".into()], Part::Stm32f405, 1, &mut network);
         assert!(missing.is_err_and(|error| error.to_string().contains("no/such")));
     }
 }

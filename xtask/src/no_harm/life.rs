@@ -363,7 +363,7 @@ impl<'a> Life<'a> {
     /// The bit rate of a board's controller in bit/s; `None` without power.
     pub fn bit_rate(&self, board: usize) -> Option<u32> {
         let board = self.network.board(board);
-        board.is_powered().then(|| board.chip().can1().bit_rate())
+        board.is_powered().then(|| board.chip().can(1).bit_rate())
     }
 
     /// The end of the silent time of the last switch that a board took part in, since its last power-on.

@@ -1,10 +1,12 @@
-//! The 28 filter banks that CAN1 shares with CAN2 (RM0090 32.7.4, 32.9.4).
+//! The filter banks: 28 that CAN1 shares with CAN2 (RM0090 32.7.4, 32.9.4), or 14 of CAN3 alone (RM0430 32.3).
 
-use super::Frame;
+use std::ops::Range;
+
+use super::{Frame, Role};
 use crate::can::Id;
 
 const BANKS: usize = 28;
-const BANK_BITS: u32 = (1 << BANKS) - 1;
+const BANKS_OF_CAN3: usize = 14;
 
 const FMR: u32 = 0x000;
 const FM1R: u32 = 0x004;
@@ -12,7 +14,6 @@ const FS1R: u32 = 0x00C;
 const FFA1R: u32 = 0x014;
 const FA1R: u32 = 0x01C;
 const BANK_REGISTERS: u32 = 0x040;
-const END: u32 = BANK_REGISTERS + 8 * BANKS as u32;
 
 const FMR_RESET_VALUE: u32 = 0x2A1C_0E01;
 const FMR_FINIT: u32 = 1 << 0;
@@ -20,20 +21,15 @@ const FMR_WRITABLE: u32 = 0x3F01;
 const CAN2SB_SHIFT: u32 = 8;
 
 /// The filter banks and their registers, at offsets from FMR.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Filters {
+    role: Role,
     fmr: u32,
     fm1r: u32,
     fs1r: u32,
     ffa1r: u32,
     fa1r: u32,
     banks: [[u32; 2]; BANKS],
-}
-
-impl Default for Filters {
-    fn default() -> Self {
-        Self { fmr: FMR_RESET_VALUE, fm1r: 0, fs1r: 0, ffa1r: 0, fa1r: 0, banks: [[0; 2]; BANKS] }
-    }
 }
 
 /// The identifier as it appears in RIR and in a 32-bit filter: STID or EXID, IDE, RTR.
@@ -52,6 +48,52 @@ fn identifier_half(frame: &Frame) -> u32 {
 }
 
 impl Filters {
+    /// The banks after a reset, as the controller of this role uses them.
+    pub const fn new(role: Role) -> Self {
+        Self {
+            role,
+            fmr: FMR_RESET_VALUE,
+            fm1r: 0,
+            fs1r: 0,
+            ffa1r: 0,
+            fa1r: 0,
+            banks: [[0; 2]; BANKS],
+        }
+    }
+
+    /// The same banks, as the controller of another role uses them.
+    pub const fn used_as(self, role: Role) -> Self {
+        Self { role, ..self }
+    }
+
+    const fn len(&self) -> usize {
+        match self.role {
+            Role::Master | Role::Slave => BANKS,
+            Role::Single => BANKS_OF_CAN3,
+        }
+    }
+
+    /// The bits of registers with one bit a bank.
+    const fn bank_bits(&self) -> u32 {
+        (1 << self.len()) - 1
+    }
+
+    /// The first offset behind the banks.
+    const fn end(&self) -> u32 {
+        BANK_REGISTERS + 8 * self.len() as u32
+    }
+
+    /// The banks that filter for the controller: CAN2SB is the first of CAN2. The field is assumed to be without effect
+    /// on CAN3.
+    fn own(&self) -> Range<usize> {
+        let of_can2 = ((self.fmr >> CAN2SB_SHIFT & 0x3F) as usize).min(BANKS);
+        match self.role {
+            Role::Master => 0..of_can2,
+            Role::Slave => of_can2..BANKS,
+            Role::Single => 0..BANKS_OF_CAN3,
+        }
+    }
+
     /// The register at `offset` from FMR, if there is one.
     pub fn read(&self, offset: u32) -> Option<u32> {
         Some(match offset {
@@ -60,7 +102,7 @@ impl Filters {
             FS1R => self.fs1r,
             FFA1R => self.ffa1r,
             FA1R => self.fa1r,
-            BANK_REGISTERS..END => {
+            _ if (BANK_REGISTERS..self.end()).contains(&offset) => {
                 let (bank, half) = place(offset);
                 self.banks[bank][half]
             }
@@ -72,6 +114,7 @@ impl Filters {
     /// while FINIT is set or the bank is inactive. Returns whether the register and the bits exist.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         let initializing = self.fmr & FMR_FINIT != 0;
+        let (bank_bits, end) = (self.bank_bits(), self.end());
         let register = match offset {
             FMR => {
                 self.fmr = FMR_RESET_VALUE & !FMR_WRITABLE | value & FMR_WRITABLE;
@@ -81,10 +124,10 @@ impl Filters {
             FS1R => &mut self.fs1r,
             FFA1R => &mut self.ffa1r,
             FA1R => {
-                self.fa1r = value & BANK_BITS;
-                return value & !BANK_BITS == 0;
+                self.fa1r = value & bank_bits;
+                return value & !bank_bits == 0;
             }
-            BANK_REGISTERS..END => {
+            _ if (BANK_REGISTERS..end).contains(&offset) => {
                 let (bank, half) = place(offset);
                 if initializing || self.fa1r >> bank & 1 == 0 {
                     self.banks[bank][half] = value;
@@ -94,23 +137,22 @@ impl Filters {
             _ => return false,
         };
         if initializing {
-            *register = value & BANK_BITS;
+            *register = value & bank_bits;
         }
-        value & !BANK_BITS == 0
+        value & !bank_bits == 0
     }
 
     /// For each FIFO, the filter match index if it accepts `frame`; FINIT drops the frame.
     ///
     /// Of several matches the wider scale wins, then list over mask mode, then the lower number. With `both` this holds
-    /// for each FIFO separately.
+    /// for each FIFO separately. The index is assumed to count from the first bank of the controller.
     pub fn accept(&self, frame: &Frame, both: bool) -> [Option<u8>; 2] {
         if self.fmr & FMR_FINIT != 0 {
             return [None; 2];
         }
-        let of_can1 = (self.fmr >> CAN2SB_SHIFT & 0x3F) as usize;
         let mut next_index = [0; 2];
         let mut best = [None; 2];
-        for bank in 0..of_can1.min(BANKS) {
+        for bank in self.own() {
             let bit = |register: u32| register >> bank & 1 == 1;
             let (wide, list, fifo) = (bit(self.fs1r), bit(self.fm1r), usize::from(bit(self.ffa1r)));
             let (filters, found) = self.matches(bank, wide, list, frame);

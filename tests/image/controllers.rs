@@ -1,0 +1,189 @@
+//! The image on CAN2 and CAN3, while another controller's bus carries frames of others; and the example of a board with
+//! switches for the node-ID.
+
+use std::sync::LazyLock;
+
+use emulator::{
+    Time,
+    board::{self, Board},
+    can::Adapter,
+    chip::{Part, Pin},
+    image::Image,
+    network::AdapterId,
+};
+use lss_slave::BitRate;
+use testkit::{
+    frames,
+    image::{build_with_features, image},
+    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
+};
+
+/// The first filter registers (RM0090, 32.9.4).
+const FM1R: u32 = 0x204;
+const FA1R: u32 = 0x21C;
+
+/// The image for CAN2 of an STM32F405, on the board with switches.
+fn image_on_can2() -> &'static Image {
+    static IMAGE: LazyLock<Image> = LazyLock::new(|| build(Part::Stm32f405, &["can2", "switches"]));
+    &IMAGE
+}
+
+/// The image for CAN3 of an STM32F413.
+fn image_on_can3() -> &'static Image {
+    static IMAGE: LazyLock<Image> = LazyLock::new(|| build(Part::Stm32f413, &["can3"]));
+    &IMAGE
+}
+
+fn build(part: Part, features: &[&str]) -> Image {
+    build_with_features(part, features).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn board_on(part: Part, image: &Image, controller: usize) -> Board {
+    Board::new(part, image, board::Settings { controller, ..Default::default() })
+}
+
+/// Two adapters on a second bus, which acknowledge each other, and CAN1 of the board with the pins that it has.
+fn add_busy_bus(rig: &mut ImageRig) -> [AdapterId; 2] {
+    let bus = rig.network.add_bus();
+    rig.network.connect(0, 1, bus);
+    [(); 2].map(|()| rig.network.add_adapter_to(bus, Adapter::new(125_000)))
+}
+
+fn is_commissioned(part: Part, controller: usize, image: &Image) {
+    let name = part.name();
+    let mut rig = ImageRig::new(BitRate::Kbit125, [board_on(part, image, controller)]);
+    let [sender, other] = add_busy_bus(&mut rig);
+    // Another master there configures in vain.
+    for request in ["04 01", "11 07", "5E"] {
+        rig.network.send(sender, on_the_wire(&frames::request(request)));
+    }
+    assert_eq!(rig.lss("5E"), [""; 0], "{name}: the board waits");
+    assert_eq!(rig.network.adapter_mut(sender).unsent(), 0);
+    let heard = std::iter::from_fn(|| rig.network.receive(other)).count();
+    assert_eq!(heard, 3);
+
+    assert_eq!(rig.lss("4C"), ["50"], "{name}");
+    rig.lss("04 01");
+    assert_eq!(rig.lss("11 04"), ["11 00"], "{name}");
+    assert_eq!(rig.lss("13 00 00"), ["13 00"], "{name}");
+    assert_eq!(rig.lss("17"), ["17 00"], "{name}");
+    rig.transmit_request("15 32 00");
+    rig.network.run_for(Time::from_ms(60));
+    rig.set_master_bit_rate(BitRate::Kbit1000);
+    rig.network.run_for(Time::from_ms(60));
+    assert_eq!(rig.lss("04 00"), ["704: 00"], "{name}");
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"], "{name}");
+
+    assert_eq!(rig.network.receive(sender), None, "{name} sends on the bus of CAN1");
+    assert_eq!(rig.network.receive(other), None, "{name} sends on the bus of CAN1");
+    // Nobody but the other adapter acknowledges there.
+    rig.network.adapter_mut(other).close();
+    rig.network.send(sender, on_the_wire(&frames::request("5E")));
+    rig.network.run_for(Time::from_ms(20));
+    assert_eq!(rig.network.adapter_mut(sender).unsent(), 1, "{name}");
+}
+
+#[test]
+fn an_image_on_can2_is_commissioned_beside_a_busy_bus_at_can1() {
+    is_commissioned(Part::Stm32f405, 2, image_on_can2());
+}
+
+#[test]
+fn an_image_on_can3_is_commissioned_beside_a_busy_bus_at_can1() {
+    is_commissioned(Part::Stm32f413, 3, image_on_can3());
+}
+
+/// The banks in use, and those of them that are lists, in the filter registers of a controller.
+fn banks(rig: &ImageRig, controller: usize) -> [u32; 2] {
+    let board = rig.network.board(0);
+    let (chip, now) = (board.chip(), board.now());
+    [FA1R, FM1R].map(|offset| chip.can(controller).read(offset, now).expect("a register"))
+}
+
+#[test]
+fn can2_uses_banks_from_14_on_and_the_others_banks_from_0_on() {
+    for (part, image, controller, filters, first) in [
+        (Part::Stm32f405, image(), 1, 1, 0),
+        (Part::Stm32f405, image_on_can2(), 2, 1, 14),
+        (Part::Stm32f413, image_on_can3(), 3, 3, 0),
+    ] {
+        let mut board = board_on(part, image, controller);
+        board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(4, BitRate::Kbit500)]));
+        let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
+        rig.collect(Time::from_ms(20));
+        assert_eq!(banks(&rig, filters), [0b11 << first, 0b01 << first], "CAN{controller}");
+    }
+}
+
+const SWITCHES: [Pin; 7] =
+    [Pin('E', 0), Pin('E', 1), Pin('E', 2), Pin('E', 3), Pin('E', 4), Pin('E', 5), Pin('E', 6)];
+
+/// A board of the example `switches` with these switches closed, bit 0 first.
+fn board_with_switches(closed: u8) -> Board {
+    let board = board_on(Part::Stm32f405, image_on_can2(), 2);
+    set_switches(&board, closed);
+    board
+}
+
+fn set_switches(board: &Board, closed: u8) {
+    let mut chip = board.chip();
+    for (bit, pin) in SWITCHES.into_iter().enumerate() {
+        chip.gpio_mut().set_input(pin, (closed >> bit & 1 == 1).then_some(false));
+    }
+}
+
+#[test]
+fn switches_give_the_node_id_until_one_is_stored() {
+    for (closed, boot_up) in [(0x05, "705: 00"), (0x7F, "77F: 00"), (0x40, "740: 00")] {
+        let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(closed)]);
+        assert_eq!(rig.collect(Time::from_ms(20)), [boot_up]);
+    }
+    let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(0x05)]);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["705: 00"]);
+    set_switches(rig.network.board(0), 0x06);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["706: 00"], "nothing is stored yet");
+    rig.lss("04 01");
+    assert_eq!(rig.lss("5E"), ["5E 06"]);
+    assert_eq!(rig.lss("11 22"), ["11 00"]);
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["722: 00"], "the stored one wins");
+}
+
+#[test]
+fn a_stored_lack_of_a_node_id_wins_over_the_switches() {
+    let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(0x05)]);
+    rig.collect(Time::from_ms(20));
+    rig.lss("04 01");
+    assert_eq!(rig.lss("11 FF"), ["11 00"]);
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), [""; 0]);
+    assert_eq!(rig.lss("4C"), ["50"]);
+}
+
+#[test]
+fn open_switches_leave_a_new_device_without_a_node_id() {
+    let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(0)]);
+    assert_eq!(rig.collect(Time::from_ms(20)), [""; 0]);
+    assert_eq!(rig.lss("4C"), ["50"]);
+}
+
+#[test]
+fn an_led_to_the_supply_is_lit_while_its_pin_is_low() {
+    let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(0x05)]);
+    rig.nmt("01 05");
+    rig.network.run_for(Time::from_ms(100));
+    let output = |rig: &ImageRig, pin| rig.network.board(0).output(pin).level;
+    assert_eq!(output(&rig, Pin('D', 12)), Some(false), "RUN is lit in operational");
+    assert_eq!(output(&rig, Pin('D', 14)), None, "there is no ERR indicator");
+    rig.nmt("02 05");
+    let mut high = 0;
+    for _ in 0..24 {
+        rig.network.run_for(Time::from_ms(50));
+        high += u32::from(output(&rig, Pin('D', 12)) == Some(true));
+    }
+    assert_eq!(high, 20, "RUN flashes once, for 200 of 1200 ms, in stopped");
+}

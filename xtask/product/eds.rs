@@ -1,0 +1,18 @@
+//! `cargo eds`: writes the electronic data sheet of the product.
+
+use std::{fs, io};
+
+use @crate@::{application, describe, device};
+use testkit::eds::{DataSheet, Product};
+
+fn main() -> io::Result<()> {
+    let product = Product {
+        file_name: "@name@.eds",
+        vendor_name: device::VENDOR_NAME,
+        description: device::DESCRIPTION,
+        device: describe(0),
+    };
+    let objects = application::Node::entries(&product.device);
+    let sheet = DataSheet::new(product, objects, &application::Application::new());
+    fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/@name@.eds"), sheet.eds())
+}

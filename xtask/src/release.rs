@@ -1,0 +1,97 @@
+//! `cargo xtask release`: the files of a release, in a folder for each chip.
+
+mod elsewhere;
+mod image;
+mod licences;
+mod packages;
+mod sbom;
+
+use std::{fs, path::PathBuf};
+
+use anyhow::{Context, ensure};
+use emulator::{chip::Part, image::Image};
+use sha2::{Digest, Sha256};
+
+use crate::{eds, size};
+
+/// Write the files of a release, a folder for each chip
+///
+///   lss-slave.elf            the program with its debug information, for probe-rs, OpenOCD, STM32CubeProgrammer
+///   lss-slave.hex            the program, for STM32CubeProgrammer and others
+///   lss-slave-ADDRESS.bin    the parts of the program before and after the settings, for dfu-util and others
+///   lss-slave.eds            the electronic data sheet
+///   size.txt                 the memory that the program takes
+///   sbom.cdx.json            the packages in the program, as CycloneDX
+///   licences.txt             their licences
+///   SHA256SUMS               the checksums of these files
+///
+/// No file has a byte for the settings in sectors 1 and 2 of the flash. All are the same bytes wherever they are made:
+/// docs/flashing.md.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// Only these chips
+    chips: Vec<Part>,
+    /// The folder for the folders [default: target/release-kit in this repository]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Also build each program in another folder with another registry of cargo, and compare
+    #[arg(long)]
+    check_reproducible: bool,
+}
+
+/// Writes the files.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let chips = if arguments.chips.is_empty() { &Part::ALL[..] } else { &arguments.chips };
+    for &chip in chips {
+        write(chip, arguments).with_context(|| chip.name().to_owned())?;
+    }
+    Ok(())
+}
+
+fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
+    let elf = testkit::image::build_release(elsewhere::workspace(), None, chip)?;
+    if arguments.check_reproducible {
+        elsewhere::check(chip, &elf)?;
+    }
+    let packages = packages::linked(chip)?;
+    let (size, _) = size::report(&elf, chip, false)?;
+    let mut files = image::files(&Image::from_elf(&elf)?)?;
+    files.extend([
+        ("lss-slave.eds".to_owned(), eds::of_firmware().eds().into_bytes()),
+        ("size.txt".to_owned(), size.into_bytes()),
+        ("sbom.cdx.json".to_owned(), sbom::of(&packages, &sha256(&elf))?.into_bytes()),
+        ("licences.txt".to_owned(), licences::of(&packages)?.into_bytes()),
+        ("lss-slave.elf".to_owned(), elf),
+    ]);
+    files.sort();
+    let sums = files.iter().map(|(name, content)| format!("{}  {name}\n", sha256(content)));
+    let sums = sums.collect::<String>();
+    files.push(("SHA256SUMS".to_owned(), sums.into_bytes()));
+
+    let usual = || elsewhere::workspace().join("target/release-kit");
+    let folder = arguments.out.clone().unwrap_or_else(usual).join(chip.name());
+    fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    for (name, content) in files {
+        let path = folder.join(name);
+        fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    let bytes = image::check(&folder)?;
+    ensure!(bytes > 0, "the program is empty");
+    println!("{}: {bytes} bytes of program, {} packages", folder.display(), packages.len());
+    Ok(())
+}
+
+/// The SHA-256 checksum in hexadecimal digits.
+fn sha256(content: &[u8]) -> String {
+    Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_checksum_is_that_of_fips_180() {
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(super::sha256(b"abc"), expected);
+    }
+}

@@ -1,0 +1,173 @@
+//! The files of a program: HEX and BIN, and the check that none of the files touches the settings.
+
+use std::{collections::BTreeMap, fs, ops::Range, path::Path};
+
+use anyhow::{Context, bail, ensure};
+use emulator::{chip::FLASH_BASE, image::Image};
+use ihex::{Reader, Record, create_object_file_representation};
+use testkit::image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET};
+
+/// The sectors of the settings.
+const SETTINGS: Range<u32> = {
+    let start = FLASH_BASE + SETTINGS_OFFSET;
+    start..start + SETTINGS_LENGTH as u32
+};
+/// The value of an erased byte.
+const ERASED: u8 = 0xFF;
+/// The data bytes of a line in a HEX file.
+const LINE: u32 = 16;
+
+/// The name of the program's files.
+const NAME: &str = "lss-slave";
+
+/// A part of the program: its first address and its bytes.
+type Part = (u32, Vec<u8>);
+
+/// The HEX file and the BIN files of a program, with their names.
+pub fn files(image: &Image) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
+    let parts = parts(image)?;
+    let mut files = vec![(format!("{NAME}.hex"), hex(&parts)?.into_bytes())];
+    files.extend(
+        parts.into_iter().map(|(address, bytes)| (format!("{NAME}-{address:08X}.bin"), bytes)),
+    );
+    Ok(files)
+}
+
+/// The program before and after the settings, each without gaps.
+fn parts(image: &Image) -> anyhow::Result<Vec<Part>> {
+    let mut segments: Vec<_> = image.segments().collect();
+    segments.sort();
+    let mut parts: Vec<Part> = Vec::new();
+    for (address, bytes) in segments {
+        match parts.last_mut() {
+            Some((start, part)) if (*start < SETTINGS.start) == (address < SETTINGS.start) => {
+                let offset = (address - *start) as usize;
+                ensure!(part.len() <= offset, "two segments overlap at {address:08X}");
+                part.resize(offset, ERASED);
+                part.extend_from_slice(bytes);
+            }
+            _ => parts.push((address, bytes.to_vec())),
+        }
+    }
+    Ok(parts)
+}
+
+/// The content of an Intel HEX file.
+fn hex(parts: &[Part]) -> anyhow::Result<String> {
+    let mut records = Vec::new();
+    let mut upper = None;
+    for (start, bytes) in parts {
+        let mut rest = &bytes[..];
+        let mut address = *start;
+        while !rest.is_empty() {
+            if upper.replace(address >> 16) != Some(address >> 16) {
+                records.push(Record::ExtendedLinearAddress((address >> 16) as u16));
+            }
+            let len = rest.len().min((LINE - address % LINE) as usize);
+            let (line, after) = rest.split_at(len);
+            records.push(Record::Data { offset: address as u16, value: line.to_vec() });
+            (rest, address) = (after, address + len as u32);
+        }
+    }
+    records.push(Record::EndOfFile);
+    create_object_file_representation(&records).context("the HEX file")
+}
+
+/// Reads the files of the program in a folder, and returns the number of its bytes. Fails if a file has a byte for the
+/// settings, or if ELF, HEX and BIN files differ.
+pub fn check(folder: &Path) -> anyhow::Result<usize> {
+    let mut binaries = BTreeMap::new();
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let name = path.file_stem().and_then(|name| name.to_str()).unwrap_or_default();
+        if path.extension().is_some_and(|ending| ending == "bin") {
+            let (_, address) = name.rsplit_once('-').with_context(|| name.to_owned())?;
+            let start = u32::from_str_radix(address, 16).with_context(|| name.to_owned())?;
+            insert(&mut binaries, start, &fs::read(path)?)?;
+        }
+    }
+    let mut of_elf = BTreeMap::new();
+    for (address, bytes) in Image::load(folder.join(NAME).with_extension("elf"))?.segments() {
+        insert(&mut of_elf, address, bytes)?;
+    }
+    let of_hex = read_hex(&fs::read_to_string(folder.join(NAME).with_extension("hex"))?)?;
+    ensure!(of_hex == binaries, "HEX and BIN files differ");
+    let gaps = of_hex.iter().filter(|(address, _)| !of_elf.contains_key(address));
+    ensure!(gaps.clone().all(|(_, byte)| *byte == ERASED), "HEX and ELF files differ");
+    ensure!(
+        of_elf.iter().all(|(address, byte)| of_hex.get(address) == Some(byte)),
+        "HEX and ELF files differ"
+    );
+    Ok(of_elf.len())
+}
+
+/// The bytes of a HEX file, by address.
+fn read_hex(text: &str) -> anyhow::Result<BTreeMap<u32, u8>> {
+    let mut bytes = BTreeMap::new();
+    let mut upper = 0;
+    for record in Reader::new(text) {
+        match record? {
+            Record::Data { offset, value } => {
+                insert(&mut bytes, upper | u32::from(offset), &value)?
+            }
+            Record::ExtendedLinearAddress(address) => upper = u32::from(address) << 16,
+            Record::EndOfFile => return Ok(bytes),
+            other => bail!("unexpected record {other:?}"),
+        }
+    }
+    bail!("no end of the HEX file")
+}
+
+/// Adds the bytes from `start` on. Fails if one is there already, or is for the settings.
+fn insert(bytes: &mut BTreeMap<u32, u8>, start: u32, new: &[u8]) -> anyhow::Result<()> {
+    for (address, byte) in (start..).zip(new) {
+        ensure!(!SETTINGS.contains(&address), "{address:08X} belongs to the settings");
+        ensure!(bytes.insert(address, *byte).is_none(), "{address:08X} is there twice");
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const VECTORS: u32 = 0x0800_0000;
+    const CODE: u32 = 0x0800_C000;
+
+    fn image(segments: &[(u32, &[u8])]) -> Image {
+        Image::from_segments(segments.iter().map(|(at, bytes)| (*at, bytes.to_vec())).collect())
+    }
+
+    #[test]
+    fn the_parts_lie_before_and_after_the_settings_without_gaps() {
+        let image = image(&[(CODE + 4, &[3, 4]), (VECTORS, &[1]), (CODE, &[2])]);
+        let parts = parts(&image).expect("no overlap");
+        assert_eq!(parts, [(VECTORS, vec![1]), (CODE, vec![2, 0xFF, 0xFF, 0xFF, 3, 4])]);
+    }
+
+    #[test]
+    fn a_hex_file_reads_back_as_what_was_written() {
+        let bytes: Vec<u8> = (0..=255).cycle().take(0x1_2345).collect();
+        let parts = [(VECTORS, vec![7; 3]), (CODE + 5, bytes)];
+        let text = hex(&parts).expect("valid");
+        assert!(text.starts_with(":020000040800F2\n"), "{}", &text[..40]);
+        let read = read_hex(&text).expect("valid");
+        assert_eq!(read.len(), 3 + 0x1_2345);
+        for (start, bytes) in parts {
+            assert!((start..).zip(bytes).all(|(address, byte)| read[&address] == byte));
+        }
+    }
+
+    #[test]
+    fn a_file_with_a_byte_for_the_settings_is_refused() {
+        assert_eq!(SETTINGS, 0x0800_4000..0x0800_C000);
+        for address in [SETTINGS.start, SETTINGS.end - 1] {
+            let text = hex(&[(address, vec![0xFF])]).expect("valid");
+            let error = read_hex(&text).expect_err("a byte for the settings").to_string();
+            assert_eq!(error, format!("{address:08X} belongs to the settings"));
+        }
+        for address in [SETTINGS.start - 1, SETTINGS.end] {
+            read_hex(&hex(&[(address, vec![0])]).expect("valid")).expect("beside the settings");
+        }
+    }
+}
