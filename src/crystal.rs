@@ -8,6 +8,7 @@ use stm32f4xx_hal::pac::RCC;
 use crate::{board, product::device::CRYSTAL_IS_EXTERNAL_CLOCK};
 
 /// Survives a reset and shows whether a failure of the crystal caused it.
+// SAFETY: the section of cortex-m-rt for variables that nothing initialises.
 #[unsafe(link_section = ".uninit.CRYSTAL_NOTE")]
 static mut NOTE: MaybeUninit<u32> = MaybeUninit::uninit();
 
@@ -40,9 +41,10 @@ pub fn has_failed() -> bool {
 /// Handles the failure of the crystal: the core continues at 16 MHz, and at a tenth of its bit rate the controller
 /// would disturb the bus. The next start logs the failure, since a log line takes time and this interrupt may have come
 /// during another one.
+// SAFETY: the handler that cortex-m-rt declares under this name.
 #[unsafe(no_mangle)]
 extern "C" fn NonMaskableInt() -> ! {
-    // SAFETY: as above; no other code runs any more.
+    // SAFETY: the word is private, and no other code runs any more.
     unsafe { (&raw mut NOTE).cast::<u32>().write_volatile(HAS_FAILED) };
     SCB::sys_reset();
 }

@@ -8,6 +8,7 @@ use cortex_m::{
 };
 use cortex_m_rt::ExceptionFrame;
 
+// SAFETY: `memory.x` defines both; only their addresses are used.
 unsafe extern "C" {
     /// The first byte of the stack and of the RAM (`memory.x`).
     static _stack_end: u8;
@@ -39,6 +40,7 @@ pub fn guard_stack(mpu: &MPU) {
 }
 
 /// The entry of the exception. Without room for the report it resets the stack pointer: nothing returns from here.
+// SAFETY: the handler that cortex-m-rt declares under this name; it does not return, so it may use every register.
 #[unsafe(naked)]
 #[unsafe(no_mangle)]
 unsafe extern "C" fn HardFault() -> ! {

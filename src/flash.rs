@@ -168,7 +168,7 @@ impl NorFlash for SettingsFlash {
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
         check_write(self, offset, bytes.len()).map_err(FlashError::Range)?;
         self.operate(|flash| {
-            // SAFETY: as for erasing.
+            // SAFETY: 32-bit parallelism needs 2.7 V, which `operate` has seen (RM0090, table 9).
             flash
                 .registers
                 .cr()

@@ -109,14 +109,18 @@ impl Mailbox {
 }
 
 /// Nonzero while a frame is in [`RECEIVED`].
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 static WAITING: Register = Register::new();
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 static RECEIVED: Mailbox = Mailbox::new();
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 static TRANSMITTED: Mailbox = Mailbox::new();
 
 /// The clock in microseconds.
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 pub static NOW: Register = Register::new();
 

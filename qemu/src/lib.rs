@@ -33,11 +33,13 @@ use sys::{MEMTX_ERROR, MEMTX_OK, Machine, MemoryRegionOps};
 
 /// The supported version of the plugin interface: any, as only the entry is used. QEMU reads it after it has loaded the
 /// plugin.
+// SAFETY: a plugin has to have a word of this name.
 #[unsafe(no_mangle)]
 pub static qemu_plugin_version: AtomicI32 = AtomicI32::new(1);
 
 /// Runs while the plugin is loaded: from version 9.0 on QEMU requires at least 2, and before it at most 1.
 #[used]
+// SAFETY: the section holds pointers to functions that the loader calls.
 #[unsafe(link_section = ".init_array")]
 static CHOOSE_VERSION: extern "C" fn() = choose_version;
 

@@ -82,6 +82,7 @@ struct Notifier {
     links: [*mut c_void; 2],
 }
 
+// SAFETY: as the headers of QEMU 7.2 to 10.0 and of the C library declare them.
 unsafe extern "C" {
     fn dlsym(library: *mut c_void, name: *const c_char) -> *mut c_void;
     fn qemu_add_machine_init_done_notifier(notifier: *mut Notifier);

@@ -1,7 +1,8 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask fuzz`,
 //! `cargo xtask linux`, `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
-//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`.
+//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`,
+//! `cargo xtask trace`, `cargo xtask unsafe-code`.
 
 mod apart;
 mod bench;
@@ -12,6 +13,7 @@ mod emulate;
 mod example;
 mod flash;
 mod fuzz;
+mod generated;
 #[cfg(target_os = "linux")]
 mod linux;
 mod new_product;
@@ -23,9 +25,12 @@ mod readings;
 mod release;
 mod size;
 mod soak;
+mod sources;
 mod storm;
+mod trace;
+mod unsafe_code;
 
-use std::{io, process::ExitCode};
+use std::{io, path::Path, process::ExitCode};
 
 use anstyle::{AnsiColor, Style};
 use clap::{Parser, Subcommand};
@@ -65,6 +70,8 @@ enum Command {
     Size(size::Arguments),
     Soak(soak::Arguments),
     Storm(storm::Arguments),
+    Trace(trace::Arguments),
+    UnsafeCode(unsafe_code::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -87,6 +94,8 @@ fn main() -> ExitCode {
         Command::Size(arguments) => size::run(&arguments),
         Command::Soak(arguments) => soak::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
+        Command::Trace(arguments) => trace::run(&arguments),
+        Command::UnsafeCode(arguments) => unsafe_code::run(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -96,6 +105,11 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// The directory of the workspace.
+fn workspace() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
 /// Whether the reader of the output, such as `head`, has closed it.

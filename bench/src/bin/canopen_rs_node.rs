@@ -8,6 +8,7 @@ use canopen_rs::{Address, Entry, LssAddress, Node, NodeId, ObjectDictionary, Val
 
 static NODE: Place<Node<8>> = Place::empty();
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn prepare() {
     let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
@@ -29,6 +30,7 @@ extern "C" fn prepare() {
     NODE.fill(node);
 }
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
     let cob_id = received_identifier();

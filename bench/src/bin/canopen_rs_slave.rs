@@ -9,9 +9,11 @@ use canopen_rs::lss::{
 };
 
 /// The LSS state, whose size is measured.
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 static LSS_STATE: Place<LssSlave> = Place::empty();
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn prepare() {
     let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
@@ -19,6 +21,7 @@ extern "C" fn prepare() {
     LSS_STATE.fill(LssSlave::new(address, UNCONFIGURED_NODE_ID));
 }
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
     if received_identifier() != LSS_MASTER_COB_ID {

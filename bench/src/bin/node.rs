@@ -14,6 +14,7 @@ static NODE: Place<Node> = Place::empty();
 /// The deadline of the timer; 0: off.
 static TIMER: Register = Register::new();
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn prepare() {
     let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
@@ -26,6 +27,7 @@ extern "C" fn prepare() {
     NODE.fill(Node::new(device, None));
 }
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
     // SAFETY: `prepare` has filled it, and the reference ends here.

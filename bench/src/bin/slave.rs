@@ -12,9 +12,11 @@ use lss_slave::{
 const BIT_RATES: BitRates = BitRates::possible(40_000_000);
 
 /// The LSS state, whose size is measured.
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 static LSS_STATE: Place<Slave> = Place::empty();
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn prepare() {
     let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
@@ -22,6 +24,7 @@ extern "C" fn prepare() {
     LSS_STATE.fill(Slave::new(address, BIT_RATES, None, BitRate::Kbit125.into()));
 }
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
     if received_identifier() != REQUEST_COB_ID {

@@ -75,6 +75,7 @@ static MAILBOX: NodeMbox =
     NodeMbox::new(&[], &[], &QUEUE, unsafe { &mut *addr_of_mut!(SDO_BUFFER) });
 static NODE: Place<Node<'static>> = Place::empty();
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn prepare() {
     let callbacks = Callbacks::new();
@@ -83,6 +84,7 @@ extern "C" fn prepare() {
     NODE.fill(node);
 }
 
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
     let cob_id = received_identifier();

@@ -9,6 +9,7 @@ use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
 use command::*;
 
 /// The words that the test finds by the name of their symbol.
+// SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 static REMOTE_CONTROL: Words =
     Words { control: AtomicU32::new(0), data: [const { AtomicU32::new(0) }; WORDS] };

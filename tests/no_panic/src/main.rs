@@ -25,6 +25,7 @@ use lss_slave::{
     settings::{Log, parameters::Parameter},
 };
 
+// SAFETY: a program that would call it cannot be linked.
 unsafe extern "C" {
     /// A symbol without a definition.
     safe fn the_library_can_panic() -> !;
@@ -35,6 +36,7 @@ fn panic(_: &PanicInfo<'_>) -> ! {
     the_library_can_panic()
 }
 
+// SAFETY: the entry of the program, which has no other.
 #[unsafe(no_mangle)]
 extern "C" fn _start() -> ! {
     keep_settings();

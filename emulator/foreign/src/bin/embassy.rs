@@ -34,6 +34,7 @@ struct Count<const LINE: usize>;
 macro_rules! count {
     ($($interrupt:ident $line:literal),*) => {$(
         impl typelevel::Handler<typelevel::$interrupt> for Count<$line> {
+            // SAFETY: may be called at any time.
             unsafe fn on_interrupt() {
                 count_interrupt($line);
             }
