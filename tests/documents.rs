@@ -135,7 +135,9 @@ fn every_command_of_the_project_that_a_document_names_exists() {
 #[test]
 fn the_readme_lists_every_chip_with_its_manual() {
     let readme = fs::read_to_string(root().join("README.md")).expect("the README");
-    let listed = readme.lines().filter(|line| line.starts_with("| `stm32f4"));
+    let rows = readme.lines().filter(|line| line.starts_with("| `stm32f4"));
+    // Other rows are for further CAN controllers.
+    let listed = rows.filter(|line| !line.contains("`, CAN"));
     let listed: Vec<String> =
         listed.map(|line| line.splitn(4, '|').take(3).collect::<Vec<_>>().join("|")).collect();
     let chips = CHIPS.map(|chip| format!("| `{}` | {} ", chip.feature, chip.manual));
