@@ -128,6 +128,8 @@ fn after_a_bus_of_error_frames_only_the_board_answers_again() {
     disturb(&mut rig);
     assert!(errors(&rig, since) > 1_000, "{} errors", errors(&rig, since));
     rig.collect(Time::from_s(1));
+    // It has looked for another bit rate, and thereby left the LSS configuration state.
+    rig.lss("04 01");
     let answers = rig.lss("5E").0;
     assert!(
         answers.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40")),

@@ -53,10 +53,11 @@ fn queue(rig: &mut ImageRig, frame: &lss_slave::Frame) {
     rig.network.send(rig.master, on_the_wire(frame));
 }
 
-/// Sends requests at intervals of 50 ms until the board answers one; returns whether it does within 15 s.
-fn is_reached(rig: &mut ImageRig, request: &str) -> bool {
+/// Selects the board and inquires its node-ID every 50 ms; returns whether it answers within 15 s.
+fn is_reached(rig: &mut ImageRig) -> bool {
     (0..300).any(|_| {
-        queue(rig, &frames::request(request));
+        queue(rig, &frames::request("04 01"));
+        queue(rig, &frames::request("5E"));
         let frames = rig.collect(Time::from_ms(50));
         frames.0.iter().any(|frame| frame.cob_id() == 0x7E4)
     })
@@ -159,15 +160,13 @@ fn a_configured_rate_stays_pending_while_the_board_follows_the_bus() {
         }
         rig.collect(Time::from_ms(50));
     }
-    assert!(is_reached(&mut rig, "5E"));
-    rig.lss("04 01");
+    assert!(is_reached(&mut rig));
     let answers = texts(&rig.lss("17"));
     assert!(answers.iter().any(|text| text.starts_with("7E4: 17 00")), "{answers:?}");
     rig.network.power_off(0);
     rig.set_master_bit_rate(BitRate::Kbit250);
     rig.power_on(0);
-    rig.lss("04 01");
-    assert!(is_reached(&mut rig, "5E"));
+    assert!(is_reached(&mut rig));
 }
 
 #[test]
@@ -179,17 +178,17 @@ fn a_board_that_has_found_its_rate_can_follow_the_bus_to_others() {
     rig.transmit_request("15 0A 00");
     rig.network.run_for(Time::from_ms(10));
     rig.set_master_bit_rate(BitRate::Kbit250);
-    assert!(is_reached(&mut rig, "5E"));
+    assert!(is_reached(&mut rig));
     for request in ["04 01", "13 00 09"] {
         rig.lss(request);
     }
     rig.transmit_request("15 0A 00");
     rig.collect(Time::from_ms(100));
-    assert!(is_reached(&mut rig, "5E"), "a detection that continues keeps its result");
+    assert!(is_reached(&mut rig), "a detection that continues keeps its result");
     rig.collect(Time::from_s(31));
     for rate in [BitRate::Kbit500, BitRate::Kbit250] {
         rig.set_master_bit_rate(rate);
-        assert!(is_reached(&mut rig, "5E"), "{rate:?}");
+        assert!(is_reached(&mut rig), "{rate:?}");
     }
 }
 
@@ -253,7 +252,7 @@ fn bus_off_before_the_first_boot_up_does_not_stop_the_node() {
     rig.network.run_for(Time::from_s(1));
     rig.network.set_short(None);
     rig.collect(Time::from_s(4));
-    assert!(is_reached(&mut rig, "5E"));
+    assert!(is_reached(&mut rig));
 }
 
 /// Passes time that the board does not notice but in its count.
@@ -506,9 +505,8 @@ fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
 /// Node 40, which has followed its master to another bit rate as a guest.
 fn guest() -> ImageRig {
     let mut rig = node_40(100);
-    rig.lss("04 01");
     rig.set_master_bit_rate(BitRate::Kbit250);
-    assert!(is_reached(&mut rig, "5E"));
+    assert!(is_reached(&mut rig));
     rig
 }
 
@@ -519,7 +517,7 @@ fn a_guest_goes_home_when_its_master_is_gone() {
     rig.network.run_for(Time::from_s(10));
     rig.network.adapter_mut(rig.master).open();
     rig.set_master_bit_rate(BitRate::Kbit1000);
-    assert!(is_reached(&mut rig, "5E"));
+    assert!(is_reached(&mut rig));
 }
 
 #[test]
@@ -528,10 +526,9 @@ fn a_dominant_bus_ends_a_search_and_not_the_stay_of_a_guest() {
     rig.network.set_short(Some(Short::Dominant));
     rig.network.run_for(Time::from_s(3));
     rig.network.set_short(None);
-    assert!(is_reached(&mut rig, "5E"));
+    assert!(is_reached(&mut rig));
     for ms in [5, 40, 90, 130, 180, 230, 300, 400] {
         let mut rig = node_40(100);
-        rig.lss("04 01");
         rig.set_master_bit_rate(BitRate::Kbit250);
         let foreign = Frames(vec![frames::stranger()]);
         for _ in 0..60 {
@@ -543,7 +540,7 @@ fn a_dominant_bus_ends_a_search_and_not_the_stay_of_a_guest() {
         rig.network.run_for(Time::from_ms(600));
         rig.network.set_short(None);
         rig.set_master_bit_rate(BitRate::Kbit1000);
-        assert!(is_reached(&mut rig, "5E"));
+        assert!(is_reached(&mut rig));
     }
 }
 

@@ -321,6 +321,7 @@ fn a_board_that_switched_alone_returns_to_the_bus_at_the_old_rate() {
     }
     assert!(rig.network.trace().iter().any(|event| matches!(event.what, What::Error { .. })));
     rig.collect(Time::from_ms(10));
+    rig.lss("04 01");
     let answers = rig.lss("5E");
     assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 01")));
 }
