@@ -65,7 +65,7 @@ pub struct Running {
     pub may_transmit: bool,
     /// The node is in the silence of a switch.
     pub is_switching: bool,
-    /// Errors since the last valid frame or the start of the controller, up to [`PASSIVE`].
+    /// Errors since the last valid frame or the start of the controller, up to error passive.
     pub errors: u8,
     /// The LSS answers that have not left.
     pub answers: Vec<Frame>,
