@@ -1,5 +1,5 @@
-//! Checks the choice of the chip and of its CAN controller, and passes `memory.x`, the sizes of the chip's memory and the
-//! linker scripts to the linker. Does nothing on the host, where only the tests are built.
+//! Checks the choice of the chip and of its CAN controller, and passes `memory.x`, the sizes of the chip's memory and
+//! the linker scripts to the linker. Does nothing on the host, where only the tests are built.
 
 use std::{env, fs, path::PathBuf};
 

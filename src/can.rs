@@ -9,8 +9,8 @@
 //! - Changing the configuration and dropping it both wait for a mode: the first is called in that mode, the second
 //!   never.
 //! - `clear_request_completed_flag` returns one mailbox and clears the flags of all three, so it is not used.
-//! - It sets the filters of CAN2 only by a driver of CAN1, which it puts into initialisation mode without a limit to the
-//!   wait. So the filters are written directly, which takes 280 bytes less flash.
+//! - It sets the filters of CAN2 only by a driver of CAN1, which it puts into initialisation mode without a limit to
+//!   the wait. So the filters are written directly, which takes 280 bytes less flash.
 //!
 //! Compared with register access alone, `bxcan` costs 0.8 us per answer, and leaves an unreachable panic in the image
 //! (docs/size-and-speed.md).
@@ -92,8 +92,8 @@ pub enum Received {
 }
 
 impl Controller {
-    /// The controller on its pins, set to receive the COB-IDs `receives`. It sleeps until [`set_bit_rate`](Self::set_bit_rate) or
-    /// [`listen`](Self::listen).
+    /// The controller on its pins, set to receive the COB-IDs `receives`. It sleeps until
+    /// [`set_bit_rate`](Self::set_bit_rate) or [`listen`](Self::listen).
     ///
     /// The chip is reset if the controller does not enter initialisation mode. By then `bxcan` has nothing to wait for.
     pub fn new(can: Can, pins: CanPins, rcc: &mut RCC, receives: Receives) -> Self {

@@ -82,7 +82,8 @@ impl Network {
         bus.0.checked_sub(1).map_or(&self.bus, |at| &self.more_buses[at])
     }
 
-    /// Connects a board's controller to the first bus and returns the board's number. If the network has already run, the board is powered on now.
+    /// Connects a board's controller to the first bus and returns the board's number. If the network has already run,
+    /// the board is powered on now.
     pub fn add_board(&mut self, mut board: Board) -> usize {
         if board.now() < self.now() {
             board.power_off();

@@ -9,8 +9,8 @@ use lss_slave::{Instant, Node};
 
 /// No rule of the node looks back further than this many microseconds.
 const PAST: i32 = 3_000_000;
-/// Times further away than so many microseconds are rounded up to a multiple of the second number: the checker goes on
-/// from one of two states that differ less.
+/// The rounding of times, in microseconds: those further away than the first number are rounded up to a multiple of the
+/// second. The checker goes on from one of two states that differ less.
 const ROUNDED: [(i32, i32); 2] = [(3_000_000, 10_000_000), (150_000, 500_000)];
 /// What has no effect on the behaviour, from a text to the next of a character: counters and the error history 1003h,
 /// which only objects of the dictionary show, and the times of no errors and of no heartbeat.
