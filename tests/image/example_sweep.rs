@@ -1,87 +1,15 @@
 //! The example `io` and the node in the process, asked the same: objects with every kind of value, wrong transfers, and
 //! parameters that fill the settings log or are damaged.
 
-use std::collections::VecDeque;
-
-use emulator::{Time, board::Board, chip::Part};
+use emulator::Time;
 use lss_slave::{BitRate, Frame};
-use lss_slave_firmware::io;
 use testkit::{
-    flash::BoardFlash,
-    frames::{self, SILENCE},
-    image::example,
-    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
-    node_rig::{self, NodeRig},
+    frames::SILENCE,
+    image_rig::{SETTINGS_OFFSET, flash_with, on_the_wire, settings},
     sdo::{self, Client},
 };
 
-const NODE_ID: u8 = 0x40;
-
-type Model = NodeRig<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
-
-/// The board and its model.
-struct Pair {
-    rig: ImageRig,
-    model: Model,
-}
-
-fn rig(content: &[u8]) -> ImageRig {
-    let mut board = Board::new(Part::Stm32f407, example(), Default::default());
-    board.set_flash(SETTINGS_OFFSET, content);
-    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
-    rig.collect(Time::from_ms(50));
-    rig
-}
-
-impl Pair {
-    fn new() -> Self {
-        let stored = settings(NODE_ID, BitRate::Kbit1000);
-        let content = flash_with(&[stored]);
-        let device = node_rig::device(node_rig::ADDRESS)
-            .with_name("LSS slave")
-            .with_versions("1.0", "0.1.0")
-            .with_defaults(settings(0xFF, BitRate::Kbit1000).with_heartbeat_ms(1000));
-        let flash = BoardFlash::with_content(content.clone(), 0);
-        let mut model = NodeRig::with_application(device, flash, 0, io::Application::new());
-        model.take_actions();
-        Self { rig: rig(&content), model }
-    }
-
-    /// Sends a request to both, and compares what their SDO servers answer.
-    fn ask(&mut self, request: [u8; 8]) {
-        let frame = Frame::new(0x600 + u16::from(NODE_ID), &request).expect("a frame");
-        let is_answer = |frame: &&Frame| frame.cob_id() == 0x580 + u16::from(NODE_ID);
-        let expected = self.model.receive(&frame).0;
-        let mut expected: VecDeque<Frame> = expected.iter().filter(is_answer).copied().collect();
-        self.rig.network.send(self.rig.master, on_the_wire(&frame));
-        let span = Time::from_us(600) + Time::from_us(150) * expected.len() as u64;
-        let mut sent: VecDeque<Frame> =
-            self.rig.collect(span).0.iter().filter(is_answer).copied().collect();
-        while sent.len() < expected.len() {
-            let (_, more) = self.rig.next_frame();
-            assert!(!more.0.is_empty(), "{request:02X?}: {sent:?}, not {expected:?}");
-            sent.extend(more.0.iter().filter(is_answer));
-        }
-        while let (Some(sent), Some(expected)) = (sent.pop_front(), expected.pop_front()) {
-            assert_eq!(sent, expected, "{request:02X?}");
-        }
-        assert!(
-            sent.is_empty() && expected.is_empty(),
-            "{request:02X?}: {sent:?}, not {expected:?}"
-        );
-    }
-
-    fn say(&mut self, text: &str) {
-        let mut request = frames::bytes(text);
-        request.resize(8, 0);
-        self.ask(request.try_into().expect("eight bytes"));
-    }
-}
-
-fn message(command: u8, index: u16, sub_index: u8, value: u32) -> [u8; 8] {
-    let ([i0, i1], [d0, d1, d2, d3]) = (index.to_le_bytes(), value.to_le_bytes());
-    [command, i0, i1, sub_index, d0, d1, d2, d3]
-}
+use crate::example_pair::{NODE_ID, Pair, message, rig};
 
 /// The objects, but those that a store or a chip decides: 1010h, 1011h, 1018h, 6401h. The last one does not exist.
 fn indices() -> impl Iterator<Item = u16> {
