@@ -1,6 +1,6 @@
 //! The example `io` and the node in the process with the same content of the flash, asked the same.
 
-use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 
 use emulator::{Time, board::Board, chip::Part};
 use lss_slave::{BitRate, Frame};
@@ -52,25 +52,25 @@ impl Pair {
     /// Sends a request to both, and compares what their SDO servers answer.
     pub fn ask(&mut self, request: [u8; 8]) {
         let frame = Frame::new(0x600 + u16::from(NODE_ID), &request).expect("a frame");
-        let is_answer = |frame: &&Frame| frame.cob_id() == 0x580 + u16::from(NODE_ID);
-        let expected = self.model.receive(&frame).0;
-        let mut expected: VecDeque<Frame> = expected.iter().filter(is_answer).copied().collect();
-        self.rig.network.send(self.rig.master, on_the_wire(&frame));
+        self.exchange(&frame, 0x580 + u16::from(NODE_ID)..=0x580 + u16::from(NODE_ID));
+    }
+
+    /// Sends a frame to both, and compares what they answer with one of these COB-IDs; returns the number of answers.
+    pub fn exchange(&mut self, frame: &Frame, cob_ids: RangeInclusive<u16>) -> usize {
+        let is_answer = |answer: &&Frame| cob_ids.contains(&answer.cob_id());
+        let expected: Vec<Frame> =
+            self.model.receive(frame).0.iter().filter(is_answer).copied().collect();
+        self.rig.network.send(self.rig.master, on_the_wire(frame));
         let span = Time::from_us(600) + Time::from_us(150) * expected.len() as u64;
-        let mut sent: VecDeque<Frame> =
+        let mut sent: Vec<Frame> =
             self.rig.collect(span).0.iter().filter(is_answer).copied().collect();
         while sent.len() < expected.len() {
             let (_, more) = self.rig.next_frame();
-            assert!(!more.0.is_empty(), "{request:02X?}: {sent:?}, not {expected:?}");
+            assert!(!more.0.is_empty(), "{frame:?}: {sent:?}, not {expected:?}");
             sent.extend(more.0.iter().filter(is_answer));
         }
-        while let (Some(sent), Some(expected)) = (sent.pop_front(), expected.pop_front()) {
-            assert_eq!(sent, expected, "{request:02X?}");
-        }
-        assert!(
-            sent.is_empty() && expected.is_empty(),
-            "{request:02X?}: {sent:?}, not {expected:?}"
-        );
+        assert_eq!(sent, expected, "{frame:?}");
+        sent.len()
     }
 
     /// Sends a request, padded with 0 to eight bytes, to both.

@@ -1,11 +1,16 @@
 //! The example `io` and the node in the process, asked the same: objects with every kind of value, wrong transfers, and
 //! parameters that fill the settings log or are damaged.
 
-use emulator::Time;
+use emulator::{
+    Time,
+    board::{self, Board},
+    chip::{Part, Readings},
+};
 use lss_slave::{BitRate, Frame};
 use testkit::{
-    frames::SILENCE,
-    image_rig::{SETTINGS_OFFSET, flash_with, on_the_wire, settings},
+    frames::{Frames, SILENCE},
+    image::example,
+    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
     sdo::{self, Client},
 };
 
@@ -160,6 +165,7 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
             "A2 01 01",
             "A1",
         ],
+        &["A4 08 10 00 7F 00", "A3", "A2 01 00"],
         &["A4 08 10 00 7F 00", "A3", "A2 03 7F"],
         &["A4 08 10 00 7F 00", "A3", "A2 02 00"],
         &["A4 08 10 00 7F 00", "A3", "A2 02 80"],
@@ -193,6 +199,128 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
         }
         pair.say("80 00 00 00");
     }
+}
+
+#[test]
+fn each_command_within_each_transfer_is_answered_as_by_the_node_in_the_process() {
+    let mut pair = Pair::new();
+    for begin in [
+        &[][..],
+        &["40 08 10 00"],
+        &["21 01 21 03 08"],
+        &["A4 08 10 00 7F 00"],
+        &["A4 08 10 00 7F 00", "A3"],
+        &["A4 08 10 00 01 00", "A3"],
+        &["A4 08 10 00 7F 00", "A3", "A2 02 7F"],
+        &["C6 01 21 03 03"],
+        &["C2 01 21 03 03", "81 61 62 63"],
+        &["C6 01 21 03 03", "81 61 62 63"],
+        &["C4 02 21 00"],
+    ] {
+        for command in [
+            "00", "01", "0F", "11", "20", "21", "22", "40", "60", "70", "80", "81", "A0", "A1",
+            "A2", "A2 01", "A2 01 7F", "A2 01 80", "A2 02 7F", "A3", "C0", "C1", "C2", "D0", "D1",
+            "E0", "FF",
+        ] {
+            begin.iter().for_each(|request| pair.say(request));
+            pair.say(command);
+            pair.say("80");
+            pair.say("80");
+        }
+    }
+}
+
+#[test]
+fn a_text_of_any_length_is_written_and_read_as_by_the_node_in_the_process() {
+    let mut pair = Pair::new();
+    let read =
+        [&["40 01 21 03", "60", "70", "60"][..], &["A4 01 21 03 7F 00", "A3", "A2 00 7F", "80"]];
+    let confirm = |len: usize| format!("A2 {:02X} 7F", len.div_ceil(7).max(1));
+    for len in [0, 1, 4, 5, 7, 8, 14, 16] {
+        let text = [0x41; 16];
+        pair.say(&format!("21 01 21 03 {len:02X}"));
+        let mut parts = text[..len].chunks(7).peekable();
+        let mut toggle = 0;
+        loop {
+            let part = parts.next().unwrap_or_default();
+            let is_last = parts.peek().is_none();
+            let command = toggle | (7 - part.len() as u8) << 1 | u8::from(is_last);
+            let bytes: String = part.iter().map(|byte| format!(" {byte:02X}")).collect();
+            pair.say(&format!("{command:02X}{bytes}"));
+            toggle ^= 0x10;
+            if is_last {
+                break;
+            }
+        }
+        for requests in read {
+            requests.iter().for_each(|request| pair.say(request));
+        }
+        for request in ["A4 01 21 03 7F 00", "A3", &confirm(len), "A1", "80"] {
+            pair.say(request);
+        }
+    }
+}
+
+#[test]
+fn a_save_by_each_service_is_confirmed_by_it() {
+    let mut pair = Pair::new();
+    for transfer in [
+        &["23 10 10 01 73 61 76 65"][..],
+        &["2B 17 10 00 64", "21 10 10 01 04", "07 73 61 76 65"],
+        &["2B 17 10 00 65", "C2 10 10 01 04", "81 73 61 76 65", "CD"],
+        &["21 10 10 01 04", "07 73 61 76 66", "C2 10 10 01 04", "81 73 61 76 66", "CD"],
+    ] {
+        transfer.iter().for_each(|request| pair.say(request));
+    }
+}
+
+#[test]
+fn a_client_that_falls_silent_in_a_transfer_gets_an_abort() {
+    let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+    for begin in [
+        &["40 08 10 00"][..],
+        &["21 01 21 03 08"],
+        &["A4 08 10 00 7F 00"],
+        &["A4 02 21 00 02 00", "A3"],
+        &["C2 02 21 00 A0 86 01 00"],
+        &["C2 02 21 00 A0 86 01 00", "01 00 9E 3C DA 78 17 B5"],
+        &["C2 01 21 03 03", "81 61 62 63"],
+    ] {
+        for request in begin {
+            rig.transmit(on_the_wire(&sdo::request(NODE_ID, request)));
+            rig.collect(Time::from_ms(2));
+        }
+        let sent = rig.collect(Time::from_s(10)).0;
+        let is_timeout = |frame: &Frame| {
+            frame.cob_id() == 0x5C0
+                && frame.data()[..1] == [0x80]
+                && frame.data()[4..] == [0, 0, 4, 5]
+        };
+        assert_eq!(sent.iter().filter(|frame| is_timeout(frame)).count(), 1, "{begin:?}: {sent:?}");
+    }
+}
+
+#[test]
+fn a_client_may_confirm_a_block_while_it_is_sent() {
+    // The slow core leaves the bus to the client after two segments.
+    let of_chip = Readings { slowdown: 10, ..Readings::default() };
+    let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+    let mut board = Board::new(Part::Stm32f407, example(), of_board);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    rig.collect(Time::from_ms(50));
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "A4 02 21 00 7F 00")));
+    rig.collect(Time::from_ms(2));
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "A3")));
+    let (_, first) = rig.next_frame();
+    rig.network.send(rig.master, on_the_wire(&sdo::request(NODE_ID, "A2 02 7F")));
+    let (_, second) = rig.next_frame();
+    let (_, third) = rig.next_frame();
+    let number = |frames: &Frames| frames.0[0].data()[0];
+    assert_eq!((number(&first), number(&second), number(&third)), (1, 2, 1), "it goes on behind");
+    assert_ne!(first.0[0].data()[1..], third.0[0].data()[1..]);
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "80 02 21 00")));
+    rig.collect(Time::from_ms(5));
 }
 
 #[test]

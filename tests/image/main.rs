@@ -14,6 +14,7 @@ mod eds;
 mod errors;
 mod example_pair;
 mod example_parameters;
+mod example_pdos;
 mod example_sweep;
 mod indicators;
 mod io;

@@ -21,19 +21,24 @@ use report::{Count, Report};
 const IMAGES: [&str; 2] = ["stm32f405", "stm32f407-io"];
 /// The tests that run a second time, with the example in the image: those of what the example has in common with the
 /// firmware as it is, but times and sizes.
-const TESTS_WITH_EXAMPLE: [&str; 12] = [
+const TESTS_WITH_EXAMPLE: [&str; 17] = [
     "bit_rate::",
     "can_traps::",
     "chip_traps::",
+    "commissioning::",
     "errors::",
     "medium_faults::",
+    "node_id::",
     "overload::",
     "power_cut::",
+    "rare_moments::",
     "rare_paths::",
     "rates_bus_off::",
     "rates_detection::",
     "rates_rescue::",
     "robustness::",
+    "session::",
+    "uptime::",
 ];
 /// One of them whose expectations are those of a smaller SDO server.
 const NOT_WITH_EXAMPLE: &str = "each_wrong_sdo_request_has_its_abort_code";
