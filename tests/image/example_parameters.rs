@@ -1,10 +1,18 @@
 //! The example `io` with parameters in its flash that another firmware may have written, or that are damaged: it takes
 //! and leaves them as the node in the process does.
 
+use emulator::{
+    Time,
+    board::Board,
+    chip::{Part, StuckBits},
+};
 use lss_slave::{BitRate, settings::Log};
 use testkit::{
     flash::BoardFlash,
-    image_rig::{SETTINGS_OFFSET, settings},
+    image::example,
+    image_rig::{ImageRig, SETTINGS_OFFSET, settings},
+    sdo::Client,
+    settings::{record, sealed},
 };
 
 use crate::example_pair::{NODE_ID, Pair};
@@ -34,14 +42,19 @@ fn flash_with(parameters: &[u8]) -> Vec<u8> {
     log.close().content()
 }
 
-/// Lets both save all of their values, and compares the flashes.
+/// Lets both start with these parameters and save all of their values, and compares the flashes.
 fn check(parameters: &[u8]) {
-    let mut pair = Pair::with(&flash_with(parameters));
+    check_content(&flash_with(parameters));
+}
+
+fn check_content(content: &[u8]) {
+    let mut pair = Pair::with(content);
     pair.say("23 10 10 01 73 61 76 65");
     let content = pair.model.flash.content();
     let flash = pair.rig.network.board(0).flash();
     let stored = &flash[SETTINGS_OFFSET as usize..][..content.len()];
-    assert!(stored == content, "{parameters:02X?}");
+    let differing = stored.iter().zip(&content).position(|(stored, other)| stored != other);
+    assert_eq!(differing, None);
 }
 
 /// The value, and its bytes with too few and too many of them.
@@ -141,6 +154,91 @@ fn a_stored_communication_parameter_is_taken_only_if_it_is_legal() {
     }
 }
 
+/// The first place of the bank that holds a record of 32 bytes.
+const SECOND_BANK: usize = 0x4000;
+const FIRST_RECORD: usize = 0;
+
+/// The content of a flash whose only record refers to these parameters.
+fn referring(first: u16, len: u16, crc: u32) -> Vec<u8> {
+    let mut record = record(1, 1, NODE_ID, 0, 0);
+    record[10..12].copy_from_slice(&first.to_le_bytes());
+    record[12..14].copy_from_slice(&len.to_le_bytes());
+    record[14..18].copy_from_slice(&crc.to_le_bytes());
+    let mut content = vec![0xFF; 2 * SECOND_BANK];
+    content[FIRST_RECORD..][..32].copy_from_slice(&sealed(record));
+    content
+}
+
+#[test]
+fn a_record_that_refers_to_nothing_or_beyond_itself_is_read_as_by_the_node() {
+    for (first, len, crc) in
+        [(0, 0, 0), (0, 24, 0), (0, 1, 0), (1, 24, 0), (0xFFFF, 0xFFFE, 0), (0x8000, 24, 7)]
+    {
+        let mut content = referring(first, len, crc);
+        check_content(&content);
+        // With little space behind it, the record moves to the other bank.
+        content.copy_within(FIRST_RECORD..FIRST_RECORD + 32, SECOND_BANK - 64);
+        content[FIRST_RECORD..][..32].fill(0xFF);
+        check_content(&content);
+    }
+}
+
+/// A flash whose first bank is almost full, with parameters in the first places.
+fn almost_full() -> Vec<u8> {
+    let (mut log, _) = Log::<_, MOST>::open_with_parameters(BoardFlash::blank(0));
+    let stored = settings(NODE_ID, BitRate::Kbit1000);
+    let parameters = parameter(0x6426, 1, U32, &[7, 0, 0, 0]);
+    log.store_with_parameters(stored, &parameters).expect("the flash works");
+    for heartbeat_ms in (0..400).rev() {
+        log.store(stored.with_heartbeat_ms(heartbeat_ms)).expect("there is room");
+    }
+    log.close().content()
+}
+
+/// A board with a bit that is stuck at 1.
+fn board(content: &[u8], stuck: usize) -> ImageRig {
+    let mut board = Board::new(Part::Stm32f407, example(), Default::default());
+    board.set_flash(SETTINGS_OFFSET, content);
+    let bits = StuckBits { offset: SETTINGS_OFFSET + stuck as u32, mask: 1, value: 1 };
+    board.chip().flash_mut().add_stuck_bits(bits);
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    rig.collect(Time::from_ms(50));
+    rig
+}
+
+#[test]
+fn a_move_to_a_bad_bank_is_reported_and_nothing_is_lost() {
+    let content = almost_full();
+    // The parameters, or the bit rate in the record behind them.
+    for stuck in [4, 32 + 6] {
+        let mut rig = board(&content, SECOND_BANK + stuck);
+        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), 7, "{stuck}");
+        let failed = "the flash failed, a store may fail too";
+        let log = rig.network.board(0).log();
+        assert!(log.iter().any(|line| line.text.starts_with(failed)), "{stuck}: {log:#?}");
+    }
+}
+
+#[test]
+fn a_save_that_fails_at_any_place_leaves_the_old_values() {
+    let content = flash_with(&parameter(0x6426, 1, U32, &[7, 0, 0, 0]));
+    // The first places hold the record of the formatting, the parameters and their record.
+    for place in 3.. {
+        let mut rig = board(&content, 32 * place + 6);
+        let mut client = rig.sdo_client(NODE_ID);
+        client.download(0x6426, 1, &[8, 0, 0, 0]).expect("it can be written");
+        let is_saved = client.download(0x1010, 1, b"save").is_ok();
+        rig.power_cycle(0);
+        rig.collect(Time::from_ms(50));
+        let expected = if is_saved { 8 } else { 7 };
+        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), expected, "place {place}");
+        if is_saved {
+            assert!(place > 5, "a save writes several places");
+            break;
+        }
+    }
+}
+
 fn words(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_le_bytes()).collect()
 }
@@ -231,6 +329,9 @@ fn parameters_that_end_in_the_middle_are_taken_up_to_there() {
     for more in 0..=9 {
         check(&[&legal[..], &long, &legal, &unfinished, &[0; 9][..more]].concat());
         check(&[&legal[..], &[0x26; 9][..more]].concat());
+    }
+    for len in 1..=5 {
+        check(&[0x26; 9][..len]);
     }
     let many = [&legal[..], &parameter(0x2101, 3, TEXT, &[0x42; 16])].concat();
     check(&many.repeat(40));

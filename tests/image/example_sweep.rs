@@ -8,7 +8,7 @@ use emulator::{
 };
 use lss_slave::{BitRate, Frame};
 use testkit::{
-    frames::{Frames, SILENCE},
+    frames::{self, Frames, SILENCE},
     image::example,
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
     sdo::{self, Client},
@@ -191,6 +191,8 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
         &["C2 01 21 03 11", "C2 17 10 00 01", "C2 17 10 00 03", "C2 00 10 00 04", "C2 FF 10 00 04"],
         &["C2 17 10 00 02", "81 0A 00", "D5", "C2 17 10 00 02", "81 0A 00", "C1", "A1"],
         &["C2 17 10 00 02", "81 0A 00", "D5 00", "40 17 10 00"],
+        // Numbers without an announced length.
+        &["20 17 10 00", "0D 0A", "20 17 10 00", "0F", "20 17 10 00", "09 0A 00 00", "40 17 10 00"],
         &["C4 02 21 00", "81 00 9E 3C DA 78 17 B5", "80 02 21 00"],
         &["C6 02 21 00", "81 01 01 01", "C1", "A3", "A2"],
     ] {
@@ -226,6 +228,21 @@ fn each_command_within_each_transfer_is_answered_as_by_the_node_in_the_process()
             pair.say(command);
             pair.say("80");
             pair.say("80");
+        }
+    }
+}
+
+#[test]
+fn each_lss_command_is_answered_as_by_the_node_in_the_process() {
+    /// Those whose answer depends on the identity, which differs, and the switch of the bit rate.
+    const LEFT_OUT: [u8; 6] = [0x15, 0x51, 0x5A, 0x5B, 0x5C, 0x5D];
+    let mut pair = Pair::with(&flash_with(&[settings(0xFF, BitRate::Kbit1000)]));
+    for begin in [&["04 00"][..], &["04 01"], &["04 01", "11 41"]] {
+        for command in (0..=u8::MAX).filter(|command| !LEFT_OUT.contains(command)) {
+            let request = format!("{command:02X} 01 01");
+            for request in begin.iter().chain([&request.as_str()]) {
+                pair.exchange(&frames::request(request), 0x7E4..=0x7E4);
+            }
         }
     }
 }
@@ -290,7 +307,7 @@ fn a_client_that_falls_silent_in_a_transfer_gets_an_abort() {
             rig.transmit(on_the_wire(&sdo::request(NODE_ID, request)));
             rig.collect(Time::from_ms(2));
         }
-        let sent = rig.collect(Time::from_s(10)).0;
+        let sent = rig.collect(Time::from_s(3)).0;
         let is_timeout = |frame: &Frame| {
             frame.cob_id() == 0x5C0
                 && frame.data()[..1] == [0x80]

@@ -218,6 +218,27 @@ fn a_deadline_of_a_search_may_pass_just_before_a_frame_is_handled() {
 }
 
 #[test]
+fn an_error_during_the_long_recovery_at_a_slow_rate_does_not_shorten_it() {
+    const SLOW: BitRate = BitRate::Kbit10;
+    let stored = settings(NODE_ID, SLOW).with_heartbeat_ms(500);
+    let mut board = Board::new(part(), image(), board::Settings::default());
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[stored]));
+    let mut rig = ImageRig::new(SLOW, [board]);
+    rig.collect(Time::from_ms(100));
+    rig.network.set_short(Some(Short::Recessive));
+    while !rig.did(0, Time::ZERO).any(|event| event.what == What::BusOff) {
+        rig.network.run_for(Time::from_ms(1));
+    }
+    let bus_off = rig.network.now();
+    rig.network.set_short(None);
+    rig.network.run_for(Time::from_ms(20));
+    hold_dominant(&mut rig, Time::from_us(900));
+    rig.collect(Time::from_s(1));
+    let (next, _) = rig.requested(0, bus_off).next().expect("a frame");
+    assert!(next > bus_off + Time::from_ms(138), "after {}", next - bus_off);
+}
+
+#[test]
 fn bus_off_may_begin_while_the_indicators_are_set() {
     let mut rig = slow_node_40(255);
     rig.lss("04 01");

@@ -8,7 +8,10 @@ use emulator::{
     network::{Event, What},
 };
 use lss_slave::BitRate;
-use testkit::image_rig::{ImageRig, board_with, settings};
+use testkit::{
+    frames,
+    image_rig::{ImageRig, board_with, on_the_wire, settings},
+};
 
 /// TIM2's control register and its counter (RM0090, 18.4).
 const TIM2_CR1: u32 = 0x4000_0000;
@@ -90,8 +93,11 @@ fn a_guest_goes_home_whatever_the_count() {
             rig.network.adapter_mut(rig.master).open();
             rig.set_master_bit_rate(rate);
             let is_reached = (0..300).any(|_| {
-                rig.lss("04 01");
-                rig.lss("5E").0.iter().any(|frame| frame.cob_id() == 0x7E4)
+                for request in ["04 01", "5E"] {
+                    rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+                }
+                let frames = rig.collect(Time::from_ms(50));
+                frames.0.iter().any(|frame| frame.cob_id() == 0x7E4)
             });
             assert!(is_reached, "{rate:?} from {count:X}");
         }
