@@ -188,15 +188,15 @@ fn a_dominant_bus_ends_a_search_in_each_of_its_turns() {
         let id = Id::Standard(0x555);
         rig.disturb(disturber, id, Time::from_us(500), Time::from_ms(1_250 + ms));
         let chip = rig.network.board(0).chip();
-        let turn = (chip.can(1).is_silent(), chip.can(1).bit_rate() == bit_per_s(RATE));
+        if chip.can(1).is_silent() {
+            turns.insert(chip.can(1).bit_rate() == bit_per_s(RATE));
+        }
         drop(chip);
-        turns.insert(turn);
         hold_dominant(&mut rig, Time::from_ms(60));
         rig.network.run_for(Time::from_ms(100));
     }
     assert!(is_reached(&mut rig));
-    let all = [(false, true), (true, false), (true, true)];
-    assert_eq!(turns, BTreeSet::from(all), "open, elsewhere, silent");
+    assert_eq!(turns, BTreeSet::from([false, true]), "it listened elsewhere and at home");
 }
 
 #[test]
