@@ -208,10 +208,16 @@ fn board(content: &[u8], stuck: usize) -> ImageRig {
 
 #[test]
 fn a_move_to_a_bad_bank_is_reported_and_nothing_is_lost() {
-    let content = almost_full();
+    let sound = almost_full();
+    let torn = {
+        let end = sound[..SECOND_BANK].iter().rposition(|byte| *byte != 0xFF).expect("a record");
+        let mut torn = sound.clone();
+        torn[end + 1..][..4].fill(0);
+        torn
+    };
     // The parameters, or the bit rate in the record behind them.
-    for stuck in [4, 32 + 6] {
-        let mut rig = board(&content, SECOND_BANK + stuck);
+    for (content, stuck) in [(&sound, 4), (&sound, 32 + 6), (&torn, 4), (&torn, 32 + 6)] {
+        let mut rig = board(content, SECOND_BANK + stuck);
         assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), 7, "{stuck}");
         let failed = "the flash failed, a store may fail too";
         let log = rig.network.board(0).log();

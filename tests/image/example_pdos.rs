@@ -120,13 +120,13 @@ fn a_wrong_length_that_repeats_before_its_message_is_sent_is_one_error() {
     for command in ["82 40", "01 40"] {
         rig.network.send(rig.master, on_the_wire(&frames::command(command)));
     }
-    for len in [0, 1, 0] {
-        let frame = Frame::new(0x240, &[1; 1][..len]).expect("a frame");
+    for len in [0, 1, 0, 1, 2] {
+        let frame = Frame::new(0x240, &[1; 2][..len]).expect("a frame");
         rig.network.send(rig.master, on_the_wire(&frame));
     }
     let sent = rig.collect(Time::from_ms(20));
     assert_eq!(sent.0.iter().filter(is_short_pdo).count(), 1, "{sent:?}");
-    assert_eq!(rig.sdo_client(NODE_ID).number(0x1003, 0), 1);
+    assert_eq!(rig.sdo_client(NODE_ID).number(0x1003, 0), 2, "too short, and too long");
 }
 
 #[test]
@@ -159,27 +159,36 @@ fn each_restricted_cob_id_is_refused_as_by_the_node_in_the_process() {
 }
 
 #[test]
-fn the_earliest_of_four_event_timers_is_next() {
-    let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
-    let times = [300_u16, 100, 200, 50];
-    for (at, ms) in (0..).zip(times) {
-        let index = 0x1800 + at;
-        let requests = [
-            message(0x23, index, 1, 0x8000_0000),
-            message(0x2F, index + 0x200, 0, 0),
-            message(0x23, index + 0x200, 1, OUTPUTS),
-            message(0x2F, index + 0x200, 0, 1),
-            message(0x2B, index, 3, 0),
-            message(0x2B, index, 5, ms.into()),
-            message(0x23, index, 1, 0x181 + u32::from(at)),
-        ];
-        write(&mut rig, &requests);
-    }
-    rig.transmit_command("01 00");
-    let sent = rig.collect(Time::from_ms(3_030)).0;
-    for (at, ms) in (0..).zip(times) {
-        let count = sent.iter().filter(|frame| frame.cob_id() == 0x181 + at).count();
-        assert_eq!(count, 1 + 3_000 / usize::from(ms), "every {ms} ms");
+fn each_of_four_tpdos_has_its_event_timer_and_inhibit_time() {
+    // In ms: the event timer, the inhibit time, and the period that follows from both.
+    for tpdos in [
+        [(300, 0, 300), (100, 0, 100), (200, 0, 200), (50, 100, 100)],
+        [(0, 0, 0), (0, 100, 0), (0, 0, 0), (50, 0, 50)],
+    ] {
+        let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+        for (at, (event_ms, inhibit_ms, _)) in (0..).zip(tpdos) {
+            let index = 0x1800 + at;
+            let requests = [
+                message(0x23, index, 1, 0x8000_0000),
+                message(0x2F, index + 0x200, 0, 0),
+                message(0x23, index + 0x200, 1, OUTPUTS),
+                message(0x2F, index + 0x200, 0, 1),
+                message(0x2B, index, 3, 10 * inhibit_ms),
+                message(0x2B, index, 5, event_ms),
+                message(0x23, index, 1, 0x181 + u32::from(at)),
+            ];
+            write(&mut rig, &requests);
+        }
+        rig.transmit_command("01 00");
+        let sent = rig.collect(Time::from_ms(3_030)).0;
+        for (at, (_, _, period_ms)) in (0..).zip(tpdos) {
+            let count = sent.iter().filter(|frame| frame.cob_id() == 0x181 + at).count();
+            assert_eq!(
+                count,
+                1 + 3_000_usize.checked_div(period_ms).unwrap_or(0),
+                "{period_ms} ms"
+            );
+        }
     }
 }
 

@@ -193,6 +193,8 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
         &["C2 17 10 00 02", "81 0A 00", "D5 00", "40 17 10 00"],
         // Numbers without an announced length.
         &["20 17 10 00", "0D 0A", "20 17 10 00", "0F", "20 17 10 00", "09 0A 00 00", "40 17 10 00"],
+        // No data at all.
+        &["C6 01 21 03 00", "81", "DD", "40 01 21 03", "60"],
         &["C4 02 21 00", "81 00 9E 3C DA 78 17 B5", "80 02 21 00"],
         &["C6 02 21 00", "81 01 01 01", "C1", "A3", "A2"],
     ] {

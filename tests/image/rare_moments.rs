@@ -7,8 +7,8 @@ use emulator::{
     Time,
     board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{Access, Readings, Timing, Width},
-    network::{Short, What},
+    chip::{Access, Pin, Readings, Timing, Width},
+    network::{AdapterId, Short, What},
 };
 use lss_slave::{BitRate, BitRateSetting, Settings};
 use testkit::{
@@ -96,7 +96,6 @@ fn a_boot_up_that_is_repeated_after_half_an_hour_restarts_the_heartbeat() {
 #[test]
 fn errors_far_apart_do_not_start_a_search() {
     let mut rig = node_40(0);
-    rig.nmt("01 00");
     let since = rig.network.now();
     for seconds in [3, 1, 3, 1, 1] {
         hold_dominant(&mut rig, Time::from_us(10));
@@ -168,15 +167,18 @@ fn a_listener_finds_the_rate_by_remote_frames_or_29_bit_frames() {
 
 #[test]
 fn lss_answers_outlive_a_change_of_the_node_id() {
-    let mut rig = slow_node_40(30);
-    rig.lss("04 01");
-    for request in ["11 41", "5A", "5B"] {
-        queue(&mut rig, &frames::request(request));
+    for slowdown in [20, 30] {
+        let mut rig = slow_node_40(slowdown);
+        rig.lss("04 01");
+        for request in ["11 41", "5A", "5B"] {
+            queue(&mut rig, &frames::request(request));
+        }
+        queue(&mut rig, &frames::command("82 00"));
+        let sent = texts(&rig.collect(Time::from_ms(50)));
+        let mut begins: Vec<&str> = sent.iter().map(|text| &text[..7]).collect();
+        begins.sort_unstable();
+        assert_eq!(begins, ["741: 00", "7E4: 11", "7E4: 5A", "7E4: 5B"], "{slowdown}");
     }
-    queue(&mut rig, &frames::command("82 00"));
-    let sent = texts(&rig.collect(Time::from_ms(50)));
-    let ids: Vec<&str> = sent.iter().map(|text| &text[..6]).collect();
-    assert_eq!(ids, ["7E4: 1", "7E4: 5", "7E4: 5", "741: 0"]);
 }
 
 #[test]
@@ -238,18 +240,58 @@ fn an_error_during_the_long_recovery_at_a_slow_rate_does_not_shorten_it() {
     assert!(next > bus_off + Time::from_ms(138), "after {}", next - bus_off);
 }
 
+/// Sends frames for `span` that are none at the rate of the board.
+fn disturb(rig: &mut ImageRig, disturber: AdapterId, span: Time) {
+    rig.network.adapter_mut(disturber).open();
+    let until = rig.network.now() + span;
+    while rig.network.now() < until {
+        rig.network.send(disturber, Frame::data(Id::Standard(0x555), &[0xA5; 8]));
+        rig.network.run_for(Time::from_us(500));
+    }
+    rig.network.adapter_mut(disturber).close();
+}
+
+#[test]
+fn errors_soon_after_a_search_without_a_result_begin_another() {
+    let mut rig = node_40(0);
+    let disturber = rig.add_disturber();
+    rig.network.adapter_mut(rig.master).close();
+    for _ in 0..3 {
+        let since = rig.network.now();
+        disturb(&mut rig, disturber, Time::from_ms(1_300));
+        assert_ne!(rig.bit_rates(0, since), []);
+        rig.network.run_for(Time::from_ms(2_500));
+    }
+    rig.network.adapter_mut(rig.master).open();
+    assert!(is_reached(&mut rig));
+}
+
 #[test]
 fn bus_off_may_begin_while_the_indicators_are_set() {
-    let mut rig = slow_node_40(255);
-    rig.lss("04 01");
-    for _ in 0..150 {
-        queue(&mut rig, &frames::request("5E"));
-        rig.network.run_for(Time::from_us(200));
+    /// Of the blinking green indicator, whose step ends with the output.
+    const RUN: Pin = Pin('D', 12);
+    let mut rig = slow_node_40(5);
+    let is_lit = |rig: &ImageRig| rig.network.board(0).output(RUN).level == Some(true);
+    let mut to_bus_off = Time::ZERO;
+    // The first time only shows how long it takes.
+    for before in [None].into_iter().chain((16..48).map(|step| Some(Time::from_ps(500_000 * step))))
+    {
+        let was_lit = is_lit(&rig);
+        while is_lit(&rig) == was_lit {
+            rig.network.run_for(Time::from_us(5));
+        }
+        if let Some(before) = before {
+            rig.network.run_for(Time::from_ms(200) - before - to_bus_off);
+        }
+        let since = rig.network.now();
+        queue(&mut rig, &sdo::request(NODE_ID, "40 00 10 00"));
+        rig.network.run_for(Time::from_us(140));
         rig.network.set_short(Some(Short::Recessive));
-        rig.network.run_for(Time::from_ms(10));
+        rig.network.run_for(Time::from_ms(5));
         rig.network.set_short(None);
-        rig.network.run_for(Time::from_us(190_500));
+        let bus_off = rig.did(0, since).find(|event| event.what == What::BusOff);
+        to_bus_off = bus_off.expect("it goes bus-off").time - since;
+        rig.network.run_for(Time::from_ms(300));
     }
-    assert!(rig.did(0, Time::ZERO).any(|event| event.what == What::BusOff));
     assert!(is_reached(&mut rig));
 }
