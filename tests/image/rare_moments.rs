@@ -267,6 +267,20 @@ fn errors_soon_after_a_search_without_a_result_begin_another() {
 }
 
 #[test]
+fn a_full_queue_drops_the_latest_messages() {
+    let mut rig = slow_node_40(60);
+    // Each lost frame is reported, but the commands go first.
+    for _ in 0..600 {
+        queue(&mut rig, &frames::command("01 7F"));
+    }
+    rig.collect(Time::from_ms(100));
+    let text = "CAN: the transmit queue is full, frame 0xc0 was dropped";
+    let log = rig.network.board(0).log();
+    assert!(log.iter().any(|line| line.text.starts_with(text)), "{log:#?}");
+    assert!(is_reached(&mut rig));
+}
+
+#[test]
 fn bus_off_may_begin_while_the_indicators_are_set() {
     /// Of the blinking green indicator, whose step ends with the output.
     const RUN: Pin = Pin('D', 12);
