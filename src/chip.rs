@@ -87,5 +87,18 @@ pub const CONTROLLER: u32 = if cfg!(feature = "can3") {
     1
 };
 
+/// The number of a CAN controller: 2 for `can2` or `2`.
+///
+/// # Errors
+/// No chip has a controller of this name.
+pub fn controller(name: &str) -> Result<u8, &'static str> {
+    match name.strip_prefix("can").unwrap_or(name) {
+        "1" => Ok(1),
+        "2" => Ok(2),
+        "3" => Ok(3),
+        _ => Err("choose can1, can2 or can3"),
+    }
+}
+
 /// The address of the 96-bit unique id (chapter "Device electronic signature" of each manual).
 pub const UNIQUE_ID: usize = 0x1FFF_7A10;
