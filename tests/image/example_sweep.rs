@@ -121,6 +121,8 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
         &["40 08 10 00", "00 41", "20", "E0", "C0", "C0 02 21 00"],
         &["40 02 21 00", "60", "70", "60", "80 02 21 00"],
         &["40 FF 10 00", "40 08 10 05", "40 00 10 01"],
+        // A history without an error.
+        &["40 03 10 01", "A4 03 10 01 7F 00", "A4 03 10 00 7F 00"],
         // Segmented downloads to a text: too long, too short, wrong size, no size.
         &["21 01 21 03 03", "00 61 62 63 64 65 66 67", "10", "80 01 21 03"],
         &["21 01 21 03 08", "00 61 62 63 64 65 66 67", "1D 61", "40 01 21 03", "60", "70"],

@@ -114,7 +114,8 @@ fn a_reset_leaves_a_save_unanswered_whose_end_waits_behind_errors() {
     // Behind the request to save.
     rig.network.run_for(Time::from_us(420));
     hold_dominant(&mut rig, Time::from_us(300));
-    rig.network.run_for(Time::from_ms(3));
+    // The save has ended by then, and errors withhold frames for 50 ms.
+    rig.network.run_for(Time::from_ms(25));
     queue(&mut rig, &frames::command("82 40"));
     let sent = rig.collect(Time::from_ms(20));
     let is_answer = |frame: &lss_slave::Frame| frame.cob_id() == 0x5C0;
@@ -122,6 +123,18 @@ fn a_reset_leaves_a_save_unanswered_whose_end_waits_behind_errors() {
     rig.power_cycle(0);
     rig.collect(Time::from_ms(500));
     assert_eq!(texts(&rig.collect(Time::from_ms(1_000))), ["740: 7F"]);
+}
+
+#[test]
+fn a_store_by_lss_is_answered_after_a_reset() {
+    let mut rig = node_40(0);
+    rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+    for request in ["04 01", "11 41"] {
+        rig.lss(request);
+    }
+    queue(&mut rig, &frames::request("17"));
+    queue(&mut rig, &frames::command("82 40"));
+    assert_eq!(texts(&rig.collect(Time::from_ms(20))), ["741: 00", "7E4: 17 00 00 00 00 00 00 00"]);
 }
 
 #[test]
@@ -260,7 +273,7 @@ fn errors_soon_after_a_search_without_a_result_begin_another() {
         let since = rig.network.now();
         disturb(&mut rig, disturber, Time::from_ms(1_300));
         assert_ne!(rig.bit_rates(0, since), []);
-        rig.network.run_for(Time::from_ms(2_500));
+        rig.network.run_for(Time::from_ms(1_000));
     }
     rig.network.adapter_mut(rig.master).open();
     assert!(is_reached(&mut rig));

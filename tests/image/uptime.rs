@@ -83,14 +83,11 @@ fn a_wrap_of_the_count_of_time_changes_nothing_that_the_board_does() {
 }
 
 #[test]
-fn a_guest_goes_home_whatever_the_count() {
+fn a_board_follows_the_bus_whatever_the_count() {
     for count in [0, 0x4000_0000, 0x8000_0000, 0xC000_0000] {
         let mut rig = booted_at(count);
         rig.collect(Time::from_ms(20));
-        for rate in [BitRate::Kbit250, BitRate::Kbit1000] {
-            rig.network.adapter_mut(rig.master).close();
-            rig.network.run_for(Time::from_s(3));
-            rig.network.adapter_mut(rig.master).open();
+        for rate in [BitRate::Kbit250, BitRate::Kbit500, BitRate::Kbit1000] {
             rig.set_master_bit_rate(rate);
             let is_reached = (0..300).any(|_| {
                 for request in ["04 01", "5E"] {
