@@ -57,11 +57,7 @@ impl Fifo {
     /// RF0R or RF1R.
     pub fn rfr(&self, now: Time) -> u32 {
         let messages = self.messages.len() as u32;
-        if now < self.released_at {
-            messages + 1 | RFOM | self.flags
-        } else {
-            messages | self.flags
-        }
+        self.flags | if now < self.released_at { RFOM | (messages + 1) } else { messages }
     }
 
     /// Discards its messages, as a master reset does.
