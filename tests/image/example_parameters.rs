@@ -170,7 +170,7 @@ fn referring(first: u16, len: u16, crc: u32) -> Vec<u8> {
 }
 
 #[test]
-fn a_record_that_refers_to_nothing_or_beyond_itself_is_read_as_by_the_node() {
+fn a_record_that_refers_to_nothing_or_beyond_is_read_as_by_the_node() {
     for (first, len, crc) in
         [(0, 0, 0), (0, 24, 0), (0, 1, 0), (1, 24, 0), (0xFFFF, 0xFFFE, 0), (0x8000, 24, 7)]
     {

@@ -208,7 +208,7 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
 }
 
 #[test]
-fn each_command_within_each_transfer_is_answered_as_by_the_node_in_the_process() {
+fn each_command_in_a_transfer_is_answered_as_by_the_node_in_the_process() {
     let mut pair = Pair::new();
     for begin in [
         &[][..],
