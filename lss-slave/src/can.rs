@@ -21,6 +21,7 @@ impl Frame {
     /// A frame with the COB-ID `cob_id` (0..=7FFh) and 0..=8 bytes of data; `None` outside these ranges.
     pub fn new(cob_id: u16, data: &[u8]) -> Option<Self> {
         let mut padded = [0; 8];
+        // Bound: 8 bytes: the data of a frame.
         padded.get_mut(..data.len())?.copy_from_slice(data);
         Self::from_padded(cob_id, data.len(), padded)
     }
@@ -114,6 +115,7 @@ impl defmt::Format for Frame {
 
 impl PartialEq for Frame {
     fn eq(&self, other: &Self) -> bool {
+        // Bound: 8 bytes: the data of a frame.
         (self.cob_id, self.data()) == (other.cob_id, other.data())
     }
 }

@@ -129,6 +129,7 @@ impl BitRateControl {
     }
 
     #[inline(never)] // An answer at home does not call it; inlined it takes 220 bytes more.
+    // Bound: not in service: the node is at home.
     fn handle_frame_away(&mut self, frame: &Frame, now: Instant) -> bool {
         // The sender may be lost like this node and repeat its boot-up until someone acknowledges it.
         if self.supervision.is_elsewhere() && nmt::is_boot_up(frame) {
@@ -177,6 +178,7 @@ impl BitRateControl {
     /// The next step at `now`; `None` if the bit rate requires none and the node may do other work.
     pub fn poll(&mut self, now: Instant) -> Option<Next> {
         if mem::take(&mut self.is_proof_due) {
+            // Bound: not in service: the bit rate has been proven.
             self.handle_bus(BusEvent::Received, now);
         }
         // A detection that the switch has begun may complete within it.
