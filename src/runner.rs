@@ -65,7 +65,6 @@ impl Runner {
                     // Deadlines before the frame come first; but a frame found by a look counts at the rate where it
                     // was found.
                     if self.node.is_due(now) && !self.can.is_listening() {
-                        // Bound: not in service: this counts as the interrupt of the timer.
                         self.act_until_nothing_is_due();
                     }
                     if let Some(action) = self.node.handle_frame(&frame, now) {

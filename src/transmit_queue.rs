@@ -57,7 +57,8 @@ impl TransmitQueue {
     /// replaces the waiting one of the same COB-ID, so that a board that is alone on its bus does not accumulate them.
     pub fn push(&mut self, frame: Frame) -> bool {
         let is_error_control = frame.cob_id() & !0x7F == nmt::ERROR_CONTROL_COB_ID;
-        // Bound: CAPACITY rounds, 4 in service: the first places, since so few frames wait.
+        // Bound: CAPACITY rounds: the places.
+        // Bound: 1 byte: heartbeats and boot-ups have no more.
         if is_error_control && self.places.iter().flatten().any(|waiting| waiting.frame == frame) {
             return true;
         }
@@ -68,7 +69,7 @@ impl TransmitQueue {
                 return true;
             }
         }
-        // Bound: CAPACITY rounds, 4 in service: the first places, since so few frames wait.
+        // Bound: CAPACITY rounds: the places.
         let Some(place) = self.places.iter_mut().find(|place| place.is_none()) else {
             return false;
         };

@@ -115,7 +115,6 @@ impl defmt::Format for Frame {
 
 impl PartialEq for Frame {
     fn eq(&self, other: &Self) -> bool {
-        // Bound: 8 bytes: the data of a frame.
         (self.cob_id, self.data()) == (other.cob_id, other.data())
     }
 }

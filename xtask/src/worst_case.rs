@@ -64,7 +64,9 @@ struct Analysis {
     back: BTreeMap<u32, u64>,
     /// Without waits, with those of the flash, and with those of the buses too.
     costs: [Costs; 3],
-    /// The longest activations without waits and with those of the flash.
+    /// What was measured without waits and with those of the flash.
+    measured: [Measured; 2],
+    /// The longest activations of the two.
     activations: BTreeMap<Work, [u64; 2]>,
     /// The levels of preemption: name, bytes, and what was measured.
     levels: Vec<(String, u32, Option<u32>)>,
@@ -121,6 +123,7 @@ fn analyse(program: Program, stated: &Stated) -> anyhow::Result<Analysis> {
         frames: frames.context("the loop over the received frames is not found")?.header,
         act: of("Runner::act")?,
         poll: of("Runner::act_until_nothing_is_due")?,
+        fill: of("Controller::fill_mailboxes")?,
     };
     let bodies: BTreeMap<u32, BTreeSet<u32>> = loops
         .iter()
@@ -181,7 +184,7 @@ fn analyse(program: Program, stated: &Stated) -> anyhow::Result<Analysis> {
     ensure!(stack <= bound, "the stack was {stack} bytes deep, more than its bound of {bound}");
     ensure!(bound <= range.len() as u32, "the stack may overflow: {bound} bytes");
     let stack_size = range.len() as u32;
-    Ok(Analysis { program, loops, back, costs, activations, levels, stack, stack_size })
+    Ok(Analysis { program, loops, back, costs, measured, activations, levels, stack, stack_size })
 }
 
 /// The analysis knows all interrupt handlers.
@@ -232,10 +235,17 @@ fn check(
     costs: &Costs,
     waits: Waits,
 ) -> anyhow::Result<()> {
+    let function = |at: u32| program.names.range(..=at).next_back().map_or(0, |(at, _)| *at);
     if let Some((from, to)) = measured.foreign.first() {
         bail!("the board went from {from:#x}, {}, to {to:#x}: no such path", program.place(*from));
     }
-    for found in loops.iter().filter(|found| !is_copy(&found.place)) {
+    let mut service = costs::search(program, stated, waits);
+    service.rounds_of.clear();
+    for (name, _) in TASKS {
+        service.function(program.function(name)?)?;
+    }
+    let loops = loops.iter().chain(service.loops.values());
+    for found in loops.filter(|found| !is_copy(&found.place)) {
         let back = measured.back.get(&found.header).copied().unwrap_or(0);
         ensure!(
             back <= found.back,
@@ -243,6 +253,9 @@ fn check(
             found.back,
             found.place
         );
+    }
+    if let Some(at) = measured.calls.iter().find(|at| service.is_excluded(function(**at), **at)) {
+        bail!("a call that is said to be none of service was made: {}", program.place(*at));
     }
     let mut search = Search::new(program, stated, waits);
     for (at, length) in &measured.copied {
@@ -252,11 +265,10 @@ fn check(
     }
     for (at, used) in measured.cycles.iter().filter(|(_, used)| **used < STALL) {
         let instruction = &program.instructions[at];
-        let function = program.names.range(..=at).next_back().map_or(0, |(at, _)| *at);
         let jump = if instruction.flow == Flow::Next { 0 } else { REFILL };
         let back = if instruction.flow == Flow::Return { RETURN } else { 0 };
         let fetch = waits.other_line + waits.next_line;
-        let bound = search.own(function, instruction)? + jump + back + fetch;
+        let bound = search.own(function(*at), instruction)? + jump + back + fetch;
         ensure!(
             *used <= bound,
             "the instruction at {at:#x} took {used} cycles, not {bound}: {}",
@@ -272,6 +284,12 @@ fn check(
             longest.cycles
         );
     }
+    ensure!(
+        (1..=costs.answer).contains(&measured.answer),
+        "an answer took {} cycles, more than its bound of {}",
+        measured.answer,
+        costs.answer
+    );
     for (at, cycles) in &measured.sections {
         let bound = match program.masks.get(at) {
             Some(Mask::Disable) => costs.log,

@@ -178,7 +178,6 @@ impl BitRateControl {
     /// The next step at `now`; `None` if the bit rate requires none and the node may do other work.
     pub fn poll(&mut self, now: Instant) -> Option<Next> {
         if mem::take(&mut self.is_proof_due) {
-            // Bound: not in service: the bit rate has been proven.
             self.handle_bus(BusEvent::Received, now);
         }
         // A detection that the switch has begun may complete within it.

@@ -24,8 +24,8 @@ pub struct Costs {
     pub frame: u64,
     /// Each further frame.
     pub more_frames: u64,
-    /// The first frame of an activation, without an answer of LSS: for SDO, NMT or none.
-    pub first_silent_frame: u64,
+    /// The same without an answer of LSS: for SDO, NMT or none.
+    pub silent_frame: u64,
     /// An action of the node: an SDO answer, a heartbeat, the next store.
     pub action: u64,
     /// The tasks without an action.
@@ -84,6 +84,7 @@ impl Costs {
         let mut silent = search();
         silent.closed.insert((receive, act));
         let mut answer = search();
+        answer.closed.insert((receive, poll));
         let chain = [receive, act, of("Controller::transmit")?, of("can::put_in_mailbox")?];
         let mut sum = entry;
         for pair in chain.windows(2) {
@@ -97,7 +98,7 @@ impl Costs {
         Ok(Self {
             frame,
             more_frames: task(&mut with(FRAMES, 1), "CAN1_RX0")? - frame,
-            first_silent_frame: task(&mut silent, "CAN1_RX0")?,
+            silent_frame: task(&mut silent, "CAN1_RX0")?,
             action: with(ACTIONS, 1).function(poll)? - search().function(poll)?,
             transmitted: task(&mut search(), "CAN1_TX")?,
             status: task(&mut search(), "CAN1_SCE")?,
@@ -110,9 +111,9 @@ impl Costs {
         })
     }
 
-    /// Each further frame without an answer of LSS.
-    pub const fn silent_frame(&self) -> u64 {
-        self.more_frames - (self.frame - self.first_silent_frame)
+    /// A further frame of an activation, without an answer of LSS.
+    pub const fn more_silent_frames(&self) -> u64 {
+        self.more_frames - (self.frame - self.silent_frame)
     }
 
     /// The bound for an activation with this work.

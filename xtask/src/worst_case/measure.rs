@@ -32,6 +32,9 @@ use super::{
 /// The bits of xPSR with the number of the exception.
 const EXCEPTION: u32 = 0x1FF;
 
+/// CAN_TI0R to CAN_TI2R of CAN1, whose bit 0 requests the transmission.
+const TRANSMIT_REQUESTS: [u32; 3] = [0x4000_6580, 0x4000_6590, 0x4000_65A0];
+
 /// What one kind of activation has taken at most.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Longest {
@@ -55,6 +58,8 @@ pub struct Work {
 pub struct Measured {
     /// The longest activations, by their work.
     pub tasks: BTreeMap<Work, Longest>,
+    /// The longest time from the interrupt to the transmit request of an LSS answer that need not wait.
+    pub answer: u64,
     /// The longest critical sections of the task that stores, by the address of their first instruction.
     pub sections: BTreeMap<u32, u64>,
     /// How often a loop has gone back at most, by its header.
@@ -69,7 +74,9 @@ pub struct Measured {
     pub foreign: BTreeSet<(u32, u32)>,
     /// The most cycles of an instruction, those of a jump included.
     pub cycles: HashMap<u32, u64>,
-    /// Copies that were longer than stated: the call and the length.
+    /// The calls that were made.
+    pub calls: BTreeSet<u32>,
+    /// The longest copy of each call that copies.
     pub copied: BTreeMap<u32, u64>,
     /// The deepest stack.
     pub stack: u32,
@@ -84,6 +91,8 @@ pub struct Marks {
     pub act: u32,
     /// The function with the loop over the actions.
     pub poll: u32,
+    /// The function that takes frames out of the queue.
+    pub fill: u32,
 }
 
 struct Activation {
@@ -99,6 +108,8 @@ struct Activation {
     /// The loops under way: how often each has gone back.
     loops: HashMap<usize, u64>,
     section: Option<(u32, u64)>,
+    /// Whether the node has done more than to answer.
+    has_done_more: bool,
 }
 
 struct Observer {
@@ -128,6 +139,7 @@ impl Observer {
             actions: 0,
             loops: HashMap::new(),
             section: None,
+            has_done_more: false,
         });
     }
 
@@ -184,13 +196,26 @@ impl Observer {
         if step.transfers.iter().any(|transfer| transfer.access.address >= 0x4000_0000) {
             measured.peripheral.insert(pc);
         }
-        if let Flow::Call(callee) = instruction.flow
-            && next == callee
-            && is_copy(self.program.name(callee))
-        {
+        let callee = match instruction.flow {
+            Flow::Call(callee) if next == callee => Some(callee),
+            _ => None,
+        };
+        measured.calls.extend(callee.map(|_| pc));
+        if let Some(callee) = callee.filter(|callee| is_copy(self.program.name(*callee))) {
             let register = if self.program.name(callee).contains("memclr") { 1 } else { 2 };
             let length = measured.copied.entry(pc).or_insert(0);
             *length = (*length).max(u64::from(step.before.r[register]));
+        }
+        let has_requested = step.transfers.iter().any(|transfer| {
+            let register = transfer.access.address;
+            transfer.is_store && TRANSMIT_REQUESTS.contains(&register) && transfer.value & 1 == 1
+        });
+        if has_requested
+            && let Some(active) = self.active.last()
+            && active.frames == 1
+            && !active.has_done_more
+        {
+            measured.answer = measured.answer.max(cycles - active.begin);
         }
         drop(measured);
         self.marks(pc, next, core, cycles);
@@ -199,6 +224,7 @@ impl Observer {
     fn marks(&mut self, pc: u32, next: u32, core: &dyn Engine, cycles: u64) {
         let Some(active) = self.active.last_mut() else { return };
         active.lowest = active.lowest.min(core.sp());
+        active.has_done_more |= pc == self.marks.fill || pc == self.marks.poll;
         if pc == self.marks.frames {
             active.frames += 1;
         }
@@ -364,9 +390,9 @@ fn full_bus(rig: &mut ImageRig) {
             rig.network.send(rig.master, on_the_wire(&frames::request(request)));
             let object = random.pick(&["40 18 10 01", "40 00 10 00", "2B 17 10 00 07 00"]);
             rig.network.send(rig.master, on_the_wire(&sdo::request(0x40, object)));
-            let (cob_id, length) = random.pick(&[(0x001, 8), (0x7E5, 0), (0x640, 0), (0x000, 0)]);
-            let data = &[0; 8][..length];
-            rig.network.send(other, Frame::data(Id::Standard(cob_id), data));
+            let cob_id = random.pick(&[0x000, 0x640, 0x7E5]);
+            rig.network.send(rig.master, Frame::data(Id::Standard(cob_id), &[]));
+            rig.network.send(other, Frame::data(Id::Standard(0x001), &[0; 8]));
         }
         rig.collect(Time::from_ms(20));
         rig.nmt(random.pick(&["01 00", "80 00", "82 00"]));

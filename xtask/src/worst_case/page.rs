@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use super::{
     Analysis,
     costs::Costs,
+    instruction::Mask,
     measure::Work,
     path::is_copy,
     response::{BIT, Stream, answer, bits, blocking, longest_blocking},
@@ -47,6 +48,10 @@ fn tasks(analysis: &Analysis) -> String {
         };
         let Work { task, frames, actions } = *work;
         let name = analysis.program.name(task);
+        // The roll call, which finds no frame.
+        if name == "CAN1_RX0" && frames == 0 {
+            continue;
+        }
         let plural = |number: u64, what: &str| match number {
             0 => String::new(),
             1 => format!(", 1 {what}"),
@@ -71,9 +76,9 @@ fn parts(analysis: &Analysis) -> String {
         "| part | core | with flash waits | chip | chip, us |\n|---|---|---|---|---|\n".to_owned();
     type Part = fn(&Costs) -> u64;
     let parts: [(&str, Part); 8] = [
-        ("C_frame, each frame that LSS answers", |costs| costs.more_frames),
-        ("C_silent, each other frame", Costs::silent_frame),
-        ("C_action, each action", |costs| costs.action),
+        ("C_frame, a further frame in an activation that LSS answers", |costs| costs.more_frames),
+        ("C_silent, any other further frame", Costs::more_silent_frames),
+        ("C_action, an action", |costs| costs.action),
         ("C_tx, CAN1_TX", |costs| costs.transmitted),
         ("C_status, CAN1_SCE", |costs| costs.status),
         ("C_due, TIM2", |costs| costs.due),
@@ -97,21 +102,38 @@ fn parts(analysis: &Analysis) -> String {
 
 fn blockings(analysis: &Analysis) -> String {
     let mut table =
-        "| under way | core, us | with flash waits, us | chip, us |\n|---|---|---|---|\n"
+        "| under way | core, us | measured | with flash waits, us | measured | chip, us |\n\
+                     |---|---|---|---|---|---|\n"
             .to_owned();
     let [core, flash, chip] = analysis.costs.each_ref().map(blocking);
-    for ((core, flash), chip) in core.iter().zip(flash).zip(chip) {
+    let [without, with] = analysis.measured.each_ref().map(|measured| {
+        let longest = |name: &str| {
+            let tasks = measured.tasks.iter();
+            let of = tasks.filter(|(work, _)| analysis.program.name(work.task) == name);
+            of.map(|(_, longest)| longest.cycles).max()
+        };
+        let section = |mask: Mask| {
+            let sections = measured.sections.iter();
+            let of = sections.filter(|(at, _)| analysis.program.masks.get(at) == Some(&mask));
+            of.map(|(_, cycles)| *cycles).max()
+        };
+        [longest("TIM2"), longest("CAN1_SCE"), section(Mask::Raise), section(Mask::Disable), None]
+    });
+    let measured = |cycles: Option<u64>| cycles.map_or(String::new(), us);
+    for (number, core) in core.iter().enumerate() {
         let _ = writeln!(
             table,
-            "| {} | {} | {} | {} |",
+            "| {} | {} | {} | {} | {} | {} |",
             core.name,
             us(core.cycles),
-            us(flash.cycles),
-            us(chip.cycles)
+            measured(without[number]),
+            us(flash[number].cycles),
+            measured(with[number]),
+            us(chip[number].cycles)
         );
     }
     let [core, flash, chip] = analysis.costs.each_ref().map(longest_blocking).map(us);
-    let _ = writeln!(table, "| B, the longest | {core} | {flash} | {chip} |");
+    let _ = writeln!(table, "| B, the longest | {core} | | {flash} | | {chip} |");
     table
 }
 
@@ -142,12 +164,15 @@ fn answers(analysis: &Analysis) -> String {
     let mut table =
         "| LSS answer, us | core | with flash waits | chip |\n|---|---|---|---|\n".to_owned();
     let [core, flash, chip] = &analysis.costs;
-    let mut row = |name: &str, of: &dyn Fn(&Costs) -> u64| {
-        let _ =
-            writeln!(table, "| {name} | {} | {} | {} |", us(of(core)), us(of(flash)), us(of(chip)));
+    let mut row = |name: &str, [core, flash, chip]: [String; 3]| {
+        let _ = writeln!(table, "| {name} | {core} | {flash} | {chip} |");
     };
-    row("nothing else to do: C_answer", &|costs| costs.answer);
-    row("full FIFO: B + C_tx + 2 C + C_answer", &answer);
+    let costs = [core, flash, chip];
+    row("nothing else to do: C_answer", costs.map(|costs| us(costs.answer)));
+    let [without, with] = analysis.measured.each_ref().map(|measured| measured.answer);
+    row("measured", [us(without), us(with), String::new()]);
+    row("ratio", [ratio(core.answer, without), ratio(flash.answer, with), String::new()]);
+    row("full FIFO: B + C_tx + 2 C + C_answer", costs.map(|costs| us(answer(costs))));
     table
 }
 

@@ -269,7 +269,7 @@ impl<'a> Search<'a> {
     }
 
     /// Whether an instruction of a function is a call that the scope excludes.
-    fn is_excluded(&self, function: u32, at: u32) -> bool {
+    pub fn is_excluded(&self, function: u32, at: u32) -> bool {
         self.program.callee(&self.program.instructions[&at], function).is_some_and(|callee| {
             self.excluded.contains(&callee)
                 || self.closed.contains(&(function, callee))

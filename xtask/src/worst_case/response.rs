@@ -24,7 +24,7 @@ pub struct Stream {
     pub bytes: u64,
     /// The bytes of the answer to each, which wins the bus against the next frame.
     pub answer: Option<u64>,
-    /// The cycles for each frame.
+    /// The cycles for each frame, one of several in an activation.
     pub cycles: u64,
 }
 
@@ -32,7 +32,7 @@ impl Stream {
     /// The streams that reach the FIFO: the filters let pass the requests of LSS and of SDO and the commands of NMT, of
     /// any length.
     pub fn all(costs: &Costs) -> [Self; 5] {
-        let with = |actions| costs.silent_frame() + actions * costs.action;
+        let with = |actions| costs.more_silent_frames() + actions * costs.action;
         let stream = |name, bytes, answer, cycles| Self { name, bytes, answer, cycles };
         [
             stream("LSS requests", 8, Some(8), costs.more_frames.max(with(1))),

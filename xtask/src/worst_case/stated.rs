@@ -46,7 +46,7 @@ pub struct Bound {
 /// All bounds in the sources, by file and line.
 #[derive(Default)]
 pub struct Stated {
-    bounds: BTreeMap<(String, u32), Bound>,
+    bounds: BTreeMap<(String, u32), Vec<Bound>>,
 }
 
 impl Stated {
@@ -64,51 +64,34 @@ impl Stated {
     pub fn add(&mut self, file: &str, text: &str) -> anyhow::Result<()> {
         let lines: Vec<&str> = text.lines().map(str::trim_start).collect();
         for (at, line) in lines.iter().enumerate() {
-            self.bounds.extend(range(line, text).map(|number| {
-                let (file, line) = (file.to_owned(), at as u32 + 1);
+            if let Some(rounds) = range(line, text) {
                 let reason = "the range in the line".to_owned();
-                let unit = Unit::Rounds;
-                let bound = Bound {
-                    file: file.clone(),
-                    line,
-                    number,
-                    in_service: None,
-                    unit,
-                    reason,
-                    text: lines[at].to_owned(),
-                    function: None,
-                };
-                ((file, line), bound)
-            }));
+                self.insert(file, at, line, bound(rounds, None, Unit::Rounds, reason));
+            }
             let Some(statement) = line.strip_prefix(MARK) else { continue };
-            let is_comment = |line: &&&str| line.starts_with("// ") && !line.starts_with(MARK);
+            let is_more = |line: &&&str| line.starts_with("// ") && !line.starts_with(MARK);
             let mut words = vec![statement];
-            words.extend(lines[at + 1..].iter().take_while(is_comment).map(|line| &line[3..]));
-            let below = lines[at + 1..].iter();
-            let skipped = below.take_while(|line| line.starts_with("//") || line.starts_with('#'));
-            let anchor = at + 1 + skipped.count();
+            words.extend(lines[at + 1..].iter().take_while(is_more).map(|line| &line[3..]));
+            let is_skipped = |line: &&&str| line.starts_with("//") || line.starts_with('#');
+            let below = at + 1 + lines[at + 1..].iter().take_while(is_skipped).count();
             let bound = parse(&words.join(" "), text)
                 .with_context(|| format!("{file}:{}: `{line}`", at + 1))?;
-            let line = anchor as u32 + 1;
-            let code = lines.get(anchor).copied().unwrap_or_default();
-            self.bounds.insert(
-                (file.to_owned(), line),
-                Bound {
-                    file: file.to_owned(),
-                    line,
-                    text: code.to_owned(),
-                    function: function(code),
-                    ..bound
-                },
-            );
+            self.insert(file, below, lines.get(below).copied().unwrap_or_default(), bound);
         }
         Ok(())
+    }
+
+    fn insert(&mut self, file: &str, at: usize, text: &str, bound: Bound) {
+        let (file, line) = (file.to_owned(), at as u32 + 1);
+        let key = (file.clone(), line);
+        let (text, function) = (text.to_owned(), function(text));
+        self.bounds.entry(key).or_default().push(Bound { file, line, text, function, ..bound });
     }
 
     /// The bound of this kind that the innermost of the calls states.
     pub fn at(&self, frames: &[Frame], unit: Unit) -> Option<&Bound> {
         let of = |frame: &Frame| self.bounds.get(&(frame.file.clone(), frame.line));
-        frames.iter().filter_map(of).find(|bound| bound.unit == unit)
+        frames.iter().filter_map(of).flatten().find(|bound| bound.unit == unit)
     }
 
     /// Whether an instruction is not executed in service: its line says so, or the function that it is in.
@@ -120,11 +103,11 @@ impl Stated {
                 .any(|frame| is_named(&frame.function, function) && frame.file == bound.file)
         };
         self.at(frames, Unit::Never).is_some()
-            || self.bounds.values().any(|bound| bound.unit == Unit::Never && is_in(bound))
+            || self.iter().any(|bound| bound.unit == Unit::Never && is_in(bound))
     }
 
     pub fn iter(&self) -> impl Iterator<Item = &Bound> {
-        self.bounds.values()
+        self.bounds.values().flatten()
     }
 }
 
@@ -145,7 +128,7 @@ fn parse(statement: &str, text: &str) -> anyhow::Result<Bound> {
     let (number, unit) = amount.rsplit_once(' ').context(FORM)?;
     let unit = match unit {
         "rounds" | "round" => Unit::Rounds,
-        "bytes" => Unit::Bytes,
+        "bytes" | "byte" => Unit::Bytes,
         _ => bail!(FORM),
     };
     let number = match number.replace('_', "").parse() {
