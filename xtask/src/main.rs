@@ -2,7 +2,7 @@
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask fuzz`,
 //! `cargo xtask linux`, `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
 //! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`,
-//! `cargo xtask trace`, `cargo xtask unsafe-code`.
+//! `cargo xtask trace`, `cargo xtask unsafe-code`, `cargo xtask worst-case`.
 
 mod apart;
 mod bench;

@@ -115,7 +115,7 @@ fn analyse(program: Program, stated: &Stated) -> anyhow::Result<Analysis> {
         .into_iter()
         .collect::<anyhow::Result<Vec<_>>>()?;
     let background = depths.function(of("Reset")?)?;
-    let faults = FAULTS.map(|name| Ok(depths.function(of(name)?)?));
+    let faults = FAULTS.map(|name| depths.function(of(name)?));
     let faults = faults.into_iter().collect::<anyhow::Result<Vec<u32>>>()?;
 
     let frames = loops.iter().find(|found| found.text.contains(FRAMES));

@@ -359,7 +359,13 @@ impl<'a> Search<'a> {
         {
             first = before.address;
         }
-        self.program.instructions.range(first..=at).count() as u64
+        // The core may take no cycle for the instruction that begins an IT block.
+        let begins_it = |instruction: &&Instruction| {
+            let next = self.program.instructions.get(&instruction.end());
+            !instruction.is_conditional && next.is_some_and(|next| next.is_conditional)
+        };
+        let instructions = self.program.instructions.range(first..=at).map(|(_, found)| found);
+        instructions.filter(|instruction| !begins_it(instruction)).count() as u64
     }
 
     /// The cycles from `entry` to the end of each instruction of a part of a function. `header`: the loop that the part
@@ -588,4 +594,121 @@ fn components(graph: &Graph, entry: u32, header: Option<u32>) -> Vec<BTreeSet<u3
     visit(&mut visits, entry);
     visits.found.reverse();
     visits.found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The cycles of the first function, with a bound for all loops.
+    fn cycles(halves: &[u16], rounds: Option<u64>, waits: Waits) -> anyhow::Result<u64> {
+        let mut program = Program::of(halves, &[(0, "f"), (100, "g")]);
+        let mut stated = Stated::default();
+        if let Some(rounds) = rounds {
+            stated.add("a.rs", &format!("// Bound: {rounds} rounds: so.\nloop\n"))?;
+            let (file, function) = ("a.rs".to_owned(), "f".to_owned());
+            let frame = Frame { file, line: 2, function };
+            program.frames.values_mut().for_each(|frames| frames.push(frame.clone()));
+        }
+        let mut search = Search::new(&program, &stated, waits);
+        let cycles = search.function(Program::BASE)?;
+        match search.missing.first() {
+            Some(missing) => bail!("{missing}"),
+            None => Ok(cycles),
+        }
+    }
+
+    #[test]
+    fn a_straight_function_takes_the_sum_of_its_instructions() {
+        // PUSH {R4, LR}; LDR R0, [R1]; ADDS; UDIV; POP {R4, PC}.
+        let halves = [0xB510, 0x6808, 0x1840, 0xFBB0, 0xF0F1, 0xBD10];
+        let cycles = cycles(&halves, None, Waits::NONE).expect("a bound");
+        assert_eq!(cycles, 3 + 2 + 1 + 12 + 3);
+    }
+
+    #[test]
+    fn the_longer_way_counts() {
+        // CBZ R0 over a division; BX LR. Taken it costs the refill, otherwise the division.
+        let halves = [0xB108, 0xFBB0, 0xF0F1, 0x4770];
+        assert_eq!(cycles(&halves, None, Waits::NONE).expect("a bound"), 1 + 12 + 1);
+        // The same over a move.
+        assert_eq!(
+            cycles(&[0xB100, 0x2000, 0x4770], None, Waits::NONE).expect("a bound"),
+            1 + 3 + 1
+        );
+    }
+
+    #[test]
+    fn a_return_in_an_it_block_is_no_end_of_the_function() {
+        // IT EQ; BXEQ LR; UDIV; BX LR.
+        let halves = [0xBF08, 0x4770, 0xFBB0, 0xF0F1, 0x4770];
+        assert_eq!(cycles(&halves, None, Waits::NONE).expect("a bound"), 1 + 1 + 12 + 1);
+    }
+
+    /// `MOVS R0, #5`, then `SUBS R0, #1; BNE` to it, then `BX LR`.
+    const COUNT: [u16; 4] = [0x2005, 0x3801, 0xD1FD, 0x4770];
+
+    #[test]
+    fn a_loop_takes_its_bound() {
+        // Four times back, with a refill each.
+        let bound = cycles(&COUNT, Some(5), Waits::NONE).expect("a bound");
+        assert_eq!(bound, 1 + 5 * 2 + 4 * REFILL + 1);
+    }
+
+    #[test]
+    fn a_loop_that_ends_at_its_start_has_one_more_test() {
+        // CBZ R0 to the end; SUBS R0, #1; B back; BX LR.
+        let halves = [0xB108, 0x3801, 0xE7FC, 0x4770];
+        let bound = cycles(&halves, Some(5), Waits::NONE).expect("a bound");
+        assert_eq!(bound, 5 * (3 + REFILL) + 1 + REFILL + 1);
+    }
+
+    #[test]
+    fn a_loop_without_a_bound_is_named() {
+        let error = cycles(&COUNT, None, Waits::NONE).expect_err("no bound");
+        assert!(error.to_string().contains("write `// Bound: 8 rounds: reason.`"), "{error}");
+    }
+
+    #[test]
+    fn a_loop_in_a_loop_needs_its_own_bound() {
+        // COUNT with another counter around it.
+        let halves = [0x2105, 0x2005, 0x3801, 0xD1FD, 0x3901, 0xD1FA, 0x4770];
+        assert!(cycles(&halves, Some(5), Waits::NONE).is_err());
+    }
+
+    #[test]
+    fn a_loop_with_two_entries_is_refused() {
+        // CBZ R0 into the middle of COUNT's loop.
+        let halves = [0xB100, 0x3801, 0x2005, 0xD1FC, 0x4770];
+        let error = cycles(&halves, Some(5), Waits::NONE).expect_err("two entries");
+        assert!(error.to_string().contains("several entries"), "{error}");
+    }
+
+    #[test]
+    fn what_cannot_be_followed_is_refused() {
+        // BLX R3, BX R3, a load of a float.
+        for halves in [&[0x4798][..], &[0x4718], &[0xED93, 0x0A00]] {
+            assert!(cycles(halves, None, Waits::NONE).is_err());
+        }
+        // CBZ R0 over BL itself.
+        let error =
+            cycles(&[0xB108, 0xF7FF, 0xFFFD, 0x4770], None, Waits::NONE).expect_err("recursion");
+        assert!(error.to_string().contains("calls itself"), "{error}");
+    }
+
+    #[test]
+    fn each_new_line_of_the_flash_waits() {
+        // Eight narrow instructions fill a line; the read of the next one has ended by then.
+        let mut halves = [0x2000; 16];
+        halves[15] = 0x4770;
+        assert_eq!(cycles(&halves, None, Waits::FLASH).expect("a bound"), 16);
+        // B over the rest of the line: another line.
+        halves[0] = 0xE006;
+        let bound = cycles(&halves, None, Waits::FLASH).expect("a bound");
+        assert_eq!(bound, 1 + REFILL + 11 + 8);
+        // Four wide ones last four cycles of six.
+        let wide = [[0xF04F, 0x0000]; 4].concat();
+        let bound = cycles(&[&wide[..], &[0x4770]].concat(), None, Waits::FLASH).expect("a bound");
+        assert_eq!(bound, 4 + 2 + 1);
+    }
 }

@@ -24,6 +24,7 @@ pub struct Frame {
 }
 
 /// The instructions of an image, and what is known of them.
+#[derive(Default)]
 pub struct Program {
     pub instructions: BTreeMap<u32, Instruction>,
     /// The masks that an instruction changes.
@@ -55,27 +56,15 @@ impl Program {
     pub fn parse(bytes: &[u8], workspace: &Path) -> anyhow::Result<Self> {
         let file = Elf::parse(bytes)?;
         let lines = lines(&file)?;
-        let mut program = Self {
-            instructions: BTreeMap::new(),
-            masks: HashMap::new(),
-            names: names(&file),
-            frames: HashMap::new(),
-            vectors: vectors(&file)?,
-            targets: HashSet::new(),
-            endless: BTreeSet::new(),
-            readers: BTreeSet::new(),
-            ram_loads: HashSet::new(),
-            constant_loads: HashSet::new(),
-            ram_accesses: HashSet::new(),
-            peripheral_accesses: HashSet::new(),
-        };
+        let mut program =
+            Self { names: names(&file), vectors: vectors(&file)?, ..Default::default() };
         for code in codes(&file)? {
             program.decode(&code);
         }
         for &address in program.instructions.keys() {
             program.frames.insert(address, frames(&lines, address, workspace)?);
         }
-        program.find_endless()?;
+        program.find_endless();
         program.find_readers(&file)?;
         Ok(program)
     }
@@ -258,7 +247,7 @@ impl Program {
     }
 
     /// Finds the functions that never return.
-    fn find_endless(&mut self) -> anyhow::Result<()> {
+    fn find_endless(&mut self) {
         let called: BTreeSet<u32> = self
             .instructions
             .values()
@@ -289,7 +278,7 @@ impl Program {
                 }
             }
             if returning.is_empty() {
-                return Ok(());
+                return;
             }
             self.endless.retain(|function| !returning.contains(function));
         }
@@ -397,4 +386,23 @@ fn frames(lines: &Lines, address: u32, workspace: &Path) -> anyhow::Result<Vec<F
         });
     }
     Ok(found)
+}
+
+#[cfg(test)]
+impl Program {
+    /// The program in these halfwords, with functions at the given ones.
+    pub fn of(halves: &[u16], functions: &[(usize, &str)]) -> Self {
+        let mut program = Self::default();
+        let bytes: Vec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
+        program.decode(&thumb::Code { base: Self::BASE, bytes: &bytes, data: &[] });
+        let address = |at: usize| Self::BASE + 2 * at as u32;
+        program.names =
+            functions.iter().map(|(at, name)| (address(*at), (*name).to_owned())).collect();
+        program.frames =
+            program.instructions.keys().map(|address| (*address, Vec::new())).collect();
+        program.find_endless();
+        program
+    }
+
+    pub const BASE: u32 = 0x0800_C000;
 }

@@ -106,3 +106,52 @@ pub fn answer(costs: &Costs) -> u64 {
     let before = Stream::all(costs).iter().map(|stream| stream.cycles).max().unwrap_or(0);
     longest_blocking(costs) + costs.transmitted + (PLACES - 1) * before + costs.answer
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FREE: Costs = Costs {
+        frame: 0,
+        more_frames: 0,
+        silent_frame: 0,
+        action: 0,
+        transmitted: 0,
+        status: 0,
+        due: 0,
+        release: 0,
+        answer: 0,
+        section: 0,
+        log: 0,
+        start: 0,
+    };
+
+    fn stream(bytes: u64, answer: Option<u64>, us: u64) -> Stream {
+        Stream { name: "", bytes, answer, cycles: us * BIT }
+    }
+
+    #[test]
+    fn a_frame_has_the_bits_of_iso_11898() {
+        assert_eq!((bits(0), bits(8)), (47, 111));
+    }
+
+    #[test]
+    fn a_fast_task_loses_no_frame_if_it_begins_within_three_frames() {
+        assert_eq!(stream(0, None, 47).first_loss(&FREE, 141 * BIT), None);
+        assert_eq!(stream(0, None, 47).first_loss(&FREE, 141 * BIT + 1), Some(3));
+    }
+
+    #[test]
+    fn a_slow_task_loses_a_frame_when_its_delay_is_three_frames() {
+        // Each frame takes 10 us too long, and the first may be 141 us late: the 15th begins 140 us late.
+        assert_eq!(stream(0, None, 57).first_loss(&FREE, 0), Some(15 + 3));
+        assert_eq!(stream(0, None, 57).first_loss(&FREE, 47 * BIT), Some(10 + 3));
+    }
+
+    #[test]
+    fn answers_on_the_bus_give_the_task_time() {
+        assert_eq!(stream(8, Some(8), 222).first_loss(&FREE, 0), None);
+        assert!(stream(8, None, 222).first_loss(&FREE, 0).is_some());
+        assert!(stream(8, Some(8), 223).first_loss(&FREE, 0).is_some());
+    }
+}

@@ -85,3 +85,42 @@ const fn grows(stack: Stack) -> i32 {
         Stack::Unknown => 0,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn depth(halves: &[u16], functions: &[(usize, &str)]) -> anyhow::Result<u32> {
+        Depths::new(&Program::of(halves, functions)).function(Program::BASE)
+    }
+
+    #[test]
+    fn frames_of_callees_add_up() {
+        // PUSH {R4, LR}; SUB SP, #8; BL; ADD SP, #8; POP {R4, PC}, and PUSH {R4-R6}; POP {R4-R6}; BX LR.
+        let halves = [0xB510, 0xB082, 0xF000, 0xF802, 0xB002, 0xBD10, 0xB470, 0xBC70, 0x4770];
+        let functions = [(0, "outer"), (6, "inner")];
+        assert_eq!(depth(&halves, &functions).expect("a depth"), 8 + 8 + 12);
+    }
+
+    #[test]
+    fn a_conditional_return_leaves_the_stack_to_what_follows() {
+        // PUSH {R4, LR}; IT EQ; POPEQ {R4, PC}; PUSH {R5}; POP {R5}; POP {R4, PC}.
+        let halves = [0xB510, 0xBF08, 0xBD10, 0xB420, 0xBC20, 0xBD10];
+        assert_eq!(depth(&halves, &[(0, "f")]).expect("a depth"), 12);
+    }
+
+    #[test]
+    fn recursion_has_no_depth() {
+        // PUSH {LR}; BL itself; POP {PC}.
+        let error = depth(&[0xB500, 0xF7FF, 0xFFFD, 0xBD00], &[(0, "f")]).expect_err("recursion");
+        assert!(error.to_string().contains("calls itself"), "{error}");
+    }
+
+    #[test]
+    fn a_stack_pointer_out_of_a_register_is_refused() {
+        // MOV SP, R7; BX LR.
+        assert!(depth(&[0x46BD, 0x4770], &[(0, "f")]).is_err());
+        // PUSH {R4} on one of two ways: CBZ R0; PUSH {R4}; BX LR.
+        assert!(depth(&[0xB100, 0xB410, 0x4770], &[(0, "f")]).is_err());
+    }
+}

@@ -187,3 +187,63 @@ pub const DEPENDENCIES: [Dependency; 2] = [
         reason: "the encoder writes byte by byte",
     },
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stated(text: &str) -> Vec<Bound> {
+        let mut stated = Stated::default();
+        stated.add("a.rs", text).expect("bounds");
+        stated.iter().cloned().collect()
+    }
+
+    #[test]
+    fn a_bound_belongs_to_the_code_below_its_comment() {
+        let text = "// Bound: 8 rounds: the bits\n// of a byte.\n// Other words.\nloop {}\n";
+        let [bound] = &stated(text)[..] else { panic!("one") };
+        assert_eq!((bound.line, bound.number, bound.unit), (4, 8, Unit::Rounds));
+        assert!(bound.reason.starts_with("the bits of a byte"));
+    }
+
+    #[test]
+    fn a_constant_of_the_file_is_a_number() {
+        let text =
+            "const MOST: u32 = 1_000;\n// Bound: MOST rounds, 2 in service: so.\nwhile x {\n";
+        let [bound] = &stated(text)[..] else { panic!("one") };
+        assert_eq!((bound.number, bound.in_service), (1_000, Some(2)));
+        assert!(Stated::default().add("a.rs", "// Bound: MOST rounds: so.\n").is_err());
+    }
+
+    #[test]
+    fn a_range_of_constants_needs_no_words() {
+        let text = "const N: usize = 3;\nfor _ in 0..N {\nfor i in 0..8 {\nfor i in 0..n {\n";
+        let rounds: Vec<u64> = stated(text).iter().map(|bound| bound.number).collect();
+        assert_eq!(rounds, [3, 8]);
+    }
+
+    #[test]
+    fn another_form_is_refused() {
+        for text in ["// Bound: 8.\n", "// Bound: 8 times: so.\n", "// Bound: rounds: so.\n"] {
+            assert!(Stated::default().add("a.rs", text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_function_or_a_line_may_not_be_in_service() {
+        let [bound] = &stated("// Bound: not in service: so.\n#[inline]\nfn f(&self) {}\n")[..]
+        else {
+            panic!("one")
+        };
+        assert_eq!((bound.unit, bound.function.as_deref()), (Unit::Never, Some("f")));
+        let frame = |function: &str, line| Frame {
+            file: "a.rs".to_owned(),
+            line,
+            function: function.to_owned(),
+        };
+        let mut stated = Stated::default();
+        stated.add("a.rs", "// Bound: not in service: so.\nfn f() {}\n").expect("bounds");
+        assert!(stated.is_never(&[frame("core::x", 9), frame("a::f", 5)]));
+        assert!(!stated.is_never(&[frame("a::of", 5)]));
+    }
+}
