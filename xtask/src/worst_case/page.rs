@@ -161,6 +161,32 @@ fn response(analysis: &Analysis) -> String {
             );
         }
     }
+    let [.., chip] = &analysis.costs;
+    let Some(stream) = Stream::all(chip).into_iter().find(|stream| stream.answer.is_some()) else {
+        return table;
+    };
+    let blocking = longest_blocking(chip);
+    let first = blocking + chip.transmitted + chip.release;
+    let later = stream.cycles + chip.transmitted;
+    let compare = |a: u64, b: u64| if a < b { "<" } else { "is not <" };
+    let _ = writeln!(
+        table,
+        "\nWith the numbers of a chip, for {}:\n\n    \
+         B + C_tx + C_release = {} + {} + {} = {} us {} 3 T = {} us\n    \
+         C + C_tx = {} + {} = {} us {} T and an answer's = {} us",
+        stream.name,
+        us(blocking),
+        us(chip.transmitted),
+        us(chip.release),
+        us(first),
+        compare(first, 3 * stream.period()),
+        us(3 * stream.period()),
+        us(stream.cycles),
+        us(chip.transmitted),
+        us(later),
+        compare(later, stream.lasting_period()),
+        us(stream.lasting_period()),
+    );
     table
 }
 
