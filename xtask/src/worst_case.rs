@@ -22,7 +22,7 @@ use emulator::chip::Part;
 use crate::workspace;
 use costs::{Costs, FRAMES, RETURN};
 use instruction::{Flow, Mask, REFILL};
-use measure::{Marks, Measured, Work};
+use measure::{Marks, Measured, Session, Work};
 use path::{Loop, Search, Waits, is_copy};
 use program::Program;
 use stack::Depths;
@@ -130,29 +130,37 @@ fn analyse(program: Program, stated: &Stated) -> anyhow::Result<Analysis> {
         .map(|found| Ok((found.function, program.graph(found.function)?.into_keys().collect())))
         .collect::<anyhow::Result<_>>()?;
     let shared = Arc::new(program);
-    let measured =
-        [false, true].map(|waits| measure::run(&shared, loops.clone(), &bodies, marks, waits));
+    let [without, with, disturbed] =
+        [Session::Service, Session::ServiceWithWaits, Session::Disturbed]
+            .map(|session| measure::run(&shared, loops.clone(), &bodies, marks, session));
     let mut program = Arc::into_inner(shared).context("a board still holds the program")?;
-    take_accesses(&mut program, &measured);
+    take_accesses(&mut program, &[&without, &with, &disturbed]);
 
     let mut costs = Vec::new();
     for waits in [Waits::NONE, Waits::FLASH, Waits::CHIP] {
         costs.push(Costs::new(&program, stated, waits)?);
     }
     let costs: [Costs; 3] = costs.try_into().ok().context("three")?;
-    for ((measured, costs), waits) in measured.iter().zip(&costs).zip([Waits::NONE, Waits::FLASH]) {
-        check(&program, stated, &loops, measured, costs, waits)?;
+    for (measured, costs, waits) in
+        [(&without, &costs[0], Waits::NONE), (&with, &costs[1], Waits::FLASH)]
+    {
+        check_steps(&program, stated, &loops, measured, waits)?;
+        check_service(&program, stated, measured, costs, waits)?;
     }
+    check_steps(&program, stated, &loops, &disturbed, Waits::NONE)?;
 
     let mut activations: BTreeMap<Work, [u64; 2]> = BTreeMap::new();
     let mut back = BTreeMap::new();
     let mut deepest: BTreeMap<u32, u32> = BTreeMap::new();
+    let measured = [without, with];
     for (number, measured) in measured.iter().enumerate() {
         for (work, longest) in &measured.tasks {
             activations.entry(*work).or_default()[number] = longest.cycles;
             let stack = deepest.entry(work.task).or_default();
             *stack = longest.stack.max(*stack);
         }
+    }
+    for measured in measured.iter().chain([&disturbed]) {
         for (header, rounds) in &measured.back {
             let most = back.entry(*header).or_insert(0);
             *most = (*most).max(*rounds);
@@ -179,7 +187,8 @@ fn analyse(program: Program, stated: &Stated) -> anyhow::Result<Analysis> {
     let deepest_fault = faults.into_iter().max().unwrap_or(0);
     levels.push(("fault or NMI".to_owned(), deepest_fault + EXCEPTION_FRAME, None));
     let range = testkit::stack::stack(testkit::image::image());
-    let stack = measured.iter().map(|measured| measured.stack).max().unwrap_or(0);
+    let stacks = measured.iter().chain([&disturbed]).map(|measured| measured.stack);
+    let stack = stacks.max().unwrap_or(0);
     let bound: u32 = levels.iter().map(|(_, bytes, _)| bytes).sum();
     ensure!(stack <= bound, "the stack was {stack} bytes deep, more than its bound of {bound}");
     ensure!(bound <= range.len() as u32, "the stack may overflow: {bound} bytes");
@@ -215,7 +224,7 @@ fn loops(program: &Program, stated: &Stated) -> anyhow::Result<Vec<Loop>> {
 }
 
 /// Takes over which loads and stores reach the flash or a peripheral.
-fn take_accesses(program: &mut Program, measured: &[Measured; 2]) {
+fn take_accesses(program: &mut Program, measured: &[&Measured]) {
     for measured in measured {
         program.constant_loads.extend(&measured.constant_loads);
         program.ram_loads.extend(&measured.loads);
@@ -226,37 +235,18 @@ fn take_accesses(program: &mut Program, measured: &[Measured; 2]) {
     program.ram_accesses.retain(|at| !program.peripheral_accesses.contains(at));
 }
 
-/// Compares what the board did with what the analysis allows.
-fn check(
+/// Compares what the board did with what the analysis allows in every state.
+fn check_steps(
     program: &Program,
     stated: &Stated,
     loops: &[Loop],
     measured: &Measured,
-    costs: &Costs,
     waits: Waits,
 ) -> anyhow::Result<()> {
-    let function = |at: u32| program.names.range(..=at).next_back().map_or(0, |(at, _)| *at);
     if let Some((from, to)) = measured.foreign.first() {
         bail!("the board went from {from:#x}, {}, to {to:#x}: no such path", program.place(*from));
     }
-    let mut service = costs::search(program, stated, waits);
-    service.rounds_of.clear();
-    for (name, _) in TASKS {
-        service.function(program.function(name)?)?;
-    }
-    let loops = loops.iter().chain(service.loops.values());
-    for found in loops.filter(|found| !is_copy(&found.place)) {
-        let back = measured.back.get(&found.header).copied().unwrap_or(0);
-        ensure!(
-            back <= found.back,
-            "a loop has gone back {back} times, more than its bound of {}: {}",
-            found.back,
-            found.place
-        );
-    }
-    if let Some(at) = measured.calls.iter().find(|at| service.is_excluded(function(**at), **at)) {
-        bail!("a call that is said to be none of service was made: {}", program.place(*at));
-    }
+    check_rounds(loops.iter(), measured)?;
     let mut search = Search::new(program, stated, waits);
     for (at, length) in &measured.copied {
         let Flow::Call(callee) = program.instructions[at].flow else { continue };
@@ -268,12 +258,49 @@ fn check(
         let jump = if instruction.flow == Flow::Next { 0 } else { REFILL };
         let back = if instruction.flow == Flow::Return { RETURN } else { 0 };
         let fetch = waits.other_line + waits.next_line;
-        let bound = search.own(function(*at), instruction)? + jump + back + fetch;
+        let bound = search.own(program.owner(*at), instruction)? + jump + back + fetch;
         ensure!(
             *used <= bound,
             "the instruction at {at:#x} took {used} cycles, not {bound}: {}",
             program.place(*at)
         );
+    }
+    Ok(())
+}
+
+fn check_rounds<'a>(
+    loops: impl Iterator<Item = &'a Loop>,
+    measured: &Measured,
+) -> anyhow::Result<()> {
+    for found in loops.filter(|found| !is_copy(&found.place)) {
+        let back = measured.back.get(&found.header).copied().unwrap_or(0);
+        ensure!(
+            back <= found.back,
+            "a loop has gone back {back} times, more than its bound of {}: {}",
+            found.back,
+            found.place
+        );
+    }
+    Ok(())
+}
+
+/// Compares what the board did with what the analysis allows in service.
+fn check_service(
+    program: &Program,
+    stated: &Stated,
+    measured: &Measured,
+    costs: &Costs,
+    waits: Waits,
+) -> anyhow::Result<()> {
+    let mut service = costs::search(program, stated, waits);
+    service.rounds_of.clear();
+    for (name, _) in TASKS {
+        service.function(program.function(name)?)?;
+    }
+    check_rounds(service.loops.values(), measured)?;
+    let is_excluded = |at: &&u32| service.is_excluded(program.owner(**at), **at);
+    if let Some(at) = measured.calls.iter().find(is_excluded) {
+        bail!("a call that is said to be none of service was made: {}", program.place(*at));
     }
     for (work, longest) in &measured.tasks {
         let Some(bound) = costs.of(program, *work) else { continue };

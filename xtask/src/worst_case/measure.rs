@@ -230,8 +230,7 @@ impl Observer {
         }
         let called = self.program.instructions.get(&pc).map(|instruction| &instruction.flow);
         if called == Some(&Flow::Call(self.marks.act)) && next == self.marks.act {
-            let owner = self.program.names.range(..=pc).next_back().map(|(at, _)| *at);
-            active.actions += u64::from(owner == Some(self.marks.poll));
+            active.actions += u64::from(self.program.owner(pc) == self.marks.poll);
         }
         let index = (pc.wrapping_sub(FLASH_BASE) / 2) as usize;
         let mut measured = self.measured.lock().expect("no panic before");
@@ -314,13 +313,23 @@ fn rig(observer: Observer, flash_waits: bool) -> ImageRig {
     rig
 }
 
-/// Runs the sessions of a node in service.
+/// What happens around the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Session {
+    Service,
+    /// With the waits of the flash.
+    ServiceWithWaits,
+    /// Errors, other bit rates, a lost master and resets.
+    Disturbed,
+}
+
+/// Runs a session and returns what the board did.
 pub fn run(
     program: &Arc<Program>,
     loops: Vec<Loop>,
     functions: &BTreeMap<u32, BTreeSet<u32>>,
     marks: Marks,
-    flash_waits: bool,
+    session: Session,
 ) -> Measured {
     let last = program.instructions.keys().next_back().copied().unwrap_or(FLASH_BASE);
     let mut loops_at = vec![Vec::new(); ((last - FLASH_BASE) / 2 + 2) as usize];
@@ -339,9 +348,13 @@ pub fn run(
         active: Vec::new(),
         cycles: 0,
     };
-    let mut rig = rig(observer, flash_waits);
-    services(&mut rig);
-    full_bus(&mut rig);
+    let mut rig = rig(observer, session == Session::ServiceWithWaits);
+    if session == Session::Disturbed {
+        disturbed(&mut rig);
+    } else {
+        services(&mut rig);
+        full_bus(&mut rig);
+    }
     let depth = stack::deepest(rig.network.board(0), image());
     drop(rig);
     let mut measured = measured.lock().expect("no panic before").clone();
@@ -398,4 +411,36 @@ fn full_bus(rig: &mut ImageRig) {
         rig.nmt(random.pick(&["01 00", "80 00", "82 00"]));
     }
     rig.collect(Time::from_ms(300));
+}
+
+/// What is not service: errors on the bus, changes of the bit rate, a node alone, resets.
+fn disturbed(rig: &mut ImageRig) {
+    let disturber = rig.add_disturber();
+    rig.disturb(disturber, Id::Standard(0x2AA), Time::from_us(700), Time::from_ms(60));
+    rig.collect(Time::from_ms(50));
+    for (index, rate) in [("02", BitRate::Kbit500), ("00", BitRate::Kbit1000)] {
+        rig.lss("04 01");
+        rig.lss(&format!("13 00 {index}"));
+        rig.lss("11 41");
+        rig.lss("17");
+        rig.lss("15 02 00");
+        rig.set_master_bit_rate(rate);
+        rig.collect(Time::from_ms(20));
+        rig.nmt("01 00");
+    }
+    // Without a delay, and nobody acknowledges what follows.
+    rig.lss("04 01");
+    rig.lss("15 00 00");
+    rig.network.adapter_mut(rig.master).close();
+    rig.collect(Time::from_ms(400));
+    rig.network.adapter_mut(rig.master).open();
+    rig.collect(Time::from_ms(100));
+    for request in ["04 00", "04 01", "11 FF", "04 00"] {
+        rig.lss(request);
+    }
+    rig.nmt("82 00");
+    for request in ["4C", "51 00 00 00 00 80", "04 01", "11 42", "04 00"] {
+        rig.lss(request);
+    }
+    rig.collect(Time::from_ms(50));
 }

@@ -328,8 +328,10 @@ impl<'a> Search<'a> {
                         && (self.program.readers.contains(&function) || is_copy(name))
                         && !self.program.ram_loads.contains(&at);
                 let constant = if may_be_constant { lines * self.waits.constant } else { 0 };
+                // A store to a bit-band alias is a load and a store.
+                let alias = u64::from(!is_load);
                 let peripheral = if self.program.is_volatile(instruction.address) {
-                    u64::from(words) * self.waits.peripheral
+                    u64::from(words) * (self.waits.peripheral + alias)
                 } else {
                     0
                 };

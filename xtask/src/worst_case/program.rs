@@ -124,6 +124,11 @@ impl Program {
         self.names.get(&address).map_or("?", String::as_str)
     }
 
+    /// The function that an instruction is in.
+    pub fn owner(&self, address: u32) -> u32 {
+        self.names.range(..=address).next_back().map_or(0, |(address, _)| *address)
+    }
+
     /// The function called or jumped to by an instruction, if it is another than `own`.
     pub fn callee(&self, instruction: &Instruction, own: u32) -> Option<u32> {
         match instruction.flow {
