@@ -91,8 +91,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let analysis = analyse(program, &stated)?;
     let blocks = page::blocks(&analysis);
-    for (name, block) in &blocks {
-        println!("{name}\n{block}");
+    if !arguments.check {
+        blocks.iter().for_each(|(name, block)| println!("{name}\n\n{block}"));
     }
     let path = workspace().join(PAGE);
     let found = fs::read_to_string(&path).context(PAGE)?;
