@@ -382,3 +382,80 @@ pub fn mask(first: u16, second: Option<u16>) -> Option<Mask> {
         _ => None,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AT: u32 = 0x0800_C000;
+
+    fn decode(first: u16, second: Option<u16>) -> Instruction {
+        Instruction::decode(AT, first, second, false)
+    }
+
+    #[test]
+    fn jumps_and_calls_have_their_targets() {
+        for (first, second, flow) in [
+            (0xE7FE, None, Flow::Jump(AT)),
+            (0xD0FE, None, Flow::Branch(AT)),
+            (0xB910, None, Flow::Branch(AT + 8)),
+            (0xF000, Some(0xF800), Flow::Call(AT + 4)),
+            (0xF7FF, Some(0xFFFE), Flow::Call(AT)),
+            (0xF7FF, Some(0xBFFE), Flow::Jump(AT)),
+            (0xF43F, Some(0xAFFE), Flow::Branch(AT)),
+            (0x4770, None, Flow::Return),
+            (0xBD10, None, Flow::Return),
+            (0xE8BD, Some(0x87F0), Flow::Return),
+            (0xF85D, Some(0xFB04), Flow::Return),
+            (0xDE00, None, Flow::Fault),
+            (0xF8D0, Some(0xE000), Flow::Next),
+        ] {
+            assert_eq!(decode(first, second).flow, flow, "{first:04X} {second:04X?}");
+        }
+    }
+
+    #[test]
+    fn the_stack_moves_by_pushes_sums_and_write_back() {
+        for (first, second, bytes) in [
+            (0xB5F0, None, 20),
+            (0xBC70, None, -12),
+            (0xB082, None, 8),
+            (0xB002, None, -8),
+            (0xE92D, Some(0x41F0), 24),
+            (0xE8BD, Some(0x81F0), -24),
+            (0xF84D, Some(0xBD04), 4),
+            (0xF85D, Some(0xBB04), -4),
+            (0xF2AD, Some(0x7D04), 0x704),
+            (0xF5AD, Some(0x6D80), 1024),
+            (0xE96D, Some(0x0102), 8),
+            (0x9000, None, 0),
+        ] {
+            assert_eq!(
+                decode(first, second).stack,
+                Stack::Grows(bytes),
+                "{first:04X} {second:04X?}"
+            );
+        }
+    }
+
+    #[test]
+    fn several_words_take_a_cycle_each() {
+        for (first, second, cycles) in [
+            (0x6808, None, 2),
+            (0xC107, None, 4),
+            (0xE9D0, Some(0x1200), 3),
+            (0xFBB0, Some(0xF0F1), 12),
+        ] {
+            assert_eq!(decode(first, second).cycles, cycles, "{first:04X}");
+        }
+    }
+
+    #[test]
+    fn constants_of_all_forms_are_known() {
+        assert_eq!(decode(0x2220, None).constant, Some((2, 0x20)));
+        assert_eq!(decode(0xF44F, Some(0x72A4)).constant, Some((2, 0x148)));
+        assert_eq!(decode(0xF240, Some(0x22B3)).constant, Some((2, 0x2B3)));
+        assert_eq!(decode(0x4632, None).constant, None);
+        assert_eq!(decode(0x4632, None).may_change >> 2 & 1, 1);
+    }
+}
