@@ -33,6 +33,7 @@ pub fn begin() {
         present.store(false, Ordering::Relaxed);
     }
     for interrupt in
+        // Bound: 4 rounds: the interrupts in the list.
         [Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE, Interrupt::USART1]
     {
         rtic::pend(interrupt);
