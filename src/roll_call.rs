@@ -24,11 +24,13 @@ pub fn answer(task: Task) {
 
 /// Whether all tasks have answered.
 pub fn is_everyone_present() -> bool {
+    // Bound: 5 rounds: the tasks.
     PRESENT.iter().fold(true, |all, present| all & present.load(Ordering::Relaxed))
 }
 
 /// Begins the next roll call and triggers the tasks that do not run by themselves.
 pub fn begin() {
+    // Bound: 5 rounds: the tasks.
     for present in &PRESENT {
         present.store(false, Ordering::Relaxed);
     }
