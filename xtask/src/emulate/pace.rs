@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use emulator::Time;
 
 /// The lag at which the emulation stops catching up.
-const PATIENCE: Duration = Duration::from_millis(250);
+const PATIENCE: Duration = Duration::from_millis(500);
 
 /// Computes the target of virtual time.
 pub struct Pace {
