@@ -1,7 +1,8 @@
 //! The chips that the firmware runs on, and what it relies on of each.
 
 /// An STM32F4 with bxCAN. The sizes are those of its smallest version, which the image must fit. On every chip sectors
-/// 0 to 3 of the flash have 16 KB (chapter "Embedded flash memory interface" of each manual).
+/// 0 to 3 of the flash have 16 KB (chapter "Embedded flash memory interface" of each manual; of RM0402 and RM0430 that
+/// table was not at hand: there the flash algorithms of the STM32F4 device pack 2.17.1 say so).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chip {
     /// The feature of the firmware, the chip's name in lower case.
@@ -87,5 +88,19 @@ pub const CONTROLLER: u32 = if cfg!(feature = "can3") {
     1
 };
 
-/// The address of the 96-bit unique id (chapter "Device electronic signature" of each manual).
+/// The number of a CAN controller: 2 for `can2` or `2`.
+///
+/// # Errors
+/// No chip has a controller of this name.
+pub fn controller(name: &str) -> Result<u8, &'static str> {
+    match name.strip_prefix("can").unwrap_or(name) {
+        "1" => Ok(1),
+        "2" => Ok(2),
+        "3" => Ok(3),
+        _ => Err("choose can1, can2 or can3"),
+    }
+}
+
+/// The address of the 96-bit unique id (RM0090, 39.1; RM0386, 38.1; RM0390 Rev 4, 34.1; RM0402, 31.1; of RM0430 the
+/// chapter was not at hand: there `UID_BASE` in ST's header).
 pub const UNIQUE_ID: usize = 0x1FFF_7A10;

@@ -20,6 +20,7 @@ static PRESENT: AtomicU8 = AtomicU8::new(0);
 
 /// Records that `task` is alive.
 pub fn answer(task: Task) {
+    // Bound: 2 rounds: an interrupt between load and store repeats them.
     PRESENT.fetch_or(task as u8, Ordering::Relaxed);
 }
 
@@ -32,6 +33,7 @@ pub fn is_everyone_present() -> bool {
 pub fn begin() {
     PRESENT.store(0, Ordering::Relaxed);
     for interrupt in
+        // Bound: 4 rounds: the interrupts in the list.
         [Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE, Interrupt::USART1]
     {
         rtic::pend(interrupt);

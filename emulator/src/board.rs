@@ -217,6 +217,11 @@ impl Board {
         Stop::Deadline
     }
 
+    /// Advances to `until`, earlier than [`wake_time`](Self::wake_time), if the CPU sleeps; returns whether it does.
+    pub(crate) fn sleep(&mut self, until: Time) -> bool {
+        self.powered && self.engine.sleep(until)
+    }
+
     /// Resets the microcontroller now; RAM keeps its content.
     pub fn reset(&mut self, cause: ResetCause) {
         if !self.powered {

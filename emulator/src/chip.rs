@@ -234,9 +234,9 @@ impl Chip {
         let mut irqs = 0;
         for (can, first) in self.cans.iter().zip(CAN_INTERRUPTS) {
             let Interrupts { tx, rx0, rx1, sce } = can.irq();
-            for (at, level) in [tx, rx0, rx1, sce].into_iter().enumerate() {
-                irqs |= u128::from(level) << (first + at);
-            }
+            let levels =
+                u8::from(tx) | u8::from(rx0) << 1 | u8::from(rx1) << 2 | u8::from(sce) << 3;
+            irqs |= u128::from(levels) << first;
         }
         irqs
     }

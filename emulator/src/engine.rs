@@ -29,6 +29,9 @@ pub trait Engine: Send {
     /// Runs until [`now`](Self::now) is at or past `until`, overshooting by less than one instruction, or until a halt.
     fn run(&mut self, until: Time) -> Halt;
 
+    /// Advances to `until`, earlier than [`wake_time`](Self::wake_time), if the CPU sleeps; returns whether it does.
+    fn sleep(&mut self, until: Time) -> bool;
+
     /// The CPU's current time.
     fn now(&self) -> Time;
 

@@ -250,7 +250,9 @@ impl Network {
     /// Brings the sleeping boards up to the current time.
     fn catch_up(&mut self) {
         for board in 0..self.boards.len() {
-            self.run_board(board, self.now, self.now);
+            if self.wake[board] <= self.now || !self.boards[board].sleep(self.now) {
+                self.run_board(board, self.now, self.now);
+            }
         }
     }
 

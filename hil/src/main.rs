@@ -26,6 +26,7 @@ use std::{
 
 use anyhow::Context;
 use clap::{Parser, builder::PossibleValuesParser};
+use lss_slave_firmware::chip;
 
 use adapter::Place;
 use bench::Bench;
@@ -61,8 +62,8 @@ struct Arguments {
     /// Read registers and reset the first board with probe-rs; its chip
     #[arg(long, value_name = "CHIP", value_parser = PossibleValuesParser::new(Probe::chips()))]
     probe: Option<String>,
-    /// The CAN controller of the first board, whose registers the probe reads: 1, 2 or 3
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=3), requires = "probe")]
+    /// The CAN controller of the first board, whose registers the probe reads: can1, can2 or can3
+    #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "probe")]
     controller: u8,
     /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
     #[arg(long, value_name = "MS", default_value_t = 2)]

@@ -549,6 +549,7 @@ impl Supervision {
     }
 
     /// Begins a look if the errors at home justify it.
+    // Bound: not in service: the node is at home and nothing is doubted.
     fn doubt(&mut self, now: Instant) {
         let are_lasting = self.errors.count >= LASTING_ERRORS
             && self.errors.first.plus_micros(LASTING_MICROS).has_come(now);
@@ -571,6 +572,7 @@ impl Supervision {
     }
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
+    // Bound: not in service: the node is at home and nothing is doubted.
     fn look_elsewhere(&mut self, look: Look, micros: u32, now: Instant) {
         self.enter(Place::Looking {
             look: Look { has_moved: false, ..look },
@@ -581,6 +583,7 @@ impl Supervision {
     }
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
+    // Bound: not in service: the node is at home and nothing is doubted.
     fn listen_at_home(&mut self, look: Look, now: Instant) {
         self.enter(Place::Looking {
             look,
@@ -591,6 +594,7 @@ impl Supervision {
     }
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
+    // Bound: not in service: the node is at home and nothing is doubted.
     fn open_home(&mut self, look: Look, now: Instant) {
         let until = now.plus_micros(OPEN_TURN_MICROS);
         self.place = Place::Looking { look, turn: Turn::HomeOpen, until };
@@ -598,6 +602,7 @@ impl Supervision {
     }
 
     /// Returns home to stay.
+    // Bound: not in service: the node is at home and nothing is doubted.
     fn end_look(&mut self) {
         self.has_searched = true;
         if self.is_listening() {
@@ -608,6 +613,7 @@ impl Supervision {
 
     /// Drops the pending frames and withholds new ones for a while.
     #[inline(never)] // It has several callers: 60 bytes.
+    // Bound: not in service: the node is at home and nothing is doubted.
     fn withhold(&mut self, now: Instant) {
         let mut end = now.plus_micros(WITHHOLD_MICROS);
         match self.sending {
@@ -630,10 +636,13 @@ impl Supervision {
 /// The rate to listen at after `rate`: the next slower one, and after the slowest the fastest. At a rate that is too
 /// fast each frame ends in a stuff error, since its bits last too long; at a rate that is too slow a frame may pass
 /// unnoticed.
+// Bound: not in service: the node is at home and nothing is doubted.
 fn next_rate(rates: BitRates, rate: BitRate, except: Option<BitRate>) -> BitRate {
     let candidates =
         || BitRate::ALL.into_iter().filter(|&other| rates.contains(other) && Some(other) != except);
+    // Bound: 8 rounds: the bit rates.
     let slower = candidates().find(|other| other.kbit_per_s() < rate.kbit_per_s());
+    // Bound: 8 rounds: the bit rates.
     slower.or_else(|| candidates().next()).unwrap_or(rate)
 }
 

@@ -647,6 +647,7 @@ fn a_minute_of_process_data_needs_no_reset_and_little_stack() {
 }
 
 #[test]
+#[ignore = "builds the image of another chip: `.ci/run chips`"]
 fn the_example_works_on_an_stm32f446() {
     let image =
         image::build_with_features(Part::Stm32f446, &["io"]).unwrap_or_else(|e| panic!("{e}"));

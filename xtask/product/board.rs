@@ -23,7 +23,7 @@ fn new_board() -> ImageRig {
     let BitRateSetting::Fixed(bit_rate) = device::DEFAULTS.bit_rate else {
         panic!("the master needs a bit rate");
     };
-    ImageRig::new(bit_rate, [boards::board(Part::@part@, &IMAGE, 0)])
+    ImageRig::new(bit_rate, [boards::board_on(Part::@part@, @controller@, &IMAGE, 0)])
 }
 
 /// Gives the board the node-ID 5 over LSS, and lets it store that.

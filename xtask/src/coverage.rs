@@ -3,9 +3,9 @@
 mod explanations;
 mod lcov;
 mod page;
-mod program;
+pub mod program;
 mod report;
-mod thumb;
+pub mod thumb;
 
 use std::{env, fs, io, path::Path, process::Command};
 

@@ -23,6 +23,7 @@ use emulator::{
     network::{Network, Recording},
 };
 use lss_slave::{BitRate, NodeId, Settings};
+use lss_slave_firmware::chip;
 
 use testkit::image_rig::{DEFAULT_BIT_RATE, bit_per_s};
 
@@ -84,8 +85,8 @@ pub struct Arguments {
     /// The chip on the boards
     #[arg(long, default_value = "stm32f405")]
     chip: Part,
-    /// The CAN controller on the bus: 1, 2, or on some chips 3
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=3))]
+    /// The CAN controller on the bus: can1, can2, or on some chips can3
+    #[arg(long, default_value = "can1", value_parser = chip::controller)]
     controller: u8,
 }
 

@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use emulator::chip::Part;
-use lss_slave_firmware::chip::Chip;
+use lss_slave_firmware::chip::{self, Chip};
 
 use crate::example;
 
@@ -19,8 +19,8 @@ pub struct Arguments {
     /// The chip on the board
     #[arg(default_value = "stm32f405")]
     chip: Part,
-    /// The CAN controller: 1, 2, or on some chips 3
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=3))]
+    /// The CAN controller: can1, can2, or on some chips can3
+    #[arg(long, default_value = "can1", value_parser = chip::controller)]
     controller: u8,
 }
 

@@ -2,7 +2,7 @@
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask fuzz`,
 //! `cargo xtask linux`, `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
 //! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`,
-//! `cargo xtask trace`, `cargo xtask unsafe-code`.
+//! `cargo xtask trace`, `cargo xtask unsafe-code`, `cargo xtask worst-case`.
 
 mod apart;
 mod bench;
@@ -29,6 +29,7 @@ mod sources;
 mod storm;
 mod trace;
 mod unsafe_code;
+mod worst_case;
 
 use std::{io, path::Path, process::ExitCode};
 
@@ -72,6 +73,7 @@ enum Command {
     Storm(storm::Arguments),
     Trace(trace::Arguments),
     UnsafeCode(unsafe_code::Arguments),
+    WorstCase(worst_case::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -96,6 +98,7 @@ fn main() -> ExitCode {
         Command::Storm(arguments) => storm::run(&arguments),
         Command::Trace(arguments) => trace::run(&arguments),
         Command::UnsafeCode(arguments) => unsafe_code::run(&arguments),
+        Command::WorstCase(arguments) => worst_case::run(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -10,7 +10,9 @@ use std::{
 
 use anyhow::{Context, bail, ensure};
 use emulator::chip::Part;
-use lss_slave_firmware::chip::Chip;
+use lss_slave_firmware::chip::{self, Chip};
+
+use crate::example;
 
 /// Make a product: a package of its own, with its identity, objects, pins and tests
 ///
@@ -30,6 +32,9 @@ pub struct Arguments {
     /// The chip of the board
     #[arg(long, default_value = "stm32f405")]
     chip: Part,
+    /// The CAN controller: can1, can2, or on some chips can3
+    #[arg(long, default_value = "can1", value_parser = chip::controller)]
+    controller: u8,
 }
 
 /// The files that the product takes as they are.
@@ -53,8 +58,9 @@ const OBJECT: (&str, &str) = (
 
 /// Makes the product, and prints what to do with it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let Arguments { name, path, git, chip } = arguments;
+    let Arguments { name, path, git, chip, controller } = arguments;
     check_name(name)?;
+    check_controller(*chip, *controller)?;
     let workspace = workspace();
     let folder = match path {
         Some(path) => env::current_dir()?.join(path),
@@ -71,7 +77,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "{} exists: remove it, or give another folder with `--path`",
         folder.display()
     );
-    let product = Product { name, chip: *chip, git: git.as_deref(), folder: &folder };
+    let git = git.as_deref();
+    let product = Product { name, chip: *chip, controller: *controller, git, folder: &folder };
     let files = product.files(&|path| {
         let path = workspace.join(path);
         fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
@@ -145,10 +152,25 @@ fn check_name(name: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Checks that the chip has the CAN controller.
+fn check_controller(chip: Part, controller: u8) -> anyhow::Result<()> {
+    let has = |part: &Part| usize::from(controller) <= part.cans();
+    let having = || Part::ALL.into_iter().filter(has).map(Part::name).collect::<Vec<_>>();
+    ensure!(
+        has(&chip),
+        "{} has no CAN{controller}, only {} have",
+        chip.name(),
+        having().join(" and ")
+    );
+    Ok(())
+}
+
 /// A product to be made.
 struct Product<'a> {
     name: &'a str,
     chip: Part,
+    /// 1 for CAN1.
+    controller: u8,
     git: Option<&'a str>,
     folder: &'a Path,
 }
@@ -167,9 +189,10 @@ impl Product<'_> {
         *application = replace(application, OBJECT.0, &[OBJECT.0, OBJECT.1].concat())?;
 
         let chip = Chip::named(self.chip.name()).context("src/chip.rs does not have this chip")?;
+        let mut features = example::features(self.controller, None);
+        features.extend(["chip", chip.feature]);
         let own = |path: &str| -> anyhow::Result<String> {
-            features::resolve(&read(path)?, &["chip", chip.feature])
-                .with_context(|| path.to_owned())
+            features::resolve(&read(path)?, &features).with_context(|| path.to_owned())
         };
         let of_firmware = "lss_slave_firmware";
         let main = own("src/main.rs")?.replace(of_firmware, &self.crate_name());
@@ -194,6 +217,7 @@ impl Product<'_> {
             ("@chip@", chip.feature.to_owned()),
             ("@CHIP@", chip.feature.to_uppercase()),
             ("@part@", format!("{:?}", self.chip)),
+            ("@controller@", self.controller.to_string()),
             ("@probe-rs@", chip.probe_rs.to_owned()),
             ("@source@", self.git.map_or_else(|| self.path(""), str::to_owned)),
         ];
@@ -230,6 +254,7 @@ impl Product<'_> {
         )?;
         let words = [
             ("@name@", self.name.to_owned()),
+            ("@features@", self.features()),
             ("@chip@", self.chip.name().to_owned()),
             ("@lss-slave@", library),
             ("@firmware@", self.dependency("")),
@@ -239,6 +264,20 @@ impl Product<'_> {
             ("@profiles@", format!("[profile.dev]{profiles}")),
         ];
         Ok(fill(include_str!("../product/Cargo.toml"), &words))
+    }
+
+    /// The features of the product: its chip, with its CAN controller unless that is CAN1.
+    fn features(&self) -> String {
+        let chip = self.chip.name();
+        let of_firmware = |feature: &str| format!("\"lss-slave-firmware/{feature}\"");
+        match example::features(self.controller, None)[..] {
+            [can] => format!(
+                "{chip} = [\"{can}\", {}]\n{can} = [{}]",
+                of_firmware(chip),
+                of_firmware(can)
+            ),
+            _ => format!("{chip} = [{}]", of_firmware(chip)),
+        }
     }
 
     /// A package of this repository in `folder`, as a dependency.
@@ -337,8 +376,17 @@ mod tests {
     }
 
     fn files(git: Option<&str>, folder: &str) -> Vec<(String, String)> {
-        let product =
-            Product { name: "door-lock", chip: Part::Stm32f446, git, folder: Path::new(folder) };
+        files_with(Part::Stm32f446, 1, git, folder)
+    }
+
+    fn files_with(
+        chip: Part,
+        controller: u8,
+        git: Option<&str>,
+        folder: &str,
+    ) -> Vec<(String, String)> {
+        let folder = Path::new(folder);
+        let product = Product { name: "door-lock", chip, controller, git, folder };
         let read = |path: &str| Ok(fs::read_to_string(workspace().join(path))?);
         product.files(&read).expect("this repository has what a product needs")
     }
@@ -349,7 +397,8 @@ mod tests {
 
     #[test]
     fn the_files_of_a_product_have_no_gaps_and_no_features() {
-        for (path, content) in files(None, "/products/door-lock") {
+        let files_of_can3 = files_with(Part::Stm32f413, 3, None, "/products/door-lock");
+        for (path, content) in files(None, "/products/door-lock").into_iter().chain(files_of_can3) {
             assert!(path == "Cargo.lock" || !content.contains('@'), "{path}: {content}");
             if path.starts_with("src/") {
                 assert!(!content.contains("#[cfg(feature"), "{path}: {content}");
@@ -390,5 +439,51 @@ mod tests {
         assert!(content(&files, "src/application.rs").contains("0x2100 {\n        0 \"Bright"));
         assert!(content(&files, "src/main.rs").contains("use door_lock as product;"));
         assert!(content(&files, "tests/board.rs").contains("Part::Stm32f446"));
+    }
+    #[test]
+    fn every_file_of_a_product_has_the_same_can_controller() {
+        for (chip, controller, pins, features) in [
+            (Part::Stm32f446, 1, "b.pb9, b.pb8", &["lss-slave-firmware/stm32f446"][..]),
+            (Part::Stm32f446, 2, "b.pb13, b.pb12", &["can2", "lss-slave-firmware/stm32f446"]),
+            (Part::Stm32f413, 3, "b.pb4, b.pb3", &["can3", "lss-slave-firmware/stm32f413"]),
+        ] {
+            let files = files_with(chip, controller, None, "/products/door-lock");
+            let pins = format!("can: CanPins::new({pins}),");
+            assert_eq!(content(&files, "src/pins.rs").matches("CanPins::new").count(), 1);
+            assert!(content(&files, "src/pins.rs").contains(&pins), "{pins}");
+            let interrupts =
+                format!("CAN{controller}_RX0, CAN{controller}_TX, CAN{controller}_SCE");
+            let application = format!("\napplication!({interrupts});\n");
+            assert_eq!(content(&files, "src/main.rs").matches("\napplication!(").count(), 1);
+            assert!(content(&files, "src/main.rs").contains(&application), "{application}");
+            let board = format!("boards::board_on(Part::{chip:?}, {controller}, &IMAGE, 0)");
+            assert!(content(&files, "tests/board.rs").contains(&board), "{board}");
+            let readme = content(&files, "README.md");
+            assert!(readme.contains(&format!("on CAN{controller} of an")), "{readme}");
+
+            let manifest: toml::Table = content(&files, "Cargo.toml").parse().expect("TOML");
+            let of_chip = manifest["features"][chip.name()].as_array().expect("features");
+            assert!(of_chip.iter().map(toml::Value::as_str).eq(features.iter().copied().map(Some)));
+            let feature = format!("can{controller}");
+            let of_firmware = toml::Value::from(vec![format!("lss-slave-firmware/{feature}")]);
+            let expected = (controller > 1).then_some(&of_firmware);
+            assert_eq!(manifest["features"].get(&feature), expected);
+        }
+    }
+
+    #[test]
+    fn a_can_controller_has_a_name_and_a_number() {
+        for (name, number) in [("can1", Some(1)), ("can2", Some(2)), ("3", Some(3)), ("can4", None)]
+        {
+            assert_eq!(chip::controller(name).ok(), number, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_chip_without_the_can_controller_is_refused() {
+        check_controller(Part::Stm32f405, 2).expect("every chip has CAN2");
+        check_controller(Part::Stm32f423, 3).expect("an STM32F423 has CAN3");
+        let error = check_controller(Part::Stm32f446, 3).expect_err("no CAN3").to_string();
+        assert_eq!(error, "stm32f446 has no CAN3, only stm32f413 and stm32f423 have");
     }
 }

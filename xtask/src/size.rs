@@ -4,6 +4,7 @@ use std::{collections::BTreeMap, env, fs, path::PathBuf};
 
 use anyhow::{Context, bail};
 use emulator::chip::{FLASH_BASE, Part, RAM_BASE};
+use lss_slave_firmware::chip;
 use object::{
     Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf, read::elf::ElfFile32,
 };
@@ -18,8 +19,8 @@ pub struct Arguments {
     /// The chip to build for
     #[arg(long, default_value = "stm32f405")]
     chip: Part,
-    /// The CAN controller: 1, 2, or on some chips 3
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=3))]
+    /// The CAN controller: can1, can2, or on some chips can3
+    #[arg(long, default_value = "can1", value_parser = chip::controller)]
     controller: u8,
     /// Show an example of an application, which has no budget
     #[arg(long)]

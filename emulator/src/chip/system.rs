@@ -136,6 +136,9 @@ impl Exti {
     /// The levels of the interrupts that EXTI drives, bit n for interrupt n.
     pub fn irqs(&self) -> u128 {
         let pending = self.regs[Self::PR] & self.regs[Self::IMR];
+        if pending == 0 {
+            return 0;
+        }
         const LINES: [(u32, u32); 14] = [
             (1, 6),
             (1 << 1, 7),

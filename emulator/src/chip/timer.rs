@@ -137,6 +137,9 @@ impl Timer {
     /// The levels of its interrupts as of the latest access or [`advance`](Self::advance), bit n for interrupt n.
     pub fn irqs(&self) -> u128 {
         let raised = self.sr & self.dier;
+        if raised == 0 {
+            return 0;
+        }
         let (update, compare) = self.kind.irqs;
         u128::from(raised & UPDATE != 0) << update | u128::from(raised & !UPDATE != 0) << compare
     }

@@ -61,7 +61,7 @@ impl Usart {
 
     /// The level of its interrupt, bit n for interrupt n.
     pub fn irqs(&self) -> u128 {
-        u128::from(self.regs[CR1 as usize / 4] & SENT != 0) << self.kind.irq
+        if self.regs[CR1 as usize / 4] & SENT == 0 { 0 } else { 1 << self.kind.irq }
     }
 
     /// The value of a register, or `None` if it does not exist.

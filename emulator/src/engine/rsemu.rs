@@ -122,6 +122,12 @@ impl Rsemu {
         })
     }
 
+    /// The program counter and xPSR, in one access: each takes a lock.
+    fn program_state(&self) -> (u32, u32) {
+        let regs = self.cpu.regs();
+        (regs.r[15], regs.xpsr)
+    }
+
     fn exception_pending(&self) -> bool {
         self.cpu.with_sys(|sys| sys.highest_pending().is_some())
     }
@@ -186,12 +192,12 @@ impl Rsemu {
     }
 
     /// Records the step, unless it was an exception entry.
-    fn record_step(&mut self, before: u32, pc: u32) {
-        if self.recorder.is_some() && self.entry(before, pc).is_none() {
-            let next = self.cpu.pc();
-            if let Some(recorder) = &mut self.recorder {
-                recorder.executed(Executed { pc, next, xpsr: before });
-            }
+    fn record_step(&mut self, before: u32, pc: u32, next: u32) {
+        if self.recorder.is_some()
+            && self.entry(before, pc).is_none()
+            && let Some(recorder) = &mut self.recorder
+        {
+            recorder.executed(Executed { pc, next, xpsr: before });
         }
     }
 
@@ -272,7 +278,7 @@ impl Engine for Rsemu {
         let chip = Arc::clone(&self.chip);
         self.sync(&lock(&chip));
         let mut target = self.clock.cycle_at(until);
-        let mut pc = self.cpu.pc();
+        let (mut pc, mut before) = self.program_state();
         while self.cycles < target {
             if self.flash_busy {
                 self.check_stall(pc);
@@ -283,7 +289,6 @@ impl Engine for Rsemu {
             }
             self.link.cycles.store(self.cycles, Relaxed);
             self.link.pc.store(pc, Relaxed);
-            let before = self.cpu.xpsr();
             let step = self.observe();
             let used = self.cpu.step();
             self.cycles += used;
@@ -299,11 +304,11 @@ impl Engine for Rsemu {
             if before & xpsr::IT_MASK != 0 {
                 self.mend_stacked_itstate(before, pc);
             }
-            self.record_step(before, pc);
+            let (next, after) = self.program_state();
+            self.record_step(before, pc, next);
             if let Some(step) = step {
                 self.notify_step(step);
             }
-            let next = self.cpu.pc();
             if self.link.written.load(Relaxed) {
                 self.link.written.store(false, Relaxed);
                 if let Some(halt) = self.after_write(until) {
@@ -322,9 +327,19 @@ impl Engine for Rsemu {
             if next == pc {
                 self.idle(used, target);
             }
-            pc = next;
+            (pc, before) = (next, after);
         }
         Halt::Deadline
+    }
+
+    fn sleep(&mut self, until: Time) -> bool {
+        let is_asleep = self.cpu.is_asleep() && self.stalled_until <= self.cycles;
+        if is_asleep {
+            let cycles = self.clock.cycle_at(until).saturating_sub(self.cycles);
+            self.skip(cycles);
+            self.asleep_cycles += cycles;
+        }
+        is_asleep
     }
 
     fn now(&self) -> Time {

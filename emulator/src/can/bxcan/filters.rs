@@ -1,4 +1,4 @@
-//! The filter banks: 28 that CAN1 shares with CAN2 (RM0090 32.7.4, 32.9.4), or 14 of CAN3 alone (RM0430 32.3).
+//! The filter banks: 28 that CAN1 shares with CAN2 (RM0090 32.7.4, 32.9.4), or 14 of CAN3 alone (RM0430 Rev 8, 32.2).
 
 use std::ops::Range;
 

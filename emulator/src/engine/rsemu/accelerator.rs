@@ -112,6 +112,19 @@ impl Accelerator {
         begin - now + self.latency()
     }
 
+    /// Takes back a prefetch whose read has not begun by `now`, and returns its line: the next read goes first.
+    fn take_waiting_prefetch(&mut self, now: u64) -> Option<u32> {
+        let latency = self.latency();
+        let (line, ready) = self.prefetched.take_if(|(_, ready)| *ready > now + latency)?;
+        self.free = ready - latency;
+        Some(line)
+    }
+
+    fn prefetch(&mut self, line: u32, now: u64) {
+        let ready = now + self.read(now);
+        self.prefetched = Some((line, ready));
+    }
+
     /// Fetches an instruction in the cycle `cycle`, to which the waits since the last call are added.
     pub fn fetch(&mut self, address: u32, cycle: u64) {
         let line = address >> LINE_BITS;
@@ -120,6 +133,7 @@ impl Accelerator {
         }
         self.current = Some(line);
         let now = cycle + self.waits;
+        self.take_waiting_prefetch(now);
         let caches = self.acr & ICEN != 0;
         let wait = if caches && self.instructions.hits(line) {
             0
@@ -137,9 +151,7 @@ impl Accelerator {
         let is_there = self.prefetched.is_some_and(|(prefetched, _)| prefetched == next)
             || caches && self.instructions.contains(next);
         if self.acr & PRFTEN != 0 && !is_there {
-            let now = now + wait;
-            let ready = now + self.read(now);
-            self.prefetched = Some((next, ready));
+            self.prefetch(next, now + wait);
         }
     }
 
@@ -152,7 +164,12 @@ impl Accelerator {
         if self.acr & DCEN != 0 {
             self.data.insert(line);
         }
-        self.waits += self.read(cycle + self.waits);
+        let now = cycle + self.waits;
+        let waiting = self.take_waiting_prefetch(now);
+        self.waits += self.read(now);
+        if let Some(line) = waiting {
+            self.prefetch(line, now);
+        }
     }
 }
 
@@ -232,6 +249,19 @@ mod tests {
         let mut accelerator = with(FIVE | PRFTEN);
         // The line after the first one is read in cycles 6 to 11, and the jump comes in cycle 6.
         assert_eq!(run(&mut accelerator, 0, [0, 0x1000].into_iter()), 6 + 6 + 6);
+    }
+
+    #[test]
+    fn prefetches_do_not_queue_up_behind_one_another() {
+        let mut accelerator = with(FIVE | ICEN | PRFTEN);
+        let mut cycle = 0;
+        // Two cached lines in turn, whose next lines are not: each entry asks for another prefetch.
+        for line in [0x000, 0x100].repeat(20) {
+            accelerator.fetch(line, cycle);
+            cycle += 1 + accelerator.take_waits();
+        }
+        accelerator.fetch(0x1000, cycle);
+        assert!(accelerator.take_waits() <= 11);
     }
 
     #[test]

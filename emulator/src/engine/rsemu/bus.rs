@@ -7,7 +7,9 @@ use std::sync::{
 
 use rsemu::core::{
     error::BusError,
-    space::{AddressSpace, Mapping, MemAttrs, MemOps, MemResult, Perms, RamStore, Region},
+    space::{
+        AddressSpace, DispatchPolicy, Mapping, MemAttrs, MemOps, MemResult, Perms, RamStore, Region,
+    },
 };
 
 use super::accelerator::Accelerator;
@@ -163,7 +165,9 @@ pub fn address_space(
     ccm: &Arc<RamStore>,
     readings: Readings,
 ) -> AddressSpace {
-    let space = AddressSpace::new("cortex-m4", 32);
+    // A table of pages up to the end of AHB2 is faster than a search among the mappings.
+    let pages = DispatchPolicy::Dense { page_bits: 16, cover: 0x5100_0000 };
+    let space = AddressSpace::new("cortex-m4", 32).with_dispatch(pages);
     let memory = |name: &str, store: &Arc<RamStore>, base: u32, perms| {
         Mapping::new(Region::ram(name, Arc::clone(store)), base.into()).with_perms(perms)
     };
