@@ -11,6 +11,7 @@ pub struct Test {
     pub path: String,
     /// From 1 on.
     pub line: usize,
+    /// Neither `cargo test` nor a part of `.ci/run` that the reason names runs it.
     pub is_ignored: bool,
 }
 
@@ -23,7 +24,7 @@ pub fn of(source: &Source) -> Vec<Test> {
     let module = module(&source.path);
     let mut tests = Vec::new();
     let mut attributes = None;
-    for (line, code) in (1..).zip(source.code().lines()) {
+    for ((line, text), code) in (1..).zip(source.text.lines()).zip(source.code().lines()) {
         let code = code.trim();
         if code == "#[test]" {
             attributes = Some(false);
@@ -31,7 +32,8 @@ pub fn of(source: &Source) -> Vec<Test> {
             && !code.is_empty()
         {
             if code.starts_with("#[") {
-                attributes = Some(is_ignored || code.starts_with("#[ignore"));
+                let is_skipped = code.starts_with("#[ignore") && !text.contains("`.ci/run ");
+                attributes = Some(is_ignored || is_skipped);
                 continue;
             }
             let name = code.strip_prefix("fn ").and_then(|rest| rest.split_once('('));
@@ -59,14 +61,14 @@ mod tests {
     #[test]
     fn tests_are_found_with_their_names() {
         let text = "#[test]\nfn one() {}\n\n#[test]\n#[ignore = \"long\"]\nfn two() {}\n\n\
-            // #[test]\nfn three() {}\n\n#[test]\n/// Never.\n#[should_panic]\nfn four() {}\n";
+            // #[test]\nfn three() {}\n\n#[test]\n#[ignore = \"`.ci/run chips`\"]\n/// Never.\n#[should_panic]\nfn four() {}\n";
         let found = |path: &str| {
             let source = Source { path: path.to_owned(), text: text.to_owned() };
             let tests = of(&source).into_iter();
             tests.map(|test| (test.name, test.line, test.is_ignored)).collect::<Vec<_>>()
         };
         let expected = |module: &str| {
-            [("one", 2, false), ("two", 6, true), ("four", 14, false)]
+            [("one", 2, false), ("two", 6, true), ("four", 15, false)]
                 .map(|(name, line, ignored)| (format!("{module}::{name}"), line, ignored))
         };
         assert_eq!(found("tests/library/eds.rs"), expected("library::eds"));
