@@ -1,37 +1,39 @@
 //! The roll call before each feeding of the watchdog: all tasks must have answered.
 
-use core::sync::atomic::{AtomicU8, Ordering};
+use core::sync::atomic::{AtomicBool, Ordering};
 
 use stm32f4xx_hal::pac::Interrupt;
 
 /// The tasks that must answer.
 #[derive(Clone, Copy)]
-#[repr(u8)]
 pub enum Task {
-    Received = 1 << 0,
-    Transmitted = 1 << 1,
-    Status = 1 << 2,
-    Store = 1 << 3,
-    Idle = 1 << 4,
+    Received,
+    Transmitted,
+    Status,
+    Store,
+    Idle,
 }
 
-const EVERYONE: u8 = 0b1_1111;
-static PRESENT: AtomicU8 = AtomicU8::new(0);
+/// Whether each task has answered.
+static PRESENT: [AtomicBool; 5] = [const { AtomicBool::new(false) }; 5];
 
 /// Records that `task` is alive.
 pub fn answer(task: Task) {
-    // Bound: 2 rounds: an interrupt between load and store repeats them.
-    PRESENT.fetch_or(task as u8, Ordering::Relaxed);
+    PRESENT[task as usize].store(true, Ordering::Relaxed);
 }
 
 /// Whether all tasks have answered.
 pub fn is_everyone_present() -> bool {
-    PRESENT.load(Ordering::Relaxed) == EVERYONE
+    // Bound: 5 rounds: the tasks.
+    PRESENT.iter().fold(true, |all, present| all & present.load(Ordering::Relaxed))
 }
 
 /// Begins the next roll call and triggers the tasks that do not run by themselves.
 pub fn begin() {
-    PRESENT.store(0, Ordering::Relaxed);
+    // Bound: 5 rounds: the tasks.
+    for present in &PRESENT {
+        present.store(false, Ordering::Relaxed);
+    }
     for interrupt in
         // Bound: 4 rounds: the interrupts in the list.
         [Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE, Interrupt::USART1]

@@ -278,7 +278,9 @@ impl Chip {
     /// Until when the CPU stalls that fetches from `pc`.
     pub fn stalled_until(&self, pc: u32, now: Time) -> Option<Time> {
         match Block::of(pc) {
-            (Block::Flash, offset) => self.flash.busy_until(offset, now),
+            (Block::Flash, offset) if !self.readings.cached_code => {
+                self.flash.busy_until(offset, now)
+            }
             _ => None,
         }
     }

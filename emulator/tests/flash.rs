@@ -338,6 +338,17 @@ fn a_failing_program_operation_leaves_a_bit_without_a_flag() {
 }
 
 #[test]
+fn a_refused_program_operation_sets_a_flag_and_no_bit() {
+    let mut rig = FlashRig::unlocked(Part::Stm32f405);
+    rig.chip.flash_mut().refuse_programs(1);
+    rig.program(0x4000, 0x1234_5678);
+    assert_eq!((rig.read(SR), rig.flash(0x4000)), (PGSERR, u32::MAX));
+    rig.program(0x4000, 0x1234_5678);
+    rig.wait();
+    assert_eq!(rig.flash(0x4000), 0x1234_5678);
+}
+
+#[test]
 fn a_power_cut_leaves_a_word_between_its_old_and_its_new_value() {
     let mut torn = 0;
     for seed in 0..200 {

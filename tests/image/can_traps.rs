@@ -7,14 +7,14 @@ use emulator::{
         Adapter, Frame, Id,
         bxcan::{Acknowledge, Readings, TransmitLock},
     },
-    chip::Pin,
+    chip::{Pin, ResetCause},
     network::{Event, Short, What},
 };
 use lss_slave::{BitRate, BitRateSetting, Settings};
 use testkit::{
     frames,
     image::{image, part},
-    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
+    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire, settings},
 };
 
 /// The line to the transceiver, as in pins.rs.
@@ -35,6 +35,13 @@ fn listener() -> Settings {
 fn answers(rig: &mut ImageRig) -> bool {
     rig.lss("04 01");
     rig.lss("5E").0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
+}
+
+fn rig_with(can_readings: Readings) -> ImageRig {
+    let board = board(settings(0x40, BitRate::Kbit500), can_readings);
+    let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
+    rig.collect(Time::from_ms(100));
+    rig
 }
 
 /// Checks that other nodes detect no error with the board if they detect none without it.
@@ -68,6 +75,57 @@ fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
         rig.collect(Time::from_ms(100));
         assert!(answers(&mut rig), "{acknowledge:?}");
     }
+}
+
+#[test]
+fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
+    let dead = Readings { acknowledge: Acknowledge::Lost { every: 1 }, ..Readings::default() };
+    let mut rig = rig_with(Readings::default());
+    for request in ["04 01", "13 00 03"] {
+        rig.lss(request);
+    }
+    rig.network.board(0).chip().can_mut(1).set_readings(dead);
+    rig.transmit_request("15 0A 00");
+    rig.network.run_for(Time::from_s(1));
+    let text = "CAN: the controller does not enter initialisation mode";
+    assert!(rig.network.board(0).log().iter().any(|line| line.text.starts_with(text)));
+    rig.network.board(0).chip().can_mut(1).set_readings(Readings::default());
+    rig.set_master_bit_rate(BitRate::Kbit250);
+    rig.network.run_for(Time::from_ms(300));
+    assert!(answers(&mut rig));
+}
+
+#[test]
+fn a_chip_is_reset_until_its_controller_acknowledges() {
+    let dead = Readings { acknowledge: Acknowledge::Lost { every: 1 }, ..Readings::default() };
+    let mut rig = rig_with(Readings::default());
+    rig.network.power_off(0);
+    rig.network.board(0).chip().can_mut(1).set_readings(dead);
+    rig.network.run_for(Time::from_ms(10));
+    rig.network.power_on(0);
+    rig.network.run_for(Time::from_ms(100));
+    rig.network.board(0).chip().can_mut(1).set_readings(Readings::default());
+    let since = rig.network.now();
+    rig.boot(0, since);
+    let causes: Vec<_> = rig.network.board(0).resets().iter().map(|(_, cause)| *cause).collect();
+    assert_eq!(causes[1], ResetCause::PowerOn);
+    assert!(causes.len() > 4 && causes[2..].iter().all(|cause| *cause == ResetCause::Software));
+    causes[1..].iter().for_each(|cause| rig.expect_reset(0, *cause));
+    rig.collect(Time::from_ms(20));
+    assert!(answers(&mut rig));
+}
+
+#[test]
+fn each_frame_is_handled_once_though_the_fifo_shows_the_next_one_late() {
+    let mut rig = rig_with(Readings { late_release: true, ..Readings::default() });
+    rig.lss("04 01");
+    for request in ["5A", "5B", "5C", "5D", "5E"] {
+        rig.network.send(rig.master, on_the_wire(&frames::stranger()));
+        rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+    }
+    let sent = rig.collect(Time::from_ms(50)).0;
+    let services: Vec<u8> = sent.iter().map(|frame| frame.data()[0]).collect();
+    assert_eq!(services, [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
 }
 
 #[test]

@@ -94,6 +94,16 @@ fn a_node_whose_supply_stays_low_is_on_the_bus_but_stores_nothing() {
     assert_eq!(rig.network.board(0).chip().flash().operations(), 0);
 }
 
+#[test]
+fn a_core_that_runs_on_while_the_flash_is_busy_waits_for_its_end() {
+    let mut rig = node_40(Readings { cached_code: true, ..Readings::default() });
+    rig.lss("04 01");
+    rig.lss("11 04");
+    assert_eq!(rig.lss("17"), ["17 00"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
+}
+
 /// After the failure the board must not send; a frame under way ends as an error.
 #[test]
 fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {

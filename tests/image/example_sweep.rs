@@ -1,87 +1,20 @@
 //! The example `io` and the node in the process, asked the same: objects with every kind of value, wrong transfers, and
 //! parameters that fill the settings log or are damaged.
 
-use std::collections::VecDeque;
-
-use emulator::{Time, board::Board, chip::Part};
+use emulator::{
+    Time,
+    board::{self, Board},
+    chip::{Part, Readings},
+};
 use lss_slave::{BitRate, Frame};
-use lss_slave_firmware::io;
 use testkit::{
-    flash::BoardFlash,
-    frames::{self, SILENCE},
+    frames::{self, Frames, SILENCE},
     image::example,
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
-    node_rig::{self, NodeRig},
     sdo::{self, Client},
 };
 
-const NODE_ID: u8 = 0x40;
-
-type Model = NodeRig<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
-
-/// The board and its model.
-struct Pair {
-    rig: ImageRig,
-    model: Model,
-}
-
-fn rig(content: &[u8]) -> ImageRig {
-    let mut board = Board::new(Part::Stm32f407, example(), Default::default());
-    board.set_flash(SETTINGS_OFFSET, content);
-    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
-    rig.collect(Time::from_ms(50));
-    rig
-}
-
-impl Pair {
-    fn new() -> Self {
-        let stored = settings(NODE_ID, BitRate::Kbit1000);
-        let content = flash_with(&[stored]);
-        let device = node_rig::device(node_rig::ADDRESS)
-            .with_name("LSS slave")
-            .with_versions("1.0", "0.1.0")
-            .with_defaults(settings(0xFF, BitRate::Kbit1000).with_heartbeat_ms(1000));
-        let flash = BoardFlash::with_content(content.clone(), 0);
-        let mut model = NodeRig::with_application(device, flash, 0, io::Application::new());
-        model.take_actions();
-        Self { rig: rig(&content), model }
-    }
-
-    /// Sends a request to both, and compares what their SDO servers answer.
-    fn ask(&mut self, request: [u8; 8]) {
-        let frame = Frame::new(0x600 + u16::from(NODE_ID), &request).expect("a frame");
-        let is_answer = |frame: &&Frame| frame.cob_id() == 0x580 + u16::from(NODE_ID);
-        let expected = self.model.receive(&frame).0;
-        let mut expected: VecDeque<Frame> = expected.iter().filter(is_answer).copied().collect();
-        self.rig.network.send(self.rig.master, on_the_wire(&frame));
-        let span = Time::from_us(600) + Time::from_us(150) * expected.len() as u64;
-        let mut sent: VecDeque<Frame> =
-            self.rig.collect(span).0.iter().filter(is_answer).copied().collect();
-        while sent.len() < expected.len() {
-            let (_, more) = self.rig.next_frame();
-            assert!(!more.0.is_empty(), "{request:02X?}: {sent:?}, not {expected:?}");
-            sent.extend(more.0.iter().filter(is_answer));
-        }
-        while let (Some(sent), Some(expected)) = (sent.pop_front(), expected.pop_front()) {
-            assert_eq!(sent, expected, "{request:02X?}");
-        }
-        assert!(
-            sent.is_empty() && expected.is_empty(),
-            "{request:02X?}: {sent:?}, not {expected:?}"
-        );
-    }
-
-    fn say(&mut self, text: &str) {
-        let mut request = frames::bytes(text);
-        request.resize(8, 0);
-        self.ask(request.try_into().expect("eight bytes"));
-    }
-}
-
-fn message(command: u8, index: u16, sub_index: u8, value: u32) -> [u8; 8] {
-    let ([i0, i1], [d0, d1, d2, d3]) = (index.to_le_bytes(), value.to_le_bytes());
-    [command, i0, i1, sub_index, d0, d1, d2, d3]
-}
+use crate::example_pair::{NODE_ID, Pair, message, rig};
 
 /// The objects, but those that a store or a chip decides: 1010h, 1011h, 1018h, 6401h. The last one does not exist.
 fn indices() -> impl Iterator<Item = u16> {
@@ -188,6 +121,8 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
         &["40 08 10 00", "00 41", "20", "E0", "C0", "C0 02 21 00"],
         &["40 02 21 00", "60", "70", "60", "80 02 21 00"],
         &["40 FF 10 00", "40 08 10 05", "40 00 10 01"],
+        // A history without an error.
+        &["40 03 10 01", "A4 03 10 01 7F 00", "A4 03 10 00 7F 00"],
         // Segmented downloads to a text: too long, too short, wrong size, no size.
         &["21 01 21 03 03", "00 61 62 63 64 65 66 67", "10", "80 01 21 03"],
         &["21 01 21 03 08", "00 61 62 63 64 65 66 67", "1D 61", "40 01 21 03", "60", "70"],
@@ -232,6 +167,7 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
             "A2 01 01",
             "A1",
         ],
+        &["A4 08 10 00 7F 00", "A3", "A2 01 00"],
         &["A4 08 10 00 7F 00", "A3", "A2 03 7F"],
         &["A4 08 10 00 7F 00", "A3", "A2 02 00"],
         &["A4 08 10 00 7F 00", "A3", "A2 02 80"],
@@ -257,6 +193,10 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
         &["C2 01 21 03 11", "C2 17 10 00 01", "C2 17 10 00 03", "C2 00 10 00 04", "C2 FF 10 00 04"],
         &["C2 17 10 00 02", "81 0A 00", "D5", "C2 17 10 00 02", "81 0A 00", "C1", "A1"],
         &["C2 17 10 00 02", "81 0A 00", "D5 00", "40 17 10 00"],
+        // Numbers without an announced length.
+        &["20 17 10 00", "0D 0A", "20 17 10 00", "0F", "20 17 10 00", "09 0A 00 00", "40 17 10 00"],
+        // No data at all.
+        &["C6 01 21 03 00", "81", "DD", "40 01 21 03", "60"],
         &["C4 02 21 00", "81 00 9E 3C DA 78 17 B5", "80 02 21 00"],
         &["C6 02 21 00", "81 01 01 01", "C1", "A3", "A2"],
     ] {
@@ -265,6 +205,143 @@ fn each_wrong_transfer_is_answered_as_by_the_node_in_the_process() {
         }
         pair.say("80 00 00 00");
     }
+}
+
+#[test]
+fn each_command_in_a_transfer_is_answered_as_by_the_node_in_the_process() {
+    let mut pair = Pair::new();
+    for begin in [
+        &[][..],
+        &["40 08 10 00"],
+        &["21 01 21 03 08"],
+        &["A4 08 10 00 7F 00"],
+        &["A4 08 10 00 7F 00", "A3"],
+        &["A4 08 10 00 01 00", "A3"],
+        &["A4 08 10 00 7F 00", "A3", "A2 02 7F"],
+        &["C6 01 21 03 03"],
+        &["C2 01 21 03 03", "81 61 62 63"],
+        &["C6 01 21 03 03", "81 61 62 63"],
+        &["C4 02 21 00"],
+    ] {
+        for command in [
+            "00", "01", "0F", "11", "20", "21", "22", "40", "60", "70", "80", "81", "A0", "A1",
+            "A2", "A2 01", "A2 01 7F", "A2 01 80", "A2 02 7F", "A3", "C0", "C1", "C2", "D0", "D1",
+            "E0", "FF",
+        ] {
+            begin.iter().for_each(|request| pair.say(request));
+            pair.say(command);
+            pair.say("80");
+            pair.say("80");
+        }
+    }
+}
+
+#[test]
+fn each_lss_command_is_answered_as_by_the_node_in_the_process() {
+    /// Those whose answer depends on the identity, which differs, and the switch of the bit rate.
+    const LEFT_OUT: [u8; 6] = [0x15, 0x51, 0x5A, 0x5B, 0x5C, 0x5D];
+    let mut pair = Pair::with(&flash_with(&[settings(0xFF, BitRate::Kbit1000)]));
+    for begin in [&["04 00"][..], &["04 01"], &["04 01", "11 41"]] {
+        for command in (0..=u8::MAX).filter(|command| !LEFT_OUT.contains(command)) {
+            let request = format!("{command:02X} 01 01");
+            for request in begin.iter().chain([&request.as_str()]) {
+                pair.exchange(&frames::request(request), 0x7E4..=0x7E4);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_text_of_any_length_is_written_and_read_as_by_the_node_in_the_process() {
+    let mut pair = Pair::new();
+    let read =
+        [&["40 01 21 03", "60", "70", "60"][..], &["A4 01 21 03 7F 00", "A3", "A2 00 7F", "80"]];
+    let confirm = |len: usize| format!("A2 {:02X} 7F", len.div_ceil(7).max(1));
+    for len in [0, 1, 4, 5, 7, 8, 14, 16] {
+        let text = [0x41; 16];
+        pair.say(&format!("21 01 21 03 {len:02X}"));
+        let mut parts = text[..len].chunks(7).peekable();
+        let mut toggle = 0;
+        loop {
+            let part = parts.next().unwrap_or_default();
+            let is_last = parts.peek().is_none();
+            let command = toggle | (7 - part.len() as u8) << 1 | u8::from(is_last);
+            let bytes: String = part.iter().map(|byte| format!(" {byte:02X}")).collect();
+            pair.say(&format!("{command:02X}{bytes}"));
+            toggle ^= 0x10;
+            if is_last {
+                break;
+            }
+        }
+        for requests in read {
+            requests.iter().for_each(|request| pair.say(request));
+        }
+        for request in ["A4 01 21 03 7F 00", "A3", &confirm(len), "A1", "80"] {
+            pair.say(request);
+        }
+    }
+}
+
+#[test]
+fn a_save_by_each_service_is_confirmed_by_it() {
+    let mut pair = Pair::new();
+    for transfer in [
+        &["23 10 10 01 73 61 76 65"][..],
+        &["2B 17 10 00 64", "21 10 10 01 04", "07 73 61 76 65"],
+        &["2B 17 10 00 65", "C2 10 10 01 04", "81 73 61 76 65", "CD"],
+        &["21 10 10 01 04", "07 73 61 76 66", "C2 10 10 01 04", "81 73 61 76 66", "CD"],
+    ] {
+        transfer.iter().for_each(|request| pair.say(request));
+    }
+}
+
+#[test]
+fn a_client_that_falls_silent_in_a_transfer_gets_an_abort() {
+    let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+    for begin in [
+        &["40 08 10 00"][..],
+        &["21 01 21 03 08"],
+        &["A4 08 10 00 7F 00"],
+        &["A4 02 21 00 02 00", "A3"],
+        &["C2 02 21 00 A0 86 01 00"],
+        &["C2 02 21 00 A0 86 01 00", "01 00 9E 3C DA 78 17 B5"],
+        &["C2 01 21 03 03", "81 61 62 63"],
+    ] {
+        for request in begin {
+            rig.transmit(on_the_wire(&sdo::request(NODE_ID, request)));
+            rig.collect(Time::from_ms(2));
+        }
+        let sent = rig.collect(Time::from_s(3)).0;
+        let is_timeout = |frame: &Frame| {
+            frame.cob_id() == 0x5C0
+                && frame.data()[..1] == [0x80]
+                && frame.data()[4..] == [0, 0, 4, 5]
+        };
+        assert_eq!(sent.iter().filter(|frame| is_timeout(frame)).count(), 1, "{begin:?}: {sent:?}");
+    }
+}
+
+#[test]
+fn a_client_may_confirm_a_block_while_it_is_sent() {
+    // The slow core leaves the bus to the client after two segments.
+    let of_chip = Readings { slowdown: 10, ..Readings::default() };
+    let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+    let mut board = Board::new(Part::Stm32f407, example(), of_board);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    rig.collect(Time::from_ms(50));
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "A4 02 21 00 7F 00")));
+    rig.collect(Time::from_ms(2));
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "A3")));
+    let (_, first) = rig.next_frame();
+    rig.network.send(rig.master, on_the_wire(&sdo::request(NODE_ID, "A2 02 7F")));
+    let (_, second) = rig.next_frame();
+    let (_, third) = rig.next_frame();
+    let number = |frames: &Frames| frames.0[0].data()[0];
+    assert_eq!((number(&first), number(&second), number(&third)), (1, 2, 1), "it goes on behind");
+    assert_ne!(first.0[0].data()[1..], third.0[0].data()[1..]);
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "80 02 21 00")));
+    rig.collect(Time::from_ms(5));
 }
 
 #[test]

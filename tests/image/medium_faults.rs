@@ -77,6 +77,14 @@ fn assert_refuses(rig: &mut ImageRig, why: &str) {
     assert_node_40_goes_on(rig);
 }
 
+#[test]
+fn a_store_that_the_controller_refuses_is_an_error() {
+    let mut rig = node_40();
+    flash(&rig, |flash| flash.refuse_programs(1));
+    assert_refuses(&mut rig, REPORTS_AN_ERROR);
+    assert!(says(&rig, "flash: the operation failed with FLASH_SR 0x80"));
+}
+
 fn assert_stores(rig: &mut ImageRig) {
     configure(rig);
     assert_eq!(lss(rig, "17"), ["17 00"]);

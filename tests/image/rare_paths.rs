@@ -200,6 +200,7 @@ fn fastscan_ignores_steps_beyond_32_bits_and_four_parts() {
         assert_eq!(rig.lss(&format!("51 00 00 00 00 {bit_check} 00 00")), SILENCE, "{bit_check}");
     }
     assert_eq!(rig.lss("51 00 00 00 00 1F 00 04"), SILENCE, "there is no fifth part");
+    assert_eq!(rig.lss("51 00 00 00 00 1F 01 01"), SILENCE, "the first part is awaited");
     assert_eq!(rig.lss("51 00 00 00 00 1F 00 00"), ["4F"]);
 }
 
@@ -301,10 +302,13 @@ fn saving() -> ImageRig {
 #[test]
 fn one_save_runs_and_one_waits_and_a_third_is_refused() {
     let mut rig = saving();
-    for _ in 0..4 {
+    queue(&mut rig, &sdo::request(0x40, "23 10 10 01 73 61 76 65"));
+    queue(&mut rig, &sdo::request(0x40, "23 11 10 01 6C 6F 61 64"));
+    for _ in 0..3 {
         queue(&mut rig, &sdo::request(0x40, "23 10 10 01 73 61 76 65"));
     }
     let answers = texts(&rig.collect(Time::from_ms(50)));
+    assert!(answers.contains(&"5C0: 80 11 10 01 21 00 00 08".to_owned()), "{answers:?}");
     let count = |end: &str| answers.iter().filter(|text| **text == format!("5C0: {end}")).count();
     let (done, refused) = (count("60 10 10 01 00 00 00 00"), answers.len() - 1);
     assert!(done >= 2 && refused > done, "{answers:?}");

@@ -8,7 +8,10 @@ use emulator::{
     network::{Event, What},
 };
 use lss_slave::BitRate;
-use testkit::image_rig::{ImageRig, board_with, settings};
+use testkit::{
+    frames,
+    image_rig::{ImageRig, board_with, on_the_wire, settings},
+};
 
 /// TIM2's control register and its counter (RM0090, 18.4).
 const TIM2_CR1: u32 = 0x4000_0000;
@@ -76,6 +79,25 @@ fn a_wrap_of_the_count_of_time_changes_nothing_that_the_board_does() {
         let apart = old.time.as_ps().abs_diff(young.time.as_ps());
         let is_same = old.source == young.source && same(&old.what, &young.what);
         assert!(is_same && apart <= 2_000_000, "{old}, not {young}");
+    }
+}
+
+#[test]
+fn a_board_follows_the_bus_whatever_the_count() {
+    for count in [0, 0x4000_0000, 0x8000_0000, 0xC000_0000] {
+        let mut rig = booted_at(count);
+        rig.collect(Time::from_ms(20));
+        for rate in [BitRate::Kbit250, BitRate::Kbit500, BitRate::Kbit1000] {
+            rig.set_master_bit_rate(rate);
+            let is_reached = (0..300).any(|_| {
+                for request in ["04 01", "5E"] {
+                    rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+                }
+                let frames = rig.collect(Time::from_ms(50));
+                frames.0.iter().any(|frame| frame.cob_id() == 0x7E4)
+            });
+            assert!(is_reached, "{rate:?} from {count:X}");
+        }
     }
 }
 

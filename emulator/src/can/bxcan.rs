@@ -219,8 +219,8 @@ impl Bxcan {
             MCR => self.mcr,
             MSR => self.msr(now),
             TSR => self.mailboxes.tsr(self.mcr & MCR_TXFP != 0),
-            RF0R => self.fifos[0].rfr(),
-            RF1R => self.fifos[1].rfr(),
+            RF0R => self.fifos[0].rfr(now),
+            RF1R => self.fifos[1].rfr(now),
             IER => self.ier,
             ESR => self.esr(),
             BTR => self.btr,
@@ -230,7 +230,7 @@ impl Bxcan {
             }
             RECEIVE_MAILBOXES..0x1D0 => {
                 let (fifo, word) = place(offset - RECEIVE_MAILBOXES);
-                self.fifos[fifo].read(word)
+                self.fifos[fifo].read(word, now)
             }
             FILTERS.. if self.role != Role::Slave => return self.filters.read(offset - FILTERS),
             _ => return None,
@@ -259,8 +259,8 @@ impl Bxcan {
                 self.note_aborted(aborted, now);
                 self.offer();
             }
-            RF0R => self.fifos[0].write_rfr(value),
-            RF1R => self.fifos[1].write_rfr(value),
+            RF0R => self.fifos[0].write_rfr(value, self.release_at(now)),
+            RF1R => self.fifos[1].write_rfr(value, self.release_at(now)),
             IER => {
                 self.ier = value & IER_WRITABLE;
                 return value & !IER_WRITABLE == 0;
@@ -281,6 +281,12 @@ impl Bxcan {
             _ => return false,
         }
         true
+    }
+
+    /// The time at which a frame that is released now leaves its FIFO.
+    fn release_at(&self, now: Time) -> Time {
+        let cycles = if self.oddities.readings.late_release { 2 } else { 0 };
+        now + Time::from_ps(cycles * 1_000_000_000_000 / u64::from(self.controller.clock().hz))
     }
 
     fn note_aborted(&mut self, frames: [Option<Frame>; 3], now: Time) {

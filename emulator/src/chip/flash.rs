@@ -78,6 +78,7 @@ pub struct Flash {
     failing_erases: u32,
     failing_erase_seed: u64,
     failing_programs: u32,
+    refused_programs: u32,
     changed: Option<Range<usize>>,
 }
 
@@ -112,6 +113,7 @@ impl Flash {
             failing_erases: 0,
             failing_erase_seed: 0,
             failing_programs: 0,
+            refused_programs: 0,
             changed: None,
         }
     }
@@ -409,7 +411,10 @@ impl Flash {
         let now = self.operation.as_ref().map_or(now, |operation| operation.end);
         self.advance(now);
         let size = 1 << (self.cr >> 8 & 3);
-        if self.cr & CR_PG == 0 || self.cr & (CR_LOCK | CR_SER | CR_MER) != 0 {
+        if self.refused_programs > 0 {
+            self.refused_programs -= 1;
+            self.sr |= SR_PGSERR;
+        } else if self.cr & CR_PG == 0 || self.cr & (CR_LOCK | CR_SER | CR_MER) != 0 {
             self.sr |= SR_PGSERR;
         } else if width.bytes() != size {
             self.sr |= SR_PGPERR;

@@ -13,6 +13,9 @@ pub struct Readings {
     /// A read of the flash takes the wait states of FLASH_ACR unless the prefetch or a cache hides them (RM0090 3.5).
     /// Otherwise it takes none.
     pub flash_waits: bool,
+    /// The code that waits for the flash is in the instruction cache, so that the core runs on while the flash is busy.
+    /// Otherwise the core stalls at its next fetch from the busy bank.
+    pub cached_code: bool,
     /// A word whose programming was interrupted reads as any value between the old and the new one, differently at each
     /// power-on, until it is programmed again or erased.
     pub cut_words_flip: bool,
@@ -71,6 +74,7 @@ impl Default for Readings {
             no_fault_below_ram: false,
             slowdown: 1,
             flash_waits: false,
+            cached_code: false,
             cut_words_flip: false,
             lsi_hz: 32_000,
             hse_start: Time::from_ms(2),

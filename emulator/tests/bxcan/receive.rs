@@ -1,6 +1,9 @@
 //! Receive FIFOs.
 
-use emulator::can::{Frame, Id};
+use emulator::{
+    Time,
+    can::{Frame, Id, bxcan::Readings},
+};
 
 use crate::rig::{CanRig, IER, RF0R, RFLM, RI0R, standard};
 
@@ -23,6 +26,23 @@ fn a_frame_is_readable_from_the_last_but_one_bit_of_eof() {
     rig.write(RF0R, 1 << 5);
     assert_eq!(rig.read(RF0R), 0);
     assert!(!rig.can.irq().rx0);
+}
+
+#[test]
+fn a_fifo_may_show_a_released_frame_for_two_cycles() {
+    let readings = Readings { late_release: true, ..Readings::default() };
+    let mut rig = CanRig::reading(readings, 0);
+    (1..=2).for_each(|n| rig.adapter.send(standard(0x100, &[n])));
+    rig.run_us(200);
+    let shown = |rig: &CanRig, ps| {
+        let read = |offset| rig.can.read(offset, rig.bus.now() + Time::from_ps(ps));
+        (read(RF0R), read(RI0R + 8))
+    };
+    assert_eq!(shown(&rig, 0), (Some(2), Some(1)));
+    rig.write(RF0R, 1 << 5);
+    // At 32 MHz.
+    assert_eq!(shown(&rig, 62_499), (Some(2 | 1 << 5), Some(1)));
+    assert_eq!(shown(&rig, 62_500), (Some(1), Some(2)));
 }
 
 #[test]

@@ -22,6 +22,8 @@ pub struct Readings {
     pub transmit_lock: Option<TransmitLock>,
     /// Acknowledgement of initialisation mode.
     pub acknowledge: Acknowledge,
+    /// A receive FIFO shows a released frame, and RFOM, for two cycles of APB1, instead of the next frame at once.
+    pub late_release: bool,
 }
 
 /// The transmit pin becomes dominant, until the next reset by RCC, once frames are received in a silent mode that was

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use super::{Frame, filters::identifier_word};
+use crate::Time;
 
 const DEPTH: usize = 3;
 
@@ -22,8 +23,9 @@ type Message = [u32; 4];
 #[derive(Debug, Default)]
 pub struct Fifo {
     messages: VecDeque<Message>,
-    /// The content of the output mailbox while the FIFO is empty.
+    /// The content of the output mailbox while the FIFO is empty, and until the release is complete.
     released: Message,
+    released_at: Time,
     /// FULL and FOVR.
     flags: u32,
 }
@@ -53,8 +55,9 @@ impl Fifo {
     }
 
     /// RF0R or RF1R.
-    pub fn rfr(&self) -> u32 {
-        self.messages.len() as u32 | self.flags
+    pub fn rfr(&self, now: Time) -> u32 {
+        let messages = self.messages.len() as u32;
+        self.flags | if now < self.released_at { RFOM | (messages + 1) } else { messages }
     }
 
     /// Discards its messages, as a master reset does.
@@ -62,21 +65,23 @@ impl Fifo {
         self.messages.clear();
     }
 
-    /// Clears FULL and FOVR where 1 is written. RFOM releases the output mailbox and clears FULL, although the manual
-    /// says that only software clears it (confidence 0.85).
-    pub fn write_rfr(&mut self, value: u32) {
+    /// Clears FULL and FOVR where 1 is written. RFOM releases the output mailbox at `release_at` and clears FULL,
+    /// although the manual says that only software clears it (confidence 0.85).
+    pub fn write_rfr(&mut self, value: u32, release_at: Time) {
         self.flags &= !(value & (FULL | FOVR));
         if value & RFOM != 0
             && let Some(message) = self.messages.pop_front()
         {
             self.released = message;
+            self.released_at = release_at;
             self.flags &= !FULL;
         }
     }
 
     /// A word of the output mailbox.
-    pub fn read(&self, word: usize) -> u32 {
-        self.messages.front().unwrap_or(&self.released)[word]
+    pub fn read(&self, word: usize, now: Time) -> u32 {
+        let next = self.messages.front().filter(|_| self.released_at <= now);
+        next.unwrap_or(&self.released)[word]
     }
 
     /// The level of the interrupt line with these enable bits.

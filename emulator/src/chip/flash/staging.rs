@@ -73,6 +73,11 @@ impl Flash {
         self.failing_programs = count;
     }
 
+    /// Makes each of the next `count` program operations end at once with PGSERR, without an effect.
+    pub fn refuse_programs(&mut self, count: u32) {
+        self.refused_programs = count;
+    }
+
     /// The number of program and erase operations started since the board was made.
     pub fn operations(&self) -> u64 {
         self.operations.len() as u64

@@ -1,0 +1,344 @@
+//! The example `io` with parameters in its flash that another firmware may have written, or that are damaged: it takes
+//! and leaves them as the node in the process does.
+
+use emulator::{
+    Time,
+    board::Board,
+    chip::{Part, StuckBits},
+};
+use lss_slave::{BitRate, settings::Log};
+use testkit::{
+    flash::BoardFlash,
+    image::example,
+    image_rig::{ImageRig, SETTINGS_OFFSET, settings},
+    sdo::Client,
+    settings::{record, sealed},
+};
+
+use crate::example_pair::{NODE_ID, Pair};
+
+/// Codes of the data types.
+const U8: u8 = 0x05;
+const U32: u8 = 0x07;
+const REAL32: u8 = 0x08;
+const TEXT: u8 = 0x09;
+const I64: u8 = 0x15;
+const PDO: u8 = 0x20;
+
+const MOST: usize = 4_000;
+
+/// A parameter as it is packed.
+fn parameter(index: u16, sub_index: u8, data_type: u8, value: &[u8]) -> Vec<u8> {
+    let [i0, i1] = index.to_le_bytes();
+    let [l0, l1] = (value.len() as u16).to_le_bytes();
+    [&[i0, i1, sub_index, data_type, l0, l1], value].concat()
+}
+
+/// The content of the settings' flash after a store with these parameters.
+fn flash_with(parameters: &[u8]) -> Vec<u8> {
+    let (mut log, _) = Log::<_, MOST>::open_with_parameters(BoardFlash::blank(0));
+    let stored = settings(NODE_ID, BitRate::Kbit1000);
+    log.store_with_parameters(stored, parameters).expect("the flash works");
+    log.close().content()
+}
+
+/// Lets both start with these parameters and save all of their values, and compares the flashes.
+fn check(parameters: &[u8]) {
+    check_content(&flash_with(parameters));
+}
+
+fn check_content(content: &[u8]) {
+    let mut pair = Pair::with(content);
+    pair.say("23 10 10 01 73 61 76 65");
+    let content = pair.model.flash.content();
+    let flash = pair.rig.network.board(0).flash();
+    let stored = &flash[SETTINGS_OFFSET as usize..][..content.len()];
+    let differing = stored.iter().zip(&content).position(|(stored, other)| stored != other);
+    assert_eq!(differing, None);
+}
+
+/// The value, and its bytes with too few and too many of them.
+fn lengths(value: &[u8]) -> impl Iterator<Item = Vec<u8>> {
+    let longest = [value, &[0; 18]].concat();
+    [0, 1, 2, 3, 4, 5, 7, 8, 9, 16, 17]
+        .map(|len| longest[..len.min(longest.len())].to_vec())
+        .into_iter()
+}
+
+#[test]
+fn a_stored_value_is_taken_with_its_type_and_length_and_within_limits() {
+    for (index, sub_index, data_type, values) in [
+        (0x2100, 0, U8, &[&[9][..], &[255], &[8]][..]),
+        (
+            0x2101,
+            1,
+            REAL32,
+            &[&[0, 0, 0xC0, 0x7F], &[0, 0, 0, 0xBF], &[0, 0, 0, 0x41], &[0, 0, 0xC0, 0x3F]],
+        ),
+        (0x2101, 2, I64, &[&[1, 2, 3, 4, 5, 6, 7, 0x88]]),
+        (0x2101, 3, TEXT, &[&[0x41; 17], &[0x42; 16], &[], &[0x43, 0xFF]]),
+        (0x6426, 1, U32, &[&[1, 2, 3, 4]]),
+        // Values that are not stored, and those of nobody.
+        (0x2101, 0, U8, &[&[3]]),
+        (0x2101, 4, U8, &[&[3]]),
+        (0x2102, 0, 0x0F, &[&[3], &[]]),
+        (0x6200, 1, U8, &[&[3]]),
+        (0x6401, 1, 0x03, &[&[3, 0]]),
+        (0x2001, 0, U8, &[&[3]]),
+        (0x0001, 0, U8, &[&[3]]),
+        (0x9FFF, 0, U8, &[&[3]]),
+    ] {
+        let mut all = Vec::new();
+        for value in values {
+            for other in [data_type, U32, 0x06, 0x10] {
+                all.extend(parameter(index, sub_index, other, value));
+            }
+            all.extend(parameter(index, sub_index, data_type, value));
+        }
+        check(&all);
+        for value in lengths(values[0]) {
+            all.extend(parameter(index, sub_index, data_type, &value));
+        }
+        check(&all);
+    }
+}
+
+#[test]
+fn a_stored_communication_parameter_is_taken_only_if_it_is_legal() {
+    for (index, sub_index, data_type, values) in [
+        (
+            0x1005,
+            0,
+            U32,
+            &[
+                0x80_u32,
+                0x81,
+                0x100,
+                0x101,
+                0x580,
+                0x581,
+                0x600,
+                0x601,
+                0x6E0,
+                0x701,
+                0x800,
+                0x4000_0080,
+                0x8000_0082,
+            ][..],
+        ),
+        (0x1019, 0, U8, &[1, 241, 255, 2, 240, 0]),
+        (0x1029, 1, U8, &[3, 255, 2, 1]),
+        (0x1029, 0, U8, &[1]),
+        (0x1029, 2, U8, &[1]),
+        (0x1016, 0, U32, &[0x000A_0064]),
+        (0x1016, 1, U32, &[0x0080_0064, 0x0000_0064, 0x000A_0000, 0x0100_0000, 0x000A_0064]),
+        (0x1016, 2, U32, &[0x000A_0064]),
+        (0x1017, 0, U32, &[100]),
+        (0x1400, 1, U32, &[0x181]),
+        (0x1000, 0, U32, &[1]),
+    ] {
+        let len = if data_type == U8 { 1 } else { 4 };
+        let mut all = Vec::new();
+        for value in values {
+            let bytes = value.to_le_bytes();
+            for other in [data_type, 0x06, 0x10] {
+                all.extend(parameter(index, sub_index, other, &bytes[..len]));
+            }
+        }
+        check(&all);
+        for value in lengths(&values[0].to_le_bytes()[..len]) {
+            all.extend(parameter(index, sub_index, data_type, &value));
+            all.extend(parameter(index, sub_index + 1, data_type, &value));
+        }
+        check(&all);
+    }
+}
+
+/// The first place of the bank that holds a record of 32 bytes.
+const SECOND_BANK: usize = 0x4000;
+const FIRST_RECORD: usize = 0;
+
+/// The content of a flash whose only record refers to these parameters.
+fn referring(first: u16, len: u16, crc: u32) -> Vec<u8> {
+    let mut record = record(1, 1, NODE_ID, 0, 0);
+    record[10..12].copy_from_slice(&first.to_le_bytes());
+    record[12..14].copy_from_slice(&len.to_le_bytes());
+    record[14..18].copy_from_slice(&crc.to_le_bytes());
+    let mut content = vec![0xFF; 2 * SECOND_BANK];
+    content[FIRST_RECORD..][..32].copy_from_slice(&sealed(record));
+    content
+}
+
+#[test]
+fn a_record_that_refers_to_nothing_or_beyond_is_read_as_by_the_node() {
+    for (first, len, crc) in
+        [(0, 0, 0), (0, 24, 0), (0, 1, 0), (1, 24, 0), (0xFFFF, 0xFFFE, 0), (0x8000, 24, 7)]
+    {
+        let mut content = referring(first, len, crc);
+        check_content(&content);
+        // With little space behind it, the record moves to the other bank.
+        content.copy_within(FIRST_RECORD..FIRST_RECORD + 32, SECOND_BANK - 64);
+        content[FIRST_RECORD..][..32].fill(0xFF);
+        check_content(&content);
+    }
+}
+
+/// A flash whose first bank is almost full, with parameters in the first places.
+fn almost_full() -> Vec<u8> {
+    let (mut log, _) = Log::<_, MOST>::open_with_parameters(BoardFlash::blank(0));
+    let stored = settings(NODE_ID, BitRate::Kbit1000);
+    let parameters = parameter(0x6426, 1, U32, &[7, 0, 0, 0]);
+    log.store_with_parameters(stored, &parameters).expect("the flash works");
+    for heartbeat_ms in (0..400).rev() {
+        log.store(stored.with_heartbeat_ms(heartbeat_ms)).expect("there is room");
+    }
+    log.close().content()
+}
+
+/// A board with a bit that is stuck at 1.
+fn board(content: &[u8], stuck: usize) -> ImageRig {
+    let mut board = Board::new(Part::Stm32f407, example(), Default::default());
+    board.set_flash(SETTINGS_OFFSET, content);
+    let bits = StuckBits { offset: SETTINGS_OFFSET + stuck as u32, mask: 1, value: 1 };
+    board.chip().flash_mut().add_stuck_bits(bits);
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    rig.collect(Time::from_ms(50));
+    rig
+}
+
+#[test]
+fn a_move_to_a_bad_bank_is_reported_and_nothing_is_lost() {
+    let sound = almost_full();
+    let torn = {
+        let end = sound[..SECOND_BANK].iter().rposition(|byte| *byte != 0xFF).expect("a record");
+        let mut torn = sound.clone();
+        torn[end + 1..][..4].fill(0);
+        torn
+    };
+    // The parameters, or the bit rate in the record behind them.
+    for (content, stuck) in [(&sound, 4), (&sound, 32 + 6), (&torn, 4), (&torn, 32 + 6)] {
+        let mut rig = board(content, SECOND_BANK + stuck);
+        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), 7, "{stuck}");
+        let failed = "the flash failed, a store may fail too";
+        let log = rig.network.board(0).log();
+        assert!(log.iter().any(|line| line.text.starts_with(failed)), "{stuck}: {log:#?}");
+    }
+}
+
+#[test]
+fn a_save_that_fails_at_any_place_leaves_the_old_values() {
+    let content = flash_with(&parameter(0x6426, 1, U32, &[7, 0, 0, 0]));
+    // The first places hold the record of the formatting, the parameters and their record.
+    for place in 3.. {
+        let mut rig = board(&content, 32 * place + 6);
+        let mut client = rig.sdo_client(NODE_ID);
+        client.download(0x6426, 1, &[8, 0, 0, 0]).expect("it can be written");
+        let is_saved = client.download(0x1010, 1, b"save").is_ok();
+        rig.power_cycle(0);
+        rig.collect(Time::from_ms(50));
+        let expected = if is_saved { 8 } else { 7 };
+        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), expected, "place {place}");
+        if is_saved {
+            assert!(place > 5, "a save writes several places");
+            break;
+        }
+    }
+}
+
+fn words(words: &[u32]) -> Vec<u8> {
+    words.iter().flat_map(|word| word.to_le_bytes()).collect()
+}
+
+#[test]
+fn a_stored_pdo_is_taken_only_if_all_of_it_is_legal() {
+    const FOLLOWS_NODE_ID: u32 = 0x800;
+    const OUTPUTS: u32 = 0x6200_0108;
+    for (first, number) in [(0x1400, 2), (0x1800, 5)] {
+        let pdo = |cob_id, transmission_type, rest: [u32; 3], mapping: &[u32]| {
+            words(&[&[cob_id, transmission_type][..], &rest[..number - 2], mapping].concat())
+        };
+        let legal = |mapping: &[u32]| pdo(0x181, 255, [0; 3], mapping);
+        let mut values: Vec<Vec<u8>> = [
+            FOLLOWS_NODE_ID,
+            0x801,
+            0x8000_0800,
+            0x8000_0101,
+            0x4000_0181,
+            0x0,
+            0x7F,
+            0x80,
+            0xFF,
+            0x100,
+            0x101,
+            0x180,
+            0x181,
+            0x580,
+            0x581,
+            0x5FF,
+            0x600,
+            0x601,
+            0x67F,
+            0x680,
+            0x6DF,
+            0x6E0,
+            0x6FF,
+            0x700,
+            0x701,
+            0x7FF,
+        ]
+        .iter()
+        .map(|&cob_id| pdo(cob_id, 255, [0; 3], &[OUTPUTS]))
+        .collect();
+        values.extend(
+            [0, 240, 241, 253, 254, 255, 256, 0x1_0000]
+                .map(|kind| pdo(0x181, kind, [0; 3], &[OUTPUTS])),
+        );
+        for rest in [[0x1_0000, 0, 0], [0, 0x1_0000, 0], [0, 0, 241], [0xFFFF, 0xFFFF, 240]] {
+            values.push(pdo(0x181, 254, rest, &[OUTPUTS]));
+        }
+        values.extend([
+            legal(&[]),
+            legal(&[OUTPUTS; 8]),
+            legal(&[OUTPUTS; 9]),
+            legal(&[0x0007_0020, OUTPUTS]),
+            legal(&[0x0007_0020; 3]),
+            legal(&[0x0007_0020, 0x0007_0020]),
+            legal(&[0x6401_0110; 5]),
+            legal(&[0x6401_0110; 4]),
+            legal(&[0x2100_0008]),
+            legal(&[0x6200_0110]),
+            legal(&[OUTPUTS, 0]),
+            legal(&[0x6200_0208]),
+            legal(&[0x0005_0108]),
+        ]);
+        let whole = legal(&[OUTPUTS]);
+        values.extend((0..whole.len()).map(|len| whole[..len].to_vec()));
+        for at in [0, 4] {
+            let addressed = |sub_index, data_type| {
+                move |value: &Vec<u8>| parameter(first + at, sub_index, data_type, value)
+            };
+            for some in values.chunks(12) {
+                check(&some.iter().flat_map(addressed(0, PDO)).collect::<Vec<_>>());
+            }
+            check(&values[..6].iter().flat_map(addressed(1, PDO)).collect::<Vec<_>>());
+            check(&values[..6].iter().flat_map(addressed(0, U32)).collect::<Vec<_>>());
+        }
+        check(&parameter(first + 0x200, 0, PDO, &whole));
+    }
+}
+
+#[test]
+fn parameters_that_end_in_the_middle_are_taken_up_to_there() {
+    let legal = parameter(0x6426, 1, U32, &[7, 0, 0, 0]);
+    let long = parameter(0x2101, 3, TEXT, &[0x41; 2_000]);
+    let unfinished = [0x26, 0x64, 1, U32, 0xFF, 0xFF];
+    for more in 0..=9 {
+        check(&[&legal[..], &long, &legal, &unfinished, &[0; 9][..more]].concat());
+        check(&[&legal[..], &[0x26; 9][..more]].concat());
+    }
+    for len in 1..=5 {
+        check(&[0x26; 9][..len]);
+    }
+    let many = [&legal[..], &parameter(0x2101, 3, TEXT, &[0x42; 16])].concat();
+    check(&many.repeat(40));
+}
