@@ -21,6 +21,9 @@ use crate::{
     supply::Supply,
 };
 
+/// Sectors 1 and 2 of the flash, which `memory.x` keeps free of code.
+pub const SETTINGS: *mut u32 = 0x0800_4000 as *mut u32;
+
 /// The watchdog timeout in ms at 32 kHz; its oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is
 /// the erase of a 16 KB sector: 800 ms.
 const WATCHDOG_MS: u32 = 2_000;

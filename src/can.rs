@@ -26,7 +26,7 @@ use crate::{
     bit_timing::BTR,
     can_pins::{CanPins, TransmitPin},
     clock,
-    controller::{Can, FIRST_BANK, Filters},
+    controller::{self, Can, Connected, Driver, FIRST_BANK, Filters},
     product::Receives,
     transmit_queue::TransmitQueue,
 };
@@ -48,9 +48,6 @@ const WATCH_MICROS: u32 = 1_000;
 const IDS_PER_BANK: usize = 4;
 /// The bits of CAN_TSR that say which mailboxes are empty.
 const EMPTY: u32 = 0b111 << 26;
-
-/// A controller with its pins, as `bxcan` knows it.
-type Driver = bxcan::Can<stm32f4xx_hal::can::Can<Can>>;
 
 /// The CAN controller, as used by the node.
 pub struct Controller {
@@ -97,14 +94,14 @@ impl Controller {
     ///
     /// The chip is reset if the controller does not enter initialisation mode. By then `bxcan` has nothing to wait for.
     pub fn new(can: Can, pins: CanPins, rcc: &mut RCC, receives: Receives) -> Self {
-        let can = stm32f4xx_hal::can::Can::rx(can, pins.receive, rcc);
+        let can = Connected::rx(can, pins.receive, rcc);
         // SAFETY: all handles belong to one owner, and `bxcan` keeps no copy of the registers.
         let (registers, filters) = unsafe { (Can::steal(), Filters::steal()) };
         if !enter_initialization(&registers) {
             SCB::sys_reset();
         }
         Self {
-            can: bxcan::Can::builder(can).leave_disabled(),
+            can: controller::driver(can),
             registers,
             filters,
             transmit_pin: pins.transmit,

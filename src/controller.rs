@@ -19,6 +19,11 @@ pub use Can as Filters;
 #[cfg(feature = "can2")]
 pub use stm32f4xx_hal::pac::CAN1 as Filters;
 
+/// The controller with its pins.
+pub type Connected = stm32f4xx_hal::can::Can<Can>;
+/// The same, as `bxcan` knows it.
+pub type Driver = bxcan::Can<Connected>;
+
 /// The first filter bank. After a reset the banks from 14 on belong to CAN2 (CAN2SB).
 pub const FIRST_BANK: usize = if cfg!(feature = "can2") { 14 } else { 0 };
 
@@ -31,4 +36,10 @@ pub type Rx = <Can as CanCommon>::Rx;
 pub fn enable(rcc: &mut Rcc) {
     Can::enable(rcc);
     Filters::enable(rcc);
+}
+
+/// The driver of a controller, which it puts to sleep. The controller must be in initialisation mode: `bxcan` waits for
+/// it without limit.
+pub fn driver(can: Connected) -> Driver {
+    bxcan::Can::builder(can).leave_disabled()
 }

@@ -1,16 +1,14 @@
 //! The crystal: its start, and the reset if it does not start or fails later.
 
-use core::mem::MaybeUninit;
-
 use cortex_m::peripheral::SCB;
 use stm32f4xx_hal::pac::RCC;
 
 use crate::{board, product::device::CRYSTAL_IS_EXTERNAL_CLOCK};
 
-/// Survives a reset and shows whether a failure of the crystal caused it.
+/// Survives a reset and shows whether a failure of the crystal caused it. Its initial value is never written.
 // SAFETY: the section of cortex-m-rt for variables that nothing initialises.
 #[unsafe(link_section = ".uninit.CRYSTAL_NOTE")]
-static mut NOTE: MaybeUninit<u32> = MaybeUninit::uninit();
+static mut NOTE: u32 = 0;
 
 const HAS_FAILED: u32 = 0xC0FF_5709;
 
@@ -29,7 +27,7 @@ pub fn start(rcc: &RCC) {
 
 /// Whether a failure of the crystal caused the last reset. True only once per failure.
 pub fn has_failed() -> bool {
-    let note = (&raw mut NOTE).cast::<u32>();
+    let note = &raw mut NOTE;
     // SAFETY: the word is private and any value is valid; only the non-maskable interrupt also writes it.
     unsafe {
         let has_failed = note.read_volatile() == HAS_FAILED;
@@ -45,6 +43,6 @@ pub fn has_failed() -> bool {
 #[unsafe(no_mangle)]
 extern "C" fn NonMaskableInt() -> ! {
     // SAFETY: the word is private, and no other code runs any more.
-    unsafe { (&raw mut NOTE).cast::<u32>().write_volatile(HAS_FAILED) };
+    unsafe { (&raw mut NOTE).write_volatile(HAS_FAILED) };
     SCB::sys_reset();
 }

@@ -7,10 +7,8 @@ use embedded_storage::nor_flash::{
 use lss_slave::settings::parameters::capacity;
 use stm32f4xx_hal::pac;
 
-use crate::{runner::PARAMETERS, supply::Supply};
+use crate::{board::SETTINGS, runner::PARAMETERS, supply::Supply};
 
-/// Sectors 1 and 2, which `memory.x` keeps free of code.
-const START: u32 = 0x0800_4000;
 const FIRST_SECTOR: u32 = 1;
 const SECTORS: u32 = 2;
 const SECTOR_LEN: u32 = 16 * 1024;
@@ -128,7 +126,7 @@ impl ReadNorFlash for SettingsFlash {
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
         check_read(self, offset, bytes.len()).map_err(FlashError::Range)?;
         let (words, _) = bytes.as_chunks_mut();
-        let from = (START + offset) as *const u32;
+        let from = SETTINGS.wrapping_byte_add(offset as usize);
         // Bound: 8 rounds: the words of a record.
         for (i, word) in words.iter_mut().enumerate() {
             // SAFETY: an aligned word within the sectors; volatile, since the hardware changes them.
@@ -179,7 +177,7 @@ impl NorFlash for SettingsFlash {
                 .cr()
                 .write(|w| unsafe { w.lock().clear_bit().psize().bits(2).pg().set_bit() });
             let (words, _) = bytes.as_chunks();
-            let to = (START + offset) as *mut u32;
+            let to = SETTINGS.wrapping_byte_add(offset as usize);
             // Bound: 8 rounds: the words of a record.
             for (i, word) in words.iter().enumerate() {
                 // SAFETY: an aligned word within the sectors; the store programs it.

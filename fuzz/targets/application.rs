@@ -1,5 +1,5 @@
-//! The node with an application, process data and stored parameters, with frames, time, stores and resets in any order:
-//! its actions come to an end, and what is stored is found again.
+//! The node with an application, process data and stored parameters, with frames, time, transfers, stores and resets in
+//! any order: its actions come to an end, and what is stored is found again.
 
 #![no_main]
 
@@ -7,22 +7,33 @@ use libfuzzer_sys::fuzz_target;
 use lss_slave::{
     Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
     Settings,
+    application::{Domain, Text},
     lss::StoreError,
     nmt::State,
     objects,
     process_data::{Rpdo, Tpdo},
+    sdo::Abort,
     settings::parameters::unpack,
 };
 use lss_slave_fuzz::{ADDRESS, act_until_nothing_is_due};
+use testkit::sdo_messages::{block_download, block_upload, download, upload};
 
 const PARAMETERS: usize = MachineNode::PARAMETERS;
 
 type MachineNode = Node<Machine, 2, 2, 2>;
 
+/// The length of the log.
+const LOG_LEN: u32 = 200;
+
 objects! {
-    /// Inputs and outputs, some of them stored.
+    /// Inputs and outputs, and values longer than one frame. Some are stored.
     pub struct Machine, values MachineValue;
 
+    0x2100 "Values" {
+        1 "Name" name: Text<20> = Text::EMPTY, rw, stored;
+        2 "Log" log: Domain = Domain, rw;
+        3 "Bytes of the log that a client has written" written: u32 = 0, ro;
+    }
     0x6000 "Inputs" {
         1 "Buttons" buttons: u8 = 0, ro, mappable;
         2 "Position" position: i32 = 0, ro, mappable;
@@ -36,6 +47,34 @@ objects! {
 impl Application for Machine {
     const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1), (0x6200, 2)])];
     const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1), (0x6200, 2)])];
+
+    fn domain_len(&self, _: u16, _: u8) -> Result<u32, Abort> {
+        Ok(LOG_LEN)
+    }
+
+    fn read_domain(&self, _: u16, _: u8, offset: u32, to: &mut [u8]) -> usize {
+        to.iter_mut().zip(offset..LOG_LEN).map(|(to, byte)| *to = byte as u8).count()
+    }
+
+    fn write_domain(&mut self, _: u16, _: u8, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        assert_eq!(offset, self.written, "parts of a domain follow one another");
+        self.written += bytes.len() as u32;
+        if self.written > LOG_LEN { Err(Abort::TooLong) } else { Ok(()) }
+    }
+
+    fn end_domain(&mut self, _: u16, _: u8, len: u32) -> Result<(), Abort> {
+        assert_eq!(len, self.written);
+        if len.is_multiple_of(2) {
+            self.written = 0;
+            return Ok(());
+        }
+        // The node discards what was written.
+        Err(Abort::InvalidValue)
+    }
+
+    fn abort_domain(&mut self, _: u16, _: u8) {
+        self.written = 0;
+    }
 }
 
 /// A board with the settings and the packed parameters that its flash holds.
@@ -103,6 +142,22 @@ impl Board {
         self.act_until_nothing_is_due();
     }
 
+    /// A transfer of a long value by a client that does not wait for the answers and stops after some messages.
+    fn transfer(&mut self, server: u16, [kind, len, messages, byte, block_size, ..]: [u8; 8]) {
+        let address = (0x2100, 1 + (kind >> 2 & 1));
+        let data = vec![byte; usize::from(len).max(1)];
+        let segments = len / 7 + 1;
+        let transfer = match kind & 3 {
+            0 => download(address, &data),
+            1 => block_download(address, &data),
+            2 => upload(address, segments),
+            _ => block_upload(address, block_size, 1 + (kind >> 6), segments),
+        };
+        for message in transfer.iter().take(messages.into()) {
+            self.receive(server, message);
+        }
+    }
+
     /// Any data of a frame that the node receives, an SDO request that can be meaningful, or an event.
     fn step(&mut self, [kind, ms, data @ ..]: [u8; 10]) {
         self.now = self.now.plus_micros(u32::from(ms) * 1000);
@@ -111,11 +166,12 @@ impl Board {
         let cob_ids: Vec<_> = self.node.receives().iter().collect();
         let server = 0x600 + u16::from(self.node.node_id().map_or(5, NodeId::get));
         match kind & 0xF {
-            0..=4 => self.receive(cob_ids[usize::from(data[7]) % cob_ids.len()], &data[..len]),
+            0..=3 => self.receive(cob_ids[usize::from(data[7]) % cob_ids.len()], &data[..len]),
+            4 => self.transfer(server, data),
             5 => self.receive(server, &data),
             6..=9 => {
                 let [index, sub_index, number @ .., size, _, _] = data;
-                let parameters = [0x10, 0x14, 0x16, 0x18, 0x1A, 0x60, 0x62, 0x10];
+                let parameters = [0x10, 0x14, 0x16, 0x18, 0x1A, 0x60, 0x62, 0x21];
                 let sizes = [0x23, 0x2B, 0x2F, 0x23];
                 let high = parameters[usize::from(index >> 5)];
                 let command = sizes[usize::from(size & 3)];

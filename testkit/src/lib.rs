@@ -18,6 +18,7 @@ pub mod node_rig;
 pub mod power_cut;
 pub mod random;
 pub mod sdo;
+pub mod sdo_messages;
 pub mod settings;
 pub mod soak;
 #[cfg(feature = "image")]

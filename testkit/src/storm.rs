@@ -3,7 +3,6 @@
 mod example;
 pub mod image;
 pub mod node;
-mod sdo_messages;
 
 use std::collections::VecDeque;
 

@@ -15,6 +15,7 @@ use testkit::{
     eds::{DataSheet, Product, Sections, parse},
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults},
+    random::Random,
     sdo::Client,
 };
 
@@ -199,6 +200,35 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
     }
     assert_eq!(sections["2001"]["DefaultValue"], "1");
     assert_eq!(sections["6002"]["DefaultValue"], "");
+}
+
+#[test]
+fn random_values_are_in_the_file_as_they_are() {
+    let mut random = Random::from_environment();
+    for _ in 0..100 {
+        let text: Vec<_> =
+            (0..random.within(0..13)).map(|_| random.within(0x20..0x7F) as u8).collect();
+        let octets = random.bytes::<3>();
+        let mut kinds = Kinds::new();
+        kinds.i16 = random.u32() as i16;
+        kinds.i64 = random.u64() as i64;
+        kinds.u64 = random.u64();
+        kinds.text = Text::from_bytes(&text).unwrap();
+        kinds.octets = OctetString::from_bytes(&octets).unwrap();
+        let product = product();
+        let sheet = DataSheet::new(product, <Node<Kinds>>::entries(&product.device), &kinds);
+        let sections = parse(&sheet.eds());
+        let octets: String = octets.iter().map(|octet| format!("{octet:02X}")).collect();
+        for (name, value) in [
+            ("2100sub2", kinds.i16.to_string()),
+            ("2100subB", kinds.i64.to_string()),
+            ("5FFF", kinds.u64.to_string()),
+            ("6002", String::from_utf8(text).unwrap()),
+            ("6004", octets),
+        ] {
+            assert_eq!(sections[name]["DefaultValue"], value, "[{name}]");
+        }
+    }
 }
 
 #[test]

@@ -14,12 +14,14 @@ const HEAD: &str = "# Unsafe code
 
 Every `unsafe` in the repository, with the argument written beside it. `cargo xtask unsafe-code` makes this page from
 the sources and refuses an item without an argument; CI checks that it is up to date. The library has none: it forbids
-`unsafe` (`lss-slave/src/lib.rs`).
+`unsafe` (`lss-slave/src/lib.rs`). Most of that of the firmware also runs under Miri:
+[extended test runs](testing.md#unsafe-code-under-miri).
 ";
 
 /// The parts of the repository with unsafe code: the beginning of a path, and a heading.
-const PARTS: [(&str, &str); 5] = [
+const PARTS: [(&str, &str); 6] = [
     ("src/", "The firmware"),
+    ("tests/drivers/", "The drivers over plain memory"),
     ("tests/no_panic/", "The proof that the library cannot panic"),
     ("qemu/", "The bridge to QEMU"),
     ("bench/", "The comparison with other slaves"),

@@ -7,11 +7,11 @@ use emulator::{
 };
 use lss_slave_firmware::io::{Application, RPDOS, TPDOS, test_content};
 
-use super::{
-    LSS, NMT, SDO_COB_ID, Stormed,
+use super::{LSS, NMT, SDO_COB_ID, Stormed};
+use crate::{
+    random::Random,
     sdo_messages::{Address, block_download, block_upload, download, expedited, initiate, upload},
 };
-use crate::random::Random;
 
 /// The first node-ID of the node.
 pub(super) const NODE_ID: u8 = 0x40;

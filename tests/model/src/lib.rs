@@ -66,7 +66,7 @@ impl Scenario {
         let sampled = |scenario, recover_every| Self { recover_every, ..scenario };
         let overruns = |scenario| Self { has_overruns: true, ..scenario };
         vec![
-            ("1 board, 3 procedures, 3 faults", sampled(Self::new(1, 3, 3), 10)),
+            ("1 board, 3 procedures, 3 faults", sampled(Self::new(1, 3, 3), 50)),
             (
                 "1 board, overruns, 2 procedures, 2 faults",
                 overruns(sampled(Self::new(1, 2, 2), 10)),
@@ -75,11 +75,18 @@ impl Scenario {
                 "1 board without supervision, 3 procedures, 3 faults",
                 plain(sampled(Self::new(1, 3, 3), 20)),
             ),
-            ("2 boards, 2 procedures, 1 fault", sampled(Self::new(2, 2, 1), 10)),
-            ("2 boards, 2 procedures, 2 faults", sampled(Self::new(2, 2, 2), 50)),
+            ("2 boards, 3 procedures, no fault", sampled(Self::new(2, 3, 0), 20)),
+            ("2 boards, 1 procedure, 1 fault", sampled(Self::new(2, 1, 1), 20)),
+            ("2 boards, 1 procedure, 2 faults", sampled(Self::new(2, 1, 2), 100)),
+            ("2 boards, 2 procedures, 1 fault", sampled(Self::new(2, 2, 1), 100)),
+            ("2 boards, 2 procedures, 2 faults", sampled(Self::new(2, 2, 2), 100)),
             (
                 "2 boards, no switch, 3 procedures, 3 faults",
-                constant(sampled(Self::new(2, 3, 3), 10)),
+                constant(sampled(Self::new(2, 3, 3), 50)),
+            ),
+            (
+                "2 boards without supervision, 2 procedures, 1 fault",
+                plain(sampled(Self::new(2, 2, 1), 50)),
             ),
             (
                 "2 boards without supervision, 2 procedures, 2 faults",
@@ -87,9 +94,15 @@ impl Scenario {
             ),
             (
                 "3 boards, no switch, 3 procedures, 1 fault",
-                constant(sampled(Self::new(3, 3, 1), 10)),
+                constant(sampled(Self::new(3, 3, 1), 20)),
             ),
-            ("3 boards, 2 procedures, 1 fault", sampled(Self::new(3, 2, 1), 50)),
+            (
+                "3 boards, no switch, 2 procedures, 2 faults",
+                constant(sampled(Self::new(3, 2, 2), 50)),
+            ),
+            ("3 boards, 1 procedure, no fault", sampled(Self::new(3, 1, 0), 10)),
+            ("3 boards, 1 procedure, 1 fault", sampled(Self::new(3, 1, 1), 100)),
+            ("3 boards, 2 procedures, 1 fault", sampled(Self::new(3, 2, 1), 100)),
         ]
     }
 

@@ -5,7 +5,7 @@ use std::{env, process::ExitCode};
 use network_model::{Scenario, check::check};
 
 /// The states to generate in each scenario, with repetitions, unless it is complete before.
-const STATES: usize = 1_000_000;
+const STATES: usize = 2_000_000;
 
 fn main() -> ExitCode {
     let states = match env::args().nth(1).map(|states| states.parse()) {

@@ -34,6 +34,23 @@ fn the_properties_hold_with_three_boards_at_one_bit_rate() {
     hold_in(Scenario { has_switches: false, recover_every: 10, ..Scenario::new(3, 3, 1) });
 }
 
+/// Checks every state.
+fn hold_in_all_of(scenario: Scenario) {
+    let report = check(scenario, 10 * STATES);
+    println!("{report}");
+    assert!(report.is_complete, "{report}");
+}
+
+#[test]
+fn the_properties_hold_in_all_states_of_two_boards_at_one_bit_rate() {
+    hold_in_all_of(Scenario { has_switches: false, recover_every: 50, ..Scenario::new(2, 2, 2) });
+}
+
+#[test]
+fn the_properties_hold_in_all_states_of_three_boards_at_one_bit_rate() {
+    hold_in_all_of(Scenario { has_switches: false, recover_every: 50, ..Scenario::new(3, 2, 1) });
+}
+
 /// Checks that the checker finds a violation, and no other first.
 fn is_violated(property: &str, scenario: Scenario) {
     let report = check(scenario, 10 * STATES);

@@ -1,0 +1,248 @@
+//! Tests that take the drivers through their unsafe code. What the chip makes of it is tested with the release image.
+
+use std::sync::atomic::Ordering::Relaxed;
+
+use drivers::{
+    can::{Controller, Received},
+    can_pins::CanPins,
+    clock::{self, Alarm},
+    crystal,
+    flash::{FlashError, SettingsFlash},
+    gpio::Pin,
+    memory,
+    pac::{CAN1, FLASH, FLASH_STATUS, GPIOA, PWR, RCC, TIM2, set},
+    rcc::Rcc,
+    supply::Supply,
+};
+use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
+use lss_slave::{
+    BitRate, BusEvent, Frame, Instant, NodeId,
+    indicator::BusState,
+    settings::{Found, Log},
+};
+use lss_slave_firmware::{Application, Node, describe, device};
+
+/// CAN_TSR: three empty mailboxes.
+const ALL_EMPTY: u32 = 0b111 << 26;
+
+fn settings_flash() -> SettingsFlash {
+    // As after a reset.
+    set(FLASH.cr(), 1 << 31);
+    SettingsFlash::new(FLASH, Supply::watch(PWR))
+}
+
+#[test]
+fn words_are_written_where_they_are_read() {
+    let _chip = memory::take();
+    let mut flash = settings_flash();
+    let end = flash.capacity() as u32;
+    for offset in [0, 4, 16 * 1024 - 8, 16 * 1024, end - 8] {
+        flash.write(offset, &[1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
+    }
+    let mut bytes = [0; 12];
+    flash.read(0, &mut bytes).unwrap();
+    assert_eq!(bytes, [1, 2, 3, 4, 1, 2, 3, 4, 5, 6, 7, 8]);
+    flash.read(end - 12, &mut bytes).unwrap();
+    assert_eq!(bytes, [0xFF, 0xFF, 0xFF, 0xFF, 1, 2, 3, 4, 5, 6, 7, 8]);
+    assert!(FLASH.cr().read().lock().bit_is_set());
+}
+
+#[test]
+fn words_beyond_the_sectors_are_refused() {
+    let _chip = memory::take();
+    let mut flash = settings_flash();
+    let end = flash.capacity() as u32;
+    assert!(matches!(flash.read(end, &mut [0; 4]), Err(FlashError::Range(_))));
+    assert!(matches!(flash.write(end - 4, &[0; 8]), Err(FlashError::Range(_))));
+    assert!(matches!(flash.erase(0, end + 16 * 1024), Err(FlashError::Range(_))));
+    assert!(matches!(flash.read(2, &mut [0; 4]), Err(FlashError::Range(_))));
+}
+
+#[test]
+fn only_the_erased_sector_is_blank() {
+    let _chip = memory::take();
+    let mut flash = settings_flash();
+    flash.write(0, &[0; 4]).unwrap();
+    flash.write(16 * 1024, &[0; 4]).unwrap();
+    flash.erase(16 * 1024, 32 * 1024).unwrap();
+    let mut word = [1; 4];
+    flash.read(0, &mut word).unwrap();
+    assert_eq!(word, [0; 4]);
+    flash.read(16 * 1024, &mut word).unwrap();
+    assert_eq!(word, [0xFF; 4]);
+}
+
+#[test]
+fn errors_of_the_flash_and_a_low_supply_are_reported() {
+    const PROGRAMMING_PARALLELISM: u32 = 1 << 6;
+    let _chip = memory::take();
+    let mut flash = settings_flash();
+    FLASH_STATUS.store(PROGRAMMING_PARALLELISM, Relaxed);
+    assert!(matches!(flash.write(0, &[0; 4]), Err(FlashError::Status(PROGRAMMING_PARALLELISM))));
+    assert!(matches!(flash.erase(0, 16 * 1024), Err(FlashError::Status(PROGRAMMING_PARALLELISM))));
+    const LOW: u32 = 1 << 2;
+    set(PWR.csr(), LOW);
+    assert!(matches!(flash.write(0, &[0; 4]), Err(FlashError::Supply)));
+}
+
+#[test]
+fn settings_outlast_a_damaged_flash_and_restarts() {
+    let _chip = memory::take();
+    let settings = |node_id| device::DEFAULTS.with_node_id(NodeId::new(node_id));
+    settings_flash().write(0, &[0; 64]).unwrap();
+    let (mut log, found) = Log::<_, 0>::open(settings_flash());
+    assert_eq!((found, log.settings()), (Found::Damaged, None));
+    for node_id in [5, 6, 7] {
+        log.store(settings(node_id)).unwrap();
+        let (restarted, found) = Log::<_, 0>::open(settings_flash());
+        assert_eq!((found, restarted.settings()), (Found::Complete, Some(settings(node_id))));
+        log = restarted;
+    }
+}
+
+/// A controller that is in initialisation mode, as its driver waits for it, with empty mailboxes.
+fn controller() -> Controller {
+    const INITIALISATION: u32 = 1 << 0;
+    set(CAN1.msr(), INITIALISATION);
+    set(CAN1.tsr(), ALL_EMPTY);
+    let pins = CanPins::new(Pin::<'B', 9>::new(), Pin::<'B', 8>::new());
+    let node = Node::with_application(describe(1), None, Application::new());
+    Controller::new(CAN1, pins, &mut RCC, node.receives())
+}
+
+fn frame(cob_id: u16) -> Frame {
+    Frame::new(cob_id, &[1, 2, 3, 4, 5]).unwrap()
+}
+
+/// A frame in a receive FIFO.
+fn deliver(fifo: usize, cob_id: u16, length_code: u32) {
+    set(CAN1.rfr(fifo), 1);
+    set(CAN1.rx(fifo).rir(), u32::from(cob_id) << 21);
+    set(CAN1.rx(fifo).rdtr(), length_code);
+    set(CAN1.rx(fifo).rdlr(), 0x0403_0201);
+    set(CAN1.rx(fifo).rdhr(), 5);
+}
+
+#[test]
+fn each_filter_bank_gets_the_identifiers_of_its_list() {
+    let _chip = memory::take();
+    let mut can = controller();
+    can.set_bit_rate(BitRate::Kbit125);
+    let bank = |number| CAN1.fb(number).fr1().read().bits();
+    let lists = CAN1.fm1r().read().bits();
+    assert_eq!((lists, CAN1.fa1r().read().bits(), CAN1.ffa1r().read().bits()), (1, 0b11, 0b10));
+    assert_eq!((bank(0) & 0xFFFF, bank(1)), (u32::from(lss_slave::lss::REQUEST_COB_ID) << 5, 0));
+    can.listen(BitRate::Kbit250);
+    assert_eq!((CAN1.fm1r().read().bits(), CAN1.fa1r().read().bits()), (0, 1));
+    assert_eq!(bank(0), 0);
+}
+
+#[test]
+fn the_transmit_pin_belongs_to_the_controller_unless_it_listens() {
+    let _chip = memory::take();
+    let mode = || {
+        // SAFETY: the registers of port B, the next after those of port A.
+        let port = unsafe { &*GPIOA::ptr().byte_add(0x400) };
+        port.moder().read().bits() >> 18
+    };
+    let mut can = controller();
+    assert_eq!(mode(), 0b01);
+    can.set_bit_rate(BitRate::Kbit125);
+    assert_eq!(mode(), 0b10);
+    can.listen(BitRate::Kbit250);
+    assert!(can.is_listening());
+    assert_eq!(mode(), 0b01);
+}
+
+#[test]
+fn a_received_frame_has_its_identifier_and_data() {
+    let _chip = memory::take();
+    let mut can = controller();
+    assert!(can.receive().is_none());
+    deliver(0, 0x123, 5);
+    assert!(matches!(can.receive(), Some(Received::Frame(received)) if received == frame(0x123)));
+    deliver(0, 0x123, 9);
+    assert!(matches!(can.receive(), Some(Received::Other)));
+    deliver(1, 0x123, 5);
+    assert!(can.has_heard_others());
+    assert!(!can.has_heard_others());
+}
+
+#[test]
+fn frames_go_to_a_mailbox_or_wait_for_one() {
+    let _chip = memory::take();
+    let mailbox = || (CAN1.tx(0).tir().read().stid().bits(), CAN1.tx(0).tdlr().read().bits());
+    let mut can = controller();
+    can.transmit(frame(0x181));
+    assert_eq!(mailbox(), (0x181, 0x0403_0201));
+    set(CAN1.tsr(), 0);
+    can.transmit(frame(0x182));
+    assert_eq!(mailbox().0, 0x181);
+    assert!(!can.has_sent_all());
+    set(CAN1.tsr(), ALL_EMPTY);
+    can.transmit(frame(0x183));
+    assert!(can.has_sent_all());
+    assert_eq!(mailbox().0, 0x183);
+}
+
+#[test]
+fn only_flags_that_were_seen_are_cleared_and_mailboxes_aborted() {
+    const ONE_SENT: u32 = 0b11 << 8;
+    let _chip = memory::take();
+    let mut can = controller();
+    set(CAN1.tsr(), ALL_EMPTY | ONE_SENT);
+    assert!(can.handle_transmitted());
+    assert_eq!(CAN1.tsr().read().bits(), 1 << 8);
+    assert!(!can.handle_transmitted());
+    set(CAN1.tx(1).tir(), 0x7E4 << 21);
+    can.forget_all_but(0x7E4);
+    assert_eq!(CAN1.tsr().read().bits(), 1 << 7 | 1 << 23);
+    can.stop_transmitting();
+    assert_eq!(CAN1.tsr().read().bits(), 1 << 7 | 1 << 15 | 1 << 23);
+}
+
+#[test]
+fn errors_of_the_bus_are_reported_and_counted() {
+    const FORM: u32 = 2 << 4;
+    const BUS_OFF: u32 = 1 << 2;
+    let _chip = memory::take();
+    let mut can = controller();
+    can.set_bit_rate(BitRate::Kbit125);
+    set(CAN1.esr(), 130 << 24 | 7 << 16 | FORM | BUS_OFF);
+    assert_eq!(can.error_counters(), (7, 130));
+    assert!(can.is_passive_by_reception());
+    assert_eq!(can.bus_state(), BusState::BusOff);
+    assert_eq!(can.handle_status(), Some(BusEvent::FormError));
+    assert!(CAN1.ier().read().lecie().bit_is_clear());
+    // The register holds 7 now, as software sets it.
+    assert_eq!(can.handle_status(), None);
+}
+
+#[test]
+fn a_bus_that_stays_dominant_is_reported() {
+    let _chip = memory::take();
+    let mut can = controller();
+    can.set_bit_rate(BitRate::Kbit125);
+    let mut events = (1..30).filter_map(|ms| can.watch(Instant::from_micros(ms * 1000)));
+    assert_eq!(events.next(), Some(BusEvent::HeldDominant));
+    assert!(can.watch_at().is_some());
+    can.look();
+    can.supervise();
+}
+
+#[test]
+fn the_alarm_comes_at_the_count_of_the_timer() {
+    let _chip = memory::take();
+    let mut alarm = Alarm::new(TIM2, &mut Rcc);
+    set(TIM2.cnt(), 1_234);
+    assert_eq!(clock::now().as_micros(), 1_234);
+    alarm.set(Instant::from_micros(5_000));
+    alarm.acknowledge();
+    assert_eq!(TIM2.ccr1().read().bits(), 5_000);
+}
+
+#[test]
+fn a_crystal_that_did_not_fail_leaves_no_note() {
+    let _chip = memory::take();
+    assert!(!crystal::has_failed());
+}
