@@ -41,7 +41,7 @@ macro_rules! application {
                 settings::{Found, Log},
             };
             use lss_slave_firmware::{Application, Node, describe};
-            use stm32f4xx_hal::watchdog::IndependentWatchdog;
+            use stm32f4xx_hal::{pac::Interrupt, watchdog::IndependentWatchdog};
 
             use crate::{
                 board::{self, Board, IoBoard},
@@ -142,7 +142,12 @@ macro_rules! application {
                     if roll_call::is_everyone_present() {
                         cx.local.watchdog.feed();
                     }
-                    roll_call::begin();
+                    roll_call::begin([
+                        Interrupt::$received,
+                        Interrupt::$transmitted,
+                        Interrupt::$status,
+                        Interrupt::USART1,
+                    ]);
                     cx.shared.runner.lock(Runner::supervise);
                 }
             }

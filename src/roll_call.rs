@@ -28,16 +28,12 @@ pub fn is_everyone_present() -> bool {
     PRESENT.iter().fold(true, |all, present| all & present.load(Ordering::Relaxed))
 }
 
-/// Begins the next roll call and triggers the tasks that do not run by themselves.
-pub fn begin() {
+/// Begins the next roll call and triggers the tasks that do not run by themselves, by their interrupts.
+pub fn begin(interrupts: [Interrupt; 4]) {
     // Bound: 5 rounds: the tasks.
     for present in &PRESENT {
         present.store(false, Ordering::Relaxed);
     }
-    for interrupt in
-        // Bound: 4 rounds: the interrupts in the list.
-        [Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE, Interrupt::USART1]
-    {
-        rtic::pend(interrupt);
-    }
+    // Bound: 4 rounds: the interrupts.
+    interrupts.into_iter().for_each(rtic::pend);
 }

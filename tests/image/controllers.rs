@@ -76,6 +76,11 @@ fn is_commissioned(part: Part, controller: usize, image: &Image) {
     rig.network.send(sender, on_the_wire(&frames::request("5E")));
     rig.network.run_for(Time::from_ms(20));
     assert_eq!(rig.network.adapter_mut(sender).unsent(), 1, "{name}");
+
+    // Without a frame for the board, the watchdog is fed by the roll call alone.
+    let resets = rig.network.board(0).resets().len();
+    rig.network.run_for(Time::from_s(5));
+    assert_eq!(rig.network.board(0).resets().len(), resets, "{name}");
 }
 
 #[test]
