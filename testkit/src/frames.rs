@@ -69,6 +69,13 @@ pub fn text(frame: &Frame) -> String {
 #[derive(Clone, PartialEq, Eq)]
 pub struct Frames(pub Vec<Frame>);
 
+impl Frames {
+    /// The texts of the frames.
+    pub fn texts(&self) -> Vec<String> {
+        self.0.iter().map(text).collect()
+    }
+}
+
 impl<const N: usize> PartialEq<[&str; N]> for Frames {
     fn eq(&self, texts: &[&str; N]) -> bool {
         *self == texts.as_slice()

@@ -203,6 +203,26 @@ impl ImageRig {
         panic!("{frame} does not get through");
     }
 
+    /// Queues a frame in the master, which sends it as soon as the bus allows.
+    pub fn queue(&mut self, frame: &lss_slave::Frame) {
+        self.network.send(self.master, on_the_wire(frame));
+    }
+
+    /// Selects the boards and inquires their node-ID every 50 ms; returns whether one answers within 15 s.
+    pub fn is_reached(&mut self) -> bool {
+        (0..300).any(|_| {
+            self.queue(&frames::request("04 01"));
+            self.queue(&frames::request("5E"));
+            let frames = self.collect(Time::from_ms(50));
+            frames.0.iter().any(|frame| frame.cob_id() == 0x7E4)
+        })
+    }
+
+    /// Whether a line of the first board's log begins with `text`.
+    pub fn has_logged(&self, text: &str) -> bool {
+        self.network.board(0).log().iter().any(|line| line.text.starts_with(text))
+    }
+
     /// The frames that the master receives within `span`.
     pub fn collect(&mut self, span: Time) -> Frames {
         self.network.run_for(span);

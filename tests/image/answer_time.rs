@@ -189,7 +189,7 @@ fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
     rig.collect(MASTER_TIMEOUT);
     for _ in 0..20 {
         for request in REQUESTS {
-            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+            rig.queue(&frames::request(request));
         }
         let answers = rig.collect(Time::from_ms(3));
         assert_eq!(command_specifiers(&answers), [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
@@ -206,7 +206,7 @@ fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
     let (mut sent, mut sdo_requests, mut sdo_answers) = (0, 0, 0);
     for _ in 0..50 {
         for request in REQUESTS.into_iter().chain(["04 00"]) {
-            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+            rig.queue(&frames::request(request));
         }
         // Bursts of urgent frames, some to the node, with gaps that are too short for a frame or just long enough.
         for _ in 0..40 {
@@ -242,9 +242,9 @@ fn requests_right_behind_a_change_of_the_node_id_are_not_lost() {
     for node_id in 1..=20 {
         let configure = format!("11 {node_id:02X}");
         for request in ["04 01", &configure, "04 00", "04 01", "5E", "11 FF", "04 00"] {
-            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+            rig.queue(&frames::request(request));
         }
-        rig.network.send(rig.master, on_the_wire(&frames::command("82 00")));
+        rig.queue(&frames::command("82 00"));
         let sent = rig.collect(Time::from_ms(5)).0;
         let text: Vec<_> = sent.iter().map(frames::text).collect();
         assert!(text.contains(&format!("{:03X}: 00", 0x700 + node_id)), "{text:#?}");
@@ -263,7 +263,7 @@ fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
     let (cycles_before, busy_before) = rig.network.board(0).cycles();
     const REQUESTS: usize = 500;
     (0..REQUESTS).for_each(|_| {
-        rig.network.send(rig.master, on_the_wire(&frames::request("11 80")));
+        rig.queue(&frames::request("11 80"));
     });
     while rig.network.adapter_mut(rig.master).unsent() > 0 {
         rig.network.run_for(Time::from_ms(1));

@@ -8,9 +8,7 @@ use emulator::{
 use lss_slave::{BitRate, BitRateSetting, Settings};
 use testkit::{
     frames::{self, SILENCE},
-    image_rig::{
-        DEFAULT_BIT_RATE, ImageRig, bit_per_s, blank_board, board_with, on_the_wire, settings,
-    },
+    image_rig::{DEFAULT_BIT_RATE, ImageRig, bit_per_s, blank_board, board_with, settings},
 };
 
 /// Two other nodes that exchange a frame every 10 ms for a duration.
@@ -35,7 +33,7 @@ fn automatic() -> Settings {
 /// Makes the master repeat a frame, as CAN controllers do, until another node acknowledges it.
 fn wait_until_acknowledged(rig: &mut ImageRig) {
     let from = rig.network.now();
-    rig.network.send(rig.master, on_the_wire(&frames::request("04 00")));
+    rig.queue(&frames::request("04 00"));
     while rig.network.adapter_mut(rig.master).unsent() > 0 {
         assert!(rig.network.now() < from + Time::from_s(10), "no acknowledge");
         rig.network.run_for(Time::from_ms(1));

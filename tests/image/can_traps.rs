@@ -14,7 +14,7 @@ use lss_slave::{BitRate, BitRateSetting, Settings};
 use testkit::{
     frames,
     image::{image, part},
-    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire, settings},
+    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
 };
 
 /// The line to the transceiver, as in pins.rs.
@@ -88,7 +88,7 @@ fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
     rig.transmit_request("15 0A 00");
     rig.network.run_for(Time::from_s(1));
     let text = "CAN: the controller does not enter initialisation mode";
-    assert!(rig.network.board(0).log().iter().any(|line| line.text.starts_with(text)));
+    assert!(rig.has_logged(text));
     rig.network.board(0).chip().can_mut(1).set_readings(Readings::default());
     rig.set_master_bit_rate(BitRate::Kbit250);
     rig.network.run_for(Time::from_ms(300));
@@ -120,8 +120,8 @@ fn each_frame_is_handled_once_though_the_fifo_shows_the_next_one_late() {
     let mut rig = rig_with(Readings { late_release: true, ..Readings::default() });
     rig.lss("04 01");
     for request in ["5A", "5B", "5C", "5D", "5E"] {
-        rig.network.send(rig.master, on_the_wire(&frames::stranger()));
-        rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+        rig.queue(&frames::stranger());
+        rig.queue(&frames::request(request));
     }
     let sent = rig.collect(Time::from_ms(50)).0;
     let services: Vec<u8> = sent.iter().map(|frame| frame.data()[0]).collect();

@@ -81,13 +81,13 @@ fn read(id: u8) -> Frame {
 
 /// All boards are commanded to switch; the master stays at the old rate.
 fn activate(rig: &mut ImageRig, to: BitRate, delay_ms: u16) {
-    rig.network.send(rig.master, on_the_wire(&frames::request("04 01")));
+    rig.queue(&frames::request("04 01"));
     let configure = frames::request(&format!("13 00 {:02X}", to.index()));
-    rig.network.send(rig.master, on_the_wire(&configure));
+    rig.queue(&configure);
     rig.network.run_for(Time::from_ms(50));
     let [low, high] = delay_ms.to_le_bytes();
     let activate = frames::request(&format!("15 {low:02X} {high:02X}"));
-    rig.network.send(rig.master, on_the_wire(&activate));
+    rig.queue(&activate);
     // A heartbeat at the new rate may destroy the end of the frame for the master, which then repeats it.
     let frame = rig.bit_time() * LONG_FRAME_BITS;
     rig.network.run_for(frame);
@@ -228,7 +228,7 @@ fn rescued(home: BitRate, found: BitRate) -> ImageRig {
 fn activation_without_configuration_after_a_rescue_keeps_the_rate_in_use() {
     let mut rig = rescued(BitRate::Kbit500, BitRate::Kbit125);
     for request in ["04 01", "15 0A 00"] {
-        rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+        rig.queue(&frames::request(request));
         rig.network.run_for(Time::from_ms(100));
     }
     let time = answer_time(&mut rig, inquire_node_id(), 0x7E4, patience(BitRate::Kbit125));
@@ -239,7 +239,7 @@ fn activation_without_configuration_after_a_rescue_keeps_the_rate_in_use() {
 fn a_spare_part_that_was_rescued_stores_the_rate_that_works() {
     let mut rig = rescued(BitRate::Kbit500, BitRate::Kbit125);
     for request in ["04 01", "11 07", "17"] {
-        rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+        rig.queue(&frames::request(request));
         rig.network.run_for(Time::from_ms(50));
     }
     rig.network.power_off(0);

@@ -6,7 +6,6 @@ use emulator::{
 };
 use lss_slave::BitRate;
 use testkit::{
-    frames::{self, Frames},
     image_rig::{ImageRig, on_the_wire, settings},
     sdo,
 };
@@ -23,11 +22,7 @@ fn alone_for(rig: &mut ImageRig, span: Time) -> Vec<String> {
     rig.network.adapter_mut(rig.master).close();
     rig.network.run_for(span);
     rig.network.adapter_mut(rig.master).open();
-    texts(&rig.collect(Time::from_s(2)))
-}
-
-fn texts(frames: &Frames) -> Vec<String> {
-    frames.0.iter().map(frames::text).collect()
+    rig.collect(Time::from_s(2)).texts()
 }
 
 fn emergencies(texts: &[String]) -> Vec<&str> {
@@ -66,7 +61,7 @@ fn last_heartbeat_after_bus_off(rig: &mut ImageRig) -> String {
     rig.network.run_for(Time::from_s(1));
     rig.network.set_short(None);
     assert!(rig.did(0, from).any(|event| event.what == What::BusOff));
-    let sent = texts(&rig.collect(Time::from_s(4)));
+    let sent = rig.collect(Time::from_s(4)).texts();
     sent.into_iter().rfind(|text| text.starts_with("740")).expect("a heartbeat")
 }
 
@@ -77,8 +72,8 @@ fn a_board_that_was_bus_off_in_operational_is_pre_operational() {
     let mut history = Vec::new();
     for sub_index in 1..=8 {
         let request = sdo::request(0x40, &format!("40 03 10 {sub_index:02X}"));
-        rig.network.send(rig.master, on_the_wire(&request));
-        history.extend(texts(&rig.collect(Time::from_ms(5))));
+        rig.queue(&request);
+        history.extend(rig.collect(Time::from_ms(5)).texts());
     }
     let is_bus_off =
         |text: &String| text.starts_with("5C0: 43 03 10") && text.ends_with("40 81 00 00");

@@ -118,11 +118,11 @@ fn a_wrong_length_that_repeats_before_its_message_is_sent_is_one_error() {
     write(&mut rig, &without_tpdos);
     // The boot-up, which comes before the error messages, has to wait for these.
     for command in ["82 40", "01 40"] {
-        rig.network.send(rig.master, on_the_wire(&frames::command(command)));
+        rig.queue(&frames::command(command));
     }
     for len in [0, 1, 0, 1, 2] {
         let frame = Frame::new(0x240, &[1; 2][..len]).expect("a frame");
-        rig.network.send(rig.master, on_the_wire(&frame));
+        rig.queue(&frame);
     }
     let sent = rig.collect(Time::from_ms(20));
     assert_eq!(sent.0.iter().filter(is_short_pdo).count(), 1, "{sent:?}");

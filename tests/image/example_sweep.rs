@@ -334,7 +334,7 @@ fn a_client_may_confirm_a_block_while_it_is_sent() {
     rig.collect(Time::from_ms(2));
     rig.transmit(on_the_wire(&sdo::request(NODE_ID, "A3")));
     let (_, first) = rig.next_frame();
-    rig.network.send(rig.master, on_the_wire(&sdo::request(NODE_ID, "A2 02 7F")));
+    rig.queue(&sdo::request(NODE_ID, "A2 02 7F"));
     let (_, second) = rig.next_frame();
     let (_, third) = rig.next_frame();
     let number = |frames: &Frames| frames.0[0].data()[0];

@@ -549,7 +549,7 @@ fn fill_the_bus(
             rpdos += rpdo_cob_ids.len();
         }
         let request = random.pick(&["5A", "5B", "5C", "5D", "5E"]);
-        rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+        rig.queue(&frames::request(request));
         let until = rig.network.now() + Time::from_us(random.within(2_500..4_000));
         while rig.network.now() < until {
             while rig.network.adapter_mut(filler).unsent() < 5 {
@@ -629,8 +629,8 @@ fn a_minute_of_process_data_needs_no_reset_and_little_stack() {
                 is_pressed = !is_pressed;
                 press(&rig, is_pressed);
                 set_temperature(&rig, random.within(0..80) as i32);
-                rig.network.send(rig.master, on_the_wire(&sdo::request(1, "40 08 10 00")));
-                rig.network.send(rig.master, on_the_wire(&sdo::request(1, "60")));
+                rig.queue(&sdo::request(1, "40 08 10 00"));
+                rig.queue(&sdo::request(1, "60"));
             }
             let sent = rig.collect(Time::from_ms(40));
             assert_eq!(of(0x281, &sent).0.len(), 1, "TPDO 2 at each SYNC");

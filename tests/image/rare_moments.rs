@@ -12,9 +12,9 @@ use emulator::{
 };
 use lss_slave::{BitRate, BitRateSetting, Settings};
 use testkit::{
-    frames::{self, Frames},
+    frames::{self},
     image::{image, part},
-    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire, settings},
+    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
     sdo,
 };
 
@@ -41,24 +41,6 @@ fn slow_node_40(slowdown: u8) -> ImageRig {
     rig(Readings { slowdown, ..Readings::default() }, settings(NODE_ID, RATE))
 }
 
-fn queue(rig: &mut ImageRig, frame: &lss_slave::Frame) {
-    rig.network.send(rig.master, on_the_wire(frame));
-}
-
-fn texts(frames: &Frames) -> Vec<String> {
-    frames.0.iter().map(frames::text).collect()
-}
-
-/// Selects the board and inquires its node-ID every 50 ms; returns whether it answers within 15 s.
-fn is_reached(rig: &mut ImageRig) -> bool {
-    (0..300).any(|_| {
-        queue(rig, &frames::request("04 01"));
-        queue(rig, &frames::request("5E"));
-        let frames = rig.collect(Time::from_ms(50));
-        frames.0.iter().any(|frame| frame.cob_id() == 0x7E4)
-    })
-}
-
 /// Passes time that the board does not notice but in its count.
 fn skip_minutes(rig: &mut ImageRig, minutes: u32) {
     const TIM2_CNT: u32 = 0x4000_0024;
@@ -67,7 +49,7 @@ fn skip_minutes(rig: &mut ImageRig, minutes: u32) {
     let count = board.chip().read(counter).expect("a register");
     board.chip().write(counter, count.wrapping_add(minutes * 60_000_000)).expect("a register");
     // An interrupt sets the next deadline.
-    queue(rig, &frames::request("04 00"));
+    rig.queue(&frames::request("04 00"));
 }
 
 /// Makes the bus dominant for a while.
@@ -89,8 +71,8 @@ fn a_boot_up_that_is_repeated_after_half_an_hour_restarts_the_heartbeat() {
     rig.network.adapter_mut(rig.master).open();
     skip_minutes(&mut rig, 40);
     let sent = rig.collect(Time::from_ms(900));
-    assert_eq!(texts(&sent)[0], "740: 00");
-    assert_eq!(texts(&rig.collect(Time::from_ms(200))), ["740: 7F"]);
+    assert_eq!(sent.texts()[0], "740: 00");
+    assert_eq!(rig.collect(Time::from_ms(200)).texts(), ["740: 7F"]);
 }
 
 #[test]
@@ -102,27 +84,27 @@ fn errors_far_apart_do_not_start_a_search() {
         rig.network.run_for(Time::from_s(seconds));
     }
     assert_eq!(rig.bit_rates(0, since), []);
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
 }
 
 #[test]
 fn a_reset_leaves_a_save_unanswered_whose_end_waits_behind_errors() {
     let mut rig = node_40(0);
     rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-    queue(&mut rig, &sdo::request(NODE_ID, "2B 17 10 00 E8 03"));
-    queue(&mut rig, &sdo::request(NODE_ID, "23 10 10 01 73 61 76 65"));
+    rig.queue(&sdo::request(NODE_ID, "2B 17 10 00 E8 03"));
+    rig.queue(&sdo::request(NODE_ID, "23 10 10 01 73 61 76 65"));
     // Behind the request to save.
     rig.network.run_for(Time::from_us(420));
     hold_dominant(&mut rig, Time::from_us(300));
     // The save has ended by then, and errors withhold frames for 50 ms.
     rig.network.run_for(Time::from_ms(25));
-    queue(&mut rig, &frames::command("82 40"));
+    rig.queue(&frames::command("82 40"));
     let sent = rig.collect(Time::from_ms(20));
     let is_answer = |frame: &lss_slave::Frame| frame.cob_id() == 0x5C0;
     assert_eq!(sent.0.iter().filter(|frame| is_answer(frame)).count(), 1, "{sent:?}");
     rig.power_cycle(0);
     rig.collect(Time::from_ms(500));
-    assert_eq!(texts(&rig.collect(Time::from_ms(1_000))), ["740: 7F"]);
+    assert_eq!(rig.collect(Time::from_ms(1_000)).texts(), ["740: 7F"]);
 }
 
 #[test]
@@ -132,9 +114,9 @@ fn a_store_by_lss_is_answered_after_a_reset() {
     for request in ["04 01", "11 41"] {
         rig.lss(request);
     }
-    queue(&mut rig, &frames::request("17"));
-    queue(&mut rig, &frames::command("82 40"));
-    assert_eq!(texts(&rig.collect(Time::from_ms(20))), ["741: 00", "7E4: 17 00 00 00 00 00 00 00"]);
+    rig.queue(&frames::request("17"));
+    rig.queue(&frames::command("82 40"));
+    assert_eq!(rig.collect(Time::from_ms(20)).texts(), ["741: 00", "7E4: 17 00 00 00 00 00 00 00"]);
 }
 
 #[test]
@@ -160,7 +142,7 @@ fn a_listener_leaves_a_rate_after_many_form_errors() {
         assert_eq!(!rig.bit_rates(0, since).is_empty(), errors > 20);
     }
     rig.network.adapter_mut(rig.master).open();
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
 }
 
 #[test]
@@ -184,10 +166,10 @@ fn lss_answers_outlive_a_change_of_the_node_id() {
         let mut rig = slow_node_40(slowdown);
         rig.lss("04 01");
         for request in ["11 41", "5A", "5B"] {
-            queue(&mut rig, &frames::request(request));
+            rig.queue(&frames::request(request));
         }
-        queue(&mut rig, &frames::command("82 00"));
-        let sent = texts(&rig.collect(Time::from_ms(50)));
+        rig.queue(&frames::command("82 00"));
+        let sent = rig.collect(Time::from_ms(50)).texts();
         let mut begins: Vec<&str> = sent.iter().map(|text| &text[..7]).collect();
         begins.sort_unstable();
         assert_eq!(begins, ["741: 00", "7E4: 11", "7E4: 5A", "7E4: 5B"], "{slowdown}");
@@ -210,7 +192,7 @@ fn a_dominant_bus_ends_a_search_in_each_of_its_turns() {
         hold_dominant(&mut rig, Time::from_ms(60));
         rig.network.run_for(Time::from_ms(100));
     }
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
     assert_eq!(turns, BTreeSet::from([false, true]), "it listened elsewhere and at home");
 }
 
@@ -223,13 +205,13 @@ fn a_deadline_of_a_search_may_pass_just_before_a_frame_is_handled() {
     let until = rig.network.now() + Time::from_s(5);
     while rig.network.now() < until {
         if rig.network.adapter_mut(rig.master).unsent() == 0 {
-            queue(&mut rig, &boot_up);
+            rig.queue(&boot_up);
         }
         rig.network.run_for(Time::from_ms(1));
     }
     rig.network.adapter_mut(rig.master).close();
     rig.network.adapter_mut(rig.master).open();
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
 }
 
 #[test]
@@ -276,7 +258,7 @@ fn errors_soon_after_a_search_without_a_result_begin_another() {
         rig.network.run_for(Time::from_ms(1_000));
     }
     rig.network.adapter_mut(rig.master).open();
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
 }
 
 #[test]
@@ -284,13 +266,12 @@ fn a_full_queue_drops_the_latest_messages() {
     let mut rig = slow_node_40(60);
     // Each lost frame is reported, but the commands go first.
     for _ in 0..600 {
-        queue(&mut rig, &frames::command("01 7F"));
+        rig.queue(&frames::command("01 7F"));
     }
     rig.collect(Time::from_ms(100));
     let text = "CAN: the transmit queue is full, frame 0xc0 was dropped";
-    let log = rig.network.board(0).log();
-    assert!(log.iter().any(|line| line.text.starts_with(text)), "{log:#?}");
-    assert!(is_reached(&mut rig));
+    assert!(rig.has_logged(text), "{:#?}", rig.network.board(0).log());
+    assert!(rig.is_reached());
 }
 
 #[test]
@@ -311,7 +292,7 @@ fn bus_off_may_begin_while_the_indicators_are_set() {
             rig.network.run_for(Time::from_ms(200) - before - to_bus_off);
         }
         let since = rig.network.now();
-        queue(&mut rig, &sdo::request(NODE_ID, "40 00 10 00"));
+        rig.queue(&sdo::request(NODE_ID, "40 00 10 00"));
         rig.network.run_for(Time::from_us(140));
         rig.network.set_short(Some(Short::Recessive));
         rig.network.run_for(Time::from_ms(5));
@@ -320,5 +301,5 @@ fn bus_off_may_begin_while_the_indicators_are_set() {
         to_bus_off = bus_off.expect("it goes bus-off").time - since;
         rig.network.run_for(Time::from_ms(300));
     }
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
 }

@@ -41,28 +41,6 @@ fn read(rig: &mut ImageRig, object: &str) -> u32 {
     u32::from_le_bytes(*answer.data().last_chunk().expect("eight bytes"))
 }
 
-fn says(rig: &ImageRig, text: &str) -> bool {
-    rig.network.board(0).log().iter().any(|line| line.text.starts_with(text))
-}
-
-fn texts(frames: &Frames) -> Vec<String> {
-    frames.0.iter().map(frames::text).collect()
-}
-
-fn queue(rig: &mut ImageRig, frame: &lss_slave::Frame) {
-    rig.network.send(rig.master, on_the_wire(frame));
-}
-
-/// Selects the board and inquires its node-ID every 50 ms; returns whether it answers within 15 s.
-fn is_reached(rig: &mut ImageRig) -> bool {
-    (0..300).any(|_| {
-        queue(rig, &frames::request("04 01"));
-        queue(rig, &frames::request("5E"));
-        let frames = rig.collect(Time::from_ms(50));
-        frames.0.iter().any(|frame| frame.cob_id() == 0x7E4)
-    })
-}
-
 #[test]
 fn each_wrong_sdo_request_has_its_abort_code() {
     let mut rig = node_40(0);
@@ -91,7 +69,7 @@ fn each_wrong_sdo_request_has_its_abort_code() {
         ("40 00 00 00", "80 00 00 00 00 00 02 06"),
         ("2F 01 10 00 00", "80 01 10 00 02 00 01 06"),
     ] {
-        assert_eq!(texts(&sdo(&mut rig, request)), [format!("5C0: {answer}")], "{request}");
+        assert_eq!(sdo(&mut rig, request).texts(), [format!("5C0: {answer}")], "{request}");
     }
     assert_eq!(sdo(&mut rig, "80 17 10 00"), SILENCE);
 }
@@ -121,10 +99,10 @@ fn a_core_that_is_too_slow_for_the_bus_reports_lost_frames() {
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
     rig.collect(Time::from_ms(100));
     for _ in 0..40 {
-        queue(&mut rig, &lss_slave::Frame::new(0x7E5, &[]).expect("a frame"));
+        rig.queue(&lss_slave::Frame::new(0x7E5, &[]).expect("a frame"));
     }
-    let sent = texts(&rig.collect(Time::from_ms(200)));
-    assert!(says(&rig, "CAN: overrun, a received frame was lost"));
+    let sent = rig.collect(Time::from_ms(200)).texts();
+    assert!(rig.has_logged("CAN: overrun, a received frame was lost"));
     assert!(sent.iter().any(|text| text.starts_with("0C0: 10 81 11")), "{sent:?}");
     assert!(sent.iter().any(|text| text.starts_with("0C0: 00 00 00")), "{sent:?}");
 }
@@ -156,17 +134,17 @@ fn a_configured_rate_stays_pending_while_the_board_follows_the_bus() {
         for frame in ["702:", "703: 00", "701: 05"] {
             let (id, data) = frame.split_once(':').expect("an id and data");
             let id = u16::from_str_radix(id, 16).expect("an id");
-            queue(&mut rig, &lss_slave::Frame::new(id, &frames::bytes(data)).expect("a frame"));
+            rig.queue(&lss_slave::Frame::new(id, &frames::bytes(data)).expect("a frame"));
         }
         rig.collect(Time::from_ms(50));
     }
-    assert!(is_reached(&mut rig));
-    let answers = texts(&rig.lss("17"));
+    assert!(rig.is_reached());
+    let answers = rig.lss("17").texts();
     assert!(answers.iter().any(|text| text.starts_with("7E4: 17 00")), "{answers:?}");
     rig.network.power_off(0);
     rig.set_master_bit_rate(BitRate::Kbit250);
     rig.power_on(0);
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
 }
 
 #[test]
@@ -178,17 +156,17 @@ fn a_board_that_has_found_its_rate_can_follow_the_bus_to_others() {
     rig.transmit_request("15 0A 00");
     rig.network.run_for(Time::from_ms(10));
     rig.set_master_bit_rate(BitRate::Kbit250);
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
     for request in ["04 01", "13 00 09"] {
         rig.lss(request);
     }
     rig.transmit_request("15 0A 00");
     rig.collect(Time::from_ms(100));
-    assert!(is_reached(&mut rig), "a detection that continues keeps its result");
+    assert!(rig.is_reached(), "a detection that continues keeps its result");
     rig.collect(Time::from_s(31));
     for rate in [BitRate::Kbit500, BitRate::Kbit250] {
         rig.set_master_bit_rate(rate);
-        assert!(is_reached(&mut rig), "{rate:?}");
+        assert!(rig.is_reached(), "{rate:?}");
     }
 }
 
@@ -239,7 +217,7 @@ fn error_behaviour_2_stops_the_node_at_bus_off() {
         rig.network.set_short(Some(Short::Recessive));
         rig.network.run_for(Time::from_s(1));
         rig.network.set_short(None);
-        let sent = texts(&rig.collect(Time::from_s(4)));
+        let sent = rig.collect(Time::from_s(4)).texts();
         assert_eq!(sent.last().map(String::as_str), Some("740: 04"), "{state}");
     }
 }
@@ -249,11 +227,11 @@ fn bus_off_before_the_first_boot_up_does_not_stop_the_node() {
     let mut rig = ImageRig::blank();
     rig.lss("04 01");
     rig.network.set_short(Some(Short::Recessive));
-    queue(&mut rig, &frames::request("5E"));
+    rig.queue(&frames::request("5E"));
     rig.network.run_for(Time::from_s(1));
     rig.network.set_short(None);
     rig.collect(Time::from_s(4));
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
 }
 
 /// Passes time that the board does not notice but in its count.
@@ -294,20 +272,20 @@ fn a_fast_heartbeat_resumes_once_after_a_pause() {
 fn saving() -> ImageRig {
     let mut rig = node_40(0);
     rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-    queue(&mut rig, &sdo::request(0x40, "2B 17 10 00 E8 03"));
-    queue(&mut rig, &sdo::request(0x40, "23 10 10 01 73 61 76 65"));
+    rig.queue(&sdo::request(0x40, "2B 17 10 00 E8 03"));
+    rig.queue(&sdo::request(0x40, "23 10 10 01 73 61 76 65"));
     rig
 }
 
 #[test]
 fn one_save_runs_and_one_waits_and_a_third_is_refused() {
     let mut rig = saving();
-    queue(&mut rig, &sdo::request(0x40, "23 10 10 01 73 61 76 65"));
-    queue(&mut rig, &sdo::request(0x40, "23 11 10 01 6C 6F 61 64"));
+    rig.queue(&sdo::request(0x40, "23 10 10 01 73 61 76 65"));
+    rig.queue(&sdo::request(0x40, "23 11 10 01 6C 6F 61 64"));
     for _ in 0..3 {
-        queue(&mut rig, &sdo::request(0x40, "23 10 10 01 73 61 76 65"));
+        rig.queue(&sdo::request(0x40, "23 10 10 01 73 61 76 65"));
     }
-    let answers = texts(&rig.collect(Time::from_ms(50)));
+    let answers = rig.collect(Time::from_ms(50)).texts();
     assert!(answers.contains(&"5C0: 80 11 10 01 21 00 00 08".to_owned()), "{answers:?}");
     let count = |end: &str| answers.iter().filter(|text| **text == format!("5C0: {end}")).count();
     let (done, refused) = (count("60 10 10 01 00 00 00 00"), answers.len() - 1);
@@ -326,7 +304,7 @@ fn a_reset_or_a_stop_during_a_save_leaves_it_unanswered_but_done() {
     ] {
         let mut rig = saving();
         rig.network.run_for(Time::from_us(delay));
-        queue(&mut rig, &frames::command(command));
+        rig.queue(&frames::command(command));
         rig.collect(Time::from_ms(50));
         rig.power_cycle(0);
         rig.collect(Time::from_ms(20));
@@ -427,7 +405,7 @@ fn a_board_whose_flash_fails_at_the_start_still_has_its_settings() {
         board.chip().flash_mut().add_stuck_bits(bits);
         let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
-        assert!(says(&rig, "the flash failed, a store may fail too"));
+        assert!(rig.has_logged("the flash failed, a store may fail too"));
     }
 }
 
@@ -436,7 +414,7 @@ fn a_new_board_with_a_weak_supply_answers_without_a_store() {
     let mut board = blank_board(0);
     board.set_supply(2_500);
     let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board]);
-    assert!(says(&rig, "flash: not written, the supply is below 2.7 V"));
+    assert!(rig.has_logged("flash: not written, the supply is below 2.7 V"));
     assert_eq!(rig.lss("4C"), ["50"]);
     rig.lss("04 01");
     assert_eq!(rig.lss("17"), ["17 02"]);
@@ -451,8 +429,8 @@ fn a_board_recovers_from_bus_off_at_a_slow_rate() {
     rig.network.set_short(None);
     rig.collect(Time::from_s(4));
     assert!(rig.did(0, Time::ZERO).any(|event| event.what == What::BusOff));
-    assert!(says(&rig, "CAN: recovered from bus-off"));
-    assert!(texts(&rig.collect(Time::from_s(1))).contains(&"740: 7F".to_owned()));
+    assert!(rig.has_logged("CAN: recovered from bus-off"));
+    assert!(rig.collect(Time::from_s(1)).texts().contains(&"740: 7F".to_owned()));
 }
 
 #[test]
@@ -460,13 +438,13 @@ fn of_the_heartbeats_that_a_full_bus_delays_two_remain() {
     let mut rig = node_40(20);
     let urgent = lss_slave::Frame::new(0x001, &[0x55; 8]).expect("a frame");
     for command in ["01 40", "02 40"] {
-        (0..800).for_each(|_| queue(&mut rig, &urgent));
-        queue(&mut rig, &frames::command(command));
+        (0..800).for_each(|_| rig.queue(&urgent));
+        rig.queue(&frames::command(command));
     }
     while rig.network.adapter_mut(rig.master).unsent() > 0 {
         rig.network.run_for(Time::from_ms(1));
     }
-    let sent = texts(&rig.collect(Time::from_ms(1)));
+    let sent = rig.collect(Time::from_ms(1)).texts();
     let heartbeats: Vec<_> = sent.iter().filter(|text| text.starts_with("740")).collect();
     assert_eq!(heartbeats, ["740: 7F", "740: 7F", "740: 05"]);
 }
@@ -481,10 +459,10 @@ fn settings_are_saved_and_defaults_restored_in_operational() {
         ("23 11 10 01 6C 6F 61 65", "80 11 10 01 20 00 00 08"),
         ("23 11 10 01 6C 6F 61 64", "60 11 10 01 00 00 00 00"),
     ] {
-        assert_eq!(texts(&sdo(&mut rig, request)), [format!("5C0: {answer}")], "{request}");
+        assert_eq!(sdo(&mut rig, request).texts(), [format!("5C0: {answer}")], "{request}");
     }
     let restore = sdo::request(0x40, "23 11 10 01 6C 6F 61 64");
-    (0..8).for_each(|_| queue(&mut rig, &restore));
+    (0..8).for_each(|_| rig.queue(&restore));
     assert!(!rig.collect(Time::from_ms(50)).0.is_empty());
 }
 
@@ -500,9 +478,9 @@ fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
         for request in ["04 01", configure] {
             rig.lss(request);
         }
-        queue(&mut rig, &frames::command("82 40"));
-        queue(&mut rig, &sdo::request(0x40, "40 17 10 00"));
-        assert_eq!(texts(&rig.collect(Time::from_ms(50))), *boot_up, "{configure}");
+        rig.queue(&frames::command("82 40"));
+        rig.queue(&sdo::request(0x40, "40 17 10 00"));
+        assert_eq!(rig.collect(Time::from_ms(50)).texts(), *boot_up, "{configure}");
     }
 }
 
@@ -510,7 +488,7 @@ fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
 fn guest() -> ImageRig {
     let mut rig = node_40(100);
     rig.set_master_bit_rate(BitRate::Kbit250);
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
     rig
 }
 
@@ -521,7 +499,7 @@ fn a_guest_goes_home_when_its_master_is_gone() {
     rig.network.run_for(Time::from_s(10));
     rig.network.adapter_mut(rig.master).open();
     rig.set_master_bit_rate(BitRate::Kbit1000);
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
 }
 
 #[test]
@@ -530,13 +508,13 @@ fn a_dominant_bus_ends_a_search_and_not_the_stay_of_a_guest() {
     rig.network.set_short(Some(Short::Dominant));
     rig.network.run_for(Time::from_s(3));
     rig.network.set_short(None);
-    assert!(is_reached(&mut rig));
+    assert!(rig.is_reached());
     for ms in [5, 40, 90, 130, 180, 230, 300, 400] {
         let mut rig = node_40(100);
         rig.set_master_bit_rate(BitRate::Kbit250);
         let foreign = Frames(vec![frames::stranger()]);
         for _ in 0..60 {
-            queue(&mut rig, &foreign.0[0]);
+            rig.queue(&foreign.0[0]);
             rig.network.run_for(Time::from_ms(20));
         }
         rig.network.run_for(Time::from_ms(ms));
@@ -544,7 +522,7 @@ fn a_dominant_bus_ends_a_search_and_not_the_stay_of_a_guest() {
         rig.network.run_for(Time::from_ms(600));
         rig.network.set_short(None);
         rig.set_master_bit_rate(BitRate::Kbit1000);
-        assert!(is_reached(&mut rig));
+        assert!(rig.is_reached());
     }
 }
 
@@ -557,8 +535,8 @@ fn a_request_during_the_pause_of_a_lonely_board_is_answered() {
         rig.network.adapter_mut(rig.master).close();
         rig.network.run_for(Time::from_ms(140 + 10 * delay));
         rig.network.adapter_mut(rig.master).open();
-        queue(&mut rig, &frames::request("5E"));
-        let answers = texts(&rig.collect(Time::from_ms(100)));
+        rig.queue(&frames::request("5E"));
+        let answers = rig.collect(Time::from_ms(100)).texts();
         unanswered += u32::from(!answers.iter().any(|text| text.starts_with("7E4: 5E")));
     }
     assert_eq!(unanswered, 0);

@@ -9,7 +9,7 @@ use emulator::{
 use lss_slave::{BitRate, BitRateSetting};
 use testkit::{
     frames,
-    image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
+    image_rig::{ImageRig, bit_per_s, board_with, settings},
 };
 
 /// The silent bit of CAN_BTR (RM0090, 32.9.2).
@@ -152,7 +152,7 @@ fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
     println!("time from power-on until a lone master is acknowledged, in ms");
     for bit_rate in BitRate::ALL {
         let mut rig = rig(bit_rate, 0x40);
-        rig.network.send(rig.master, on_the_wire(&frames::request("04 01")));
+        rig.queue(&frames::request("04 01"));
         rig.network.run_for(Time::from_ms(5));
         let on = switch_on(&mut rig);
         while rig.network.adapter_mut(rig.master).unsent() > 0 {

@@ -88,8 +88,8 @@ fn storm(rig: &mut ImageRig, random: &mut Random) {
         let requests = ["04 01", "11 40", "11 04", "17", "5E", "51", "47", "4C"];
         for _ in 0..40 {
             let request = random.pick(&requests);
-            rig.network.send(rig.master, on_the_wire(&testkit::frames::request(request)));
-            rig.network.send(rig.master, on_the_wire(&sdo::request(0x40, "40 08 10 00")));
+            rig.queue(&testkit::frames::request(request));
+            rig.queue(&sdo::request(0x40, "40 08 10 00"));
             let urgent = random.pick(&[0x001, 0x080, 0x640, 0x7E4]);
             rig.network.send(other, Frame::data(Id::Standard(urgent), &random.bytes::<8>()));
         }
