@@ -219,8 +219,18 @@ impl ImageRig {
     }
 
     /// Whether a line of the first board's log begins with `text`.
+    #[cfg(feature = "log")]
     pub fn has_logged(&self, text: &str) -> bool {
         self.network.board(0).log().iter().any(|line| line.text.starts_with(text))
+    }
+
+    #[cfg(feature = "log")]
+    fn print_logs(&self) {
+        for (number, board) in self.network.boards().iter().enumerate() {
+            for line in board.log() {
+                eprintln!("board {number}, {} ms: {} {}", line.time, line.level, line.text);
+            }
+        }
     }
 
     /// The frames that the master receives within `span`.
@@ -352,14 +362,11 @@ impl Client for SdoClient<'_> {
 
 impl Drop for ImageRig {
     fn drop(&mut self) {
-        if !thread::panicking() {
-            return self.check();
-        }
-        #[cfg(feature = "log")]
-        for (number, board) in self.network.boards().iter().enumerate() {
-            for line in board.log() {
-                eprintln!("board {number}, {} ms: {} {}", line.time, line.level, line.text);
-            }
+        if thread::panicking() {
+            #[cfg(feature = "log")]
+            self.print_logs();
+        } else {
+            self.check();
         }
     }
 }
