@@ -68,6 +68,11 @@ impl<L: Places> Emergency<L> {
         self.faults.error_register() | self.reports.error_register()
     }
 
+    /// Whether an acknowledge may make a difference.
+    pub fn awaits_acknowledge(&self) -> bool {
+        self.faults.awaits_acknowledge() || !self.reports.is_empty()
+    }
+
     /// Records that a frame of the node was acknowledged. Emergency messages are sent before all periodic frames.
     pub fn note_acknowledge(&mut self) {
         self.faults.note_acknowledge();

@@ -223,7 +223,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
     /// returns all other actions.
-    #[inline(never)] // Apart it takes 70 bytes less.
+    #[inline(never)] // Apart it takes 480 bytes less.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         if !self.bit_rate.is_at_ease() {
@@ -258,6 +258,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// [`BusEvent::BusOffRecovered`] is counted.
     #[inline(never)] // It has several callers.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
+        // In service nothing follows from the acknowledge of an answer.
+        if event == BusEvent::Acknowledged
+            && !self.nmt.awaits_acknowledge()
+            && !self.emergency.awaits_acknowledge()
+            && self.bit_rate.take_acknowledge()
+        {
+            return;
+        }
         self.due = Due::Now;
         match event {
             BusEvent::ErrorCounters { transmit, receive } => {

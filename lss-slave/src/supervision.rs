@@ -50,8 +50,10 @@ const TURN_MICROS: u32 = 20_000;
 const TURN_BITS: u32 = 2 * 135;
 /// Home opens in spite of errors that have gone on for this long: a master that only listens must hear the node.
 const DISTURBANCE_MICROS: u32 = 500_000;
-/// The time for which the node takes part at home between two looks while the bus is quiet.
+/// The time for which the node takes part at home between two looks while the bus is quiet. A master that only listens
+/// hears the node once that is error passive, after 16 attempts at a frame.
 const OPEN_TURN_MICROS: u32 = 150_000;
+const OPEN_TURN_BITS: u32 = 3_000;
 /// Errors this close together belong to one episode. A look that hears anything lasts no longer.
 const EPISODE_GAP_MICROS: u32 = 60_000;
 /// The duration of two frames at 10 kbit/s.
@@ -282,11 +284,21 @@ impl Supervision {
 
     /// Whether another valid frame makes no difference.
     pub const fn is_at_ease(&self) -> bool {
-        self.is_at_home()
-            && self.is_proven
-            && !self.has_searched
-            && self.errors.count == 0
-            && matches!(self.sending, Sending::Free)
+        self.is_in_service() && matches!(self.sending, Sending::Free)
+    }
+
+    /// Whether another valid frame makes no difference but to what is being sent.
+    const fn is_in_service(&self) -> bool {
+        self.is_at_home() && self.is_proven && !self.has_searched && self.errors.count == 0
+    }
+
+    /// Handles an acknowledge if it only ends the repetition of a frame; returns whether it does.
+    pub const fn take_acknowledge(&mut self) -> bool {
+        let takes = self.is_in_service() && !self.is_withholding();
+        if takes {
+            self.sending = Sending::Free;
+        }
+        takes
     }
 
     /// The rate at which the node takes part, if it differs from the last one returned or commanded: the node has
@@ -596,7 +608,8 @@ impl Supervision {
     #[inline(never)] // It has several callers: 20 to 50 bytes.
     // Bound: not in service: the node is at home and nothing is doubted.
     fn open_home(&mut self, look: Look, now: Instant) {
-        let until = now.plus_micros(OPEN_TURN_MICROS);
+        let micros = OPEN_TURN_MICROS.max(bits_micros(OPEN_TURN_BITS, self.home));
+        let until = now.plus_micros(micros);
         self.place = Place::Looking { look, turn: Turn::HomeOpen, until };
         self.step = Some(Step::TakePart(self.home));
     }

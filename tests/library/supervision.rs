@@ -6,10 +6,11 @@ use lss_slave::{
     BusEvent::{
         self, Acknowledged, BusOff, Error, ErrorPassive, FormError, HeldDominant, Received,
     },
+    Instant,
 };
 use testkit::{
     flash::BoardFlash,
-    frames::SILENCE,
+    frames::{SILENCE, request},
     node_rig::{ADDRESS, NodeRig, defaults, device},
     supervised::{doubt, powered_on, proven, switched, unproven},
 };
@@ -45,6 +46,18 @@ fn a_proven_home_rate_is_doubted_at_the_third_error_after_a_second() {
     board.pass_us(1);
     board.see(FormError);
     assert_eq!(board.timeline(), ["0.001 ms listen at 1000 kbit/s"]);
+}
+
+#[test]
+fn nothing_is_due_after_the_acknowledge_of_an_answer_in_service() {
+    let mut board = proven();
+    board.lss("04 01");
+    let now = Instant::from_micros(board.now() as u32);
+    assert!(board.node.handle_frame(&request("5E"), now).is_some());
+    board.node.handle_bus(Acknowledged, now);
+    assert!(!board.node.is_due(now));
+    board.node.handle_bus(Error, now);
+    assert!(board.node.is_due(now), "a disturbed node looks at its errors");
 }
 
 #[test]

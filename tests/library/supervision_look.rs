@@ -33,6 +33,22 @@ fn the_silent_turn_of_home_lasts_20_ms_and_the_time_of_two_frames() {
 }
 
 #[test]
+fn the_open_turn_of_home_lasts_150_ms_or_3000_bits() {
+    for (home, ms) in [(BitRate::Kbit1000, 150), (BitRate::Kbit20, 150), (BitRate::Kbit10, 300)] {
+        let mut board = powered_on(home, 0);
+        doubt(&mut board);
+        board.see(FormError);
+        while board.node.is_listening() {
+            board.pass_ms(1);
+        }
+        board.pass_ms(ms - 1);
+        assert!(!board.node.is_listening(), "{home:?}");
+        board.pass_ms(1);
+        assert!(board.node.is_listening(), "{home:?}");
+    }
+}
+
+#[test]
 fn a_look_ends_40_ms_after_the_first_event() {
     // The first look ends by itself after 40 ms; those after something was heard wait 1.1 s.
     for (heard_at_ms, end_ms) in [(1, 41), (500, 540), (1_080, 1_100)] {

@@ -205,6 +205,11 @@ impl Faults {
         }
     }
 
+    /// Whether a message was sent but not acknowledged.
+    pub const fn awaits_acknowledge(&self) -> bool {
+        self.in_flight != 0
+    }
+
     /// Records that a frame of the node was acknowledged.
     pub const fn note_acknowledge(&mut self) {
         if self.in_flight & END != 0 {

@@ -75,7 +75,8 @@ impl<L: Places> Reports<L> {
         Self { reports: L::FREE, is_empty: true }
     }
 
-    const fn is_empty(&self) -> bool {
+    /// Whether there is neither an error nor a message.
+    pub const fn is_empty(&self) -> bool {
         L::NUMBER == 0 || self.is_empty
     }
 

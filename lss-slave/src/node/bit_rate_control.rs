@@ -141,6 +141,11 @@ impl BitRateControl {
         is_acknowledged
     }
 
+    /// Handles an acknowledge if it only ends the repetition of a frame; returns whether it does.
+    pub const fn take_acknowledge(&mut self) -> bool {
+        self.supervision.take_acknowledge()
+    }
+
     /// Handles an event of the controller.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         let is_proof = matches!(event, BusEvent::Received | BusEvent::Acknowledged);

@@ -110,6 +110,11 @@ impl NmtSlave {
         }
     }
 
+    /// Whether the boot-up was sent but not acknowledged.
+    pub const fn awaits_acknowledge(&self) -> bool {
+        matches!(self.boot_up, BootUp::Sent)
+    }
+
     /// Records that a frame of the node was acknowledged.
     pub const fn note_acknowledge(&mut self) {
         if let BootUp::Sent = self.boot_up {
