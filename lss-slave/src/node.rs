@@ -258,12 +258,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// [`BusEvent::BusOffRecovered`] is counted.
     #[inline(never)] // It has several callers.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
-        // In service nothing follows from the acknowledge of an answer.
-        if event == BusEvent::Acknowledged
-            && !self.nmt.awaits_acknowledge()
-            && !self.emergency.awaits_acknowledge()
-            && self.bit_rate.take_acknowledge()
-        {
+        if event == BusEvent::Acknowledged && self.take_acknowledge() {
             return;
         }
         self.due = Due::Now;
@@ -448,6 +443,17 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
         self.due = Due::Now;
         None
+    }
+
+    /// Handles the acknowledge of an answer in service, from which nothing follows; returns whether it is one.
+    fn take_acknowledge(&mut self) -> bool {
+        // After other frames the end of the repetition may be the deadline.
+        let is_deadline =
+            matches!(self.due, Due::At(instant) if self.bit_rate.repeats_until() == Some(instant));
+        !is_deadline
+            && !self.nmt.awaits_acknowledge()
+            && !self.emergency.awaits_acknowledge()
+            && self.bit_rate.take_acknowledge()
     }
 
     fn activate_bit_rate(&mut self, silent_until: Instant) {

@@ -292,6 +292,14 @@ impl Supervision {
         self.is_at_home() && self.is_proven && !self.has_searched && self.errors.count == 0
     }
 
+    /// The time until which a frame is repeated without an acknowledge.
+    pub const fn repeats_until(&self) -> Option<Instant> {
+        match self.sending {
+            Sending::Unacknowledged { until } => Some(until),
+            _ => None,
+        }
+    }
+
     /// Handles an acknowledge if it only ends the repetition of a frame; returns whether it does.
     pub const fn take_acknowledge(&mut self) -> bool {
         let takes = self.is_in_service() && !self.is_withholding();

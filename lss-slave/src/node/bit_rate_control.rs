@@ -141,6 +141,11 @@ impl BitRateControl {
         is_acknowledged
     }
 
+    /// The time until which a frame is repeated without an acknowledge.
+    pub const fn repeats_until(&self) -> Option<Instant> {
+        self.supervision.repeats_until()
+    }
+
     /// Handles an acknowledge if it only ends the repetition of a frame; returns whether it does.
     pub const fn take_acknowledge(&mut self) -> bool {
         self.supervision.take_acknowledge()
