@@ -107,6 +107,17 @@ enum Due {
     Never,
 }
 
+impl Due {
+    /// This time or `deadline`, whichever is earlier.
+    fn or_at(self, deadline: Option<Instant>) -> Self {
+        match (self, deadline) {
+            (Self::At(instant), Some(deadline)) => Self::At(instant.earlier(deadline)),
+            (Self::Never, Some(deadline)) => Self::At(deadline),
+            _ => self,
+        }
+    }
+}
+
 impl Node {
     /// A node after power-on, with the stored settings or the device's defaults.
     pub const fn new(device: Device, stored: Option<Settings>) -> Self {
@@ -432,6 +443,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         match self.lss.handle(data)? {
             Reaction::Answer(answer) => {
                 self.bit_rate.note_sent(now);
+                self.due = self.due.or_at(self.bit_rate.repeats_until());
                 return Some(Action::Transmit(answer));
             }
             Reaction::ActivateBitTiming(delay_ms) => {
@@ -445,15 +457,16 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         None
     }
 
-    /// Handles the acknowledge of an answer in service, from which nothing follows; returns whether it is one.
+    /// Handles an acknowledge in service, which only ends the deadline of the repetition; returns whether it is one.
     fn take_acknowledge(&mut self) -> bool {
-        // After other frames the end of the repetition may be the deadline.
-        let is_deadline =
-            matches!(self.due, Due::At(instant) if self.bit_rate.repeats_until() == Some(instant));
-        !is_deadline
+        let is_one = !matches!(self.due, Due::Now)
             && !self.nmt.awaits_acknowledge()
             && !self.emergency.awaits_acknowledge()
-            && self.bit_rate.take_acknowledge()
+            && self.bit_rate.take_acknowledge();
+        if is_one {
+            self.due = self.find_deadline().map_or(Due::Never, Due::At);
+        }
+        is_one
     }
 
     fn activate_bit_rate(&mut self, silent_until: Instant) {

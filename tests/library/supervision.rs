@@ -54,8 +54,10 @@ fn nothing_is_due_after_the_acknowledge_of_an_answer_in_service() {
     board.lss("04 01");
     let now = Instant::from_micros(board.now() as u32);
     assert!(board.node.handle_frame(&request("5E"), now).is_some());
+    assert_eq!(board.us_to_deadline(), Some(100_000), "the repetition of the answer ends");
     board.node.handle_bus(Acknowledged, now);
     assert!(!board.node.is_due(now));
+    assert_eq!(board.us_to_deadline(), None);
     board.node.handle_bus(Error, now);
     assert!(board.node.is_due(now), "a disturbed node looks at its errors");
 }
@@ -218,6 +220,16 @@ fn an_unacknowledged_frame_pauses_20_ms_every_100_ms() {
     board.see(Acknowledged);
     board.pass_ms(1_000);
     assert_eq!(board.timeline(), SILENCE);
+}
+
+#[test]
+fn an_unacknowledged_answer_pauses_without_another_event() {
+    let mut board = proven();
+    board.lss("04 01");
+    board.is_acknowledged = false;
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    board.pass_ms(1_000);
+    assert_eq!(board.timeline()[1..], ["100 ms stop", "100 ms resume"]);
 }
 
 #[test]
