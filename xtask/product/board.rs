@@ -3,7 +3,13 @@
 use std::sync::LazyLock;
 
 use @crate@::{describe, device};
-use emulator::{Time, chip::Part, image::Image};
+use emulator::{
+    Time,
+    board::{Board, Settings},
+    can::Clock,
+    chip::Part,
+    image::Image,
+};
 use lss_slave::BitRateSetting;
 use testkit::{
     boards,
@@ -23,7 +29,13 @@ fn new_board() -> ImageRig {
     let BitRateSetting::Fixed(bit_rate) = device::DEFAULTS.bit_rate else {
         panic!("the master needs a bit rate");
     };
-    ImageRig::new(bit_rate, [boards::board_on(Part::@part@, @controller@, &IMAGE, 0)])
+    let settings = Settings {
+        crystal: Clock { hz: device::CRYSTAL_HZ, ppm: 0 },
+        unique_id: boards::unique_id(0),
+        controller: @controller@,
+        ..Settings::default()
+    };
+    ImageRig::new(bit_rate, [Board::new(Part::@part@, &IMAGE, settings)])
 }
 
 /// Gives the board the node-ID 5 over LSS, and lets it store that.

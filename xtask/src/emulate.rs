@@ -34,7 +34,7 @@ use client::{Client, ClientId, Input};
 use console::Leds;
 use memory::Memory;
 use pace::Pace;
-use programs::Programs;
+use programs::{Hardware, Programs};
 
 /// The longest time until the programs get a received frame.
 const TICK: Duration = Duration::from_millis(1);
@@ -67,7 +67,7 @@ pub struct Arguments {
     /// Address on which to wait for CAN programs
     #[arg(long, default_value = "127.0.0.1:29536", value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
-    /// Keep each board's flash in DIR/board-N.bin: the next run is a power cycle
+    /// Keep each board's flash in the folder DIR, as board-N.bin: the next run is a power cycle
     #[arg(long, value_name = "DIR")]
     flash: Option<PathBuf>,
     /// Node-ID of a board without stored settings: 1..=127, counting up from board to board; or none
@@ -88,6 +88,9 @@ pub struct Arguments {
     /// The CAN controller on the bus: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller)]
     controller: u8,
+    /// The crystal on the boards of --elf, in MHz
+    #[arg(long, default_value_t = 8, value_name = "MHZ", value_parser = clap::value_parser!(u8).range(4..=26))]
+    crystal: u8,
 }
 
 /// The node-ID of the first board; `None`: the boards are stored as unconfigured.
@@ -146,6 +149,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (chip, controller) = (arguments.chip, arguments.controller);
     ensure!(usize::from(controller) <= chip.cans(), "{} has no CAN{controller}", chip.name());
     ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
+    ensure!(
+        arguments.boards > 0 || arguments.node_id.is_none(),
+        "--node-id is stored in boards with our firmware only: set that of an --elf board over LSS"
+    );
     let presets = (0..usize::from(arguments.boards))
         .map(|number| arguments.preset(number))
         .collect::<anyhow::Result<Vec<_>>>()?;
@@ -162,8 +169,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     network.run_for(FIRST_START);
     memory.save(&network)?;
-    let mut programs =
-        Programs::load(&arguments.elf, arguments.chip, arguments.controller, &mut network)?;
+    let hardware =
+        Hardware { part: chip, controller, crystal_hz: u32::from(arguments.crystal) * 1_000_000 };
+    let mut programs = Programs::load(&arguments.elf, hardware, &mut memory, &mut network)?;
 
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let (stop, console_sender) = (sender.clone(), sender.clone());
@@ -216,7 +224,7 @@ pub fn serve(
         for client in clients.values_mut() {
             client.deliver(network);
         }
-        leds.show(programs.ours(network));
+        leds.show(network.boards());
         programs.print(network);
         memory.save(network)?;
         // Take all waiting inputs: on a busy computer each run takes long.

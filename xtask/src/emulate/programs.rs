@@ -5,18 +5,30 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use emulator::{
     Time,
-    board::Board,
+    board::{Board, Settings},
+    can::Clock,
     chip::{FLASH_BASE, Part, ResetCause},
     image::Image,
     network::Network,
 };
 use testkit::boards;
 
+use super::memory::Memory;
+
 /// The programs, on the boards that follow ours.
 pub struct Programs {
     /// The number of the first one's board.
     first: usize,
     programs: Vec<Program>,
+}
+
+/// The boards of the programs.
+#[derive(Clone, Copy)]
+pub struct Hardware {
+    pub part: Part,
+    /// 1 for CAN1.
+    pub controller: u8,
+    pub crystal_hz: u32,
 }
 
 struct Program {
@@ -35,21 +47,31 @@ impl Programs {
         Self { first: network.boards().len(), programs: Vec::new() }
     }
 
-    /// Puts each ELF file on a board of its own with the chip `part`.
+    /// Puts each ELF file on a board of its own.
     ///
     /// # Errors
     /// A file cannot be read, or the chip does not start with it.
     pub fn load(
         paths: &[PathBuf],
-        part: Part,
-        controller: u8,
+        hardware: Hardware,
+        memory: &mut Memory,
         network: &mut Network,
     ) -> anyhow::Result<Self> {
+        let Hardware { part, controller, crystal_hz } = hardware;
         let mut loaded = Self::none(network);
         for path in paths {
-            let image = Image::load(path).with_context(|| path.display().to_string())?;
+            let image = Image::load(path)?;
             check(&image, part).with_context(|| path.display().to_string())?;
-            network.add_board(boards::board_on(part, controller, &image, network.boards().len()));
+            let number = network.boards().len();
+            let settings = Settings {
+                crystal: Clock { hz: crystal_hz, ppm: 0 },
+                unique_id: boards::unique_id(number),
+                controller: controller.into(),
+                ..Settings::default()
+            };
+            let mut board = Board::new(part, &image, settings);
+            memory.restore(&mut board, &image, number, None)?;
+            network.add_board(board);
             loaded.programs.push(Program::new(path, part, image));
         }
         Ok(loaded)
@@ -216,7 +238,9 @@ mod tests {
         assert!(refusal(0x0808_0000).contains("another --chip?"));
         assert!(refusal(0x0800_4000).contains("nothing at 08000000"));
         let mut network = Network::new();
-        let missing = Programs::load(&["no/such".into()], Part::Stm32f405, 1, &mut network);
+        let hardware = Hardware { part: Part::Stm32f405, controller: 1, crystal_hz: 8_000_000 };
+        let mut memory = Memory::open(None).expect("there are no files");
+        let missing = Programs::load(&["no/such".into()], hardware, &mut memory, &mut network);
         assert!(missing.is_err_and(|error| error.to_string().contains("no/such")));
     }
 }
