@@ -15,7 +15,7 @@ mod stop;
 
 use std::{
     io::{self, IsTerminal},
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::ExitCode,
     sync::{
         Arc,
@@ -24,7 +24,7 @@ use std::{
     time::Duration,
 };
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::{Parser, builder::PossibleValuesParser};
 use lss_slave_firmware::chip;
 
@@ -62,7 +62,7 @@ struct Arguments {
     /// Read registers and reset the first board with probe-rs; its chip
     #[arg(long, value_name = "CHIP", value_parser = PossibleValuesParser::new(Probe::chips()))]
     probe: Option<String>,
-    /// The CAN controller of the first board, whose registers the probe reads: can1, can2 or can3
+    /// The CAN controller of the first board, whose registers the probe reads: can1 or can2
     #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "probe")]
     controller: u8,
     /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
@@ -99,6 +99,18 @@ fn main() -> ExitCode {
 
 /// Runs the sessions and reports; returns whether nothing failed.
 fn run(arguments: &Arguments) -> anyhow::Result<bool> {
+    let probe = match &arguments.probe {
+        Some(chip) => Some(Probe::new(chip, arguments.controller)?),
+        None => None,
+    };
+    if let Some(path) = &arguments.report {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        ensure!(
+            folder.is_none_or(Path::is_dir),
+            "--report {}: there is no such folder",
+            path.display()
+        );
+    }
     let is_interrupted = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&is_interrupted);
     ctrlc::set_handler(move || {
@@ -121,8 +133,6 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
                 Ask::Never => false,
             };
             let person = if is_asked { Person::at_standard_input() } else { Person::absent() };
-            let probe = arguments.probe.as_deref();
-            let probe = probe.and_then(|chip| Probe::new(chip, arguments.controller));
             let bus =
                 Bus::new(adapter, Duration::from_millis(arguments.latency.into()), is_interrupted);
             let mut bench = Bench::new(bus, report, person, probe, arguments.quick);

@@ -7,6 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use anyhow::{Context, ensure};
 use lss_slave_firmware::{
     chip::{CHIPS, Chip},
     device,
@@ -30,10 +31,14 @@ impl Probe {
         const { &CHIPS }.iter().filter(has_its_clocks).map(|chip| chip.feature)
     }
 
-    /// The probe of a board with this chip and this CAN controller on the bus; `None` for a chip that the firmware does
-    /// not know.
-    pub fn new(chip: &str, controller: u8) -> Option<Self> {
-        Some(Self { chip: Chip::named(chip)?.probe_rs, controller })
+    /// The probe of a board with this chip and this CAN controller on the bus.
+    ///
+    /// # Errors
+    /// The firmware does not know the chip, or it does not have the controller.
+    pub fn new(chip: &str, controller: u8) -> anyhow::Result<Self> {
+        let Chip { controllers, probe_rs, .. } = Chip::named(chip).context("an unknown chip")?;
+        ensure!(u32::from(controller) <= controllers, "{chip} has no CAN{controller}");
+        Ok(Self { chip: probe_rs, controller })
     }
 
     /// Reads a word without halting the core.
