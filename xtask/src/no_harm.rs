@@ -115,7 +115,7 @@ impl Tally {
 }
 
 fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
-    let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
+    let seed = arguments.seed.unwrap_or_else(Random::seed);
     let mut seeds = Random::from_seed(seed);
     let seeds: Vec<u64> = (0..arguments.situations).map(|_| seeds.u64() >> 32).collect();
     println!("--seed {seed}");

@@ -47,7 +47,7 @@ pub struct Arguments {
 
 /// Runs the life. Fails if a board breaks a rule.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
+    let seed = arguments.seed.unwrap_or_else(Random::seed);
     println!("--seed {seed}");
     let end = DAY_MICROS * if arguments.quick { QUICK_DAYS } else { arguments.days };
     let begin = Instant::now();

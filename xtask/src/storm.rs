@@ -52,7 +52,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let chip = arguments.chip;
     let image = example::image(chip, 1, arguments.example)?;
     let board = boards::board(chip, &image, 0);
-    let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
+    let seed = arguments.seed.unwrap_or_else(Random::seed);
     println!("--seed {seed}");
     match arguments.example {
         None => {
