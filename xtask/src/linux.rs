@@ -64,6 +64,9 @@ pub struct Arguments {
 /// Runs the sessions or the program. Fails if anything is not as expected.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let started = Instant::now();
+    if let Some(program) = arguments.program.first() {
+        ensure!(Path::new(program).is_file(), "there is no program {program}");
+    }
     let system = System::prepare()?;
     let initramfs = match &arguments.program[..] {
         [] => system.with_sessions(),
