@@ -27,7 +27,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     path: Option<PathBuf>,
     /// Take this repository from there, not from this folder
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", value_parser = git_url)]
     git: Option<String>,
     /// The chip of the board
     #[arg(long, default_value = "stm32f405")]
@@ -134,6 +134,19 @@ const TAKEN: [&str; 20] = [
     "test",
     "testkit",
 ];
+
+/// A URL of git that cargo takes, and that needs no escape in a manifest.
+fn git_url(text: &str) -> Result<String, &'static str> {
+    let is_of_url = |c: char| c.is_ascii_graphic() && !"\"<>\\^`{|}".contains(c);
+    match text.split_once("://") {
+        Some(("file" | "git" | "http" | "https" | "ssh", rest))
+            if !rest.is_empty() && rest.chars().all(is_of_url) =>
+        {
+            Ok(text.to_owned())
+        }
+        _ => Err("give a URL such as https://example.org/lss-slave.git"),
+    }
+}
 
 /// Checks that cargo and the compiler accept the name.
 fn check_name(name: &str) -> anyhow::Result<()> {
@@ -372,6 +385,26 @@ mod tests {
         {
             let error = check_name(name).expect_err(name).to_string();
             assert!(error.starts_with(&format!("`{name}` cannot be the name")), "{error}");
+        }
+    }
+
+    #[test]
+    fn only_urls_that_cargo_accepts_are_taken() {
+        for url in ["https://example.org/a.git", "ssh://git@example.org:22/~a/b", "file:///a/b"] {
+            assert_eq!(git_url(url).as_deref(), Ok(url));
+        }
+        for url in [
+            "",
+            "notaurl\"x",
+            "https://",
+            "https://a/\"x",
+            "https://a/b c",
+            "https://a/\u{e4}",
+            "a/b.git",
+            "git@example.org:a/b.git",
+            "lamp://a/b",
+        ] {
+            git_url(url).expect_err(url);
         }
     }
 
