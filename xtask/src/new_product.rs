@@ -60,7 +60,7 @@ const OBJECT: (&str, &str) = (
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let Arguments { name, path, git, chip, controller } = arguments;
     check_name(name)?;
-    check_controller(*chip, *controller)?;
+    example::check_controller(*chip, *controller)?;
     let workspace = workspace();
     let folder = match path {
         Some(path) => env::current_dir()?.join(path),
@@ -161,19 +161,6 @@ fn check_name(name: &str) -> anyhow::Result<()> {
     ensure!(
         !TAKEN.contains(&name) && syn::parse_str::<syn::Ident>(&name.replace('-', "_")).is_ok(),
         "`{name}` cannot be the name of a product, because Rust or something in its program has that name"
-    );
-    Ok(())
-}
-
-/// Checks that the chip has the CAN controller.
-fn check_controller(chip: Part, controller: u8) -> anyhow::Result<()> {
-    let has = |part: &Part| usize::from(controller) <= part.cans();
-    let having = || Part::ALL.into_iter().filter(has).map(Part::name).collect::<Vec<_>>();
-    ensure!(
-        has(&chip),
-        "{} has no CAN{controller}, only {} have",
-        chip.name(),
-        having().join(" and ")
     );
     Ok(())
 }
@@ -510,13 +497,5 @@ mod tests {
         {
             assert_eq!(chip::controller(name).ok(), number, "{name}");
         }
-    }
-
-    #[test]
-    fn a_chip_without_the_can_controller_is_refused() {
-        check_controller(Part::Stm32f405, 2).expect("every chip has CAN2");
-        check_controller(Part::Stm32f423, 3).expect("an STM32F423 has CAN3");
-        let error = check_controller(Part::Stm32f446, 3).expect_err("no CAN3").to_string();
-        assert_eq!(error, "stm32f446 has no CAN3, only stm32f413 and stm32f423 have");
     }
 }
