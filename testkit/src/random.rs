@@ -13,12 +13,17 @@ pub struct Random(u64);
 impl Random {
     /// A generator with a new seed, or with the one in the environment variable `SEED`. Prints the seed.
     pub fn from_environment() -> Self {
-        let seed = match env::var("SEED") {
-            Ok(seed) => seed.parse().expect("SEED is a number"),
-            Err(_) => RandomState::new().hash_one(0),
-        };
+        let seed = Self::seed();
         println!("SEED={seed}");
         Self(seed)
+    }
+
+    /// A new seed, or the one in the environment variable `SEED`.
+    pub fn seed() -> u64 {
+        match env::var("SEED") {
+            Ok(seed) => seed.parse().expect("SEED is a number"),
+            Err(_) => RandomState::new().hash_one(0),
+        }
     }
 
     pub fn from_seed(seed: u64) -> Self {

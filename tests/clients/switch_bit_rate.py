@@ -19,7 +19,12 @@ network = canopen.Network()
 lss = network.lss
 connect(arguments.now)
 lss.send_switch_state_global(lss.CONFIGURATION_STATE)
-lss.configure_bit_timing(TABLE_INDEX[arguments.then])
+try:
+    lss.configure_bit_timing(TABLE_INDEX[arguments.then])
+except canopen.lss.LssError as error:
+    lss.send_switch_state_global(lss.WAITING_STATE)
+    refused = str(error).startswith("LSS Error")
+    sys.exit(f"a board refuses {arguments.then} kbit/s" if refused else f"no board answers at {arguments.now} kbit/s")
 lss.activate_bit_timing(SWITCH_DELAY * 1000)
 network.disconnect()
 time.sleep(3 * SWITCH_DELAY)  # The nodes are silent for twice the delay; to come late does no harm.

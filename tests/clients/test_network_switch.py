@@ -134,3 +134,15 @@ def test_the_script_moves_a_network_for_good(tmp_path):
 
     with Boards(*arguments) as boards:
         assert boards.description.count("500 kbit/s") == len(NODE_IDS)
+
+
+def test_the_script_says_that_no_board_answers():
+    with Boards("--node-id", 1, "--console") as boards:
+        boards.command("power off 0")
+        script = subprocess.run(
+            [sys.executable, SCRIPT, boards.channel, "250", "500", "1"],
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+        )
+        assert (script.returncode, script.stderr) == (1, "no board answers at 250 kbit/s\n")

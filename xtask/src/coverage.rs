@@ -100,9 +100,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             images.push(image);
         }
     }
+    ensure!(!images.is_empty(), "no coverage was recorded yet: run `cargo xtask coverage` first");
     report.explain(workspace, &explanations)?;
-    fs::write(directory.join("lcov.info"), lcov::lcov(&report)?)?;
-    fs::write(directory.join("index.html"), page::page(&report, &images)?)?;
+    write(&directory.join("lcov.info"), lcov::lcov(&report)?)?;
+    write(&directory.join("index.html"), page::page(&report, &images)?)?;
     print(&report, &images, arguments.all);
     let unused: Vec<String> =
         explanations.unused().map(|explanation| format!("  {explanation}\n")).collect();
@@ -116,6 +117,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         unused.concat()
     );
     Ok(())
+}
+
+fn write(path: &Path, content: String) -> anyhow::Result<()> {
+    fs::write(path, content).with_context(|| format!("cannot write {}", path.display()))
 }
 
 fn remove(directory: &Path) -> io::Result<()> {

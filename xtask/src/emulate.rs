@@ -147,7 +147,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     })?;
     let address = listener.local_addr()?;
     let (chip, controller) = (arguments.chip, arguments.controller);
-    ensure!(usize::from(controller) <= chip.cans(), "{} has no CAN{controller}", chip.name());
+    example::check_controller(chip, controller)?;
     ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
     ensure!(
         arguments.boards > 0 || arguments.node_id.is_none(),

@@ -26,6 +26,7 @@ pub struct Arguments {
 
 /// Builds the firmware, writes it to the connected board, and shows its log until Ctrl-C.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    example::check_controller(arguments.chip, arguments.controller)?;
     find_probe_rs()?;
     let chip = Chip::named(arguments.chip.name()).expect("a test compares the names");
     let mut features = example::features(arguments.controller, None);

@@ -23,8 +23,8 @@ pub struct Arguments {
     /// Targets [default: all, one after the other]
     #[arg(value_parser = TARGETS)]
     target: Vec<String>,
-    /// Seconds for each target
-    #[arg(long, default_value_t = 3)]
+    /// Seconds for each target: 1 to 1,000,000
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     seconds: u32,
 }
 

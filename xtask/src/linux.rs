@@ -3,7 +3,7 @@
 mod system;
 
 use std::{
-    io::{BufRead, BufReader, Write},
+    io::{self, BufRead, BufReader, Write},
     net::TcpListener,
     path::Path,
     process::{Child, Command, Stdio},
@@ -64,6 +64,9 @@ pub struct Arguments {
 /// Runs the sessions or the program. Fails if anything is not as expected.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let started = Instant::now();
+    if let Some(program) = arguments.program.first() {
+        ensure!(Path::new(program).is_file(), "there is no program {program}");
+    }
     let system = System::prepare()?;
     let initramfs = match &arguments.program[..] {
         [] => system.with_sessions(),
@@ -152,6 +155,8 @@ impl Guest {
         thread::spawn(move || {
             output.split(b'\n').map_while(Result::ok).try_for_each(|line| sender.send(line))
         });
+        // A `println!` that fails would end the program, but not QEMU.
+        let mut out = io::stdout();
         let mut epoch = None;
         loop {
             let line = match lines.recv_timeout(SILENCE) {
@@ -167,13 +172,13 @@ impl Guest {
                     return Ok(());
                 }
                 emulation.send(Input::Console(command.to_owned()))?;
-                println!("host: {command}");
-                keyboard.write_all(b"\n")?;
+                writeln!(out, "host: {command}")?;
+                keyboard.write_all(b"\n").ok().context("Linux ended in the middle")?;
             } else if let Some((time, frame)) = candump(&line) {
                 let ms = 1e3 * (time - *epoch.get_or_insert(time));
-                println!("{ms:>12.3}   {}", describe(&frame));
+                writeln!(out, "{ms:>12.3}   {}", describe(&frame))?;
             } else if !line.is_empty() {
-                println!("{line}");
+                writeln!(out, "{line}")?;
             }
         }
     }

@@ -31,7 +31,11 @@ mod trace;
 mod unsafe_code;
 mod worst_case;
 
-use std::{io, path::Path, process::ExitCode};
+use std::{
+    io, panic,
+    path::Path,
+    process::{self, ExitCode},
+};
 
 use anstyle::{AnsiColor, Style};
 use clap::{Parser, Subcommand};
@@ -77,6 +81,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    end_with_the_reader();
     let outcome = match Arguments::parse().command {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Chips(arguments) => chips::run(&arguments),
@@ -102,7 +107,7 @@ fn main() -> ExitCode {
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) if is_broken_pipe(&error) => ExitCode::FAILURE,
         Err(error) => {
             anstream::eprintln!("{ERROR}error:{ERROR:#} {error:#}");
             ExitCode::FAILURE
@@ -113,6 +118,18 @@ fn main() -> ExitCode {
 /// The directory of the workspace.
 fn workspace() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
+}
+
+/// Ends the program without a message when `println!` finds that the reader of the output, such as `head`, has closed
+/// it. The exit status is that of a failure: the command has not done all of its work.
+fn end_with_the_reader() {
+    let report = panic::take_hook();
+    panic::set_hook(Box::new(move |info| match info.payload_as_str() {
+        Some(text) if text.starts_with("failed printing to stdout: Broken pipe") => {
+            process::exit(1)
+        }
+        _ => report(info),
+    }));
 }
 
 /// Whether the reader of the output, such as `head`, has closed it.

@@ -27,7 +27,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     path: Option<PathBuf>,
     /// Take this repository from there, not from this folder
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", value_parser = git_url)]
     git: Option<String>,
     /// The chip of the board
     #[arg(long, default_value = "stm32f405")]
@@ -60,7 +60,7 @@ const OBJECT: (&str, &str) = (
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let Arguments { name, path, git, chip, controller } = arguments;
     check_name(name)?;
-    check_controller(*chip, *controller)?;
+    example::check_controller(*chip, *controller)?;
     let workspace = workspace();
     let folder = match path {
         Some(path) => env::current_dir()?.join(path),
@@ -135,6 +135,19 @@ const TAKEN: [&str; 20] = [
     "testkit",
 ];
 
+/// A URL of git that cargo takes, and that needs no escape in a manifest.
+fn git_url(text: &str) -> Result<String, &'static str> {
+    let is_of_url = |c: char| c.is_ascii_graphic() && !"\"<>\\^`{|}".contains(c);
+    match text.split_once("://") {
+        Some(("file" | "git" | "http" | "https" | "ssh", rest))
+            if !rest.is_empty() && rest.chars().all(is_of_url) =>
+        {
+            Ok(text.to_owned())
+        }
+        _ => Err("give a URL such as https://example.org/lss-slave.git"),
+    }
+}
+
 /// Checks that cargo and the compiler accept the name.
 fn check_name(name: &str) -> anyhow::Result<()> {
     let is_of_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
@@ -148,19 +161,6 @@ fn check_name(name: &str) -> anyhow::Result<()> {
     ensure!(
         !TAKEN.contains(&name) && syn::parse_str::<syn::Ident>(&name.replace('-', "_")).is_ok(),
         "`{name}` cannot be the name of a product, because Rust or something in its program has that name"
-    );
-    Ok(())
-}
-
-/// Checks that the chip has the CAN controller.
-fn check_controller(chip: Part, controller: u8) -> anyhow::Result<()> {
-    let has = |part: &Part| usize::from(controller) <= part.cans();
-    let having = || Part::ALL.into_iter().filter(has).map(Part::name).collect::<Vec<_>>();
-    ensure!(
-        has(&chip),
-        "{} has no CAN{controller}, only {} have",
-        chip.name(),
-        having().join(" and ")
     );
     Ok(())
 }
@@ -375,6 +375,26 @@ mod tests {
         }
     }
 
+    #[test]
+    fn only_urls_that_cargo_accepts_are_taken() {
+        for url in ["https://example.org/a.git", "ssh://git@example.org:22/~a/b", "file:///a/b"] {
+            assert_eq!(git_url(url).as_deref(), Ok(url));
+        }
+        for url in [
+            "",
+            "notaurl\"x",
+            "https://",
+            "https://a/\"x",
+            "https://a/b c",
+            "https://a/\u{e4}",
+            "a/b.git",
+            "git@example.org:a/b.git",
+            "lamp://a/b",
+        ] {
+            git_url(url).expect_err(url);
+        }
+    }
+
     fn files(git: Option<&str>, folder: &str) -> Vec<(String, String)> {
         files_with(Part::Stm32f446, 1, git, folder)
     }
@@ -477,13 +497,5 @@ mod tests {
         {
             assert_eq!(chip::controller(name).ok(), number, "{name}");
         }
-    }
-
-    #[test]
-    fn a_chip_without_the_can_controller_is_refused() {
-        check_controller(Part::Stm32f405, 2).expect("every chip has CAN2");
-        check_controller(Part::Stm32f423, 3).expect("an STM32F423 has CAN3");
-        let error = check_controller(Part::Stm32f446, 3).expect_err("no CAN3").to_string();
-        assert_eq!(error, "stm32f446 has no CAN3, only stm32f413 and stm32f423 have");
     }
 }

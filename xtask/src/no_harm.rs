@@ -44,8 +44,8 @@ const PRINTED: usize = 6;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Number of situations
-    #[arg(long, default_value_t = 50)]
+    /// Number of situations: 1 to 1,000,000
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     situations: u64,
     /// Seed of the campaign; random if not given
     #[arg(long)]
@@ -115,7 +115,7 @@ impl Tally {
 }
 
 fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
-    let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
+    let seed = arguments.seed.unwrap_or_else(Random::seed);
     let mut seeds = Random::from_seed(seed);
     let seeds: Vec<u64> = (0..arguments.situations).map(|_| seeds.u64() >> 32).collect();
     println!("--seed {seed}");

@@ -115,7 +115,9 @@ impl fmt::Display for Named {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
     let image = testkit::image::build(arguments.chip)?;
-    let mut random = arguments.seed.map_or_else(Random::from_environment, Random::from_seed);
+    let seed = arguments.seed.unwrap_or_else(Random::seed);
+    println!("--seed {seed}");
+    let mut random = Random::from_seed(seed);
     let mut losses = Vec::new();
 
     println!("\nThe settings log, cut in each step and in each pair of steps");

@@ -37,6 +37,7 @@ struct Section {
 
 /// Prints the sizes. Fails if they are above the budget.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    example::check_controller(arguments.chip, arguments.controller)?;
     example::image(arguments.chip, arguments.controller, arguments.example)?;
     let path = elf_path()?;
     let elf = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;

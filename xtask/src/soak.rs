@@ -34,8 +34,8 @@ const PARTS: u32 = 30;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Days of virtual time
-    #[arg(long, default_value_t = 30.0)]
+    /// Days of virtual time: 0.01 to 3650
+    #[arg(long, default_value_t = 30.0, value_parser = days)]
     days: f64,
     /// Six hours, and one session of the emulated boards
     #[arg(long, conflicts_with = "days")]
@@ -45,9 +45,14 @@ pub struct Arguments {
     seed: Option<u64>,
 }
 
+fn days(text: &str) -> Result<f64, &'static str> {
+    let days = text.parse().ok().filter(|days| (0.01..=3650.0).contains(days));
+    days.ok_or("0.01 to 3650")
+}
+
 /// Runs the life. Fails if a board breaks a rule.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
+    let seed = arguments.seed.unwrap_or_else(Random::seed);
     println!("--seed {seed}");
     let end = DAY_MICROS * if arguments.quick { QUICK_DAYS } else { arguments.days };
     let begin = Instant::now();
@@ -83,4 +88,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let seconds = begin.elapsed().as_secs_f64();
     println!("{BOARDS} emulated boards, {} s of virtual time: {seconds:.0} s", virtual_ms / 1000);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_life_has_a_beginning_and_an_end() {
+        for (text, days) in [("0.01", 0.01), ("30", 30.0), ("3650", 3650.0)] {
+            assert_eq!(super::days(text), Ok(days));
+        }
+        for text in ["0", "-1", "99999999999", "inf", "NaN", "x"] {
+            assert!(super::days(text).is_err(), "{text}");
+        }
+    }
 }

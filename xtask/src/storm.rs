@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use anyhow::ensure;
 use emulator::{chip::Part, image::Image};
 
 use testkit::{
@@ -12,6 +13,8 @@ use testkit::{
 
 use crate::example::{self, Example};
 
+/// The most frames of a storm.
+const FRAMES: u64 = 1_000_000_000_000;
 /// Lines of progress of each storm.
 const PARTS: u64 = 10;
 
@@ -31,10 +34,10 @@ const PARTS: u64 = 10;
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Frames to the node in the process
-    #[arg(long, default_value_t = 10_000_000)]
+    #[arg(long, default_value_t = 10_000_000, value_parser = clap::value_parser!(u64).range(..=FRAMES))]
     frames: u64,
     /// Frames to the release image
-    #[arg(long, default_value_t = 1_000_000)]
+    #[arg(long, default_value_t = 1_000_000, value_parser = clap::value_parser!(u64).range(..=FRAMES))]
     image_frames: u64,
     /// Seed of the frames; random if not given
     #[arg(long)]
@@ -49,10 +52,14 @@ pub struct Arguments {
 
 /// Runs both storms. Panics if anything breaks.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    ensure!(
+        arguments.frames + arguments.image_frames > 0,
+        "a storm needs --frames or --image-frames above 0"
+    );
     let chip = arguments.chip;
     let image = example::image(chip, 1, arguments.example)?;
     let board = boards::board(chip, &image, 0);
-    let seed = arguments.seed.unwrap_or_else(|| Random::from_environment().u64());
+    let seed = arguments.seed.unwrap_or_else(Random::seed);
     println!("--seed {seed}");
     match arguments.example {
         None => {
