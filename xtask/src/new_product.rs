@@ -429,6 +429,13 @@ mod tests {
     }
 
     #[test]
+    fn cargo_flash_of_a_product_names_its_chip_to_probe_rs() {
+        let files = files_with(Part::Stm32f413, 3, None, "/products/door-lock");
+        let config: toml::Table = content(&files, ".cargo/config.toml").parse().expect("TOML");
+        assert_eq!(config["env"]["PROBE_RS_CHIP"].as_str(), Some("STM32F413VHTx"));
+    }
+
+    #[test]
     fn the_manifest_names_this_repository_by_path_or_by_url() {
         let beside = workspace().parent().expect("not the root").join("door-lock");
         let files_beside = files(None, beside.to_str().expect("UTF-8"));
