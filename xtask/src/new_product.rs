@@ -483,8 +483,9 @@ mod tests {
             let application = format!("\napplication!({interrupts});\n");
             assert_eq!(content(&files, "src/main.rs").matches("\napplication!(").count(), 1);
             assert!(content(&files, "src/main.rs").contains(&application), "{application}");
-            let board = format!("boards::board_on(Part::{chip:?}, {controller}, &IMAGE, 0)");
-            assert!(content(&files, "tests/board.rs").contains(&board), "{board}");
+            let board = content(&files, "tests/board.rs");
+            assert!(board.contains(&format!("controller: {controller},")), "{board}");
+            assert!(board.contains(&format!("Board::new(Part::{chip:?}, &IMAGE")), "{board}");
             let readme = content(&files, "README.md");
             assert!(readme.contains(&format!("on CAN{controller} of an")), "{readme}");
 
