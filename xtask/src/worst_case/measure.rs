@@ -466,7 +466,7 @@ fn full_queue(rig: &mut ImageRig) {
         rig.network.send(other, Frame::data(Id::Standard(0x001), &[0; 8]));
     }
     rig.collect(Time::from_ms(150));
-    assert!(rig.has_logged("CAN: the transmit queue is full"), "the session has lost its sense");
+    expect_log(rig, "CAN: the transmit queue is full");
     for request in ["11 40", "17", "04 00"] {
         rig.lss(request);
     }
@@ -476,15 +476,23 @@ fn full_queue(rig: &mut ImageRig) {
 /// Stores that fail: a low supply, and a word that the flash does not take.
 fn failed_stores(rig: &mut ImageRig) {
     rig.lss("04 01");
+    rig.lss("11 41");
     rig.network.board_mut(0).set_supply(2_600);
     rig.lss("17");
     rig.network.board_mut(0).set_supply(3_300);
     rig.network.board(0).chip().flash_mut().fail_programs(1);
     rig.lss("17");
-    rig.collect(Time::from_ms(20));
-    for request in ["17", "04 00"] {
+    expect_log(rig, "flash: not written, the supply is below");
+    expect_log(rig, "the settings were not stored, the old ones stay: the flash reads back");
+    for request in ["11 40", "17", "04 00"] {
         rig.lss(request);
     }
+}
+
+/// # Panics
+/// If the board has not come to this: the session has lost its sense.
+fn expect_log(rig: &ImageRig, text: &str) {
+    assert!(rig.has_logged(text), "no line of the log begins with `{text}`");
 }
 
 /// What is not service: a full queue, failed stores, errors on the bus, changes of the bit rate, a node alone, resets.
