@@ -268,7 +268,7 @@ impl Controller {
             return;
         }
         if !self.queue.push(frame) {
-            // Bound: not in service: there are more places than answers, heartbeats and boot-ups at a time.
+            // Bound: not in service: there are places for 12 answers, a heartbeat of each state and a boot-up.
             defmt::warn!(
                 "CAN: the transmit queue is full, frame {=u16:#x} was dropped",
                 frame.cob_id()

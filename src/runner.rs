@@ -73,7 +73,7 @@ impl Runner {
                 }
                 Received::Other => self.node.handle_bus(BusEvent::Received, clock::now()),
                 Received::Overrun => {
-                    // Bound: not in service: no frame is lost.
+                    // Bound: not in service: service ends where a frame is lost.
                     defmt::warn!("CAN: overrun, a received frame was lost");
                     self.node.handle_bus(BusEvent::Overrun, clock::now());
                 }

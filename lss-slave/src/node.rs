@@ -602,7 +602,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         use storing::Next::*;
         loop {
             let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
-            // Bound: 1 round, 0 in service: there is at most one outcome that nobody waits for.
+            // Bound: 1 round: there is at most one outcome that nobody waits for.
             match self.storing.poll(node_id, bit_rate, Self::HAS_APPLICATION)? {
                 Store(settings) => {
                     match Part::Communication.change(self.storing.download()) {

@@ -20,7 +20,7 @@ use anyhow::{Context, bail, ensure};
 use emulator::chip::Part;
 
 use crate::workspace;
-use costs::{Costs, FRAMES, RETURN};
+use costs::{Costs, FRAMES, OWN_ACTIONS, RETURN, STORE_ACTIONS};
 use instruction::{Flow, Mask, REFILL};
 use measure::{Marks, Measured, Session, Work};
 use path::{Loop, Search, Waits, is_copy};
@@ -156,11 +156,13 @@ fn analyse(program: Program, stated: &Stated) -> anyhow::Result<Analysis> {
     for (number, measured) in measured.iter().enumerate() {
         for (work, longest) in &measured.tasks {
             activations.entry(*work).or_default()[number] = longest.cycles;
-            let stack = deepest.entry(work.task).or_default();
-            *stack = longest.stack.max(*stack);
         }
     }
     for measured in measured.iter().chain([&disturbed]) {
+        for (work, longest) in &measured.tasks {
+            let stack = deepest.entry(work.task).or_default();
+            *stack = longest.stack.max(*stack);
+        }
         for (header, rounds) in &measured.back {
             let most = back.entry(*header).or_insert(0);
             *most = (*most).max(*rounds);
@@ -310,6 +312,13 @@ fn check_service(
             program.name(work.task),
             longest.cycles
         );
+        let is_of_frames = program.name(work.task) == "CAN1_RX0";
+        ensure!(
+            is_of_frames || work.actions <= OWN_ACTIONS,
+            "{} has made {} actions, more than its bound of {OWN_ACTIONS}",
+            program.name(work.task),
+            work.actions
+        );
     }
     ensure!(
         (1..=costs.answer).contains(&measured.answer),
@@ -317,12 +326,17 @@ fn check_service(
         measured.answer,
         costs.answer
     );
-    for (at, cycles) in &measured.sections {
-        let bound = match program.masks.get(at) {
-            Some(Mask::Disable) => costs.log,
-            _ => costs.section + 2 * costs.action,
+    ensure!(
+        measured.sections.keys().any(|(_, actions)| *actions == STORE_ACTIONS),
+        "no critical section had {STORE_ACTIONS} actions: the session no longer meets the phase of the heartbeat"
+    );
+    for ((at, actions), cycles) in &measured.sections {
+        let (bound, most) = match program.masks.get(at) {
+            Some(Mask::Disable) => (costs.log, 0),
+            _ => (costs.section + actions * costs.action, STORE_ACTIONS),
         };
         ensure!(*cycles <= bound, "a critical section took {cycles} cycles, not {bound}");
+        ensure!(*actions <= most, "a critical section had {actions} actions, not {most}");
     }
     Ok(())
 }

@@ -17,6 +17,12 @@ pub const RETURN: u64 = 15;
 pub const FRAMES: &str = "while let Some(received)";
 pub const ACTIONS: &str = "while let Some(action)";
 
+/// The most actions of the node in a critical section of the task that stores: the answer to the store, the next store
+/// and a heartbeat.
+pub const STORE_ACTIONS: u64 = 3;
+/// The most actions in an activation that receives no frame: a heartbeat.
+pub const OWN_ACTIONS: u64 = 1;
+
 /// The upper bounds in cycles, with one set of waits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Costs {
@@ -42,6 +48,8 @@ pub struct Costs {
     pub log: u64,
     /// A change of the bit rate.
     pub start: u64,
+    /// A frame of the node in every state, such as with a full queue.
+    pub transmit: u64,
 }
 
 /// A search in service.
@@ -108,6 +116,7 @@ impl Costs {
             section: section(&mut search(), of("USART1")?)?,
             log: log(&mut search(), of("USART1")?)?,
             start: any.function(of("Controller::start")?)?,
+            transmit: any.function(of("Controller::transmit")?)?,
         })
     }
 

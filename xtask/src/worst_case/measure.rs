@@ -60,8 +60,9 @@ pub struct Measured {
     pub tasks: BTreeMap<Work, Longest>,
     /// The longest time from the interrupt to the transmit request of an LSS answer that need not wait.
     pub answer: u64,
-    /// The longest critical sections of the task that stores, by the address of their first instruction.
-    pub sections: BTreeMap<u32, u64>,
+    /// The longest critical sections of the task that stores, by the address of their first instruction and the actions
+    /// of the node in them.
+    pub sections: BTreeMap<(u32, u64), u64>,
     /// How often a loop has gone back at most, by its header.
     pub back: BTreeMap<u32, u64>,
     /// Loads that were executed, and those that read the flash.
@@ -95,6 +96,13 @@ pub struct Marks {
     pub fill: u32,
 }
 
+struct Section {
+    at: u32,
+    begin: u64,
+    /// The actions of the activation before it.
+    actions: u64,
+}
+
 struct Activation {
     exception: u32,
     task: u32,
@@ -107,7 +115,7 @@ struct Activation {
     actions: u64,
     /// The loops under way: how often each has gone back.
     loops: HashMap<usize, u64>,
-    section: Option<(u32, u64)>,
+    section: Option<Section>,
     /// Whether the node has done more than to answer.
     has_done_more: bool,
 }
@@ -155,8 +163,8 @@ impl Observer {
         drop(measured);
         if let Some(outer) = self.active.last_mut() {
             outer.interrupted += whole;
-            if let Some((_, begin)) = &mut outer.section {
-                *begin += whole;
+            if let Some(section) = &mut outer.section {
+                section.begin += whole;
             }
         }
     }
@@ -246,15 +254,15 @@ impl Observer {
         }
         match self.program.masks.get(&pc) {
             Some(Mask::Raise | Mask::Disable) if active.section.is_none() => {
-                active.section = Some((pc, cycles));
+                active.section = Some(Section { at: pc, begin: cycles, actions: active.actions });
             }
             Some(Mask::Restore | Mask::Enable) => {
-                if let Some((begin, since)) = active.section.take() {
-                    let of_store = self.program.name(active.task) == "USART1";
-                    let longest = measured.sections.entry(begin).or_insert(0);
-                    if of_store {
-                        *longest = (*longest).max(cycles - since);
-                    }
+                if let Some(section) = active.section.take()
+                    && self.program.name(active.task) == "USART1"
+                {
+                    let actions = active.actions - section.actions;
+                    let longest = measured.sections.entry((section.at, actions)).or_insert(0);
+                    *longest = (*longest).max(cycles - section.begin);
                 }
             }
             _ => {}
@@ -354,6 +362,7 @@ pub fn run(
     } else {
         services(&mut rig);
         full_bus(&mut rig);
+        stores(&mut rig);
     }
     let depth = stack::deepest(rig.network.board(0), image());
     drop(rig);
@@ -413,8 +422,83 @@ fn full_bus(rig: &mut ImageRig) {
     rig.collect(Time::from_ms(300));
 }
 
-/// What is not service: errors on the bus, changes of the bit rate, a node alone, resets.
+/// Stores that follow each other at every phase of the fastest heartbeat, and stops of a node that stores for an SDO
+/// client.
+fn stores(rig: &mut ImageRig) {
+    let flash = |rig: &ImageRig, timing| rig.network.board(0).chip().flash_mut().set_timing(timing);
+    let sdo = |rig: &mut ImageRig, text| {
+        rig.network.send(rig.master, on_the_wire(&sdo::request(0x40, text)));
+    };
+    rig.nmt("80 00");
+    rig.lss("04 01");
+    sdo(rig, "2B 17 10 00 01 00");
+    flash(rig, Timing::Typical);
+    for round in 0..175 {
+        for request in [&format!("11 {:02X}", 0x40 + round % 2), "17", "17"] {
+            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+        }
+        rig.collect(Time::from_us(2_006));
+    }
+    flash(rig, Timing::Worst);
+    for _ in 0..20 {
+        sdo(rig, "23 10 10 01 73 61 76 65");
+        rig.collect(Time::from_us(300));
+        rig.nmt("02 40");
+        rig.collect(Time::from_us(2_007));
+        rig.nmt("80 40");
+    }
+    rig.lss("04 00");
+    rig.collect(Time::from_ms(60));
+}
+
+/// A full transmit queue: the answers to many stores, while the bus is full of more urgent frames.
+fn full_queue(rig: &mut ImageRig) {
+    rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
+    rig.lss("04 01");
+    for node_id in 1..=60 {
+        for request in [&format!("11 {node_id:02X}"), "17"] {
+            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+        }
+    }
+    rig.collect(Time::from_ms(22));
+    let other = rig.network.add_adapter(Adapter::new(1_000_000));
+    for _ in 0..700 {
+        rig.network.send(other, Frame::data(Id::Standard(0x001), &[0; 8]));
+    }
+    rig.collect(Time::from_ms(150));
+    expect_log(rig, "CAN: the transmit queue is full");
+    for request in ["11 40", "17", "04 00"] {
+        rig.lss(request);
+    }
+    rig.network.adapter_mut(other).close();
+}
+
+/// Stores that fail: a low supply, and a word that the flash does not take.
+fn failed_stores(rig: &mut ImageRig) {
+    rig.lss("04 01");
+    rig.lss("11 41");
+    rig.network.board_mut(0).set_supply(2_600);
+    rig.lss("17");
+    rig.network.board_mut(0).set_supply(3_300);
+    rig.network.board(0).chip().flash_mut().fail_programs(1);
+    rig.lss("17");
+    expect_log(rig, "flash: not written, the supply is below");
+    expect_log(rig, "the settings were not stored, the old ones stay: the flash reads back");
+    for request in ["11 40", "17", "04 00"] {
+        rig.lss(request);
+    }
+}
+
+/// # Panics
+/// If the board has not come to this: the session has lost its sense.
+fn expect_log(rig: &ImageRig, text: &str) {
+    assert!(rig.has_logged(text), "no line of the log begins with `{text}`");
+}
+
+/// What is not service: a full queue, failed stores, errors on the bus, changes of the bit rate, a node alone, resets.
 fn disturbed(rig: &mut ImageRig) {
+    full_queue(rig);
+    failed_stores(rig);
     let disturber = rig.add_disturber();
     rig.disturb(disturber, Id::Standard(0x2AA), Time::from_us(700), Time::from_ms(60));
     rig.collect(Time::from_ms(50));

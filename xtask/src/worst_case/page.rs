@@ -8,7 +8,7 @@ use super::{
     instruction::Mask,
     measure::Work,
     path::is_copy,
-    response::{BIT, Stream, answer, bits, blocking, longest_blocking},
+    response::{BIT, Stream, answer, bits, blocking, heartbeat, longest_blocking},
 };
 
 fn us(cycles: u64) -> String {
@@ -75,10 +75,11 @@ fn parts(analysis: &Analysis) -> String {
     let mut table =
         "| part | core | with flash waits | chip | chip, us |\n|---|---|---|---|---|\n".to_owned();
     type Part = fn(&Costs) -> u64;
-    let parts: [(&str, Part); 9] = [
+    let parts: [(&str, Part); 11] = [
         ("C_frame, a further frame in an activation that LSS answers", |costs| costs.more_frames),
         ("C_silent, any other further frame", Costs::more_silent_frames),
         ("C_action, an action", |costs| costs.action),
+        ("C_beat, a heartbeat", heartbeat),
         ("C_tx, CAN1_TX", |costs| costs.transmitted),
         ("C_status, CAN1_SCE", |costs| costs.status),
         ("C_due, TIM2", |costs| costs.due),
@@ -90,6 +91,9 @@ fn parts(analysis: &Analysis) -> String {
             "Outside of service: a change of the bit rate, and the controller does not respond",
             |costs| costs.start,
         ),
+        ("Outside of service: a frame of the node, and the transmit queue is full", |costs| {
+            costs.transmit
+        }),
     ];
     for (name, part) in parts {
         let _ = writeln!(
@@ -118,10 +122,11 @@ fn blockings(analysis: &Analysis) -> String {
         };
         let section = |mask: Mask| {
             let sections = measured.sections.iter();
-            let of = sections.filter(|(at, _)| analysis.program.masks.get(at) == Some(&mask));
+            let of = sections.filter(|((at, _), _)| analysis.program.masks.get(at) == Some(&mask));
             of.map(|(_, cycles)| *cycles).max()
         };
-        [longest("TIM2"), longest("CAN1_SCE"), section(Mask::Raise), section(Mask::Disable), None]
+        let (raised, disabled) = (section(Mask::Raise), section(Mask::Disable));
+        [longest("TIM2"), longest("CAN1_SCE"), raised, disabled, None, None]
     });
     let measured = |cycles: Option<u64>| cycles.map_or(String::new(), us);
     for (number, core) in core.iter().enumerate() {
@@ -136,56 +141,50 @@ fn blockings(analysis: &Analysis) -> String {
             us(chip[number].cycles)
         );
     }
-    let [core, flash, chip] = analysis.costs.each_ref().map(longest_blocking).map(us);
-    let _ = writeln!(table, "| B, the longest | {core} | | {flash} | | {chip} |");
+    for (name, with_store) in [("B, the longest", true), ("B without a store", false)] {
+        let longest = analysis.costs.each_ref().map(|costs| longest_blocking(costs, with_store));
+        let [core, flash, chip] = longest.map(us);
+        let _ = writeln!(table, "| {name} | {core} | | {flash} | | {chip} |");
+    }
     table
 }
 
 fn response(analysis: &Analysis) -> String {
-    let mut table = "| frames without a gap | T, us | C, us | B + C_tx + C_release, us | 3 T, us | first frame that may \
-                     be lost |\n|---|---|---|---|---|---|\n"
-        .to_owned();
+    let mut table = "| | core | with flash waits | chip |\n|---|---|---|---|\n".to_owned();
+    let first = |costs: &Costs, with_store| {
+        longest_blocking(costs, with_store) + costs.transmitted + costs.release
+    };
+    for (name, with_store) in [("", true), (", without a store", false)] {
+        let [core, flash, chip] =
+            analysis.costs.each_ref().map(|costs| us(first(costs, with_store)));
+        let _ = writeln!(table, "| B + C_tx + C_release, us{name} | {core} | {flash} | {chip} |");
+    }
+    table.push_str(
+        "\n| frames without a gap | T, us | 3 T, us | C, us | first frame that may be lost | without a store |\n\
+         |---|---|---|---|---|---|\n",
+    );
+    let mut heartbeat_ms = 0;
     for (name, costs) in ["core", "flash waits", "chip"].iter().zip(&analysis.costs) {
-        let blocking = longest_blocking(costs);
         for stream in Stream::all(costs) {
-            let loss = stream.first_loss(costs, blocking);
+            let [loss, without_store] = [true, false].map(|with_store| {
+                let blocking = longest_blocking(costs, with_store);
+                heartbeat_ms = heartbeat_ms.max(stream.least_heartbeat_ms(costs, blocking));
+                let loss = stream.first_loss(costs, blocking, None);
+                loss.map_or("none".to_owned(), |loss| loss.to_string())
+            });
             let _ = writeln!(
                 table,
-                "| {}, {name} | {} | {} | {} | {} | {} |",
+                "| {}, {name} | {} | {} | {} | {loss} | {without_store} |",
                 stream.name,
                 bits(stream.bytes),
-                us(stream.cycles),
-                us(blocking + costs.transmitted + costs.release),
                 us(3 * stream.period()),
-                loss.map_or("none".to_owned(), |loss| (loss + 1).to_string()),
+                us(stream.cycles),
             );
         }
     }
-    let [.., chip] = &analysis.costs;
-    let Some(stream) = Stream::all(chip).into_iter().find(|stream| stream.answer.is_some()) else {
-        return table;
-    };
-    let blocking = longest_blocking(chip);
-    let first = blocking + chip.transmitted + chip.release;
-    let later = stream.cycles + chip.transmitted;
-    let compare = |a: u64, b: u64| if a < b { "<" } else { "is not <" };
     let _ = writeln!(
         table,
-        "\nWith the numbers of a chip, for {}:\n\n    \
-         B + C_tx + C_release = {} + {} + {} = {} us {} 3 T = {} us\n    \
-         C + C_tx = {} + {} = {} us {} T and an answer's = {} us",
-        stream.name,
-        us(blocking),
-        us(chip.transmitted),
-        us(chip.release),
-        us(first),
-        compare(first, 3 * stream.period()),
-        us(3 * stream.period()),
-        us(stream.cycles),
-        us(chip.transmitted),
-        us(later),
-        compare(later, stream.lasting_period()),
-        us(stream.lasting_period()),
+        "\nNo row changes with heartbeats, if their producer heartbeat time is {heartbeat_ms} ms or more."
     );
     table
 }
@@ -202,7 +201,12 @@ fn answers(analysis: &Analysis) -> String {
     let [without, with] = analysis.measured.each_ref().map(|measured| measured.answer);
     row("measured", [us(without), us(with), String::new()]);
     row("ratio", [ratio(core.answer, without), ratio(flash.answer, with), String::new()]);
-    row("full FIFO: B + C_tx + 2 C + C_answer", costs.map(|costs| us(answer(costs))));
+    row("B + 2 C_tx + C_answer", costs.map(|costs| us(answer(costs, 0))));
+    for before in 0..Stream::all(core).len() {
+        let stream = Stream::all(core)[before];
+        let sums = costs.map(|costs| us(answer(costs, 2 * Stream::all(costs)[before].cycles)));
+        row(&format!("behind two {}: + 2 C", stream.name), sums);
+    }
     table
 }
 

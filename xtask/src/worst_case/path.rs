@@ -450,7 +450,8 @@ impl<'a> Search<'a> {
         let fetches = self.fetches(nodes);
         let waits = self.waits;
         if fetches.is_some() {
-            self.waits = Waits { next_line: 0, other_line: 0, ..waits };
+            // A line that only a prefetch has read may be in no cache, and a prefetch may wait for another one.
+            self.waits = Waits { next_line: waits.other_line, other_line: 0, ..waits };
         }
         let inner = self.region(function, &part, header, Some(header), taken);
         let longest_round = |inner: &HashMap<u32, u64>| {
@@ -467,8 +468,8 @@ impl<'a> Search<'a> {
         Ok(inner.into_iter().map(|(at, cycles)| (at, begin + cycles)).collect())
     }
 
-    /// The waits for the lines of a loop, if its later rounds find them in the cache: the loop calls nothing and spans no
-    /// more than the cache has, so that no organisation of the cache drops one of its lines for another.
+    /// The waits for the lines of a loop, if jumps find them in the cache in later rounds: the loop calls nothing and spans
+    /// no more than the cache has, so that no organisation of the cache drops one of its lines for another.
     fn fetches(&self, nodes: &BTreeSet<u32>) -> Option<u64> {
         const CACHED_LINES: u32 = 64;
         let mut instructions = nodes.iter().map(|at| &self.program.instructions[at]);
