@@ -14,6 +14,7 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     env, fs,
     sync::Arc,
+    thread,
 };
 
 use anyhow::{Context, bail, ensure};
@@ -130,9 +131,12 @@ fn analyse(program: Program, stated: &Stated) -> anyhow::Result<Analysis> {
         .map(|found| Ok((found.function, program.graph(found.function)?.into_keys().collect())))
         .collect::<anyhow::Result<_>>()?;
     let shared = Arc::new(program);
-    let [without, with, disturbed] =
+    let run = |session| measure::run(&shared, loops.clone(), &bodies, marks, session);
+    let [without, with, disturbed] = thread::scope(|scope| {
         [Session::Service, Session::ServiceWithWaits, Session::Disturbed]
-            .map(|session| measure::run(&shared, loops.clone(), &bodies, marks, session));
+            .map(|session| scope.spawn(move || run(session)))
+            .map(|run| run.join().expect("a session does not panic"))
+    });
     let mut program = Arc::into_inner(shared).context("a board still holds the program")?;
     take_accesses(&mut program, &[&without, &with, &disturbed]);
 
