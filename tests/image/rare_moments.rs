@@ -196,6 +196,56 @@ fn a_dominant_bus_ends_a_search_in_each_of_its_turns() {
     assert_eq!(turns, BTreeSet::from([false, true]), "it listened elsewhere and at home");
 }
 
+/// A board on a quiet bus that looks for another bit rate, and has just begun to take part at home between two looks.
+fn board_with_home_open(rate: BitRate) -> ImageRig {
+    let mut board = Board::new(part(), image(), board::Settings::default());
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(NODE_ID, rate)]));
+    let mut rig = ImageRig::new(rate, [board]);
+    rig.collect(Time::from_s(1));
+    let error = rig.bit_time() * 10;
+    while !is_silent(&rig) {
+        hold_dominant(&mut rig, error);
+        rig.network.run_for(Time::from_ms(20));
+    }
+    // An error at the other rate makes it look once more.
+    hold_dominant(&mut rig, error);
+    run_while(&mut rig, is_silent);
+    rig
+}
+
+fn is_silent(rig: &ImageRig) -> bool {
+    rig.network.board(0).chip().can(1).is_silent()
+}
+
+/// Passes time while a condition holds, at most 5 s; returns how long it was.
+fn run_while(rig: &mut ImageRig, condition: impl Fn(&ImageRig) -> bool) -> Time {
+    let since = rig.network.now();
+    while condition(rig) && rig.network.now() < since + Time::from_s(5) {
+        rig.network.run_for(Time::from_us(100));
+    }
+    rig.network.now() - since
+}
+
+#[test]
+fn a_dominant_bus_ends_a_search_while_home_is_open() {
+    let mut rig = board_with_home_open(RATE);
+    let since = rig.network.now();
+    hold_dominant(&mut rig, Time::from_ms(60));
+    rig.network.run_for(Time::from_s(2));
+    assert_eq!(rig.bit_rates(0, since), []);
+    assert!(rig.is_reached());
+}
+
+#[test]
+fn home_is_open_for_longer_at_10_kbit_per_s() {
+    for (rate, ms) in [(RATE, 150), (BitRate::Kbit10, 300)] {
+        let mut rig = board_with_home_open(rate);
+        let open = run_while(&mut rig, |rig| !is_silent(rig));
+        let expected = Time::from_ms(ms - 2)..Time::from_ms(ms + 2);
+        assert!(expected.contains(&open), "{rate:?}: {open}");
+    }
+}
+
 #[test]
 fn a_deadline_of_a_search_may_pass_just_before_a_frame_is_handled() {
     let mut rig = slow_node_40(40);
