@@ -8,7 +8,7 @@ use emulator::{
     board::{self, Board},
     can::{Adapter, Frame, Id},
     chip::{Access, Pin, Readings, Timing, Width},
-    network::{AdapterId, Short, What},
+    network::{AdapterId, Event, Short, What},
 };
 use lss_slave::{BitRate, BitRateSetting, Settings};
 use testkit::{
@@ -244,6 +244,47 @@ fn home_is_open_for_longer_at_10_kbit_per_s() {
         let expected = Time::from_ms(ms - 2)..Time::from_ms(ms + 2);
         assert!(expected.contains(&open), "{rate:?}: {open}");
     }
+}
+
+#[test]
+fn a_guest_may_become_error_passive_by_the_error_that_sends_it_home() {
+    let slow = Readings { slowdown: 40, ..Readings::default() };
+    let mut rig = rig(slow, settings(NODE_ID, OTHER_RATE));
+    assert!(rig.is_reached());
+    let is_at = |rig: &ImageRig, rate| {
+        rig.network.board(0).chip().can(1).bit_rate() == bit_per_s(rate) && !is_silent(rig)
+    };
+    assert!(is_at(&rig, RATE), "it is a guest at the rate of the master");
+    let since = rig.network.now();
+    let error = rig.bit_time() * 50;
+    hold_dominant(&mut rig, error);
+    rig.network.run_for(Time::from_ms(10));
+    assert_eq!(rig.bit_rates(0, since), [], "a guest bears one error");
+    hold_dominant(&mut rig, Time::from_ms(2));
+    rig.network.run_for(Time::from_ms(10));
+    let rates = rig.bit_rates(0, since);
+    assert_eq!(rates.last().map(|(_, rate)| *rate), Some(bit_per_s(OTHER_RATE)));
+}
+
+#[test]
+fn the_last_repetition_may_be_acknowledged_after_its_time() {
+    const REPETITION: Time = Time::from_ms(100);
+    let mut rig = node_40(0);
+    rig.lss("04 01");
+    let mut delays = Vec::new();
+    for us in (0..500).step_by(20) {
+        let since = rig.transmit_request("5E");
+        rig.network.adapter_mut(rig.master).close();
+        rig.network.run_for(REPETITION - Time::from_us(us));
+        rig.network.adapter_mut(rig.master).open();
+        rig.network.run_for(Time::from_ms(1));
+        let (begin, _) = rig.requested(0, since).next().expect("an answer");
+        let is_frame = |event: &&Event| matches!(event.what, What::Frame { .. });
+        delays.extend(rig.did(0, since).find(is_frame).map(|frame| frame.time - begin));
+        assert!(rig.is_reached());
+    }
+    assert!(delays.iter().any(|delay| *delay < REPETITION), "{delays:?}");
+    assert!(delays.iter().any(|delay| *delay > REPETITION), "{delays:?}");
 }
 
 #[test]
