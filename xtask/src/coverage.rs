@@ -53,10 +53,10 @@ const SEED: &str = "7";
 ///
 /// Runs `cargo test --test image`, and then a part of it again with the example `io` in the image. The emulator notes
 /// the outcome of each conditional branch, each condition of an IT block, each table branch and each computed jump on
-/// every board with the firmware for the STM32F405, or with the example `io` for the STM32F407. A copy that the compiler
-/// has inlined counts as a branch of its own. An outcome of our code that is missing needs a reason in docs/coverage.md,
-/// and a reason there has the number of outcomes that it explains: otherwise the command fails. Dependencies and start-up
-/// code are listed apart.
+/// every board with the firmware for the STM32F405, or with the example `io` for the STM32F407. A copy that the
+/// compiler has inlined counts as a branch of its own. An outcome of our code that is missing needs a reason in
+/// docs/coverage.md, and a reason there has the number of outcomes that it explains: otherwise the command fails.
+/// Dependencies and start-up code are listed apart.
 ///
 /// target/coverage/index.html has the sources with the branches marked, target/coverage/lcov.info the same for other
 /// programs.
