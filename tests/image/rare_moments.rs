@@ -8,7 +8,7 @@ use emulator::{
     board::{self, Board},
     can::{Adapter, Frame, Id},
     chip::{Access, Pin, Readings, Timing, Width},
-    network::{AdapterId, Short, What},
+    network::{AdapterId, Event, Short, What},
 };
 use lss_slave::{BitRate, BitRateSetting, Settings};
 use testkit::{
@@ -194,6 +194,98 @@ fn a_dominant_bus_ends_a_search_in_each_of_its_turns() {
     }
     assert!(rig.is_reached());
     assert_eq!(turns, BTreeSet::from([false, true]), "it listened elsewhere and at home");
+}
+
+/// A board on a quiet bus that looks for another bit rate, and has just begun to take part at home between two looks.
+fn board_with_home_open(rate: BitRate) -> ImageRig {
+    let mut board = Board::new(part(), image(), board::Settings::default());
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(NODE_ID, rate)]));
+    let mut rig = ImageRig::new(rate, [board]);
+    rig.collect(Time::from_s(1));
+    let error = rig.bit_time() * 10;
+    while !is_silent(&rig) {
+        hold_dominant(&mut rig, error);
+        rig.network.run_for(Time::from_ms(20));
+    }
+    // An error at the other rate makes it look once more.
+    hold_dominant(&mut rig, error);
+    run_while(&mut rig, is_silent);
+    rig
+}
+
+fn is_silent(rig: &ImageRig) -> bool {
+    rig.network.board(0).chip().can(1).is_silent()
+}
+
+/// Passes time while a condition holds, at most 5 s; returns how long it was.
+fn run_while(rig: &mut ImageRig, condition: impl Fn(&ImageRig) -> bool) -> Time {
+    let since = rig.network.now();
+    while condition(rig) && rig.network.now() < since + Time::from_s(5) {
+        rig.network.run_for(Time::from_us(100));
+    }
+    rig.network.now() - since
+}
+
+#[test]
+fn a_dominant_bus_ends_a_search_while_home_is_open() {
+    let mut rig = board_with_home_open(RATE);
+    let since = rig.network.now();
+    hold_dominant(&mut rig, Time::from_ms(60));
+    rig.network.run_for(Time::from_s(2));
+    assert_eq!(rig.bit_rates(0, since), []);
+    assert!(rig.is_reached());
+}
+
+#[test]
+fn home_is_open_for_longer_at_10_kbit_per_s() {
+    for (rate, ms) in [(RATE, 150), (BitRate::Kbit10, 300)] {
+        let mut rig = board_with_home_open(rate);
+        let open = run_while(&mut rig, |rig| !is_silent(rig));
+        let expected = Time::from_ms(ms - 2)..Time::from_ms(ms + 2);
+        assert!(expected.contains(&open), "{rate:?}: {open}");
+    }
+}
+
+#[test]
+fn a_guest_may_become_error_passive_by_the_error_that_sends_it_home() {
+    let slow = Readings { slowdown: 40, ..Readings::default() };
+    let mut rig = rig(slow, settings(NODE_ID, OTHER_RATE));
+    assert!(rig.is_reached());
+    let is_at = |rig: &ImageRig, rate| {
+        rig.network.board(0).chip().can(1).bit_rate() == bit_per_s(rate) && !is_silent(rig)
+    };
+    rig.collect(Time::from_s(1));
+    assert!(is_at(&rig, RATE), "it is a guest at the rate of the master");
+    let since = rig.network.now();
+    let error = rig.bit_time() * 50;
+    hold_dominant(&mut rig, error);
+    rig.network.run_for(Time::from_ms(30));
+    assert_eq!(rig.bit_rates(0, since), [], "a guest bears one error");
+    hold_dominant(&mut rig, Time::from_ms(2));
+    rig.network.run_for(Time::from_ms(30));
+    let rates = rig.bit_rates(0, since);
+    assert!(rates.iter().any(|(_, rate)| *rate == bit_per_s(OTHER_RATE)), "{rates:?}");
+}
+
+#[test]
+fn the_last_repetition_may_be_acknowledged_after_its_time() {
+    const REPETITION: Time = Time::from_ms(100);
+    let mut rig = node_40(0);
+    rig.lss("04 01");
+    let mut delays = Vec::new();
+    for us in (0..500).step_by(20) {
+        let since = rig.transmit_request("5E");
+        rig.network.adapter_mut(rig.master).close();
+        rig.network.run_for(REPETITION - Time::from_us(us));
+        rig.network.adapter_mut(rig.master).open();
+        rig.network.run_for(Time::from_ms(1));
+        let (begin, _) = rig.requested(0, since).next().expect("an answer");
+        let is_frame = |event: &&Event| matches!(event.what, What::Frame { .. });
+        delays.extend(rig.did(0, since).find(is_frame).map(|frame| frame.time - begin));
+        assert!(rig.is_reached());
+    }
+    assert!(delays.iter().any(|delay| *delay < REPETITION), "{delays:?}");
+    assert!(delays.iter().any(|delay| *delay > REPETITION), "{delays:?}");
 }
 
 #[test]

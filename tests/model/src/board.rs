@@ -36,9 +36,11 @@ pub struct Board {
     mutation: Option<Mutation>,
     /// What the memory holds.
     pub stored: Kept,
+    /// The settings of a store that failed, for [`Mutation::StoresWhatFailed`] only.
+    failed: Option<Kept>,
     /// The settings that were confirmed, or found at a power-on, last.
     pub confirmed: Kept,
-    /// The settings that were requested since, without a double.
+    /// The settings that were requested since, the latest last, without a double.
     pub newer: Vec<Kept>,
     /// The requests to store that wait for an answer.
     pub requests: Vec<Kept>,
@@ -131,6 +133,7 @@ impl Board {
             is_supervised,
             mutation,
             stored,
+            failed: None,
             confirmed: stored,
             newer: Vec::new(),
             requests: Vec::new(),
@@ -239,8 +242,11 @@ impl Board {
     pub fn end_store(&mut self, outcome: Result<(), StoreError>) {
         let Some(running) = &mut self.running else { return };
         let Some(store) = running.store.take() else { return };
-        if outcome.is_ok() && self.mutation != Some(Mutation::ConfirmsWithoutStoring) {
-            self.stored = store;
+        match (outcome, self.mutation) {
+            (Ok(()), Some(Mutation::ConfirmsWithoutStoring)) => {}
+            (Ok(()), _) => self.stored = self.failed.take().unwrap_or(store),
+            (Err(_), Some(Mutation::StoresWhatFailed)) => self.failed = Some(store),
+            (Err(_), _) => {}
         }
         running.node.handle_stored(outcome);
         self.settle();
@@ -258,9 +264,8 @@ impl Board {
         }
         if self.running.is_some() && !self.requests.is_empty() {
             let pending = self.pending();
-            if !self.newer.contains(&pending) {
-                self.newer.push(pending);
-            }
+            self.newer.retain(|newer| *newer != pending);
+            self.newer.push(pending);
         }
     }
 
@@ -294,8 +299,9 @@ impl Board {
         let request = self.requests.remove(0);
         if is_confirmed {
             self.confirmed = request;
-            if self.requests.is_empty() {
-                self.newer.retain(|newer| *newer != request);
+            // Older requests are out of date.
+            if let Some(at) = self.newer.iter().position(|newer| *newer == request) {
+                self.newer.drain(..=at);
             }
         }
     }

@@ -10,6 +10,8 @@ use crate::board::address;
 pub enum Mutation {
     /// The memory confirms a store without storing.
     ConfirmsWithoutStoring,
+    /// The memory reports a store as failed, and stores its settings in place of the next ones, which it confirms.
+    StoresWhatFailed,
     /// The board never sends again after a switch of the bit rate.
     StaysSilent,
     /// The node takes the numbers of other devices in Fastscan for its own.

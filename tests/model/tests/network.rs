@@ -70,6 +70,12 @@ fn a_memory_that_confirms_without_storing_is_found() {
 }
 
 #[test]
+fn a_memory_that_confirms_one_store_and_keeps_a_failed_one_is_found() {
+    let mutation = Some(Mutation::StoresWhatFailed);
+    is_violated(KEPT, Scenario { mutation, recover_every: 0, ..Scenario::new(1, 2, 1) });
+}
+
+#[test]
 fn a_board_that_stays_silent_after_a_switch_is_found() {
     is_violated(FOUND, mutated(Mutation::StaysSilent, 1, 1));
 }

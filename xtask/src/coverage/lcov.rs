@@ -5,7 +5,7 @@ use std::{
     fmt::{self, Write},
 };
 
-use super::report::Report;
+use super::report::{Report, Verdict};
 
 /// The records of our files: `DA` for the lines, `BRDA` for the branches, each branch as a block of its own.
 pub fn lcov(report: &Report) -> Result<String, fmt::Error> {
@@ -17,16 +17,16 @@ pub fn lcov(report: &Report) -> Result<String, fmt::Error> {
         let mut blocks = 0;
         for (place, line) in lines() {
             for branch in &line.branches {
-                let was_executed = branch.outcomes.iter().any(|outcome| outcome.was_seen);
-                for (number, outcome) in branch.outcomes.iter().enumerate() {
+                let was_executed = branch.outcomes.iter().any(Verdict::was_seen);
+                for (number, verdict) in branch.outcomes.iter().enumerate() {
                     let taken = if was_executed {
-                        u8::from(outcome.was_seen).to_string()
+                        u8::from(verdict.was_seen()).to_string()
                     } else {
                         "-".to_owned()
                     };
                     writeln!(text, "BRDA:{},{blocks},{number},{taken}", place.line)?;
                     found += 1;
-                    hit += u32::from(outcome.was_seen);
+                    hit += u32::from(verdict.was_seen());
                 }
                 blocks += 1;
             }
@@ -57,13 +57,16 @@ mod tests {
 
     #[test]
     fn lines_and_branches_are_recorded_once() {
-        let outcome = |was_seen| Outcome { name: String::new(), target: None, was_seen };
+        let verdict = |was_seen| Verdict {
+            outcome: Outcome { name: String::new(), target: None, was_seen },
+            target: None,
+            explanation: None,
+        };
         let branch = |seen: [bool; 2]| Judged {
             image: "stm32f405",
             address: 0,
             mnemonic: String::new(),
-            outcomes: seen.map(outcome).into(),
-            targets: vec![None, None],
+            outcomes: seen.map(verdict).into(),
         };
         let place = |function: &str, line| Place {
             file: "src/can.rs".to_owned(),
@@ -74,9 +77,7 @@ mod tests {
         let mut report = Report::default();
         report.sources.insert("src/can.rs".to_owned(), Vec::new());
         let mut add = |function, line, was_executed, branches| {
-            report
-                .lines
-                .insert(place(function, line), Line { was_executed, branches, explanation: None });
+            report.lines.insert(place(function, line), Line { was_executed, branches });
         };
         add("a", 5, true, vec![branch([true, false]), branch([false, false])]);
         add("b", 5, false, Vec::new());

@@ -71,13 +71,8 @@ fn source_file(text: &mut String, report: &Report, file: &str, source: &[String]
         let class = match here {
             [] => "",
             _ if here.iter().any(|(_, line)| line.is_unexplained()) => " unexplained",
-            _ if here.iter().any(|(_, line)| {
-                line.explanation.is_some_and(|explanation| explanation.is_open)
-            }) =>
-            {
-                " open"
-            }
-            _ if here.iter().any(|(_, line)| line.explanation.is_some()) => " explained",
+            _ if here.iter().any(|(_, line)| is_open(line)) => " open",
+            _ if here.iter().any(|(_, line)| line.missing().next().is_some()) => " explained",
             _ if here.iter().any(|(_, line)| line.was_executed) => " run",
             _ => " idle",
         };
@@ -89,22 +84,27 @@ fn source_file(text: &mut String, report: &Report, file: &str, source: &[String]
     writeln!(text, "</pre></details>")
 }
 
+/// Whether an outcome could be taken, but no test does so yet.
+fn is_open(line: &Line) -> bool {
+    line.explanations().iter().any(|explanation| explanation.is_open)
+}
+
 /// What is missing on a line.
 fn notes(text: &mut String, place: &Place, line: &Line) -> fmt::Result {
     if line.missing().next().is_none() {
         return Ok(());
     }
-    let (class, reason) = match line.explanation {
-        Some(explanation) if explanation.is_open => ("open", explanation.reason.as_str()),
-        Some(explanation) => ("explained", explanation.reason.as_str()),
-        None => ("unexplained", ""),
+    let class = match () {
+        () if line.is_unexplained() => "unexplained",
+        () if is_open(line) => "open",
+        () => "explained",
     };
     write!(text, "<span class=\"note {class}\">{}", escape(&place.function))?;
     for branch in line.missing() {
         write!(text, "\n  {}", escape(&branch.to_string()))?;
     }
-    if !reason.is_empty() {
-        write!(text, "\n  {}", escape(reason))?;
+    for explanation in line.explanations() {
+        write!(text, "\n  {}", escape(&explanation.reason))?;
     }
     write!(text, "</span>")
 }

@@ -1,6 +1,6 @@
 //! The branches of the images by source line, with what is missing.
 
-use std::{collections::BTreeMap, fmt, fs, path::Path};
+use std::{collections::BTreeMap, fmt, fs, path::Path, ptr};
 
 use emulator::coverage::Record;
 
@@ -11,33 +11,43 @@ use super::{
 };
 
 /// A branch in an image, with its outcomes.
-pub struct Judged {
+pub struct Judged<'a> {
     pub image: &'static str,
     pub address: u32,
     pub mnemonic: String,
-    pub outcomes: Vec<Outcome>,
-    /// The places of the outcomes' targets, in their order.
-    pub targets: Vec<Option<Place>>,
+    pub outcomes: Vec<Verdict<'a>>,
 }
 
-impl Judged {
-    /// Whether each outcome was seen.
-    pub fn is_complete(&self) -> bool {
-        self.outcomes.iter().all(|outcome| outcome.was_seen)
+/// An outcome of a branch.
+pub struct Verdict<'a> {
+    pub outcome: Outcome,
+    /// The place of the outcome's target.
+    pub target: Option<Place>,
+    /// The reason why it is missing.
+    pub explanation: Option<&'a Explanation>,
+}
+
+impl Verdict<'_> {
+    pub const fn was_seen(&self) -> bool {
+        self.outcome.was_seen
     }
 }
 
-impl fmt::Display for Judged {
+impl<'a> Judged<'a> {
+    /// The outcomes that were not seen.
+    pub fn missing(&self) -> impl Iterator<Item = &Verdict<'a>> {
+        self.outcomes.iter().filter(|verdict| !verdict.was_seen())
+    }
+}
+
+impl fmt::Display for Judged<'_> {
     /// The outcomes that are missing.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} {:08x} {:6}", self.image, self.address, self.mnemonic)?;
-        if self.outcomes.len() > 1 && self.outcomes.iter().all(|outcome| !outcome.was_seen) {
+        if self.outcomes.len() > 1 && !self.outcomes.iter().any(Verdict::was_seen) {
             return write!(f, " never executed");
         }
-        let outcomes = self.outcomes.iter().zip(&self.targets);
-        for (number, (outcome, target)) in
-            outcomes.filter(|(outcome, _)| !outcome.was_seen).enumerate()
-        {
+        for (number, Verdict { outcome, target, .. }) in self.missing().enumerate() {
             let comma = if number > 0 { "," } else { "" };
             write!(f, "{comma} never {}", outcome.name)?;
             if let Some(Place { file, line, .. }) = target {
@@ -53,20 +63,32 @@ impl fmt::Display for Judged {
 #[derive(Default)]
 pub struct Line<'a> {
     pub was_executed: bool,
-    pub branches: Vec<Judged>,
-    /// The reason why some branches are missing.
-    pub explanation: Option<&'a Explanation>,
+    pub branches: Vec<Judged<'a>>,
 }
 
-impl Line<'_> {
+impl<'a> Line<'a> {
     /// The branches with an outcome that was not seen.
-    pub fn missing(&self) -> impl Iterator<Item = &Judged> {
-        self.branches.iter().filter(|branch| !branch.is_complete())
+    pub fn missing(&self) -> impl Iterator<Item = &Judged<'a>> {
+        self.branches.iter().filter(|branch| branch.missing().next().is_some())
     }
 
-    /// Whether a branch is missing without an explanation.
+    /// Whether an outcome is missing without an explanation.
     pub fn is_unexplained(&self) -> bool {
-        self.explanation.is_none() && self.missing().next().is_some()
+        let mut missing = self.branches.iter().flat_map(Judged::missing);
+        missing.any(|verdict| verdict.explanation.is_none())
+    }
+
+    /// The reasons why outcomes are missing, each once.
+    pub fn explanations(&self) -> Vec<&'a Explanation> {
+        let mut all: Vec<&Explanation> = Vec::new();
+        for explanation in
+            self.branches.iter().flat_map(Judged::missing).filter_map(|verdict| verdict.explanation)
+        {
+            if !all.iter().any(|other| ptr::eq(*other, explanation)) {
+                all.push(explanation);
+            }
+        }
+        all
     }
 }
 
@@ -81,14 +103,10 @@ pub struct Count {
 
 impl Count {
     /// Adds the outcomes of some branches.
-    fn add<'a>(
-        &mut self,
-        branches: impl Iterator<Item = &'a Judged>,
-        explanation: Option<&Explanation>,
-    ) {
-        for outcome in branches.flat_map(|branch| &branch.outcomes) {
-            *match explanation {
-                _ if outcome.was_seen => &mut self.seen,
+    fn add<'a>(&mut self, branches: impl Iterator<Item = &'a Judged<'a>>) {
+        for verdict in branches.flat_map(|branch| &branch.outcomes) {
+            *match verdict.explanation {
+                _ if verdict.was_seen() => &mut self.seen,
                 None => &mut self.unexplained,
                 Some(explanation) if explanation.is_open => &mut self.open,
                 Some(_) => &mut self.explained,
@@ -118,14 +136,16 @@ impl<'a> Report<'a> {
             line.was_executed |= record.was_executed(address);
         }
         for branch in &program.branches {
-            let outcomes = branch.outcomes(record);
-            let place = |outcome: &Outcome| program.instructions.get(&outcome.target?).cloned();
+            let verdict = |outcome: Outcome| Verdict {
+                target: outcome.target.and_then(|to| program.instructions.get(&to).cloned()),
+                outcome,
+                explanation: None,
+            };
             let judged = Judged {
                 image,
                 address: branch.address,
                 mnemonic: branch.mnemonic(),
-                targets: outcomes.iter().map(place).collect(),
-                outcomes,
+                outcomes: branch.outcomes(record).into_iter().map(verdict).collect(),
             };
             let place = program.instructions[&branch.address].clone();
             self.lines.entry(place).or_default().branches.push(judged);
@@ -147,8 +167,12 @@ impl<'a> Report<'a> {
                 self.sources
                     .insert(place.file.clone(), source.lines().map(str::to_owned).collect());
             }
-            if line.missing().next().is_some() {
-                line.explanation = explanations.find(place, text(&self.sources, place));
+            for branch in &mut line.branches {
+                for verdict in branch.outcomes.iter_mut().filter(|verdict| !verdict.was_seen()) {
+                    let outcome = format!("{} {}", branch.mnemonic, verdict.outcome.name);
+                    let line = text(&self.sources, place);
+                    verdict.explanation = explanations.find(place, line, &outcome, branch.image);
+                }
             }
         }
         Ok(())
@@ -173,7 +197,7 @@ impl<'a> Report<'a> {
                 .branches
                 .iter()
                 .filter(|branch| image.is_none_or(|image| branch.image == image));
-            count.add(branches, line.explanation);
+            count.add(branches);
         }
         count
     }
@@ -184,7 +208,7 @@ impl<'a> Report<'a> {
         for (place, line) in
             self.lines.iter().filter(|(place, line)| !place.is_ours && !line.branches.is_empty())
         {
-            all.entry(crate_of(&place.file)).or_default().add(line.branches.iter(), None);
+            all.entry(crate_of(&place.file)).or_default().add(line.branches.iter());
         }
         all
     }

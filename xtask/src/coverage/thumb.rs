@@ -1,5 +1,7 @@
 //! Finds the branches in Thumb-2 code (ARM DDI 0403, chapter A7).
 
+use std::collections::BTreeMap;
+
 use emulator::coverage::Record;
 
 /// An instruction after which the program may continue at more than one place.
@@ -20,8 +22,8 @@ pub enum Kind {
     Conditional { mnemonic: &'static str, target: u32 },
     /// An instruction of an IT block: the first, or one whose flags are newer than those of the one before.
     It { condition: &'static str },
-    /// `TBB` or `TBH`, with each target once.
-    Table { targets: Vec<u32> },
+    /// `TBB` or `TBH`: each target once, with the indices of its entries.
+    Table { targets: BTreeMap<u32, Vec<usize>> },
     /// A jump or call to an address in a register or in memory.
     Computed,
 }
@@ -66,7 +68,11 @@ impl Branch {
             }
             Kind::Table { targets } => targets
                 .iter()
-                .map(|&to| outcome("jumps", Some(to), record.has_jumped(self.address, to)))
+                .map(|(&to, indices)| {
+                    let indices: Vec<String> = indices.iter().map(usize::to_string).collect();
+                    let name = format!("jumps by index {}", indices.join(", "));
+                    outcome(&name, Some(to), record.has_jumped(self.address, to))
+                })
                 .collect(),
             Kind::Computed => vec![outcome("runs", None, record.was_executed(self.address))],
         }
@@ -205,16 +211,17 @@ fn kind(address: u32, first: u16, second: Option<u16>, code: &Code) -> Option<Ki
 }
 
 /// The targets of the table at `base`, without the byte that pads it.
-fn table(base: u32, is_wide: bool, data: &[u8]) -> Vec<u32> {
+fn table(base: u32, is_wide: bool, data: &[u8]) -> BTreeMap<u32, Vec<usize>> {
     let entries: Vec<u32> = if is_wide {
         data.as_chunks().0.iter().map(|entry| u16::from_le_bytes(*entry).into()).collect()
     } else {
         data.iter().map(|entry| u32::from(*entry)).collect()
     };
-    let mut targets: Vec<u32> = entries.iter().map(|entry| base + 2 * entry).collect();
-    targets.retain(|target| *target >= base + data.len() as u32);
-    targets.sort_unstable();
-    targets.dedup();
+    let mut targets: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (index, entry) in entries.into_iter().enumerate() {
+        targets.entry(base + 2 * entry).or_default().push(index);
+    }
+    targets.retain(|target, _| *target >= base + data.len() as u32);
     targets
 }
 
@@ -335,14 +342,15 @@ mod tests {
     #[test]
     fn a_table_of_bytes_ends_before_its_padding() {
         let found = branches_with(&[0xE8DF, 0xF001], &[2, 9, 2, 0]);
-        let kind = Kind::Table { targets: vec![BASE + 4 + 4, BASE + 4 + 18] };
-        assert_eq!(found, [Branch { address: BASE, length: 4, kind }]);
+        let targets = BTreeMap::from([(BASE + 4 + 4, vec![0, 2]), (BASE + 4 + 18, vec![1])]);
+        assert_eq!(found, [Branch { address: BASE, length: 4, kind: Kind::Table { targets } }]);
     }
 
     #[test]
     fn a_table_of_halfwords_reaches_far() {
         let found = branches_with(&[0xE8DF, 0xF011], &[2, 0, 0x34, 0x12]);
-        assert_eq!(found[0].kind, Kind::Table { targets: vec![BASE + 8, BASE + 4 + 0x2468] });
+        let targets = BTreeMap::from([(BASE + 8, vec![0]), (BASE + 4 + 0x2468, vec![1])]);
+        assert_eq!(found[0].kind, Kind::Table { targets });
     }
 
     #[test]

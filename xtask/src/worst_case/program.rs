@@ -79,7 +79,7 @@ impl Program {
         let mut tables: HashMap<u32, Vec<u32>> = branches
             .into_iter()
             .filter_map(|branch| match branch.kind {
-                Kind::Table { targets } => Some((branch.address, targets)),
+                Kind::Table { targets } => Some((branch.address, targets.into_keys().collect())),
                 _ => None,
             })
             .collect();
