@@ -363,6 +363,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !self.is_due(now) {
             return None;
         }
+        // More may be due than has a deadline.
+        self.due = Due::Now;
         let action = self.do_next(now);
         if action.is_none() {
             self.due = self.find_deadline().map_or(Due::Never, Due::At);

@@ -1,6 +1,6 @@
 //! TPDOs (CiA 301, 7.2.2): the frames, and the times at which they are sent.
 
-use lss_slave::BusEvent;
+use lss_slave::{Action, BusEvent, Frame, Instant};
 use testkit::frames::SILENCE;
 
 use crate::process_data::{Board, board, change, map, operational, receive, set};
@@ -43,6 +43,20 @@ fn pdos_are_sent_in_operational_only() {
         assert_eq!(receive(&mut board, "080:"), SILENCE);
         board.nmt("01 40");
     }
+}
+
+#[test]
+fn an_acknowledge_amid_the_calls_of_poll_leaves_no_tpdo_out() {
+    let mut board = operational();
+    for request in ["04 01", "13 00 00", "15 0A 00"] {
+        board.lss(request);
+    }
+    board.pass_ms(19);
+    let end = Instant::from_micros(board.now() as u32).plus_micros(1_000);
+    assert_eq!(board.node.poll(end), Some(Action::ResumeTransmitting));
+    board.node.handle_bus(BusEvent::Acknowledged, end);
+    let tpdo = Frame::new(0x1C0, &[0; 3]).expect("a frame");
+    assert_eq!(board.node.poll(end), Some(Action::Transmit(tpdo)));
 }
 
 /// A board in NMT operational that has just sent TPDO 1, which has an inhibit time of 10 ms.
