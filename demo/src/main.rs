@@ -6,8 +6,8 @@ mod record;
 mod screen;
 
 use std::{
-    fs::File,
-    io::{self, Write},
+    fs::{self, File},
+    io,
     path::{Path, PathBuf},
     process::ExitCode,
     time::Instant,
@@ -71,38 +71,30 @@ struct Arguments {
 }
 
 impl Arguments {
-    /// Creates the files for the records, before the session.
-    fn create_records(&self) -> anyhow::Result<Vec<Record<'_>>> {
-        let contents: [(_, Content); 3] = [
-            (&self.candump, |events| Ok(record::candump(events).into_bytes())),
-            (&self.pcap, |events| Ok(record::pcap(events))),
-            (&self.svg, |events| Ok(diagram::draw(events)?.into_bytes())),
-        ];
-        let given =
-            contents.into_iter().filter_map(|(path, content)| Some((path.as_ref()?, content)));
-        given
-            .map(|(path, content)| {
-                let file = File::create(path).with_context(|| cannot_write(path))?;
-                Ok(Record { path, file, content })
-            })
-            .collect()
+    /// Checks before the session that its records can be written. A file that is there keeps its content.
+    fn check_records(&self) -> anyhow::Result<()> {
+        for path in [&self.candump, &self.pcap, &self.svg].into_iter().flatten() {
+            let file = File::options().append(true).create(true).open(path);
+            file.with_context(|| cannot_write(path))?;
+        }
+        Ok(())
     }
-}
 
-/// Makes the content of a record from the events of the session.
-type Content = fn(&[Event]) -> anyhow::Result<Vec<u8>>;
-
-/// A file that gets a record of the session.
-struct Record<'a> {
-    path: &'a Path,
-    file: File,
-    content: Content,
-}
-
-impl Record<'_> {
-    fn write(mut self, events: &[Event]) -> anyhow::Result<()> {
-        let content = (self.content)(events)?;
-        self.file.write_all(&content).with_context(|| cannot_write(self.path))
+    fn write_records(&self, events: &[Event]) -> anyhow::Result<()> {
+        let mut files = Vec::new();
+        if let Some(path) = &self.candump {
+            files.push((path, record::candump(events).into_bytes()));
+        }
+        if let Some(path) = &self.pcap {
+            files.push((path, record::pcap(events)));
+        }
+        if let Some(path) = &self.svg {
+            files.push((path, diagram::draw(events)?.into_bytes()));
+        }
+        for (path, content) in files {
+            fs::write(path, content).with_context(|| cannot_write(path))?;
+        }
+        Ok(())
     }
 }
 
@@ -123,7 +115,7 @@ fn main() -> ExitCode {
 
 /// Builds the firmware, runs the session and prints it.
 fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let records = arguments.create_records()?;
+    arguments.check_records()?;
     let image = testkit::image::build(arguments.chip)?;
     let begin = Instant::now();
     let mut screen = Screen::new(arguments.all);
@@ -135,9 +127,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // Show the events up to the failure.
     screen.show(network.trace())?;
     outcome?;
-    for record in records {
-        record.write(network.trace())?;
-    }
+    arguments.write_records(network.trace())?;
     screen.chapter(&format!(
         "As expected: {:.1} s on the board, {:.1} s here.",
         network.now().as_ms() as f64 / 1000.0,

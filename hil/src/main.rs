@@ -99,10 +99,8 @@ fn main() -> ExitCode {
 
 /// Runs the sessions and reports; returns whether nothing failed.
 fn run(arguments: &Arguments) -> anyhow::Result<bool> {
-    let probe = match &arguments.probe {
-        Some(chip) => Some(Probe::new(chip, arguments.controller)?),
-        None => None,
-    };
+    let chip = arguments.probe.as_deref();
+    let probe = chip.map(|chip| Probe::new(chip, arguments.controller)).transpose()?;
     if let Some(path) = &arguments.report {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         ensure!(

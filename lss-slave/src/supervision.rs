@@ -50,8 +50,8 @@ const TURN_MICROS: u32 = 20_000;
 const TURN_BITS: u32 = 2 * 135;
 /// Home opens in spite of errors that have gone on for this long: a master that only listens must hear the node.
 const DISTURBANCE_MICROS: u32 = 500_000;
-/// The time for which the node takes part at home between two looks while the bus is quiet. A master that only listens
-/// hears the node once that is error passive, after 16 attempts at a frame.
+/// The time for which the node takes part at home between two looks while the bus is quiet: the longer of the two. A
+/// master that only listens hears the node once the node is error passive, after 16 attempts at a frame.
 const OPEN_TURN_MICROS: u32 = 150_000;
 const OPEN_TURN_BITS: u32 = 3_000;
 /// Errors this close together belong to one episode. A look that hears anything lasts no longer.

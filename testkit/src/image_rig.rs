@@ -344,8 +344,7 @@ pub struct SdoClient<'a> {
 impl Client for SdoClient<'_> {
     fn say(&mut self, messages: &[[u8; 8]], is_last: impl Fn(&[u8; 8]) -> bool) -> Vec<[u8; 8]> {
         for message in messages {
-            let frame = on_the_wire(&sdo::of_client(self.node_id, message));
-            self.rig.network.send(self.rig.master, frame);
+            self.rig.queue(&sdo::of_client(self.node_id, message));
         }
         let mut answers = Vec::new();
         while !answers.last().is_some_and(&is_last) {

@@ -60,7 +60,7 @@ impl Pair {
         let is_answer = |answer: &&Frame| cob_ids.contains(&answer.cob_id());
         let expected: Vec<Frame> =
             self.model.receive(frame).0.iter().filter(is_answer).copied().collect();
-        self.rig.network.send(self.rig.master, on_the_wire(frame));
+        self.rig.queue(frame);
         let span = Time::from_us(600) + Time::from_us(150) * expected.len() as u64;
         let mut sent: Vec<Frame> =
             self.rig.collect(span).0.iter().filter(is_answer).copied().collect();

@@ -167,11 +167,11 @@ impl<'a> Report<'a> {
                 self.sources
                     .insert(place.file.clone(), source.lines().map(str::to_owned).collect());
             }
+            let source = text(&self.sources, place);
             for branch in &mut line.branches {
                 for verdict in branch.outcomes.iter_mut().filter(|verdict| !verdict.was_seen()) {
                     let outcome = format!("{} {}", branch.mnemonic, verdict.outcome.name);
-                    let line = text(&self.sources, place);
-                    verdict.explanation = explanations.find(place, line, &outcome, branch.image);
+                    verdict.explanation = explanations.find(place, source, &outcome, branch.image);
                 }
             }
         }

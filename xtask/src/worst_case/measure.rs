@@ -409,9 +409,9 @@ fn full_bus(rig: &mut ImageRig) {
     for _ in 0..5 {
         for _ in 0..20 {
             let request = random.pick(&["04 01", "5A", "5B", "5E", "11 40", "17", "04 00"]);
-            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+            rig.queue(&frames::request(request));
             let object = random.pick(&["40 18 10 01", "40 00 10 00", "2B 17 10 00 07 00"]);
-            rig.network.send(rig.master, on_the_wire(&sdo::request(0x40, object)));
+            rig.queue(&sdo::request(0x40, object));
             let cob_id = random.pick(&[0x000, 0x640, 0x7E5]);
             rig.network.send(rig.master, Frame::data(Id::Standard(cob_id), &[]));
             rig.network.send(other, Frame::data(Id::Standard(0x001), &[0; 8]));
@@ -427,7 +427,7 @@ fn full_bus(rig: &mut ImageRig) {
 fn stores(rig: &mut ImageRig) {
     let flash = |rig: &ImageRig, timing| rig.network.board(0).chip().flash_mut().set_timing(timing);
     let sdo = |rig: &mut ImageRig, text| {
-        rig.network.send(rig.master, on_the_wire(&sdo::request(0x40, text)));
+        rig.queue(&sdo::request(0x40, text));
     };
     rig.nmt("80 00");
     rig.lss("04 01");
@@ -435,7 +435,7 @@ fn stores(rig: &mut ImageRig) {
     flash(rig, Timing::Typical);
     for round in 0..175 {
         for request in [&format!("11 {:02X}", 0x40 + round % 2), "17", "17"] {
-            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+            rig.queue(&frames::request(request));
         }
         rig.collect(Time::from_us(2_006));
     }
@@ -457,7 +457,7 @@ fn full_queue(rig: &mut ImageRig) {
     rig.lss("04 01");
     for node_id in 1..=60 {
         for request in [&format!("11 {node_id:02X}"), "17"] {
-            rig.network.send(rig.master, on_the_wire(&frames::request(request)));
+            rig.queue(&frames::request(request));
         }
     }
     rig.collect(Time::from_ms(22));
