@@ -142,7 +142,6 @@ impl Controller {
 
     /// Resets the controller and sets it up, the only way to another bit rate without a wait. The controller joins the
     /// bus by itself after 11 recessive bits (RM0090, 32.4.2).
-    // Bound: not in service: the bit rate stays.
     fn start(&mut self) {
         self.sample();
         if self.is_listening {
@@ -153,7 +152,6 @@ impl Controller {
         }
         let btr = BTR[usize::from(self.bit_rate.index())];
         // Its `drop` would wait for sleep mode without limit.
-        // Bound: 1 round: the controller is in initialisation mode.
         mem::forget(self.can.modify_config().set_silent(self.is_listening).set_bit_timing(btr));
         self.set_filters();
         self.registers.ier().write(|w| {
@@ -191,7 +189,6 @@ impl Controller {
         // At most six of the controller's 14 banks.
         let mut banks = filters.fb_iter().skip(FIRST_BANK);
         let mut everything = 1_u32 << FIRST_BANK;
-        // Bound: 6 rounds: the lists of a node with all services.
         for (ids, bank) in lists.zip(&mut banks) {
             let entry = |at| u32::from(ids.get(at).copied().unwrap_or(lss::REQUEST_COB_ID)) << 5;
             // SAFETY: the identifiers of data frames, two in each register.
@@ -218,7 +215,6 @@ impl Controller {
     /// Whether a valid frame for others has been received since the last call.
     pub fn has_heard_others(&mut self) -> bool {
         let frames = self.registers.rfr(1).read().fmp().bits();
-        // Bound: 3 rounds: the places of the FIFO.
         for _ in 0..frames {
             // Nobody reads them.
             self.registers.rfr(1).write(|w| w.rfom().set_bit());
@@ -255,7 +251,6 @@ impl Controller {
     /// Waits until the FIFO shows the next frame after the release of the oldest.
     fn await_release(&self, fifo: usize) {
         let fifo = self.registers.rfr(fifo);
-        // Bound: RELEASE_READS rounds, 2 in service: a read takes longer than an APB1 cycle.
         let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
     }
 
@@ -268,7 +263,6 @@ impl Controller {
             return;
         }
         if !self.queue.push(frame) {
-            // Bound: not in service: there are places for 12 answers, a heartbeat of each state and a boot-up.
             defmt::warn!(
                 "CAN: the transmit queue is full, frame {=u16:#x} was dropped",
                 frame.cob_id()
@@ -300,7 +294,6 @@ impl Controller {
 
     fn fill_mailboxes(&mut self) {
         let Self { can, registers, queue, .. } = self;
-        // Bound: 1 round: the next frame is not more urgent than the one that a mailbox has just taken.
         while !queue.is_empty() && queue.pop_if(|frame| put_in_mailbox(can, registers, frame)) {}
     }
 
@@ -360,7 +353,6 @@ impl Controller {
         });
         can.msr().write(|w| w.erri().set_bit());
         if is_error {
-            // Bound: not in service: the bus has no errors.
             self.sample();
         }
         self.has_heard |= error.is_some();
@@ -465,12 +457,10 @@ impl Controller {
 
 /// Resets the controller, repeatedly if necessary; returns whether it enters initialisation mode.
 fn enter_initialization(can: &Can) -> bool {
-    // Bound: RESETS rounds: the limit itself.
     let is_there = (0..RESETS).any(|_| {
         // SAFETY: the controller's reset bit in RCC belongs to its owner.
         unsafe { Can::reset_unchecked() };
         can.mcr().write(|w| w.sleep().clear_bit().inrq().set_bit());
-        // Bound: INIT_READS rounds: the limit itself.
         (0..INIT_READS).any(|_| can.msr().read().inak().bit_is_set())
     });
     if !is_there {
@@ -483,10 +473,8 @@ fn enter_initialization(can: &Can) -> bool {
 /// those in the mailboxes: of two with one COB-ID the controller might not send the older one first (RM0090, 32.7.1).
 /// Without an empty mailbox `bxcan` is not called, since it would abort a frame and wait for its end.
 fn put_in_mailbox(can: &mut Driver, registers: &Can, frame: &Frame) -> bool {
-    // Bound: 8 bytes: the data of a frame.
     let Some(data) = Data::new(frame.data()) else { return false };
     let id = StandardId::new(frame.cob_id()).unwrap_or(StandardId::ZERO);
     registers.tsr().read().bits() & EMPTY != 0
-        // Bound: 1 round: with an empty mailbox nothing is aborted.
         && can.transmit(&bxcan::Frame::new_data(id, data)).is_ok()
 }

@@ -67,7 +67,6 @@ impl SettingsFlash {
         operation: impl FnOnce(&Self) -> Result<(), FlashError>,
     ) -> Result<(), FlashError> {
         if self.supply.is_low() {
-            // Bound: not in service: the supply is sufficient.
             defmt::error!("flash: not written, the supply is below 2.7 V");
             return Err(FlashError::Supply);
         }
@@ -93,7 +92,6 @@ impl SettingsFlash {
     fn wait(&self, reads: u32) -> Result<(), FlashError> {
         let mut status = BUSY;
         for _ in 0..reads {
-            // Bound: WORD_READS rounds: no sector is erased once the bus is joined.
             status = self.registers.sr().read().bits();
             if status & BUSY == 0 {
                 break;
@@ -104,12 +102,10 @@ impl SettingsFlash {
             return Ok(());
         }
         if status & WRITE_PROTECTED != 0 {
-            // Bound: not in service: the flash does not fail.
             defmt::error!(
                 "flash: not written, the sector is write-protected; clear its protection in the option bytes"
             );
         } else {
-            // Bound: not in service: the flash does not fail.
             defmt::error!("flash: the operation failed with FLASH_SR {=u32:#x}", status);
         }
         Err(FlashError::Status(status))
@@ -127,7 +123,6 @@ impl ReadNorFlash for SettingsFlash {
         check_read(self, offset, bytes.len()).map_err(FlashError::Range)?;
         let (words, _) = bytes.as_chunks_mut();
         let from = SETTINGS.wrapping_byte_add(offset as usize);
-        // Bound: 8 rounds: the words of a record.
         for (i, word) in words.iter_mut().enumerate() {
             // SAFETY: an aligned word within the sectors; volatile, since the hardware changes them.
             *word = unsafe { from.add(i).read_volatile() }.to_le_bytes();
@@ -178,7 +173,6 @@ impl NorFlash for SettingsFlash {
                 .write(|w| unsafe { w.lock().clear_bit().psize().bits(2).pg().set_bit() });
             let (words, _) = bytes.as_chunks();
             let to = SETTINGS.wrapping_byte_add(offset as usize);
-            // Bound: 8 rounds: the words of a record.
             for (i, word) in words.iter().enumerate() {
                 // SAFETY: an aligned word within the sectors; the store programs it.
                 unsafe { to.add(i).write_volatile(u32::from_le_bytes(*word)) };

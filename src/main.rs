@@ -181,7 +181,6 @@ macro_rules! application {
                 match outcome {
                     Ok(()) => defmt::info!("settings stored"),
                     Err(error) => {
-                        // Bound: not in service: the flash does not fail.
                         defmt::error!("the settings were not stored, the old ones stay: {}", error);
                     }
                 }

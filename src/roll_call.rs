@@ -24,16 +24,13 @@ pub fn answer(task: Task) {
 
 /// Whether all tasks have answered.
 pub fn is_everyone_present() -> bool {
-    // Bound: 5 rounds: the tasks.
     PRESENT.iter().fold(true, |all, present| all & present.load(Ordering::Relaxed))
 }
 
 /// Begins the next roll call and triggers the tasks that do not run by themselves, by their interrupts.
 pub fn begin(interrupts: [Interrupt; 4]) {
-    // Bound: 5 rounds: the tasks.
     for present in &PRESENT {
         present.store(false, Ordering::Relaxed);
     }
-    // Bound: 4 rounds: the interrupts.
     interrupts.into_iter().for_each(rtic::pend);
 }

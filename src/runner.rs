@@ -57,7 +57,6 @@ impl Runner {
 
     /// Handles received frames.
     pub fn handle_received(&mut self) {
-        // Bound: 3 rounds: the places of the FIFO. A later frame counts as an interrupt of its own.
         while let Some(received) = self.can.receive() {
             match received {
                 Received::Frame(frame) => {
@@ -73,7 +72,6 @@ impl Runner {
                 }
                 Received::Other => self.node.handle_bus(BusEvent::Received, clock::now()),
                 Received::Overrun => {
-                    // Bound: not in service: service ends where a frame is lost.
                     defmt::warn!("CAN: overrun, a received frame was lost");
                     self.node.handle_bus(BusEvent::Overrun, clock::now());
                 }
@@ -104,11 +102,9 @@ impl Runner {
         // Frames received before the error come first.
         self.hear_others();
         if let Some(error) = error {
-            // Bound: not in service: the bus has no errors.
             self.node.handle_bus(error, now);
         }
         if !self.can.is_listening() {
-            // Bound: not in service: all that it calls is for a change of the bus state.
             self.watch_bus();
         }
         self.finish();
@@ -186,7 +182,6 @@ impl Runner {
         self.act_until_nothing_is_due();
         let now = clock::now();
         if let Some(event) = self.can.watch(now) {
-            // Bound: not in service: the bus has no errors.
             self.node.handle_bus(event, now);
         }
         let is_step = self.step_at.has_come(now);
@@ -213,8 +208,6 @@ impl Runner {
     }
 
     fn act_until_nothing_is_due(&mut self) {
-        // Bound: 16 rounds: 3 actions of a switch or of the supervision, an NMT command, an SDO answer, the answer to a
-        // store and the next store, the boot-up, 6 emergency messages and 2 heartbeats.
         while let Some(action) = self.node.poll(clock::now()) {
             self.act(action);
         }
@@ -222,7 +215,6 @@ impl Runner {
 
     fn set_alarm(&mut self) {
         let others = [self.node.poll_at(), self.can.watch_at()].into_iter().flatten();
-        // Bound: 2 rounds: the deadlines of the node and of the controller.
         self.alarm.set(others.fold(self.step_at, Instant::earlier));
     }
 

@@ -44,7 +44,6 @@ impl TransmitQueue {
         if self.is_empty() {
             return;
         }
-        // Bound: CAPACITY rounds: the places.
         for place in &mut self.places {
             if place.as_ref().is_some_and(|waiting| waiting.frame.cob_id() != cob_id) {
                 *place = None;
@@ -57,8 +56,6 @@ impl TransmitQueue {
     /// replaces the waiting one of the same COB-ID, so that a board that is alone on its bus does not accumulate them.
     pub fn push(&mut self, frame: Frame) -> bool {
         let is_error_control = frame.cob_id() & !0x7F == nmt::ERROR_CONTROL_COB_ID;
-        // Bound: CAPACITY rounds: the places.
-        // Bound: 1 byte: heartbeats and boot-ups have no more.
         if is_error_control && self.places.iter().flatten().any(|waiting| waiting.frame == frame) {
             return true;
         }
@@ -69,7 +66,6 @@ impl TransmitQueue {
                 return true;
             }
         }
-        // Bound: CAPACITY rounds: the places.
         let Some(place) = self.places.iter_mut().find(|place| place.is_none()) else {
             return false;
         };
@@ -84,7 +80,6 @@ impl TransmitQueue {
         let now = self.arrivals;
         let urgency = |w: &Waiting| (w.frame.cob_id(), Reverse(now.wrapping_sub(w.arrival)));
         let waiting = self.places.iter_mut().filter(|place| place.is_some());
-        // Bound: CAPACITY rounds: the places.
         let Some(place) = waiting.min_by_key(|place| place.as_ref().map(urgency)) else {
             return false;
         };

@@ -139,7 +139,6 @@ impl BitRates {
     pub(crate) const fn fastest(self) -> BitRate {
         let mut fastest = BitRate::Kbit10;
         let mut i = BitRate::ALL.len();
-        // Bound: 8 rounds: the bit rates.
         while i > 0 {
             i -= 1;
             if self.contains(BitRate::ALL[i]) {

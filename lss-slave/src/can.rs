@@ -21,7 +21,6 @@ impl Frame {
     /// A frame with the COB-ID `cob_id` (0..=7FFh) and 0..=8 bytes of data; `None` outside these ranges.
     pub fn new(cob_id: u16, data: &[u8]) -> Option<Self> {
         let mut padded = [0; 8];
-        // Bound: 8 bytes: the data of a frame.
         padded.get_mut(..data.len())?.copy_from_slice(data);
         Self::from_padded(cob_id, data.len(), padded)
     }

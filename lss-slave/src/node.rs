@@ -384,7 +384,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn do_next(&mut self, now: Instant) -> Option<Action> {
         use bit_rate_control::Next::*;
         loop {
-            // Bound: 2 rounds, 0 in service: the second activation of a switch, and its end.
             let next = self.bit_rate.poll(now);
             self.follow_bit_rate();
             self.inform_application();
@@ -604,7 +603,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         use storing::Next::*;
         loop {
             let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
-            // Bound: 1 round: there is at most one outcome that nobody waits for.
             match self.storing.poll(node_id, bit_rate, Self::HAS_APPLICATION)? {
                 Store(settings) => {
                     match Part::Communication.change(self.storing.download()) {

@@ -361,7 +361,6 @@ pub(crate) fn find(
     sub_index: u8,
 ) -> Result<&'static Entry, Missing> {
     let is_at_or_before = |entry: &Entry| (entry.index, entry.sub_index) <= (index, sub_index);
-    // Bound: 7 rounds: a binary search in less than 128 rows.
     let last = table.partition_point(is_at_or_before).wrapping_sub(1);
     // Each object has a sub-index 0, so this row belongs to the object if it exists.
     match table.get(last) {

@@ -569,7 +569,6 @@ impl Supervision {
     }
 
     /// Begins a look if the errors at home justify it.
-    // Bound: not in service: the node is at home and nothing is doubted.
     fn doubt(&mut self, now: Instant) {
         let are_lasting = self.errors.count >= LASTING_ERRORS
             && self.errors.first.plus_micros(LASTING_MICROS).has_come(now);
@@ -592,7 +591,6 @@ impl Supervision {
     }
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
-    // Bound: not in service: the node is at home and nothing is doubted.
     fn look_elsewhere(&mut self, look: Look, micros: u32, now: Instant) {
         self.enter(Place::Looking {
             look: Look { has_moved: false, ..look },
@@ -603,7 +601,6 @@ impl Supervision {
     }
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
-    // Bound: not in service: the node is at home and nothing is doubted.
     fn listen_at_home(&mut self, look: Look, now: Instant) {
         self.enter(Place::Looking {
             look,
@@ -614,7 +611,6 @@ impl Supervision {
     }
 
     #[inline(never)] // It has several callers: 20 to 50 bytes.
-    // Bound: not in service: the node is at home and nothing is doubted.
     fn open_home(&mut self, look: Look, now: Instant) {
         let micros = OPEN_TURN_MICROS.max(bits_micros(OPEN_TURN_BITS, self.home));
         let until = now.plus_micros(micros);
@@ -623,7 +619,6 @@ impl Supervision {
     }
 
     /// Returns home to stay.
-    // Bound: not in service: the node is at home and nothing is doubted.
     fn end_look(&mut self) {
         self.has_searched = true;
         if self.is_listening() {
@@ -634,7 +629,6 @@ impl Supervision {
 
     /// Drops the pending frames and withholds new ones for a while.
     #[inline(never)] // It has several callers: 60 bytes.
-    // Bound: not in service: the node is at home and nothing is doubted.
     fn withhold(&mut self, now: Instant) {
         let mut end = now.plus_micros(WITHHOLD_MICROS);
         match self.sending {
@@ -657,13 +651,10 @@ impl Supervision {
 /// The rate to listen at after `rate`: the next slower one, and after the slowest the fastest. At a rate that is too
 /// fast each frame ends in a stuff error, since its bits last too long; at a rate that is too slow a frame may pass
 /// unnoticed.
-// Bound: not in service: the node is at home and nothing is doubted.
 fn next_rate(rates: BitRates, rate: BitRate, except: Option<BitRate>) -> BitRate {
     let candidates =
         || BitRate::ALL.into_iter().filter(|&other| rates.contains(other) && Some(other) != except);
-    // Bound: 8 rounds: the bit rates.
     let slower = candidates().find(|other| other.kbit_per_s() < rate.kbit_per_s());
-    // Bound: 8 rounds: the bit rates.
     slower.or_else(|| candidates().next()).unwrap_or(rate)
 }
 

@@ -182,7 +182,6 @@ impl Faults {
 
     /// Sub-index 0 of the history 1003h.
     pub fn number_of_errors(&self) -> u8 {
-        // Bound: 8 rounds: the places of the history.
         let first_place_free = self.history.iter().position(|error| *error == 0);
         first_place_free.map_or(HISTORY_LEN, |number| number as u8)
     }
@@ -199,7 +198,6 @@ impl Faults {
     /// Adds an error to the history 1003h.
     pub fn enter(&mut self, error: u32) {
         let mut newer = error;
-        // Bound: 8 rounds: the places of the history.
         for place in &mut self.history {
             newer = mem::replace(place, newer);
         }

@@ -129,7 +129,6 @@ impl BitRateControl {
     }
 
     #[inline(never)] // An answer at home does not call it; inlined it takes 220 bytes more.
-    // Bound: not in service: the node is at home.
     fn handle_frame_away(&mut self, frame: &Frame, now: Instant) -> bool {
         // The sender may be lost like this node and repeat its boot-up until someone acknowledges it.
         if self.supervision.is_elsewhere() && nmt::is_boot_up(frame) {

@@ -84,7 +84,6 @@ impl Basic {
         let mut segment = [0; 7];
         let mut rest = upload.rest.iter();
         let mut unused = segment.len() as u8;
-        // Bound: 7 rounds: the bytes of a segment.
         for (to, from) in segment.iter_mut().zip(&mut rest) {
             *to = *from;
             unused -= 1;

@@ -134,7 +134,6 @@ impl Bank {
 /// Whether `bytes` have not been written since the erase. Compares words, since each start checks a thousand records.
 fn is_blank(bytes: &[u8; record::LEN as usize]) -> bool {
     let (words, _) = bytes.as_chunks();
-    // Bound: 8 rounds: the words of a record.
     words.iter().all(|word| u32::from_ne_bytes(*word) == u32::MAX)
 }
 

@@ -140,7 +140,6 @@ fn crc32(bytes: &[u8]) -> u32 {
 /// Continues a CRC-32, which begins with all ones and is inverted at the end.
 #[inline(never)] // It has several callers.
 pub fn crc32_of_more(mut crc: u32, bytes: &[u8]) -> u32 {
-    // Bound: 32 rounds: the bytes of a record.
     for byte in bytes {
         crc ^= u32::from(*byte);
         for _ in 0..8 {
