@@ -9,7 +9,7 @@ use testkit::{
     flash::BoardFlash,
     frames,
     image::example,
-    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
+    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},
     node_rig::{self, NodeRig},
 };
 
