@@ -85,7 +85,7 @@ pub fn build(part: Part) -> Result<Image, BuildError> {
 /// # Errors
 /// The same as for [`build`].
 pub fn build_with_features(part: Part, features: &[&str]) -> Result<Image, BuildError> {
-    let elf = build_with(workspace(), part, || cargo_build(part, features))?;
+    let elf = build_elf(part, features)?;
     let image = Image::from_elf(&elf).map_err(BuildError::Image)?;
     if let Some(directory) = env::var_os(COVERAGE) {
         let name = [&[part.name()], features].concat().join("-");
@@ -94,6 +94,14 @@ pub fn build_with_features(part: Part, features: &[&str]) -> Result<Image, Build
         image.record(coverage);
     }
     Ok(image)
+}
+
+/// Builds the release firmware for `part` with these features of the firmware, and returns the ELF file.
+///
+/// # Errors
+/// The same as for [`build`].
+pub fn build_elf(part: Part, features: &[&str]) -> Result<Vec<u8>, BuildError> {
+    build_with(workspace(), part, || cargo_build(part, features))
 }
 
 /// Builds the release firmware of a product for `part`: the program `name` of the package of that name in `directory`,

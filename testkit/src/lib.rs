@@ -5,6 +5,8 @@
 pub mod boards;
 pub mod eds;
 #[cfg(feature = "image")]
+pub mod elf;
+#[cfg(feature = "image")]
 pub mod explain;
 pub mod flash;
 pub mod frames;
@@ -24,5 +26,9 @@ pub mod soak;
 #[cfg(feature = "image")]
 pub mod stack;
 #[cfg(feature = "image")]
+pub mod stack_bound;
+#[cfg(feature = "image")]
 pub mod storm;
 pub mod supervised;
+#[cfg(feature = "image")]
+pub mod thumb;

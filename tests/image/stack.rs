@@ -1,18 +1,20 @@
-//! The stack of the release image: its depth, and that an overflow reaches no variable.
+//! The stack of the release image: its depth, an upper bound of it, and that an overflow reaches no variable.
 //!
-//! `cargo test --test image stack -- --nocapture` prints the depths.
+//! `cargo test --test image stack -- --nocapture` prints the depths and the bound.
 
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
-    chip::{FLASH_BASE, RAM_BASE, ResetCause, Timing},
+    chip::{FLASH_BASE, Part, RAM_BASE, ResetCause, Timing},
+    image::Image,
 };
 use lss_slave::BitRate;
 use testkit::{
-    image::image,
+    image::{build_elf, image},
     image_rig::{ImageRig, SETTINGS_OFFSET, blank_board, flash_with, on_the_wire, settings},
     random::Random,
     sdo, stack,
+    stack_bound::Bound,
 };
 
 /// The limit for the use of the stack: a quarter of it.
@@ -33,6 +35,27 @@ fn all_variables_lie_above_the_stack_and_nothing_lies_below_it() {
     let (_, vectors) =
         image().segments().find(|&(at, _)| at == FLASH_BASE).expect("a vector table");
     assert_eq!(vectors[..4], stack.end.to_le_bytes(), "the stack pointer out of a reset");
+}
+
+/// The bound of the stack, and the image.
+fn bound(part: Part, features: &[&str]) -> (Bound, Image) {
+    let elf = build_elf(part, features).unwrap_or_else(|error| panic!("{error}"));
+    let bound = Bound::of(&elf).unwrap_or_else(|error| panic!("{error}"));
+    (bound, Image::from_elf(&elf).expect("an image"))
+}
+
+#[test]
+fn the_stack_suffices_for_every_path_through_the_program() {
+    for (part, features) in [(Part::Stm32f405, &[][..]), (Part::Stm32f407, &["io"])] {
+        let (bound, image) = bound(part, features);
+        println!("{} {features:?}\n{bound}", part.name());
+        for handler in ["Reset", "HardFault", "NonMaskableInt", "TIM2", "CAN1_RX0", "USART1"] {
+            let is_there = bound.levels.iter().any(|(name, _)| name == handler);
+            assert!(is_there, "{handler}:\n{bound}");
+        }
+        let size = stack::stack(&image).len();
+        assert!(bound.bytes() as usize <= size, "{} of {size} bytes", bound.bytes());
+    }
 }
 
 /// `push {r0-r7}` and a jump back to it.
@@ -71,10 +94,11 @@ fn a_stack_that_overflows_is_logged_and_ends_in_a_reset_at_once() {
 }
 
 /// Prints the depth of the stack since the last call.
-fn note(rig: &mut ImageRig, what: &str) {
+fn note(rig: &mut ImageRig, bound: usize, what: &str) {
     let depth = stack::deepest(rig.network.board(0), image());
     println!("{depth:5} of {} bytes: {what}", stack::stack(image()).len());
     assert!((100..=MOST).contains(&depth), "{what}: {depth} bytes");
+    assert!(depth <= bound, "{what}: {depth} bytes, more than the bound of {bound}");
     stack::paint(rig.network.board_mut(0), image());
 }
 
@@ -107,6 +131,8 @@ fn storm(rig: &mut ImageRig, random: &mut Random) {
 
 #[test]
 fn the_stack_is_never_used_by_more_than_a_quarter() {
+    let (bound, _) = bound(Part::Stm32f405, &[]);
+    let bound = bound.bytes() as usize;
     let mut random = Random::from_environment();
     let rate = BitRate::Kbit1000;
     // Nearly full: the boot moves to the other sector.
@@ -116,7 +142,7 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[&stores[..], &[last]].concat()));
     stack::paint(&mut board, image());
     let mut rig = ImageRig::new(rate, [board]);
-    note(&mut rig, "a boot that erases");
+    note(&mut rig, bound, "a boot that erases");
 
     for request in ["04 01", "5A", "5B", "5C", "5D", "5E", "11 41", "11 80", "13 00 02", "13 00 05"]
     {
@@ -125,7 +151,7 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
     for request in ["46", "47", "48", "49", "4A", "4B", "4C", "51"] {
         rig.lss(request);
     }
-    note(&mut rig, "LSS");
+    note(&mut rig, bound, "LSS");
     let requests = [
         "40 08 10 00",
         "60 00",
@@ -138,21 +164,21 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
         rig.transmit(on_the_wire(&sdo::request(0x40, request)));
         rig.collect(Time::from_ms(5));
     }
-    note(&mut rig, "SDO");
+    note(&mut rig, bound, "SDO");
     rig.lss("17");
-    note(&mut rig, "a store");
+    note(&mut rig, bound, "a store");
     rig.lss("13 00 00");
     rig.lss("15 05 00");
     rig.collect(Time::from_ms(15));
-    note(&mut rig, "a switch of the bit rate");
+    note(&mut rig, bound, "a switch of the bit rate");
     rig.lss("11 40");
     rig.lss("17");
     rig.expect_reset(0, ResetCause::Software);
     rig.nmt("81 00");
     rig.collect(Time::from_ms(20));
-    note(&mut rig, "a reset of the node");
+    note(&mut rig, bound, "a reset of the node");
     storm(&mut rig, &mut random);
-    note(&mut rig, "storms of every interrupt");
+    note(&mut rig, bound, "storms of every interrupt");
     rig.lss("04 01");
     let answers = rig.lss("5A").0;
     assert!(answers.iter().any(|frame| frame.cob_id() == 0x7E4), "{answers:?}");

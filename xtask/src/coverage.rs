@@ -1,11 +1,11 @@
 //! `cargo xtask coverage`: the branches of the release image that its tests have taken.
 
+mod branch;
 mod explanations;
 mod lcov;
 mod page;
-pub mod program;
+mod program;
 mod report;
-pub mod thumb;
 
 use std::{env, fs, io, path::Path, process::Command};
 

@@ -2,7 +2,7 @@
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask fuzz`,
 //! `cargo xtask linux`, `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
 //! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`,
-//! `cargo xtask trace`, `cargo xtask unsafe-code`, `cargo xtask worst-case`.
+//! `cargo xtask trace`, `cargo xtask unsafe-code`.
 
 mod apart;
 mod bench;
@@ -29,7 +29,6 @@ mod sources;
 mod storm;
 mod trace;
 mod unsafe_code;
-mod worst_case;
 
 use std::{
     io, panic,
@@ -77,7 +76,6 @@ enum Command {
     Storm(storm::Arguments),
     Trace(trace::Arguments),
     UnsafeCode(unsafe_code::Arguments),
-    WorstCase(worst_case::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -103,7 +101,6 @@ fn main() -> ExitCode {
         Command::Storm(arguments) => storm::run(&arguments),
         Command::Trace(arguments) => trace::run(&arguments),
         Command::UnsafeCode(arguments) => unsafe_code::run(&arguments),
-        Command::WorstCase(arguments) => worst_case::run(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

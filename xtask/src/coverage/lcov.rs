@@ -50,9 +50,9 @@ pub fn lcov(report: &Report) -> Result<String, fmt::Error> {
 mod tests {
     use super::*;
     use crate::coverage::{
+        branch::Outcome,
         program::Place,
         report::{Judged, Line},
-        thumb::Outcome,
     };
 
     #[test]

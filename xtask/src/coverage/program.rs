@@ -7,12 +7,15 @@ use addr2line::{
     gimli::{Dwarf, EndianSlice, LittleEndian, SectionId},
 };
 use anyhow::Context as _;
-use object::{Object, ObjectSection, ObjectSymbol, SectionKind, read::elf::ElfFile32};
+use object::{Object, ObjectSection};
+use testkit::{
+    elf::{Elf, codes},
+    thumb,
+};
 
-use super::thumb::{self, Branch, Code};
+use super::branch::Branch;
 
-pub type Lines<'a> = Context<EndianSlice<'a, LittleEndian>>;
-pub type Elf<'a> = ElfFile32<'a, object::Endianness>;
+type Lines<'a> = Context<EndianSlice<'a, LittleEndian>>;
 
 /// A line of the sources, and the function that it is in.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -45,59 +48,30 @@ impl Program {
     }
 
     fn parse(bytes: &[u8], workspace: &Path) -> anyhow::Result<Self> {
-        let file = ElfFile32::parse(bytes)?;
+        let file = Elf::parse(bytes)?;
         let lines = lines(&file)?;
         let mut program = Self { instructions: BTreeMap::new(), branches: Vec::new() };
         for code in codes(&file)? {
-            let (instructions, branches) = thumb::decode(&code);
             let mut last = None;
-            for address in instructions {
-                let place = place(&lines, address, workspace, last.as_ref())?;
+            for instruction in thumb::decode(&code) {
+                let place = place(&lines, instruction.address, workspace, last.as_ref())?;
                 last = Some(place.clone());
-                program.instructions.insert(address, place);
+                program.instructions.insert(instruction.address, place);
+                program.branches.extend(Branch::of(instruction));
             }
-            program.branches.extend(branches);
         }
         Ok(program)
     }
 }
 
 /// The source lines of an image.
-pub fn lines<'a>(file: &Elf<'a>) -> anyhow::Result<Lines<'a>> {
+fn lines<'a>(file: &Elf<'a>) -> anyhow::Result<Lines<'a>> {
     let section = |id: SectionId| -> object::Result<_> {
         let section = file.section_by_name(id.name());
         let data = section.map(|section| section.data()).transpose()?;
         Ok(EndianSlice::new(data.unwrap_or_default(), LittleEndian))
     };
     Ok(Context::from_dwarf(Dwarf::load(section)?)?)
-}
-
-/// The code of an image, without the constants in it.
-pub fn codes<'a>(file: &Elf<'a>) -> object::Result<Vec<Code<'a>>> {
-    // "$t" begins code and "$d" constants, up to the next of them.
-    let is_code: BTreeMap<u64, bool> = file
-        .symbols()
-        .filter_map(|symbol| Some((symbol.address(), symbol.name().ok()?.get(..2)?.to_owned())))
-        .filter(|(_, kind)| kind == "$t" || kind == "$d")
-        .map(|(address, kind)| (address, kind == "$t"))
-        .collect();
-    let mut codes = Vec::new();
-    for section in file.sections().filter(|section| section.kind() == SectionKind::Text) {
-        let (start, content) = (section.address(), section.data()?);
-        let end = start + content.len() as u64;
-        let starts: Vec<u64> =
-            is_code.range(start..end).map(|(address, _)| *address).chain([end, end]).collect();
-        let part = |from: u64, to: u64| &content[(from - start) as usize..(to - start) as usize];
-        for window in starts.windows(3).filter(|window| is_code.get(&window[0]) == Some(&true)) {
-            let data = if is_code.get(&window[1]) == Some(&false) {
-                part(window[1], window[2])
-            } else {
-                &[]
-            };
-            codes.push(Code { base: window[0] as u32, bytes: part(window[0], window[1]), data });
-        }
-    }
-    Ok(codes)
 }
 
 /// The line of an instruction: that of the innermost call that is inlined from our code or a dependency's. Lines of the
@@ -144,7 +118,7 @@ fn place(
 }
 
 /// The path of a function, without generic arguments: `<a::B as c::D<e::F>>::g` keeps its first bracket.
-pub fn plain_name(mangled: &str) -> String {
+fn plain_name(mangled: &str) -> String {
     let name = format!("{:#}", rustc_demangle::demangle(mangled));
     let mut plain = String::new();
     let mut depth = 0;

@@ -5,9 +5,9 @@ use std::{collections::BTreeMap, fmt, fs, path::Path, ptr};
 use emulator::coverage::Record;
 
 use super::{
+    branch::Outcome,
     explanations::{Explanation, Explanations},
     program::{Place, Program},
-    thumb::Outcome,
 };
 
 /// A branch in an image, with its outcomes.
