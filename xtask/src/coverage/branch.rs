@@ -18,7 +18,7 @@ pub struct Branch {
 /// The kind of a branch.
 enum Kind {
     /// `B<cond>`, `CBZ` or `CBNZ`.
-    Conditional { mnemonic: &'static str, target: u32 },
+    Conditional { mnemonic: &'static str },
     /// An instruction of an IT block: the first, or one whose flags are newer than those of the one before.
     It { condition: &'static str },
     /// `TBB` or `TBH`: each target once, with the indices of its entries.
@@ -32,8 +32,6 @@ enum Kind {
 pub struct Outcome {
     /// A verb phrase, such as "jumps".
     pub name: String,
-    /// The next instruction, if the outcome decides it.
-    pub target: Option<u32>,
     /// Whether the program has continued so.
     pub was_seen: bool,
 }
@@ -44,7 +42,7 @@ impl Branch {
         let Instruction { address, length, flow, condition, .. } = instruction;
         let kind = match (condition, flow) {
             (Some(condition), _) => Kind::It { condition },
-            (None, Flow::Branch { mnemonic, target }) => Kind::Conditional { mnemonic, target },
+            (None, Flow::Branch { mnemonic, .. }) => Kind::Conditional { mnemonic },
             (None, Flow::Table(targets)) => Kind::Table { targets },
             (None, Flow::Computed) => Kind::Computed,
             _ => return None,
@@ -55,7 +53,7 @@ impl Branch {
     /// The name of the instruction, as in the manual.
     pub fn mnemonic(&self) -> String {
         match &self.kind {
-            Kind::Conditional { mnemonic, .. } => (*mnemonic).to_owned(),
+            Kind::Conditional { mnemonic } => (*mnemonic).to_owned(),
             Kind::It { condition } => format!("it {condition}"),
             Kind::Table { .. } => "table branch".to_owned(),
             Kind::Computed => "computed jump".to_owned(),
@@ -64,29 +62,25 @@ impl Branch {
 
     /// The outcomes, with those of the record.
     pub fn outcomes(&self, record: &Record) -> Vec<Outcome> {
-        let outcome =
-            |name: &str, target, was_seen| Outcome { name: name.to_owned(), target, was_seen };
+        let outcome = |name: &str, was_seen| Outcome { name: name.to_owned(), was_seen };
         match &self.kind {
-            Kind::Conditional { target, .. } => {
+            Kind::Conditional { .. } => {
                 let [next, jump] = record.branch(self.address, self.length);
-                vec![
-                    outcome("falls through", Some(self.address + self.length), next),
-                    outcome("jumps", Some(*target), jump),
-                ]
+                vec![outcome("falls through", next), outcome("jumps", jump)]
             }
             Kind::It { .. } => {
                 let [no, yes] = record.condition(self.address);
-                vec![outcome("is false", None, no), outcome("is true", None, yes)]
+                vec![outcome("is false", no), outcome("is true", yes)]
             }
             Kind::Table { targets } => targets
                 .iter()
                 .map(|(&to, indices)| {
                     let indices: Vec<String> = indices.iter().map(usize::to_string).collect();
                     let name = format!("jumps by index {}", indices.join(", "));
-                    outcome(&name, Some(to), record.has_jumped(self.address, to))
+                    outcome(&name, record.has_jumped(self.address, to))
                 })
                 .collect(),
-            Kind::Computed => vec![outcome("runs", None, record.was_executed(self.address))],
+            Kind::Computed => vec![outcome("runs", record.was_executed(self.address))],
         }
     }
 }

@@ -1,32 +1,34 @@
 //! The report in the format of LCOV.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fmt::{self, Write},
 };
 
-use super::report::{Report, Verdict};
+use super::report::Report;
 
 /// The records of our files: `DA` for the lines, `BRDA` for the branches, each branch as a block of its own.
 pub fn lcov(report: &Report) -> Result<String, fmt::Error> {
     let mut text = String::new();
-    for file in report.sources.keys() {
+    let files: BTreeSet<&String> = report.lines.keys().map(|place| &place.file).collect();
+    for file in files {
         writeln!(text, "TN:\nSF:{file}")?;
-        let lines = || report.ours().filter(|(place, _)| place.file == *file && place.line > 0);
+        let lines =
+            || report.lines.iter().filter(|(place, _)| place.file == *file && place.line > 0);
         let (mut found, mut hit) = (0, 0);
         let mut blocks = 0;
         for (place, line) in lines() {
             for branch in &line.branches {
-                let was_executed = branch.outcomes.iter().any(Verdict::was_seen);
-                for (number, verdict) in branch.outcomes.iter().enumerate() {
-                    let taken = if was_executed {
-                        u8::from(verdict.was_seen()).to_string()
-                    } else {
-                        "-".to_owned()
+                let was_executed = branch.outcomes.iter().any(|outcome| outcome.was_seen);
+                for (number, outcome) in branch.outcomes.iter().enumerate() {
+                    let taken = match (was_executed, outcome.was_seen) {
+                        (false, _) => "-",
+                        (true, false) => "0",
+                        (true, true) => "1",
                     };
                     writeln!(text, "BRDA:{},{blocks},{number},{taken}", place.line)?;
                     found += 1;
-                    hit += u32::from(verdict.was_seen());
+                    hit += u32::from(outcome.was_seen);
                 }
                 blocks += 1;
             }
@@ -57,16 +59,12 @@ mod tests {
 
     #[test]
     fn lines_and_branches_are_recorded_once() {
-        let verdict = |was_seen| Verdict {
-            outcome: Outcome { name: String::new(), target: None, was_seen },
-            target: None,
-            explanation: None,
-        };
+        let outcome = |was_seen| Outcome { name: String::new(), was_seen };
         let branch = |seen: [bool; 2]| Judged {
             image: "stm32f405",
             address: 0,
             mnemonic: String::new(),
-            outcomes: seen.map(verdict).into(),
+            outcomes: seen.map(outcome).into(),
         };
         let place = |function: &str, line| Place {
             file: "src/can.rs".to_owned(),
@@ -75,7 +73,6 @@ mod tests {
             is_ours: true,
         };
         let mut report = Report::default();
-        report.sources.insert("src/can.rs".to_owned(), Vec::new());
         let mut add = |function, line, was_executed, branches| {
             report.lines.insert(place(function, line), Line { was_executed, branches });
         };
