@@ -133,6 +133,35 @@ fn every_command_of_the_project_that_a_document_names_exists() {
 }
 
 #[test]
+fn every_rule_of_the_conformance_names_tests_that_exist() {
+    let text = fs::read_to_string(root().join("docs/conformance.md")).expect("the rules");
+    let mut faults = Vec::new();
+    for row in text.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| rule |")) {
+        let proofs = row.trim_end_matches(" |").rsplit("| ").next().unwrap_or_default();
+        for name in proofs.split("<br>").map(|name| name.trim_matches(['`', ' '])) {
+            if !is_test(name) {
+                faults.push(format!("{name}, in the row {row:.60}"));
+            }
+        }
+    }
+    assert_none(&faults);
+}
+
+/// Whether there is a test such as `library::eds::name`, or a file of tests such as `library::eds::*`.
+fn is_test(name: &str) -> bool {
+    let (module, function) = name.rsplit_once("::").unwrap_or_default();
+    let (folder, module) = match module.split_once("::") {
+        Some(("lss_slave", module)) => ("lss-slave/src", module),
+        Some(("firmware", module)) => ("src", module),
+        _ => ("tests", module),
+    };
+    let path = root().join(folder).join(module.replace("::", "/"));
+    let files = [path.with_extension("rs"), path.join("tests.rs")];
+    let texts: String = files.iter().filter_map(|path| fs::read_to_string(path).ok()).collect();
+    texts.contains(&format!("fn {function}() {{")) || function == "*" && !texts.is_empty()
+}
+
+#[test]
 fn the_readme_lists_every_chip_with_its_manual() {
     let readme = fs::read_to_string(root().join("README.md")).expect("the README");
     let rows = readme.lines().filter(|line| line.starts_with("| `stm32f4"));
@@ -168,5 +197,6 @@ fn faults_of_a_document_are_detected() {
     let words = "See `src/main.rs`, docs/ and tests/*.rs, not 1/2, a/b or https://probe.rs/x.rs.";
     assert_eq!(paths(words).collect::<Vec<_>>(), ["src/main.rs", "docs/", "tests/*.rs"]);
     assert!(exists(root(), "tests/doc*.rs") && !exists(root(), "tests/doc*.md"));
+    assert!(is_test("library::lss_select::*") && !is_test("library::lss_select::none"));
     assert!(exists(root(), "src/") && !exists(root(), "src/none.rs"));
 }

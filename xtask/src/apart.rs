@@ -35,6 +35,7 @@ fn manifest_alone(manifest: &str) -> anyhow::Result<String> {
     let mut table: Table = manifest.parse().context("Cargo.toml")?;
     table.insert("workspace".to_owned(), Value::Table(Table::new()));
     table.remove("dev-dependencies");
+    table.remove("lints");
     if let Some(Value::Table(profile)) = table.get_mut("profile") {
         profile.remove("dev");
     }

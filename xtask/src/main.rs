@@ -1,8 +1,7 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
 //! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask fuzz`,
 //! `cargo xtask linux`, `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
-//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`,
-//! `cargo xtask trace`, `cargo xtask unsafe-code`.
+//! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`.
 
 mod apart;
 mod bench;
@@ -25,10 +24,7 @@ mod readings;
 mod release;
 mod size;
 mod soak;
-mod sources;
 mod storm;
-mod trace;
-mod unsafe_code;
 
 use std::{
     io, panic,
@@ -74,8 +70,6 @@ enum Command {
     Size(size::Arguments),
     Soak(soak::Arguments),
     Storm(storm::Arguments),
-    Trace(trace::Arguments),
-    UnsafeCode(unsafe_code::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -99,8 +93,6 @@ fn main() -> ExitCode {
         Command::Size(arguments) => size::run(&arguments),
         Command::Soak(arguments) => soak::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
-        Command::Trace(arguments) => trace::run(&arguments),
-        Command::UnsafeCode(arguments) => unsafe_code::run(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
