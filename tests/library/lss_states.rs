@@ -309,7 +309,7 @@ fn power_on() -> &'static str {
 
 #[test]
 fn the_diagram_shows_the_states_of_the_node() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/lss-states.svg");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/lss-states.svg");
     let drawn = draw();
     if env::var_os("WRITE_DIAGRAM").is_some() {
         fs::write(&path, &drawn).expect("docs can be written");

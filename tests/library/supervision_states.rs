@@ -372,7 +372,7 @@ fn draw() -> String {
 
 #[test]
 fn the_diagram_shows_the_states_of_the_supervision() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/bit-rate-supervision.svg");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/bit-rate-supervision.svg");
     let drawn = draw();
     if env::var_os("WRITE_DIAGRAM").is_some() {
         fs::write(&path, &drawn).expect("docs can be written");

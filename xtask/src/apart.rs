@@ -34,8 +34,9 @@ pub fn copy(folder: &str, file: &str, content: &str) -> anyhow::Result<PathBuf> 
 fn manifest_alone(manifest: &str) -> anyhow::Result<String> {
     let mut table: Table = manifest.parse().context("Cargo.toml")?;
     table.insert("workspace".to_owned(), Value::Table(Table::new()));
-    table.remove("dev-dependencies");
-    table.remove("lints");
+    for key in ["dev-dependencies", "lints", "test"] {
+        table.remove(key);
+    }
     if let Some(Value::Table(profile)) = table.get_mut("profile") {
         profile.remove("dev");
     }
