@@ -5,8 +5,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use lss_slave_firmware::chip::CHIPS;
-
 /// The directories with documents.
 const DIRECTORIES: [&str; 5] = ["", "docs", "fuzz", "lss-slave", "tests/clients"];
 /// Directories that commands make.
@@ -159,18 +157,6 @@ fn is_test(name: &str) -> bool {
     let files = [path.with_extension("rs"), path.join("tests.rs")];
     let texts: String = files.iter().filter_map(|path| fs::read_to_string(path).ok()).collect();
     texts.contains(&format!("fn {function}() {{")) || function == "*" && !texts.is_empty()
-}
-
-#[test]
-fn the_readme_lists_every_chip_with_its_manual() {
-    let readme = fs::read_to_string(root().join("README.md")).expect("the README");
-    let rows = readme.lines().filter(|line| line.starts_with("| `stm32f4"));
-    // Other rows are for further CAN controllers.
-    let listed = rows.filter(|line| !line.contains("`, CAN"));
-    let listed: Vec<String> =
-        listed.map(|line| line.splitn(4, '|').take(3).collect::<Vec<_>>().join("|")).collect();
-    let chips = CHIPS.map(|chip| format!("| `{}` | {} ", chip.feature, chip.manual));
-    assert_eq!(listed, chips);
 }
 
 #[test]

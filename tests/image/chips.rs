@@ -29,16 +29,6 @@ fn the_firmware_relies_on_no_more_than_the_emulated_chips_have() {
 }
 
 #[test]
-fn each_chip_is_a_feature_of_the_firmware_and_of_the_hal() {
-    let manifest = include_str!("../../Cargo.toml");
-    for feature in CHIPS.map(|chip| chip.feature) {
-        let line = format!("{feature} = [\"chip\", \"stm32f4xx-hal/{feature}\"]");
-        assert!(manifest.lines().any(|of_manifest| of_manifest == line), "{line}");
-    }
-    assert_eq!(manifest.matches("[\"chip\", ").count(), CHIPS.len());
-}
-
-#[test]
 #[ignore = "builds the image of another chip: `.ci/run chips`"]
 fn the_image_of_an_stm32f427_is_commissioned_and_power_cycled() {
     let image = image::build(Part::Stm32f427).unwrap_or_else(|error| panic!("{error}"));

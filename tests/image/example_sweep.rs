@@ -8,7 +8,7 @@ use emulator::{
 };
 use lss_slave::{BitRate, Frame};
 use testkit::{
-    frames::{self, Frames, SILENCE},
+    frames::{self, Frames},
     image::example,
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
     sdo::{self, Client},
@@ -369,36 +369,44 @@ fn parameters_survive_a_move_to_the_other_bank_by_the_hundreds_of_saves() {
 
 #[test]
 fn damaged_parameters_are_defaults_and_the_settings_stay() {
-    let saved = {
-        let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
-        let mut client = rig.sdo_client(NODE_ID);
-        assert!(client.download(0x6426, 1, &7_u32.to_le_bytes()).is_ok());
-        assert!(client.download(0x1010, 1, b"save").is_ok());
+    const DEFAULT: u32 = 5;
+    const SAVED: u32 = 7;
+    let flash = |rig: &ImageRig| {
         rig.network.board(0).flash()[SETTINGS_OFFSET as usize..][..0x8000].to_vec()
     };
-    for at in [64, 68, 80, 100, 140] {
+    let mut saving = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+    let before = flash(&saving);
+    let mut client = saving.sdo_client(NODE_ID);
+    assert!(client.download(0x6426, 1, &SAVED.to_le_bytes()).is_ok());
+    assert!(client.download(0x1010, 1, b"save").is_ok());
+    let saved = flash(&saving);
+    let mut defaults = 0;
+    let written: Vec<usize> =
+        (0..saved.len()).filter(|&at| saved[at] != before[at]).step_by(11).collect();
+    for &at in &written {
         let mut content = saved.clone();
         content[at] ^= 0x10;
         let mut rig = rig(&content);
         let delta = rig.sdo_client(NODE_ID).number(0x6426, 1);
-        assert!(matches!(delta, 5 | 7), "{delta} with byte {at} damaged");
+        assert!(matches!(delta, DEFAULT | SAVED), "{delta} with byte {at} damaged");
+        defaults += usize::from(delta == DEFAULT);
         rig.sdo_client(NODE_ID).download(0x1010, 1, b"save").expect("a save");
         rig.power_cycle(0);
         rig.collect(Time::from_ms(50));
-        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), delta);
+        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), delta, "byte {at} damaged");
     }
+    // The numbers and marks of the records decide nothing.
+    assert!(defaults * 4 > written.len() * 3, "{defaults} of {}", written.len());
 }
 
 #[test]
-fn an_rpdo_of_a_wrong_length_or_value_changes_nothing() {
+fn an_rpdo_that_is_too_short_or_out_of_range_changes_nothing() {
     let mut rig = rig(&flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
     rig.nmt("01 40");
+    // Of a longer one the mapped bytes count.
     for (data, outputs) in [(&[1][..], 1), (&[], 1), (&[2, 9], 2), (&[4], 2), (&[3], 3)] {
         rig.transmit(on_the_wire(&Frame::new(0x240, data).expect("a frame")));
         rig.collect(Time::from_ms(20));
         assert_eq!(rig.sdo_client(NODE_ID).number(0x6200, 1), outputs, "{data:?}");
     }
-    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "80 00 00 00")));
-    let is_answer = |frame: &&Frame| frame.cob_id() == 0x5C0;
-    assert_eq!(rig.collect(Time::from_ms(5)).0.iter().filter(is_answer).count(), SILENCE.len());
 }

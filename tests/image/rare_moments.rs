@@ -373,6 +373,7 @@ fn bus_off_may_begin_while_the_indicators_are_set() {
     let mut rig = slow_node_40(5);
     let is_lit = |rig: &ImageRig| rig.network.board(0).output(RUN).level == Some(true);
     let mut to_bus_off = Time::ZERO;
+    let begin = rig.network.now();
     // The first time only shows how long it takes.
     for before in [None].into_iter().chain((16..48).map(|step| Some(Time::from_ps(500_000 * step))))
     {
@@ -393,5 +394,7 @@ fn bus_off_may_begin_while_the_indicators_are_set() {
         to_bus_off = bus_off.expect("it goes bus-off").time - since;
         rig.network.run_for(Time::from_ms(300));
     }
-    assert!(rig.is_reached());
+    assert!(rig.bit_rates(0, begin).iter().all(|(_, rate)| *rate == bit_per_s(RATE)));
+    rig.lss("04 01");
+    assert_eq!(rig.lss("5E"), ["5E 40"]);
 }

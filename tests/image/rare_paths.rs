@@ -8,6 +8,7 @@ use emulator::{
     network::{Short, What},
 };
 use lss_slave::BitRate;
+use lss_slave_firmware::device::DEFAULTS;
 use testkit::{
     frames::{self, Frames, SILENCE},
     image::{image, part},
@@ -463,7 +464,12 @@ fn settings_are_saved_and_defaults_restored_in_operational() {
     }
     let restore = sdo::request(0x40, "23 11 10 01 6C 6F 61 64");
     (0..8).for_each(|_| rig.queue(&restore));
-    assert!(!rig.collect(Time::from_ms(50)).0.is_empty());
+    let sent = rig.collect(Time::from_ms(50)).texts();
+    let confirmed = sent.iter().filter(|text| *text == "5C0: 60 11 10 01 00 00 00 00");
+    assert_eq!(confirmed.count(), 8, "{sent:?}");
+    rig.power_cycle(0);
+    rig.collect(Time::from_ms(50));
+    assert_eq!(read(&mut rig, "17 10 00"), u32::from(DEFAULTS.heartbeat_ms));
 }
 
 #[test]

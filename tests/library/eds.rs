@@ -5,18 +5,14 @@ use std::collections::BTreeMap;
 use lss_slave::{
     Application, BitRates, Device, Node,
     application::{Domain, Integer24, OctetString, Text, Unsigned56},
-    object_dictionary::{
-        Access, DataType, DefaultValue, Description, Entry, Object, Options, TABLE,
-    },
+    object_dictionary::{Access, DataType, DefaultValue, Description, Entry, Object, Options},
     objects,
 };
 use lss_slave_firmware::{Application as Firmware, describe, device};
 use testkit::{
     eds::{DataSheet, Product, Sections, parse},
-    flash::BoardFlash,
-    node_rig::{ADDRESS, NodeRig, defaults},
+    node_rig::ADDRESS,
     random::Random,
-    sdo::Client,
 };
 
 const COMMITTED: &str = include_str!("../../eds/lss-slave.eds");
@@ -276,44 +272,6 @@ fn pdos_are_counted_and_their_parameters_are_records() {
     assert!(eds.find("[1A03]") < eds.find("[2000]"), "sorted");
     let info = &parse(COMMITTED)["DeviceInfo"];
     assert_eq!((&*info["NrOfRXPDO"], &*info["NrOfTXPDO"], &*info["Granularity"]), ("0", "0", "0"));
-}
-
-#[test]
-fn each_default_value_is_the_answer_of_a_new_device_by_sdo() {
-    let sections = parse(COMMITTED);
-    let of_device = defaults(0x40).with_heartbeat_ms(device::DEFAULTS.heartbeat_ms);
-    let mut board =
-        NodeRig::with_device(describe(0).with_defaults(of_device), BoardFlash::blank(0), 0);
-    let mut without = Vec::new();
-    for entry in TABLE {
-        let plain = format!("{:04X}", entry.index);
-        let with_sub_index = format!("{plain}sub{:X}", entry.sub_index);
-        let has_sub_indices = sections.contains_key(&with_sub_index);
-        let name = if has_sub_indices { with_sub_index } else { plain };
-        let Some(default) = sections[&name].get("DefaultValue") else {
-            without.push((entry.index, entry.sub_index));
-            continue;
-        };
-        let value = board.upload(entry.index, entry.sub_index).unwrap();
-        if entry.data_type == DataType::VisibleString {
-            assert_eq!(String::from_utf8_lossy(&value), *default, "[{name}]");
-            continue;
-        }
-        let (node_id, number) = match default.strip_prefix("$NODEID+") {
-            Some(number) => (0x40, number),
-            None => (0, default.as_str()),
-        };
-        let number = match number.strip_prefix("0x") {
-            Some(hex) => u32::from_str_radix(hex, 16),
-            None => number.parse(),
-        };
-        let expected = node_id + number.unwrap();
-        assert_eq!(board.number(entry.index, entry.sub_index), expected, "[{name}]");
-    }
-    let mut expected: Vec<_> = (1..=8).map(|sub_index| (0x1003, sub_index)).collect();
-    expected.push((0x1018, 4));
-    expected.extend((1..=7).map(|sub_index| (0x2000, sub_index)));
-    assert_eq!(without, expected, "values that differ from device to device or change");
 }
 
 #[test]

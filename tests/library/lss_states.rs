@@ -6,7 +6,7 @@
 use std::{env, fs, path::Path};
 
 use lss_slave::{
-    lss::{self, Request, State},
+    lss::{self, State},
     nmt,
 };
 use testkit::{
@@ -319,24 +319,4 @@ fn the_diagram_shows_the_states_of_the_node() {
         file.replace("\r\n", "\n") == drawn,
         "docs/lss-states.svg is out of date: WRITE_DIAGRAM=1 cargo test --test library lss_states"
     );
-}
-
-#[test]
-fn other_command_specifiers_have_no_effect() {
-    for state in [State::Waiting, State::Configuration] {
-        for &kind in kinds(state) {
-            for command in 0..=0xFF {
-                if Request::from_bytes(&[command, 1, 0, 0, 0, 0, 0, 0]).is_some() {
-                    continue;
-                }
-                let request = format!("{command:02X} 01");
-                let mut board = board(kind, state);
-                board.timeline();
-                assert_eq!(board.lss(&request), SILENCE, "{request}");
-                assert_eq!(board.timeline(), SILENCE, "{request}");
-                assert_eq!(board.node.lss().state(), state, "{request}");
-                assert!(!loses_progress(kind, state, &request), "{request}");
-            }
-        }
-    }
 }

@@ -72,42 +72,6 @@ fn a_command_that_is_not_two_bytes_long_is_ignored() {
 }
 
 #[test]
-fn both_resets_lead_from_every_state_to_pre_operational_with_a_boot_up() {
-    for (from, _) in COMMANDS {
-        for command in ["81 00", "81 40", "82 00", "82 40"] {
-            let mut board = NodeRig::with_node_id(0x40);
-            board.nmt(&format!("{from} 00"));
-            assert_eq!(board.nmt(command), ["740: 00"]);
-            assert_eq!(board.node.nmt_state(), State::PreOperational);
-        }
-    }
-}
-
-#[test]
-fn reset_node_resets_the_device_and_reset_communication_does_not() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.timeline();
-    board.nmt("82 00");
-    assert_eq!(board.timeline(), ["0 ms node-ID 40", "0 ms 740: 00"]);
-    board.nmt("81 00");
-    assert_eq!(board.timeline(), ["0 ms reset", "0 ms 740: 00"]);
-}
-
-#[test]
-fn the_heartbeat_reports_the_state_every_period_from_the_boot_up_on() {
-    let mut board = NodeRig::with_heartbeat(0x40, 100);
-    assert_eq!(board.pass_us(99_999), SILENCE);
-    assert_eq!(board.pass_us(1), ["740: 7F"]);
-    board.nmt("01 00");
-    assert_eq!(board.pass_ms(99), SILENCE, "a command does not move the heartbeat");
-    assert_eq!(board.pass_ms(1), ["740: 05"]);
-    board.nmt("02 00");
-    assert_eq!(board.pass_ms(100), ["740: 04"]);
-    board.nmt("80 00");
-    assert_eq!(board.pass_ms(300), ["740: 7F", "740: 7F", "740: 7F"]);
-}
-
-#[test]
 fn the_heartbeat_starts_again_with_each_boot_up() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     for command in ["81 00", "82 00"] {
