@@ -1,4 +1,4 @@
-//! The library cannot panic: a program that calls all of it links without a panic handler.
+//! The libraries cannot panic: a program that calls all of them links without a panic handler.
 
 use std::{
     env,
@@ -26,7 +26,7 @@ fn build(arguments: &[&str]) -> Output {
 }
 
 #[test]
-fn no_call_of_the_node_the_settings_log_or_the_indicators_can_panic() {
+fn no_call_of_the_libraries_can_panic() {
     let output = build(&[]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

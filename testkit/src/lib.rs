@@ -16,9 +16,12 @@ pub mod image;
 pub mod image_rig;
 #[cfg(feature = "image")]
 pub mod io_board;
+#[cfg(feature = "image")]
+pub mod lss_session;
 pub mod node_rig;
 pub mod power_cut;
 pub mod random;
+pub mod rig_bus;
 pub mod sdo;
 pub mod sdo_messages;
 pub mod settings;

@@ -44,6 +44,21 @@ impl AddressPart {
     }
 }
 
+/// Vendor-ID, product code, revision number and serial number.
+impl From<[u32; 4]> for Address {
+    fn from([vendor_id, product_code, revision_number, serial_number]: [u32; 4]) -> Self {
+        Self { vendor_id, product_code, revision_number, serial_number }
+    }
+}
+
+/// Vendor-ID, product code, revision number and serial number.
+impl From<Address> for [u32; 4] {
+    fn from(address: Address) -> Self {
+        let Address { vendor_id, product_code, revision_number, serial_number } = address;
+        [vendor_id, product_code, revision_number, serial_number]
+    }
+}
+
 impl Address {
     /// Derives a serial number from the chip's unique id, for a device without one of its own. FNV-1a spreads ids that
     /// differ in a few bits over all 32-bit numbers. Two of 1000 devices have equal numbers with a probability of 1 in

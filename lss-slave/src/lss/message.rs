@@ -2,7 +2,7 @@
 
 use core::{error, fmt};
 
-use super::{AddressPart, RESPONSE_COB_ID};
+use super::{AddressPart, REQUEST_COB_ID, RESPONSE_COB_ID};
 use crate::{Frame, NodeId, settings};
 
 /// A request of the LSS master.
@@ -219,6 +219,11 @@ impl Request {
             Self::Inquire(part) => bytes(INQUIRE + part as u8, 0),
             Self::InquireNodeId => bytes(INQUIRE_NODE_ID, 0),
         }
+    }
+
+    /// The request's frame.
+    pub const fn to_frame(self) -> Frame {
+        Frame::with_eight_bytes(REQUEST_COB_ID, self.to_bytes())
     }
 }
 

@@ -1,9 +1,10 @@
-//! A program without a panic handler that calls all of the node, the settings log and the indicators with unknown
-//! values: it links only if the compiler has proved that none of these calls panics.
+//! A program without a panic handler that calls all of the node, the settings log, the indicators and the LSS master with
+//! unknown values: it links only if the compiler has proved that none of these calls panics.
 
 #![no_std]
 #![no_main]
 
+mod master;
 mod parameters;
 
 use core::{
@@ -43,6 +44,7 @@ extern "C" fn _start() -> ! {
     run_node();
     parameters::keep();
     indicate();
+    master::command();
     #[cfg(feature = "panic")]
     assert_ne!(black_box(1), 2);
     loop {

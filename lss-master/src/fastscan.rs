@@ -1,0 +1,209 @@
+//! Fastscan: finds a slave that has no node-ID (CiA 305).
+
+use lss_slave::lss::{Address, AddressPart, FastscanStep, Request};
+
+use crate::{Error, Outcome, Procedure, Step};
+
+/// The bit check that begins a scan.
+const BEGIN: u8 = 0x80;
+/// How often a part is confirmed or searched for again.
+const RETRIES: u8 = 8;
+
+/// Finds one slave without a node-ID, and brings it to LSS configuration state.
+///
+/// The result is its LSS address; `None`: no slave without a node-ID has the known parts. All other slaves are in LSS
+/// waiting state then.
+///
+/// Each bit of an unknown part takes one request, 0 being tried first, and each part is confirmed by another: 133
+/// requests if no part is known. In the end the slave itself tells its serial number. A lost answer or one that comes
+/// too late contradicts the confirmation. Then the part is searched for again, with longer waits.
+#[derive(Clone, Debug, Default)]
+pub struct Fastscan {
+    known: [Option<u32>; 4],
+    is_skipping: bool,
+    /// The parts as far as they are known now.
+    found: [Option<u32>; 4],
+    /// The part in doubt since a confirmation failed.
+    doubtful: Option<AddressPart>,
+    retries: u8,
+    state: State,
+}
+
+/// What was sent last.
+#[derive(Clone, Copy, Debug, Default)]
+enum State {
+    #[default]
+    SwitchToWaiting,
+    Begin,
+    /// The part's bits so far, and the bit that is asked for, as a mask.
+    Bit(AddressPart, u32, u32),
+    Confirm(AddressPart),
+    /// A part that the slave itself tells.
+    Inquire(AddressPart),
+    SlowDown,
+}
+
+impl Fastscan {
+    /// A scan for any slave without a node-ID.
+    pub const fn new() -> Self {
+        Self {
+            known: [None; 4],
+            is_skipping: false,
+            found: [None; 4],
+            doubtful: None,
+            retries: RETRIES,
+            state: State::SwitchToWaiting,
+        }
+    }
+
+    /// Looks only for slaves with this `number` as `part` of their LSS address: one request in place of 33.
+    #[must_use]
+    pub const fn with_known(mut self, part: AddressPart, number: u32) -> Self {
+        self.known[part as usize] = Some(number);
+        self
+    }
+
+    /// Skips product code and revision number, which the slave tells in the end. The serial numbers of a vendor's
+    /// slaves on the bus must differ, whatever the product.
+    #[must_use]
+    pub const fn skipping_product_and_revision(mut self) -> Self {
+        self.is_skipping = true;
+        self
+    }
+
+    /// The part to scan after `part`; the vendor-ID, at which the slave enters LSS configuration state, after the last.
+    fn after(&self, part: AddressPart) -> AddressPart {
+        match part {
+            AddressPart::SerialNumber => AddressPart::VendorId,
+            _ if self.is_skipping => AddressPart::SerialNumber,
+            AddressPart::VendorId => AddressPart::ProductCode,
+            AddressPart::ProductCode => AddressPart::RevisionNumber,
+            AddressPart::RevisionNumber => AddressPart::SerialNumber,
+        }
+    }
+
+    fn start(&mut self) -> Step<Option<Address>> {
+        self.state = State::SwitchToWaiting;
+        Step::ask(Request::SwitchToWaiting)
+    }
+
+    fn scan(&mut self, part: AddressPart) -> Step<Option<Address>> {
+        match self.found[part as usize] {
+            Some(number) => self.confirm(part, number),
+            None => self.ask_bit(part, 0, 1 << 31),
+        }
+    }
+
+    fn ask_bit(&mut self, part: AddressPart, number: u32, bit: u32) -> Step<Option<Address>> {
+        self.state = State::Bit(part, number, bit);
+        fastscan(number, bit.trailing_zeros() as u8, part, part)
+    }
+
+    fn confirm(&mut self, part: AddressPart, number: u32) -> Step<Option<Address>> {
+        self.state = State::Confirm(part);
+        fastscan(number, 0, part, self.after(part))
+    }
+
+    /// The part that the slave tells after `part`.
+    const fn told_after(&self, part: AddressPart) -> Option<AddressPart> {
+        match part {
+            AddressPart::SerialNumber if self.is_skipping => Some(AddressPart::ProductCode),
+            AddressPart::ProductCode => Some(AddressPart::RevisionNumber),
+            _ => None,
+        }
+    }
+
+    fn inquire(&mut self, part: AddressPart) -> Step<Option<Address>> {
+        self.state = State::Inquire(part);
+        Step::ask(Request::Inquire(part))
+    }
+
+    /// Confirms all parts anew after a contradiction at `part`; looks for `part` again if that has happened before.
+    fn doubt(&mut self, part: AddressPart) -> Step<Option<Address>> {
+        if self.retries == 0 {
+            return Step::Done(Err(Error::Inconsistent));
+        }
+        self.retries -= 1;
+        if self.doubtful != Some(part) {
+            self.doubtful = Some(part);
+        } else if self.known[part as usize].is_some() {
+            return Step::Done(Ok(None));
+        } else {
+            self.doubtful = None;
+            for (found, known) in self.found.iter_mut().zip(self.known).skip(part as usize) {
+                *found = known;
+            }
+        }
+        self.state = State::SlowDown;
+        Step::SlowDown
+    }
+}
+
+const fn fastscan(
+    id_number: u32,
+    bit_check: u8,
+    sub: AddressPart,
+    next: AddressPart,
+) -> Step<Option<Address>> {
+    let (sub, next) = (sub as u8, next as u8);
+    Step::probe(Request::Fastscan(FastscanStep { id_number, bit_check, sub, next }))
+}
+
+impl Procedure for Fastscan {
+    type Output = Option<Address>;
+
+    fn begin(&mut self) -> Step<Option<Address>> {
+        self.found = self.known;
+        self.doubtful = None;
+        self.retries = RETRIES;
+        self.start()
+    }
+
+    fn next(&mut self, outcome: Outcome) -> Step<Option<Address>> {
+        let is_answered = matches!(outcome, Ok(Some(_)));
+        match self.state {
+            State::SlowDown => self.start(),
+            State::SwitchToWaiting => {
+                self.state = State::Begin;
+                let begin = FastscanStep { id_number: 0, bit_check: BEGIN, sub: 0, next: 0 };
+                Step::ask(Request::Fastscan(begin))
+            }
+            State::Begin if is_answered => self.scan(AddressPart::VendorId),
+            State::Begin => Step::Done(Ok(None)),
+            State::Bit(part, mut number, bit) => {
+                if !is_answered {
+                    number |= bit;
+                }
+                match bit >> 1 {
+                    0 => {
+                        self.found[part as usize] = Some(number);
+                        self.confirm(part, number)
+                    }
+                    bit => self.ask_bit(part, number, bit),
+                }
+            }
+            State::Confirm(AddressPart::SerialNumber) if is_answered => {
+                self.inquire(AddressPart::SerialNumber)
+            }
+            State::Confirm(AddressPart::SerialNumber) => {
+                // Perhaps only the answer was lost.
+                self.state = State::Inquire(AddressPart::SerialNumber);
+                Step::probe(Request::Inquire(AddressPart::SerialNumber))
+            }
+            State::Confirm(part) if is_answered => self.scan(self.after(part)),
+            State::Confirm(part) => self.doubt(part),
+            State::Inquire(part) => {
+                let Ok(Some(number)) = outcome else { return self.doubt(part) };
+                let found = &mut self.found[part as usize];
+                if part == AddressPart::SerialNumber && *found != Some(number) {
+                    return self.doubt(part);
+                }
+                *found = Some(number);
+                match self.told_after(part) {
+                    Some(part) => self.inquire(part),
+                    None => Step::Done(Ok(Some(self.found.map(Option::unwrap_or_default).into()))),
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,301 @@
+//! The master: its time-outs, which adapt to the slaves, and the session that carries out a procedure.
+
+use lss_slave::{
+    BitRate, Frame, Instant,
+    lss::{RESPONSE_COB_ID, Request},
+};
+
+use crate::{
+    Error, Outcome, Procedure, Service, Step,
+    service::{answer_specifier, number},
+};
+
+/// How often a service is sent that must be answered.
+const ATTEMPTS: u8 = 3;
+/// The greatest doubt in silence.
+const GREATEST_DOUBT: u8 = 3;
+
+/// How long the master waits, in microseconds from the moment at which it hands out a request. The times include those
+/// of the frames on the bus and of the adapter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Timing {
+    /// The wait for an answer that must come.
+    pub answer: u32,
+    /// The wait for the answer to store configuration.
+    pub store: u32,
+    /// The wait for an answer that may fail to come, beyond the time that others have taken: the variation of the
+    /// slaves' answer times. It decides how long a Fastscan takes. After contradictions it grows up to `answer`.
+    pub margin: u32,
+    /// The pause after a request that has no answer. It grows by itself if a slave loses frames that come back to
+    /// back.
+    pub gap: u32,
+}
+
+/// 200 ms for an answer, 2 s for one to store configuration, a margin of 10 ms and no gap: for slaves that look for
+/// frames once in 10 ms, by an adapter with a latency of a few milliseconds.
+impl Default for Timing {
+    fn default() -> Self {
+        Self { answer: 200_000, store: 2_000_000, margin: 10_000, gap: 0 }
+    }
+}
+
+/// An LSS master on one bus, which learns how fast the slaves answer.
+#[derive(Clone, Debug)]
+pub struct Master {
+    timing: Timing,
+    /// The longest time to the answer of a single request and of identify remote slave; slowly forgotten.
+    slowest: [Option<u32>; 2],
+    /// Whether slaves have answered one request one after the other.
+    is_staggered: bool,
+    /// The number of requests without an answer that the adapter may still hold.
+    queued: u32,
+}
+
+impl Master {
+    /// A master that knows nothing of the slaves.
+    pub const fn new(timing: Timing) -> Self {
+        Self { timing, slowest: [None; 2], is_staggered: false, queued: 0 }
+    }
+
+    /// Begins a procedure. A session that is dropped before its end may leave slaves in LSS configuration state.
+    pub const fn start<P: Procedure>(&mut self, procedure: P) -> Session<'_, P> {
+        Session { master: self, procedure, state: State::Begin, doubt: 0 }
+    }
+
+    /// The longest time to the answer of this service.
+    const fn slowest(&mut self, service: &Service) -> &mut Option<u32> {
+        let [single, identify] = &mut self.slowest;
+        if service.len() == 1 { single } else { identify }
+    }
+
+    /// Learns from an answer.
+    fn learn(&mut self, service: &Service, micros: u32) {
+        let slowest = self.slowest(service);
+        let known = slowest.unwrap_or(0);
+        let forgotten = known.saturating_sub(micros) / 32;
+        *slowest = Some(micros.max(known.saturating_sub(forgotten)));
+    }
+
+    /// The time-out of a probe behind the queued requests.
+    fn probe_time_out(&mut self, service: &Service, doubt: u8) -> u32 {
+        let Some(slowest) = *self.slowest(service) else { return self.timing.answer };
+        // The exchanges with the most and with the fewest stuff bits differ by an eighth.
+        let exchange =
+            slowest.saturating_add(slowest / 8).saturating_mul(self.queued.saturating_add(1));
+        let margin = self.timing.margin.saturating_mul(4_u32.saturating_pow(doubt.into()));
+        exchange.saturating_add(margin).min(self.timing.answer)
+    }
+}
+
+/// A procedure that is being carried out.
+///
+/// Call [`poll`](Self::poll) until it returns [`Output::Wait`] or [`Output::Done`]; then wait for the instant or a
+/// frame, whichever comes first.
+#[derive(Debug)]
+pub struct Session<'a, P: Procedure> {
+    master: &'a mut Master,
+    procedure: P,
+    state: State,
+    /// How little the silence of a probe is trusted.
+    doubt: u8,
+}
+
+/// What a [`Session`] wants next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Output<T> {
+    /// A frame to send.
+    Transmit(Frame),
+    /// The bit rate that the master's own CAN controller takes now.
+    SetBitRate(BitRate),
+    /// Nothing before this instant, unless a frame comes.
+    Wait(Instant),
+    /// The result. The next poll would begin the procedure again.
+    Done(Result<T, Error>),
+}
+
+#[derive(Debug)]
+enum State {
+    Begin,
+    Pause(Instant),
+    Exchange(Exchange),
+}
+
+impl<P: Procedure> Session<'_, P> {
+    /// Does what is due at `now`.
+    pub fn poll(&mut self, now: Instant) -> Output<P::Output> {
+        loop {
+            let step = match &mut self.state {
+                State::Begin => {
+                    self.doubt = 0;
+                    self.procedure.begin()
+                }
+                State::Pause(until) if !until.has_come(now) => return Output::Wait(*until),
+                State::Pause(_) => {
+                    self.master.queued = 0;
+                    self.procedure.next(Ok(None))
+                }
+                State::Exchange(exchange) => match exchange.poll(self.master, now) {
+                    Progress::Transmit(frame) => return Output::Transmit(frame),
+                    Progress::Wait(until) => return Output::Wait(until),
+                    Progress::Over(outcome) => self.procedure.next(outcome),
+                },
+            };
+            self.state = match step {
+                Step::Ask(service) => {
+                    State::Exchange(Exchange::new(service, None, self.master, now))
+                }
+                Step::Probe(service) => {
+                    State::Exchange(Exchange::new(service, Some(self.doubt), self.master, now))
+                }
+                Step::Pause(micros) => State::Pause(now.plus_micros(micros)),
+                Step::SetBitRate(rate) => {
+                    self.master.slowest = [None; 2];
+                    self.state = State::Pause(now);
+                    return Output::SetBitRate(rate);
+                }
+                Step::SlowDown => {
+                    self.doubt = GREATEST_DOUBT.min(self.doubt.saturating_add(1));
+                    State::Pause(now)
+                }
+                Step::Done(result) => {
+                    self.state = State::Begin;
+                    return Output::Done(result);
+                }
+            };
+        }
+    }
+
+    /// Takes a received frame, also one that is no LSS answer.
+    pub fn handle_frame(&mut self, frame: &Frame, now: Instant) {
+        if let State::Exchange(exchange) = &mut self.state
+            && frame.cob_id() == RESPONSE_COB_ID
+            && let Ok(data) = frame.data().try_into()
+        {
+            exchange.handle_answer(data, self.master, now);
+        }
+    }
+}
+
+/// The requests of a service and the wait for its answer.
+#[derive(Debug)]
+struct Exchange {
+    service: Service,
+    /// For a probe, how little its silence is trusted.
+    doubt: Option<u8>,
+    /// Whether the answers of several slaves are waited for, until the time-out.
+    awaits_all: bool,
+    /// How often the service may still be repeated.
+    repetitions: u8,
+    /// The pause after each request that has no answer.
+    gap: u32,
+    /// The number of requests that were handed out, and the time of the last one.
+    sent: u8,
+    since: Instant,
+    /// Whether no other request was under way when the first one was handed out.
+    is_alone: bool,
+    /// The end of the gap, or the time-out.
+    until: Instant,
+    answer: Option<Result<u32, Error>>,
+}
+
+enum Progress {
+    Transmit(Frame),
+    Wait(Instant),
+    Over(Outcome),
+}
+
+impl Exchange {
+    fn new(service: Service, doubt: Option<u8>, master: &mut Master, now: Instant) -> Self {
+        let may_many_answer =
+            matches!(service.last(), Request::Identify(..) | Request::Fastscan(_));
+        // The answers to the first question of all show how different the slaves are.
+        let is_in_doubt =
+            master.slowest(&service).is_none() || master.is_staggered || doubt > Some(0);
+        Self {
+            service,
+            doubt,
+            awaits_all: may_many_answer && is_in_doubt,
+            repetitions: doubt.unwrap_or(ATTEMPTS - 1),
+            gap: master.timing.gap,
+            sent: 0,
+            since: now,
+            is_alone: master.queued == 0,
+            until: now,
+            answer: None,
+        }
+    }
+
+    fn poll(&mut self, master: &mut Master, now: Instant) -> Progress {
+        if (self.answer.is_none() || self.awaits_all) && !self.until.has_come(now) {
+            return Progress::Wait(self.until);
+        }
+        if self.sent < self.service.len() {
+            return Progress::Transmit(self.transmit(master, now));
+        }
+        if !self.has_answer() {
+            return Progress::Over(Ok(None));
+        }
+        master.queued = 0;
+        if let Some(answer) = self.answer {
+            // The slaves get the time that they need.
+            master.timing.gap = self.gap;
+            return Progress::Over(answer.map(Some));
+        }
+        if self.repetitions == 0 {
+            return Progress::Over(match self.doubt {
+                Some(_) => Ok(None),
+                None => Err(Error::NoAnswer(self.service.last())),
+            });
+        }
+        self.repetitions -= 1;
+        if self.doubt.is_none() && self.service.len() > 1 {
+            // A slave may have lost frames that came back to back.
+            self.gap = self.gap.saturating_mul(4).max(master.timing.margin);
+        }
+        self.sent = 0;
+        self.is_alone = true;
+        Progress::Transmit(self.transmit(master, now))
+    }
+
+    /// The next request.
+    fn transmit(&mut self, master: &mut Master, now: Instant) -> Frame {
+        let request = self.service.request(self.sent);
+        self.sent = self.sent.saturating_add(1);
+        self.since = now;
+        let wait = if self.sent < self.service.len() || !self.has_answer() {
+            if !self.has_answer() {
+                master.queued = master.queued.saturating_add(1);
+            }
+            if self.gap > 0 {
+                master.queued = 0;
+            }
+            self.gap
+        } else if let Some(doubt) = self.doubt {
+            master.probe_time_out(&self.service, doubt)
+        } else if request == Request::StoreConfiguration {
+            master.timing.store
+        } else {
+            master.timing.answer
+        };
+        self.until = now.plus_micros(wait);
+        request.to_frame()
+    }
+
+    fn handle_answer(&mut self, data: [u8; 8], master: &mut Master, now: Instant) {
+        let request = self.service.last();
+        if self.sent < self.service.len() || answer_specifier(request) != Some(data[0]) {
+            return;
+        }
+        master.is_staggered |= self.answer.is_some();
+        // Behind another request the time is too long, which does no harm if all answers are waited for.
+        if (self.is_alone || self.awaits_all) && request != Request::StoreConfiguration {
+            master.learn(&self.service, now.micros_after(self.since));
+        }
+        self.answer = Some(number(request, data));
+    }
+
+    fn has_answer(&self) -> bool {
+        answer_specifier(self.service.last()).is_some()
+    }
+}
