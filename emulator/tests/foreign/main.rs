@@ -14,8 +14,6 @@ mod receive;
 mod rig;
 mod transmit;
 
-use std::{fs, path::Path};
-
 /// Defines a test of each property with each driver.
 macro_rules! shown_by {
     ($($driver:ident $variant:ident),*: $properties:tt) => {$(
@@ -31,10 +29,7 @@ macro_rules! shown_by {
         fn $property() {
             crate::$module::$property(DRIVER);
         }
-    )*)*
-
-        pub const PROPERTIES: &[&str] = &[$($(stringify!($property)),*),*];
-    };
+    )*)*};
 }
 
 shown_by! { embassy Embassy, bxcan Bxcan: {
@@ -106,32 +101,3 @@ shown_by! { embassy Embassy, bxcan Bxcan: {
         the_receive_error_counter_rises_with_each_bad_frame,
         a_transmission_with_an_error_is_repeated_at_once;
 } }
-
-/// The lines of the table in `docs/testing.md`: properties, section, drivers, own tests.
-#[test]
-fn the_table_names_each_property_and_tests_that_exist() {
-    assert_eq!(embassy::PROPERTIES, bxcan::PROPERTIES);
-    let directory = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let text = fs::read_to_string(directory.join("../docs/testing.md")).expect("a file");
-    let (_, text) = text.split_once("## Drivers of others").expect("the section");
-    let section = text.lines().take_while(|line| !line.starts_with("## "));
-    let rows = section.filter(|line| line.starts_with("| `"));
-    let cells: Vec<Vec<&str>> = rows.map(|row| row.split('|').skip(1).collect()).collect();
-    let quoted = |cell: &str| -> Vec<String> {
-        cell.split('`').skip(1).step_by(2).map(str::to_owned).collect()
-    };
-    let mut listed: Vec<String> = cells.iter().flat_map(|row| quoted(row[0])).collect();
-    let mut shown: Vec<&str> = embassy::PROPERTIES.to_vec();
-    listed.sort();
-    shown.sort();
-    assert_eq!(listed, shown);
-
-    let sources: String = ["bxcan", "can"]
-        .iter()
-        .flat_map(|tests| fs::read_dir(directory.join("tests").join(tests)).expect("a directory"))
-        .map(|file| fs::read_to_string(file.expect("an entry").path()).expect("a source"))
-        .collect();
-    for name in cells.iter().flat_map(|row| quoted(row[3])) {
-        assert!(sources.contains(&format!("fn {name}()")), "there is no test {name}");
-    }
-}
