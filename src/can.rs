@@ -439,11 +439,6 @@ impl Controller {
         (status.tec().bits(), status.rec().bits())
     }
 
-    /// Whether receive errors have made the controller error passive.
-    pub fn is_passive_by_reception(&self) -> bool {
-        self.error_counters().1 > 127
-    }
-
     /// The controller's fault confinement state (RM0090, 32.7.6).
     pub fn bus_state(&self) -> BusState {
         let status = self.registers.esr().read();

@@ -26,7 +26,6 @@ pub struct Runner {
     alarm: Alarm,
     /// The fault confinement state last seen.
     bus_state: BusState,
-    was_passive: bool,
     indicators: Indicators,
     /// The start of the indicators' next step.
     step_at: Instant,
@@ -48,7 +47,6 @@ impl Runner {
             can,
             alarm,
             bus_state: BusState::Good,
-            was_passive: false,
             indicators: Indicators::default(),
             step_at,
             store: None,
@@ -123,8 +121,6 @@ impl Runner {
             let (transmit, receive) = self.can.error_counters();
             defmt::info!("CAN: error counters: transmit {=u8}, receive {=u8}", transmit, receive);
         }
-        let is_passive = self.can.is_passive_by_reception();
-        let was_passive = mem::replace(&mut self.was_passive, is_passive);
         match (before == BusState::BusOff, state == BusState::BusOff) {
             (false, true) => {
                 defmt::error!(
@@ -135,9 +131,6 @@ impl Runner {
             (true, false) => {
                 defmt::info!("CAN: recovered from bus-off");
                 self.node.handle_bus(BusEvent::BusOffRecovered, clock::now());
-            }
-            _ if is_passive && !was_passive => {
-                self.node.handle_bus(BusEvent::ErrorPassive, clock::now());
             }
             _ => {}
         }

@@ -93,15 +93,14 @@ impl Board {
             }
             11 => self.node.handle_bus(BusEvent::Acknowledged, self.now),
             12 => {
-                let event = match what % 9 {
+                let event = match what % 8 {
                     0 => BusEvent::Received,
                     1 => BusEvent::Error,
                     2 => BusEvent::FormError,
-                    3 => BusEvent::ErrorPassive,
-                    4 => BusEvent::HeldDominant,
-                    5 => BusEvent::BusOff,
-                    6 => BusEvent::BusOffRecovered,
-                    7 => BusEvent::Overrun,
+                    3 => BusEvent::HeldDominant,
+                    4 => BusEvent::BusOff,
+                    5 => BusEvent::BusOffRecovered,
+                    6 => BusEvent::Overrun,
                     _ => BusEvent::ErrorCounters { transmit: counter, receive: counter / 2 },
                 };
                 self.node.handle_bus(event, self.now);

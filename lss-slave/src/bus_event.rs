@@ -20,8 +20,6 @@ pub enum BusEvent {
     FormError,
     /// The bus has been dominant for longer than any frame: a short circuit or a defective station.
     HeldDominant,
-    /// The controller is error passive because of receive errors: REC is above 127.
-    ErrorPassive,
     /// The controller is bus-off.
     BusOff,
     /// The controller has recovered from bus-off.

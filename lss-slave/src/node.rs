@@ -107,17 +107,6 @@ enum Due {
     Never,
 }
 
-impl Due {
-    /// This time or `deadline`, whichever is earlier.
-    fn or_at(self, deadline: Option<Instant>) -> Self {
-        match (self, deadline) {
-            (Self::At(instant), Some(deadline)) => Self::At(instant.earlier(deadline)),
-            (Self::Never, Some(deadline)) => Self::At(deadline),
-            _ => self,
-        }
-    }
-}
-
 impl Node {
     /// A node after power-on, with the stored settings or the device's defaults.
     pub const fn new(device: Device, stored: Option<Settings>) -> Self {
@@ -151,7 +140,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             }
             bit_rate => bit_rate,
         };
-        let bit_rate_control = BitRateControl::new(bit_rate, device.bit_rates, device.rescue);
+        let bit_rate_control = BitRateControl::new(bit_rate, &device);
         Self {
             lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
             product: Product::new(device, application, bit_rate_control.in_use()),
@@ -237,7 +226,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     #[inline(never)] // Apart it takes 480 bytes less.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
-        if !self.bit_rate.is_at_ease() {
+        if !self.bit_rate.is_settled() {
             self.due = Due::Now;
             if !self.bit_rate.handle_frame(frame, now) {
                 return None;
@@ -269,7 +258,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// [`BusEvent::BusOffRecovered`] is counted.
     #[inline(never)] // It has several callers.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
-        if event == BusEvent::Acknowledged && self.take_acknowledge() {
+        if event == BusEvent::Acknowledged && self.is_at_ease() {
             return;
         }
         self.due = Due::Now;
@@ -295,13 +284,12 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 self.nmt.handle_communication_error();
                 self.lock_lss();
             }
-            BusEvent::Received
-            | BusEvent::Error
-            | BusEvent::FormError
-            | BusEvent::HeldDominant
-            | BusEvent::ErrorPassive => {}
+            BusEvent::Received | BusEvent::Error | BusEvent::FormError | BusEvent::HeldDominant => {
+            }
         }
-        self.bit_rate.handle_bus(event, now);
+        if !self.bit_rate.is_settled() {
+            self.bit_rate.handle_bus(event, now);
+        }
     }
 
     /// Takes a stored parameter in place of the default, if the node has it with this data type and the value is within
@@ -443,8 +431,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
         match self.lss.handle(data)? {
             Reaction::Answer(answer) => {
-                self.bit_rate.note_sent(now);
-                self.due = self.due.or_at(self.bit_rate.repeats_until());
+                if !self.bit_rate.is_settled() {
+                    self.bit_rate.note_sent(now);
+                }
                 return Some(Action::Transmit(answer));
             }
             Reaction::ActivateBitTiming(delay_ms) => {
@@ -458,23 +447,18 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         None
     }
 
-    /// Handles an acknowledge in service, which only ends the deadline of the repetition; returns whether it is one.
-    fn take_acknowledge(&mut self) -> bool {
-        let is_one = !matches!(self.due, Due::Now)
+    /// Whether an acknowledge makes no difference.
+    fn is_at_ease(&self) -> bool {
+        self.bit_rate.is_settled()
             && !self.nmt.awaits_acknowledge()
             && !self.emergency.awaits_acknowledge()
-            && self.bit_rate.take_acknowledge();
-        if is_one {
-            self.due = self.find_deadline().map_or(Due::Never, Due::At);
-        }
-        is_one
     }
 
     fn activate_bit_rate(&mut self, silent_until: Instant) {
-        let setting = self.lss.activate_bit_rate();
-        let was_automatic = self.bit_rate.active() == BitRateSetting::Automatic;
+        let active = self.bit_rate.active();
+        let setting = self.lss.activate_bit_rate(active);
         // A detection that continues keeps its result.
-        if was_automatic && setting == BitRateSetting::Automatic {
+        if active == BitRateSetting::Automatic && setting == BitRateSetting::Automatic {
             return;
         }
         self.bit_rate.activate(setting, silent_until);
@@ -482,16 +466,11 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.emergency.faults.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
     }
 
-    /// Adopts a bit rate that the supervision has found, or the home rate after a return. This also precedes a switch:
-    /// the request for it may be the frame that proved the home rate.
-    #[inline(never)] // It has several callers: 60 bytes.
+    /// Reports a bit rate that the supervision has found, or a return home.
     fn follow_bit_rate(&mut self) {
         let Some(in_use) = self.bit_rate.take_change() else {
             return;
         };
-        if let BitRateSetting::Fixed(rate) = self.bit_rate.active() {
-            self.lss.adopt_bit_rate(rate);
-        }
         match self.bit_rate.home() {
             Some(home) if home != in_use => {
                 self.emergency.faults.report(Fault::AwayFromHomeRate { in_use, home });
@@ -510,7 +489,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Step::Listen(rate) => {
                 // It may miss the request to leave the LSS configuration state, and must take none meant for others.
                 if !self.bit_rate.is_detecting() {
-                    self.lss.enter_waiting();
+                    self.lss.discard_session();
                 }
                 Action::Listen(rate)
             }

@@ -10,7 +10,7 @@ mod mapping;
 mod pdo;
 mod rpdo;
 mod stored;
-mod sync;
+pub(crate) mod sync;
 mod tables;
 mod tpdo;
 

@@ -46,11 +46,6 @@ impl Instant {
         }
     }
 
-    /// The later of two instants.
-    pub(crate) const fn later(self, other: Self) -> Self {
-        if self.has_come(other) { other } else { self }
-    }
-
     /// Whether this instant is at or before `now`.
     pub const fn has_come(self, now: Self) -> bool {
         self.micros_after(now) == 0

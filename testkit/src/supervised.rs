@@ -17,13 +17,18 @@ pub fn powered_on(home: BitRate, heartbeat_ms: u16) -> NodeRig {
     NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0)
 }
 
-/// A board at 125 kbit/s that has received nothing and whose boot-up was not acknowledged, with an empty timeline.
-pub fn unproven() -> NodeRig {
-    let mut board = powered_on(BitRate::Kbit125, 0);
+/// A board at `home` that has received nothing and whose boot-up was not acknowledged, with an empty timeline.
+pub fn unproven_at(home: BitRate, heartbeat_ms: u16) -> NodeRig {
+    let mut board = powered_on(home, heartbeat_ms);
     board.is_acknowledged = false;
     board.power_cycle();
     board.timeline();
     board
+}
+
+/// The same at 125 kbit/s without a heartbeat.
+pub fn unproven() -> NodeRig {
+    unproven_at(BitRate::Kbit125, 0)
 }
 
 /// A board at 125 kbit/s whose boot-up was acknowledged, with an empty timeline.
@@ -45,30 +50,23 @@ pub fn switched() -> NodeRig {
     board
 }
 
-/// A board that has just begun to listen at 1000 kbit/s because of errors at the proven rate of 125 kbit/s.
-pub fn looking() -> NodeRig {
-    let mut board = proven();
-    doubt(&mut board);
+/// A board that has just begun to listen at 1000 kbit/s because of an error at the unproven rate of 125 kbit/s.
+pub fn searching() -> NodeRig {
+    let mut board = unproven();
+    board.see(Error);
+    assert!(board.node.is_listening());
     board.timeline();
     board
 }
 
-/// Makes a proven home rate appear wrong.
-pub fn doubt(board: &mut NodeRig) {
-    for ms in [500, 500, 0] {
-        assert!(!board.node.is_listening());
-        board.see(Error);
-        board.pass_ms(ms);
-    }
-    assert!(board.node.is_listening());
-}
+/// The turn at home at 125 kbit/s, in microseconds: 30 ms and 18 frames.
+pub const TURN_US: u64 = 49_440;
 
-/// The silent turn at home at 125 kbit/s, in microseconds: 20 ms and 270 bits.
-pub const TURN_US: u64 = 22_160;
-
-/// A board with home rate 125 kbit/s that has become a guest at 1000 kbit/s, with an empty timeline.
+/// A board with home rate 125 kbit/s that has just become a guest at 1000 kbit/s, whose frames are acknowledged, with
+/// an empty timeline.
 pub fn guest() -> NodeRig {
-    let mut board = looking();
+    let mut board = searching();
+    board.is_acknowledged = true;
     board.see(Received);
     board.timeline();
     board

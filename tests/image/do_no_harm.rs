@@ -201,26 +201,44 @@ fn a_laptop_at_a_wrong_rate_at_power_on_leaves_the_stored_rate() {
     }
 }
 
+/// A board alone with a master at another rate than the stored one, from power-on.
+fn alone(heartbeat_ms: u16, stored: BitRate, master: BitRate) -> ImageRig {
+    let settings = settings(1, stored).with_heartbeat_ms(heartbeat_ms);
+    let mut rig = ImageRig::new(master, [board_with(1, settings)]);
+    rig.network.record(Recording::Off);
+    rig
+}
+
 #[test]
-fn a_node_alone_that_missed_a_switch_finds_a_polling_master() {
-    for (home, wrong) in pairs() {
-        for heartbeat_ms in [1000, 0] {
-            let mut rig = boards(1, heartbeat_ms, home);
-            assert!(reach(&mut rig, read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
-            rig.set_master_bit_rate(wrong);
-            let time = reach(&mut rig, read(1), 0x581, Time::from_s(10));
-            let ms = time.map_or(0, |time| time.as_ms());
-            println!("{home:?} to {wrong:?}, heartbeat {heartbeat_ms} ms: {ms} ms");
-            assert!(time.is_some(), "{home:?} to {wrong:?}, heartbeat {heartbeat_ms} ms");
-        }
+fn a_wrong_stored_rate_is_found_by_a_polling_master_within_1500_ms() {
+    for (number, (stored, found)) in pairs().enumerate() {
+        let heartbeat_ms = [1000, 0, 100][number % 3];
+        let mut rig = alone(heartbeat_ms, stored, found);
+        let time = reach(&mut rig, read(1), 0x581, Time::from_s(10));
+        let what = format!("{stored:?} stored, {found:?}, heartbeat {heartbeat_ms} ms: {time:?}");
+        println!("{what}");
+        assert!(time.is_some_and(|time| time <= Time::from_ms(1500)), "{what}");
     }
+}
+
+#[test]
+fn a_board_that_missed_a_switch_is_found_after_its_power_was_switched() {
+    let mut rig = boards(1, 1000, BitRate::Kbit125);
+    assert!(reach(&mut rig, read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
+    rig.set_master_bit_rate(BitRate::Kbit500);
+    assert_eq!(reach(&mut rig, read(1), 0x581, Time::from_s(10)), None, "it stays");
+    assert_eq!(rig.network.board(0).chip().can(1).bit_rate(), 125_000);
+    rig.network.power_off(0);
+    rig.network.run_for(Time::from_ms(10));
+    rig.network.power_on(0);
+    rig.expect_reset(0, emulator::chip::ResetCause::PowerOn);
+    assert!(reach(&mut rig, read(1), 0x581, Time::from_ms(1500)).is_some());
 }
 
 /// A board whose stored rate no other node uses, found by a polling master at another one.
 fn rescued(home: BitRate, found: BitRate) -> ImageRig {
-    let mut rig = boards(1, 0, home);
-    rig.set_master_bit_rate(found);
-    assert!(reach(&mut rig, read(1), 0x581, Time::from_s(10)).is_some());
+    let mut rig = alone(0, home, found);
+    assert!(reach(&mut rig, read(1), 0x581, Time::from_ms(1500)).is_some());
     rig
 }
 
@@ -236,19 +254,25 @@ fn activation_without_configuration_after_a_rescue_keeps_the_rate_in_use() {
 }
 
 #[test]
-fn a_spare_part_that_was_rescued_stores_the_rate_that_works() {
-    let mut rig = rescued(BitRate::Kbit500, BitRate::Kbit125);
-    for request in ["04 01", "11 07", "17"] {
-        rig.queue(&frames::request(request));
+fn a_guest_stores_its_stored_rate_unless_13_or_15_has_set_another() {
+    let found = BitRate::Kbit125;
+    for (requests, stored) in [
+        (&["04 01", "11 07", "17"][..], BitRate::Kbit500),
+        (&["04 01", "11 07", "15 00 00", "17"], found),
+    ] {
+        let mut rig = rescued(BitRate::Kbit500, found);
+        for request in requests {
+            rig.queue(&frames::request(request));
+            rig.network.run_for(Time::from_ms(50));
+        }
+        rig.network.power_off(0);
+        rig.set_master_bit_rate(stored);
+        rig.network.power_on(0);
+        rig.expect_reset(0, emulator::chip::ResetCause::PowerOn);
         rig.network.run_for(Time::from_ms(50));
+        let time = answer_time(&mut rig, read(7), 0x587, patience(stored));
+        assert!(time.is_some(), "{requests:?}");
     }
-    rig.network.power_off(0);
-    rig.network.run_for(Time::from_ms(10));
-    rig.network.power_on(0);
-    rig.expect_reset(0, emulator::chip::ResetCause::PowerOn);
-    rig.network.run_for(Time::from_ms(50));
-    let time = answer_time(&mut rig, read(7), 0x587, patience(BitRate::Kbit125));
-    assert!(time.is_some(), "at the rate found");
 }
 
 /// The time until the master, which only listens, receives a heartbeat of node 1, if within `limit`.
@@ -328,15 +352,13 @@ fn a_flapping_short_circuit_does_not_silence_a_proven_board() {
 }
 
 #[test]
-fn lasting_noise_silences_a_proven_board_at_most_once() {
+fn lasting_noise_does_not_silence_a_proven_board() {
     for ms in [5, 20, 100] {
         let mut rig = proven_board();
         let (mean_interval, length) = (Time::from_ms(ms), Time::from_us(10));
         rig.network.set_noise(Some(Noise { seed: 3, mean_interval, length }));
         let gaps = gaps(rig, |rig| rig.network.run_for(Time::from_ms(100)));
-        // A master at another rate looks the same, so the board searches once.
-        let is_one_search = matches!(gaps[..], [gap] if gap < Time::from_ms(1_700));
-        assert!(gaps.is_empty() || is_one_search, "a pulse every {ms} ms: {gaps:?}");
+        assert!(gaps.is_empty(), "a pulse every {ms} ms: {gaps:?}");
     }
 }
 
@@ -394,37 +416,25 @@ fn may_not_notice((stored, found): (BitRate, BitRate)) -> bool {
 }
 
 #[test]
-fn a_wrong_stored_rate_is_found_by_three_or_four_sparse_frames() {
-    let one_frame = Time::from_ms(1000);
-    let mut late = Vec::new();
+fn a_wrong_stored_rate_is_found_within_5_s_by_one_heartbeat_a_second() {
     for node_id in [1, 0xFF] {
-        for (stored, found) in pairs().filter(|&pair| !may_not_notice(pair)) {
-            let time = time_until_found(node_id, (stored, found), one_frame, Time::from_s(8));
-            let what = format!("node {node_id:02X}: {stored:?} stored, {found:?} found: {time:?}");
+        for pair in pairs().filter(|&pair| !may_not_notice(pair)) {
+            let time = time_until_found(node_id, pair, Time::from_ms(1000), Time::from_s(8));
+            let what = format!("node {node_id:02X}: stored, found {pair:?}: {time:?}");
             println!("{what}");
-            // The first frame comes after a second.
-            if time.is_none_or(|time| time > Time::from_ms(4100)) {
-                late.push((node_id, stored, time, what));
-            }
+            assert!(time.is_some_and(|time| time <= Time::from_s(5)), "{what}");
         }
     }
-    // A node that repeats its boot-up may miss frames, and does not wait for the next one after the first error. Which
-    // pairs are late depends on the phase of the boot-up to the frames, to the microsecond.
-    for (node_id, stored, time, what) in &late {
-        let may_be_late = (*node_id, *stored) == (1, BitRate::Kbit50);
-        assert!(may_be_late && time.is_some_and(|time| time < Time::from_ms(7100)), "{what}");
-    }
-    assert!(late.len() <= 4, "{late:?}");
 }
 
 #[test]
-fn a_wrong_stored_rate_is_found_in_100_ms_under_load() {
+fn a_wrong_stored_rate_is_found_in_150_ms_under_load() {
     for (stored, found) in pairs() {
         // A bus load of 90 %.
         let period = Time::from_us(13_500 / u64::from(found.kbit_per_s()));
         let time = time_until_found(0xFF, (stored, found), period, Time::from_s(2));
         let what = format!("{stored:?} stored, {found:?} found: {time:?}");
         println!("{what}");
-        assert!(time.is_some_and(|time| time < Time::from_ms(100)), "{what}");
+        assert!(time.is_some_and(|time| time < Time::from_ms(150)), "{what}");
     }
 }

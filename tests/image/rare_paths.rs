@@ -13,8 +13,8 @@ use testkit::{
     frames::{self, Frames, SILENCE},
     image::{image, part},
     image_rig::{
-        DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, blank_board, flash_with,
-        on_the_wire, settings,
+        DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, blank_board, board_with,
+        flash_with, on_the_wire, settings,
     },
     sdo,
 };
@@ -126,30 +126,7 @@ fn lost_settings_are_the_only_error_until_the_next_store() {
 }
 
 #[test]
-fn a_configured_rate_stays_pending_while_the_board_follows_the_bus() {
-    let mut rig = node_40(100);
-    rig.lss("04 01");
-    assert_eq!(rig.lss("13 00 03"), ["13 00"]);
-    rig.set_master_bit_rate(BitRate::Kbit125);
-    for _ in 0..200 {
-        for frame in ["702:", "703: 00", "701: 05"] {
-            let (id, data) = frame.split_once(':').expect("an id and data");
-            let id = u16::from_str_radix(id, 16).expect("an id");
-            rig.queue(&lss_slave::Frame::new(id, &frames::bytes(data)).expect("a frame"));
-        }
-        rig.collect(Time::from_ms(50));
-    }
-    assert!(rig.is_reached());
-    let answers = rig.lss("17").texts();
-    assert!(answers.iter().any(|text| text.starts_with("7E4: 17 00")), "{answers:?}");
-    rig.network.power_off(0);
-    rig.set_master_bit_rate(BitRate::Kbit250);
-    rig.power_on(0);
-    assert!(rig.is_reached());
-}
-
-#[test]
-fn a_board_that_has_found_its_rate_can_follow_the_bus_to_others() {
+fn a_detection_that_continues_keeps_its_result() {
     let mut rig = node_40(100);
     for request in ["04 01", "13 00 09"] {
         rig.lss(request);
@@ -163,12 +140,7 @@ fn a_board_that_has_found_its_rate_can_follow_the_bus_to_others() {
     }
     rig.transmit_request("15 0A 00");
     rig.collect(Time::from_ms(100));
-    assert!(rig.is_reached(), "a detection that continues keeps its result");
-    rig.collect(Time::from_s(31));
-    for rate in [BitRate::Kbit500, BitRate::Kbit250] {
-        rig.set_master_bit_rate(rate);
-        assert!(rig.is_reached(), "{rate:?}");
-    }
+    assert!(rig.is_reached());
 }
 
 #[test]
@@ -490,10 +462,15 @@ fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
     }
 }
 
-/// Node 40, which has followed its master to another bit rate as a guest.
+/// Node 40 at 1000 kbit/s, just powered on, with a master at 250 kbit/s.
+fn at_a_wrong_rate() -> ImageRig {
+    let settings = settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100);
+    ImageRig::new(BitRate::Kbit250, [board_with(0, settings)])
+}
+
+/// The same, which has become a guest at the rate of the master.
 fn guest() -> ImageRig {
-    let mut rig = node_40(100);
-    rig.set_master_bit_rate(BitRate::Kbit250);
+    let mut rig = at_a_wrong_rate();
     assert!(rig.is_reached());
     rig
 }
@@ -516,13 +493,7 @@ fn a_dominant_bus_ends_a_search_and_not_the_stay_of_a_guest() {
     rig.network.set_short(None);
     assert!(rig.is_reached());
     for ms in [5, 40, 90, 130, 180, 230, 300, 400] {
-        let mut rig = node_40(100);
-        rig.set_master_bit_rate(BitRate::Kbit250);
-        let foreign = Frames(vec![frames::stranger()]);
-        for _ in 0..60 {
-            rig.queue(&foreign.0[0]);
-            rig.network.run_for(Time::from_ms(20));
-        }
+        let mut rig = at_a_wrong_rate();
         rig.network.run_for(Time::from_ms(ms));
         rig.network.set_short(Some(Short::Dominant));
         rig.network.run_for(Time::from_ms(600));
@@ -537,10 +508,11 @@ fn a_request_during_the_pause_of_a_lonely_board_is_answered() {
     let mut unanswered = 0;
     for delay in 0..12 {
         let mut rig = node_40(50);
-        rig.lss("04 01");
         rig.network.adapter_mut(rig.master).close();
-        rig.network.run_for(Time::from_ms(140 + 10 * delay));
+        rig.power_cycle(0);
+        rig.network.run_for(Time::from_ms(50 + 60 * delay));
         rig.network.adapter_mut(rig.master).open();
+        rig.queue(&frames::request("04 01"));
         rig.queue(&frames::request("5E"));
         let answers = rig.collect(Time::from_ms(100)).texts();
         unanswered += u32::from(!answers.iter().any(|text| text.starts_with("7E4: 5E")));

@@ -257,9 +257,12 @@ fn node_4_misses_the_switch(heartbeat_ms: u16) -> ImageRig {
 }
 
 #[test]
-fn a_node_that_missed_the_switch_is_reached_with_any_heartbeat() {
+fn a_node_that_missed_the_switch_is_reached_after_its_power_was_switched() {
     for heartbeat_ms in [1000, 0] {
         let mut rig = node_4_misses_the_switch(heartbeat_ms);
+        assert_eq!(reach(&mut rig, nodes(4), Time::from_s(5)), None, "it stays where it was");
+        rig.network.power_off(3);
+        power_on_at_any_rate(&mut rig, 3);
         let scenario = format!("1 of 4 missed the switch, heartbeat {heartbeat_ms} ms");
         all_reached(&scenario, &mut rig, nodes(4));
     }

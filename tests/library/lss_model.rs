@@ -237,7 +237,7 @@ impl Pair {
                 }
             }
             Event::Activated => {
-                let active = self.slave.activate_bit_rate();
+                let active = self.slave.activate_bit_rate(self.slave.pending_bit_rate());
                 assert_eq!(active.index(), self.model.pending_rate, "in {:?}", before.model);
             }
             Event::ResetCommunication => {

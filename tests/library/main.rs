@@ -47,6 +47,4 @@ mod settings_log;
 mod settings_power_cut;
 mod supervision;
 mod supervision_guest;
-mod supervision_look;
 mod supervision_random;
-mod supervision_states;

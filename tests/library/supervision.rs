@@ -1,166 +1,156 @@
-//! Bit-rate supervision at the home rate: the evidence for a look, and the times in which the node withholds its
-//! frames.
+//! Bit-rate supervision at home and in a search: a proven rate is never left, and an unproven one is searched from.
 
 use lss_slave::{
-    BitRate,
-    BusEvent::{
-        self, Acknowledged, BusOff, Error, ErrorPassive, FormError, HeldDominant, Received,
-    },
-    Instant,
+    BitRate, BitRates,
+    BusEvent::{self, Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
+    Frame, Instant, NodeId, lss,
 };
 use testkit::{
     flash::BoardFlash,
-    frames::{SILENCE, request},
+    frames::{self, SILENCE, request},
     node_rig::{ADDRESS, NodeRig, defaults, device},
-    supervised::{doubt, powered_on, proven, switched, unproven},
+    supervised::{TURN_US, powered_on, proven, searching, switched, unproven, unproven_at},
 };
 
-#[test]
-fn an_unproven_home_rate_is_doubted_at_the_first_error() {
-    for error in [Error, FormError] {
-        let mut board = unproven();
-        board.see(error);
-        assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"], "{error:?}");
-    }
-}
+const EVENTS: [BusEvent; 6] = [Error, FormError, BusOff, HeldDominant, Received, Acknowledged];
 
 #[test]
-fn a_proven_home_rate_is_doubted_at_the_third_error_after_a_second() {
+fn a_proven_rate_is_never_left() {
     for proof in [Received, Acknowledged] {
         let mut board = unproven();
         board.see(proof);
-        board.see(Error);
-        board.pass_ms(1_000);
-        board.see(Error);
-        assert!(!board.node.is_listening(), "two are not enough: {proof:?}");
-        board.see(Error);
-        assert!(board.node.is_listening(), "three are: {proof:?}");
+        board.is_acknowledged = false;
+        board.lss("04 01");
+        board.lss("11 05");
+        board.timeline();
+        for event in EVENTS.into_iter().cycle().take(6_000) {
+            board.see(event);
+            board.pass_ms(97);
+        }
+        assert_eq!(board.timeline(), SILENCE, "{proof:?}");
+        assert_eq!(board.lss("17"), ["17 00"], "the session goes on");
     }
-    let mut board = proven();
-    for _ in 0..100 {
-        board.see(Error);
-    }
-    board.pass_us(999_999);
-    board.see(Error);
-    assert_eq!(board.timeline(), SILENCE, "many in less than a second are not enough");
-    board.pass_us(1);
-    board.see(FormError);
-    assert_eq!(board.timeline(), ["0.001 ms listen at 1000 kbit/s"]);
 }
 
 #[test]
-fn nothing_is_due_after_the_acknowledge_of_an_answer_in_service() {
+fn a_session_survives_three_errors_a_second_apart() {
+    let settings = defaults(0xFF).with_bit_rate(BitRate::Kbit125.into());
+    let device = device(ADDRESS).with_rescue(true).with_defaults(settings);
+    let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
+    board.lss("04 01");
+    assert_eq!(board.lss("11 05"), ["11 00"]);
+    for _ in 0..3 {
+        board.see(Error);
+        board.pass_ms(1_000);
+    }
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.lss("04 00"), ["705: 00"]);
+}
+
+#[test]
+fn a_configured_rate_is_activated_after_errors_between_13_and_15() {
+    let mut board = proven();
+    board.lss("04 01");
+    board.lss("13 00 02");
+    for _ in 0..20 {
+        board.see(Error);
+        board.pass_ms(900);
+    }
+    board.lss("15 00 00");
+    assert_eq!(board.bit_rate(), BitRate::Kbit500);
+}
+
+#[test]
+fn nothing_is_due_after_the_acknowledge_of_an_answer_at_a_proven_rate() {
     let mut board = proven();
     board.lss("04 01");
     let now = Instant::from_micros(board.now() as u32);
     assert!(board.node.handle_frame(&request("5E"), now).is_some());
-    assert_eq!(board.us_to_deadline(), Some(100_000), "the repetition of the answer ends");
+    assert!(!board.node.is_due(now));
     board.node.handle_bus(Acknowledged, now);
     assert!(!board.node.is_due(now));
     assert_eq!(board.us_to_deadline(), None);
-    board.node.handle_bus(Error, now);
-    assert!(board.node.is_due(now), "a disturbed node looks at its errors");
 }
 
 #[test]
-fn errors_two_and_a_half_seconds_apart_do_not_add_up() {
-    let mut board = proven();
-    for _ in 0..20 {
-        board.see(Error);
-        board.pass_us(2_500_000);
-    }
-    assert_eq!(board.timeline(), SILENCE);
-    for _ in 0..3 {
-        board.see(Error);
-        board.pass_us(2_499_999);
-    }
-    assert!(!board.timeline().is_empty(), "a little closer they do");
-}
-
-#[test]
-fn a_valid_frame_or_an_acknowledge_clears_the_errors() {
-    for proof in [Received, Acknowledged] {
-        let mut board = unproven();
-        board.see(proof);
-        for _ in 0..100 {
-            board.see(Error);
-            board.pass_ms(600);
-            board.see(Error);
-            board.see(Error);
-            board.pass_ms(600);
-            board.see(proof);
+fn a_node_without_supervision_never_looks_elsewhere_nor_pauses() {
+    let settings = defaults(0x40).with_heartbeat_ms(100);
+    let device = device(ADDRESS).with_rescue(false).with_defaults(settings);
+    let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
+    board.is_acknowledged = false;
+    board.power_cycle();
+    for _ in 0..1_000 {
+        for event in [BusOff, Error, FormError, Error] {
+            board.see(event);
         }
-        assert_eq!(board.timeline(), SILENCE, "{proof:?}");
+        assert_eq!(board.pass_ms(100), ["740: 7F"]);
     }
+    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
 }
 
 #[test]
-fn bus_off_and_error_passive_are_no_evidence_of_another_rate() {
-    let mut board = unproven();
-    for _ in 0..100 {
-        board.see(BusOff);
-        board.see(ErrorPassive);
-        board.pass_ms(100);
-        assert!(!board.node.is_listening());
+fn an_unproven_rate_is_searched_from_at_the_first_error() {
+    for (event, expected) in [
+        (Error, &["0 ms listen at 1000 kbit/s"][..]),
+        (FormError, &["0 ms listen at 1000 kbit/s"]),
+        (HeldDominant, &[]),
+    ] {
+        let mut board = unproven();
+        board.see(event);
+        assert_eq!(board.timeline(), expected, "{event:?}");
     }
-}
-
-#[test]
-fn for_30_s_after_a_switch_the_new_rate_counts_alone() {
-    let mut board = switched();
-    for _ in 0..300 {
-        board.see(Error);
-        board.see(FormError);
-        board.pass_us(99_999);
-        board.see(Error);
-        assert_eq!(board.timeline(), SILENCE);
-        board.pass_us(1);
-    }
+    let mut board = unproven_at(BitRate::Kbit1000, 0);
     board.see(Error);
-    assert!(board.node.is_listening(), "after them it may be wrong");
+    assert_eq!(board.timeline(), ["0 ms listen at 800 kbit/s"], "home is heard already");
 }
 
 #[test]
-fn the_30_s_begin_at_the_end_of_the_second_switch_delay() {
+fn for_30_s_after_both_switch_delays_only_the_new_rate_counts() {
     for d_ms in [0_u16, 1_000, 65_535] {
         let mut board = powered_on(BitRate::Kbit250, 0);
         board.lss("04 01");
         board.lss("13 00 06");
         let [low, high] = d_ms.to_le_bytes();
         board.lss(&format!("15 {low:02X} {high:02X}"));
-        board.pass_ms(2 * u64::from(d_ms) + 29_999);
-        for _ in 0..9 {
-            board.see(Error);
+        board.pass_ms(2 * u64::from(d_ms));
+        board.timeline();
+        for event in [Error, FormError, HeldDominant].into_iter().cycle().take(30_000) {
+            board.see(event);
+            board.pass_us(999);
         }
-        assert!(!board.node.is_listening(), "{d_ms} ms");
-        board.pass_ms(1);
+        assert_eq!(board.timeline(), SILENCE, "{d_ms} ms");
+        board.pass_ms(30);
         board.see(Error);
-        assert!(board.node.is_listening(), "{d_ms} ms");
+        assert_eq!(board.timeline(), ["30 ms listen at 250 kbit/s"], "first the rate before");
     }
 }
 
 #[test]
-fn after_a_switch_the_rate_before_it_is_listened_to_first() {
+fn a_switch_to_the_same_rate_leaves_it_proven() {
+    let mut board = proven();
+    board.lss("04 01");
+    board.lss("15 00 00");
+    board.pass_ms(40_000);
+    board.timeline();
+    board.see(Error);
+    assert_eq!(board.timeline(), SILENCE);
+}
+
+#[test]
+fn the_rate_before_a_switch_is_listened_to_first_only_once() {
     let mut board = switched();
     board.pass_ms(30_000);
     board.see(Error);
     assert_eq!(board.timeline(), ["30000 ms listen at 250 kbit/s"]);
-    board.pass_ms(10_000);
+    board.see(HeldDominant);
     board.timeline();
     board.see(Error);
-    assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"], "once");
-
-    let mut board = switched();
-    board.see(Received);
-    board.pass_ms(30_000);
-    board.timeline();
-    doubt(&mut board);
-    assert_eq!(board.timeline(), ["1000 ms listen at 1000 kbit/s"], "not if the new one works");
+    assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"]);
 }
 
 #[test]
-fn in_the_switch_delays_neither_errors_nor_bus_off_count() {
-    for event in [Error, FormError, ErrorPassive, BusOff] {
+fn in_the_switch_delays_no_error_counts() {
+    for event in [Error, FormError, BusOff] {
         let mut board = powered_on(BitRate::Kbit1000, 0);
         board.lss("04 01");
         board.lss("13 00 04");
@@ -176,149 +166,247 @@ fn in_the_switch_delays_neither_errors_nor_bus_off_count() {
     }
 }
 
-/// A board at `home` that sends a heartbeat every 10 ms, no longer acknowledged, and has just been disturbed.
-fn disturbed(home: BitRate, by: BusEvent) -> NodeRig {
-    let mut board = powered_on(home, 10);
-    board.is_acknowledged = false;
+#[test]
+fn a_stay_that_hears_nothing_ends_the_search_after_a_turn_of_home() {
+    let mut board = searching();
+    board.pass_ms(60_000);
+    let expected = ["1100 ms listen at 125 kbit/s", "1149.44 ms 125 kbit/s", "1149.44 ms resume"];
+    assert_eq!(board.timeline()[..3], expected);
     board.timeline();
-    board.see(by);
-    board
+    board.see(Error);
+    assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"], "until the next error");
 }
 
 #[test]
-fn bus_off_restarts_the_controller_at_home_and_frames_wait_50_ms() {
-    let mut board = disturbed(BitRate::Kbit125, BusOff);
-    board.pass_ms(60);
-    let expected = ["0 ms 125 kbit/s", "0 ms resume", "50 ms 740: 7F", "60 ms 740: 7F"];
-    assert_eq!(board.timeline(), expected);
-}
-
-#[test]
-fn on_a_slow_bus_frames_wait_1408_bits_after_bus_off() {
-    for (home, us) in [(BitRate::Kbit20, 70_400), (BitRate::Kbit10, 140_800)] {
-        let mut board = disturbed(home, BusOff);
-        board.pass_us(1_000);
+fn a_turn_of_home_lasts_30_ms_and_18_frames_at_every_rate() {
+    for home in BitRate::ALL {
+        let mut board = unproven_at(home, 0);
         board.see(Error);
-        assert_eq!(board.pass_us(us - 1_001), SILENCE, "an error does not make it shorter");
-        assert_eq!(board.pass_us(1), ["740: 7F"]);
+        board.pass_ms(1_100);
+        assert_eq!(board.bit_rate(), home);
+        let us = 30_000 + 18 * 135_000 / u64::from(home.kbit_per_s());
+        board.pass_us(us - 1);
+        assert!(board.node.is_listening(), "{home:?}");
+        board.pass_us(1);
+        assert!(!board.node.is_listening(), "{home:?}");
     }
 }
 
 #[test]
-fn an_unacknowledged_frame_pauses_20_ms_every_100_ms() {
-    let mut board = unproven();
-    board.pass_ms(240);
-    let expected = [
-        "100 ms stop",
-        "100 ms resume",
-        "120 ms 740: 00",
-        "220 ms stop",
-        "220 ms resume",
-        "240 ms 740: 00",
-    ];
-    assert_eq!(board.timeline(), expected, "so that a slower node can join the bus");
+fn a_stay_ends_40_ms_after_the_first_error() {
+    for (heard_at_ms, end_ms) in [(0, 40), (500, 540), (1_080, 1_100)] {
+        for error in [Error, FormError] {
+            let mut board = searching();
+            board.pass_ms(heard_at_ms);
+            board.see(error);
+            board.timeline();
+            let left_ms = end_ms - heard_at_ms;
+            board.pass_ms(left_ms / 2);
+            board.see(FormError);
+            board.pass_ms(left_ms - left_ms / 2);
+            assert_eq!(board.timeline(), [format!("{left_ms} ms listen at 125 kbit/s")]);
+        }
+    }
+}
+
+#[test]
+fn an_error_leads_to_the_next_slower_rate_home_among_them() {
+    let mut board = searching();
+    for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000, 800] {
+        board.see(Error);
+        assert_eq!(board.timeline(), [format!("0 ms listen at {kbit_per_s} kbit/s")]);
+    }
+    let bit_rates = BitRates::possible(42_000_000);
+    let device = device(ADDRESS).with_bit_rates(bit_rates).with_rescue(true);
+    let settings = defaults(0xFF).with_bit_rate(BitRate::Kbit125.into());
+    let mut board = NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0);
+    board.see(Error);
+    board.see(Error);
+    assert_eq!(board.bit_rate(), BitRate::Kbit500, "the clock cannot make 800");
+}
+
+#[test]
+fn the_next_stay_goes_on_where_the_last_one_ended() {
+    for (errors, at_home, next) in [
+        (&[Error, Error][..], &[][..], 500),
+        (&[FormError], &[], 800),
+        (&[FormError, Error], &[], 800),
+        (&[], &[Error], 800),
+        (&[], &[FormError], 800),
+        (&[Error], &[Error, Error], 800),
+    ] {
+        let mut board = searching();
+        errors.iter().for_each(|&error| _ = board.see(error));
+        board.pass_ms(if errors.is_empty() { 1_100 } else { 40 });
+        assert_eq!(board.bit_rate(), BitRate::Kbit125);
+        at_home.iter().for_each(|&error| _ = board.see(error));
+        board.timeline();
+        board.pass_us(TURN_US);
+        let expected = [format!("49.44 ms listen at {next} kbit/s")];
+        assert_eq!(board.timeline(), expected, "{errors:?}, at home {at_home:?}");
+    }
+}
+
+#[test]
+fn while_errors_go_on_home_is_never_away_for_100_ms() {
+    for (error, us) in [(Error, 300), (Error, 20_000), (FormError, 300), (FormError, 20_000)] {
+        let mut board = searching();
+        let mut away_us = 0;
+        for _ in 0..20_000_000 / us {
+            board.see(error);
+            board.pass_us(us);
+            let is_away = board.bit_rate() != BitRate::Kbit125;
+            away_us = if is_away { away_us + us } else { 0 };
+            assert!(away_us < 100_000, "{error:?} every {us} us");
+        }
+        assert!(board.timeline().len() > 200, "it continues to search");
+        assert!(!board.timeline().iter().any(|act| act.contains("740")), "in silence");
+    }
+}
+
+#[test]
+fn a_valid_frame_at_home_ends_the_search_and_proves_home() {
+    let boot_up = Frame::new(0x701, &[0]).expect("one byte");
+    for stays_ms in [1_100, 0] {
+        let mut board = searching();
+        if stays_ms == 0 {
+            // In the round, as at any other rate.
+            for _ in 0..4 {
+                board.see(Error);
+            }
+        }
+        board.pass_ms(stays_ms);
+        assert_eq!(board.bit_rate(), BitRate::Kbit125);
+        board.timeline();
+        board.receive(&boot_up);
+        assert_eq!(board.timeline(), ["0 ms 125 kbit/s", "0 ms resume", "0 ms 740: 00"]);
+        for _ in 0..100 {
+            board.see(Error);
+            board.pass_ms(100);
+        }
+        assert_eq!(board.timeline(), SILENCE);
+    }
+}
+
+#[test]
+fn a_boot_up_elsewhere_is_not_heard_but_a_heartbeat_makes_a_guest() {
+    for (state, is_guest) in [(0x00, false), (0x05, true), (0x7F, true)] {
+        let mut board = searching();
+        let frame = Frame::new(0x701, &[state]).expect("one byte");
+        board.is_acknowledged = is_guest;
+        board.receive(&frame);
+        assert_eq!(!board.node.is_listening(), is_guest, "{state:02X}");
+        board.pass_us(1_100_000 + TURN_US);
+        assert!(!board.node.is_listening());
+        assert_eq!(board.bit_rate() == BitRate::Kbit1000, is_guest, "{state:02X}");
+    }
+}
+
+#[test]
+fn an_acknowledge_that_comes_after_the_first_error_decides_nothing() {
+    let mut board = searching();
     board.see(Acknowledged);
-    board.pass_ms(1_000);
     assert_eq!(board.timeline(), SILENCE);
 }
 
 #[test]
-fn an_unacknowledged_answer_pauses_without_another_event() {
-    let mut board = proven();
-    board.lss("04 01");
-    board.is_acknowledged = false;
-    assert_eq!(board.lss("5E"), ["5E 40"]);
-    board.pass_ms(1_000);
-    assert_eq!(board.timeline()[1..], ["100 ms stop", "100 ms resume"]);
+fn a_bus_that_is_held_dominant_ends_the_search() {
+    for us in [1, 40_000, 40_000 + TURN_US] {
+        let mut board = searching();
+        board.see(Error);
+        board.pass_us(us);
+        board.timeline();
+        board.see(HeldDominant);
+        assert_eq!(board.timeline()[..2], ["0 ms 125 kbit/s", "0 ms resume"], "after {us} us");
+        board.pass_ms(10_000);
+        assert!(!board.timeline().iter().any(|act| act.contains("listen")), "after {us} us");
+    }
 }
 
 #[test]
-fn a_request_in_the_pause_of_the_boot_up_ends_it_and_is_answered() {
+fn a_search_ends_the_lss_session() {
+    for (node_id, then) in [(0x40, Some(5)), (0xFF, None)] {
+        let settings = defaults(node_id).with_bit_rate(BitRate::Kbit250.into());
+        let device = device(ADDRESS).with_rescue(true).with_defaults(settings);
+        let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
+        for request in ["04 01", "11 05", "13 00 06", "15 00 00"] {
+            board.lss(request);
+        }
+        board.pass_ms(30_000);
+        board.see(Error);
+        assert_eq!(board.node.lss().state(), lss::State::Waiting);
+        let pending = board.node.lss().pending_node_id();
+        assert_eq!(
+            pending,
+            then.and_then(NodeId::new),
+            "a node without an active node-ID has none"
+        );
+    }
+}
+
+#[test]
+fn an_unacknowledged_frame_pauses_after_100_ms_at_an_unproven_rate() {
+    let serials = [(0, "400"), (0xDEAD_BEEF, "639"), (u32::MAX, "655")];
+    for (serial_number, pause) in serials {
+        let address = lss::Address { serial_number, ..ADDRESS };
+        let settings = defaults(0x40).with_bit_rate(BitRate::Kbit125.into());
+        let device = device(address).with_rescue(true).with_defaults(settings);
+        let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
+        board.is_acknowledged = false;
+        board.power_cycle();
+        board.timeline();
+        board.pass_ms(900);
+        let again = 100 + pause.parse::<u32>().expect("a number");
+        let expected = [
+            "100 ms stop",
+            "100 ms resume",
+            &format!("{again} ms 740: 00"),
+            &format!("{} ms stop", again + 100),
+        ];
+        let timeline = board.timeline();
+        assert_eq!(timeline[..expected.len().min(timeline.len())], expected);
+        board.is_acknowledged = true;
+        board.pass_ms(1_000);
+        board.timeline();
+        board.is_acknowledged = false;
+        board.lss("04 01");
+        board.lss("5E");
+        board.pass_ms(1_000);
+        assert_eq!(board.timeline().len(), 1, "a proven one does not pause");
+    }
+}
+
+#[test]
+fn a_request_in_a_pause_ends_it_and_is_answered() {
     let mut board = unproven();
     board.pass_ms(110);
     board.is_acknowledged = true;
-    assert_eq!(board.sdo("40 18 10 04"), ["740: 00", "5C0: 43 18 10 04 EF BE AD DE"]);
+    let request = testkit::sdo::request(0x40, "40 18 10 04");
+    let expected = ["740: 00", "5C0: 43 18 10 04 EF BE AD DE"];
+    assert_eq!(board.receive(&request), expected);
 }
 
 #[test]
-fn a_receiver_that_is_error_passive_drops_its_frames_and_waits_50_ms() {
-    for home in [BitRate::Kbit1000, BitRate::Kbit10] {
-        let mut board = disturbed(home, ErrorPassive);
-        board.pass_ms(20);
-        board.see(ErrorPassive);
-        board.pass_ms(30);
-        assert_eq!(board.timeline(), ["0 ms stop", "0 ms resume", "50 ms 740: 7F"]);
-    }
-}
-
-#[test]
-fn frames_wait_50_ms_after_the_latest_error() {
-    for (by, error) in [(BusOff, Error), (ErrorPassive, FormError)] {
-        let mut board = disturbed(BitRate::Kbit125, by);
-        board.see(Received);
-        board.see(by);
-        for _ in 0..20 {
-            assert_eq!(board.pass_us(40_000), SILENCE);
-            board.see(error);
-        }
-        assert_eq!(board.pass_us(49_999), SILENCE, "{by:?}");
-        assert_eq!(board.pass_us(1), ["740: 7F"], "{by:?}");
-    }
-}
-
-#[test]
-fn a_bus_that_is_held_dominant_does_not_extend_the_wait() {
-    for by in [BusOff, ErrorPassive] {
-        let mut board = disturbed(BitRate::Kbit125, by);
-        board.pass_us(40_000);
-        board.see(HeldDominant);
-        assert_eq!(board.pass_us(9_999), SILENCE, "{by:?}");
-        assert_eq!(board.pass_us(1), ["740: 7F"], "{by:?}");
-    }
-}
-
-#[test]
-fn after_a_fruitless_search_errors_do_not_extend_the_wait() {
-    let mut board = powered_on(BitRate::Kbit125, 10);
-    board.is_acknowledged = false;
-    doubt(&mut board);
-    board.see(HeldDominant);
-    assert!(!board.node.is_listening(), "the search has ended");
-    for is_extended in [false, true] {
-        board.see(ErrorPassive);
-        board.pass_us(40_000);
+fn a_frame_of_any_kind_proves_home() {
+    for frame in [frames::stranger(), frames::request("04 00"), frames::command("01 00")] {
+        let mut board = unproven();
+        board.receive(&frame);
+        board.timeline();
         board.see(Error);
-        assert_eq!(board.pass_us(9_999), SILENCE);
-        assert_eq!(board.pass_us(1).0.is_empty(), is_extended);
-        board.see(Received);
+        assert_eq!(board.timeline(), SILENCE, "{frame:?}");
     }
 }
 
 #[test]
-fn a_valid_frame_or_an_acknowledge_ends_the_wait() {
-    for by in [BusOff, ErrorPassive] {
-        for proof in [Received, Acknowledged] {
-            let mut board = disturbed(BitRate::Kbit125, by);
-            assert_eq!(board.pass_ms(1), SILENCE);
-            assert_eq!(board.see(proof), ["740: 7F"], "{by:?}, {proof:?}");
-        }
-        let mut board = disturbed(BitRate::Kbit125, by);
-        board.lss("04 01");
-        assert_eq!(board.lss("5E"), ["5E 40"], "a request is answered at once");
-    }
-}
-
-#[test]
-fn a_node_without_supervision_never_looks_elsewhere_nor_waits() {
-    let settings = defaults(0x40).with_heartbeat_ms(100);
-    let device = device(ADDRESS).with_rescue(false);
-    let mut board = NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0);
+fn bus_off_at_an_unproven_rate_restarts_the_controller_and_pauses() {
+    let mut board = switched();
     board.is_acknowledged = false;
-    for _ in 0..1_000 {
-        for event in [BusOff, Error, FormError, ErrorPassive, Error] {
-            board.see(event);
-        }
-        assert_eq!(board.pass_ms(100), ["740: 7F"]);
-    }
-    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
+    board.see(BusOff);
+    board.see(BusOff);
+    assert_eq!(board.timeline(), ["0 ms 50 kbit/s", "0 ms resume"], "a request can be received");
+    board.is_acknowledged = true;
+    assert_eq!(board.lss("5E"), ["5E 40"]);
+    board.timeline();
+    board.see(BusOff);
+    assert_eq!(board.timeline(), SILENCE, "a proven one recovers like any other node");
 }

@@ -2,9 +2,7 @@
 
 use lss_slave::{
     Action, BitRate, BitRates,
-    BusEvent::{
-        self, Acknowledged, BusOff, Error, ErrorPassive, FormError, HeldDominant, Received,
-    },
+    BusEvent::{self, Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
 };
 use testkit::{
     flash::BoardFlash,
@@ -19,11 +17,11 @@ const MOODS: [&[BusEvent]; 9] = [
     &[Error],
     &[FormError],
     &[Error, FormError],
-    &[Error, Error, Error, Error, FormError, ErrorPassive, BusOff],
+    &[Error, Error, Error, Error, FormError, BusOff],
     &[Error, Error, Error, Error, Error, Error, Received],
     &[Error, Error, Error, Error, Acknowledged],
     &[Received, Received, Acknowledged, FormError],
-    &[Received, Acknowledged, Error, FormError, ErrorPassive, BusOff],
+    &[Received, Acknowledged, Error, FormError, BusOff],
     &[Error, FormError, HeldDominant],
 ];
 
@@ -38,6 +36,8 @@ struct Run {
     /// Configured by `13` and not activated.
     configured: Option<BitRate>,
     trusted_until: u64,
+    /// A frame was received or acknowledged at home.
+    is_proven: bool,
     /// The time since which the node listens at other rates than home.
     away_since: Option<u64>,
     looks: u32,
@@ -65,6 +65,7 @@ impl Run {
             home,
             configured: None,
             trusted_until: 0,
+            is_proven: true,
             away_since: None,
             looks: 0,
             rescues: 0,
@@ -76,6 +77,7 @@ impl Run {
     fn check(&mut self) {
         for (at, action) in self.board.take_timed_actions().collect::<Vec<_>>() {
             match action {
+                Action::Listen(_) if self.is_proven => panic!("a proven rate is never left"),
                 Action::Listen(rate) if rate != self.home => {
                     assert!(at >= self.trusted_until, "home counts alone");
                     self.away_since.get_or_insert(at);
@@ -105,8 +107,19 @@ impl Run {
     }
 
     fn see(&mut self, events: &[BusEvent], gap_us: u64, random: &mut Random) {
-        self.board.see(random.pick(events));
+        let event = random.pick(events);
+        self.board.see(event);
+        self.note(event);
         self.board.pass_us(random.within(0..gap_us));
+    }
+
+    /// Notes whether the event has proven home.
+    fn note(&mut self, event: BusEvent) {
+        let takes_part = !self.board.node.is_listening() && self.board.bit_rate() == self.home;
+        if takes_part && matches!(event, Received | Acknowledged) {
+            self.check();
+            self.is_proven = true;
+        }
     }
 
     fn configure(&mut self, rate: BitRate) {
@@ -134,7 +147,9 @@ impl Run {
         }
         self.board.pass_us(end - self.board.now());
         assert!(!self.board.actions().any(|action| matches!(action, Action::Listen(_))));
-        self.home = self.configured.take().unwrap_or(in_use);
+        let home = self.configured.take().unwrap_or(in_use);
+        self.is_proven &= self.home == home;
+        self.home = home;
         self.trusted_until = end + 30_000_000;
         self.switches += 1;
         assert_eq!(self.board.bit_rate(), self.home);
@@ -152,6 +167,7 @@ impl Run {
             assert_eq!(self.home, self.default);
         }
         self.configured = None;
+        self.is_proven = false;
         self.trusted_until = 0;
         self.away_since = None;
         self.board.take_actions();
@@ -165,9 +181,9 @@ impl Run {
             self.check();
         }
         match random.within(0..16) {
-            0 => self.cut_power(),
-            1..4 => self.configure(random.pick(&BitRate::ALL)),
-            4..7 => self.activate(random),
+            0..3 => self.cut_power(),
+            3..5 => self.configure(random.pick(&BitRate::ALL)),
+            5..7 => self.activate(random),
             7 => assert_ne!(self.board.lss("17"), ["17 01"]),
             8 => {
                 self.board.nmt(random.pick(&["01 00", "02 00", "80 00", "82 00"]));
@@ -210,7 +226,7 @@ impl Run {
 }
 
 #[test]
-fn home_always_has_its_turns_and_is_never_lost() {
+fn home_has_its_turns_and_once_proven_is_never_left() {
     let mut random = Random::from_environment();
     let [mut looks, mut rescues, mut switches] = [0; 3];
     for _ in 0..100 {
@@ -224,7 +240,7 @@ fn home_always_has_its_turns_and_is_never_lost() {
         switches += run.switches;
     }
     println!("{looks} looks, {rescues} rescues, {switches} switches");
-    assert!(looks > 1_000 && rescues > 50 && switches > 100);
+    assert!(looks > 1_000 && rescues > 50 && switches > 50);
 }
 
 #[test]

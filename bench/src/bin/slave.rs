@@ -40,7 +40,7 @@ extern "C" fn receive() {
         Some(Reaction::Answer(answer)) => answer,
         Some(Reaction::StoreConfiguration) => Response::StoreConfiguration(Ok(())).to_frame(),
         Some(Reaction::ActivateBitTiming(_)) => {
-            slave.activate_bit_rate();
+            slave.activate_bit_rate(slave.pending_bit_rate());
             return;
         }
         Some(Reaction::ResetCommunication) => return slave.reset_communication(),

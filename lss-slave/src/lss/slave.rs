@@ -6,7 +6,7 @@ use super::{
     Address, AddressPart, FastscanStep, IdentifyKey, Request,
     Response::{self, *},
 };
-use crate::{BitRate, BitRateSetting, BitRates, Frame, NodeId};
+use crate::{BitRateSetting, BitRates, Frame, NodeId};
 
 /// The LSS state, which is independent of the NMT state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,18 +119,14 @@ impl Slave {
         self.pending_bit_rate
     }
 
-    /// Activates the pending bit rate and returns it.
-    pub const fn activate_bit_rate(&mut self) -> BitRateSetting {
+    /// Activates the pending bit rate and returns it. Unless a master has configured one since the latest activation,
+    /// this is the `active` one.
+    pub const fn activate_bit_rate(&mut self, active: BitRateSetting) -> BitRateSetting {
+        if !self.is_bit_rate_configured {
+            self.pending_bit_rate = active;
+        }
         self.is_bit_rate_configured = false;
         self.pending_bit_rate
-    }
-
-    /// Makes `rate`, at which the node takes part in the bus without a command, the pending bit rate. A rate that a
-    /// master has configured but not activated stays pending.
-    pub const fn adopt_bit_rate(&mut self, rate: BitRate) {
-        if !self.is_bit_rate_configured {
-            self.pending_bit_rate = BitRateSetting::Fixed(rate);
-        }
     }
 
     /// Locks the LSS state to waiting, or releases it.
@@ -141,8 +137,12 @@ impl Slave {
         }
     }
 
-    /// Enters LSS waiting state and discards all progress. A pending node-ID stays pending.
-    pub const fn enter_waiting(&mut self) {
+    /// Enters LSS waiting state and discards all progress, for a node that may miss requests. Without an active node-ID
+    /// the pending one is discarded too: the master may give it to another device meanwhile.
+    pub const fn discard_session(&mut self) {
+        if self.active_node_id.is_none() {
+            self.pending_node_id = None;
+        }
         self.switch_to(State::Waiting);
     }
 

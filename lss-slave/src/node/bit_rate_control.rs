@@ -3,7 +3,9 @@
 use core::mem;
 
 use crate::{
-    BitRate, BitRateSetting, BitRates, BusEvent, Frame, Instant, nmt,
+    BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, lss, nmt,
+    process_data::sync,
+    sdo,
     supervision::{Step, Supervision},
 };
 
@@ -14,8 +16,8 @@ pub(super) struct BitRateControl {
     /// The active setting is automatic detection.
     is_automatic: bool,
     switch: Option<Switch>,
-    /// A frame was received at home, but the supervision has not been informed.
-    is_proof_due: bool,
+    /// See [`is_settled`](Self::is_settled).
+    is_settled: bool,
     /// Frames may be sent again, but the board has not been informed.
     is_resume_due: bool,
 }
@@ -59,12 +61,12 @@ pub(super) enum Next {
 
 impl BitRateControl {
     /// The control of a node that was powered on with this setting.
-    pub const fn new(setting: BitRateSetting, rates: BitRates, is_supervised: bool) -> Self {
+    pub const fn new(setting: BitRateSetting, device: &Device) -> Self {
         Self {
-            supervision: Supervision::new(setting, rates, is_supervised),
+            supervision: Supervision::new(setting, device),
             is_automatic: matches!(setting, BitRateSetting::Automatic),
             switch: None,
-            is_proof_due: false,
+            is_settled: false,
             is_resume_due: false,
         }
     }
@@ -110,26 +112,17 @@ impl BitRateControl {
 
     /// Whether the supervision allows frames to be sent.
     pub const fn may_send(&self) -> bool {
-        !self.supervision.is_listening() && !self.supervision.is_withholding()
+        self.supervision.may_send()
     }
 
-    /// Whether another valid frame makes no difference.
-    pub const fn is_at_ease(&self) -> bool {
-        self.supervision.is_at_ease()
+    /// Whether the home rate is proven and no switch runs. Until the next [`switch`](Self::switch) no frame, event or
+    /// time makes a difference.
+    pub const fn is_settled(&self) -> bool {
+        self.is_settled
     }
 
     /// Handles a received frame and returns whether it may be served.
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> bool {
-        if self.supervision.is_at_home() {
-            // The answer is sent first.
-            self.is_proof_due = true;
-            return true;
-        }
-        self.handle_frame_away(frame, now)
-    }
-
-    #[inline(never)] // An answer at home does not call it; inlined it takes 220 bytes more.
-    fn handle_frame_away(&mut self, frame: &Frame, now: Instant) -> bool {
         // The sender may be lost like this node and repeat its boot-up until someone acknowledges it.
         if self.supervision.is_elsewhere() && nmt::is_boot_up(frame) {
             return false;
@@ -137,17 +130,10 @@ impl BitRateControl {
         // A sender repeats its frame until someone acknowledges it.
         let is_acknowledged = !self.is_listening();
         self.handle_bus(BusEvent::Received, now);
+        if is_request(frame) {
+            self.supervision.note_request(now);
+        }
         is_acknowledged
-    }
-
-    /// The time until which a frame is repeated without an acknowledge.
-    pub const fn repeats_until(&self) -> Option<Instant> {
-        self.supervision.repeats_until()
-    }
-
-    /// Handles an acknowledge if it only ends the repetition of a frame; returns whether it does.
-    pub const fn take_acknowledge(&mut self) -> bool {
-        self.supervision.take_acknowledge()
     }
 
     /// Handles an event of the controller.
@@ -167,6 +153,7 @@ impl BitRateControl {
     /// Begins the switch to the pending bit rate, with two delays of `delay_ms` milliseconds.
     pub fn switch(&mut self, delay_ms: u16, now: Instant) {
         let delay_micros = u32::from(delay_ms) * 1000;
+        self.is_settled = false;
         self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });
     }
 
@@ -186,9 +173,6 @@ impl BitRateControl {
 
     /// The next step at `now`; `None` if the bit rate requires none and the node may do other work.
     pub fn poll(&mut self, now: Instant) -> Option<Next> {
-        if mem::take(&mut self.is_proof_due) {
-            self.handle_bus(BusEvent::Received, now);
-        }
         // A detection that the switch has begun may complete within it.
         if (self.is_supervised() || self.supervision.has_step())
             && let Some(step) = self.supervision.poll(now)
@@ -202,7 +186,10 @@ impl BitRateControl {
             None if !self.is_listening() && mem::take(&mut self.is_resume_due) => {
                 Some(Next::ResumeTransmitting)
             }
-            None => None,
+            None => {
+                self.is_settled = self.supervision.is_settled();
+                None
+            }
         }
     }
 
@@ -238,25 +225,37 @@ impl BitRateControl {
     }
 }
 
+/// Whether a master has sent the frame.
+fn is_request(frame: &Frame) -> bool {
+    const SDO: u16 = sdo::REQUEST_COB_ID;
+    matches!(frame.cob_id(), lss::REQUEST_COB_ID | nmt::COMMAND_COB_ID | sync::COB_ID)
+        || frame.cob_id() & !0x7F == SDO
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{BitRate, BitRates, lss::Address};
 
-    const HOME: BitRateSetting = BitRateSetting::Fixed(BitRate::Kbit125);
+    const ADDRESS: Address =
+        Address { vendor_id: 0, product_code: 0, revision_number: 0, serial_number: 0 };
 
     fn at(ms: u32) -> Instant {
         Instant::from_micros(ms * 1000)
     }
 
-    fn control(is_supervised: bool) -> BitRateControl {
-        BitRateControl::new(HOME, BitRates::possible(40_000_000), is_supervised)
-    }
-
     #[test]
     fn a_switch_is_silent_for_both_delays_and_activates_between_them() {
-        let mut control = control(false);
+        let device = Device::new(ADDRESS, BitRates::possible(40_000_000)).with_rescue(true);
+        let mut control = BitRateControl::new(BitRate::Kbit125.into(), &device);
+        control.handle_bus(BusEvent::Received, at(0));
+        assert_eq!((control.poll(at(0)), control.is_settled()), (None, true));
         control.switch(10, at(0));
+        assert!(!control.is_settled());
         assert_eq!(control.poll(at(0)), Some(Next::StopTransmitting));
+        for _ in 0..100 {
+            control.handle_bus(BusEvent::Error, at(1));
+        }
         assert_eq!(
             (control.poll(at(9)), control.poll_at()),
             (Some(Next::KeepSilent), Some(at(10)))
@@ -269,45 +268,8 @@ mod tests {
         assert_eq!(control.poll(at(20)), Some(Next::ResumeTransmitting));
         assert_eq!((control.poll(at(20)), control.is_switching()), (None, false));
         assert_eq!(
-            (control.in_use(), control.active()),
-            (BitRate::Kbit500, BitRate::Kbit500.into())
+            (control.in_use(), control.active(), control.is_settled()),
+            (BitRate::Kbit500, BitRate::Kbit500.into(), false)
         );
-    }
-
-    #[test]
-    fn errors_within_a_switch_do_not_count() {
-        let mut control = control(true);
-        control.switch(10, at(0));
-        for _ in 0..100 {
-            control.handle_bus(BusEvent::Error, at(1));
-        }
-        assert_eq!(control.poll(at(1)), Some(Next::StopTransmitting));
-        assert_eq!(control.poll(at(9)), Some(Next::KeepSilent));
-        assert!(!control.is_listening());
-    }
-
-    #[test]
-    fn the_active_rate_follows_what_was_found_and_automatic_stays() {
-        let mut control = control(true);
-        control.handle_bus(BusEvent::Error, at(0));
-        assert_eq!(control.poll(at(0)), Some(Next::Step(Step::Listen(BitRate::Kbit1000))));
-        assert!(control.is_listening() && !control.may_send());
-        control.handle_bus(BusEvent::Received, at(1));
-        assert_eq!(control.take_change(), Some(BitRate::Kbit1000));
-        assert_eq!(control.active(), BitRate::Kbit1000.into());
-        assert_eq!(control.home(), Some(BitRate::Kbit125));
-        control.activate(BitRateSetting::Automatic, at(2));
-        control.handle_bus(BusEvent::Received, at(3));
-        assert_eq!(control.active(), BitRateSetting::Automatic);
-        assert_eq!(control.home(), Some(BitRate::Kbit1000));
-    }
-
-    #[test]
-    fn a_frame_heard_in_silence_is_not_served_for_its_sender_repeats_it() {
-        let frame = Frame::new(0x7E5, &[0; 8]).expect("a frame");
-        assert!(control(true).handle_frame(&frame, at(0)));
-        let mut listening =
-            BitRateControl::new(BitRateSetting::Automatic, BitRates::possible(40_000_000), true);
-        assert!(!listening.handle_frame(&frame, at(0)));
     }
 }

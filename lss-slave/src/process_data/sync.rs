@@ -7,7 +7,7 @@ use crate::{Frame, sdo::Abort};
 pub(super) const WRONG_LENGTH: u16 = 0x8240;
 
 /// The COB-ID of SYNC in the predefined connection set (CiA 301).
-const COB_ID: u16 = 0x080;
+pub const COB_ID: u16 = 0x080;
 
 /// The parameters of the SYNC consumer.
 #[derive(Clone, Copy, Debug)]

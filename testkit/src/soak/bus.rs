@@ -63,13 +63,8 @@ impl Slot {
     }
 
     fn see(&mut self, event: BusEvent) -> Frames {
-        let was_passive = self.errors == PASSIVE;
         self.errors = PASSIVE.min(self.errors + 1);
-        let mut frames = self.rig.see(event);
-        if !was_passive && self.errors == PASSIVE && !self.rig.node.is_listening() {
-            frames.0.extend(self.rig.see(BusEvent::ErrorPassive).0);
-        }
-        frames
+        self.rig.see(event)
     }
 
     fn receive(&mut self, frame: &Frame) -> Frames {

@@ -210,7 +210,6 @@ fn errors_of_the_bus_are_reported_and_counted() {
     can.set_bit_rate(BitRate::Kbit125);
     set(CAN1.esr(), 130 << 24 | 7 << 16 | FORM | BUS_OFF);
     assert_eq!(can.error_counters(), (7, 130));
-    assert!(can.is_passive_by_reception());
     assert_eq!(can.bus_state(), BusState::BusOff);
     assert_eq!(can.handle_status(), Some(BusEvent::FormError));
     assert!(CAN1.ier().read().lecie().bit_is_clear());

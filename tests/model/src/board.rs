@@ -220,12 +220,8 @@ impl Board {
     /// The controller detects an error of a frame.
     pub fn see_error(&mut self, event: BusEvent) {
         let Some(running) = &mut self.running else { return };
-        let becomes_passive = running.errors + 1 == PASSIVE && !running.is_silent;
         running.errors = PASSIVE.min(running.errors + 1);
         self.see(event);
-        if becomes_passive {
-            self.see(BusEvent::ErrorPassive);
-        }
     }
 
     /// The node learns of an event of its controller.
