@@ -15,7 +15,6 @@ mod flash;
 #[cfg(feature = "io")]
 mod io_board;
 mod led;
-mod memory;
 mod pins;
 mod report;
 mod roll_call;

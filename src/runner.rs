@@ -64,8 +64,10 @@ impl Runner {
                     if self.node.is_due(now) && !self.can.is_listening() {
                         self.act_until_nothing_is_due();
                     }
-                    if let Some(action) = self.node.handle_frame(&frame, now) {
-                        self.act(action);
+                    match self.node.handle_frame(&frame, now) {
+                        Some(Action::Transmit(answer)) => self.can.transmit(answer),
+                        Some(action) => self.act(action),
+                        None => {}
                     }
                 }
                 Received::Other => self.node.handle_bus(BusEvent::Received, clock::now()),
@@ -201,14 +203,27 @@ impl Runner {
     }
 
     fn act_until_nothing_is_due(&mut self) {
+        if self.node.is_due(clock::now()) {
+            self.poll_node();
+        }
+    }
+
+    #[inline(never)] // Most frames make nothing due.
+    fn poll_node(&mut self) {
         while let Some(action) = self.node.poll(clock::now()) {
             self.act(action);
         }
     }
 
     fn set_alarm(&mut self) {
-        let others = [self.node.poll_at(), self.can.watch_at()].into_iter().flatten();
-        self.alarm.set(others.fold(self.step_at, Instant::earlier));
+        let mut at = self.step_at;
+        if let Some(of_node) = self.node.poll_at() {
+            at = at.earlier(of_node);
+        }
+        if let Some(of_watch) = self.can.watch_at() {
+            at = at.earlier(of_watch);
+        }
+        self.alarm.set(at);
     }
 
     fn act(&mut self, action: Action) {
@@ -216,7 +231,7 @@ impl Runner {
             Action::Transmit(frame) => self.can.transmit(frame),
             Action::SetNodeId(id) => {
                 defmt::info!("node-ID {=u8} (255: none)", NodeId::to_lss(id));
-                self.can.forget_all_but(lss::RESPONSE_COB_ID);
+                self.can.drop_frames(|cob_id| cob_id != lss::RESPONSE_COB_ID);
                 self.can.set_receives(self.node.receives());
             }
             Action::SetReceives => {

@@ -1,6 +1,6 @@
 //! The frames that wait for a mailbox: the most urgent first, those of one COB-ID in the order of arrival.
 
-use core::cmp::Reverse;
+use core::{cmp::Reverse, iter};
 
 use lss_slave::{Frame, nmt};
 
@@ -12,12 +12,14 @@ const CAPACITY: usize = 16;
 
 /// The pending frames.
 pub struct TransmitQueue {
-    places: [Option<Waiting>; CAPACITY],
-    len: usize,
+    places: [Waiting; CAPACITY],
+    /// The occupied places, a bit for each.
+    occupied: u16,
     /// The number of frames ever queued; wraps.
     arrivals: u32,
 }
 
+#[derive(Clone, Copy)]
 struct Waiting {
     frame: Frame,
     arrival: u32,
@@ -26,52 +28,51 @@ struct Waiting {
 impl TransmitQueue {
     /// An empty queue.
     pub const fn new() -> Self {
-        Self { places: [const { None }; CAPACITY], len: 0, arrivals: 0 }
+        let frame = Frame::from_padded(0, 0, [0; 8]).expect("a frame");
+        Self { places: [Waiting { frame, arrival: 0 }; CAPACITY], occupied: 0, arrivals: 0 }
     }
 
     /// Whether the queue is empty.
     pub fn is_empty(&self) -> bool {
-        self.len == 0
+        self.occupied == 0
     }
 
     /// Drops all frames.
     pub fn clear(&mut self) {
-        *self = Self::new();
+        self.occupied = 0;
     }
 
-    /// Drops all frames except those of `cob_id`.
-    pub fn retain(&mut self, cob_id: u16) {
-        if self.is_empty() {
-            return;
-        }
-        for place in &mut self.places {
-            if place.as_ref().is_some_and(|waiting| waiting.frame.cob_id() != cob_id) {
-                *place = None;
-                self.len = self.len.saturating_sub(1);
-            }
-        }
+    /// Drops the frames with these COB-IDs.
+    pub fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+        let dropped = self.waiting().filter(|(_, waiting)| are_dropped(waiting.frame.cob_id()));
+        self.occupied &= !dropped.fold(0, |dropped, (at, _)| dropped | 1 << at);
+    }
+
+    /// Whether all waiting frames are less urgent than `frame`.
+    pub fn is_behind(&self, frame: &Frame) -> bool {
+        self.waiting().all(|(_, waiting)| frame.cob_id() < waiting.frame.cob_id())
     }
 
     /// Adds a frame; returns whether there was room. A heartbeat that is already waiting is not added again, and a PDO
     /// replaces the waiting one of the same COB-ID, so that a board that is alone on its bus does not accumulate them.
     pub fn push(&mut self, frame: Frame) -> bool {
-        let is_error_control = frame.cob_id() & !0x7F == nmt::ERROR_CONTROL_COB_ID;
-        if is_error_control && self.places.iter().flatten().any(|waiting| waiting.frame == frame) {
-            return true;
-        }
-        if Node::HAS_TPDOS && is_process_data(frame.cob_id()) {
-            let mut waiting = self.places.iter_mut().flatten();
-            if let Some(older) = waiting.find(|older| older.frame.cob_id() == frame.cob_id()) {
-                older.frame = frame;
-                return true;
-            }
-        }
-        let Some(place) = self.places.iter_mut().find(|place| place.is_none()) else {
+        let cob_id = frame.cob_id();
+        let is_error_control = cob_id & !0x7F == nmt::ERROR_CONTROL_COB_ID;
+        let is_pdo = Node::HAS_TPDOS && is_process_data(cob_id);
+        let replaced = self.waiting().find(|(_, older)| {
+            is_pdo && older.frame.cob_id() == cob_id || is_error_control && older.frame == frame
+        });
+        let at = replaced.map_or(self.occupied.trailing_ones() as usize, |(at, _)| at);
+        let is_new = replaced.is_none();
+        let Some(place) = self.places.get_mut(at) else {
             return false;
         };
-        self.arrivals = self.arrivals.wrapping_add(1);
-        *place = Some(Waiting { frame, arrival: self.arrivals });
-        self.len = self.len.saturating_add(1);
+        place.frame = frame;
+        if is_new {
+            self.arrivals = self.arrivals.wrapping_add(1);
+            place.arrival = self.arrivals;
+            self.occupied |= 1 << at;
+        }
         true
     }
 
@@ -79,16 +80,22 @@ impl TransmitQueue {
     pub fn pop_if(&mut self, send: impl FnOnce(&Frame) -> bool) -> bool {
         let now = self.arrivals;
         let urgency = |w: &Waiting| (w.frame.cob_id(), Reverse(now.wrapping_sub(w.arrival)));
-        let waiting = self.places.iter_mut().filter(|place| place.is_some());
-        let Some(place) = waiting.min_by_key(|place| place.as_ref().map(urgency)) else {
+        let first = self.waiting().min_by_key(|(_, waiting)| urgency(waiting));
+        let Some((at, _)) = first.filter(|(_, waiting)| send(&waiting.frame)) else {
             return false;
         };
-        let is_sent = place.as_ref().is_some_and(|waiting| send(&waiting.frame));
-        if is_sent {
-            *place = None;
-            self.len = self.len.saturating_sub(1);
-        }
-        is_sent
+        self.occupied &= !(1 << at);
+        true
+    }
+
+    /// The waiting frames with their places.
+    fn waiting(&self) -> impl Iterator<Item = (usize, &Waiting)> {
+        let mut rest = self.occupied;
+        iter::from_fn(move || {
+            let at = rest.trailing_zeros() as usize;
+            rest &= rest.wrapping_sub(1);
+            self.places.get(at).map(|waiting| (at, waiting))
+        })
     }
 }
 

@@ -161,7 +161,7 @@ fn a_deadline_of_a_search_may_pass_just_before_a_frame_is_handled() {
 
 #[test]
 fn a_full_queue_drops_the_latest_messages() {
-    let mut rig = slow_node_40(60);
+    let mut rig = slow_node_40(200);
     // Each lost frame is reported, but the commands go first.
     for _ in 0..600 {
         rig.queue(&frames::command("01 7F"));

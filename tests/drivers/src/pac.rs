@@ -8,10 +8,10 @@ use std::{
 
 use stm32f4::{
     RawReg, Reg, RegisterSpec,
-    stm32f405::{can1, flash, gpioa, pwr, rcc, tim2},
+    stm32f405::{flash, gpioa, pwr, rcc, tim2},
 };
 
-pub use stm32f4::stm32f405::Interrupt;
+pub use stm32f4::stm32f405::{Interrupt, can1};
 
 use crate::{board, memory::Memory};
 

@@ -171,18 +171,21 @@ fn a_received_frame_has_its_identifier_and_data() {
 #[test]
 fn frames_go_to_a_mailbox_or_wait_for_one() {
     let _chip = memory::take();
-    let mailbox = || (CAN1.tx(0).tir().read().stid().bits(), CAN1.tx(0).tdlr().read().bits());
+    let mailbox = |at| (CAN1.tx(at).tir().read().stid().bits(), CAN1.tx(at).tdlr().read().bits());
     let mut can = controller();
     can.transmit(frame(0x181));
-    assert_eq!(mailbox(), (0x181, 0x0403_0201));
+    assert_eq!(mailbox(0), (0x181, 0x0403_0201));
+    assert!(can.has_sent_all());
     set(CAN1.tsr(), 0);
     can.transmit(frame(0x182));
-    assert_eq!(mailbox().0, 0x181);
+    assert_eq!(mailbox(0).0, 0x181);
     assert!(!can.has_sent_all());
-    set(CAN1.tsr(), ALL_EMPTY);
-    can.transmit(frame(0x183));
-    assert!(can.has_sent_all());
-    assert_eq!(mailbox().0, 0x183);
+    // Behind 181h, of which there are two then, and ahead of it.
+    set(CAN1.tsr(), 0b110 << 26);
+    can.transmit(frame(0x181));
+    assert_eq!([mailbox(1).0, mailbox(2).0], [0, 0]);
+    can.transmit(frame(0x180));
+    assert_eq!([mailbox(1).0, mailbox(2).0], [0, 0x180]);
 }
 
 #[test]
@@ -195,7 +198,7 @@ fn only_flags_that_were_seen_are_cleared_and_mailboxes_aborted() {
     assert_eq!(CAN1.tsr().read().bits(), 1 << 8);
     assert!(!can.handle_transmitted());
     set(CAN1.tx(1).tir(), 0x7E4 << 21);
-    can.forget_all_but(0x7E4);
+    can.drop_frames(|cob_id| cob_id != 0x7E4);
     assert_eq!(CAN1.tsr().read().bits(), 1 << 7 | 1 << 23);
     can.stop_transmitting();
     assert_eq!(CAN1.tsr().read().bits(), 1 << 7 | 1 << 15 | 1 << 23);
