@@ -23,7 +23,11 @@ use emulator::{
     chip::Part,
     network::{Event, Source, What},
 };
-use lss_slave::{BitRate, BitRateSetting, NodeId, Settings, lss::Request};
+use lss_master::Fastscan;
+use lss_slave::{
+    BitRate, BitRateSetting, NodeId, Settings,
+    lss::{Address, Request},
+};
 use testkit::{
     boards::{self, FIRST_START},
     image_rig::{DEFAULT_BIT_RATE, SETTINGS_OFFSET, flash_with},
@@ -146,7 +150,8 @@ fn session(master: &mut Master, screen: &mut Screen) -> anyhow::Result<()> {
     screen.show(master.network.trace())?;
 
     screen.chapter("The master finds it by Fastscan: 128 bits of LSS address, one by one")?;
-    let [vendor_id, product_code, revision_number, serial_number] = master.fast_scan()?;
+    let found = master.carry_out(Fastscan::new())?.context("all nodes have a node-ID")?;
+    let Address { vendor_id, product_code, revision_number, serial_number } = found;
     screen.show(master.network.trace())?;
     screen.remark(&format!(
         "found: vendor-ID {vendor_id:08X}, product code {product_code:08X}, revision number \
@@ -156,15 +161,15 @@ fn session(master: &mut Master, screen: &mut Screen) -> anyhow::Result<()> {
     ensure!(serial_number == expected, "the serial number of the chip is {expected:08X}");
 
     screen.chapter("It gets a node-ID; both boards get a bit rate, and store")?;
-    master.request(Request::ConfigureNodeId(NODE_ID))?;
-    master.send(Request::SwitchToConfiguration);
-    master.request(Request::ConfigureBitTiming { table: 0, index: NEW_RATE.index() })?;
-    master.request(Request::StoreConfiguration)?;
+    master.carry_out(Request::ConfigureNodeId(NODE_ID))?;
+    master.carry_out(Request::SwitchToConfiguration)?;
+    master.carry_out(Request::ConfigureBitTiming { table: 0, index: NEW_RATE.index() })?;
+    master.carry_out(Request::StoreConfiguration)?;
     screen.show(master.network.trace())?;
 
     screen
         .chapter("All switch to 500 kbit/s, after the switch delay and in silence for another")?;
-    master.send(Request::ActivateBitTiming(SWITCH_DELAY_MS));
+    master.carry_out(Request::ActivateBitTiming(SWITCH_DELAY_MS))?;
     let delay = Time::from_ms(SWITCH_DELAY_MS.into());
     master.pass(delay);
     master.set_bit_rate(NEW_RATE);
@@ -172,7 +177,7 @@ fn session(master: &mut Master, screen: &mut Screen) -> anyhow::Result<()> {
     screen.show(master.network.trace())?;
 
     screen.chapter("Back to LSS waiting state: the new board takes its node-ID and boots up")?;
-    master.send(Request::SwitchToWaiting);
+    master.carry_out(Request::SwitchToWaiting)?;
     expect(master, error_control(NODE_ID, 0), FIRST_START)?;
     screen.show(master.network.trace())?;
 

@@ -55,9 +55,6 @@ impl Procedure for Configure {
     }
 }
 
-/// How often the slave is sent back to LSS waiting state.
-const FAREWELLS: u8 = 3;
-
 /// Finds a slave, configures it and stores that. In the end all slaves are in LSS waiting state, also after an error. A
 /// slave that had no node-ID boots up with the new one.
 ///
@@ -81,10 +78,7 @@ enum Target {
 enum State {
     Find,
     Configure,
-    /// 04 00, and how often it may be repeated.
-    SwitchToWaiting(u8),
-    /// The question whether it was heard.
-    InquireNodeId(u8),
+    SwitchToWaiting,
 }
 
 impl Assign {
@@ -112,7 +106,7 @@ impl Assign {
             }
             Step::Done(result) => {
                 self.result = result;
-                self.leave(FAREWELLS)
+                self.leave()
             }
             step => step,
         }
@@ -123,12 +117,12 @@ impl Assign {
             if let Err(error) = result {
                 self.result = Err(error);
             }
-            self.leave(FAREWELLS)
+            self.leave()
         })
     }
 
-    fn leave(&mut self, farewells: u8) -> Step<Option<Address>> {
-        self.state = State::SwitchToWaiting(farewells);
+    fn leave(&mut self) -> Step<Option<Address>> {
+        self.state = State::SwitchToWaiting;
         Step::ask(Request::SwitchToWaiting)
     }
 }
@@ -158,14 +152,7 @@ impl Procedure for Assign {
                 let step = self.configure.next(outcome);
                 self.after_configure(step)
             }
-            State::SwitchToWaiting(farewells) => {
-                self.state = State::InquireNodeId(farewells);
-                Step::probe(Request::InquireNodeId)
-            }
-            State::InquireNodeId(farewells) => match (outcome, farewells.checked_sub(1)) {
-                (Ok(Some(_)), Some(farewells)) => self.leave(farewells),
-                _ => Step::Done(self.result),
-            },
+            State::SwitchToWaiting => Step::Done(self.result),
         }
     }
 }

@@ -76,12 +76,16 @@ impl Master {
         *slowest = Some(micros.max(known.saturating_sub(forgotten)));
     }
 
-    /// The time-out of a probe behind the queued requests.
+    /// The time in which the queued requests leave.
+    fn queue_time(&mut self, service: &Service) -> u32 {
+        self.slowest(service).unwrap_or(0).saturating_mul(self.queued)
+    }
+
+    /// The time-out of a probe.
     fn probe_time_out(&mut self, service: &Service, doubt: u8) -> u32 {
         let Some(slowest) = *self.slowest(service) else { return self.timing.answer };
-        // The exchanges with the most and with the fewest stuff bits differ by an eighth.
-        let exchange =
-            slowest.saturating_add(slowest / 8).saturating_mul(self.queued.saturating_add(1));
+        // Later requests may have more stuff bits.
+        let exchange = slowest.saturating_add(slowest / 16);
         let margin = self.timing.margin.saturating_mul(4_u32.saturating_pow(doubt.into()));
         exchange.saturating_add(margin).min(self.timing.answer)
     }
@@ -207,15 +211,12 @@ enum Progress {
 
 impl Exchange {
     fn new(service: Service, doubt: Option<u8>, master: &mut Master, now: Instant) -> Self {
-        let may_many_answer =
-            matches!(service.last(), Request::Identify(..) | Request::Fastscan(_));
         // The answers to the first question of all show how different the slaves are.
         let is_in_doubt =
             master.slowest(&service).is_none() || master.is_staggered || doubt > Some(0);
         Self {
-            service,
             doubt,
-            awaits_all: may_many_answer && is_in_doubt,
+            awaits_all: is_in_doubt && may_many_answer(&service),
             repetitions: doubt.unwrap_or(ATTEMPTS - 1),
             gap: master.timing.gap,
             sent: 0,
@@ -223,6 +224,7 @@ impl Exchange {
             is_alone: master.queued == 0,
             until: now,
             answer: None,
+            service,
         }
     }
 
@@ -249,6 +251,8 @@ impl Exchange {
             });
         }
         self.repetitions -= 1;
+        // The first attempt may have an answer yet.
+        self.awaits_all |= may_many_answer(&self.service);
         if self.doubt.is_none() && self.service.len() > 1 {
             // A slave may have lost frames that came back to back.
             self.gap = self.gap.saturating_mul(4).max(master.timing.margin);
@@ -263,22 +267,21 @@ impl Exchange {
         let request = self.service.request(self.sent);
         self.sent = self.sent.saturating_add(1);
         self.since = now;
-        let wait = if self.sent < self.service.len() || !self.has_answer() {
-            if !self.has_answer() {
-                master.queued = master.queued.saturating_add(1);
-            }
+        if self.sent < self.service.len() || !self.has_answer() {
+            self.until = now.plus_micros(self.gap);
             if self.gap > 0 {
                 master.queued = 0;
+            } else if !self.has_answer() {
+                master.queued = master.queued.saturating_add(1);
             }
-            self.gap
-        } else if let Some(doubt) = self.doubt {
-            master.probe_time_out(&self.service, doubt)
-        } else if request == Request::StoreConfiguration {
-            master.timing.store
-        } else {
-            master.timing.answer
+            return request.to_frame();
+        }
+        let wait = match (self.doubt, request) {
+            (Some(doubt), _) => master.probe_time_out(&self.service, doubt),
+            (None, Request::StoreConfiguration) => master.timing.store,
+            (None, _) => master.timing.answer,
         };
-        self.until = now.plus_micros(wait);
+        self.until = now.plus_micros(wait.saturating_add(master.queue_time(&self.service)));
         request.to_frame()
     }
 
@@ -298,4 +301,9 @@ impl Exchange {
     fn has_answer(&self) -> bool {
         answer_specifier(self.service.last()).is_some()
     }
+}
+
+/// Whether slaves answer this service together.
+fn may_many_answer(service: &Service) -> bool {
+    matches!(service.last(), Request::Identify(..) | Request::Fastscan(_))
 }

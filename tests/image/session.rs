@@ -1,10 +1,12 @@
 //! Sessions of an LSS master with the release image: every service of CiA 305 on emulated boards, frame by frame.
 
 use emulator::{Time, chip::ResetCause, network::What};
+use lss_master::{Fastscan, Master};
 use lss_slave::BitRate;
 use testkit::{
     frames::{Frames, SILENCE, number},
     image_rig::{ImageRig, bit_per_s, blank_board, board_with, settings},
+    lss_session::{carry_out, timing},
 };
 
 /// The number in the answer to an inquiry, the only frame.
@@ -37,33 +39,6 @@ fn identify(rig: &mut ImageRig, numbers: [u32; 6]) -> Frames {
     assert_eq!(rig.lss(&format!("49 {revision_high}")), SILENCE);
     assert_eq!(rig.lss(&format!("4A {serial_low}")), SILENCE);
     rig.lss(&format!("4B {serial_high}"))
-}
-
-/// Sends one Fastscan step; returns whether there is an answer.
-fn fastscan_step(rig: &mut ImageRig, id_number: u32, bit_check: u8, sub: u8, next: u8) -> bool {
-    let step = format!("51 {} {bit_check:02X} {sub:02X} {next:02X}", number(id_number));
-    let answers = rig.lss(&step);
-    assert!(answers == SILENCE || answers == ["4F"], "{step}: {answers:?}");
-    answers != SILENCE
-}
-
-/// Finds the LSS address of a slave without a node-ID, bit by bit, which leaves that slave in configuration state.
-fn fastscan(rig: &mut ImageRig) -> Option<[u32; 4]> {
-    if !fastscan_step(rig, 0, 0x80, 0, 0) {
-        return None;
-    }
-    let mut address = [0; 4];
-    for sub in 0..4 {
-        let part = &mut address[usize::from(sub)];
-        for bit in (0..32).rev() {
-            if !fastscan_step(rig, *part, bit, sub, sub) {
-                *part |= 1 << bit;
-            }
-        }
-        let part = *part;
-        assert!(fastscan_step(rig, part, 0, sub, (sub + 1) % 4), "the part that was found");
-    }
-    Some(address)
 }
 
 /// Restarts the board by NMT; returns its boot-up at its new bit rate.
@@ -162,14 +137,17 @@ fn fastscan_finds_three_new_boards_and_each_gets_a_node_id() {
         BitRate::Kbit1000,
         [1, 2, 3].map(|number| board_with(number, settings(0xFF, BitRate::Kbit1000))),
     );
-    let mut found = Vec::new();
-    while let Some(address) = fastscan(&mut rig) {
+    let mut master = Master::new(timing(BitRate::Kbit1000));
+    let mut found: Vec<[u32; 4]> = Vec::new();
+    while let Some(address) =
+        carry_out(&mut rig.network, rig.master, &mut master, Fastscan::new()).expect("answers")
+    {
         let node_id = found.len() + 1;
         assert_eq!(rig.lss("5E"), ["5E FF"]);
         assert_eq!(rig.lss(&format!("11 {node_id:02X}")), ["11 00"]);
         assert_eq!(rig.lss("17"), ["17 00"]);
         assert_eq!(rig.lss("04 00"), [format!("70{node_id}: 00").as_str()]);
-        found.push(address);
+        found.push(address.into());
     }
     assert_eq!(found.len(), 3);
     assert!(found.iter().all(|address| address[..3] == found[0][..3]), "one product");

@@ -12,6 +12,7 @@ use emulator::{
     image::Image,
     network::{Network, What},
 };
+use lss_master::Fastscan;
 use lss_slave::{BitRate, NodeId, Settings, bit_rate::BitTiming};
 use lss_slave_firmware::{chip::Chip, device};
 use testkit::{
@@ -242,8 +243,8 @@ fn check_rate(variant: &Variant, rate: BitRate, ppm: i32) -> anyhow::Result<()> 
 fn commission(variant: &Variant) -> anyhow::Result<()> {
     let mut bus = variant.bus(BitRate::Kbit125, [variant.board(0, None)]);
     bus.reach("4C", "50", AWAY)?;
-    let address = sessions::fastscan(&mut bus)?;
-    ensure!(address[3] == boards::serial_number(0), "serial number {:08X}", address[3]);
+    let found = bus.carry_out(Fastscan::new())?.context("nobody is found")?;
+    ensure!(found.serial_number == boards::serial_number(0), "{found:X?}");
     for (request, answer) in [("11 05", "11 00"), ("13 00 00", "13 00"), ("17", "17 00")] {
         bus.ask(request, answer)?;
     }

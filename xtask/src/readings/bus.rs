@@ -9,11 +9,13 @@ use emulator::{
     image::Image,
     network::{AdapterId, Network, Recording},
 };
+use lss_master::{Master, Procedure};
 use lss_slave::{BitRate, Settings};
 
 use testkit::{
     boards, frames,
     image_rig::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
+    lss_session,
 };
 
 /// The time allowed for an answer, besides two frames.
@@ -37,6 +39,7 @@ pub struct Bus {
     pub network: Network,
     pub master: AdapterId,
     rate: BitRate,
+    lss: Master,
     /// The expected resets of each board, including power-ons.
     pub resets: Vec<Vec<ResetCause>>,
 }
@@ -58,7 +61,8 @@ impl Variant<'_> {
         network.record(Recording::Off);
         let master = network.add_adapter(Adapter::new(bit_per_s(rate)));
         let count = boards.into_iter().map(|board| network.add_board(board)).count();
-        Bus { network, master, rate, resets: vec![vec![ResetCause::PowerOn]; count] }
+        let lss = Master::new(lss_session::timing(rate));
+        Bus { network, master, rate, lss, resets: vec![vec![ResetCause::PowerOn]; count] }
     }
 }
 
@@ -90,6 +94,11 @@ impl Bus {
                 return Some(frame);
             }
         }
+    }
+
+    /// Carries out a procedure of the LSS master.
+    pub fn carry_out<P: Procedure>(&mut self, procedure: P) -> anyhow::Result<P::Output> {
+        Ok(lss_session::carry_out(&mut self.network, self.master, &mut self.lss, procedure)?)
     }
 
     /// Whether a request is answered at all.
@@ -147,6 +156,7 @@ impl Bus {
 
     pub fn set_master_rate(&mut self, rate: BitRate) {
         self.rate = rate;
+        self.lss = Master::new(lss_session::timing(rate));
         self.network.adapter_mut(self.master).set_bit_rate(bit_per_s(rate));
     }
 

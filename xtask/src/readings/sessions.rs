@@ -1,15 +1,16 @@
 //! The sessions that the image must pass on every chip.
 
-use anyhow::{bail, ensure};
+use anyhow::{Context, bail, ensure};
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
     chip::{PowerCut, ResetCause},
 };
+use lss_master::Fastscan;
 use lss_slave::{BitRate, BitRateSetting, NodeId, Settings};
 
-use super::bus::{AWAY, Bus, Variant};
-use testkit::{boards, frames::number, image_rig::bit_per_s};
+use super::bus::{AWAY, Variant};
+use testkit::{boards, image_rig::bit_per_s};
 
 /// The time for a rescue, and for a detection on a bus with a frame a second.
 const SEARCH: Time = Time::from_s(10);
@@ -71,13 +72,9 @@ fn configure(variant: &Variant, boards: u8) -> anyhow::Result<()> {
         bus.reach("4C", "50", AWAY)?;
     }
     for node_id in 1..=boards {
-        let address = fastscan(&mut bus)?;
-        let serial_numbers = (0..boards.into()).map(boards::serial_number);
-        ensure!(
-            serial_numbers.into_iter().any(|serial| serial == address[3]),
-            "serial number {:08X}",
-            address[3]
-        );
+        let found = bus.carry_out(Fastscan::new())?.context("nobody is found")?;
+        let mut serial_numbers = (0..boards.into()).map(boards::serial_number);
+        ensure!(serial_numbers.any(|serial| serial == found.serial_number), "{found:X?}");
         bus.ask("5E", "5E FF")?;
         bus.ask(&format!("11 {node_id:02X}"), "11 00")?;
         bus.ask("17", "17 00")?;
@@ -86,24 +83,6 @@ fn configure(variant: &Variant, boards: u8) -> anyhow::Result<()> {
     }
     ensure!(!bus.is_answered("4C"), "4C is answered by a configured node");
     bus.check()
-}
-
-/// The LSS address that Fastscan finds.
-pub fn fastscan(bus: &mut Bus) -> anyhow::Result<[u32; 4]> {
-    bus.ask("51 00 00 00 00 80", "4F")?;
-    let mut address = [0; 4];
-    for sub in 0..4_u8 {
-        let mut part = 0;
-        for bit in (0..32).rev() {
-            let step = format!("51 {} {bit:02X} {sub:02X} {sub:02X}", number(part));
-            if !bus.is_answered(&step) {
-                part |= 1 << bit;
-            }
-        }
-        bus.ask(&format!("51 {} 00 {sub:02X} {:02X}", number(part), (sub + 1) % 4), "4F")?;
-        address[usize::from(sub)] = part;
-    }
-    Ok(address)
 }
 
 /// Two nodes are switched from rate to rate and answer at each.
