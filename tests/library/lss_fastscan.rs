@@ -1,22 +1,15 @@
 //! Fastscan (CiA 305): each rule of a step, and whole scans by a master with little prior knowledge.
 
-use lss_slave::lss::Address;
+use lss_master::{Fastscan, Master, Timing};
+use lss_slave::lss::{Address, AddressPart};
 use testkit::{
     frames::{self, SILENCE, number},
     node_rig::{ADDRESS, NodeRig},
     random::Random,
+    rig_bus::RigBus,
 };
 
 const BEGIN: &str = "51 00 00 00 00 80";
-
-fn parts(address: &Address) -> [u32; 4] {
-    let Address { vendor_id, product_code, revision_number, serial_number } = *address;
-    [vendor_id, product_code, revision_number, serial_number]
-}
-
-fn address([vendor_id, product_code, revision_number, serial_number]: [u32; 4]) -> Address {
-    Address { vendor_id, product_code, revision_number, serial_number }
-}
 
 fn step(id_number: u32, bit_check: u8, sub: u8, next: u8) -> String {
     format!("51 {} {bit_check:02X} {sub:02X} {next:02X}", number(id_number))
@@ -29,41 +22,13 @@ fn begun() -> NodeRig {
     board
 }
 
-/// Sends a frame to all slaves; returns whether at least one answers.
-fn is_answered(slaves: &mut [NodeRig], request: &str) -> bool {
-    let answers: Vec<_> = slaves.iter_mut().map(|slave| slave.lss(request)).collect();
-    for frames in &answers {
-        assert!(*frames == SILENCE || *frames == ["4F"], "answers at once are identical");
-    }
-    answers.iter().any(|frames| *frames == ["4F"])
+fn bus(slaves: impl IntoIterator<Item = NodeRig>) -> RigBus {
+    RigBus::new(slaves, Random::from_environment())
 }
 
-/// A scan by a master that knows the parts that are `Some`; returns the address of the slave that is now in LSS
-/// configuration state.
-fn scan(slaves: &mut [NodeRig], known: [Option<u32>; 4]) -> Option<Address> {
-    if !is_answered(slaves, BEGIN) {
-        return None;
-    }
-    let mut found = [0; 4];
-    for sub in 0..4 {
-        let next = (sub + 1) % 4;
-        found[usize::from(sub)] = match known[usize::from(sub)] {
-            Some(part) => part,
-            None => {
-                let mut part = 0;
-                for bit in (0..32).rev() {
-                    if !is_answered(slaves, &step(part, bit, sub, sub)) {
-                        part |= 1 << bit;
-                    }
-                }
-                part
-            }
-        };
-        if !is_answered(slaves, &step(found[usize::from(sub)], 0, sub, next)) {
-            return None;
-        }
-    }
-    Some(address(found))
+/// The LSS address that a scan finds; its slave is in LSS configuration state then.
+fn scan(bus: &mut RigBus, scan: Fastscan) -> Option<Address> {
+    bus.run(&mut Master::new(Timing::default()), scan).expect("the answers are consistent")
 }
 
 #[test]
@@ -118,7 +83,7 @@ fn a_step_with_a_field_out_of_range_is_ignored_and_does_not_end_the_scan() {
 
 #[test]
 fn a_step_for_another_part_than_the_one_awaited_is_ignored() {
-    let parts = parts(&ADDRESS);
+    let parts: [u32; 4] = ADDRESS.into();
     for awaited in 0..4 {
         for sub in 0..4 {
             let mut board = begun();
@@ -161,7 +126,7 @@ fn a_step_that_matches_awaits_next_even_if_not_all_bits_were_compared() {
 
 #[test]
 fn only_a_full_match_that_returns_to_an_earlier_part_selects_a_slave() {
-    let parts = parts(&ADDRESS);
+    let parts: [u32; 4] = ADDRESS.into();
     for sub in 0..4 {
         for next in 0..4 {
             for bit_check in [0, 1, 31] {
@@ -211,9 +176,9 @@ fn the_beginning_awaits_the_first_part_again() {
 
 #[test]
 fn a_slave_selected_by_fastscan_and_switched_back_awaits_the_first_part() {
-    let mut slaves = [NodeRig::unconfigured()];
-    assert_eq!(scan(&mut slaves, [None; 4]), Some(ADDRESS));
-    let [board] = &mut slaves;
+    let mut bus = bus([NodeRig::unconfigured()]);
+    assert_eq!(scan(&mut bus, Fastscan::new()), Some(ADDRESS));
+    let board = &mut bus.slaves[0].rig;
     board.lss("04 00");
     assert_eq!(board.lss(&step(ADDRESS.vendor_id, 0, 0, 1)), ["4F"]);
 }
@@ -224,7 +189,7 @@ fn the_three_frames_that_crash_other_slaves_do_no_harm() {
     assert_eq!(board.lss("51 00 00 00 00 80 00 00"), ["4F"]);
     assert_eq!(board.lss("51 44 33 22 11 00 00 09"), SILENCE);
     assert_eq!(board.lss("51 44 33 22 11 00 09 00"), SILENCE);
-    assert_eq!(scan(&mut [board], [None; 4]), Some(ADDRESS));
+    assert_eq!(scan(&mut bus([board]), Fastscan::new()), Some(ADDRESS));
 }
 
 #[test]
@@ -240,7 +205,7 @@ fn frames_of_another_family_do_not_disturb_a_scan() {
 
 /// Addresses that share parts and differ in single bits, and the extremes.
 fn neighbours(random: &mut Random) -> Vec<Address> {
-    let mut all = vec![[0; 4], [u32::MAX; 4], parts(&ADDRESS)];
+    let mut all = vec![[0; 4], [u32::MAX; 4], ADDRESS.into()];
     while all.len() < 8 {
         let mut parts = random.pick(&all);
         let part = random.within(0..4) as usize;
@@ -250,7 +215,7 @@ fn neighbours(random: &mut Random) -> Vec<Address> {
             all.push(parts);
         }
     }
-    all.into_iter().map(address).collect()
+    all.into_iter().map(Address::from).collect()
 }
 
 #[test]
@@ -258,23 +223,24 @@ fn a_master_that_knows_nothing_finds_all_slaves_one_by_one() {
     let mut random = Random::from_environment();
     for _ in 0..5 {
         let addresses = neighbours(&mut random);
-        let mut slaves: Vec<_> = addresses.iter().copied().map(NodeRig::with_address).collect();
-        let mut found = Vec::new();
-        for node_id in 1..=slaves.len() as u8 {
-            let address = scan(&mut slaves, [None; 4]).expect("one more slave is unconfigured");
+        let mut bus = bus(addresses.iter().copied().map(NodeRig::with_address));
+        let mut found: Vec<[u32; 4]> = Vec::new();
+        for node_id in 1..=addresses.len() as u8 {
+            let address = scan(&mut bus, Fastscan::new()).expect("one more slave is unconfigured");
+            let rigs = bus.slaves.iter_mut().map(|slave| &mut slave.rig);
             let mut selected: Vec<_> =
-                slaves.iter_mut().filter_map(|s| s.inquired_node_id().map(|_| s)).collect();
+                rigs.filter_map(|rig| rig.inquired_node_id().map(|_| rig)).collect();
             assert_eq!(selected.len(), 1, "one slave is in LSS configuration state");
             assert_eq!(selected[0].node.lss().address(), address);
             assert_eq!(selected[0].lss(&format!("11 {node_id:02X}")), ["11 00"]);
-            for slave in &mut slaves {
-                slave.lss("04 00");
+            for slave in &mut bus.slaves {
+                slave.rig.lss("04 00");
             }
-            found.push(parts(&address));
+            found.push(address.into());
         }
-        assert_eq!(scan(&mut slaves, [None; 4]), None, "none is left");
+        assert_eq!(scan(&mut bus, Fastscan::new()), None, "none is left");
         found.sort_unstable();
-        let mut expected: Vec<_> = addresses.iter().map(parts).collect();
+        let mut expected: Vec<[u32; 4]> = addresses.into_iter().map(Into::into).collect();
         expected.sort_unstable();
         assert_eq!(found, expected);
     }
@@ -282,15 +248,17 @@ fn a_master_that_knows_nothing_finds_all_slaves_one_by_one() {
 
 #[test]
 fn a_master_that_knows_parts_confirms_them_in_one_step_each() {
-    let own = parts(&ADDRESS);
     for known in 0..16 {
-        let known = std::array::from_fn(|part| (known >> part & 1 == 1).then_some(own[part]));
+        let mut with_known = Fastscan::new();
+        for part in (0..4).filter(|part| known >> part & 1 == 1).filter_map(AddressPart::new) {
+            with_known = with_known.with_known(part, <[u32; 4]>::from(ADDRESS)[part as usize]);
+        }
         // A scan tests for 0 bits first, so it leads to the lower of two slaves.
-        let other = address([u32::MAX; 4]);
-        let mut slaves = [NodeRig::unconfigured(), NodeRig::with_address(other)];
-        assert_eq!(scan(&mut slaves, known), Some(ADDRESS), "{known:?}");
-        assert!(slaves[0].is_in_configuration_state());
-        assert!(!slaves[1].is_in_configuration_state());
+        let other = NodeRig::with_address([u32::MAX; 4].into());
+        let mut bus = bus([NodeRig::unconfigured(), other]);
+        assert_eq!(scan(&mut bus, with_known), Some(ADDRESS), "{known:04b}");
+        assert!(bus.slaves[0].rig.is_in_configuration_state());
+        assert!(!bus.slaves[1].rig.is_in_configuration_state());
     }
 }
 
@@ -316,7 +284,8 @@ fn a_master_that_knows_parts_in_the_middle_may_skip_them() {
 
 #[test]
 fn a_scan_for_a_slave_that_is_not_there_selects_none() {
-    let mut slaves = [NodeRig::unconfigured()];
-    assert_eq!(scan(&mut slaves, [Some(7), None, None, None]), None);
-    assert!(!slaves[0].is_in_configuration_state());
+    let mut bus = bus([NodeRig::unconfigured()]);
+    let absent = Fastscan::new().with_known(AddressPart::VendorId, 7);
+    assert_eq!(scan(&mut bus, absent), None);
+    assert!(!bus.slaves[0].rig.is_in_configuration_state());
 }
