@@ -1,5 +1,6 @@
 //! The commands of the project: `cargo emulate`, `cargo flash`,
-//! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask fuzz`,
+//! `cargo xtask bench`, `cargo xtask chips`, `cargo xtask coverage`, `cargo xtask eds`, `cargo xtask figures`,
+//! `cargo xtask fuzz`,
 //! `cargo xtask linux`, `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
 //! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`.
 
@@ -10,6 +11,7 @@ mod coverage;
 mod eds;
 mod emulate;
 mod example;
+mod figures;
 mod flash;
 mod fuzz;
 mod generated;
@@ -57,6 +59,7 @@ enum Command {
     Coverage(coverage::Arguments),
     Eds(eds::Arguments),
     Emulate(emulate::Arguments),
+    Figures(figures::Arguments),
     Flash(flash::Arguments),
     Fuzz(fuzz::Arguments),
     #[cfg(target_os = "linux")]
@@ -80,6 +83,7 @@ fn main() -> ExitCode {
         Command::Coverage(arguments) => coverage::run(&arguments),
         Command::Eds(arguments) => eds::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
+        Command::Figures(_) => figures::run(),
         Command::Flash(arguments) => flash::run(&arguments),
         Command::Fuzz(arguments) => fuzz::run(&arguments),
         #[cfg(target_os = "linux")]
