@@ -3,7 +3,7 @@
 use lss_slave::{NodeId, Settings, lss::Address};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Input},
-    pac::{DBGMCU, Peripherals, RCC},
+    pac::{DBGMCU, IWDG, Peripherals, RCC},
     rcc::{Config, Rcc, RccExt},
     time::Hertz,
     watchdog::IndependentWatchdog,
@@ -47,7 +47,7 @@ pub struct Board {
     /// The settings of a device that has stored none.
     pub defaults: Settings,
     pub settings_flash: SettingsFlash,
-    pub watchdog: IndependentWatchdog,
+    pub watchdog: Watchdog,
     pub io: IoBoard,
 }
 
@@ -55,14 +55,8 @@ impl Board {
     /// Sets the board up. The watchdog starts first, so that a hang in the set-up ends in a reset.
     pub fn new(chip: Peripherals) -> Self {
         log_reset_cause(&chip.RCC);
-        let mut watchdog = IndependentWatchdog::new(chip.IWDG);
-        watchdog.start(fugit::MillisDurationU32::from_ticks(WATCHDOG_MS));
-        let_debugger_watch(&watchdog, &chip.DBGMCU);
-
-        let supply = Supply::watch(chip.PWR);
-        if !comes_in_100_ms(|| !supply.is_low()) {
-            defmt::warn!("the supply is below 2.7 V: nothing can be stored until it rises");
-        }
+        let watchdog = Watchdog::start(chip.IWDG, chip.DBGMCU);
+        let supply = Supply::wait(chip.PWR);
         crystal::start(&chip.RCC);
         let mut clocks = Config::hse(Hertz::from_raw(device::CRYSTAL_HZ))
             .sysclk(Hertz::from_raw(device::SYSCLK_HZ))
@@ -73,6 +67,7 @@ impl Board {
         // Waits for the PLL, 0.3 ms at most while the crystal runs; if the crystal stops, an interrupt ends the wait
         // too.
         let mut rcc = chip.RCC.freeze(clocks);
+        crystal::check(&rcc);
         let alarm = Alarm::new(chip.TIM2, &mut rcc);
         // Before the pins are assigned, so that they do not glitch.
         controller::enable(&mut rcc);
@@ -154,8 +149,26 @@ fn log_reset_cause(rcc: &RCC) {
     rcc.csr().modify(|_, w| w.rmvf().set_bit());
 }
 
-/// Keeps RTT readable while the core sleeps, and the watchdog from resetting a halted core.
-fn let_debugger_watch(watchdog: &IndependentWatchdog, debug: &DBGMCU) {
-    watchdog.stop_on_debug(debug, true);
-    debug.cr().modify(|_, w| w.dbg_sleep().set_bit());
+/// The watchdog, and what a debugger needs of a board that runs.
+pub struct Watchdog {
+    watchdog: IndependentWatchdog,
+    debug: DBGMCU,
+}
+
+impl Watchdog {
+    /// Starts it; it stops while a debugger halts the core.
+    fn start(watchdog: IWDG, debug: DBGMCU) -> Self {
+        let mut watchdog = IndependentWatchdog::new(watchdog);
+        watchdog.start(fugit::MillisDurationU32::from_ticks(WATCHDOG_MS));
+        watchdog.stop_on_debug(&debug, true);
+        let mut it = Self { watchdog, debug };
+        it.feed();
+        it
+    }
+
+    /// Feeds it. Also keeps RTT and the debug port on while the core sleeps, which a debugger switches off as it leaves.
+    pub fn feed(&mut self) {
+        self.watchdog.feed();
+        self.debug.cr().modify(|_, w| w.dbg_sleep().set_bit());
+    }
 }

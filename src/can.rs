@@ -142,9 +142,8 @@ impl Controller {
     /// bus by itself after 11 recessive bits (RM0090, 32.4.2).
     fn start(&mut self) {
         self.sample();
-        if self.is_listening {
-            self.transmit_pin.rest();
-        }
+        // A controller that is reset while it has the pin may leave it dominant.
+        self.transmit_pin.rest();
         if !enter_initialization(&self.registers) {
             return;
         }

@@ -19,6 +19,8 @@ pub struct Chip {
     pub max_apb1_mhz: u32,
     /// The number of CAN controllers.
     pub controllers: u32,
+    /// DEV_ID in DBGMCU_IDCODE (chapter "Debug support" of the manual).
+    pub device_id: u32,
     /// The name in probe-rs; the package makes no difference.
     pub probe_rs: &'static str,
     /// Whether the features of the build select it.
@@ -35,7 +37,7 @@ impl Chip {
 macro_rules! chips {
     ($(
         $feature:literal $manual:ident $flash_kb:literal $ram_kb:literal $sysclk:literal $apb1:literal
-        $controllers:literal $probe_rs:literal;
+        $controllers:literal $device_id:literal $probe_rs:literal;
     )*) => {
         [$(Chip {
             feature: $feature,
@@ -45,6 +47,7 @@ macro_rules! chips {
             max_sysclk_mhz: $sysclk,
             max_apb1_mhz: $apb1,
             controllers: $controllers,
+            device_id: $device_id,
             probe_rs: $probe_rs,
             is_selected: cfg!(feature = $feature),
         },)*]
@@ -53,21 +56,21 @@ macro_rules! chips {
 
 /// Every chip, in the order of their numbers.
 pub const CHIPS: [Chip; 14] = chips! {
-    // feature, manual, KB of flash and RAM, MHz of core and APB1, CAN controllers, name in probe-rs
-    "stm32f405" RM0090  512 128 168 42 2 "STM32F405RGTx";
-    "stm32f407" RM0090  512 128 168 42 2 "STM32F407VGTx";
-    "stm32f412" RM0402  512 256 100 50 2 "STM32F412VGTx";
-    "stm32f413" RM0430 1024 320 100 50 3 "STM32F413VHTx";
-    "stm32f415" RM0090 1024 128 168 42 2 "STM32F415RGTx";
-    "stm32f417" RM0090  512 128 168 42 2 "STM32F417VGTx";
-    "stm32f423" RM0430 1536 320 100 50 3 "STM32F423VHTx";
-    "stm32f427" RM0090 1024 192 168 42 2 "STM32F427VITx";
-    "stm32f429" RM0090  512 192 168 42 2 "STM32F429VITx";
-    "stm32f437" RM0090 1024 192 168 42 2 "STM32F437VITx";
-    "stm32f439" RM0090 1024 192 168 42 2 "STM32F439VITx";
-    "stm32f446" RM0390  256 128 168 42 2 "STM32F446RETx";
-    "stm32f469" RM0386  512 320 168 42 2 "STM32F469VITx";
-    "stm32f479" RM0386 1024 320 168 42 2 "STM32F479VITx";
+    // feature, manual, KB of flash and RAM, MHz of core and APB1, CAN controllers, DEV_ID, name in probe-rs
+    "stm32f405" RM0090  512 128 168 42 2 0x413 "STM32F405RGTx";
+    "stm32f407" RM0090  512 128 168 42 2 0x413 "STM32F407VGTx";
+    "stm32f412" RM0402  512 256 100 50 2 0x441 "STM32F412VGTx";
+    "stm32f413" RM0430 1024 320 100 50 3 0x463 "STM32F413VHTx";
+    "stm32f415" RM0090 1024 128 168 42 2 0x413 "STM32F415RGTx";
+    "stm32f417" RM0090  512 128 168 42 2 0x413 "STM32F417VGTx";
+    "stm32f423" RM0430 1536 320 100 50 3 0x463 "STM32F423VHTx";
+    "stm32f427" RM0090 1024 192 168 42 2 0x419 "STM32F427VITx";
+    "stm32f429" RM0090  512 192 168 42 2 0x419 "STM32F429VITx";
+    "stm32f437" RM0090 1024 192 168 42 2 0x419 "STM32F437VITx";
+    "stm32f439" RM0090 1024 192 168 42 2 0x419 "STM32F439VITx";
+    "stm32f446" RM0390  256 128 168 42 2 0x421 "STM32F446RETx";
+    "stm32f469" RM0386  512 320 168 42 2 0x434 "STM32F469VITx";
+    "stm32f479" RM0386 1024 320 168 42 2 0x434 "STM32F479VITx";
 };
 
 /// The chip of this build. A build for a computer has none: then the first of [`CHIPS`].

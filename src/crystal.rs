@@ -1,9 +1,12 @@
-//! The crystal: its start, and the reset if it does not start or fails later.
+//! The crystal: its start, and the reset if it does not start, is not in use, or fails later.
 
 use cortex_m::peripheral::SCB;
 use stm32f4xx_hal::pac::RCC;
 
-use crate::{board, product::device::CRYSTAL_IS_EXTERNAL_CLOCK};
+use crate::{
+    board,
+    product::device::{CRYSTAL_HZ, CRYSTAL_IS_EXTERNAL_CLOCK, SYSCLK_HZ},
+};
 
 /// Survives a reset and shows whether a failure of the crystal caused it. Its initial value is never written.
 // SAFETY: the section of cortex-m-rt for variables that nothing initialises.
@@ -23,6 +26,23 @@ pub fn start(rcc: &RCC) {
         SCB::sys_reset();
     }
     rcc.cr().modify(|_, w| w.csson().set_bit());
+}
+
+/// Resets the chip unless the PLL makes the system clock from the crystal: at any other clock the bit rates are wrong.
+pub fn check(rcc: &RCC) {
+    let settings = rcc.pllcfgr().read().bits();
+    let (divider, factor) = (settings & 0x3F, settings >> 6 & 0x1FF);
+    let (post_divider, is_from_crystal) = (2 * ((settings >> 16 & 3) + 1), settings >> 22 & 1 == 1);
+    let made = u64::from(CRYSTAL_HZ) * u64::from(factor);
+    let needed = u64::from(SYSCLK_HZ) * u64::from(divider * post_divider);
+    let is_in_use = board::comes_in_100_ms(|| rcc.cfgr().read().sws().is_pll());
+    if !(is_in_use && is_from_crystal && made == needed) {
+        defmt::error!(
+            "the clock is not that of the crystal, resetting: RCC_PLLCFGR {=u32:#x}",
+            settings
+        );
+        SCB::sys_reset();
+    }
 }
 
 /// Whether a failure of the crystal caused the last reset. True only once per failure.

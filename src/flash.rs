@@ -18,9 +18,18 @@ const _: () = assert!(
     "the flash has no room for the stored parameters of the application"
 );
 
-/// The number of status reads after which programming a word is considered hung: it takes 100 us at most. Meanwhile the
-/// core stalls when it fetches from the flash, but code in the instruction cache runs on.
-const WORD_READS: u32 = 10_000;
+/// The width of programming and erasing, as PSIZE has it (RM0090, 3.6.2).
+#[derive(Clone, Copy)]
+enum Width {
+    /// From 1.8 V on.
+    Byte = 0,
+    /// From 2.7 V on.
+    Word = 2,
+}
+
+/// The number of status reads after which programming is considered hung: it takes 100 us at most. Meanwhile the core
+/// stalls when it fetches from the flash, but code in the instruction cache runs on.
+const PROGRAM_READS: u32 = 10_000;
 /// The same for the erase of a sector, 800 ms at most: a read takes at least 50 ns.
 const ERASE_READS: u32 = 20_000_000;
 
@@ -42,34 +51,29 @@ pub enum FlashError {
     Range(NorFlashErrorKind),
     /// The operation ended, or did not end, with these bits of FLASH_SR (RM0090, 3.9.5).
     Status(u32),
-    /// The supply voltage is too low.
-    Supply,
 }
 
 impl NorFlashError for FlashError {
     fn kind(&self) -> NorFlashErrorKind {
         match self {
             Self::Range(kind) => *kind,
-            Self::Status(_) | Self::Supply => NorFlashErrorKind::Other,
+            Self::Status(_) => NorFlashErrorKind::Other,
         }
     }
 }
 
 impl SettingsFlash {
-    /// Takes the flash controller; `supply` decides whether it may write.
+    /// Takes the flash controller; `supply` decides on the width of programming.
     pub fn new(registers: pac::FLASH, supply: Supply) -> Self {
         Self { registers, supply }
     }
 
-    /// Runs `operation`, if the supply is sufficient, with the control register unlocked and old errors cleared.
+    /// Runs `operation` with the width that the supply allows, with the control register unlocked and old errors cleared.
     fn operate(
         &mut self,
-        operation: impl FnOnce(&Self) -> Result<(), FlashError>,
+        operation: impl FnOnce(&Self, Width) -> Result<(), FlashError>,
     ) -> Result<(), FlashError> {
-        if self.supply.is_low() {
-            defmt::error!("flash: not written, the supply is below 2.7 V");
-            return Err(FlashError::Supply);
-        }
+        let width = if self.supply.is_low() { Width::Byte } else { Width::Word };
         let flash = &self.registers;
         // SAFETY: the two keys, in this order, unlock FLASH_CR (RM0090, 3.6.1); error bits are cleared by writing 1.
         unsafe {
@@ -79,7 +83,7 @@ impl SettingsFlash {
             }
             flash.sr().write(|w| w.bits(ERRORS));
         }
-        let outcome = operation(self);
+        let outcome = operation(self, width);
         flash.cr().write(|w| w.lock().set_bit());
         // The data cache may hold old content.
         flash.acr().modify(|_, w| w.dcen().clear_bit());
@@ -141,15 +145,15 @@ impl NorFlash for SettingsFlash {
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
         check_erase(self, from, to).map_err(FlashError::Range)?;
-        self.operate(|flash| {
+        self.operate(|flash, width| {
             for sector in from / SECTOR_LEN..to / SECTOR_LEN {
                 let number = (FIRST_SECTOR + sector) as u8;
-                // SAFETY: the number of one of our sectors; 32-bit parallelism needs 2.7 V (RM0090, table 9).
+                // SAFETY: the number of one of our sectors, and a width that the supply allows.
                 flash.registers.cr().write(|w| unsafe {
                     w.lock()
                         .clear_bit()
                         .psize()
-                        .bits(2)
+                        .bits(width as u8)
                         .ser()
                         .set_bit()
                         .snb()
@@ -165,18 +169,28 @@ impl NorFlash for SettingsFlash {
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
         check_write(self, offset, bytes.len()).map_err(FlashError::Range)?;
-        self.operate(|flash| {
-            // SAFETY: 32-bit parallelism needs 2.7 V, which `operate` has seen (RM0090, table 9).
-            flash
-                .registers
-                .cr()
-                .write(|w| unsafe { w.lock().clear_bit().psize().bits(2).pg().set_bit() });
-            let (words, _) = bytes.as_chunks();
+        self.operate(|flash, width| {
+            // SAFETY: a width that the supply allows.
+            flash.registers.cr().write(|w| unsafe {
+                w.lock().clear_bit().psize().bits(width as u8).pg().set_bit()
+            });
             let to = SETTINGS.wrapping_byte_add(offset as usize);
-            for (i, word) in words.iter().enumerate() {
-                // SAFETY: an aligned word within the sectors; the store programs it.
-                unsafe { to.add(i).write_volatile(u32::from_le_bytes(*word)) };
-                flash.wait(WORD_READS)?;
+            match width {
+                Width::Byte => {
+                    for (i, byte) in bytes.iter().enumerate() {
+                        // SAFETY: a byte within the sectors; the store programs it.
+                        unsafe { to.cast::<u8>().add(i).write_volatile(*byte) };
+                        flash.wait(PROGRAM_READS)?;
+                    }
+                }
+                Width::Word => {
+                    let (words, _) = bytes.as_chunks();
+                    for (i, word) in words.iter().enumerate() {
+                        // SAFETY: an aligned word within the sectors; the store programs it.
+                        unsafe { to.add(i).write_volatile(u32::from_le_bytes(*word)) };
+                        flash.wait(PROGRAM_READS)?;
+                    }
+                }
             }
             Ok(())
         })

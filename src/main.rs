@@ -19,6 +19,7 @@ mod pins;
 mod report;
 mod roll_call;
 mod runner;
+mod start;
 mod supply;
 mod transmit_queue;
 
@@ -40,10 +41,10 @@ macro_rules! application {
                 settings::{Found, Log},
             };
             use lss_slave_firmware::{Application, Node, describe};
-            use stm32f4xx_hal::{pac::Interrupt, watchdog::IndependentWatchdog};
+            use stm32f4xx_hal::pac::Interrupt;
 
             use crate::{
-                board::{self, Board, IoBoard},
+                board::{self, Board, IoBoard, Watchdog},
                 can::Controller,
                 fault,
                 flash::SettingsFlash,
@@ -51,6 +52,7 @@ macro_rules! application {
                 report::report,
                 roll_call::{self, Task},
                 runner::{PARAMETERS, Runner},
+                start,
             };
 
             #[shared]
@@ -62,12 +64,13 @@ macro_rules! application {
             struct Local {
                 log: Log<SettingsFlash, PARAMETERS>,
                 indicators: (Led, Led),
-                watchdog: IndependentWatchdog,
+                watchdog: Watchdog,
                 io: IoBoard,
             }
 
             #[init]
             fn init(cx: init::Context) -> (Shared, Local) {
+                start::restore(&cx.core, &cx.device.RCC, &cx.device.FLASH);
                 fault::guard_stack(&cx.core.MPU);
                 let mut board = Board::new(cx.device);
 

@@ -2,8 +2,12 @@
 
 use stm32f4xx_hal::{pac::PWR, rcc::Enable};
 
-/// PLS for 2.7 V: required by five wait states at 160 MHz and by programming the flash in words.
-const LEVEL: u8 = 0b101;
+use crate::board;
+
+/// PLS for a rising supply of 2.70 to 2.82 V, depending on the chip (data sheet, VPVD4).
+const ENOUGH_TO_START: u8 = 0b100;
+/// PLS for a falling supply of 2.75 to 2.92 V, a rising one of 2.86 to 2.99 V (VPVD5).
+const ENOUGH_FOR_WORDS: u8 = 0b101;
 
 /// The voltage detector.
 pub struct Supply {
@@ -11,15 +15,24 @@ pub struct Supply {
 }
 
 impl Supply {
-    /// Switches the detector on.
-    pub fn watch(detector: PWR) -> Self {
+    /// Switches the detector on, and waits up to 100 ms for the 2.7 V that the wait states of the clock need.
+    pub fn wait(detector: PWR) -> Self {
         // SAFETY: the enable bit of PWR in RCC belongs to its owner; no interrupt changes others yet.
         unsafe { PWR::enable_unchecked() };
-        detector.cr().modify(|_, w| w.pls().set(LEVEL).pvde().set_bit());
-        Self { detector }
+        let supply = Self { detector };
+        supply.compare_with(ENOUGH_TO_START);
+        if !board::comes_in_100_ms(|| !supply.is_low()) {
+            defmt::warn!("the supply is below 2.7 V, which the clock needs");
+        }
+        supply.compare_with(ENOUGH_FOR_WORDS);
+        supply
     }
 
-    /// Whether the supply is below 2.7 V, or was until a moment ago.
+    fn compare_with(&self, level: u8) {
+        self.detector.cr().modify(|_, w| w.pls().set(level).pvde().set_bit());
+    }
+
+    /// Whether the supply may be below the 2.7 V for programming the flash in words.
     pub fn is_low(&self) -> bool {
         self.detector.csr().read().pvdo().bit_is_set()
     }

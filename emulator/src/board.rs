@@ -23,8 +23,6 @@ use crate::{
 #[cfg(feature = "log")]
 use log::Log;
 
-/// The hysteresis of the brown-out reset, in mV (F405 data sheet, typical).
-const BROWN_OUT_HYSTERESIS: u32 = 100;
 /// The time for which an internal reset pulls NRST low (RM0090 7.1.1).
 const RESET_HOLD: Time = Time::from_us(20);
 /// The longest time that a program runs before its log is fetched.
@@ -35,6 +33,8 @@ const LOG_POLL: Time = Time::from_us(50);
 pub struct Settings {
     /// The crystal at the HSE pins.
     pub crystal: Clock,
+    /// The supply in mV at first: at most 3,600; 2,930 on an STM32F407 Discovery, behind its diode.
+    pub supply_mv: u32,
     /// The chip's 96-bit unique id, as it lies in memory.
     pub unique_id: [u8; 12],
     /// The chip's deviations from the nominal chip.
@@ -46,10 +46,11 @@ pub struct Settings {
 }
 
 impl Default for Settings {
-    /// An exact 8 MHz crystal, a unique id of zeros, a nominal chip, CAN1, and the usual reading of the manual.
+    /// An exact 8 MHz crystal, 3.3 V, a unique id of zeros, a nominal chip, CAN1, and the usual reading of the manual.
     fn default() -> Self {
         Self {
             crystal: Clock { hz: 8_000_000, ppm: 0 },
+            supply_mv: 3_300,
             unique_id: [0; 12],
             chip_readings: Readings::default(),
             controller: 1,
@@ -79,6 +80,8 @@ pub struct Board {
     log: Log,
     controller: usize,
     start_up: StartUp,
+    /// A boot loader starts the program.
+    has_loader: bool,
     powered: bool,
     /// The supply is on, but too low for the chip to leave its reset.
     browned_out: bool,
@@ -96,8 +99,10 @@ impl Board {
     /// # Panics
     /// A segment of the image lies outside of the part's flash, or the part has no such controller.
     pub fn new(part: Part, image: &Image, settings: Settings) -> Self {
-        let Settings { crystal, unique_id, chip_readings, controller, can_readings } = settings;
+        let Settings { crystal, supply_mv, unique_id, chip_readings, controller, can_readings } =
+            settings;
         let mut chip = Chip::with_readings(part, crystal, unique_id, chip_readings);
+        chip.set_supply(supply_mv);
         for can in chip.cans_mut() {
             can.set_readings(can_readings);
         }
@@ -117,6 +122,7 @@ impl Board {
             log: Log::new(image.clone()),
             controller,
             start_up: chip_readings.start_up,
+            has_loader: chip_readings.boot_loader,
             powered: false,
             browned_out: false,
             dark: Time::ZERO,
@@ -238,7 +244,11 @@ impl Board {
             ResetCause::PowerOn | ResetCause::BrownOut => self.start_up.reset(),
             _ => RESET_HOLD,
         };
-        self.engine.reset(now, hold);
+        if self.has_loader {
+            self.engine.start_from_loader(now, hold);
+        } else {
+            self.engine.reset(now, hold);
+        }
         self.resets.push((now, cause));
     }
 
@@ -267,21 +277,21 @@ impl Board {
         }
         self.power_ups += 1;
         self.engine.scramble_ram(self.power_ups);
-        let is_supplied = self.chip().flash().is_supplied(BROWN_OUT_HYSTERESIS);
+        let is_supplied = !self.chip().supply_is_too_low(true);
         (self.powered, self.browned_out) = (is_supplied, !is_supplied);
         if is_supplied {
             self.start(ResetCause::PowerOn, self.dark);
         }
     }
 
-    /// Sets the supply in mV, initially 3,300, at most 3,600. Below the brown-out level of the option bytes the chip is
+    /// Sets the supply in mV, at most 3,600. Below the brown-out level of the option bytes the chip is
     /// held in reset, as if the power was off, but RAM keeps its content.
     pub fn set_supply(&mut self, mv: u32) {
         self.chip().set_supply(mv);
-        if self.powered && !self.chip().flash().is_supplied(0) {
+        if self.powered && self.chip().supply_is_too_low(false) {
             self.power_off();
             self.browned_out = true;
-        } else if self.browned_out && self.chip().flash().is_supplied(BROWN_OUT_HYSTERESIS) {
+        } else if self.browned_out && !self.chip().supply_is_too_low(true) {
             self.browned_out = false;
             self.powered = true;
             self.start(ResetCause::BrownOut, self.dark);

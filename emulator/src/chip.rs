@@ -12,6 +12,7 @@ mod rcc;
 mod readings;
 mod rng;
 mod rtc;
+mod supply;
 mod surroundings;
 mod system;
 mod timer;
@@ -26,6 +27,7 @@ pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
 pub use part::{Part, UnknownPart};
 pub use rcc::{Clocks, ResetCause};
 pub use readings::{Readings, StartUp};
+pub use supply::Thresholds;
 
 use std::ops::BitOr;
 
@@ -33,6 +35,7 @@ use map::Block;
 use rcc::{Apb, Gate, Rcc};
 use rng::Rng;
 use rtc::Rtc;
+pub use system::AtZero;
 use system::{Dbgmcu, Exti, Factory, Pwr, Syscfg};
 use timer::Timer;
 use usart::Usart;
@@ -113,7 +116,7 @@ impl Chip {
         let mut chip = Self {
             part,
             rcc: Rcc::new(part, crystal, &readings),
-            pwr: Pwr::new(part),
+            pwr: Pwr::new(part, readings.thresholds),
             flash,
             iwdg: Iwdg::new(readings.lsi_hz),
             timers: timer::KINDS.iter().map(Timer::new).collect(),
@@ -310,6 +313,21 @@ impl Chip {
         self.connect_cans(now);
         self.request = None;
         self.can_written = false;
+    }
+
+    /// The memory that also lies at address 0.
+    pub fn at_zero(&self) -> AtZero {
+        self.syscfg.at_zero()
+    }
+
+    /// Brings the chip into the state in which the boot loader in ROM starts a program after `dfu-util ... :leave` with
+    /// BOOT0 high (AN2606): 60 MHz from crystal and PLL with wait states and caches on, CSS on, USB with a clock, system
+    /// memory at address 0.
+    pub fn leave_loader(&mut self, now: Time) {
+        self.rcc.leave_loader(now);
+        self.flash.leave_loader();
+        self.syscfg = Syscfg::new(AtZero::System);
+        self.follow_clocks(now);
     }
 
     /// Loads from a peripheral.
@@ -543,7 +561,8 @@ impl Chip {
             self.pwr.reset();
         }
         if self.rcc.held_in_reset(Gate::Syscfg) {
-            self.syscfg = Syscfg::default();
+            let boot0_is_high = self.readings.boot_loader;
+            self.syscfg = Syscfg::new(if boot0_is_high { AtZero::System } else { AtZero::Flash });
         }
     }
 

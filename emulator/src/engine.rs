@@ -26,6 +26,10 @@ pub trait Engine: Send {
     /// Restarts from the vector table at `now`, after the time `hold` in which nothing runs.
     fn reset(&mut self, now: Time, hold: Time);
 
+    /// Restarts as [`reset`](Self::reset) does, but as a program that the boot loader in ROM starts: interrupts are
+    /// enabled, SysTick runs, an interrupt of USB is pending, and the vector table is the one at address 0.
+    fn start_from_loader(&mut self, now: Time, hold: Time);
+
     /// Runs until [`now`](Self::now) is at or past `until`, overshooting by less than one instruction, or until a halt.
     fn run(&mut self, until: Time) -> Halt;
 

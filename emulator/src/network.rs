@@ -2,7 +2,7 @@
 
 mod trace;
 
-use std::{iter, sync::MutexGuard};
+use std::{collections::BTreeMap, iter, sync::MutexGuard};
 
 pub use crate::can::{Noise, Short};
 pub use trace::{Event, Recording, Source, What};
@@ -31,7 +31,7 @@ pub struct BusId(usize);
 /// Boards and adapters on a CAN bus, in virtual time. The same calls always produce the same run.
 ///
 /// A board's controller is on the first bus; [`connect`](Self::connect) puts its other controllers on further buses.
-/// A controller without a bus never leaves initialisation mode. The trace, shorts and noise are of the first bus.
+/// A controller without a bus is alone on one of its own. The trace, shorts and noise are of the first bus.
 ///
 /// While every CPU sleeps the bus advances first, up to the next wake-up or interrupt. If one CPU is awake on a quiet
 /// bus, it advances first, until it writes to its CAN controller. Otherwise the CPUs run ahead of the bus by at most a
@@ -48,6 +48,8 @@ pub struct Network {
     boards: Vec<Board>,
     /// The bus of each controller of each board.
     plugs: Vec<[Option<BusId>; CANS]>,
+    /// The buses of controllers that are in use and on none of the others, by board and controller.
+    own_buses: BTreeMap<(usize, usize), Bus>,
     /// The time of each board's next event; a board that sleeps longer stays behind in time.
     wake: Vec<Time>,
     adapters: Vec<Adapter>,
@@ -299,7 +301,8 @@ impl Network {
 
     /// The time of the next action on any bus.
     fn next_action(&self) -> Time {
-        self.more_buses.iter().map(Bus::next_action).fold(self.bus.next_action(), Time::min)
+        let others = self.more_buses.iter().chain(self.own_buses.values());
+        others.map(Bus::next_action).fold(self.bus.next_action(), Time::min)
     }
 
     /// Runs the buses until `until`, or to an event that concerns a CPU or an adapter's user; returns which.
@@ -309,12 +312,29 @@ impl Network {
             self.boards.iter().enumerate().filter(powered).map(|(number, _)| number).collect();
         let mut chips: Vec<MutexGuard<'_, Chip>> =
             numbers.iter().map(|&number| self.boards[number].chip()).collect();
+        let mut own_buses = BTreeMap::new();
+        for (&number, chip) in numbers.iter().zip(&chips) {
+            for (at, can) in chip.cans().iter().enumerate() {
+                if self.plugs[number][at].is_none() && can.is_in_use() {
+                    let place = (number, at);
+                    let bus = self.own_buses.remove(&place).unwrap_or_else(|| Bus::at(self.now));
+                    own_buses.insert(place, bus);
+                }
+            }
+        }
+        self.own_buses = own_buses;
         let buses = iter::once(&mut self.bus).chain(&mut self.more_buses);
         let mut buses: Vec<Connected<'_>> = buses.map(Connected::new).collect();
+        let mut own_buses: BTreeMap<_, _> = self.own_buses.iter_mut().collect();
         for (&number, chip) in numbers.iter().zip(&mut chips) {
-            for (can, plug) in chip.cans_mut().iter_mut().zip(self.plugs[number]) {
-                if let Some(BusId(bus)) = plug {
-                    buses[bus].add(Source::Board(number), can);
+            for (at, can) in chip.cans_mut().iter_mut().enumerate() {
+                let source = Source::Board(number);
+                if let Some(BusId(bus)) = self.plugs[number][at] {
+                    buses[bus].add(source, can);
+                } else if let Some(bus) = own_buses.remove(&(number, at)) {
+                    let mut own = Connected::new(bus);
+                    own.add(source, can);
+                    buses.push(own);
                 }
             }
         }

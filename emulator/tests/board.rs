@@ -541,3 +541,43 @@ fn a_board_can_move_to_another_thread() {
     });
     assert_eq!(ticks.join().expect("no panic"), 8);
 }
+
+const VTOR: u32 = 0xE000_ED08;
+const MEMRMP: u32 = 0x4001_3800;
+
+#[test]
+fn a_boot_loader_leaves_clock_systick_usb_and_its_own_vector_table() {
+    let mut program = Program::new();
+    for (at, register) in
+        [VTOR, MEMRMP, RCC_CFGR, SYST_CSR, NVIC_ISER + 8, 0].into_iter().enumerate()
+    {
+        program.load(R1, register).store_register(COUNTER + 4 * at as u32, R1);
+    }
+    program.sleep_forever();
+    let mut board = board_with(program, Readings { boot_loader: true, ..Readings::default() });
+    run(&mut board, Time::from_ms(5));
+    let words = [0, 4, 8, 12, 16, 20].map(|offset| word(&board, COUNTER + offset));
+    assert_eq!(words, [0, 1, 0x100A, 7, 1 << 3, 0x1FFF_0401]);
+    assert_eq!(board.chip().clocks().pclk1.hz, 30_000_000);
+    assert_eq!((board.lockup(), board.findings()), (None, vec![]), "its handlers return");
+    board.reset(ResetCause::Pin);
+    run(&mut board, Time::from_ms(10));
+    assert_eq!(word(&board, COUNTER + 4), 1, "again");
+}
+
+#[test]
+fn the_memory_at_address_0_is_that_of_memrmp() {
+    let mut program = Program::new();
+    program.store(0x4002_3844, 1 << 14).store(COUNTER, 7);
+    program.load(R1, 4).store_register(COUNTER + 4, R1);
+    program.store(MEMRMP, 3).load(R1, COUNTER - 0x2000_0000).store_register(COUNTER + 8, R1);
+    program.store(MEMRMP, 0).load(R1, 4).store_register(COUNTER + 12, R1).stop();
+    let mut start = [0; 4];
+    let mut board = board(program);
+    run(&mut board, Time::from_ms(3));
+    assert!(board.read_memory(0x0800_0004, &mut start));
+    let start = u32::from_le_bytes(start);
+    let words = [4, 8, 12].map(|offset| word(&board, COUNTER + offset));
+    assert_eq!(words, [start, 7, start]);
+    assert_eq!(board.findings(), []);
+}

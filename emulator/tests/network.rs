@@ -23,6 +23,7 @@ const NVIC_ISER0: u32 = 0xE000_E100;
 const CAN1_RX0: usize = 16 + 20;
 /// 250 kbit/s at 8 MHz, sample point 87.5 %.
 const QUARTER_MEGABIT: u32 = 0x001C_0001;
+const RESULT: u32 = 0x2000_0000;
 const REPLY: u16 = 0x581;
 
 /// Answers each frame at 250 kbit/s with the same data and the identifier `REPLY`, and sleeps in between.
@@ -319,4 +320,29 @@ fn each_controller_answers_on_its_own_bus() {
     assert_eq!(answer, reply(&[2]));
     assert_eq!(network.adapter_mut(stranger).unsent(), 1);
     assert!(frames(&network).is_empty());
+}
+
+#[test]
+fn a_controller_that_is_on_no_bus_joins_and_sends_to_itself_in_loopback() {
+    const CAN2: u32 = CAN + 0x400;
+    const SILENT_LOOPBACK: u32 = 0b11 << 30;
+    const TRANSMITTED: u32 = 1 << 1;
+    let mut program = Program::new();
+    program.store(RCC_AHB1ENR, 1 << 1).store(GPIOA + 0x400, 0x0A00_0280);
+    program.store(GPIOA + 0x424, 0x0099_0000).store(RCC_APB1ENR, 0b11 << 25);
+    program.store(CAN2, 0x41).wait_for_ones(CAN2 + 4, 1);
+    program.store(CAN2 + 0x1C, QUARTER_MEGABIT | SILENT_LOOPBACK).store(CAN2, 0x40);
+    program.store(CAN2 + 0x184, 0).store(CAN2 + 0x180, 1);
+    program.wait_for_ones(CAN2 + 8, TRANSMITTED).load(R1, CAN2 + 4).store_register(RESULT, R1);
+    program.sleep_forever();
+    let board = Board::new(Part::Stm32f405, &program.image(), Settings::default());
+    let mut network = Network::new();
+    let board = network.add_board(board);
+    let adapter = network.add_adapter(Adapter::new(250_000));
+    network.run_until(READY);
+    let mut status = [0; 4];
+    assert!(network.board(board).read_memory(RESULT, &mut status));
+    assert_eq!(u32::from_le_bytes(status) & 0b11, 0, "neither initialisation nor sleep mode");
+    assert_eq!(network.receive(adapter), None);
+    assert_eq!(network.board(board).findings(), []);
 }

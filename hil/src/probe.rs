@@ -18,8 +18,7 @@ const LIMIT: Duration = Duration::from_secs(20);
 
 /// The probe of the first board.
 pub struct Probe {
-    /// The name of the chip in probe-rs.
-    chip: &'static str,
+    pub chip: Chip,
     /// The CAN controller on the bus, 1 for CAN1.
     pub controller: u8,
 }
@@ -36,15 +35,25 @@ impl Probe {
     /// # Errors
     /// The firmware does not know the chip, or it does not have the controller.
     pub fn new(chip: &str, controller: u8) -> anyhow::Result<Self> {
-        let Chip { controllers, probe_rs, .. } = Chip::named(chip).context("an unknown chip")?;
-        ensure!(u32::from(controller) <= controllers, "{chip} has no CAN{controller}");
-        Ok(Self { chip: probe_rs, controller })
+        let chip = Chip::named(chip).context("an unknown chip")?;
+        ensure!(
+            u32::from(controller) <= chip.controllers,
+            "{} has no CAN{controller}",
+            chip.feature
+        );
+        Ok(Self { chip, controller })
     }
 
     /// Reads a word without halting the core.
     pub fn read(&self, address: u32) -> Result<u32, String> {
-        let output =
-            self.run(&["read", "--chip", self.chip, "b32", &format!("{address:#X}"), "1"])?;
+        let output = self.run(&[
+            "read",
+            "--chip",
+            self.chip.probe_rs,
+            "b32",
+            &format!("{address:#X}"),
+            "1",
+        ])?;
         let words = output.split_whitespace().rev();
         let value = words
             .filter(|word| word.len() == 8)
@@ -54,7 +63,7 @@ impl Probe {
 
     /// Resets the board by its reset line or the debug port.
     pub fn reset(&self) -> Result<(), String> {
-        self.run(&["reset", "--chip", self.chip]).map(drop)
+        self.run(&["reset", "--chip", self.chip.probe_rs]).map(drop)
     }
 
     fn run(&self, arguments: &[&str]) -> Result<String, String> {

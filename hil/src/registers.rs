@@ -1,7 +1,7 @@
 //! The values of the registers that matter, on the emulated board that runs the same firmware.
 
 use lss_slave::{BitRate, NodeId, bit_rate::BitTiming, lss, nmt};
-use lss_slave_firmware::device;
+use lss_slave_firmware::{chip::Chip, device};
 
 /// A register, and the value of its bits that do not vary.
 #[derive(Clone, Copy, Debug)]
@@ -13,6 +13,10 @@ pub struct Register {
 }
 
 const CAN_BTR: &str = "CAN_BTR";
+const IDCODE: &str = "DBGMCU_IDCODE";
+const OPTCR: &str = "FLASH_OPTCR";
+const CSR: &str = "PWR_CSR";
+const F_SIZE: &str = "size of the flash";
 const ALL: u32 = u32::MAX;
 /// RCC_PLLCFGR: a crystal of 8 MHz, divided by 4, times 160, divided by 2; the rest is for clocks that are not used.
 const PLL: u32 = 0x0740_2804;
@@ -22,8 +26,8 @@ const fn register(name: &'static str, address: u32, mask: u32, value: u32) -> Re
 }
 
 /// The registers of a board with this node-ID that takes part in the bus at its home rate with this CAN controller, 1
-/// for CAN1.
-pub fn expected(rate: BitRate, id: NodeId, controller: u8) -> Vec<Register> {
+/// for CAN1, of this chip.
+pub fn expected(rate: BitRate, id: NodeId, controller: u8, chip: &Chip) -> Vec<Register> {
     let can = 0x4000_6000 + 0x400 * u32::from(controller);
     // CAN2 has its clock and that of CAN1, and banks of CAN1.
     let (clocks, filters, first) = match controller {
@@ -36,6 +40,13 @@ pub fn expected(rate: BitRate, id: NodeId, controller: u8) -> Vec<Register> {
     let pair = |low: u16, high: u16| entry(high) << 16 | entry(low);
     let sdo = 0x600 + u16::from(id.get());
     vec![
+        register(IDCODE, 0xE004_2000, 0xFFF, chip.device_id),
+        // With the unique id below it; the half-word above is the size in KB.
+        register(F_SIZE, 0x1FFF_7A20, 0, 0),
+        // No read protection, and no write protection of the sectors for the settings.
+        register(OPTCR, 0x4002_3C14, 0x0006_FF00, 0x0006_AA00),
+        // The regulator is ready.
+        register(CSR, 0x4000_7004, 1 << 14, 1 << 14),
         // HSE, PLL and CSS on, and ready.
         register(
             "RCC_CR",
@@ -76,8 +87,26 @@ fn btr(timing: BitTiming) -> u32 {
 impl Register {
     /// A value in words, where that helps.
     pub fn explain(&self, value: u32) -> String {
-        if self.name != CAN_BTR {
-            return format!("{value:08X}");
+        match self.name {
+            CAN_BTR => {}
+            IDCODE => {
+                let (device, revision) = (value & 0xFFF, value >> 16);
+                let prefetch = match (device, revision) {
+                    (0x413, 0x1000) => ": its prefetch is faulty (docs/product.md, \"Old chips\")",
+                    _ => "",
+                };
+                return format!("device {device:03X}, revision {revision:04X}{prefetch}");
+            }
+            F_SIZE => return format!("{} KB", value >> 16),
+            OPTCR => {
+                let level = ["3", "2", "1", "off"][value as usize >> 2 & 3];
+                return format!("{value:08X} (brown-out reset: {level})");
+            }
+            CSR if value & 1 << 2 != 0 => {
+                return format!("{value:08X} (supply below 3.0 V: the flash is written by bytes)");
+            }
+            CSR => return format!("{value:08X} (supply above 2.75 V)"),
+            _ => return format!("{:08X}", value & self.mask),
         }
         let segment1 = (value >> 16 & 0xF) + 1;
         let quanta = 1 + segment1 + (value >> 20 & 7) + 1;
@@ -113,6 +142,7 @@ mod tests {
     fn the_table_has_the_values_of_the_emulated_board_on_can1_and_on_can2() {
         let on_can2 = image::build_with_features(Part::Stm32f405, &["can2", "switches"]);
         let on_can2 = on_can2.expect("it builds");
+        let chip = chip();
         let mut differences = Vec::new();
         for (rate, id) in BitRate::ALL.into_iter().zip([1, 5, 0x7E].into_iter().cycle()) {
             for (controller, image) in [(1, image::image()), (2, &on_can2)] {
@@ -121,7 +151,8 @@ mod tests {
                 board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
                 let mut rig = ImageRig::new(rate, [board]);
                 rig.network.run_for(Time::from_ms(500));
-                for register in expected(rate, NodeId::new(id).expect("1..=127"), controller) {
+                let id = NodeId::new(id).expect("1..=127");
+                for register in expected(rate, id, controller, &chip) {
                     let board = rig.network.board(0);
                     let access = Access {
                         address: register.address,
@@ -129,8 +160,8 @@ mod tests {
                         now: board.now(),
                         pc: 0,
                     };
-                    let value = board.chip().read(access).expect("a register") & register.mask;
-                    if value != register.value {
+                    let value = board.chip().read(access).expect("a register");
+                    if value & register.mask != register.value {
                         let value = register.explain(value);
                         differences
                             .push(format!("CAN{controller} {rate:?} {}: {value}", register.name));
@@ -141,11 +172,42 @@ mod tests {
         assert!(differences.is_empty(), "{differences:#?}");
     }
 
+    fn chip() -> Chip {
+        Chip::named(Part::Stm32f405.name()).expect("a chip")
+    }
+
+    #[test]
+    fn each_chip_has_the_device_id_of_its_manual() {
+        for part in Part::ALL {
+            let chip = Chip::named(part.name()).expect("a chip");
+            assert_eq!(chip.device_id, part.id_code() & 0xFFF, "{}", part.name());
+        }
+    }
+
+    #[test]
+    fn size_options_revision_and_supply_are_shown_in_words() {
+        let id = NodeId::new(1).expect("1..=127");
+        let table = expected(BitRate::Kbit125, id, 1, &chip());
+        for (name, value, words) in [
+            (IDCODE, 0x1007_0413, "device 413, revision 1007"),
+            (F_SIZE, 0x0400_ABCD, "1024 KB"),
+            (OPTCR, 0x0FFF_AAED, "0FFFAAED (brown-out reset: off)"),
+            (OPTCR, 0x0FFF_AAE1, "0FFFAAE1 (brown-out reset: 3)"),
+            (CSR, 0x4000, "00004000 (supply above 2.75 V)"),
+            (CSR, 0x4004, "00004004 (supply below 3.0 V: the flash is written by bytes)"),
+        ] {
+            let register =
+                table.iter().find(|register| register.name == name).expect("it is there");
+            assert_eq!(register.explain(value), words);
+        }
+    }
+
     #[test]
     fn a_wrong_sample_point_is_named() {
         let id = NodeId::new(1).expect("1..=127");
-        let btr =
-            expected(BitRate::Kbit125, id, 1).into_iter().find(|register| register.name == CAN_BTR);
+        let btr = expected(BitRate::Kbit125, id, 1, &chip())
+            .into_iter()
+            .find(|register| register.name == CAN_BTR);
         let btr = btr.expect("it is in the table");
         assert!(btr.explain(btr.value).contains("125 kbit/s, sample point 85 %"));
         assert!(btr.explain(0x0049_000F | 0x8000_0000).contains("sample point 68 %, silent"));

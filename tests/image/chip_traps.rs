@@ -4,12 +4,14 @@
 use emulator::{
     Time,
     board::{self, Board},
-    chip::{FLASH_BASE, PowerCut, RAM_BASE, Readings, ResetCause, StartUp},
+    chip::{
+        Access, FLASH_BASE, PowerCut, RAM_BASE, Readings, ResetCause, StartUp, Thresholds, Width,
+    },
     network::{Event, Source, What},
 };
 use lss_slave::{BitRate, Settings};
 use testkit::{
-    frames::SILENCE,
+    frames::{Frames, SILENCE},
     image::{image, part},
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},
     random::Random,
@@ -43,20 +45,35 @@ fn run(board: &mut Board, until: Time) {
     }
 }
 
-#[test]
-fn a_store_at_a_low_supply_is_refused_and_works_when_the_supply_is_back() {
-    let mut rig = node_40(Readings::default());
-    rig.network.board_mut(0).set_supply(2_600);
-    let operations = rig.network.board(0).chip().flash().operations();
+/// The answers to a store of another node-ID, and the flash operations that it takes.
+fn store(rig: &mut ImageRig, node_id: u8) -> (Frames, u64) {
+    let operations = |rig: &ImageRig| rig.network.board(0).chip().flash().operations();
+    let before = operations(rig);
     rig.lss("04 01");
-    rig.lss("11 04");
-    assert_eq!(rig.lss("17"), ["17 02"]);
-    assert_eq!(says(rig.network.board(0), "flash: not written, the supply is below 2.7 V"), 1);
-    assert_eq!(rig.network.board(0).chip().flash().operations(), operations, "nothing is written");
-    rig.network.board_mut(0).set_supply(2_700);
-    assert_eq!(rig.lss("17"), ["17 00"]);
-    rig.power_cycle(0);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
+    rig.lss(&format!("11 {node_id:02X}"));
+    let answers = rig.lss("17");
+    (answers, operations(rig) - before)
+}
+
+/// Programming by words needs 2.7 V, by bytes 1.8 V: the emulated flash reports the wrong width.
+#[test]
+fn a_store_programs_words_if_the_supply_is_safely_above_2_7_v_or_else_bytes() {
+    for thresholds in [Thresholds::Lowest, Thresholds::Typical, Thresholds::Highest] {
+        let mut rig = node_40(Readings { thresholds, ..Readings::default() });
+        let (answers, words) = store(&mut rig, 4);
+        assert_eq!(answers, ["17 00"]);
+        let lower = [2_900, 2_800, 2_749, 2_700, 2_500, 2_000];
+        for (node_id, mv) in (5..).zip(lower.into_iter().chain([3_000])) {
+            rig.network.board_mut(0).set_supply(mv);
+            let (answers, operations) = store(&mut rig, node_id);
+            assert_eq!(answers, ["17 00"], "{thresholds:?} {mv} mV");
+            let by_words = operations == words;
+            assert!(by_words || operations == 4 * words, "{thresholds:?} {mv} mV: {operations}");
+            assert!(mv < 3_000 || by_words, "{thresholds:?} {mv} mV");
+        }
+        rig.power_cycle(0);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["70B: 00"]);
+    }
 }
 
 #[test]
@@ -81,17 +98,15 @@ fn a_supply_that_rises_slowly_is_waited_for_before_the_flash_is_erased() {
 }
 
 #[test]
-fn a_node_whose_supply_stays_low_is_on_the_bus_but_stores_nothing() {
-    let mut board = board_with(Readings::default(), &[settings(0x40, RATE)]);
-    board.set_supply(2_500);
-    let mut rig = ImageRig::new(RATE, [board]);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
-    let low = "the supply is below 2.7 V: nothing can be stored until it rises";
+fn a_node_whose_supply_stays_low_is_on_the_bus_and_formats_and_stores() {
+    let mut board = board_with(Readings::default(), &[]);
+    board.set_supply(2_000);
+    let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
+    let low = "the supply is below 2.7 V, which the clock needs";
     assert_eq!(says(rig.network.board(0), low), 1);
-    rig.lss("04 01");
-    rig.lss("11 04");
-    assert_eq!(rig.lss("17"), ["17 02"]);
-    assert_eq!(rig.network.board(0).chip().flash().operations(), 0);
+    assert_eq!(store(&mut rig, 4).0, ["17 00"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
 }
 
 #[test]
@@ -267,4 +282,65 @@ fn a_board_that_starts_as_slowly_or_as_quickly_as_allowed_stores() {
         rig.power_cycle(0);
         assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
     }
+}
+
+/// The Discovery feeds its chip from 3 V through a diode.
+#[test]
+fn a_store_at_the_2_93_v_of_a_discovery_works_on_every_chip() {
+    for thresholds in [Thresholds::Lowest, Thresholds::Typical, Thresholds::Highest] {
+        let chip_readings = Readings { thresholds, ..Readings::default() };
+        let settings =
+            board::Settings { supply_mv: 2_930, chip_readings, ..board::Settings::default() };
+        let board = Board::new(part(), image(), settings);
+        let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
+        let joined = rig.network.now();
+        assert!(joined < Time::from_ms(300), "{thresholds:?}: {joined}");
+        rig.lss("04 01");
+        rig.lss("11 04");
+        assert_eq!(rig.lss("17"), ["17 00"], "{thresholds:?}");
+        let since = rig.network.now();
+        rig.power_cycle(0);
+        assert!(rig.network.now() < since + Time::from_ms(30), "{thresholds:?}");
+        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"], "{thresholds:?}");
+    }
+}
+
+/// `dfu-util ... :leave` with BOOT0 high.
+#[test]
+fn a_board_that_a_boot_loader_starts_is_on_the_bus_within_10_ms() {
+    let readings = Readings { boot_loader: true, ..Readings::default() };
+    let mut rig = ImageRig::new(
+        BitRate::Kbit125,
+        [board_with(readings, &[settings(0x40, BitRate::Kbit125)])],
+    );
+    let (boot_up, frames) = rig.next_frame();
+    assert_eq!(frames, ["740: 00"]);
+    let started = StartUp::Typical.reset();
+    assert!(boot_up < started + Time::from_ms(10), "{}", boot_up - started);
+    rig.lss("04 01");
+    assert_eq!(rig.lss("5E"), ["5E 40"]);
+    rig.network.run_for(Time::from_s(5));
+    rig.expect_reset(0, ResetCause::Software);
+    let since = rig.network.now();
+    rig.transmit_command("81 40");
+    rig.boot(0, since);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+}
+
+#[test]
+fn the_debug_port_stays_on_in_sleep_when_a_probe_has_switched_that_off() {
+    const DBGMCU_CR: u32 = 0xE004_2004;
+    let mut rig = node_40(Readings::default());
+    let dbg_sleep = |rig: &ImageRig| {
+        let board = rig.network.board(0);
+        let now = board.now();
+        let access = Access { address: DBGMCU_CR, width: Width::Word, now, pc: 0 };
+        let was = board.chip().read(access).expect("a register");
+        board.chip().write(access, 0).expect("a register");
+        was & 1
+    };
+    assert_eq!(dbg_sleep(&rig), 1);
+    // Two roll calls.
+    rig.network.run_for(Time::from_ms(510));
+    assert_eq!(dbg_sleep(&rig), 1);
 }

@@ -8,7 +8,7 @@ use anyhow::{Context, bail, ensure};
 use emulator::{
     Time, board,
     can::{Adapter, BitSegments, Clock, Frame, Id},
-    chip::Part,
+    chip::{Part, Readings},
     image::Image,
     network::{Network, What},
 };
@@ -33,7 +33,8 @@ use crate::{
 /// For each chip the table shows the clock of the core, the flash that the image takes, the time from power-on to the
 /// boot-up, whether all eight bit rates are exact and work with crystals that are 0.5 % off at both ends, and the
 /// outcome of the sessions: a blank board is found by Fastscan, gets a node-ID and a bit rate, stores, switches, loses
-/// its power and boots up with what was stored; then those of `cargo xtask readings --quick`. A wrong choice of
+/// its power and boots up with what was stored; then those of `cargo xtask readings --quick`, and a start by a boot
+/// loader that leaves the PLL, interrupts and its vector table on. A wrong choice of
 /// chips, controller or pins must not build.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -135,11 +136,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn row(Target { part, controller }: Target, image: &Image) -> anyhow::Result<Row> {
     let settings = board::Settings { controller: controller.into(), ..Default::default() };
     let variant = Variant { image, part, settings };
-    let (core_mhz, boot) = boot(&variant)?;
+    let (core_mhz, boot) = self::boot(&variant)?;
     let mut sessions = commission(&variant).context("commissioning");
     for (name, session) in sessions::all(true) {
         sessions = sessions.and_then(|()| session(&variant).context(name));
     }
+    let chip_readings = Readings { boot_loader: true, ..Readings::default() };
+    let settings = board::Settings { chip_readings, ..settings };
+    let after_loader = self::boot(&Variant { settings, ..variant });
+    sessions = sessions.and(after_loader.map(drop).context("a boot loader starts the program"));
     Ok(Row { core_mhz, boot, rates: check_rates(&variant), sessions })
 }
 

@@ -41,6 +41,11 @@ impl Bus {
         Self::default()
     }
 
+    /// A recessive bus at this time.
+    pub(crate) fn at(now: Time) -> Self {
+        Self { now, ..Self::default() }
+    }
+
     /// The current time of the bus.
     pub fn now(&self) -> Time {
         self.now

@@ -174,6 +174,11 @@ impl Bxcan {
         self.irq
     }
 
+    /// Whether it is neither asleep nor about to be.
+    pub fn is_in_use(&self) -> bool {
+        self.mode != Mode::Sleep || self.mcr & (MCR_SLEEP | MCR_INRQ) != MCR_SLEEP
+    }
+
     /// Updates the interrupt lines to the state of the bus.
     ///
     /// The bus runs ahead of a sleeping CPU. The lines change only when the CPU has slept until that time.

@@ -128,6 +128,16 @@ impl Flash {
         self.options.word(offset)
     }
 
+    /// Sets the wait states and caches of the boot loader.
+    pub(super) fn leave_loader(&mut self) {
+        self.acr = ACR_ICEN | ACR_DCEN | 3;
+    }
+
+    /// BOR_LEV of the option bytes.
+    pub(super) fn bor_lev(&self) -> u32 {
+        self.options.bor_lev()
+    }
+
     /// The range that changed since the last call, for the owner of a copy.
     pub fn take_changed(&mut self) -> Option<Range<usize>> {
         self.changed.take()

@@ -335,6 +335,23 @@ impl Rcc {
         }
     }
 
+    /// Sets the clocks of the boot loader: 60 MHz by crystal and PLL, and CSS; USB and GPIOA have clocks.
+    pub fn leave_loader(&mut self, now: Time) {
+        let input_divider = self.crystal.hz / 1_000_000;
+        for (offset, value) in [
+            (PLLCFGR, 5 << 24 | 1 << 22 | 1 << 16 | 240 << 6 | input_divider),
+            (CR, 0x83 | HSEON | CSSON | PLLON),
+            (CFGR, 4 << 10 | 2),
+            (AHB1ENR, self.reg(AHB1ENR) | 1),
+            (AHB2ENR, 1 << 7),
+            (APB2ENR, 1 << 14),
+        ] {
+            self.regs[offset as usize / 4] = value;
+        }
+        self.hse_ready = now;
+        self.pll_ready[0] = now;
+    }
+
     /// Stops the crystal at `now`. The clock security system, if it is on, switches to HSI and interrupts (RM0090
     /// 7.2.7).
     pub fn stop_crystal(&mut self, now: Time) {

@@ -1,6 +1,6 @@
 //! Switches for the properties that manuals and reports leave open. A program must work under each of them.
 
-use super::Timing;
+use super::{Thresholds, Timing};
 use crate::Time;
 
 /// The variations between chips; the default is the nominal chip.
@@ -25,6 +25,11 @@ pub struct Readings {
     pub hse_start: Time,
     /// The other times of the start.
     pub start_up: StartUp,
+    /// After each reset a boot loader starts the program, and leaves the chip as the one in ROM does after
+    /// `dfu-util ... :leave`: see [`Chip::leave_loader`](super::Chip::leave_loader).
+    pub boot_loader: bool,
+    /// The levels of the voltage detector and of the brown-out reset.
+    pub thresholds: Thresholds,
     /// The programming and erase times of the flash.
     pub flash_timing: Timing,
 }
@@ -79,6 +84,8 @@ impl Default for Readings {
             lsi_hz: 32_000,
             hse_start: Time::from_ms(2),
             start_up: StartUp::Typical,
+            boot_loader: false,
+            thresholds: Thresholds::Typical,
             flash_timing: Timing::Typical,
         }
     }

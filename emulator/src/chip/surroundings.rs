@@ -11,6 +11,11 @@ impl Chip {
         self.flash.set_supply(mv);
     }
 
+    /// Whether the supply is too low to leave the reset, if `was_low`, or to stay out of it.
+    pub fn supply_is_too_low(&self, was_low: bool) -> bool {
+        self.readings.thresholds.reset(self.flash.bor_lev(), self.pwr.supply(), was_low)
+    }
+
     /// Stops the crystal at `now`.
     pub fn stop_crystal(&mut self, now: Time) {
         self.rcc.stop_crystal(now);

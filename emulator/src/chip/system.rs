@@ -1,13 +1,16 @@
 //! Small blocks: PWR, SYSCFG, EXTI, DBGMCU, and the factory data (unique id, flash size).
 
-use super::{Part, adc};
+use super::{Part, Thresholds, adc};
 
 /// PWR (RM0090 chapter 5): the voltage detector, and the voltage scale and over-drive bits that clock set-up waits for,
 /// which take effect at once.
 #[derive(Debug)]
 pub struct Pwr {
     part: Part,
+    thresholds: Thresholds,
     supply_mv: u32,
+    /// What the voltage detector shows while it is on.
+    is_low: bool,
     cr: u32,
     csr: u32,
 }
@@ -18,20 +21,19 @@ impl Pwr {
     const PVDE: u32 = 1 << 4;
     const DBP: u32 = 1 << 8;
     const PVDO: u32 = 1 << 2;
-    /// The thresholds that PLS selects, in mV (RM0090 5.4.1), without hysteresis.
-    const THRESHOLDS_MV: [u32; 8] = [2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900];
     const VOSRDY: u32 = 1 << 14;
     /// ODEN and ODSWEN in CR, ODRDY and ODSWRDY in CSR.
     const OVERDRIVE: u32 = 1 << 16 | 1 << 17;
 
     /// The state after a reset, with 3.3 V.
-    pub fn new(part: Part) -> Self {
-        Self { part, supply_mv: 3_300, cr: part.power_after_reset(), csr: 0 }
+    pub fn new(part: Part, thresholds: Thresholds) -> Self {
+        let cr = part.power_after_reset();
+        Self { part, thresholds, supply_mv: 3_300, is_low: true, cr, csr: 0 }
     }
 
     /// Resets all registers; the supply remains the same.
     pub fn reset(&mut self) {
-        *self = Self { supply_mv: self.supply_mv, ..Self::new(self.part) };
+        *self = Self { supply_mv: self.supply_mv, ..Self::new(self.part, self.thresholds) };
     }
 
     /// Whether DBP lets the program write to the RTC and to RCC_BDCR.
@@ -42,6 +44,17 @@ impl Pwr {
     /// Sets the supply in mV.
     pub fn set_supply(&mut self, mv: u32) {
         self.supply_mv = mv;
+        self.detect();
+    }
+
+    /// The supply in mV.
+    pub fn supply(&self) -> u32 {
+        self.supply_mv
+    }
+
+    /// Lets the voltage detector compare the supply with its level.
+    fn detect(&mut self) {
+        self.is_low = self.thresholds.detects(self.cr >> 5 & 7, self.supply_mv, self.is_low);
     }
 
     /// The highest HCLK in Hz at the present voltage scale.
@@ -50,8 +63,7 @@ impl Pwr {
     }
 
     fn pvdo(&self) -> u32 {
-        let threshold = Self::THRESHOLDS_MV[self.cr as usize >> 5 & 7];
-        if self.cr & Self::PVDE != 0 && self.supply_mv < threshold { Self::PVDO } else { 0 }
+        if self.cr & Self::PVDE != 0 && self.is_low { Self::PVDO } else { 0 }
     }
 
     /// The value of a register, or `None` if it does not exist.
@@ -66,12 +78,28 @@ impl Pwr {
     /// Writes a register; returns false if it does not exist.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
-            Self::CR => self.cr = value & self.part.power_bits(),
+            Self::CR => {
+                // A detector that is switched on finds a supply sufficient that is above the rising level.
+                self.is_low |= self.cr & Self::PVDE == 0;
+                self.cr = value & self.part.power_bits();
+                self.detect();
+            }
             Self::CSR => self.csr = value & (1 << 8 | 1 << 9),
             _ => return false,
         }
         true
     }
+}
+
+/// The memory that also lies at address 0 (RM0090 9.2.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AtZero {
+    /// The flash, as after a reset with BOOT0 low.
+    Flash,
+    /// The system memory with the boot loader.
+    System,
+    /// The SRAM.
+    Sram,
 }
 
 /// SYSCFG (RM0090 chapter 9): memory remap, interrupt line selection, compensation cell.
@@ -81,6 +109,21 @@ pub struct Syscfg {
 }
 
 impl Syscfg {
+    /// Values of SYSCFG_MEMRMP.
+    const SYSTEM: u32 = 1;
+    const SRAM: u32 = 3;
+
+    /// The state after a reset: the memory at address 0 is that of the boot pins.
+    pub fn new(at_zero: AtZero) -> Self {
+        let mut syscfg = Self::default();
+        syscfg.regs[0] = match at_zero {
+            AtZero::Flash => 0,
+            AtZero::System => Self::SYSTEM,
+            AtZero::Sram => Self::SRAM,
+        };
+        syscfg
+    }
+
     /// The value of a register, or `None` if it does not exist.
     pub fn read(&self, offset: u32) -> Option<u32> {
         let value = *self.regs.get(offset as usize / 4)?;
@@ -88,13 +131,22 @@ impl Syscfg {
         Some(if offset == 0x20 { value | (value & 1) << 8 } else { value })
     }
 
-    /// Writes a register; returns false if it does not exist, or for a memory remap, which is not modelled.
+    /// The memory at address 0.
+    pub fn at_zero(&self) -> AtZero {
+        match self.regs[0] & 3 {
+            Self::SYSTEM => AtZero::System,
+            Self::SRAM => AtZero::Sram,
+            _ => AtZero::Flash,
+        }
+    }
+
+    /// Writes a register; returns false if it does not exist, or for a remap other than those of [`AtZero`].
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         let Some(register) = self.regs.get_mut(offset as usize / 4) else {
             return false;
         };
         *register = value;
-        offset != 0 || value == 0
+        offset != 0 || matches!(value, 0 | Self::SYSTEM | Self::SRAM)
     }
 }
 
@@ -186,7 +238,8 @@ impl Dbgmcu {
     }
 }
 
-/// The factory data in system memory (RM0090 chapter 39), read only.
+/// The factory data in system memory (RM0090 chapter 39), read only, and in place of the boot loader a vector table
+/// whose handlers return at once.
 #[derive(Debug)]
 pub struct Factory {
     unique_id: [u8; 12],
@@ -194,6 +247,10 @@ pub struct Factory {
 }
 
 impl Factory {
+    /// The vector table of the boot loader.
+    const VECTORS: u32 = 0x1FFF_0000;
+    /// Its handler: `bx lr`.
+    const HANDLER: u32 = 0x1FFF_0400;
     /// The first address of the one-time programmable bytes, which are all blank.
     const OTP: u32 = 0x1FFF_7800;
     const UNIQUE_ID: u32 = 0x1FFF_7A10;
@@ -210,6 +267,11 @@ impl Factory {
     pub fn byte(&self, address: u32) -> Option<u8> {
         let id = address.wrapping_sub(Self::UNIQUE_ID) as usize;
         match address {
+            Self::VECTORS..Self::HANDLER => {
+                Some((Self::HANDLER | 1).to_le_bytes()[address as usize % 4])
+            }
+            Self::HANDLER => Some(0x70),
+            0x1FFF_0401 => Some(0x47),
             Self::OTP..Self::UNIQUE_ID => Some(0xFF),
             _ if id < 12 => Some(self.unique_id[id]),
             Self::FLASH_SIZE => Some(self.flash_kb.to_le_bytes()[0]),

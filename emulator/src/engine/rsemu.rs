@@ -26,7 +26,7 @@ use crate::{
     coverage::{Executed, Recorder},
 };
 use accelerator::Accelerator;
-use bus::Link;
+use bus::{Link, Space};
 
 /// Bits of SYST_CSR: counter enabled, and its interrupt enabled.
 const SYSTICK_INTERRUPTS: u32 = 0b11;
@@ -36,6 +36,7 @@ const RESET_POLL: u32 = 64;
 /// A Cortex-M4F that executes one instruction at a time.
 pub struct Rsemu {
     cpu: ArmV7m,
+    space: Space,
     chip: Arc<Mutex<Chip>>,
     link: Arc<Link>,
     flash: Arc<RamStore>,
@@ -74,12 +75,13 @@ impl Rsemu {
         let link = Arc::new(Link::new(clock));
         let ram = Arc::new(RamStore::new(part.ram_size().into()));
         let ccm = Arc::new(RamStore::new(part.ccm_size().into()));
-        let config = Config::CORTEX_M4F.with_priority_bits(4).with_reset_vtor(FLASH_BASE);
+        let config = Config::CORTEX_M4F.with_priority_bits(4);
         let cpu = ArmV7m::new(config);
-        let space = bus::address_space(&chip, &link, &flash, &ram, &ccm, readings);
-        cpu.attach_space(Arc::new(space));
+        let space = Space::new(&chip, &link, &flash, &ram, &ccm, readings);
+        cpu.attach_space(space.shared());
         Self {
             cpu,
+            space,
             chip,
             link,
             flash,
@@ -262,7 +264,11 @@ impl Engine for Rsemu {
         // A warm reset would leave NVIC and SysTick on.
         self.cpu.reset(ResetKind::Cold);
         self.irqs = 0;
-        let hclk = lock(&self.chip).clocks().hclk;
+        let (hclk, at_zero) = {
+            let chip = lock(&self.chip);
+            (chip.clocks().hclk, chip.at_zero())
+        };
+        self.space.put_at_zero(at_zero);
         // The new clock starts at the last whole cycle of the old one, so time never goes back.
         let reached = self.now().as_ps().max(now.as_ps());
         self.clock = CycleClock::new(hclk, self.cycles, Time::from_ps(reached));
@@ -272,6 +278,25 @@ impl Engine for Rsemu {
         self.spin = None;
         *self.link.accelerator() = Accelerator::new();
         self.sync_flash();
+    }
+
+    fn start_from_loader(&mut self, now: Time, hold: Time) {
+        /// OTG_FS.
+        const USB: Exception = Exception(16 + 67);
+        self.reset(now, hold);
+        // Takes the first stack pointer and program counter.
+        self.cpu.step();
+        let chip = Arc::clone(&self.chip);
+        let mut chip = lock(&chip);
+        chip.leave_loader(self.now());
+        self.sync(&chip);
+        self.cpu.with_sys(|sys| {
+            sys.vtor = 0;
+            sys.syst_rvr = 59_999;
+            sys.syst_csr = 0b111;
+            sys.enable[usize::from(USB.0 / 32)] |= 1 << (USB.0 % 32);
+            sys.set_pending(USB, true);
+        });
     }
 
     fn run(&mut self, until: Time) -> Halt {

@@ -7,7 +7,7 @@ mod timer;
 use emulator::{
     Time,
     can::Clock,
-    chip::{Access, Chip, Part, Pin, Problem, Readings, Request, ResetCause, Width},
+    chip::{Access, Chip, Part, Pin, Problem, Readings, Request, ResetCause, Thresholds, Width},
 };
 
 const RCC_CR: u32 = 0x4002_3800;
@@ -25,6 +25,10 @@ const PWR_CSR: u32 = 0x4000_7004;
 
 fn chip(part: Part) -> Chip {
     Chip::new(part, Clock { hz: 8_000_000, ppm: 20 }, *b"unique id 12")
+}
+
+fn chip_with(part: Part, readings: Readings) -> Chip {
+    Chip::with_readings(part, Clock { hz: 8_000_000, ppm: 20 }, *b"unique id 12", readings)
 }
 
 fn access(address: u32, width: Width, now: Time) -> Access {
@@ -195,24 +199,45 @@ fn without_clock_security_a_crystal_that_stops_stops_the_chip() {
 
 #[test]
 fn the_voltage_detector_compares_the_supply_with_the_chosen_level() {
-    let mut chip = chip(Part::Stm32f405);
-    let low = |chip: &mut Chip| read(chip, PWR_CSR, Time::ZERO) >> 2 & 1 == 1;
-    write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
-    chip.set_supply(1_900);
-    assert!(!low(&mut chip), "it is off");
-    for (pls, mv) in [2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900].into_iter().enumerate() {
-        write(&mut chip, PWR_CR, 0x4010 | (pls as u32) << 5, Time::ZERO);
-        chip.set_supply(mv - 1);
-        assert!(low(&mut chip), "{mv} mV");
-        chip.set_supply(mv);
-        assert!(!low(&mut chip), "{mv} mV");
+    // PLS, then the rising and the falling level of the lowest, the typical and the highest chip.
+    let levels = [
+        (0, [2_090, 2_140, 2_190], [1_980, 2_040, 2_080]),
+        (4, [2_700, 2_760, 2_820], [2_590, 2_660, 2_710]),
+        (5, [2_860, 2_930, 2_990], [2_750, 2_840, 2_920]),
+        (7, [3_070, 3_140, 3_210], [2_950, 3_030, 3_090]),
+    ];
+    for (place, thresholds) in
+        [Thresholds::Lowest, Thresholds::Typical, Thresholds::Highest].into_iter().enumerate()
+    {
+        let readings = Readings { thresholds, ..Readings::default() };
+        let mut chip = chip_with(Part::Stm32f405, readings);
+        let low = |chip: &mut Chip| read(chip, PWR_CSR, Time::ZERO) >> 2 & 1 == 1;
+        write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
+        chip.set_supply(1_900);
+        assert!(!low(&mut chip), "it is off");
+        for (pls, rising, falling) in levels {
+            let (rising, falling) = (rising[place], falling[place]);
+            chip.set_supply(rising - 1);
+            write(&mut chip, PWR_CR, 0x4000, Time::ZERO);
+            write(&mut chip, PWR_CR, 0x4010 | pls << 5, Time::ZERO);
+            for (mv, is_low) in [
+                (rising - 1, true),
+                (rising, false),
+                (falling, false),
+                (falling - 1, true),
+                (rising - 1, true),
+            ] {
+                chip.set_supply(mv);
+                assert_eq!(low(&mut chip), is_low, "{thresholds:?}, {pls}, {mv} mV");
+            }
+        }
+        chip.set_supply(2_000);
+        chip.reset(ResetCause::Software, Time::ZERO);
+        write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
+        write(&mut chip, PWR_CR, 0x40B0, Time::ZERO);
+        assert!(low(&mut chip), "a reset does not change the supply");
+        assert_eq!(chip.findings(), []);
     }
-    chip.set_supply(2_000);
-    chip.reset(ResetCause::Software, Time::ZERO);
-    write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
-    write(&mut chip, PWR_CR, 0x40B0, Time::ZERO);
-    assert!(low(&mut chip), "a reset does not change the supply");
-    assert_eq!(chip.findings(), []);
 }
 
 #[test]

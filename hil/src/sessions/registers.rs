@@ -7,7 +7,8 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         bench.report.not_tried("registers", "no --probe");
         return Ok(());
     };
-    let expected = registers::expected(bench.base, bench.boards[0].id, probe.controller);
+    let expected =
+        registers::expected(bench.base, bench.boards[0].id, probe.controller, &probe.chip);
     bench.report.progress("reading registers with probe-rs");
     for register in expected {
         match probe.read(register.address) {
@@ -16,10 +17,9 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
                 return Ok(());
             }
             Ok(value) => {
-                let value = value & register.mask;
                 bench.report.expect(
                     register.name,
-                    value == register.value,
+                    value & register.mask == register.value,
                     register.explain(value),
                     register.explain(register.value),
                 );

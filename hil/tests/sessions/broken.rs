@@ -21,7 +21,11 @@ use crate::{
 };
 
 /// RCC_CR, PLLCFGR, CFGR, APB1ENR; FLASH_ACR; CAN_MCR, IER, ESR, BTR; CAN's filters.
-const REGISTERS: [u32; 16] = [
+const REGISTERS: [u32; 20] = [
+    0xE004_2000,
+    0x1FFF_7A20,
+    0x4002_3C14,
+    0x4000_7004,
     0x4002_3800,
     0x4002_3804,
     0x4002_3808,

@@ -1,6 +1,6 @@
 //! Tests that take the drivers through their unsafe code. What the chip makes of it is tested with the release image.
 
-use std::sync::atomic::Ordering::Relaxed;
+use std::{panic::catch_unwind, sync::atomic::Ordering::Relaxed};
 
 use drivers::{
     can::{Controller, Received},
@@ -28,7 +28,7 @@ const ALL_EMPTY: u32 = 0b111 << 26;
 fn settings_flash() -> SettingsFlash {
     // As after a reset.
     set(FLASH.cr(), 1 << 31);
-    SettingsFlash::new(FLASH, Supply::watch(PWR))
+    SettingsFlash::new(FLASH, Supply::wait(PWR))
 }
 
 #[test]
@@ -73,16 +73,26 @@ fn only_the_erased_sector_is_blank() {
 }
 
 #[test]
-fn errors_of_the_flash_and_a_low_supply_are_reported() {
+fn errors_of_the_flash_are_reported() {
     const PROGRAMMING_PARALLELISM: u32 = 1 << 6;
     let _chip = memory::take();
     let mut flash = settings_flash();
     FLASH_STATUS.store(PROGRAMMING_PARALLELISM, Relaxed);
     assert!(matches!(flash.write(0, &[0; 4]), Err(FlashError::Status(PROGRAMMING_PARALLELISM))));
     assert!(matches!(flash.erase(0, 16 * 1024), Err(FlashError::Status(PROGRAMMING_PARALLELISM))));
+}
+
+#[test]
+fn bytes_are_written_at_a_low_supply() {
     const LOW: u32 = 1 << 2;
+    let _chip = memory::take();
+    let mut flash = settings_flash();
     set(PWR.csr(), LOW);
-    assert!(matches!(flash.write(0, &[0; 4]), Err(FlashError::Supply)));
+    let end = flash.capacity() as u32;
+    flash.write(end - 8, &[1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
+    let mut bytes = [0; 8];
+    flash.read(end - 8, &mut bytes).unwrap();
+    assert_eq!(bytes, [1, 2, 3, 4, 5, 6, 7, 8]);
 }
 
 #[test]
@@ -147,8 +157,11 @@ fn the_transmit_pin_belongs_to_the_controller_unless_it_listens() {
     };
     let mut can = controller();
     assert_eq!(mode(), 0b01);
-    can.set_bit_rate(BitRate::Kbit125);
-    assert_eq!(mode(), 0b10);
+    for _ in 0..2 {
+        // It is at rest while the controller is reset: `drivers::rcc`.
+        can.set_bit_rate(BitRate::Kbit125);
+        assert_eq!(mode(), 0b10);
+    }
     can.listen(BitRate::Kbit250);
     assert!(can.is_listening());
     assert_eq!(mode(), 0b01);
@@ -247,4 +260,33 @@ fn the_alarm_comes_at_the_count_of_the_timer() {
 fn a_crystal_that_did_not_fail_leaves_no_note() {
     let _chip = memory::take();
     assert!(!crystal::has_failed());
+}
+
+/// RCC_PLLCFGR for 160 MHz from a crystal of 8 MHz.
+const PLL: u32 = 1 << 22 | 160 << 6 | 4;
+
+/// Checks a system clock from this source with these settings of the PLL.
+fn check_clock(source: u32, pll: u32) {
+    let _chip = memory::take();
+    set(RCC.cfgr(), source << 2);
+    set(RCC.pllcfgr(), pll);
+    crystal::check(&RCC);
+}
+
+#[test]
+fn the_clock_that_the_pll_makes_from_the_crystal_is_accepted() {
+    check_clock(0b10, PLL);
+    check_clock(0b10, 1 << 22 | 1 << 16 | 320 << 6 | 4);
+}
+
+#[test]
+fn any_other_clock_ends_in_a_reset() {
+    const HSI: u32 = 0b00;
+    const HSE: u32 = 0b01;
+    const ON_PLL: u32 = 0b10;
+    let others =
+        [(HSI, PLL), (HSE, PLL), (ON_PLL, PLL & !(1 << 22)), (ON_PLL, PLL + 1), (ON_PLL, 0)];
+    for (source, pll) in others {
+        assert!(catch_unwind(|| check_clock(source, pll)).is_err(), "{source} {pll:08X}");
+    }
 }

@@ -4,7 +4,7 @@ use emulator::{
     Time,
     board::Settings,
     can::bxcan::{Acknowledge, Readings as Can, TransmitLock},
-    chip::{Readings as Chip, StartUp, Timing},
+    chip::{Readings as Chip, StartUp, Thresholds, Timing},
 };
 
 /// A reading, as the settings of a board.
@@ -55,10 +55,23 @@ pub fn readings() -> Vec<Reading> {
         ("crystal starts in 10 ms", Chip { hse_start: Time::from_ms(10), ..usual }),
         ("reset, PLL and LSI as fast as allowed", Chip { start_up: StartUp::Fastest, ..usual }),
         ("reset, PLL and LSI as slow as allowed", Chip { start_up: StartUp::Slowest, ..usual }),
+        ("a boot loader starts the program", Chip { boot_loader: true, ..usual }),
         ("flash as slow as allowed", Chip { flash_timing: Timing::Worst, ..usual }),
     ];
     let settings = Settings::default();
     let can = can.map(|(name, can_readings)| (name, Settings { can_readings, ..settings }));
     let chip = chip.map(|(name, chip_readings)| (name, Settings { chip_readings, ..settings }));
-    can.into_iter().chain(chip).map(|(name, settings)| Reading { name, settings }).collect()
+    let discovery = |thresholds| {
+        let chip_readings = Chip { thresholds, ..usual };
+        Settings { supply_mv: 2_930, chip_readings, ..settings }
+    };
+    let supply = [
+        ("2.93 V, voltage levels as low as allowed", discovery(Thresholds::Lowest)),
+        ("2.93 V, voltage levels as high as allowed", discovery(Thresholds::Highest)),
+    ];
+    can.into_iter()
+        .chain(chip)
+        .chain(supply)
+        .map(|(name, settings)| Reading { name, settings })
+        .collect()
 }

@@ -68,14 +68,9 @@ impl Options {
         }
     }
 
-    /// The supply in mV below which the chip is held in reset (F405 data sheet, falling edge, typical).
-    pub fn brown_out_mv(&self) -> u32 {
-        match self.stored[0] & BOR_LEV {
-            0b0000 => 2_830,
-            0b0100 => 2_500,
-            0b1000 => 2_190,
-            _ => 1_680,
-        }
+    /// BOR_LEV as programmed.
+    pub fn bor_lev(&self) -> u32 {
+        (self.stored[0] & BOR_LEV) >> BOR_LEV.trailing_zeros()
     }
 
     /// Whether the sector cannot be programmed or erased.

@@ -36,11 +36,6 @@ impl Flash {
         self.options.set_brown_out_level(level);
     }
 
-    /// Whether the supply is at least `margin` mV above the level at which the chip is held in reset.
-    pub fn is_supplied(&self, margin: u32) -> bool {
-        self.supply_mv >= self.options.brown_out_mv() + margin
-    }
-
     /// Sets the supply in mV, which limits the width of programming.
     pub(in crate::chip) fn set_supply(&mut self, mv: u32) {
         self.supply_mv = mv;

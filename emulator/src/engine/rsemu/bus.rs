@@ -8,15 +8,20 @@ use std::sync::{
 use rsemu::core::{
     error::BusError,
     space::{
-        AddressSpace, DispatchPolicy, Mapping, MemAttrs, MemOps, MemResult, Perms, RamStore, Region,
+        AddressSpace, DispatchPolicy, Mapping, MappingId, MemAttrs, MemOps, MemResult, Perms,
+        RamStore, Region,
     },
 };
 
 use super::accelerator::Accelerator;
 use crate::{
-    chip::{Access, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Readings, Width},
+    chip::{Access, AtZero, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Readings, Width},
     engine::{Transfer, clock::CycleClock},
 };
+
+/// The system memory and the option bytes.
+const SYSTEM_BASE: u32 = 0x1FFF_0000;
+const SYSTEM_LENGTH: u64 = 0xC010;
 
 /// State shared by the CPU loop and the calls made during its instructions.
 #[derive(Debug)]
@@ -157,56 +162,106 @@ impl MemOps for Nothing {
 }
 
 /// The address map (RM0090 2.3). An address outside of it causes a BusFault.
-pub fn address_space(
-    chip: &Arc<Mutex<Chip>>,
-    link: &Arc<Link>,
-    flash: &Arc<RamStore>,
-    ram: &Arc<RamStore>,
-    ccm: &Arc<RamStore>,
-    readings: Readings,
-) -> AddressSpace {
-    // A table of pages up to the end of AHB2 is faster than a search among the mappings.
-    let pages = DispatchPolicy::Dense { page_bits: 16, cover: 0x5100_0000 };
-    let space = AddressSpace::new("cortex-m4", 32).with_dispatch(pages);
-    let memory = |name: &str, store: &Arc<RamStore>, base: u32, perms| {
-        Mapping::new(Region::ram(name, Arc::clone(store)), base.into()).with_perms(perms)
-    };
-    let calls = |name: &str, base: u32, length: u64, perms| {
-        let aperture = Aperture { base, chip: Arc::clone(chip), link: Arc::clone(link) };
-        Mapping::new(Region::io(name, length, Arc::new(aperture)), base.into()).with_perms(perms)
-    };
-    let code = |name: &str, base: u32| {
-        if !readings.flash_waits {
-            return memory(name, flash, base, Perms::RX);
+pub struct Space {
+    shared: Arc<AddressSpace>,
+    chip: Arc<Mutex<Chip>>,
+    link: Arc<Link>,
+    flash: Arc<RamStore>,
+    ram: Arc<RamStore>,
+    flash_waits: bool,
+    /// What lies at address 0, and its place among the mappings.
+    at_zero: (AtZero, MappingId),
+}
+
+impl Space {
+    pub fn new(
+        chip: &Arc<Mutex<Chip>>,
+        link: &Arc<Link>,
+        flash: &Arc<RamStore>,
+        ram: &Arc<RamStore>,
+        ccm: &Arc<RamStore>,
+        readings: Readings,
+    ) -> Self {
+        // A table of pages up to the end of AHB2 is faster than a search among the mappings.
+        let pages = DispatchPolicy::Dense { page_bits: 16, cover: 0x5100_0000 };
+        let shared = Arc::new(AddressSpace::new("cortex-m4", 32).with_dispatch(pages));
+        let map = |mapping| {
+            shared.topology().map_with(mapping).expect("every range lies in the 32-bit space")
+        };
+        let flash_waits = readings.flash_waits;
+        let at_zero = map(code("flash at 0", flash, link, flash_waits, 0));
+        let io = |name: &str, base: u32, length: u64| {
+            let aperture = Aperture { base, chip: Arc::clone(chip), link: Arc::clone(link) };
+            let region = Region::io(name, length, Arc::new(aperture));
+            Mapping::new(region, base.into()).with_perms(Perms::RW)
+        };
+        let mut mappings = vec![
+            code("flash", flash, link, flash_waits, FLASH_BASE),
+            io("flash programming", FLASH_BASE, flash.len()).with_perms(Perms::WRITE),
+            io("system memory", SYSTEM_BASE, SYSTEM_LENGTH).with_perms(Perms::RWX),
+            memory("sram", ram, RAM_BASE, Perms::RWX),
+            io("apb and ahb1", 0x4000_0000, 0x8_0000),
+            io("ahb2", 0x5000_0000, 0x6_1000),
+            io("dbgmcu", 0xE004_2000, 0x400),
+        ];
+        if !ccm.is_empty() {
+            mappings.push(memory("ccm", ccm, CCM_BASE, Perms::RW));
         }
-        // The alias has the lines of the flash.
-        let reads =
-            SlowFlash { base: FLASH_BASE, flash: Arc::clone(flash), link: Arc::clone(link) };
-        let region = Region::io(name, flash.len(), Arc::new(reads));
-        Mapping::new(region, base.into()).with_perms(Perms::RX)
-    };
-    let mut mappings = vec![
-        code("flash at reset", 0),
-        code("flash", FLASH_BASE),
-        calls("flash programming", FLASH_BASE, flash.len(), Perms::WRITE),
-        calls("system memory", 0x1FFF_0000, 0xC010, Perms::RW),
-        memory("sram", ram, RAM_BASE, Perms::RWX),
-        calls("apb and ahb1", 0x4000_0000, 0x8_0000, Perms::RW),
-        calls("ahb2", 0x5000_0000, 0x6_1000, Perms::RW),
-        calls("dbgmcu", 0xE004_2000, 0x400, Perms::RW),
-    ];
-    if !ccm.is_empty() {
-        mappings.push(memory("ccm", ccm, CCM_BASE, Perms::RW));
+        if readings.no_fault_below_ram {
+            const BASE: u32 = 0x1FFF_C010;
+            let nothing = Region::io("nothing", (RAM_BASE - BASE).into(), Arc::new(Nothing));
+            mappings.push(Mapping::new(nothing, BASE.into()).with_perms(Perms::RW));
+        }
+        for mapping in mappings {
+            map(mapping);
+        }
+        Self {
+            shared,
+            chip: Arc::clone(chip),
+            link: Arc::clone(link),
+            flash: Arc::clone(flash),
+            ram: Arc::clone(ram),
+            flash_waits,
+            at_zero: (AtZero::Flash, at_zero),
+        }
     }
-    if readings.no_fault_below_ram {
-        const BASE: u32 = 0x1FFF_C010;
-        let nothing = Region::io("nothing", (RAM_BASE - BASE).into(), Arc::new(Nothing));
-        mappings.push(Mapping::new(nothing, BASE.into()).with_perms(Perms::RW));
+
+    /// The same for the core.
+    pub fn shared(&self) -> Arc<AddressSpace> {
+        Arc::clone(&self.shared)
     }
-    let mut topology = space.topology();
-    for mapping in mappings {
-        topology.map_with(mapping).expect("every range lies in the 32-bit space");
+
+    /// Puts this memory at address 0 too.
+    pub fn put_at_zero(&mut self, what: AtZero) {
+        if self.at_zero.0 == what {
+            return;
+        }
+        self.at_zero.0 = what;
+        let mapping = match what {
+            AtZero::Flash => code("flash at 0", &self.flash, &self.link, self.flash_waits, 0),
+            AtZero::Sram => memory("sram at 0", &self.ram, 0, Perms::RWX),
+            AtZero::System => {
+                let (chip, link) = (Arc::clone(&self.chip), Arc::clone(&self.link));
+                let aperture = Arc::new(Aperture { base: SYSTEM_BASE, chip, link });
+                let region = Region::io("system memory at 0", SYSTEM_LENGTH, aperture);
+                Mapping::new(region, 0).with_perms(Perms::RWX)
+            }
+        };
+        let replaced = self.shared.topology().replace(self.at_zero.1, mapping);
+        replaced.expect("the mapping exists, and every range lies in the 32-bit space");
     }
-    drop(topology);
-    space
+}
+
+fn memory(name: &str, store: &Arc<RamStore>, base: u32, perms: Perms) -> Mapping {
+    Mapping::new(Region::ram(name, Arc::clone(store)), base.into()).with_perms(perms)
+}
+
+/// The flash for fetches and loads, at its address or at 0. Both have the same lines in the caches.
+fn code(name: &str, flash: &Arc<RamStore>, link: &Arc<Link>, waits: bool, base: u32) -> Mapping {
+    if !waits {
+        return memory(name, flash, base, Perms::RX);
+    }
+    let reads = SlowFlash { base: FLASH_BASE, flash: Arc::clone(flash), link: Arc::clone(link) };
+    let region = Region::io(name, flash.len(), Arc::new(reads));
+    Mapping::new(region, base.into()).with_perms(Perms::RX)
 }

@@ -35,6 +35,7 @@ impl Rsemu {
             self.clock.change(hclk, self.cycles);
             self.link.set_clock(self.clock);
         }
+        self.space.put_at_zero(chip.at_zero());
         if self.flash_waits {
             self.link.accelerator().configure(chip.flash().access_control());
         }
