@@ -27,6 +27,9 @@ unsafe extern "C" fn __pre_init() {
         "str r1, [r0, #0xD08]",  // VTOR
         "movs r1, #0",
         "msr basepri, r1",
+        "msr faultmask, r1",
+        "msr control, r1", // the main stack, which `Reset` has set
+        "isb",
         "str r1, [r0, #0x010]",  // SYST_CSR
         "str r1, [r0, #0xD94]",  // MPU_CTRL
         "ldr r1, =0x0A000000",

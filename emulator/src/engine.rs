@@ -27,7 +27,8 @@ pub trait Engine: Send {
     fn reset(&mut self, now: Time, hold: Time);
 
     /// Restarts as [`reset`](Self::reset) does, but as a program that the boot loader in ROM starts: interrupts are
-    /// enabled, SysTick runs, an interrupt of USB is pending, and the vector table is the one at address 0.
+    /// enabled, SysTick runs, an interrupt of USB is pending, and the vector table is the one at address 0. The process
+    /// stack is in use, as after a loader with an operating system.
     fn start_from_loader(&mut self, now: Time, hold: Time);
 
     /// Runs until [`now`](Self::now) is at or past `until`, overshooting by less than one instruction, or until a halt.

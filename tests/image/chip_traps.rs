@@ -315,6 +315,8 @@ fn a_board_that_a_boot_loader_starts_is_on_the_bus_within_10_ms() {
     );
     let (boot_up, frames) = rig.next_frame();
     assert_eq!(frames, ["740: 00"]);
+    let stack = RAM_BASE..RAM_BASE + 0x4000;
+    assert!(stack.contains(&rig.network.board(0).sp()), "it has its own stack");
     let started = StartUp::Typical.reset();
     assert!(boot_up < started + Time::from_ms(10), "{}", boot_up - started);
     rig.lss("04 01");

@@ -290,6 +290,10 @@ impl Engine for Rsemu {
         let mut chip = lock(&chip);
         chip.leave_loader(self.now());
         self.sync(&chip);
+        let mut regs = self.cpu.regs();
+        regs.control = control::SPSEL;
+        regs.psp = RAM_BASE + 0x1_0000;
+        self.cpu.set_regs(regs);
         self.cpu.with_sys(|sys| {
             sys.vtor = 0;
             sys.syst_rvr = 59_999;
