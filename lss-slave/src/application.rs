@@ -55,8 +55,8 @@ use crate::{
 pub trait Dictionary {
     /// A value on its way into the dictionary, with the name of its field.
     type Value;
-    /// The SDO server for these objects, with room for the longest value that a client can write.
-    type SdoServer: sdo::Service;
+    /// The memory of the SDO server, with room for the longest value that a client can write.
+    type SdoBuffer: sdo::Buffer;
     /// The places for the application's errors.
     type Errors: emergency::Places;
     /// The objects, by index and sub-index.
@@ -190,7 +190,7 @@ pub struct NoApplication;
 
 impl Dictionary for NoApplication {
     type Value = ();
-    type SdoServer = sdo::Basic;
+    type SdoBuffer = [u8; longest(&[])];
     type Errors = [emergency::Report; 0];
     const OBJECTS: &'static [Entry] = &[];
     const STORED_LEN: usize = 0;

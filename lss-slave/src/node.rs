@@ -20,7 +20,7 @@ use crate::{
     nmt::{self, Command},
     object_dictionary::Entry,
     process_data::ProcessData,
-    sdo::{self, Service},
+    sdo::{self, Message},
     settings::parameters::{Packer, Parameter, Parameters},
     supervision::Step,
 };
@@ -30,7 +30,7 @@ use objects::Parts;
 use parameters::{Change, Part};
 use product::Product;
 pub use receives::Receives;
-use storing::{Download, Storing};
+use storing::Storing;
 
 /// An action for the board to carry out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,7 +92,7 @@ pub struct Node<
     bit_rate: BitRateControl,
     nmt: NmtSlave,
     emergency: Emergency<A::Errors>,
-    sdo: A::SdoServer,
+    sdo: sdo::Server<A::SdoBuffer>,
     storing: Storing,
     product: Product<A, TPDOS, RPDOS, PRODUCERS>,
     due: Due,
@@ -147,7 +147,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             bit_rate: bit_rate_control,
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
-            sdo: A::SdoServer::NEW,
+            sdo: sdo::Server::NEW,
             storing: Storing::new(persistent),
             due: Due::Now,
         }
@@ -238,8 +238,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 self.nmt.handle(Command::from_frame(frame, self.node_id())?);
                 self.due = Due::Now;
             }
-            id if Some(id) == self.sdo_request_cob_id() && self.serves_sdo() => {
-                self.sdo.handle(*frame.eight_bytes()?);
+            id if Some(id) == self.sdo_request_cob_id() => {
+                let request = Message::from_bytes(*frame.eight_bytes()?);
+                self.sdo.handle(request, self.serves_sdo());
                 self.due = Due::Now;
             }
             _ => self.handle_process_data(frame, now),
@@ -556,9 +557,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.transmit_by_sdo(answer)
     }
 
-    fn transmit_by_sdo(&self, answer: [u8; 8]) -> Option<Action> {
+    fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
         let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
-        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer)))
+        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer.to_bytes())))
     }
 
     /// Discards pending SDO requests and transfers.
@@ -582,7 +583,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         use storing::Next::*;
         loop {
             let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
-            match self.storing.poll(node_id, bit_rate, Self::HAS_APPLICATION)? {
+            match self.storing.poll(node_id, bit_rate)? {
                 Store(settings) => {
                     match Part::Communication.change(self.storing.download()) {
                         Change::Keep => {}
@@ -601,13 +602,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 }
                 AnswerSdo(download, outcome) if self.serves_sdo() => {
                     return self.transmit_by_sdo(match outcome {
-                        Ok(()) => {
-                            let Download { index, sub_index } = download;
-                            self.sdo.confirm(index, sub_index)
-                        }
-                        Err(_) => {
-                            sdo::abort(download.index, download.sub_index, sdo::Abort::Hardware)
-                        }
+                        Ok(()) => download.confirmation,
+                        Err(_) => Message::store_failed(download.index, download.sub_index),
                     });
                 }
                 // The NMT state has changed since the request.

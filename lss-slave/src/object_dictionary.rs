@@ -148,13 +148,6 @@ impl DataType {
     }
 }
 
-impl Entry {
-    /// The size of the number at this row of [`TABLE`], whose numbers are unsigned: [`DataType::size`] in less code.
-    pub(crate) const fn own_size(&self) -> u8 {
-        1 << ((self.data_type as u8 & 3).wrapping_sub(1) & 3)
-    }
-}
-
 /// The access that a client has to an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -213,19 +206,19 @@ pub struct Entry {
     pub object: Object,
 }
 
-/// Declares a table of the node's objects, and a function that describes them. A row has a sub-index, a name, for
+/// Declares the table of the node's objects, and a function that describes them. A row has a sub-index, a name, for
 /// sub-index 0 the name `of` an object with further sub-indices, a data type, an access, the [`Object`], and optionally
 /// its default and its limits.
 macro_rules! table {
-    ($(#[$doc:meta])* $table:ident, $descriptions:ident($device:ident) $($index:literal {
+    ($device:ident: $($index:literal {
         $(
             $sub_index:literal $name:literal $(of $object_name:literal)?
             : $data_type:ident, $access:ident, $object:ident $(($part:literal))?
             $(= $default:ident($value:expr))? $(, $low:literal ..= $high:literal)?;
         )+
     })*) => {
-        $(#[$doc])*
-        pub const $table: &[Entry] = &[$($(
+        /// The node's own objects, by index and sub-index.
+        pub const TABLE: &[Entry] = &[$($(
             Entry {
                 index: $index,
                 sub_index: $sub_index,
@@ -236,9 +229,8 @@ macro_rules! table {
             },
         )+)*];
 
-        #[doc = concat!("The descriptions of the rows of [`", stringify!($table), "`], in the same order.")]
-        /// The image does not contain them.
-        pub fn $descriptions($device: &Device) -> impl Iterator<Item = Description> + use<> {
+        /// The descriptions of the rows of [`TABLE`], in the same order. The image does not contain them.
+        pub fn descriptions($device: &Device) -> impl Iterator<Item = Description> + use<> {
             [$($(
                 Description {
                     object: table!(@option $($object_name)?),
@@ -257,8 +249,7 @@ macro_rules! table {
 }
 
 table! {
-    /// The node's own objects, by index and sub-index.
-    TABLE, descriptions(device)
+    device:
 
     0x1000 {
         0 "Device type": Unsigned32, Const, DeviceType;
@@ -287,12 +278,16 @@ table! {
         0 "Manufacturer software version": VisibleString, Const, SoftwareVersion = Text(device.software_version);
     }
     0x1010 {
-        0 "Highest sub-index supported" of "Store parameters": Unsigned8, Const, HighestSubIndex(1);
+        0 "Highest sub-index supported" of "Store parameters": Unsigned8, Const, HighestSubIndex(3);
         1 "Save all parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
+        2 "Save communication parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
+        3 "Save application parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
     }
     0x1011 {
-        0 "Highest sub-index supported" of "Restore default parameters": Unsigned8, Const, HighestSubIndex(1);
+        0 "Highest sub-index supported" of "Restore default parameters": Unsigned8, Const, HighestSubIndex(3);
         1 "Restore all default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
+        2 "Restore communication default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
+        3 "Restore application default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
     }
     0x1014 {
         0 "COB-ID EMCY": Unsigned32, ReadOnly, CobIdEmergency = NodeIdPlus(0x80);
@@ -312,6 +307,11 @@ table! {
         0 "Highest sub-index supported" of "Error behaviour": Unsigned8, Const, HighestSubIndex(1);
         1 "Communication error": Unsigned8, ReadWrite, CommunicationErrorBehaviour = Number(0), 0..=2;
     }
+    0x1200 {
+        0 "Highest sub-index supported" of "SDO server parameter": Unsigned8, Const, HighestSubIndex(2);
+        1 "COB-ID client to server": Unsigned32, ReadOnly, CobIdSdoRequest = NodeIdPlus(0x600);
+        2 "COB-ID server to client": Unsigned32, ReadOnly, CobIdSdoResponse = NodeIdPlus(0x580);
+    }
     0x2000 {
         0 "Highest sub-index supported" of "CAN controller": Unsigned8, Const, HighestSubIndex(7);
         1 "Recoveries from bus-off": Unsigned16, ReadOnly, BusOffs;
@@ -324,67 +324,28 @@ table! {
     }
 }
 
-table! {
-    /// The objects 1010h and 1011h of a node with an application, instead of those in [`TABLE`]: all parameters, those
-    /// of communication (1000h to 1FFFh), those of the application (2000h to 9FFFh).
-    PARAMETERS, parameter_descriptions(_device)
-
-    0x1010 {
-        0 "Highest sub-index supported" of "Store parameters": Unsigned8, Const, HighestSubIndex(3);
-        1 "Save all parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
-        2 "Save communication parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
-        3 "Save application parameters": Unsigned32, ReadWrite, StoreParameters = Number(1);
-    }
-    0x1011 {
-        0 "Highest sub-index supported" of "Restore default parameters": Unsigned8, Const, HighestSubIndex(3);
-        1 "Restore all default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
-        2 "Restore communication default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
-        3 "Restore application default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
-    }
-}
-
-table! {
-    /// The SDO server parameter, which a node with an application has beside [`TABLE`].
-    SDO_SERVER, sdo_server_descriptions(_device)
-
-    0x1200 {
-        0 "Highest sub-index supported" of "SDO server parameter": Unsigned8, Const, HighestSubIndex(2);
-        1 "COB-ID client to server": Unsigned32, ReadOnly, CobIdSdoRequest = NodeIdPlus(0x600);
-        2 "COB-ID server to client": Unsigned32, ReadOnly, CobIdSdoResponse = NodeIdPlus(0x580);
-    }
-}
-
 /// The row of an object in `table`, or the part of its address that does not exist.
+#[inline]
 pub(crate) fn find(
     table: &'static [Entry],
     index: u16,
     sub_index: u8,
 ) -> Result<&'static Entry, Missing> {
-    let is_at_or_before = |entry: &Entry| (entry.index, entry.sub_index) <= (index, sub_index);
-    let last = table.partition_point(is_at_or_before).wrapping_sub(1);
-    // Each object has a sub-index 0, so this row belongs to the object if it exists.
-    match table.get(last) {
-        Some(entry) if entry.index != index => Err(Missing::Object),
-        Some(entry) if entry.sub_index != sub_index => Err(Missing::SubIndex),
-        Some(entry) => Ok(entry),
-        None => Err(Missing::Object),
-    }
+    let place = |index: u16, sub_index: u8| u32::from(index) << 8 | u32::from(sub_index);
+    let place_of = |entry: &Entry| place(entry.index, entry.sub_index);
+    let row = match table.binary_search_by_key(&place(index, sub_index), place_of) {
+        Ok(row) => table.get(row),
+        // Each object has a sub-index 0, so the row before belongs to the object if it exists.
+        Err(row) => match table.get(row.wrapping_sub(1)) {
+            Some(before) if before.index == index => return Err(Missing::SubIndex),
+            _ => None,
+        },
+    };
+    row.ok_or(Missing::Object)
 }
 
 /// The part of a dictionary address that does not exist.
 pub(crate) enum Missing {
     Object,
     SubIndex,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_size_of_an_own_number_is_that_of_its_type() {
-        for entry in TABLE.iter().filter(|entry| entry.data_type != DataType::VisibleString) {
-            assert_eq!(entry.own_size(), entry.data_type.size(), "{:X}h", entry.index);
-        }
-    }
 }

@@ -130,21 +130,19 @@ fn values(board: &mut NodeRig<Pump>) -> (u32, u32) {
 }
 
 #[test]
-fn store_and_restore_have_three_sub_indices_beside_an_application() {
-    let mut board = board();
-    for index in [0x1010, 0x1011] {
-        assert_eq!(board.upload(index, 0), Ok(vec![3]));
-        for sub_index in 1..=3 {
-            assert_eq!(board.number(index, sub_index), 1, "on command");
-            assert_eq!(board.download(index, sub_index, b"evas"), Err(0x0800_0020));
+fn store_and_restore_have_three_sub_indices_and_act_on_command() {
+    fn check(client: &mut impl Client) {
+        for index in [0x1010, 0x1011] {
+            assert_eq!(client.upload(index, 0), Ok(vec![3]));
+            for sub_index in 1..=3 {
+                assert_eq!(client.number(index, sub_index), 1, "on command");
+                assert_eq!(client.download(index, sub_index, b"evas"), Err(0x0800_0020));
+            }
+            assert_eq!(client.upload(index, 4), Err(0x0609_0011));
         }
-        assert_eq!(board.upload(index, 4), Err(0x0609_0011));
     }
-    let mut board = NodeRig::with_node_id(0x40);
-    for index in [0x1010, 0x1011] {
-        assert_eq!(board.upload(index, 0), Ok(vec![1]));
-        assert_eq!(board.upload(index, 2), Err(0x0609_0011));
-    }
+    check(&mut board());
+    check(&mut NodeRig::with_node_id(0x40));
 }
 
 #[test]

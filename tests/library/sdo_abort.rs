@@ -28,7 +28,7 @@ fn a_missing_sub_index_is_0609_0011() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("40 18 10 05"), ["5C0: 80 18 10 05 11 00 09 06"]);
     assert_eq!(board.sdo("40 00 10 01"), ["5C0: 80 00 10 01 11 00 09 06"]);
-    assert_eq!(board.sdo("23 10 10 02 73 61 76 65"), ["5C0: 80 10 10 02 11 00 09 06"]);
+    assert_eq!(board.sdo("23 10 10 04 73 61 76 65"), ["5C0: 80 10 10 04 11 00 09 06"]);
     assert_eq!(board.sdo("2B 17 10 FF E8 03"), ["5C0: 80 17 10 FF 11 00 09 06"]);
     assert_serves(&mut board);
 }
@@ -69,22 +69,6 @@ fn less_data_than_the_object_holds_is_0607_0013() {
 }
 
 #[test]
-fn a_segmented_download_is_0504_0001() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.sdo("21 17 10 00 02"), ["5C0: 80 17 10 00 01 00 04 05"]);
-    assert_eq!(board.sdo("20 17 10 00"), ["5C0: 80 17 10 00 01 00 04 05"], "without a size");
-    assert_serves(&mut board);
-}
-
-#[test]
-fn block_transfer_is_0504_0001() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.sdo("C6 17 10 00 02"), ["5C0: 80 17 10 00 01 00 04 05"], "download");
-    assert_eq!(board.sdo("A4 08 10 00 7F 00"), ["5C0: 80 08 10 00 01 00 04 05"], "upload");
-    assert_serves(&mut board);
-}
-
-#[test]
 fn a_segment_that_belongs_to_no_transfer_is_0504_0001() {
     let mut board = NodeRig::with_node_id(0x40);
     for segment in ["60", "70", "00", "10", "01"] {
@@ -97,11 +81,15 @@ fn a_segment_that_belongs_to_no_transfer_is_0504_0001() {
 }
 
 #[test]
-fn every_command_that_is_not_offered_is_0504_0001() {
+fn every_command_that_is_not_known_is_0504_0001() {
     let mut board = NodeRig::with_node_id(0x40);
-    for command in [0x00..=0x1F, 0xA0..=0xFF].into_iter().flatten() {
+    for command in 0xE0..=0xFF_u8 {
         let request = format!("{command:02X} 17 10 00");
         assert_eq!(board.sdo(&request), ["5C0: 80 17 10 00 01 00 04 05"], "{request}");
+    }
+    for command in [0x00..=0x1F, 0x60..=0x7F, 0xA1..=0xA3, 0xC1..=0xC1_u8].into_iter().flatten() {
+        let request = format!("{command:02X} 17 10 00");
+        assert_eq!(board.sdo(&request), ["5C0: 80 00 00 00 01 00 04 05"], "{request}");
     }
     assert_serves(&mut board);
 }

@@ -1,6 +1,6 @@
-//! SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15) of a node with an application.
+//! SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15).
 
-use lss_slave::BusEvent;
+use lss_slave::{BusEvent, sdo::Abort};
 use testkit::{
     frames::SILENCE,
     node_rig::NodeRig,
@@ -67,6 +67,17 @@ fn every_other_value_goes_by_block_transfer_too() {
     assert_eq!(board.block_upload(0x1008, 0, 4).unwrap(), b"Test board");
     assert_eq!(board.block_download(0x1017, 0, &[0xE8, 3]), Ok(()));
     assert_eq!(board.number(0x1017, 0), 1000);
+}
+
+#[test]
+fn a_node_without_an_application_has_segmented_and_block_transfer_too() {
+    let mut board = NodeRig::with_node_id(0x40);
+    assert_eq!(board.block_upload(0x1008, 0, 1).unwrap(), b"Test board");
+    assert_eq!(board.block_upload(0x1018, 4, 1).unwrap(), [0xEF, 0xBE, 0xAD, 0xDE]);
+    assert_eq!(board.block_download(0x1017, 0, &[0xE8, 3]), Ok(()));
+    assert_eq!(board.number(0x1017, 0), 1000);
+    assert_eq!(board.download_segments(0x1017, 0, &[0xD0, 7], None), Ok(()));
+    assert_eq!(board.number(0x1017, 0), 2000);
 }
 
 #[test]
@@ -149,28 +160,145 @@ fn after_a_lost_segment_the_client_repeats_the_rest_of_the_block() {
 }
 
 #[test]
-fn a_block_whose_last_segment_is_lost_is_confirmed_after_750_ms() {
-    let data = bytes(200);
-    let mut board = board();
-    board.sdo("C6 00 23 01 C8");
-    assert_eq!(send(&mut board, &(1..=28).collect::<Vec<_>>(), &data, 0), "");
-    assert_eq!(board.pass_us(749_999), SILENCE);
-    assert_eq!(board.pass_us(1), ["5C0: A2 1C 7F 00 00 00 00 00"]);
-    assert_eq!(send(&mut board, &[1], &data, 7 * 28), "5C0: A2 01 7F 00 00 00 00 00");
-    let [c0, c1] = crc(&data).to_le_bytes();
-    assert_eq!(board.sdo(&format!("CD {c0:02X} {c1:02X}")), ["5C0: A1 00 00 00 00 00 00 00"]);
-    assert_eq!(board.node.application().memory, data);
+fn a_block_is_confirmed_once_however_long_its_client_pauses() {
+    for (pause, after) in [(0, 1), (749, 31), (751, 31), (990, 31), (999, 1)] {
+        let data = bytes(2_000);
+        let mut board = board();
+        board.sdo("C0 00 23 01");
+        let mut rest = &data[..];
+        while !rest.is_empty() {
+            let start = data.len() - rest.len();
+            let count = rest.len().div_ceil(7).min(127) as u8;
+            let (before, behind) = (1..=count).partition::<Vec<_>, _>(|&number| number <= after);
+            assert_eq!(send(&mut board, &before, &data, start), "");
+            assert_eq!(board.pass_ms(pause), SILENCE, "the block is not complete");
+            let confirmation = format!("5C0: A2 {count:02X} 7F 00 00 00 00 00");
+            assert_eq!(send(&mut board, &behind, &data, start), confirmation);
+            rest = &rest[rest.len().min(7 * usize::from(count))..];
+        }
+        assert_eq!(board.sdo("C9"), ["5C0: A1 00 00 00 00 00 00 00"]);
+        assert!(board.node.application().memory == data, "{pause} ms after segment {after}");
+    }
 }
 
 #[test]
-fn a_client_that_is_silent_after_that_is_given_up_after_a_second() {
+fn a_block_whose_last_segment_is_lost_ends_after_a_second() {
     let mut board = board();
     board.sdo("C6 00 23 01 C8");
-    board.sdo("01 61");
-    assert_eq!(board.pass_ms(750).0.len(), 1);
-    assert_eq!(board.pass_us(249_999), SILENCE);
+    assert_eq!(send(&mut board, &(1..=28).collect::<Vec<_>>(), &bytes(200), 0), "");
+    assert_eq!(board.pass_us(999_999), SILENCE);
     assert_eq!(board.pass_us(1), ["5C0: 80 00 23 01 00 00 04 05"]);
     assert_eq!(board.node.application().aborted, 1);
+}
+
+type Board = NodeRig<Machine>;
+type End = (&'static str, fn(&mut Board));
+
+/// What can end a block download within a block, around its segment 42.
+const ENDS: [End; 7] = [
+    ("abort by the client", |board| {
+        assert_eq!(board.sdo("2A"), SILENCE);
+        assert_eq!(board.sdo("80 00 23 01"), SILENCE);
+    }),
+    ("abort by the server", |board| {
+        assert_eq!(board.sdo("2A"), SILENCE);
+        assert_eq!(board.sdo("00"), ["5C0: 80 00 23 01 03 00 04 05"]);
+    }),
+    ("error of the application", |board| {
+        board.node.application_mut().refuse_part = Some(Abort::Hardware);
+        assert_eq!(board.sdo("2A"), ["5C0: 80 00 23 01 00 00 06 06"]);
+        board.node.application_mut().refuse_part = None;
+    }),
+    ("time-out", |board| {
+        assert_eq!(board.sdo("2A"), SILENCE);
+        assert_eq!(board.pass_ms(1_000), ["5C0: 80 00 23 01 00 00 04 05"]);
+        assert_eq!(board.pass_ms(5_000), SILENCE);
+    }),
+    ("NMT reset communication", |board| {
+        assert_eq!(board.sdo("2A"), SILENCE);
+        assert_eq!(board.nmt("82 40"), ["740: 00"]);
+    }),
+    ("NMT stop", |board| {
+        board.nmt("02 40");
+        assert_eq!(board.sdo("2A"), SILENCE);
+        board.nmt("80 40");
+    }),
+    ("switch of the bit rate", |board| {
+        assert_eq!(board.sdo("2A"), SILENCE);
+        board.lss("04 01");
+        board.lss("13 00 02");
+        board.lss("15 0A 00");
+        board.pass_ms(20);
+    }),
+];
+
+/// A board on which this has ended a block download after 42 segments.
+fn board_after(end: fn(&mut Board)) -> Board {
+    let mut board = board();
+    board.sdo("C0 00 23 01");
+    assert_eq!(send(&mut board, &(1..=41).collect::<Vec<_>>(), &bytes(2_000), 0), "");
+    end(&mut board);
+    assert_eq!(board.node.application().aborted, 1);
+    board
+}
+
+#[test]
+fn the_rest_of_a_block_whose_transfer_has_ended_is_not_executed() {
+    for (name, end) in ENDS {
+        let mut board = board_after(end);
+        for number in 43..=127 {
+            let segment = format!("{number:02X} 17 10 00 39 30");
+            assert_eq!(board.sdo(&segment), SILENCE, "{name}, {number}");
+        }
+        assert_eq!(board.number(0x1017, 0), 0, "{name}");
+        assert_eq!(board.sdo("2B 17 10 00 39 30"), ["5C0: 60 17 10 00 00 00 00 00"], "{name}");
+    }
+}
+
+#[test]
+fn the_last_segment_of_all_ends_the_rest_of_a_block() {
+    for (name, end) in ENDS {
+        let mut board = board_after(end);
+        assert_eq!(board.sdo("2B 17 10 00 39 30"), SILENCE, "{name}");
+        assert_eq!(board.sdo("AC 17 10 00 39 30"), SILENCE, "{name}");
+        assert_eq!(board.number(0x1017, 0), 0, "{name}");
+        assert_eq!(board.sdo("2D 17 10 00 39 30"), ["5C0: 80 17 10 00 12 00 07 06"], "{name}");
+    }
+}
+
+#[test]
+fn a_client_that_begins_another_transfer_at_once_is_served() {
+    for (name, end) in ENDS {
+        for request in ["40 18 10 04", "2F 00 21 01 09", "21 00 22 02 03", "A4 08 10 00 7F"] {
+            let mut board = board_after(end);
+            let [answer] = &board.sdo(request).0[..] else { panic!("{name}, {request}") };
+            assert_ne!(answer.data()[0], 0x80, "{name}, {request}");
+        }
+        let mut board = board_after(end);
+        assert_eq!(board.block_download(0x2300, 1, &bytes(2_000)), Ok(()), "{name}");
+        assert_eq!(board.node.application().memory, bytes(2_000));
+    }
+}
+
+#[test]
+fn a_request_that_looks_like_the_next_segment_is_served_when_repeated() {
+    for (name, end) in ENDS {
+        let mut board = board_after(end);
+        assert_eq!(board.sdo("2B 17 10 00 E8 03"), SILENCE, "{name}");
+        assert_eq!(board.sdo("2B 17 10 00 E8 03"), ["5C0: 60 17 10 00 00 00 00 00"], "{name}");
+    }
+}
+
+#[test]
+fn segments_behind_a_lost_one_belong_to_the_rest_of_the_block_too() {
+    let mut board = board();
+    board.sdo("C0 00 23 01");
+    assert_eq!(board.sdo("01"), SILENCE);
+    assert_eq!(board.sdo("80"), SILENCE);
+    for number in 0x0A..=0x7F {
+        assert_eq!(board.sdo(&format!("{number:02X} 17 10 00 39 30")), SILENCE, "{number}");
+    }
+    assert_eq!(board.number(0x1017, 0), 0);
 }
 
 #[test]
@@ -225,6 +353,20 @@ fn a_client_without_crc_and_without_a_size_is_served() {
 }
 
 #[test]
+fn the_crc_of_an_upload_is_0_for_a_client_that_does_not_check_it() {
+    let mut board = board_with_memory(15);
+    for (request, [c0, c1]) in
+        [("A0 00 23 01 7F", [0, 0]), ("A4 00 23 01 7F", crc(&bytes(15)).to_le_bytes())]
+    {
+        assert_eq!(board.sdo(request), ["5C0: C6 00 23 01 0F 00 00 00"]);
+        assert_eq!(board.sdo("A3").0.len(), 3);
+        let end = format!("5C0: D9 {c0:02X} {c1:02X} 00 00 00 00 00");
+        assert_eq!(board.sdo("A2 03 7F"), [end.as_str()]);
+        assert_eq!(board.sdo("A1"), SILENCE);
+    }
+}
+
+#[test]
 fn short_data_goes_by_the_other_protocol_up_to_the_clients_threshold() {
     let mut board = board();
     assert_eq!(board.sdo("A4 00 21 02 7F 02"), ["5C0: 4B 00 21 02 10 00 00 00"]);
@@ -246,10 +388,10 @@ fn lengths_access_and_limits_hold_for_blocks_too() {
     assert_eq!(board.block_download(0x2200, 2, &bytes(21)), Err(0x0607_0012));
     board.sdo("C2 00 22 02 02");
     board.sdo("81 61 62 63");
-    assert_eq!(board.sdo("D1"), ["5C0: 80 00 22 02 10 00 07 06"], "more than announced");
+    assert_eq!(board.sdo("D1"), ["5C0: 80 00 22 02 12 00 07 06"], "more than announced");
     board.sdo("C2 00 22 02 04");
     board.sdo("81 61 62 63");
-    assert_eq!(board.sdo("D1"), ["5C0: 80 00 22 02 10 00 07 06"], "less than announced");
+    assert_eq!(board.sdo("D1"), ["5C0: 80 00 22 02 13 00 07 06"], "less than announced");
     assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
 }
 
@@ -286,7 +428,7 @@ fn an_abort_ends_a_block_transfer_at_once() {
     board.sdo("01 61");
     assert_eq!(board.sdo("80 00 23 01"), SILENCE);
     assert_eq!(board.node.application().aborted, 1);
-    assert_eq!(board.sdo("02 61"), ["5C0: 80 00 00 00 01 00 04 05"]);
+    assert_eq!(board.sdo("02 61"), SILENCE, "it is the rest of the block");
 }
 
 #[test]

@@ -54,7 +54,7 @@ pub struct Machine {
 
 impl Dictionary for Machine {
     type Value = MachineValue;
-    type SdoServer = <Values as Dictionary>::SdoServer;
+    type SdoBuffer = <Values as Dictionary>::SdoBuffer;
     type Errors = <Values as Dictionary>::Errors;
     const OBJECTS: &'static [Entry] = Values::OBJECTS;
     const STORED_LEN: usize = Values::STORED_LEN;

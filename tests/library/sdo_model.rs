@@ -1,20 +1,14 @@
 //! A second description of the SDO server, written from CiA 301, which must agree with it about random messages.
 
-use testkit::{
-    frames::Frames,
-    node_rig::NodeRig,
-    random::Random,
-    sdo::{Client, crc},
-};
+use testkit::{frames::Frames, node_rig::NodeRig, random::Random, sdo::crc};
 
 use crate::sdo_machine::{CONSTANT, Machine, board};
 
-const MESSAGES: usize = 60_000;
+const MESSAGES: usize = 200_000;
 /// The longest string of the machine.
 const LONGEST: usize = 40;
 const TIMEOUT: u32 = 0x0504_0000;
 const COMMAND: u32 = 0x0504_0001;
-const LENGTH: u32 = 0x0607_0010;
 const TOO_LONG: u32 = 0x0607_0012;
 const TOO_SHORT: u32 = 0x0607_0013;
 
@@ -58,6 +52,7 @@ enum State {
     BlockUpload {
         at: Address,
         data: Vec<u8>,
+        has_crc: bool,
         confirmed: usize,
         phase: Phase,
         block: usize,
@@ -68,8 +63,9 @@ enum State {
         size: Option<usize>,
         has_crc: bool,
         segments: Vec<[u8; 7]>,
+        /// The number of the last segment in sequence, and that of the last segment.
         last: u8,
-        begun: bool,
+        seen: u8,
         is_ending: bool,
     },
 }
@@ -90,6 +86,11 @@ struct Model {
     octets: Vec<u8>,
     memory: Vec<u8>,
     state: State,
+    /// The number of the last segment of a block that was cut off.
+    cut_off: Option<u8>,
+    /// The time since the last message of the client in milliseconds.
+    idle: u64,
+    is_stopped: bool,
 }
 
 fn abort((index, sub_index): Address, code: u32) -> Vec<Message> {
@@ -119,6 +120,9 @@ impl Model {
             octets: vec![],
             memory: vec![],
             state: State::Idle,
+            cut_off: None,
+            idle: 0,
+            is_stopped: false,
         }
     }
 
@@ -208,14 +212,50 @@ impl Model {
     /// Whether so much data can be on its way to an object.
     fn check_room(at: Address, size: Option<usize>, len: usize) -> Result<(), u32> {
         match size {
-            Some(size) if len > size => Err(LENGTH),
+            Some(size) if len > size => Err(TOO_LONG),
             _ if at.0 != 0x2300 && len > LONGEST => Err(TOO_LONG),
             _ => Ok(()),
         }
     }
 
+    fn check_complete(size: Option<usize>, len: usize) -> Result<(), u32> {
+        if size.is_some_and(|size| len < size) { Err(TOO_SHORT) } else { Ok(()) }
+    }
+
+    /// Ends the transfer without an answer.
+    fn cut_off(&mut self) {
+        if let State::BlockDownload { seen, is_ending: false, .. } = self.state {
+            self.cut_off = Some(seen);
+        }
+        self.state = State::Idle;
+    }
+
+    /// Whether a message is part of a block that was cut off: the next segment, or what cannot begin a transfer.
+    fn is_of_block(&mut self, command: u8) -> bool {
+        let Some(seen) = self.cut_off else { return false };
+        let number = command & 0x7F;
+        let begins = match command >> 5 {
+            1 | 2 => true,
+            5 => command & 3 == 0,
+            6 => command & 1 == 0,
+            _ => false,
+        };
+        if begins && number != seen + 1 {
+            self.cut_off = None;
+            return false;
+        }
+        if number > 0 {
+            self.cut_off = (command < 127).then_some(number);
+        }
+        true
+    }
+
     /// The answers of the server, and its new state.
     fn handle(&mut self, message: Message) -> Vec<Message> {
+        if self.is_of_block(message[0]) || self.is_stopped {
+            return vec![];
+        }
+        self.idle = 0;
         let state = std::mem::replace(&mut self.state, State::Idle);
         let at = (u16::from_le_bytes([message[1], message[2]]), message[3]);
         let of_transfer = match state {
@@ -226,13 +266,17 @@ impl Model {
             | State::BlockDownload { at, .. } => at,
         };
         let command = message[0];
-        if let State::BlockDownload { is_ending: false, .. } = state {
+        if let State::BlockDownload { is_ending: false, seen, .. } = state {
             if command == 0x80 {
+                self.cut_off = Some(seen);
                 return vec![];
             }
-            return self
-                .receive_block(state, message)
-                .unwrap_or_else(|code| abort(of_transfer, code));
+            return self.receive_block(state, message).unwrap_or_else(|code| {
+                let number = command & 0x7F;
+                let seen = if number > 0 { number } else { seen };
+                self.cut_off = (number == 0 || command < 127).then_some(seen);
+                abort(of_transfer, code)
+            });
         }
         let (answers, at) = match command >> 5 {
             1 => (self.begin_download(at, message), at),
@@ -292,8 +336,8 @@ impl Model {
             return self.begin_upload(at);
         }
         let answer = named(0xC6, at, data.len() as u32);
-        let phase = Phase::Initiated;
-        self.state = State::BlockUpload { at, data, confirmed: 0, phase, block, sent: 0 };
+        let (has_crc, phase) = (message[0] & 4 != 0, Phase::Initiated);
+        self.state = State::BlockUpload { at, data, has_crc, confirmed: 0, phase, block, sent: 0 };
         Ok(vec![answer])
     }
 
@@ -307,7 +351,7 @@ impl Model {
             has_crc: message[0] & 4 != 0,
             segments: vec![],
             last: 0,
-            begun: false,
+            seen: 0,
             is_ending: false,
         };
         Ok(vec![named(0xA4, at, 127)])
@@ -335,16 +379,14 @@ impl Model {
                 data.extend(&message[1..8 - usize::from(command >> 1 & 7)]);
                 Self::check_room(at, size, data.len())?;
                 if command & 1 == 1 {
-                    if size.is_some_and(|size| size != data.len()) {
-                        return Err(LENGTH);
-                    }
+                    Self::check_complete(size, data.len())?;
                     self.write(at, &data)?;
                 } else {
                     self.state = State::Download { at, size, data, toggle: toggle ^ 0x10 };
                 }
                 Ok(vec![segment(0x20 | toggle, &[])])
             }
-            State::BlockUpload { at, data, mut confirmed, phase, mut block, sent }
+            State::BlockUpload { at, data, has_crc, mut confirmed, phase, mut block, sent }
                 if command >> 5 == 5 =>
             {
                 match (command & 3, phase) {
@@ -356,10 +398,18 @@ impl Model {
                         }
                         if number == sent && confirmed + 7 * sent >= data.len() {
                             let unused = (sent * 7 + confirmed - data.len()) as u8;
-                            let answer = segment(0xC1 | unused << 2, &crc(&data).to_le_bytes());
+                            let crc = if has_crc { crc(&data) } else { 0 };
+                            let answer = segment(0xC1 | unused << 2, &crc.to_le_bytes());
                             let phase = Phase::Ending;
-                            self.state =
-                                State::BlockUpload { at, data, confirmed, phase, block, sent };
+                            self.state = State::BlockUpload {
+                                at,
+                                data,
+                                has_crc,
+                                confirmed,
+                                phase,
+                                block,
+                                sent,
+                            };
                             return Ok(vec![answer]);
                         }
                         block = message[2].into();
@@ -380,7 +430,8 @@ impl Model {
                 };
                 let answers = (1..=sent).map(message).collect();
                 let phase = Phase::Sent;
-                self.state = State::BlockUpload { at, data, confirmed, phase, block, sent };
+                self.state =
+                    State::BlockUpload { at, data, has_crc, confirmed, phase, block, sent };
                 Ok(answers)
             }
             State::BlockDownload { at, size, has_crc, segments, .. } if command >> 5 == 6 => {
@@ -390,9 +441,7 @@ impl Model {
                 if has_crc && crc(&data).to_le_bytes() != message[1..3] {
                     return Err(0x0504_0004);
                 }
-                if size.is_some_and(|size| size != data.len()) {
-                    return Err(LENGTH);
-                }
+                Self::check_complete(size, data.len())?;
                 self.write(at, &data)?;
                 Ok(vec![segment(0xA1, &[])])
             }
@@ -424,26 +473,27 @@ impl Model {
             has_crc,
             segments,
             last: if ends { 0 } else { last },
-            begun: !ends,
+            seen: if ends { 0 } else { number },
             is_ending: is_last && in_sequence,
         };
         Ok(answers)
     }
 
-    /// The messages of the server when its client is silent for two seconds.
-    fn be_silent(&mut self) -> Vec<Message> {
-        match std::mem::replace(&mut self.state, State::Idle) {
-            State::Idle => vec![],
-            State::BlockDownload { at, last, begun: true, .. } => {
-                let mut answers = vec![segment(0xA2, &[last, 127])];
-                answers.extend(abort(at, TIMEOUT));
-                answers
-            }
+    /// The messages of the server when its client is silent for so long.
+    fn be_silent(&mut self, ms: u64) -> Vec<Message> {
+        self.idle += ms;
+        if self.idle < 1_000 {
+            return vec![];
+        }
+        let answers = match self.state {
+            State::Idle => return vec![],
             State::Upload { at, .. }
             | State::Download { at, .. }
             | State::BlockUpload { at, .. }
             | State::BlockDownload { at, .. } => abort(at, TIMEOUT),
-        }
+        };
+        self.cut_off();
+        answers
     }
 
     /// A message that fits the state more often than not.
@@ -452,6 +502,15 @@ impl Model {
         if random.one_in(30) {
             // The model knows few of the objects below 8000h.
             message[2] |= 0x80;
+            return message;
+        }
+        if let Some(seen) = self.cut_off
+            && !random.one_in(8)
+        {
+            // A segment that would set an object if it were executed.
+            message[1..5].copy_from_slice(&[0x00, 0x21, 0x01, random.within(0..255) as u8]);
+            let number = if random.one_in(20) { seen.wrapping_add(2) } else { seen + 1 };
+            message[0] = number & 0x7F | if random.one_in(30) { 0x80 } else { 0 };
             return message;
         }
         let at = random.pick(&ADDRESSES);
@@ -500,10 +559,17 @@ impl Model {
                     ]);
                 }
             },
-            State::BlockDownload { is_ending: false, last, .. } => {
-                let number = if random.one_in(20) { random.byte() & 0x7F } else { last + 1 };
+            State::BlockDownload { is_ending: false, at, seen, .. } => {
                 message = random.bytes();
-                message[0] = number | if random.one_in(6) { 0x80 } else { 0 };
+                let number = match random.within(0..200) {
+                    0 => return named(0x80, *at, 0),
+                    1..3 => random.byte(),
+                    // One is lost.
+                    3..6 => seen + 2,
+                    _ => seen + 1,
+                };
+                let segments = if *at == (0x2300, 1) { 100 } else { 5 };
+                message[0] = number & 0x7F | if random.one_in(segments) { 0x80 } else { 0 };
             }
             State::BlockDownload { size, segments, .. } => {
                 let len = segments.len() * 7;
@@ -542,16 +608,27 @@ fn the_server_and_its_second_description_agree_about_random_messages() {
             "{n}: {message:02X?} in {before}"
         );
         if random.one_in(50) {
+            let ms = random.pick(&[200, 760, 990, 1_000, 5_000]);
             assert_eq!(
-                messages(&board.pass_ms(2000)),
-                model.be_silent(),
-                "{n}: silence after {before}"
+                messages(&board.pass_ms(ms)),
+                model.be_silent(ms),
+                "{n}: {ms} ms of silence after {before}"
             );
         }
-        if model.heartbeat != [0, 0] && matches!(model.state, State::Idle) {
-            // It would mix heartbeats with the answers.
-            board.download(0x1017, 0, &[0, 0]).unwrap();
-            model.heartbeat = vec![0, 0];
+        if random.one_in(200) {
+            board.nmt("82 40");
+            model.cut_off();
+            (model.heartbeat, model.is_stopped) = (vec![0, 0], false);
+        }
+        if random.one_in(if model.is_stopped { 5 } else { 200 }) {
+            model.is_stopped ^= true;
+            board.nmt(if model.is_stopped { "02 40" } else { "80 40" });
+            model.cut_off();
+        }
+        if model.heartbeat != [0, 0] && matches!(model.state, State::Idle) && !model.is_stopped {
+            // Heartbeats every few milliseconds would take long.
+            let message = named(0x2B, (0x1017, 0), 0);
+            assert_eq!(send(&mut board, message), model.handle(message), "{n}");
         }
         transfers[match model.state {
             State::Idle => 0,

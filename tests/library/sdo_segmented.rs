@@ -5,7 +5,6 @@ use testkit::{frames::SILENCE, sdo::Client};
 
 use crate::sdo_machine::{CONSTANT, board, board_with_memory, bytes};
 
-const SIZE_MISMATCH: u32 = 0x0607_0010;
 const TOO_LONG: u32 = 0x0607_0012;
 const TOO_SHORT: u32 = 0x0607_0013;
 
@@ -140,13 +139,14 @@ fn a_length_that_is_not_the_objects_is_0607_0012_or_0013() {
 }
 
 #[test]
-fn data_that_is_not_as_long_as_announced_is_0607_0010() {
+fn data_that_is_not_as_long_as_announced_is_0607_0012_or_0013() {
     let mut board = board();
     for (len, announced) in [(9, 8), (8, 9), (14, 1), (0, 1), (1, 0)] {
+        let code = if len > announced as usize { TOO_LONG } else { TOO_SHORT };
         let outcome = board.download_segments(0x2200, 3, &bytes(len), Some(announced));
-        assert_eq!(outcome, Err(SIZE_MISMATCH), "{len} for {announced}");
+        assert_eq!(outcome, Err(code), "{len} for {announced}");
         let outcome = board.download_segments(0x2300, 1, &bytes(len), Some(announced));
-        assert_eq!(outcome, Err(SIZE_MISMATCH), "{len} for {announced}");
+        assert_eq!(outcome, Err(code), "{len} for {announced}");
     }
     assert_eq!(board.upload(0x2200, 3).unwrap(), b"");
     let machine = board.node.application();
@@ -281,6 +281,7 @@ fn after_a_second_without_a_message_the_server_aborts_with_0504_0000() {
         assert_eq!(board.pass_us(1), [abort.as_str()]);
         assert_eq!(board.us_to_deadline(), None);
         assert_eq!(board.node.application().aborted, u32::from(object == "00 23 01"));
+        assert_eq!(board.number(0x1018, 4), 0xDEAD_BEEF);
         assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"]);
     }
 }

@@ -220,6 +220,33 @@ fn after_reset_communication_a_store_ends_without_an_answer() {
 }
 
 #[test]
+fn after_an_abort_of_the_client_a_store_ends_without_an_answer() {
+    for (request, answer) in [(SAVE, SAVED), (LOAD, LOADED)] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.let_stores_take_time();
+        board.sdo(HEARTBEAT_1000);
+        board.sdo(request);
+        assert_eq!(board.sdo("80 10 10 01 00 00 04 05"), SILENCE);
+        assert_eq!(board.finish_store(), SILENCE);
+        assert_eq!(board.sdo(request), SILENCE);
+        assert_eq!(board.finish_store(), [answer], "and the next one is answered");
+    }
+}
+
+#[test]
+fn two_stores_one_behind_the_other_are_each_confirmed_in_their_way() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.let_stores_take_time();
+    board.sdo("C0 10 10 01");
+    board.sdo("81 73 61 76 65");
+    assert_eq!(board.sdo("CD"), SILENCE);
+    assert_eq!(board.sdo(LOAD), SILENCE);
+    assert_eq!(board.number(0x1018, 4), 0xDEAD_BEEF);
+    assert_eq!(board.finish_store(), ["5C0: A1 00 00 00 00 00 00 00"]);
+    assert_eq!(board.finish_store(), [LOADED]);
+}
+
+#[test]
 fn a_save_that_still_waits_is_forgotten_by_reset_communication() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();

@@ -282,14 +282,13 @@ macro_rules! objects {
             #[allow(non_camel_case_types)]
             enum Field { $($($field,)+)* }
 
-            #[allow(dead_code, reason = "there may be no object yet")]
             const LONGEST: usize =
                 application::longest(&[$($(<$type as application::Value>::CAPACITY,)+)*]);
 
             #[allow(unused_variables, reason = "there may be no object yet")]
             impl application::Dictionary for $name {
                 type Value = $value;
-                type SdoServer = $crate::objects!(@server $($index)*);
+                type SdoBuffer = [u8; LONGEST];
                 type Errors = $crate::objects!(@errors $($index)*);
 
                 const OBJECTS: &'static [object_dictionary::Entry] = &application::complete([$(
@@ -386,8 +385,6 @@ macro_rules! objects {
     };
     (@errors) => { [emergency::Report; 0] };
     (@errors $($index:literal)+) => { [emergency::Report; 8] };
-    (@server) => { sdo::Basic };
-    (@server $($index:literal)+) => { sdo::Server<LONGEST> };
     (@highest $index:literal $object:literal) => {
         object_dictionary::Entry {
             index: $index,

@@ -12,9 +12,9 @@ use crate::{
     emergency::{self, Emergency},
     lss::{self, AddressPart},
     nmt::ErrorBehaviour,
-    object_dictionary::{self, DataType, Entry, Object, PARAMETERS, SDO_SERVER, TABLE},
+    object_dictionary::{self, DataType, Entry, Object, TABLE},
     process_data::ProcessData,
-    sdo::{self, Abort, Objects, Value, Written},
+    sdo::{self, Abort, Message, Objects, Value},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -50,8 +50,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let of_process_data = ProcessData::<TPDOS, RPDOS, PRODUCERS>::table(index);
         let table = match A::OBJECTS.first() {
             Some(first) if first.index <= index => A::OBJECTS,
-            Some(_) if matches!(index, 0x1010 | 0x1011) => PARAMETERS,
-            Some(_) if index == 0x1200 => SDO_SERVER,
             _ => of_process_data.unwrap_or(TABLE),
         };
         Ok(object_dictionary::find(table, index, sub_index)?)
@@ -60,6 +58,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn read(&self, object: Object) -> Result<Value, Abort> {
         let node_id = self.lss.active_node_id().map_or(0, |id| u32::from(id.get()));
         Ok(Value::Number(match object {
+            Object::Application(field) => return Ok(Value::OfApplication(field)),
             Object::DeviceName => return Ok(Value::Text(self.device.name)),
             Object::HardwareVersion => return Ok(Value::Text(self.device.hardware_version)),
             Object::SoftwareVersion => return Ok(Value::Text(self.device.software_version)),
@@ -86,12 +85,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
             Object::Rescues => self.bit_rate.rescues().into(),
             Object::HighestSubIndex(highest) => highest.into(),
-            Object::CobIdSdoRequest if !A::OBJECTS.is_empty() => {
-                u32::from(sdo::REQUEST_COB_ID) + node_id
-            }
-            Object::CobIdSdoResponse if !A::OBJECTS.is_empty() => {
-                u32::from(sdo::RESPONSE_COB_ID) + node_id
-            }
+            Object::CobIdSdoRequest => u32::from(sdo::REQUEST_COB_ID) + node_id,
+            Object::CobIdSdoResponse => u32::from(sdo::RESPONSE_COB_ID) + node_id,
             _ if ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
                 self.process_data.read(object, self.lss.active_node_id())?
             }
@@ -99,76 +94,59 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }))
     }
 
-    fn write(&mut self, entry: &Entry, value: u32) -> Result<Written, Abort> {
-        match (entry.object, value) {
-            (Object::NumberOfErrors, number) if number as u8 == 0 => {
-                self.emergency.faults.clear_history();
-                Ok(Written::Now)
-            }
-            (Object::NumberOfErrors, _) => Err(Abort::InvalidValue),
-            (Object::ProducerHeartbeatTime, ms) => {
-                self.nmt.set_heartbeat_ms(ms as u16, self.now);
-                Ok(Written::Now)
-            }
-            (Object::CommunicationErrorBehaviour, value) => {
-                let behaviour = ErrorBehaviour::new(value as u8).ok_or(Abort::InvalidValue)?;
-                self.nmt.set_error_behaviour(behaviour);
-                Ok(Written::Now)
-            }
-            (Object::StoreParameters, SAVE) => self.request_store(entry, self.nmt.heartbeat_ms()),
-            (Object::RestoreDefaultParameters, LOAD) => {
-                self.request_store(entry, self.device.defaults.heartbeat_ms)
-            }
-            (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
-                Err(Abort::NotStored)
-            }
-            (object, value) if ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
-                let node = self.lss.active_node_id();
-                self.process_data.write(object, value, node, A::OBJECTS)?;
-                Ok(Written::Now)
-            }
-            _ => Err(Abort::ReadOnly),
-        }
-    }
-
-    fn len(&self, entry: &Entry) -> Result<u32, Abort> {
-        match entry.object {
-            Object::Application(_) if entry.data_type == DataType::Domain => {
-                self.application.domain_len(entry.index, entry.sub_index)
-            }
-            Object::Application(field) => Ok(self.application.len(field) as u32),
-            object => self.read(object).map(|_| entry.data_type.size().into()),
-        }
-    }
-
-    fn read_part(&self, entry: &Entry, offset: u32, to: &mut [u8]) -> usize {
-        match entry.object {
-            Object::Application(_) if entry.data_type == DataType::Domain => {
-                self.application.read_domain(entry.index, entry.sub_index, offset, to)
-            }
-            Object::Application(field) => self.application.read(field, offset as usize, to),
-            object => match self.read(object) {
-                Ok(Value::Number(number)) => copy(&number.to_le_bytes(), offset as usize, to),
-                _ => 0,
-            },
-        }
-    }
-
-    fn write_bytes(&mut self, entry: &Entry, bytes: &[u8]) -> Result<Written, Abort> {
+    fn write(
+        &mut self,
+        entry: &Entry,
+        bytes: &[u8],
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort> {
         if let Object::Application(field) = entry.object {
             let value = A::parse(field, bytes)?;
             self.application.accept(&value)?;
             self.application.set(value);
-            return Ok(Written::Now);
+            return Ok(Some(confirmation));
         }
         match bytes.len().cmp(&entry.data_type.size().into()) {
-            Ordering::Greater => Err(Abort::TooLong),
-            Ordering::Less => Err(Abort::TooShort),
-            Ordering::Equal => {
-                let mut number = [0; 4];
-                copy(bytes, 0, &mut number);
-                self.write(entry, u32::from_le_bytes(number))
+            Ordering::Greater => return Err(Abort::TooLong),
+            Ordering::Less => return Err(Abort::TooShort),
+            Ordering::Equal => {}
+        }
+        let mut number = [0; 4];
+        copy(bytes, 0, &mut number);
+        match (entry.object, u32::from_le_bytes(number)) {
+            (Object::StoreParameters, SAVE) => {
+                self.request_store(entry, self.nmt.heartbeat_ms(), confirmation)
             }
+            (Object::RestoreDefaultParameters, LOAD) => {
+                self.request_store(entry, self.device.defaults.heartbeat_ms, confirmation)
+            }
+            (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
+                Err(Abort::NotStored)
+            }
+            (object, value) => {
+                self.write_number(object, value)?;
+                Ok(Some(confirmation))
+            }
+        }
+    }
+
+    fn forget_store(&mut self) {
+        self.storing.forget_sdo();
+    }
+
+    fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort> {
+        match entry.data_type {
+            DataType::Domain => self.application.domain_len(entry.index, entry.sub_index),
+            _ => Ok(self.application.len(field) as u32),
+        }
+    }
+
+    fn read_part(&self, entry: &Entry, field: u8, offset: u32, to: &mut [u8]) -> usize {
+        match entry.data_type {
+            DataType::Domain => {
+                self.application.read_domain(entry.index, entry.sub_index, offset, to)
+            }
+            _ => self.application.read(field, offset as usize, to),
         }
     }
 
@@ -188,10 +166,34 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     Parts<'_, A, TPDOS, RPDOS, PRODUCERS>
 {
-    fn request_store(&mut self, entry: &Entry, heartbeat_ms: u16) -> Result<Written, Abort> {
-        let download = Download { index: entry.index, sub_index: entry.sub_index };
+    fn write_number(&mut self, object: Object, number: u32) -> Result<(), Abort> {
+        match object {
+            Object::NumberOfErrors if number == 0 => self.emergency.faults.clear_history(),
+            Object::NumberOfErrors => return Err(Abort::InvalidValue),
+            Object::ProducerHeartbeatTime => self.nmt.set_heartbeat_ms(number as u16, self.now),
+            Object::CommunicationErrorBehaviour => {
+                let behaviour = ErrorBehaviour::new(number as u8).ok_or(Abort::InvalidValue)?;
+                self.nmt.set_error_behaviour(behaviour);
+            }
+            object if ProcessData::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
+                let node = self.lss.active_node_id();
+                self.process_data.write(object, number, node, A::OBJECTS)?;
+            }
+            _ => return Err(Abort::ReadOnly),
+        }
+        Ok(())
+    }
+
+    fn request_store(
+        &mut self,
+        entry: &Entry,
+        heartbeat_ms: u16,
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort> {
+        let Entry { index, sub_index, .. } = *entry;
+        let download = Download { index, sub_index, confirmation };
         self.storing.request_by_sdo(download, heartbeat_ms)?;
-        Ok(Written::Later)
+        Ok(None)
     }
 }
 

@@ -48,7 +48,7 @@ impl Part {
     /// The effect on the part of a store for this client, or for LSS if there is none.
     pub fn change(self, client: Option<Download>) -> Change {
         match client {
-            Some(Download { index, sub_index }) if self.is_concerned(sub_index) => {
+            Some(Download { index, sub_index, .. }) if self.is_concerned(sub_index) => {
                 if index == Self::RESTORE { Change::Remove } else { Change::Renew }
             }
             _ => Change::Keep,

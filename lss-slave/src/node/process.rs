@@ -4,9 +4,7 @@ use super::{Action, Due, Node};
 use crate::{
     Application, Device, Frame, Instant,
     application::Event,
-    object_dictionary::{
-        self, DefaultValue, Description, Entry, Object, PARAMETERS, SDO_SERVER, TABLE,
-    },
+    object_dictionary::{self, DefaultValue, Description, Entry, Object, TABLE},
     process_data::ProcessData,
 };
 
@@ -45,25 +43,16 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub fn entries(
         device: &Device,
     ) -> impl Iterator<Item = (Entry, Description)> + use<A, TPDOS, RPDOS, PRODUCERS> {
-        let is_replaced = |(entry, _): &(Entry, Description)| {
-            Self::HAS_APPLICATION && PARAMETERS.iter().any(|other| other.index == entry.index)
-        };
         let own = TABLE.iter().copied().zip(object_dictionary::descriptions(device));
-        let parameters =
-            PARAMETERS.iter().copied().zip(object_dictionary::parameter_descriptions(device));
-        let sdo_server =
-            SDO_SERVER.iter().copied().zip(object_dictionary::sdo_server_descriptions(device));
-        own.filter(move |row| !is_replaced(row))
-            .map(|(entry, description)| match entry.object {
-                Object::DeviceType => {
-                    let default = DefaultValue::Number(A::DEVICE_TYPE);
-                    (entry, Description { default, ..description })
-                }
-                _ => (entry, description),
-            })
-            .chain(parameters.chain(sdo_server).filter(|_| Self::HAS_APPLICATION))
-            .chain(ProcessData::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
-            .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
+        own.map(|(entry, description)| match entry.object {
+            Object::DeviceType => {
+                let default = DefaultValue::Number(A::DEVICE_TYPE);
+                (entry, Description { default, ..description })
+            }
+            _ => (entry, description),
+        })
+        .chain(ProcessData::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
+        .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
     }
 
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {

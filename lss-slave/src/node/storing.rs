@@ -1,7 +1,7 @@
 //! Storing: one store at a time, for LSS or an SDO client, and the answer when it has ended.
 
 use super::parameters::Part;
-use crate::{BitRateSetting, NodeId, Settings, lss::StoreError};
+use crate::{BitRateSetting, NodeId, Settings, lss::StoreError, sdo::Message};
 
 /// The persistent settings, and the requests to change them.
 #[derive(Clone, Debug)]
@@ -26,7 +26,7 @@ enum Store {
 enum Requester {
     Lss,
     Sdo(Download),
-    /// An SDO client that a reset has cancelled.
+    /// An SDO client that a reset or its abort has cancelled.
     Nobody(Download),
 }
 
@@ -35,6 +35,8 @@ enum Requester {
 pub(super) struct Download {
     pub index: u16,
     pub sub_index: u8,
+    /// The answer to the client when the values are stored.
+    pub confirmation: Message,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -115,15 +117,8 @@ impl Storing {
         true
     }
 
-    /// Begins the next store, or answers the one that has ended. `in_parts`: a client can ask for a part of the
-    /// parameters.
-    #[inline(never)] // Apart it takes 16 bytes less.
-    pub fn poll(
-        &mut self,
-        node_id: Option<NodeId>,
-        bit_rate: BitRateSetting,
-        in_parts: bool,
-    ) -> Option<Next> {
+    /// Begins the next store, or answers the one that has ended.
+    pub fn poll(&mut self, node_id: Option<NodeId>, bit_rate: BitRateSetting) -> Option<Next> {
         if let Store::Running(..) = self.store {
             return None;
         }
@@ -142,7 +137,7 @@ impl Storing {
             (Settings { node_id, bit_rate, ..self.persistent }, Requester::Lss)
         } else {
             let SdoRequest { download, mut heartbeat_ms } = self.sdo_request.take()?;
-            if in_parts && !Part::Communication.is_concerned(download.sub_index) {
+            if !Part::Communication.is_concerned(download.sub_index) {
                 heartbeat_ms = self.persistent.heartbeat_ms;
             }
             (Settings { heartbeat_ms, ..self.persistent }, Requester::Sdo(download))
@@ -158,11 +153,15 @@ mod tests {
     use crate::BitRate;
 
     const SETTINGS: Settings = Settings::new(BitRateSetting::Automatic);
-    const SAVE: Download = Download { index: 0x1010, sub_index: 1 };
+    const SAVE: Download = Download {
+        index: 0x1010,
+        sub_index: 1,
+        confirmation: Message::from_bytes([0x60, 0x10, 0x10, 1, 0, 0, 0, 0]),
+    };
     const PENDING: BitRateSetting = BitRateSetting::Fixed(BitRate::Kbit500);
 
     fn poll(storing: &mut Storing) -> Option<Next> {
-        storing.poll(NodeId::new(5), PENDING, false)
+        storing.poll(NodeId::new(5), PENDING)
     }
 
     #[test]

@@ -1,58 +1,43 @@
 //! SDO block download (CiA 301, 7.2.4.3.9 to 7.2.4.3.11).
 
 use super::{
-    Abort, Objects, Written,
+    Abort, Address, Message, Objects,
     crc::Crc,
     download::{Download, without_last},
-    segment,
 };
 
 /// The number of segments in a block: the most, as each is handled when it arrives.
 const BLOCK_SIZE: u8 = 127;
+/// The bit of the last segment of all.
+const LAST: u8 = 0x80;
 
 /// A block download under way.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BlockDownload {
     pub download: Download,
     crc: Option<Crc>,
-    phase: Phase,
+    /// What the client has yet to send of the block; `None` after the last segment of all.
+    rest: Option<Rest>,
+    /// The number of the last segment of the block in sequence.
+    last: u8,
     /// The last segment in sequence. It is held back until the next one shows that all of its bytes count.
     held: Option<[u8; 7]>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Phase {
-    /// A block is being received.
-    Receiving {
-        /// The sequence number of the last segment in sequence.
-        last: u8,
-        /// A segment of the block has arrived, whether in sequence or not.
-        has_begun: bool,
-    },
-    /// All segments have been received, the end has not been confirmed.
-    Ending,
-}
-
-const NEW_BLOCK: Phase = Phase::Receiving { last: 0, has_begun: false };
-
 impl BlockDownload {
     /// A block download whose client checks data by CRC or not, and the answer to it.
-    pub fn begin(download: Download, has_crc: bool) -> (Self, [u8; 8]) {
+    pub fn begin(download: Download, has_crc: bool) -> (Self, Message) {
         const CRC_SUPPORTED: u8 = 0x04;
-        let answer =
-            super::Address::of(download.entry).message(0xA0 | CRC_SUPPORTED, BLOCK_SIZE.into());
+        let address = Address::of(download.entry);
+        let answer = Message::new(0xA0 | CRC_SUPPORTED, address, BLOCK_SIZE as u32);
         let crc = has_crc.then(Crc::default);
-        (Self { download, crc, phase: NEW_BLOCK, held: None }, answer)
+        (Self { download, crc, rest: Some(Rest::WHOLE), last: 0, held: None }, answer)
     }
 
-    /// Whether the next message is a segment, whatever its first byte; only an abort is not.
-    pub fn is_receiving(&self) -> bool {
-        self.phase != Phase::Ending
-    }
-
-    /// Whether the client may wait for a confirmation, because the last segment of its block was lost.
-    pub fn is_within_block(&self) -> bool {
-        matches!(self.phase, Phase::Receiving { has_begun: true, .. })
+    /// The segments that the client may send without waiting for an answer. As long as there are some, every message is
+    /// a segment, whatever its first byte; only an abort is not.
+    pub const fn rest(&self) -> Option<Rest> {
+        self.rest
     }
 
     /// Handles a segment; returns the confirmation after the last one of a block.
@@ -64,60 +49,40 @@ impl BlockDownload {
         data: [u8; 7],
         objects: &mut O,
         buffer: &mut [u8],
-    ) -> Result<Option<[u8; 8]>, Abort> {
-        const LAST: u8 = 0x80;
-        let Phase::Receiving { mut last, .. } = self.phase else {
-            return Err(Abort::Command);
-        };
-        let (number, is_last) = (command & !LAST, command & LAST != 0);
-        if number == 0 || number > BLOCK_SIZE {
+    ) -> Result<Option<Message>, Abort> {
+        let number = command & !LAST;
+        if number == 0 {
             return Err(Abort::SequenceNumber);
         }
-        let is_in_sequence = number == last.wrapping_add(1);
+        self.rest = self.rest.and_then(|rest| rest.after(command));
+        let is_in_sequence = number == self.last.wrapping_add(1);
         if is_in_sequence {
             self.release(0, objects, buffer)?;
             self.held = Some(data);
-            last = number;
+            self.last = number;
         }
-        self.phase = Phase::Receiving { last, has_begun: true };
-        if !is_last && number < BLOCK_SIZE {
+        if self.rest.is_some() {
             return Ok(None);
         }
-        let answer = self.confirm_block();
-        if is_last && is_in_sequence {
-            self.phase = Phase::Ending;
-        }
+        let answer = Message::segment(0xA2, [self.last, BLOCK_SIZE, 0, 0, 0, 0, 0]);
+        let is_complete = is_in_sequence && command & LAST != 0;
+        (self.rest, self.last) = ((!is_complete).then_some(Rest::WHOLE), 0);
         Ok(Some(answer))
     }
 
-    /// Confirms the segments in sequence and expects the next block.
-    pub fn confirm_block(&mut self) -> [u8; 8] {
-        let last = match self.phase {
-            Phase::Receiving { last, .. } => last,
-            Phase::Ending => 0,
-        };
-        self.phase = NEW_BLOCK;
-        segment(0xA2, [last, BLOCK_SIZE, 0, 0, 0, 0, 0])
-    }
-
-    /// Handles the end of the transfer; returns the answer and what the write has done.
+    /// Handles the end of the transfer; returns the answer, if there is one now.
     pub fn end<O: Objects>(
         &mut self,
         command: u8,
         [c0, c1, ..]: [u8; 7],
         objects: &mut O,
         buffer: &mut [u8],
-    ) -> Result<([u8; 8], Written), Abort> {
-        const END: u8 = 0x01;
-        if self.is_receiving() || command & END == 0 {
-            return Err(Abort::Command);
-        }
+    ) -> Result<Option<Message>, Abort> {
         self.release((command >> 2 & 7).into(), objects, buffer)?;
         if self.crc.is_some_and(|crc| crc.value() != u16::from_le_bytes([c0, c1])) {
             return Err(Abort::Crc);
         }
-        let written = self.download.end(objects, buffer)?;
-        Ok((segment(0xA1, [0; 7]), written))
+        self.download.end(Message::segment(0xA1, [0; 7]), objects, buffer)
     }
 
     /// Adds the segment that is held back, without its unused bytes, to the data.
@@ -135,5 +100,34 @@ impl BlockDownload {
             crc.add(bytes);
         }
         self.download.add(bytes, objects, buffer)
+    }
+}
+
+/// The segments of a block that follow the one with this number.
+///
+/// A client sends a block without waiting, so they arrive even if the transfer has ended within the block, and must not
+/// be executed as requests. CiA 301 gives them nothing that a request cannot have: only the sequence number in the first
+/// byte tells them apart. So the next number in sequence is a segment. Another first byte is a request if it begins a
+/// transfer, as a client that has ended a transfer may begin another at once, and a segment behind a lost one if it does
+/// not. What remains: one of 127 positions at which a first request looks like the next segment. It is not answered,
+/// since file content that is executed does more harm than a request that is repeated, and its repetition is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Rest(u8);
+
+impl Rest {
+    const WHOLE: Self = Self(0);
+
+    /// Whether a message is one of the segments, if the transfer has ended.
+    pub const fn contains(self, command: u8, begins_transfer: bool) -> bool {
+        !begins_transfer || command & !LAST == self.0.wrapping_add(1)
+    }
+
+    /// The segments after the one with this first byte, if there are any.
+    pub const fn after(self, command: u8) -> Option<Self> {
+        match command & !LAST {
+            0 => Some(self),
+            number if number == BLOCK_SIZE || command & LAST != 0 => None,
+            number => Some(Self(number)),
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! SDO block upload (CiA 301, 7.2.4.3.13 to 7.2.4.3.15).
 
-use super::{Abort, Objects, crc::Crc, segment, upload::Upload};
+use super::{Abort, Message, Objects, crc::Crc, upload::Upload};
 
 /// The legal block sizes.
 const BLOCK_SIZES: core::ops::RangeInclusive<u8> = 1..=127;
@@ -15,7 +15,8 @@ pub(super) struct BlockUpload {
     block_start: u32,
     /// The number of segments of the block that have been sent.
     sent: u8,
-    crc: Crc,
+    /// The CRC of the data, if the client checks it.
+    crc: Option<Crc>,
     /// The number of bytes in the CRC. Repeated segments are not added again.
     in_crc: u32,
 }
@@ -32,21 +33,22 @@ enum Phase {
 }
 
 impl BlockUpload {
-    /// A block upload, and the answer to its client.
-    pub fn begin(upload: Upload, block_size: u8) -> Result<(Self, [u8; 8]), Abort> {
+    /// A block upload whose client checks data by CRC or not, and the answer to it.
+    pub fn begin(upload: Upload, block_size: u8, has_crc: bool) -> Result<(Self, Message), Abort> {
         const CRC_SUPPORTED: u8 = 0x04;
         const SIZE_INDICATED: u8 = 0x02;
         if !BLOCK_SIZES.contains(&block_size) {
             return Err(Abort::BlockSize);
         }
-        let answer = upload.address.message(0xC0 | CRC_SUPPORTED | SIZE_INDICATED, upload.len());
+        let command = 0xC0 | CRC_SUPPORTED | SIZE_INDICATED;
+        let answer = Message::new(command, upload.address, upload.len());
         let transfer = Self {
             upload,
             phase: Phase::Beginning,
             block_size,
             block_start: 0,
             sent: 0,
-            crc: Crc::default(),
+            crc: has_crc.then(Crc::default),
             in_crc: 0,
         };
         Ok((transfer, answer))
@@ -62,7 +64,7 @@ impl BlockUpload {
         &mut self,
         command: u8,
         [confirmed, block_size, ..]: [u8; 7],
-    ) -> Result<(Option<[u8; 8]>, bool), Abort> {
+    ) -> Result<(Option<Message>, bool), Abort> {
         const END: u8 = 1;
         const CONFIRM: u8 = 2;
         const START: u8 = 3;
@@ -78,7 +80,7 @@ impl BlockUpload {
         Ok((None, false))
     }
 
-    fn confirm(&mut self, confirmed: u8, block_size: u8) -> Result<Option<[u8; 8]>, Abort> {
+    fn confirm(&mut self, confirmed: u8, block_size: u8) -> Result<Option<Message>, Abort> {
         if confirmed > self.sent {
             return Err(Abort::SequenceNumber);
         }
@@ -87,8 +89,8 @@ impl BlockUpload {
             let last = (self.upload.len() % 7) as u8;
             let unused =
                 if last > 0 || self.upload.len() == 0 { 7_u8.saturating_sub(last) } else { 0 };
-            let [c0, c1] = self.crc.value().to_le_bytes();
-            return Ok(Some(segment(0xC1 | unused << 2, [c0, c1, 0, 0, 0, 0, 0])));
+            let [c0, c1] = self.crc.map_or(0, Crc::value).to_le_bytes();
+            return Ok(Some(Message::segment(0xC1 | unused << 2, [c0, c1, 0, 0, 0, 0, 0])));
         }
         if !BLOCK_SIZES.contains(&block_size) {
             return Err(Abort::BlockSize);
@@ -104,12 +106,14 @@ impl BlockUpload {
         &mut self,
         objects: &O,
         buffer: &[u8],
-    ) -> Result<[u8; 8], Abort> {
+    ) -> Result<Message, Abort> {
         const LAST: u8 = 0x80;
         let mut data = [0; 7];
         let len = self.upload.read(objects, buffer, &mut data)?;
-        if self.upload.offset == self.in_crc {
-            self.crc.add(data.get(..len).unwrap_or_default());
+        if let Some(crc) = &mut self.crc
+            && self.upload.offset == self.in_crc
+        {
+            crc.add(data.get(..len).unwrap_or_default());
             self.in_crc = self.in_crc.saturating_add(len as u32);
         }
         self.upload.offset = self.upload.offset.saturating_add(len as u32);
@@ -118,6 +122,6 @@ impl BlockUpload {
         if is_last || self.sent >= self.block_size {
             self.phase = Phase::Waiting;
         }
-        Ok(segment(self.sent | if is_last { LAST } else { 0 }, data))
+        Ok(Message::segment(self.sent | if is_last { LAST } else { 0 }, data))
     }
 }

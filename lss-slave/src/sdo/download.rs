@@ -1,6 +1,6 @@
 //! The data of a download, and segmented download (CiA 301, 7.2.4.3.3 and 7.2.4.3.4).
 
-use super::{Abort, Objects, Written, segment, upload::TOGGLE};
+use super::{Abort, Message, Objects, upload::TOGGLE};
 use crate::{
     application::copy,
     object_dictionary::{DataType, Entry},
@@ -44,7 +44,7 @@ impl Download {
     ) -> Result<(), Abort> {
         let len = self.len.checked_add(bytes.len() as u32).ok_or(Abort::Memory)?;
         if self.announced.is_some_and(|announced| len > announced) {
-            return Err(Abort::Length);
+            return Err(Abort::TooLong);
         }
         if self.entry.data_type == DataType::Domain {
             objects.write_domain(self.entry, self.len, bytes)?;
@@ -56,27 +56,32 @@ impl Download {
         Ok(())
     }
 
-    /// Writes the object.
-    pub fn end<O: Objects>(&self, objects: &mut O, buffer: &[u8]) -> Result<Written, Abort> {
-        if self.announced.is_some_and(|announced| self.len != announced) {
-            return Err(Abort::Length);
+    /// Writes the object; returns the confirmation, unless it follows later.
+    pub fn end<O: Objects>(
+        &self,
+        confirmation: Message,
+        objects: &mut O,
+        buffer: &[u8],
+    ) -> Result<Option<Message>, Abort> {
+        if self.announced.is_some_and(|announced| self.len < announced) {
+            return Err(Abort::TooShort);
         }
         if self.entry.data_type == DataType::Domain {
             objects.end_domain(self.entry, self.len)?;
-            return Ok(Written::Now);
+            return Ok(Some(confirmation));
         }
         let value = buffer.get(..self.len as usize).unwrap_or_default();
-        objects.write_bytes(self.entry, value)
+        objects.write(self.entry, value, confirmation)
     }
 
-    /// Handles a segment; returns the answer and, after the last one, what the write has done.
+    /// Handles a segment; returns the answer, if there is one now, and whether it was the last segment.
     pub fn handle_segment<O: Objects>(
         &mut self,
         command: u8,
         data: &[u8; 7],
         objects: &mut O,
         buffer: &mut [u8],
-    ) -> Result<([u8; 8], Option<Written>), Abort> {
+    ) -> Result<(Option<Message>, bool), Abort> {
         const LAST: u8 = 0x01;
         let toggle = command & TOGGLE;
         if toggle != self.toggle {
@@ -85,8 +90,10 @@ impl Download {
         let unused = usize::from(command >> 1 & 7);
         self.add(without_last(data, unused), objects, buffer)?;
         self.toggle ^= TOGGLE;
-        let written = if command & LAST == 0 { None } else { Some(self.end(objects, buffer)?) };
-        Ok((segment(0x20 | toggle, [0; 7]), written))
+        let answer = Message::segment(0x20 | toggle, [0; 7]);
+        let is_last = command & LAST != 0;
+        let answer = if is_last { self.end(answer, objects, buffer)? } else { Some(answer) };
+        Ok((answer, is_last))
     }
 }
 

@@ -1,8 +1,12 @@
-//! The server of a node with an application: takes each request to its service, and ends transfers of silent clients.
+//! The SDO server: takes each request to its service, and ends transfers of silent clients.
 
 use super::{
-    Abort, Address, Objects, Service, Written, block_download::BlockDownload,
-    block_upload::BlockUpload, confirm, download::Download, upload::TOGGLE, upload::Upload,
+    Abort, Address, Buffer, Message, Objects, Value,
+    block_download::{BlockDownload, Rest},
+    block_upload::BlockUpload,
+    download::Download,
+    upload::TOGGLE,
+    upload::Upload,
 };
 use crate::{
     Instant,
@@ -13,20 +17,20 @@ use crate::{
 /// and an LSS answer waits for two frames at most.
 const SEGMENTS_PENDING: u8 = 2;
 
-/// An SDO server with every service, for values of up to `N` bytes that a client can write.
+/// An SDO server. It holds one request and at most one transfer, which the next initiate ends.
 #[derive(Clone, Debug)]
-pub struct Server<const N: usize> {
+pub(crate) struct Server<B> {
     /// A received request that has not been answered.
-    request: Option<[u8; 8]>,
+    request: Option<Message>,
     transfer: Option<Transfer>,
-    /// The value under way; it has room for the longest that can be written.
-    buffer: [u8; N],
+    /// The segments that may follow a block download that has ended within a block.
+    rest: Option<Rest>,
+    /// The value under way.
+    buffer: B,
     /// The time of the last progress of the transfer.
     since: Instant,
     /// The number of segments that may be sent until [`note_sent`](Self::note_sent).
     credit: u8,
-    /// The answer to a download whose store is under way.
-    confirmation: Option<[u8; 8]>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -46,127 +50,135 @@ const ABORT: u8 = 4;
 const BLOCK_UPLOAD: u8 = 5;
 const BLOCK_DOWNLOAD: u8 = 6;
 
-/// A message with index and sub-index.
-#[derive(Clone, Copy)]
-struct Initiate {
-    command: u8,
-    address: Address,
-    data: [u8; 4],
-}
-
-impl Initiate {
-    const fn new([command, i0, i1, sub_index, d0, d1, d2, d3]: [u8; 8]) -> Self {
-        let address = Address { index: u16::from_le_bytes([i0, i1]), sub_index };
-        Self { command, address, data: [d0, d1, d2, d3] }
-    }
-}
-
-impl<const N: usize> Service for Server<N> {
-    const NEW: Self = Self {
+impl<B: Buffer> Server<B> {
+    /// A server without a request.
+    pub const NEW: Self = Self {
         request: None,
         transfer: None,
-        buffer: [0; N],
+        rest: None,
+        buffer: B::EMPTY,
         since: Instant::from_micros(0),
         credit: 0,
-        confirmation: None,
     };
 
-    fn reset(&mut self) {
+    /// Discards the request and the current transfer without an answer to the client.
+    pub fn reset(&mut self) {
         self.request = None;
-        self.transfer = None;
+        self.end_transfer();
     }
 
-    fn handle(&mut self, request: [u8; 8]) {
-        self.request = Some(request);
+    /// Accepts a request, which [`poll`](Self::poll) answers if the NMT state and the bit rate allow it (`is_served`).
+    pub fn handle(&mut self, request: Message, is_served: bool) {
+        let command = request.command();
+        match self.rest.take() {
+            Some(rest) if rest.contains(command, begins_transfer(command)) => {
+                self.rest = rest.after(command);
+            }
+            _ if is_served => self.request = Some(request),
+            _ => {}
+        }
     }
 
-    fn poll<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<[u8; 8]> {
+    /// Executes the request and returns the answer, if there is one now. Without an answer returns the next message of
+    /// the transfer.
+    pub fn poll<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<Message> {
         self.answer(objects, now).or_else(|| self.proceed(objects, now))
     }
 
-    fn poll_at<O: Objects>(&self) -> Option<Instant> {
-        let micros = match self.transfer.as_ref()? {
-            Transfer::BlockDownload(transfer) if transfer.is_within_block() => {
-                confirm_after(O::TIMEOUT_MICROS)
-            }
-            _ => O::TIMEOUT_MICROS,
-        };
-        Some(self.since.plus_micros(micros))
+    /// The latest time of the next [`poll`](Self::poll), if there is no request before.
+    pub fn poll_at<O: Objects>(&self) -> Option<Instant> {
+        self.transfer.is_some().then(|| self.since.plus_micros(O::TIMEOUT_MICROS))
     }
 
-    fn end_transfer(&mut self) {
-        self.transfer = None;
+    /// Ends the current transfer without an answer to the client.
+    pub fn end_transfer(&mut self) {
+        if let Some(Transfer::BlockDownload(transfer)) = self.transfer.take() {
+            self.rest = transfer.rest();
+        }
     }
 
-    fn domain(&self) -> Option<&'static Entry> {
+    /// The domain that the current transfer writes.
+    pub fn domain(&self) -> Option<&'static Entry> {
         self.transfer.as_ref()?.domain()
     }
 
-    fn is_sending_block(&self) -> bool {
+    /// Whether a block of an upload has further segments.
+    pub const fn is_sending_block(&self) -> bool {
         matches!(&self.transfer, Some(Transfer::BlockUpload(upload)) if upload.is_sending())
     }
 
-    fn note_sent(&mut self) {
+    /// Records that no frame of the node waits for the bus.
+    pub const fn note_sent(&mut self) {
         self.credit = SEGMENTS_PENDING;
     }
 
-    fn confirm(&self, index: u16, sub_index: u8) -> [u8; 8] {
-        self.confirmation.unwrap_or(confirm(index, sub_index))
-    }
-}
-
-impl<const N: usize> Server<N> {
-    fn answer<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<[u8; 8]> {
+    fn answer<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<Message> {
         let request = self.request.take()?;
         self.since = now;
-        self.confirmation = None;
-        if self.continues(request[0]) {
+        if self.continues(request.command()) {
             return self.continue_transfer(request, objects);
         }
-        if let Some(transfer) = self.transfer.take() {
-            transfer.cancel(objects);
+        if self.transfer.is_some() {
+            self.cancel_transfer(objects);
         }
-        let initiate = Initiate::new(request);
-        let answer = match initiate.command >> 5 {
-            DOWNLOAD => self.download(initiate, objects),
-            UPLOAD => self.upload(initiate, objects).map(Some),
-            ABORT => Ok(None),
-            BLOCK_UPLOAD => self.block_upload(initiate, objects).map(Some),
-            BLOCK_DOWNLOAD => self.block_download(initiate, objects).map(Some),
+        let answer = match request.command() >> 5 {
+            ABORT => {
+                objects.forget_store();
+                Ok(None)
+            }
+            UPLOAD | BLOCK_UPLOAD | DOWNLOAD | BLOCK_DOWNLOAD => self.begin(request, objects),
             _ => Err(Abort::Command),
         };
-        answer.unwrap_or_else(|code| Some(abort(initiate.address, code)))
+        answer.unwrap_or_else(|code| Some(Message::abort(request.address(), code)))
     }
 
-    fn upload<O: Objects>(
+    /// Begins a transfer; returns the answer, if there is one now.
+    fn begin<O: Objects>(
         &mut self,
-        Initiate { address, .. }: Initiate,
-        objects: &O,
-    ) -> Result<[u8; 8], Abort> {
-        let entry = find_readable(address, objects)?;
-        let upload = Upload::begin(entry, objects, &mut self.buffer)?;
-        self.begin_upload(upload, objects)
+        request: Message,
+        objects: &mut O,
+    ) -> Result<Option<Message>, Abort> {
+        let address = request.address();
+        let entry = objects.find(address.index, address.sub_index)?;
+        match (request.command() >> 5, entry.access) {
+            (UPLOAD | BLOCK_UPLOAD, Access::WriteOnly) => Err(Abort::WriteOnly),
+            (DOWNLOAD | BLOCK_DOWNLOAD, Access::Const | Access::ReadOnly) => Err(Abort::ReadOnly),
+            (DOWNLOAD, _) => self.download(request, entry, objects),
+            (BLOCK_DOWNLOAD, _) => self.block_download(request, entry).map(Some),
+            (service, _) => {
+                let value = objects.read(entry.object)?;
+                if let (UPLOAD, Value::Number(number)) = (service, value) {
+                    return Ok(Some(expedited(address, entry.data_type.size(), number)));
+                }
+                let upload = Upload::begin(entry, value, objects, self.buffer.as_mut())?;
+                let answer = match service {
+                    UPLOAD => self.upload(upload, objects),
+                    _ => self.block_upload(request, upload, objects),
+                };
+                answer.map(Some)
+            }
+        }
     }
 
-    fn begin_upload<O: Objects>(&mut self, upload: Upload, objects: &O) -> Result<[u8; 8], Abort> {
+    fn upload<O: Objects>(&mut self, upload: Upload, objects: &O) -> Result<Message, Abort> {
         if let 1..=4 = upload.len() {
             let mut bytes = [0; 4];
-            let len = upload.read(objects, &self.buffer, &mut bytes)?;
+            let len = upload.read(objects, self.buffer.as_ref(), &mut bytes)?;
             return Ok(expedited(upload.address, len as u8, u32::from_le_bytes(bytes)));
         }
         self.transfer = Some(Transfer::Upload(upload));
-        Ok(upload.address.message(0x41, upload.len()))
+        Ok(Message::new(0x41, upload.address, upload.len()))
     }
 
     fn download<O: Objects>(
         &mut self,
-        Initiate { command, address, data }: Initiate,
+        request: Message,
+        entry: &'static Entry,
         objects: &mut O,
-    ) -> Result<Option<[u8; 8]>, Abort> {
+    ) -> Result<Option<Message>, Abort> {
         const EXPEDITED: u8 = 0x02;
         const SIZE_INDICATED: u8 = 0x01;
-        let entry = find_writable(address, objects)?;
-        let number = u32::from_le_bytes(data);
+        let (command, address, number) = (request.command(), request.address(), request.data);
         let (is_expedited, indicated) = (command & EXPEDITED != 0, command & SIZE_INDICATED != 0);
         let announced = match (is_expedited, indicated) {
             (true, true) => Some(4 - u32::from(command >> 2 & 3)),
@@ -177,193 +189,171 @@ impl<const N: usize> Server<N> {
         let size = entry.data_type.size();
         let of_object = if let 1..=4 = size { size.into() } else { 4 };
         let announced = announced.or(is_expedited.then_some(of_object));
-        let mut download = Download::begin(entry, announced, &self.buffer)?;
-        let confirmation = address.message(0x60, 0);
+        let mut download = Download::begin(entry, announced, self.buffer.as_ref())?;
+        let confirmation = Message::new(0x60, address, 0);
         if !is_expedited {
             self.transfer = Some(Transfer::Download(download));
             return Ok(Some(confirmation));
         }
+        let data = number.to_le_bytes();
         let bytes = data.get(..announced.unwrap_or(4) as usize).unwrap_or(&data);
-        let written = download
-            .add(bytes, objects, &mut self.buffer)
-            .and_then(|()| download.end(objects, &self.buffer));
-        match written {
-            Ok(written) => Ok(self.conclude(confirmation, written)),
-            Err(code) => {
-                Transfer::Download(download).cancel(objects);
-                Err(code)
-            }
-        }
+        download
+            .add(bytes, objects, self.buffer.as_mut())
+            .and_then(|()| download.end(confirmation, objects, self.buffer.as_ref()))
+            .inspect_err(|_| Transfer::Download(download).cancel(objects))
     }
 
     fn block_upload<O: Objects>(
         &mut self,
-        Initiate { address, data: [block_size, switch_at, ..], .. }: Initiate,
+        request: Message,
+        upload: Upload,
         objects: &O,
-    ) -> Result<[u8; 8], Abort> {
-        let entry = find_readable(address, objects)?;
-        let upload = Upload::begin(entry, objects, &mut self.buffer)?;
-        let (transfer, answer) = BlockUpload::begin(upload, block_size)?;
+    ) -> Result<Message, Abort> {
+        const CRC_SUPPORTED: u8 = 0x04;
+        let [block_size, switch_at, ..] = request.data.to_le_bytes();
+        let (transfer, answer) =
+            BlockUpload::begin(upload, block_size, request.command() & CRC_SUPPORTED != 0)?;
         // Short data goes by the other protocol: the client has asked for that (protocol switch threshold).
         if upload.len() <= switch_at.into() && switch_at > 0 {
-            return self.begin_upload(upload, objects);
+            return self.upload(upload, objects);
         }
         self.transfer = Some(Transfer::BlockUpload(transfer));
         Ok(answer)
     }
 
-    fn block_download<O: Objects>(
+    fn block_download(
         &mut self,
-        Initiate { command, address, data }: Initiate,
-        objects: &O,
-    ) -> Result<[u8; 8], Abort> {
+        request: Message,
+        entry: &'static Entry,
+    ) -> Result<Message, Abort> {
         const CRC_SUPPORTED: u8 = 0x04;
         const SIZE_INDICATED: u8 = 0x02;
-        let entry = find_writable(address, objects)?;
-        let announced = (command & SIZE_INDICATED != 0).then_some(u32::from_le_bytes(data));
-        let download = Download::begin(entry, announced, &self.buffer)?;
+        let command = request.command();
+        let announced = (command & SIZE_INDICATED != 0).then_some(request.data);
+        let download = Download::begin(entry, announced, self.buffer.as_ref())?;
         let (transfer, answer) = BlockDownload::begin(download, command & CRC_SUPPORTED != 0);
         self.transfer = Some(Transfer::BlockDownload(transfer));
         Ok(answer)
     }
 
     /// Takes a request to the current transfer; returns the answer, if there is one now.
-    #[inline(never)] // Apart it takes 190 bytes less.
     fn continue_transfer<O: Objects>(
         &mut self,
-        request: [u8; 8],
+        request: Message,
         objects: &mut O,
-    ) -> Option<[u8; 8]> {
+    ) -> Option<Message> {
         let Some(transfer) = &mut self.transfer else {
-            return Some(abort(Address::NONE, Abort::Command));
+            return Some(Message::abort(Address::NONE, Abort::Command));
         };
-        match transfer.advance(request, objects, &mut self.buffer) {
-            Ok(Advance::Goes(answer)) => {
+        match transfer.advance(request, objects, self.buffer.as_mut()) {
+            Ok((answer, is_over)) => {
                 // The segments before a message of the client have been sent.
                 self.credit = SEGMENTS_PENDING;
+                if is_over {
+                    self.transfer = None;
+                }
                 answer
             }
-            Ok(Advance::Ends(answer)) => {
-                self.transfer = None;
-                answer
-            }
-            Ok(Advance::IsWritten(answer, written)) => {
-                self.transfer = None;
-                self.conclude(answer, written)
-            }
-            Err(code) => {
-                let message = transfer.fail(code, objects);
-                self.transfer = None;
-                Some(message)
-            }
+            Err(code) => self.fail(code, objects),
         }
     }
 
-    /// The answer to a download that is complete, unless it follows later.
-    fn conclude(&mut self, answer: [u8; 8], written: Written) -> Option<[u8; 8]> {
-        match written {
-            Written::Now => Some(answer),
-            Written::Later => {
-                self.confirmation = Some(answer);
-                None
-            }
-        }
-    }
-
-    /// Returns the next segment of a block, the confirmation of a block whose end was lost, or the end of a transfer
-    /// whose client is silent.
-    fn proceed<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<[u8; 8]> {
+    /// Returns the next segment of a block, or the end of a transfer whose client is silent.
+    fn proceed<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<Message> {
         let deadline = self.poll_at::<O>()?;
-        let transfer = self.transfer.as_mut()?;
-        let code = match transfer {
-            Transfer::BlockUpload(upload) if upload.is_sending() && self.credit > 0 => {
+        let code = match &mut self.transfer {
+            Some(Transfer::BlockUpload(upload)) if upload.is_sending() && self.credit > 0 => {
                 self.since = now;
                 self.credit = self.credit.saturating_sub(1);
-                match upload.next_segment(objects, &self.buffer) {
+                match upload.next_segment(objects, self.buffer.as_ref()) {
                     Ok(segment) => return Some(segment),
                     Err(code) => code,
                 }
             }
             _ if !deadline.has_come(now) => return None,
-            Transfer::BlockDownload(download) if download.is_within_block() => {
-                return Some(download.confirm_block());
-            }
             _ => Abort::Timeout,
         };
-        let message = transfer.fail(code, objects);
-        self.transfer = None;
-        Some(message)
+        self.fail(code, objects)
+    }
+
+    /// Ends the transfer for this reason; returns the message to the client.
+    fn fail<O: Objects>(&mut self, code: Abort, objects: &mut O) -> Option<Message> {
+        let address = self.transfer.as_ref()?.address();
+        self.cancel_transfer(objects);
+        Some(Message::abort(address, code))
+    }
+
+    /// Ends the transfer, if there is one, before its end.
+    fn cancel_transfer<O: Objects>(&mut self, objects: &mut O) {
+        if let Some(transfer) = &self.transfer {
+            transfer.cancel(objects);
+            self.end_transfer();
+        }
     }
 
     /// Whether a request belongs to a transfer rather than begins or ends one.
     fn continues(&self, command: u8) -> bool {
         /// Only this first byte tells an abort from a segment of a block.
         const ABORT_COMMAND: u8 = ABORT << 5;
-        match (command >> 5, &self.transfer) {
-            (_, Some(Transfer::BlockDownload(download))) if download.is_receiving() => {
+        match &self.transfer {
+            Some(Transfer::BlockDownload(download)) if download.rest().is_some() => {
                 command != ABORT_COMMAND
             }
-            (DOWNLOAD_SEGMENT | UPLOAD_SEGMENT, _) => true,
-            (BLOCK_UPLOAD, _) => command & 3 != 0,
-            (BLOCK_DOWNLOAD, _) => command & 1 != 0,
-            _ => false,
+            _ => match command >> 5 {
+                DOWNLOAD_SEGMENT | UPLOAD_SEGMENT => true,
+                BLOCK_UPLOAD | BLOCK_DOWNLOAD => !begins_transfer(command),
+                _ => false,
+            },
         }
     }
 }
 
-/// What a request has done to its transfer, with the answer, if it has one.
-enum Advance {
-    Goes(Option<[u8; 8]>),
-    Ends(Option<[u8; 8]>),
-    /// It is complete, and its object is written.
-    IsWritten([u8; 8], Written),
+/// Whether a request begins a transfer.
+const fn begins_transfer(command: u8) -> bool {
+    match command >> 5 {
+        DOWNLOAD | UPLOAD => true,
+        BLOCK_UPLOAD => command & 3 == 0,
+        BLOCK_DOWNLOAD => command & 1 == 0,
+        _ => false,
+    }
 }
 
 impl Transfer {
+    /// Handles a request; returns the answer, if there is one now, and whether the transfer is over.
     fn advance<O: Objects>(
         &mut self,
-        [command, data @ ..]: [u8; 8],
+        message: Message,
         objects: &mut O,
         buffer: &mut [u8],
-    ) -> Result<Advance, Abort> {
-        use Advance::*;
+    ) -> Result<(Option<Message>, bool), Abort> {
+        let (command, data) = (message.command(), message.payload());
         match (command >> 5, self) {
-            (UPLOAD_SEGMENT, Self::Upload(upload)) => {
-                let answer = Some(upload.next_segment(command & TOGGLE, objects, buffer)?);
-                Ok(if upload.is_complete() { Ends(answer) } else { Goes(answer) })
-            }
-            (DOWNLOAD_SEGMENT, Self::Download(download)) => {
-                let (answer, written) = download.handle_segment(command, &data, objects, buffer)?;
-                Ok(match written {
-                    Some(written) => IsWritten(answer, written),
-                    None => Goes(Some(answer)),
-                })
-            }
-            (BLOCK_UPLOAD, Self::BlockUpload(upload)) => {
-                let (answer, is_over) = upload.handle(command, data)?;
-                Ok(if is_over { Ends(answer) } else { Goes(answer) })
-            }
-            (_, Self::BlockDownload(download)) if download.is_receiving() => {
-                Ok(Goes(download.handle_segment(command, data, objects, buffer)?))
+            (_, Self::BlockDownload(download)) if download.rest().is_some() => {
+                Ok((download.handle_segment(command, data, objects, buffer)?, false))
             }
             (BLOCK_DOWNLOAD, Self::BlockDownload(download)) => {
-                let (answer, written) = download.end(command, data, objects, buffer)?;
-                Ok(IsWritten(answer, written))
+                Ok((download.end(command, data, objects, buffer)?, true))
             }
+            (UPLOAD_SEGMENT, Self::Upload(upload)) => {
+                let answer = upload.next_segment(command & TOGGLE, objects, buffer)?;
+                Ok((Some(answer), upload.is_complete()))
+            }
+            (DOWNLOAD_SEGMENT, Self::Download(download)) => {
+                download.handle_segment(command, &data, objects, buffer)
+            }
+            (BLOCK_UPLOAD, Self::BlockUpload(upload)) => upload.handle(command, data),
             _ => Err(Abort::Command),
         }
     }
 
-    /// The message that ends the transfer for this reason.
-    fn fail<O: Objects>(&self, code: Abort, objects: &mut O) -> [u8; 8] {
-        let address = match self {
+    /// The address of the object.
+    const fn address(&self) -> Address {
+        match self {
             Self::Upload(upload) => upload.address,
             Self::BlockUpload(transfer) => transfer.upload.address,
             Self::Download(download) => Address::of(download.entry),
             Self::BlockDownload(transfer) => Address::of(transfer.download.entry),
-        };
-        self.cancel(objects);
-        abort(address, code)
+        }
     }
 
     /// Ends the transfer before its end: the application must discard the part of a domain that it has.
@@ -386,33 +376,7 @@ impl Transfer {
     }
 }
 
-fn find_readable<O: Objects>(address: Address, objects: &O) -> Result<&'static Entry, Abort> {
-    let entry = objects.find(address.index, address.sub_index)?;
-    match entry.access {
-        Access::WriteOnly => Err(Abort::WriteOnly),
-        _ => Ok(entry),
-    }
-}
-
-fn find_writable<O: Objects>(address: Address, objects: &O) -> Result<&'static Entry, Abort> {
-    let entry = objects.find(address.index, address.sub_index)?;
-    match entry.access {
-        Access::ReadWrite | Access::WriteOnly => Ok(entry),
-        _ => Err(Abort::ReadOnly),
-    }
-}
-
-const fn expedited(address: Address, len: u8, number: u32) -> [u8; 8] {
+const fn expedited(address: Address, len: u8, number: u32) -> Message {
     let unused = 4_u8.saturating_sub(len);
-    address.message(0x43 | unused << 2, number)
-}
-
-/// The time after which a block is confirmed as far as it has come: its last segment may be lost. It is late in the
-/// time-out, since a slow client does not expect it.
-const fn confirm_after(timeout_micros: u32) -> u32 {
-    timeout_micros / 4 * 3
-}
-
-const fn abort(address: Address, code: Abort) -> [u8; 8] {
-    super::abort(address.index, address.sub_index, code)
+    Message::new(0x43 | unused << 2, address, number)
 }

@@ -1,6 +1,6 @@
 //! The data of an upload, and segmented upload (CiA 301, 7.2.4.3.5 and 7.2.4.3.6).
 
-use super::{Abort, Address, Objects, Value, segment};
+use super::{Abort, Address, Message, Objects, Value};
 use crate::{
     application::copy,
     object_dictionary::{DataType, Entry},
@@ -25,30 +25,35 @@ enum Source {
     Text(&'static str),
     /// The first bytes of the server's buffer: a copy of the value as it was at the beginning.
     Buffer(u32),
-    /// The application, with this length: a domain, or a constant longer than every value that can be written.
-    Object(&'static Entry, u32),
+    /// The field of the application, with this length: a domain, or a constant longer than every value that can be written.
+    Object(&'static Entry, u8, u32),
 }
 
 impl Upload {
-    /// Begins the upload of any object. A value that may change is copied to `buffer`, so that the client gets the
-    /// bytes of one moment. Only a domain is read while it is sent: its application decides.
+    /// Begins the upload of this value of an object. A value that may change is copied to `buffer`, so that the client
+    /// gets the bytes of one moment. Only a domain is read while it is sent: its application decides.
     pub fn begin<O: Objects>(
         entry: &'static Entry,
+        value: Value,
         objects: &O,
         buffer: &mut [u8],
     ) -> Result<Self, Abort> {
-        if let DataType::VisibleString = entry.data_type
-            && let Ok(Value::Text(text)) = objects.read(entry.object)
-        {
-            return Ok(Self::new(entry, Source::Text(text)));
-        }
-        let len = objects.len(entry)?;
-        let source = match buffer.get_mut(..len as usize) {
-            Some(copy) if entry.data_type != DataType::Domain => {
-                objects.read_part(entry, 0, copy);
-                Source::Buffer(len)
+        let source = match value {
+            Value::Text(text) => Source::Text(text),
+            Value::Number(number) => {
+                copy(&number.to_le_bytes(), 0, buffer);
+                Source::Buffer(entry.data_type.size().into())
             }
-            _ => Source::Object(entry, len),
+            Value::OfApplication(field) => {
+                let len = objects.len(entry, field)?;
+                match buffer.get_mut(..len as usize) {
+                    Some(copy) if entry.data_type != DataType::Domain => {
+                        objects.read_part(entry, field, 0, copy);
+                        Source::Buffer(len)
+                    }
+                    _ => Source::Object(entry, field, len),
+                }
+            }
         };
         Ok(Self::new(entry, source))
     }
@@ -61,7 +66,7 @@ impl Upload {
     pub const fn len(&self) -> u32 {
         match self.source {
             Source::Text(text) => text.len() as u32,
-            Source::Buffer(len) | Source::Object(_, len) => len,
+            Source::Buffer(len) | Source::Object(.., len) => len,
         }
     }
 
@@ -79,7 +84,7 @@ impl Upload {
         let copied = match self.source {
             Source::Text(text) => copy(text.as_bytes(), offset, to),
             Source::Buffer(_) => copy(buffer, offset, to),
-            Source::Object(entry, _) => objects.read_part(entry, self.offset, to),
+            Source::Object(entry, field, _) => objects.read_part(entry, field, self.offset, to),
         };
         // The domain has become shorter.
         if copied < len { Err(Abort::NoData) } else { Ok(len) }
@@ -96,7 +101,7 @@ impl Upload {
         toggle: u8,
         objects: &O,
         buffer: &[u8],
-    ) -> Result<[u8; 8], Abort> {
+    ) -> Result<Message, Abort> {
         if toggle != self.toggle {
             return Err(Abort::Toggle);
         }
@@ -105,6 +110,6 @@ impl Upload {
         self.offset = self.offset.saturating_add(len as u32);
         self.toggle ^= TOGGLE;
         let unused = 7_u8.saturating_sub(len as u8);
-        Ok(segment(toggle | unused << 1 | u8::from(self.is_complete()), data))
+        Ok(Message::segment(toggle | unused << 1 | u8::from(self.is_complete()), data))
     }
 }
