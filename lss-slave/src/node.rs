@@ -538,6 +538,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
         if !self.serves_sdo() {
             self.end_sdo_transfer();
+            self.sdo.reset();
         }
         if self.nmt.is_boot_up_due() {
             return None;

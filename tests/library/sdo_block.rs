@@ -1,10 +1,10 @@
 //! SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15).
 
-use lss_slave::{BusEvent, sdo::Abort};
+use lss_slave::{BusEvent, Instant, sdo::Abort};
 use testkit::{
     frames::SILENCE,
     node_rig::NodeRig,
-    sdo::{Client, crc},
+    sdo::{Client, crc, request},
 };
 
 use crate::sdo_machine::{CONSTANT, Machine, board, board_with_memory, bytes};
@@ -195,7 +195,7 @@ type Board = NodeRig<Machine>;
 type End = (&'static str, fn(&mut Board));
 
 /// What can end a block download within a block, around its segment 42.
-const ENDS: [End; 7] = [
+const ENDS: [End; 9] = [
     ("abort by the client", |board| {
         assert_eq!(board.sdo("2A"), SILENCE);
         assert_eq!(board.sdo("80 00 23 01"), SILENCE);
@@ -217,6 +217,17 @@ const ENDS: [End; 7] = [
     ("NMT reset communication", |board| {
         assert_eq!(board.sdo("2A"), SILENCE);
         assert_eq!(board.nmt("82 40"), ["740: 00"]);
+    }),
+    ("NMT reset communication while a segment waits", |board| {
+        let segment = request(0x40, "2A");
+        assert_eq!(board.node.handle_frame(&segment, Instant::from_micros(0)), None);
+        assert_eq!(board.nmt("82 40"), ["740: 00"]);
+    }),
+    ("NMT stop while a segment waits", |board| {
+        let segment = request(0x40, "2A");
+        assert_eq!(board.node.handle_frame(&segment, Instant::from_micros(0)), None);
+        board.nmt("02 40");
+        board.nmt("80 40");
     }),
     ("NMT stop", |board| {
         board.nmt("02 40");

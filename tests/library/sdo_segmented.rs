@@ -1,4 +1,4 @@
-//! Expedited and segmented transfers of a node with an application: values of every type and length (CiA 301, 7.2.4.3).
+//! Expedited and segmented transfers: values of every type and length (CiA 301, 7.2.4.3).
 
 use lss_slave::{BusEvent, sdo::Abort};
 use testkit::{frames::SILENCE, sdo::Client};

@@ -63,8 +63,8 @@ impl<B: Buffer> Server<B> {
 
     /// Discards the request and the current transfer without an answer to the client.
     pub fn reset(&mut self) {
-        self.request = None;
         self.end_transfer();
+        self.request = None;
     }
 
     /// Accepts a request, which [`poll`](Self::poll) answers if the NMT state and the bit rate allow it (`is_served`).
@@ -94,6 +94,10 @@ impl<B: Buffer> Server<B> {
     pub fn end_transfer(&mut self) {
         if let Some(Transfer::BlockDownload(transfer)) = self.transfer.take() {
             self.rest = transfer.rest();
+            // What waits may be a segment.
+            if let Some(request) = self.request.take() {
+                self.handle(request, true);
+            }
         }
     }
 
