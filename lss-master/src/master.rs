@@ -15,8 +15,8 @@ const ATTEMPTS: u8 = 3;
 /// The greatest doubt in silence.
 const GREATEST_DOUBT: u8 = 3;
 
-/// How long the master waits, in microseconds from the moment at which it hands out a request. The times include those
-/// of the frames on the bus and of the adapter.
+/// How long the master waits, in microseconds from the moment at which it hands out a request, each less than half a
+/// turn of [`Instant`] (35 minutes). The times include those of the frames on the bus and of the adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timing {
     /// The wait for an answer that must come.
@@ -26,8 +26,8 @@ pub struct Timing {
     /// The wait for an answer that may fail to come, beyond the time that others have taken: the variation of the
     /// slaves' answer times. It decides how long a Fastscan takes. After contradictions it grows up to `answer`.
     pub margin: u32,
-    /// The pause after a request that has no answer. It grows by itself if a slave loses frames that come back to
-    /// back.
+    /// The pause after a request that has no answer. It grows, and stays so, if a slave seems to lose frames that come
+    /// back to back.
     pub gap: u32,
 }
 

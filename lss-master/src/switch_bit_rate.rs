@@ -60,8 +60,8 @@ impl<'a> SwitchBitRate<'a> {
     /// The time after the second switch delay until all clocks have reached its end, in microseconds.
     const TOLERANCE: u32 = 10_000;
 
-    /// The switch from one bit rate to another, with a switch delay in milliseconds that is long enough for a request to
-    /// leave the adapter and for each CAN controller to change its bit rate: such as 100, and not 0.
+    /// The switch from one bit rate to another, with a switch delay in milliseconds that is long enough for a request
+    /// to leave the adapter and for each CAN controller to change its bit rate: such as 100, and not 0.
     pub const fn new(members: &'a mut [Member], from: BitRate, to: BitRate, delay_ms: u16) -> Self {
         Self { members, from, to, delay_ms, state: State::SwitchToWaiting }
     }
