@@ -1,26 +1,18 @@
 //! The libraries cannot panic: a program that calls all of them links without a panic handler.
 
-use std::{
-    env,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{path::Path, process::Output};
+
+use testkit::cargo::cargo_for_the_chip;
 
 /// Builds the program of `tests/no_panic` for the chip.
 fn build(arguments: &[&str]) -> Output {
-    let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/no_panic/Cargo.toml");
     let target_dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("no_panic");
-    Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+    cargo_for_the_chip()
         .args(["build", "--release", "--locked", "--target", "thumbv7em-none-eabihf"])
-        .arg("--manifest-path")
-        .arg(manifest)
+        .args(["--manifest-path", "tests/no_panic/Cargo.toml"])
         .arg("--target-dir")
         .arg(target_dir)
         .args(arguments)
-        // The flags of the test's own build do not apply to the chip.
-        .env_remove("RUSTFLAGS")
-        .env_remove("CARGO_ENCODED_RUSTFLAGS")
-        .env_remove("CARGO_BUILD_TARGET")
         .output()
         .expect("cargo can be run")
 }

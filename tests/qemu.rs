@@ -1,12 +1,11 @@
 //! A check with QEMU: its CPU, in place of the emulator's, runs the release image and gives the same answers.
 
-use std::{env, process::Command};
+use testkit::cargo::cargo;
 
 #[test]
 #[ignore = "needs qemu-system-arm; `cargo xtask qemu` says how to install it"]
 fn qemu_runs_the_release_image_and_answers_as_the_emulator_does() {
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let output = Command::new(cargo).args(["xtask", "qemu"]).output().expect("cargo runs");
+    let output = cargo().args(["xtask", "qemu"]).output().expect("cargo runs");
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     // Found, commissioned, stored, and still so after a restart.

@@ -3,6 +3,7 @@
 
 #[cfg(feature = "image")]
 pub mod boards;
+pub mod cargo;
 pub mod eds;
 #[cfg(feature = "image")]
 pub mod elf;

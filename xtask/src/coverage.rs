@@ -5,13 +5,15 @@ mod lcov;
 mod program;
 mod report;
 
-use std::{env, fs, io, path::Path, process::Command};
+use std::{fs, io, path::Path};
 
 use anyhow::{Context, ensure};
 use emulator::coverage::Record;
-use testkit::image::{COVERAGE, EXAMPLE};
+use testkit::{
+    cargo::{cargo, workspace},
+    image::{COVERAGE, EXAMPLE},
+};
 
-use crate::workspace;
 use program::Program;
 use report::Report;
 
@@ -122,10 +124,8 @@ fn remove(directory: &Path) -> io::Result<()> {
 
 /// Runs the tests of the image with a record of the branches.
 fn test(directory: &Path, filter: &[String], with_example: bool) -> anyhow::Result<()> {
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut command = Command::new(cargo);
+    let mut command = cargo();
     command
-        .current_dir(workspace())
         .args(["test", "--test", "image", "--"])
         .args(filter)
         .env(COVERAGE, directory)

@@ -1,10 +1,10 @@
 //! `cargo xtask figures`: docs/size-and-speed.md, the page with all figures, as the commands in it print them.
 
-use std::{env, fs, process::Command};
+use std::fs;
 
 use anyhow::{Context, bail, ensure};
 
-use crate::workspace;
+use testkit::cargo::{cargo, workspace};
 
 const PAGE: &str = "docs/size-and-speed.md";
 
@@ -48,12 +48,7 @@ fn output(command: &str) -> anyhow::Result<String> {
     println!("{command}");
     let mut words = command.split_whitespace();
     ensure!(words.next() == Some("cargo"), "not a command of cargo: {command}");
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let output = Command::new(cargo)
-        .args(words)
-        .env("RUST_TEST_THREADS", "1")
-        .current_dir(workspace())
-        .output()?;
+    let output = cargo().args(words).env("RUST_TEST_THREADS", "1").output()?;
     ensure!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
     Ok(figures(&String::from_utf8(output.stdout)?))
 }

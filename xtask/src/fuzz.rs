@@ -1,12 +1,13 @@
 //! `cargo xtask fuzz`: the coverage-guided fuzz targets, built with the project's compiler, for a limited time.
 
 use std::{
-    env, fs,
+    fs,
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
 use anyhow::{Context, bail, ensure};
+use testkit::cargo::{cargo, workspace};
 
 const TARGETS: [&str; 5] = ["application", "message", "node", "sdo", "settings_log"];
 
@@ -30,9 +31,7 @@ pub struct Arguments {
 
 /// Fuzzes and prints the number of executions. If an input breaks a rule, fails with the command that repeats it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("xtask is in a project")?;
-    let fuzz = root.join("fuzz");
-    let out = root.join("target/fuzz");
+    let (fuzz, out) = (workspace().join("fuzz"), workspace().join("target/fuzz"));
     let programs = build(&fuzz, &out)?;
     let all = TARGETS.map(String::from);
     let targets = if arguments.target.is_empty() { &all[..] } else { &arguments.target };
@@ -46,13 +45,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// Builds all targets; returns their directory.
 fn build(fuzz: &Path, out: &Path) -> anyhow::Result<PathBuf> {
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     println!("building the fuzz targets ...");
     // Named although it is the default: this way the flags do not apply to build scripts.
     let host = Command::new("rustc").args(["--print", "host-tuple"]).output();
     let host = String::from_utf8(host.context("cannot run rustc")?.stdout)?;
     let host = host.trim();
-    let status = Command::new(cargo)
+    let status = cargo()
         .args(["build", "--quiet", "--release", "--bins", "--target", host, "--target-dir"])
         .arg(out)
         .env("RUSTFLAGS", RUSTFLAGS)

@@ -4,7 +4,7 @@ use std::fs;
 
 use anyhow::{Context, bail};
 
-use crate::workspace;
+use testkit::cargo::workspace;
 
 /// Writes `content` to the file `name`, or, if `check`, fails if the file differs. `command` writes it.
 pub fn write_or_check(name: &str, content: &str, check: bool, command: &str) -> anyhow::Result<()> {

@@ -30,7 +30,6 @@ mod storm;
 
 use std::{
     io, panic,
-    path::Path,
     process::{self, ExitCode},
 };
 
@@ -106,11 +105,6 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
-}
-
-/// The directory of the workspace.
-fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
 /// Ends the program without a message when `println!` finds that the reader of the output, such as `head`, has closed

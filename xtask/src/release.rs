@@ -11,6 +11,7 @@ use std::{fs, path::PathBuf};
 use anyhow::{Context, ensure};
 use emulator::{chip::Part, image::Image};
 use sha2::{Digest, Sha256};
+use testkit::cargo::workspace;
 
 use crate::{eds, size};
 
@@ -50,7 +51,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
-    let elf = testkit::image::build_release(elsewhere::workspace(), None, chip)?;
+    let elf = testkit::image::build_release(workspace(), None, chip)?;
     if arguments.check_reproducible {
         elsewhere::check(chip, &elf)?;
     }
@@ -69,7 +70,7 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     let sums = sums.collect::<String>();
     files.push(("SHA256SUMS".to_owned(), sums.into_bytes()));
 
-    let usual = || elsewhere::workspace().join("target/release-kit");
+    let usual = || workspace().join("target/release-kit");
     let folder = arguments.out.clone().unwrap_or_else(usual).join(chip.name());
     fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
     for (name, content) in files {

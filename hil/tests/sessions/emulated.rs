@@ -5,12 +5,13 @@ use std::{
     io::{BufRead, BufReader, Write},
     net::SocketAddr,
     path::PathBuf,
-    process::{Child, Command, Stdio},
+    process::{Child, Stdio},
     sync::mpsc,
     thread,
     time::Duration,
 };
 
+use testkit::cargo::cargo;
 /// The wait for the first line: the emulator and the firmware may have to be built.
 const BUILD: Duration = Duration::from_secs(1200);
 
@@ -23,8 +24,7 @@ pub struct Emulated {
 impl Emulated {
     /// Starts boards with these further arguments, on a free port.
     pub fn start(arguments: &[&str]) -> Self {
-        let mut child = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-            .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+        let mut child = cargo()
             .args(["run", "--quiet", "--package", "xtask", "--", "emulate"])
             .args(["--listen", "127.0.0.1:0"])
             .args(arguments)

@@ -3,10 +3,11 @@
 use std::{
     env, fs,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::Stdio,
 };
 
 use anyhow::{Context, bail};
+use testkit::cargo::{cargo_for_the_chip, workspace};
 
 const TARGET: &str = "thumbv7em-none-eabihf";
 
@@ -89,16 +90,11 @@ pub fn build() -> anyhow::Result<Builds> {
 }
 
 fn cargo_build(profile: &str, target_dir: &Path) -> anyhow::Result<()> {
-    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member");
-    let output = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-        .current_dir(workspace.join("bench"))
+    let output = cargo_for_the_chip()
+        .current_dir(workspace().join("bench"))
         .args(["build", "--locked", "--bins", "--target", TARGET, "--profile", profile])
         .arg("--target-dir")
         .arg(target_dir)
-        // The flags of the host's build do not apply to the chip.
-        .env_remove("RUSTFLAGS")
-        .env_remove("CARGO_ENCODED_RUSTFLAGS")
-        .env_remove("CARGO_BUILD_TARGET")
         .stdin(Stdio::null())
         .output()
         .context("cannot run cargo")?;

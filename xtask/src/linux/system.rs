@@ -8,6 +8,7 @@ use std::{
 };
 
 use anyhow::{Context, bail, ensure};
+use testkit::cargo::workspace;
 
 pub const QEMU: &str = "qemu-system-x86_64";
 /// What Linux needs; apt adds their dependencies.
@@ -43,8 +44,8 @@ impl System {
     /// A tool or a package is missing.
     pub fn prepare() -> anyhow::Result<Self> {
         find(QEMU, "qemu-system-x86")?;
-        let system = Self(root().join("target/linux"));
-        let made_of = format!("{PACKAGES:?} {}", fs::read_to_string(root().join(VERSIONS))?);
+        let system = Self(workspace().join("target/linux"));
+        let made_of = format!("{PACKAGES:?} {}", fs::read_to_string(workspace().join(VERSIONS))?);
         let stamp = system.path("made-of");
         if fs::read_to_string(&stamp).is_ok_and(|known| known == made_of) {
             return Ok(system);
@@ -119,7 +120,7 @@ impl System {
             .args(["install", "--quiet", "--disable-pip-version-check", "--target"])
             .arg(self.files().join("usr/lib/python3/dist-packages"))
             .arg("--constraint")
-            .arg(root().join(VERSIONS))
+            .arg(workspace().join(VERSIONS))
             .args(WHEELS)
             .status()?;
         ensure!(pip.success(), "pip cannot download {}, see above", WHEELS.join(" and "));
@@ -146,7 +147,7 @@ impl System {
     /// The initramfs that runs the sessions.
     pub fn with_sessions(&self) -> anyhow::Result<PathBuf> {
         let extra = self.extra("run-parts --exit-on-error /sessions")?;
-        fs::copy(root().join("eds/lss-slave.eds"), extra.join("lss-slave.eds"))?;
+        fs::copy(workspace().join("eds/lss-slave.eds"), extra.join("lss-slave.eds"))?;
         for (name, text) in SESSIONS {
             write_program(&extra.join("sessions").join(name), text)?;
         }
@@ -215,10 +216,6 @@ impl System {
         ensure!(status.success(), "cannot pack {}", directory.display());
         Ok(())
     }
-}
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask is in a project")
 }
 
 fn find(tool: &str, package: &str) -> anyhow::Result<()> {

@@ -9,6 +9,7 @@ use std::{
 use anyhow::{Context, ensure};
 use emulator::{chip::Part, image::Image};
 use object::{Object, ObjectSection, read::elf::ElfFile32};
+use testkit::cargo::workspace;
 
 /// Where the copy and its registry are. The names have other lengths than the usual ones.
 const ELSEWHERE: &str = "target/release-elsewhere";
@@ -31,10 +32,6 @@ pub fn check(chip: Part, elf: &[u8]) -> anyhow::Result<()> {
     ensure!(elf == other, "the ELF file depends on its folder, in {}", differences(elf, &other)?);
     println!("{}: another folder and another registry give the same bytes", chip.name());
     Ok(())
-}
-
-pub fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
 /// Copies what git knows, and what it would.

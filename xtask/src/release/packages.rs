@@ -11,7 +11,7 @@ use anyhow::{Context, bail};
 use emulator::chip::Part;
 use serde_json::Value;
 
-use super::elsewhere::workspace;
+use testkit::cargo::{self, workspace};
 
 /// A package: those of cargo, and the one of the compiler.
 pub struct Package {
@@ -119,8 +119,7 @@ fn checksums(lock: &str) -> anyhow::Result<BTreeMap<(String, String), String>> {
 }
 
 fn cargo(command: &[&str], arguments: &[&str]) -> anyhow::Result<String> {
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    output(Command::new(cargo).args(command).args(arguments).current_dir(workspace()))
+    output(cargo::cargo().args(command).args(arguments))
 }
 
 fn output(command: &mut Command) -> anyhow::Result<String> {
