@@ -375,7 +375,7 @@ impl Supervision {
             self.visit_seconds = FIRST_VISIT_SECONDS;
         }
         self.plan_visit(now);
-        self.visit_seconds = LAST_VISIT_SECONDS.min(2 * self.visit_seconds);
+        self.visit_seconds = LAST_VISIT_SECONDS.min(self.visit_seconds.saturating_mul(2));
     }
 
     fn plan_visit(&mut self, now: Instant) {
