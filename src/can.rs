@@ -15,7 +15,10 @@ use core::{iter, mem};
 use cortex_m::peripheral::SCB;
 use lss_slave::{BitRate, BusEvent, Frame, Instant, indicator::BusState, lss};
 use stm32f4xx_hal::{
-    pac::{RCC, can1::TX},
+    pac::{
+        RCC,
+        can1::{TX, rfr},
+    },
     rcc::Reset,
 };
 
@@ -211,10 +214,11 @@ impl Controller {
 
     /// Whether a valid frame for others has been received since the last call.
     pub fn has_heard_others(&mut self) -> bool {
-        let frames = self.registers.rfr(1).read().fmp().bits();
+        let frames = await_release(&self.registers, 1).fmp().bits();
         for _ in 0..frames {
             // Nobody reads them.
-            release(&self.registers, 1);
+            self.registers.rfr(1).write(|w| w.rfom().set_bit());
+            await_release(&self.registers, 1);
         }
         if frames > 0 {
             self.note_understood();
@@ -269,7 +273,8 @@ impl Controller {
         // Only the flags read above: a later completion interrupts again.
         // SAFETY: zeros have no effect in this register.
         self.registers.tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
-        self.fill_mailboxes();
+        // The others are less urgent, and wait until it is sent.
+        self.queue.pop_if(|frame| put_in_mailbox(&self.registers, frame));
         let is_sent = status & ANY_SENT != 0;
         if is_sent {
             self.note_understood();
@@ -280,11 +285,6 @@ impl Controller {
     /// Whether no frame waits for the bus.
     pub fn has_sent_all(&self) -> bool {
         self.queue.is_empty() && are_mailboxes_empty(&self.registers)
-    }
-
-    fn fill_mailboxes(&mut self) {
-        let Self { registers, queue, .. } = self;
-        while !queue.is_empty() && queue.pop_if(|frame| put_in_mailbox(registers, frame)) {}
     }
 
     /// Sends nothing until [`resume_transmitting`](Self::resume_transmitting), except a frame that is on the bus now.
@@ -456,11 +456,11 @@ fn enter_initialization(can: &Can) -> bool {
 
 /// Takes the oldest frame out of FIFO 0, or reports a loss of frames.
 fn read_fifo(can: &Can) -> Option<Received> {
-    let fifo = can.rfr(0);
-    let status = fifo.read();
+    let status = await_release(can, 0);
     if status.fmp().bits() == 0 {
         return None;
     }
+    let fifo = can.rfr(0);
     if status.fovr().bit_is_set() {
         fifo.write(|w| w.fovr().set_bit());
         return Some(Received::Overrun);
@@ -468,28 +468,38 @@ fn read_fifo(can: &Can) -> Option<Received> {
     let mailbox = can.rx(0);
     let id = mailbox.rir().read();
     let len = mailbox.rdtr().read().dlc().bits();
-    let data =
-        u64::from(mailbox.rdhr().read().bits()) << 32 | u64::from(mailbox.rdlr().read().bits());
-    release(can, 0);
+    let [low, high] = [mailbox.rdlr().read().bits(), mailbox.rdhr().read().bits()];
+    fifo.write(|w| w.rfom().set_bit());
     if id.ide().bit_is_set() || id.rtr().bit_is_set() {
         return Some(Received::Other);
     }
+    let data = u64::from(high) << 32 | u64::from(low);
     // Length codes 9 to 15 are legal on the wire.
     let frame = Frame::from_padded(id.stid().bits(), len.into(), data.to_le_bytes());
     Some(frame.map_or(Received::Other, Received::Frame))
 }
 
-/// Releases the oldest frame of a FIFO, and waits until the FIFO shows the next one.
-fn release(can: &Can, fifo: usize) {
+/// The state of a FIFO that shows no released frame any more.
+fn await_release(can: &Can, fifo: usize) -> rfr::R {
     let fifo = can.rfr(fifo);
-    fifo.write(|w| w.rfom().set_bit());
-    let _ = (0..RELEASE_READS).any(|_| fifo.read().rfom().bit_is_clear());
+    let mut status = fifo.read();
+    for _ in 0..RELEASE_READS {
+        if status.rfom().bit_is_clear() {
+            break;
+        }
+        status = fifo.read();
+    }
+    status
 }
 
 /// Passes a frame to the controller if there is an empty mailbox and all others have less urgent frames; returns
 /// whether it does. Of two frames with one COB-ID the controller might not send the older one first (RM0090, 32.7.1).
 fn put_in_mailbox(can: &Can, frame: &Frame) -> bool {
     let status = can.tsr().read().bits();
+    if status & ALL_EMPTY == ALL_EMPTY {
+        write_mailbox(can.tx(0), frame);
+        return true;
+    }
     let mut empty = None;
     for (at, mailbox) in can.tx_iter().enumerate() {
         if status & FIRST_EMPTY << at != 0 {

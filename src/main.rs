@@ -107,15 +107,15 @@ macro_rules! application {
             /// 1 Mbit/s), frames are lost.
             #[task(binds = $received, shared = [runner], priority = 3)]
             fn received(mut cx: received::Context) {
-                roll_call::answer(Task::Received);
                 cx.shared.runner.lock(Runner::handle_received);
+                roll_call::answer(Task::Received);
             }
 
             /// Fills an empty mailbox with the next frame. If it runs late, another node's frame goes first.
             #[task(binds = $transmitted, shared = [runner], priority = 3)]
             fn transmitted(mut cx: transmitted::Context) {
-                roll_call::answer(Task::Transmitted);
                 cx.shared.runner.lock(Runner::handle_transmitted);
+                roll_call::answer(Task::Transmitted);
             }
 
             /// Handles error passive and bus-off; the controller recovers from bus-off by itself.

@@ -64,10 +64,8 @@ impl Runner {
                     if self.node.is_due(now) && !self.can.is_listening() {
                         self.act_until_nothing_is_due();
                     }
-                    match self.node.handle_frame(&frame, now) {
-                        Some(Action::Transmit(answer)) => self.can.transmit(answer),
-                        Some(action) => self.act(action),
-                        None => {}
+                    if let Some(action) = self.node.handle_frame(&frame, now) {
+                        self.act(action);
                     }
                 }
                 Received::Other => self.node.handle_bus(BusEvent::Received, clock::now()),
@@ -78,7 +76,7 @@ impl Runner {
             }
             self.act_until_nothing_is_due();
         }
-        self.set_alarm();
+        self.finish();
     }
 
     /// Handles frames that were sent or aborted.
@@ -202,13 +200,13 @@ impl Runner {
         self.set_alarm();
     }
 
+    #[inline(always)] // It is called for each frame, most of which make nothing due.
     fn act_until_nothing_is_due(&mut self) {
         if self.node.is_due(clock::now()) {
             self.poll_node();
         }
     }
 
-    #[inline(never)] // Most frames make nothing due.
     fn poll_node(&mut self) {
         while let Some(action) = self.node.poll(clock::now()) {
             self.act(action);
@@ -226,9 +224,17 @@ impl Runner {
         self.alarm.set(at);
     }
 
+    #[inline(always)] // Most actions are frames.
     fn act(&mut self, action: Action) {
         match action {
             Action::Transmit(frame) => self.can.transmit(frame),
+            action => self.carry_out(action),
+        }
+    }
+
+    fn carry_out(&mut self, action: Action) {
+        match action {
+            Action::Transmit(_) => {}
             Action::SetNodeId(id) => {
                 defmt::info!("node-ID {=u8} (255: none)", NodeId::to_lss(id));
                 self.can.drop_frames(|cob_id| cob_id != lss::RESPONSE_COB_ID);

@@ -76,16 +76,14 @@ impl TransmitQueue {
         true
     }
 
-    /// Removes the most urgent frame if `send` accepts it; returns whether it did.
-    pub fn pop_if(&mut self, send: impl FnOnce(&Frame) -> bool) -> bool {
+    /// Removes the most urgent frame if `send` accepts it.
+    pub fn pop_if(&mut self, send: impl FnOnce(&Frame) -> bool) {
         let now = self.arrivals;
         let urgency = |w: &Waiting| (w.frame.cob_id(), Reverse(now.wrapping_sub(w.arrival)));
         let first = self.waiting().min_by_key(|(_, waiting)| urgency(waiting));
-        let Some((at, _)) = first.filter(|(_, waiting)| send(&waiting.frame)) else {
-            return false;
-        };
-        self.occupied &= !(1 << at);
-        true
+        if let Some((at, _)) = first.filter(|(_, waiting)| send(&waiting.frame)) {
+            self.occupied &= !(1 << at);
+        }
     }
 
     /// The waiting frames with their places.

@@ -98,7 +98,7 @@ fn the_history_keeps_the_latest_eight_of_ten_errors() {
 
 #[test]
 fn a_core_that_is_too_slow_for_the_bus_reports_lost_frames() {
-    let of_chip = Readings { slowdown: 60, ..Readings::default() };
+    let of_chip = Readings { slowdown: 150, ..Readings::default() };
     let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
     let mut board = Board::new(part(), image(), of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0x40, BitRate::Kbit1000)]));
