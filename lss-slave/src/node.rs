@@ -604,7 +604,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 AnswerSdo(download, outcome) if self.serves_sdo() => {
                     return self.transmit_by_sdo(match outcome {
                         Ok(()) => download.confirmation,
-                        Err(_) => Message::store_failed(download.index, download.sub_index),
+                        Err(error) => {
+                            Message::store_failed(download.index, download.sub_index, error)
+                        }
                     });
                 }
                 // The NMT state has changed since the request.

@@ -10,7 +10,10 @@ mod upload;
 
 use core::{error, fmt};
 
-use crate::object_dictionary::{Entry, Missing};
+use crate::{
+    lss::StoreError,
+    object_dictionary::{Entry, Missing},
+};
 pub use objects::Buffer;
 pub(crate) use objects::{Objects, Value};
 pub(crate) use server::Server;
@@ -163,8 +166,12 @@ impl Message {
     }
 
     /// The message that ends the download of an object whose store has failed.
-    pub const fn store_failed(index: u16, sub_index: u8) -> Self {
-        Self::abort(Address { index, sub_index }, Abort::Hardware)
+    pub const fn store_failed(index: u16, sub_index: u8, error: StoreError) -> Self {
+        let code = match error {
+            StoreError::Full => Abort::DeviceState,
+            StoreError::NotSupported | StoreError::MediumAccess => Abort::Hardware,
+        };
+        Self::abort(Address { index, sub_index }, code)
     }
 
     const fn command(self) -> u8 {

@@ -62,12 +62,20 @@ pub fn example_board(settings: Settings) -> board::Board {
     board
 }
 
-/// The content of the settings log after these stores.
-pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
-    let (mut log, _) = Log::open(BoardFlash::blank(0));
+/// The content of the settings' flash after two starts of a new board and these stores.
+pub fn flash_in_use(stores: &[Settings]) -> Vec<u8> {
+    let flash = BoardFlash::blank(0);
+    Log::open(flash.clone());
+    let (mut log, _) = Log::open(flash);
     for &settings in stores {
         log.store(settings).expect("the flash works");
     }
+    log.close().content()
+}
+
+/// The same after another start: the next one writes nothing.
+pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
+    let (log, _) = Log::open(BoardFlash::with_content(flash_in_use(stores), 0));
     log.close().content()
 }
 

@@ -280,9 +280,9 @@ fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
 
 #[test]
 fn a_node_boots_up_within_5_ms_even_with_a_full_bank_of_settings() {
-    // The largest number of records before the log moves to its other bank.
+    // A mark, the defaults twice, these, and the last of them once more.
     let stores: Vec<_> =
-        (0..383_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();
+        (0..508_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();
     let mut board = blank_board(0);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&stores));
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);

@@ -216,7 +216,9 @@ fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
     let old = settings(0x40, BitRate::Kbit1000);
     let mut flash = flash_with(&[old, settings(0x04, BitRate::Kbit1000)]);
     let last = flash.chunks(32).rposition(|record| record != [0xFF; 32]).expect("a record");
-    flash[32 * last + 28..][..4].fill(0xFF);
+    // Its copy by the last start has not been written.
+    flash[32 * last..][..32].fill(0xFF);
+    flash[32 * last - 4..][..4].fill(0xFF);
     let mut board = blank_board(0);
     board.set_flash(SETTINGS_OFFSET, &flash);
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);

@@ -5,9 +5,11 @@ use emulator::{
     Time,
     chip::{PowerCut, ResetCause},
 };
-use lss_slave::BitRate;
+use lss_slave::{BitRate, Settings};
 use testkit::{
-    image_rig::{DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
+    image_rig::{
+        DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, bit_per_s, flash_in_use, flash_with, settings,
+    },
     random::Random,
 };
 
@@ -17,8 +19,8 @@ type Shown = (u8, BitRate);
 const OLD: Shown = (0x21, BitRate::Kbit250);
 const NEW: Shown = (0x42, BitRate::Kbit1000);
 
-/// Flash operations: an erase and a record of eight words; a record.
-const FORMAT_STEPS: u64 = 9;
+/// Flash operations: an erase, a mark and a record of eight words each; a record.
+const FORMAT_STEPS: u64 = 17;
 const STORE_STEPS: u64 = 8;
 
 /// Switches the supply on; returns the board's settings, and leaves it in LSS configuration state.
@@ -115,18 +117,44 @@ fn cuts_in_formatting_and_the_first_store_leave_defaults_or_new_settings() {
     }
 }
 
+/// Stores that leave room for `room` in the first bank, which begins with a mark and the defaults, twice.
+fn stores_until(room: u16) -> Vec<Settings> {
+    (0..509 - room).map(|n| settings((n % 100) as u8 + 1, OLD.1)).collect()
+}
+
 #[test]
-fn a_cut_in_any_step_of_the_move_to_the_other_sector_leaves_the_settings() {
+fn a_cut_in_any_step_of_a_store_in_the_other_sector_leaves_old_or_new() {
     let mut random = Random::from_environment();
-    // Less than a quarter of the sector is free: the next power-on erases the other one.
-    let stores: Vec<_> = (0..385).map(|n| settings(n as u8 % 100 + 1, OLD.1)).collect();
-    let content = flash_with(&stores);
-    let last = (384_u16 as u8 % 100 + 1, OLD.1);
-    for step in 0..FORMAT_STEPS {
+    // The copy of the last record fills the sector.
+    let content = flash_with(&stores_until(1));
+    let last = (stores_until(1).len() as u8 % 100, OLD.1);
+    for step in 0..=STORE_STEPS {
+        let mut rig = ImageRig::with(settings(OLD.0, OLD.1));
+        rig.network.power_off(0);
+        rig.network.board_mut(0).set_flash(SETTINGS_OFFSET, &content);
+        assert_eq!(power_on(&mut rig), last);
+        cut_power_after(&rig, step, &mut random);
+        assert_eq!(commission(&mut rig, NEW), step == STORE_STEPS, "step {step}");
+        let found = power_cycle(&mut rig);
+        assert!(found == NEW || found == last && step < STORE_STEPS, "{found:02X?}, step {step}");
+        assert_eq!(power_cycle(&mut rig), found);
+        assert!(commission(&mut rig, OLD), "step {step}");
+        assert_eq!(power_cycle(&mut rig), OLD);
+    }
+}
+
+#[test]
+fn a_cut_in_any_step_of_a_start_that_erases_leaves_the_settings() {
+    let mut random = Random::from_environment();
+    // The last store has moved to the other sector.
+    let stores = [stores_until(0), vec![settings(NEW.0, NEW.1)]].concat();
+    let content = flash_in_use(&stores);
+    // The record once more, the invalidation of the old mark, an erase, a mark.
+    for step in 0..18 {
         let mut rig = ImageRig::with(settings(OLD.0, OLD.1));
         power_on_in_vain(&mut rig, &content, step, &mut random);
-        assert_eq!(power_on(&mut rig), last, "step {step}");
-        assert!(commission(&mut rig, NEW), "step {step}");
-        assert_eq!(power_cycle(&mut rig), NEW);
+        assert_eq!(power_on(&mut rig), NEW, "step {step}");
+        assert!(commission(&mut rig, OLD), "step {step}");
+        assert_eq!(power_cycle(&mut rig), OLD);
     }
 }

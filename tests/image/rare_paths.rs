@@ -375,12 +375,15 @@ fn a_board_boots_with_any_damage_to_either_bank() {
 fn a_board_whose_flash_fails_at_the_start_still_has_its_settings() {
     let mut content = flash_with(&[settings(0x40, BitRate::Kbit1000)]);
     // A store that was cut off after its first word.
-    content[64..68].copy_from_slice(&[3, 0, 0, 0]);
-    for stuck in [96, 96 + 28] {
+    content[160..164].copy_from_slice(&[5, 2, 0, 0]);
+    for stuck in [192, 192 + 28] {
         let mut board = blank_board(0);
         board.set_flash(SETTINGS_OFFSET, &content);
-        let bits = StuckBits { offset: SETTINGS_OFFSET + stuck, mask: 1, value: 1 };
-        board.chip().flash_mut().add_stuck_bits(bits);
+        // The next two places.
+        for offset in [SETTINGS_OFFSET + stuck, SETTINGS_OFFSET + stuck + 32] {
+            let bits = StuckBits { offset, mask: 1, value: u8::from(stuck > 192) };
+            board.chip().flash_mut().add_stuck_bits(bits);
+        }
         let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
         assert!(rig.has_logged("the flash failed, a store may fail too"));

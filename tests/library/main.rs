@@ -45,6 +45,7 @@ mod sdo_store;
 mod settings_faults;
 mod settings_log;
 mod settings_power_cut;
+mod settings_room;
 mod supervision;
 mod supervision_guest;
 mod supervision_random;

@@ -320,7 +320,7 @@ fn a_save_that_fails_is_answered_0606_0000_and_old_values_stay() {
 }
 
 #[test]
-fn a_save_into_a_full_flash_is_0606_0000_and_the_next_start_makes_room() {
+fn a_save_into_a_full_flash_is_0800_0022_and_the_next_start_makes_room() {
     let mut board = board();
     let mut speed = 10;
     let full = loop {
@@ -331,13 +331,14 @@ fn a_save_into_a_full_flash_is_0606_0000_and_the_next_start_makes_room() {
         }
         speed += 1;
     };
-    assert_eq!(full, FAILED);
-    // Parameters take three places and their record one; 512 places begin with one record.
-    assert_eq!(speed - 10, 511 / 4);
+    assert_eq!(full, Err(0x0800_0022));
+    // All parameters take three places, a changed one takes one, and a record follows. 512 places begin with the mark
+    // and one record.
+    assert_eq!(speed - 10, 1 + (510 - 4) / 2);
     let erases = board.flash.erases();
     board.power_cycle();
     assert_eq!((board.flash.erases(), board.found), (erases + 1, Found::Complete));
-    assert_eq!(board.number(0x2100, 0), u32::from(speed) - 1, "moved to the other bank");
+    assert_eq!(board.number(0x2100, 0), u32::from(speed) - 1);
     board.download(0x2100, 0, &speed.to_le_bytes()).unwrap();
     assert_eq!(save(&mut board, 3), Ok(()));
 }
@@ -449,14 +450,19 @@ fn the_parameters_are_packed_as_documented() {
     assert_eq!((unpacked.len(), unpacked[0].index, unpacked[0].value), (1, 0x6001, &[1][..]));
     let content = board.flash.content();
     let crc = 0xFD96_E654_u32; // Checked with Python's zlib.
-    assert_eq!(content[32..36], [2, 0, 0, 0], "the sequence");
-    assert_eq!(content[36..43], [0x01, 0x60, 0, 0x01, 1, 0, 1]);
-    assert_eq!(content[43..60], [0xFF; 17]);
-    assert_eq!(&content[60..64], b"LSSP");
-    assert_eq!(content[64..68], [3, 0, 0, 0]);
-    assert_eq!(content[74..78], [1, 0, 7, 0], "the first place and the length");
-    assert_eq!(content[78..82], crc.to_le_bytes());
-    assert_eq!(content[82..88], [0xFF; 6]);
+    assert_eq!(content[64..68], [2, 2, 0, 0], "the sequence");
+    assert_eq!(content[68..75], [0x01, 0x60, 0, 0x01, 1, 0, 1]);
+    assert_eq!(content[75..92], [0xFF; 17]);
+    assert_eq!(&content[92..96], b"\0\0SP", "the first part");
+    assert_eq!(content[96..100], [3, 2, 0, 0]);
+    assert_eq!(content[106..110], [2, 0, 7, 0], "the first place and the length");
+    assert_eq!(content[110..114], crc.to_le_bytes());
+    assert_eq!(content[114..120], [0xFF; 6]);
+    board.node.application_mut().enabled = false;
+    save(&mut board, 3).unwrap();
+    let content = board.flash.content();
+    assert_eq!(content[170..174], [4, 0, 7, 0]);
+    assert_eq!(content[178..182], [1, 0, 3, 0], "one part, the others with the record in place 3");
 }
 
 objects! {

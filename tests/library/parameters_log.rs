@@ -25,7 +25,7 @@ fn store(log: &mut ParametersLog, (settings, parameters): &Content) -> Result<()
     log.store_with_parameters(settings.unwrap(), parameters)
 }
 
-/// A log that holds `content(1)`, in the places 1 to 4.
+/// A log that holds `content(1)`, in the places 2 to 5.
 fn with_content_1() -> (ParametersLog, Chip) {
     let flash = Flash::blank(7);
     let (mut log, ..) = start(&flash);
@@ -52,11 +52,11 @@ fn every_place_has_the_next_sequence_whatever_it_holds() {
     log.store(settings(2)).unwrap();
     store(&mut log, &content(3)).unwrap();
     let bytes = flash.content();
-    for (place, sequence) in (0..10).zip(1..) {
+    for (place, sequence) in (0..11).zip(16..) {
         assert_eq!(bytes[place * 32..][..4], u32::to_le_bytes(sequence), "place {place}");
     }
-    let ends: Vec<_> = (0..10).map(|place| bytes[place * 32 + 31]).collect();
-    assert_eq!(ends, *b"1PPP11PPP1");
+    let ends: Vec<_> = (0..11).map(|place| bytes[place * 32 + 31]).collect();
+    assert_eq!(ends, *b"E1PPP11PPP1");
 }
 
 #[test]
@@ -201,8 +201,8 @@ fn a_stuck_bit_costs_a_store_but_no_values() {
 
 #[test]
 fn damaged_parameters_cost_themselves_but_not_the_settings() {
-    for at in 32..4 * 32 {
-        let is_value = (4..28).contains(&(at % 32)) && at < 3 * 32 + 4 + 18;
+    for at in 2 * 32..5 * 32 {
+        let is_value = (4..28).contains(&(at % 32)) && at < 4 * 32 + 4 + 18;
         let (_, flash) = with_content_1();
         flash.corrupt(at, flash.content()[at] ^ 0x10);
         let (mut log, found, result) = start(&flash);
@@ -212,7 +212,7 @@ fn damaged_parameters_cost_themselves_but_not_the_settings() {
         }
         assert_eq!((found.0, found.1), (Some(settings(1)), Vec::new()), "byte {at}");
         assert_eq!(result, Found::ParametersDamaged);
-        assert_eq!(start(&flash).2, Found::Complete, "it is reported once");
+        assert_eq!(start(&flash.duplicate(0)).2, Found::Complete, "it is reported once");
         assert_eq!(store(&mut log, &content(2)), Ok(()));
         assert_eq!(start(&flash).1, content(2));
     }
@@ -220,13 +220,13 @@ fn damaged_parameters_cost_themselves_but_not_the_settings() {
 
 #[test]
 fn a_reference_to_an_impossible_place_is_damage_and_is_not_followed() {
-    for (first, len) in [(4, 60), (0xFFFF, 60), (1, 0xFFFE), (0, 0xFF00), (2, 66)] {
+    for (first, len) in [(5, 60), (0xFFFF, 60), (1, 0xFFFE), (0, 0xFF00), (3, 66)] {
         let (_, flash) = with_content_1();
         let mut bytes = flash.content();
-        let mut record: [u8; 32] = bytes[128..160].try_into().unwrap();
+        let mut record: [u8; 32] = bytes[160..192].try_into().unwrap();
         record[10..12].copy_from_slice(&u16::to_le_bytes(first));
         record[12..14].copy_from_slice(&u16::to_le_bytes(len));
-        bytes[128..160].copy_from_slice(&testkit::settings::sealed(record));
+        bytes[160..192].copy_from_slice(&testkit::settings::sealed(record));
         let flash = Chip::with_content(bytes, 0);
         let (_, found, result) = start(&flash);
         assert_eq!(found, (Some(settings(1)), Vec::new()));
@@ -237,7 +237,7 @@ fn a_reference_to_an_impossible_place_is_damage_and_is_not_followed() {
 #[test]
 fn firmware_without_parameters_finds_the_settings_of_any_store() {
     let (mut log, flash) = with_content_1();
-    assert_eq!(open(&flash), (Some(settings(1)), Found::Complete));
+    assert_eq!(open(&flash.duplicate(0)), (Some(settings(1)), Found::Complete));
     for steps in 1..32 {
         let flash = flash.duplicate(steps);
         let (mut log, ..) = start(&flash);
@@ -249,7 +249,8 @@ fn firmware_without_parameters_finds_the_settings_of_any_store() {
         assert_eq!(open(&flash), (found, Found::Complete), "step {steps}");
         let (mut old, _) = Log::open(flash.clone());
         old.store(settings(5)).unwrap();
-        assert_eq!(start(&flash).1, (Some(settings(5)), Vec::new()), "its records have none");
+        let parameters = if steps == 31 { start(&flash).1.1 } else { content(1).1 };
+        assert_eq!(start(&flash).1, (Some(settings(5)), parameters), "its records keep them");
     }
     log.store(settings(3)).unwrap();
     assert_eq!(open(&flash), (Some(settings(3)), Found::Complete));

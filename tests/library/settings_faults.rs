@@ -107,14 +107,16 @@ fn a_store_that_fails_gives_the_reason() {
         outcome.expect("a failure").unwrap_err()
     };
     assert_eq!(why(|flash| flash.fail(Operation::Write)), Error::Refused);
-    assert_eq!(why(|flash| flash.stick(64, 1, false)), Error::NotBlank);
-    assert_eq!(why(|flash| flash.stick(64, 4, true)), Error::NotAsWritten);
+    assert_eq!(why(|flash| flash.stick(96, 1, false)), Error::NotBlank);
+    assert_eq!(why(|flash| flash.stick(100, 1, false)), Error::NotBlank);
+    assert_eq!(why(|flash| flash.stick(100, 4, true)), Error::NotAsWritten);
     assert_eq!(why(|_| ()), Error::Full);
 }
 
-/// A flash whose bank `bank` is full except for one record, so that open moves to the other; it holds `settings(7)`.
-fn about_to_move(bank: usize) -> Flash<4, 256> {
-    let records: Vec<_> = (1..=7)
+/// A flash whose bank `bank` has room for `room` of eight records, after those of an earlier version; the other is not
+/// known to be erased. It holds `settings(8 - room)`.
+fn nearly_full(bank: usize, room: u16) -> Flash<4, 256> {
+    let records: Vec<_> = (1..=8 - room)
         .map(|n| {
             let Settings { node_id, bit_rate, heartbeat_ms, .. } = settings(n);
             let node_id = NodeId::to_lss(node_id);
@@ -129,38 +131,64 @@ fn about_to_move(bank: usize) -> Flash<4, 256> {
 #[test]
 fn an_open_that_fails_at_any_operation_loses_nothing() {
     for bank in [0, 1] {
-        for operation in [Operation::Read, Operation::Write, Operation::Erase] {
+        'next: for operation in [Operation::Read, Operation::Write, Operation::Erase] {
             for others in 0.. {
-                let flash = about_to_move(bank);
-                flash.fail_once(operation, others);
-                let (mut log, found) = Log::open(flash.clone());
-                if flash.is_faulty() {
-                    assert_ne!(flash.erases(), 0, "it has moved");
-                    break;
+                for room in 0..3 {
+                    let flash = nearly_full(bank, room);
+                    flash.fail_once(operation, others);
+                    let (mut log, found) = Log::open(flash.clone());
+                    if flash.is_faulty() {
+                        assert_ne!(flash.erases(), 0, "it has erased the other bank");
+                        continue 'next;
+                    }
+                    let case =
+                        format!("bank {bank}, room {room}, {operation:?} {others}: {found:?}");
+                    let stored = log.store(settings(8)).is_ok();
+                    let last = settings(if stored { 8 } else { 8 - room });
+                    let (mut log, _) = Log::open(flash.clone());
+                    assert_eq!(log.settings(), Some(last), "{case}");
+                    assert_eq!(log.store(settings(9)), Ok(()), "{case}");
+                    assert_eq!(open(&flash).0, Some(settings(9)), "{case}");
                 }
-                let case = format!("bank {bank}, {operation:?} {others}: {found:?}");
-                let last = if log.store(settings(8)).is_ok() { settings(8) } else { settings(7) };
-                let (mut log, _) = Log::open(flash.clone());
-                assert_eq!(log.settings(), Some(last), "{case}");
-                assert_eq!(log.store(settings(9)), Ok(()), "{case}");
-                assert_eq!(open(&flash).0, Some(settings(9)), "{case}");
             }
         }
     }
 }
 
 #[test]
+fn a_store_in_the_other_bank_that_fails_at_any_operation_loses_nothing() {
+    for operation in [Operation::Write, Operation::Read] {
+        for others in 0.. {
+            let flash = nearly_full(0, 1);
+            let (mut log, _) = Log::open(flash.clone());
+            flash.fail_once(operation, others);
+            let outcome = log.store(settings(8));
+            if flash.is_faulty() {
+                assert!(others > 2, "it reads and writes");
+                break;
+            }
+            let case = format!("{operation:?} {others}: {outcome:?}");
+            let last = settings(if outcome.is_ok() { 8 } else { 7 });
+            assert_eq!(log.settings(), Some(last), "{case}");
+            assert_eq!(open(&flash.duplicate(0)).0, Some(last), "{case}");
+            assert_eq!(log.store(settings(9)), Ok(()), "{case}");
+            assert_eq!(open(&flash).0, Some(settings(9)), "{case}");
+        }
+    }
+}
+
+#[test]
 fn a_stuck_bit_costs_a_record_but_no_settings() {
-    for at in 64..96 {
+    for at in 96..128 {
         for bit in 0..8 {
             for value in [false, true] {
                 let (mut log, flash) = with_settings_1();
                 flash.stick(at, 1 << bit, value);
                 let outcome = log.store(settings(2));
                 let left = if outcome.is_ok() { settings(2) } else { settings(1) };
-                let has_commit_word = flash.content()[92..96] != [0xFF; 4];
+                let has_commit_word = flash.content()[124..128] != [0xFF; 4];
                 assert!(
-                    outcome.is_ok() || at >= 92 || !has_commit_word,
+                    outcome.is_ok() || at >= 124 || !has_commit_word,
                     "byte {at}, bit {bit} is {value}: the commit word comes after a read-back"
                 );
                 assert_eq!(log.settings(), Some(left), "byte {at}, bit {bit} is {value}");
@@ -175,15 +203,22 @@ fn a_stuck_bit_costs_a_record_but_no_settings() {
 
 #[test]
 fn a_stuck_bit_in_the_other_bank_loses_nothing() {
-    for at in 256..288 {
+    for at in 256..320 {
         for bit in 0..8 {
             for value in [false, true] {
-                let flash = about_to_move(0);
+                let flash = nearly_full(0, 2);
                 flash.stick(at, 1 << bit, value);
-                let (mut log, _) = Log::open(flash.clone());
-                assert_eq!(log.settings(), Some(settings(7)));
-                assert_eq!(log.store(settings(8)), Ok(()), "there was still room");
-                assert_eq!(open(&flash).0, Some(settings(8)), "byte {at}, bit {bit} is {value}");
+                let case = format!("byte {at}, bit {bit} is {value}");
+                let (mut log, found) = Log::open(flash.clone());
+                assert_eq!(log.settings(), Some(settings(6)), "{case}");
+                assert_eq!(log.store(settings(7)), Ok(()), "{case}: there was still room");
+                let outcome = log.store(settings(8));
+                let last = settings(if outcome.is_ok() { 8 } else { 7 });
+                assert_eq!(open(&flash.duplicate(0)).0, Some(last), "{case}: {outcome:?}");
+                let is_marked = !matches!(found, Found::MediumFailed(_));
+                let second = log.store(settings(9));
+                assert_eq!(second.is_ok(), is_marked, "{case}: it costs one store");
+                assert_eq!(open(&flash).0, Some(if is_marked { settings(9) } else { last }));
             }
         }
     }

@@ -126,16 +126,27 @@ pub enum Response {
     InquireNodeId(Option<NodeId>),
 }
 
-/// The reason why nothing was stored: the error codes of store configuration (CiA 305).
+/// The reason why nothing was stored, with the error codes of store configuration (CiA 305).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-#[repr(u8)]
 pub enum StoreError {
-    /// 1: this device cannot store.
-    NotSupported = 1,
-    /// 2: the medium failed or is full; the previous content is still stored.
-    MediumAccess = 2,
+    /// 1: this device cannot store. An SDO client gets abort code 0606 0000h.
+    NotSupported,
+    /// 2: the medium failed; the previous content is still stored. An SDO client gets abort code 0606 0000h.
+    MediumAccess,
+    /// 2: the medium is full until the next start; the previous content is still stored. An SDO client gets abort code
+    /// 0800 0022h.
+    Full,
+}
+
+impl StoreError {
+    const fn code(self) -> u32 {
+        match self {
+            Self::NotSupported => 1,
+            Self::MediumAccess | Self::Full => 2,
+        }
+    }
 }
 
 impl fmt::Display for StoreError {
@@ -143,6 +154,7 @@ impl fmt::Display for StoreError {
         f.write_str(match self {
             Self::NotSupported => "the device cannot store",
             Self::MediumAccess => "the storage medium failed",
+            Self::Full => "the storage medium is full until the next start",
         })
     }
 }
@@ -150,8 +162,11 @@ impl fmt::Display for StoreError {
 impl error::Error for StoreError {}
 
 impl From<settings::Error> for StoreError {
-    fn from(_: settings::Error) -> Self {
-        Self::MediumAccess
+    fn from(error: settings::Error) -> Self {
+        match error {
+            settings::Error::Full => Self::Full,
+            _ => Self::MediumAccess,
+        }
     }
 }
 
@@ -239,7 +254,7 @@ impl Response {
             Self::ConfigureNodeId { accepted } => (CONFIGURE_NODE_ID, !accepted as u32),
             Self::ConfigureBitTiming { accepted } => (CONFIGURE_BIT_TIMING, !accepted as u32),
             Self::StoreConfiguration(Ok(())) => (STORE_CONFIGURATION, 0),
-            Self::StoreConfiguration(Err(error)) => (STORE_CONFIGURATION, error as u32),
+            Self::StoreConfiguration(Err(error)) => (STORE_CONFIGURATION, error.code()),
             Self::Inquire(part, number) => (INQUIRE + part as u8, number),
             Self::InquireNodeId(id) => (INQUIRE_NODE_ID, NodeId::to_lss(id) as u32),
         };

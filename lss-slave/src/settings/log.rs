@@ -6,13 +6,14 @@
 //! returned `Ok`, or those of a later one that did not return; never older ones, never a mix. The result of an `open`
 //! holds until the next store. Six rules ensure this:
 //! - A record is valid only with its CRC and with its commit word, which is written after the rest was read back.
-//! - Parameters are written and read back before the record that refers to them. A move copies them first.
-//! - A word whose write was interrupted by a power cut may read differently at each start. `open` therefore rewrites
-//!   the commit word of the record that it accepts, and also the record itself if later content may turn out valid.
-//! - Space is written once after each erase, and only if it reads blank, never where an interrupted store has written.
-//! - A bank is erased only while the other one holds the newest record, and by `open`, never by `store`: an erase stops
-//!   the CPU for up to 800 ms, which a node on the bus cannot afford.
-//! - Records are appended only to the bank with the newest record, which proves that its erase was completed.
+//! - Parameters are written and read back before the record that refers to them.
+//! - A word whose write was interrupted by a power cut may read differently at each start. `open` therefore appends the
+//!   record that it accepts once more, unless it directly follows one that says the same.
+//! - Each word is written once after an erase, and only if it reads blank. Where the power failed in the first word of
+//!   a place and it reads blank nevertheless, the same word follows: it is the sequence number, which counts places.
+//! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the bus
+//!   cannot afford. It is the bank without the newest record, after that record is certain.
+//! - The first place of a bank is written when its erase is complete, and only then may others follow.
 
 use core::{error, fmt, mem, ops::Range};
 
@@ -21,7 +22,7 @@ use embedded_storage::nor_flash::NorFlash;
 use super::{
     Settings,
     parameters::{self, HEADER, Parameter},
-    record::{self, PARAMETERS_LEN, Record, Reference},
+    record::{self, Changes, PART_LEN, Record, Reference},
 };
 use crate::application::copy;
 
@@ -46,32 +47,24 @@ pub enum Found {
 /// The settings log, on a flash that holds nothing else.
 ///
 /// The flash is used as two banks of equal size, each a multiple of the erase size; a bank of 16 KB has room for 512
-/// records. `open` moves to the other bank when less than a quarter of the current one is left, or no room for a record
-/// with all parameters.
+/// records. A store that finds no room in one bank continues in the other, which the `open` before has erased.
 ///
 /// `PARAMETERS` is the greatest number of bytes of the parameters, see [`Node::PARAMETERS`](crate::Node::PARAMETERS).
 /// It must not exceed the [`capacity`](parameters::capacity) of a bank: then a store finds the flash full.
 pub struct Log<F, const PARAMETERS: usize = 0> {
     flash: F,
-    newest: Record,
-    /// The parameters of the newest record.
-    stored: Stored<PARAMETERS>,
-    /// The sequence number of the last record written or attempted.
-    sequence: u32,
+    newest: Newest,
+    /// The parameters of the newest record that the node has taken, or those of the last store.
+    taken: [u8; PARAMETERS],
+    taken_len: usize,
+    /// The newest record has no other parameters.
+    has_taken_all: bool,
     /// The last record was written but could not be read back. A later `open` may find it valid.
     is_doubtful: bool,
     /// The blank space in the bank with the newest record.
-    space: Range<u32>,
-}
-
-/// The parameters of a record.
-struct Stored<const PARAMETERS: usize> {
-    reference: Option<Reference>,
-    /// The first address of the bank with the record.
-    bank: u32,
-    /// The parameters that the node has taken, or those of the last store.
-    bytes: [u8; PARAMETERS],
-    len: usize,
+    space: Space,
+    /// The blank space in the other bank; empty if its erase is not known to be complete.
+    other: Space,
 }
 
 /// A failure of the flash.
@@ -84,7 +77,7 @@ pub enum Error {
     NotBlank,
     /// A record reads back differently than it was written.
     NotAsWritten,
-    /// The bank is full until the next [`Log::open`].
+    /// Both banks are full until the next [`Log::open`].
     Full,
 }
 
@@ -94,7 +87,9 @@ impl fmt::Display for Error {
             Self::Refused => "the flash reports an error",
             Self::NotBlank => "the flash is not blank where it was erased",
             Self::NotAsWritten => "the flash reads back otherwise than written",
-            Self::Full => "the flash is full until the next power-on",
+            Self::Full => {
+                "the flash is full: reset the node (NMT command 81h) or switch it off and on"
+            }
         })
     }
 }
@@ -108,26 +103,152 @@ impl defmt::Format for Error {
             Self::Refused => defmt::write!(f, "the flash reports an error"),
             Self::NotBlank => defmt::write!(f, "the flash is not blank where it was erased"),
             Self::NotAsWritten => defmt::write!(f, "the flash reads back otherwise than written"),
-            Self::Full => defmt::write!(f, "the flash is full until the next power-on"),
+            Self::Full => defmt::write!(
+                f,
+                "the flash is full: reset the node (NMT command 81h) or switch it off and on"
+            ),
         }
     }
+}
+
+/// The places in a bank that have not been written.
+struct Space {
+    range: Range<u32>,
+    /// The sequence number of the first of them.
+    sequence: u32,
+    /// The first address of the bank.
+    bank: u32,
+}
+
+impl Space {
+    const NONE: Self = Self { range: 0..0, sequence: 0, bank: 0 };
+
+    /// The number of places.
+    fn len(&self) -> u32 {
+        self.range.end.saturating_sub(self.range.start) / record::LEN
+    }
+
+    /// The address and the sequence number of the next place.
+    fn take(&mut self) -> Result<(u32, u32), Error> {
+        if self.len() == 0 {
+            return Err(Error::Full);
+        }
+        let place = (self.range.start, self.sequence);
+        self.range.start = self.range.start.saturating_add(record::LEN);
+        self.sequence = self.sequence.wrapping_add(1);
+        Ok(place)
+    }
+}
+
+/// The newest valid record.
+#[derive(Clone, Copy)]
+struct Newest {
+    record: Record,
+    at: u32,
+    /// The first address of its bank.
+    bank: u32,
+}
+
+impl Newest {
+    /// The part of the parameters with this number; `None` if the log is damaged.
+    fn part<F: NorFlash>(
+        &self,
+        flash: &mut F,
+        number: u16,
+    ) -> Result<Option<[u8; PART_LEN]>, Error> {
+        let mut end = self.place();
+        let mut reference = self.record.parameters;
+        // Each reference lies before the one from which it was found.
+        while let Some(Reference { first, changes, .. }) = reference.filter(|it| it.end() <= end) {
+            let Some(Changes { parts, others }) = changes else {
+                let place = u32::from(first).saturating_add(number.into());
+                let is_there = reference.is_some_and(|it| place < it.end());
+                let bytes = read(flash, self.address(place))?;
+                return Ok(is_there.then_some(record::part_from_bytes(&bytes).1));
+            };
+            for place in first..first.saturating_add(parts) {
+                let bytes = read(flash, self.address(place.into()))?;
+                let (found, part) = record::part_from_bytes(&bytes);
+                if found == number {
+                    return Ok(Some(part));
+                }
+            }
+            if others >= first {
+                break;
+            }
+            end = others.into();
+            reference = Reference::of_record(&read(flash, self.address(end))?);
+        }
+        Ok(None)
+    }
+
+    /// Whether the parameters are complete and undamaged.
+    fn is_intact<F: NorFlash>(&self, flash: &mut F) -> Result<bool, Error> {
+        let Some(Reference { len, crc, .. }) = self.record.parameters else {
+            return Ok(true);
+        };
+        let mut found = u32::MAX;
+        for (number, len) in parts(len) {
+            let Some(part) = self.part(flash, number)? else {
+                return Ok(false);
+            };
+            found = record::crc32_of_more(found, part.get(..len).unwrap_or_default());
+        }
+        Ok(!found == crc)
+    }
+
+    fn place(&self) -> u32 {
+        self.at.saturating_sub(self.bank) / record::LEN
+    }
+
+    fn address(&self, place: u32) -> u32 {
+        place.saturating_mul(record::LEN).saturating_add(self.bank)
+    }
+}
+
+/// The numbers of the parts of parameters of `len` bytes, and the length of each.
+fn parts(len: u16) -> impl Iterator<Item = (u16, usize)> {
+    let starts = (0..usize::from(len)).step_by(PART_LEN);
+    (0..).zip(starts.map(move |start| usize::from(len).saturating_sub(start).min(PART_LEN)))
+}
+
+/// The part of packed parameters with this number, if there is one; unused bytes are FF.
+fn part_of(packed: &[u8], number: u16) -> Option<[u8; PART_LEN]> {
+    let mut part = [0xFF; PART_LEN];
+    (copy(packed, usize::from(number).saturating_mul(PART_LEN), &mut part) > 0).then_some(part)
+}
+
+fn read<F: NorFlash>(flash: &mut F, at: u32) -> Result<[u8; record::LEN as usize], Error> {
+    let mut bytes = [0; record::LEN as usize];
+    flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
+    Ok(bytes)
 }
 
 /// The result of the search in one bank.
 struct Bank {
     range: Range<u32>,
-    newest: Option<Record>,
-    /// The parameters to which the newest record refers.
-    reference: Option<Reference>,
-    /// The first address after the newest record, or the start of the bank without one.
-    newest_end: u32,
+    newest: Option<Newest>,
+    /// The newest record directly follows one that says the same.
+    is_repeated: bool,
+    /// The sequence number of the first place, if the bank was erased completely and nothing was written since.
+    erased: Option<u32>,
     /// The address from which the rest of the bank reads blank.
     blank_from: u32,
 }
 
 impl Bank {
     fn is_blank(&self) -> bool {
-        self.blank_from == self.range.start
+        self.blank_from == self.range.start || self.erased.is_some()
+    }
+
+    /// The blank space, if the place at `at` has this sequence number.
+    fn space(&self, at: u32, sequence: u32) -> Space {
+        let places = self.blank_from.saturating_sub(at) / record::LEN;
+        Space {
+            range: self.blank_from..self.range.end,
+            sequence: sequence.wrapping_add(places),
+            bank: self.range.start,
+        }
     }
 }
 
@@ -138,10 +259,10 @@ fn is_blank(bytes: &[u8; record::LEN as usize]) -> bool {
 }
 
 impl<F: NorFlash> Log<F> {
-    /// Finds the newest settings, and moves to the other bank when little space is left.
+    /// Finds the newest settings, and erases the bank that does not hold them if it was used since its last erase.
     ///
-    /// For a blank or damaged flash, and once in several hundred stores, this takes as long as an erase (800 ms at most
-    /// on an STM32F4). Call it before joining the bus.
+    /// The latter takes as long as an erase (800 ms at most on an STM32F4), at the first two starts of a new device and
+    /// once in some hundred stores. Call it before joining the bus.
     pub fn open(flash: F) -> (Self, Found) {
         Self::open_with_parameters(flash)
     }
@@ -158,16 +279,24 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
             assert!((record::LEN as usize).is_multiple_of(F::READ_SIZE));
             assert!(PARAMETERS < u16::MAX as usize, "the parameters take too many bytes");
         }
-        let newest = Record { sequence: 0, settings: None };
-        let stored = Stored { reference: None, bank: 0, bytes: [0; PARAMETERS], len: 0 };
-        let mut log = Self { flash, newest, stored, sequence: 0, is_doubtful: false, space: 0..0 };
+        let record = Record { sequence: 0, settings: None, parameters: None };
+        let mut log = Self {
+            flash,
+            newest: Newest { record, at: 0, bank: 0 },
+            taken: [0; PARAMETERS],
+            taken_len: 0,
+            has_taken_all: false,
+            is_doubtful: false,
+            space: Space::NONE,
+            other: Space::NONE,
+        };
         let found = log.find().unwrap_or_else(Found::MediumFailed);
         (log, found)
     }
 
     /// The persistent settings; `None` if none were ever stored and the device's defaults apply.
     pub fn settings(&self) -> Option<Settings> {
-        self.newest.settings
+        self.newest.record.settings
     }
 
     /// Passes the persistent parameters to [`Node::restore`](crate::Node::restore), which says whether it takes each.
@@ -176,54 +305,54 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
     /// # Errors
     /// The flash cannot be read.
     pub fn restore(&mut self, mut take: impl FnMut(&Parameter<'_>) -> bool) -> Result<(), Error> {
-        let Some(reference) = self.stored.reference.filter(|_| PARAMETERS > 0) else {
-            return Ok(());
-        };
-        let Stored { bank, bytes, len, .. } = &mut self.stored;
-        let mut blob = Blob { flash: &mut self.flash, bank: *bank, reference, at: 0 };
-        *len = 0;
+        let mut blob = Blob { flash: &mut self.flash, newest: self.newest, at: 0, last: None };
+        let mut has_taken_all = true;
+        self.taken_len = 0;
         while blob.rest() >= HEADER {
             let mut header = [0; HEADER];
             blob.read(&mut header)?;
             let value_len = usize::from(parameters::value_len(header)).min(blob.rest());
-            let to = bytes.get_mut(*len..).unwrap_or_default();
+            let to = self.taken.get_mut(self.taken_len..).unwrap_or_default();
             // A longer one is none of this node's, whose parameters all fit.
             let Some(to) = to.get_mut(..HEADER.saturating_add(value_len)) else {
                 blob.skip(value_len);
+                has_taken_all = false;
                 continue;
             };
             let (to_header, value) = to.split_at_mut(HEADER.min(to.len()));
             copy(&header, 0, to_header);
             blob.read(value)?;
             if Parameter::first_of(to).is_some_and(|parameter| take(&parameter)) {
-                *len = len.saturating_add(to.len());
+                self.taken_len = self.taken_len.saturating_add(to.len());
+            } else {
+                has_taken_all = false;
             }
         }
+        self.has_taken_all = has_taken_all && blob.rest() == 0;
         Ok(())
     }
 
     /// The persistent parameters, packed.
     pub fn parameters(&self) -> &[u8] {
-        let len = if PARAMETERS > 0 { self.stored.len } else { 0 };
-        self.stored.bytes.get(..len).unwrap_or_default()
+        self.taken.get(..self.taken_len).unwrap_or_default()
     }
 
     /// Makes `settings` persistent and keeps the parameters. Writes nothing if the settings already are, else one
-    /// record, which takes 0.2 ms (0.8 ms at worst) on an STM32F4.
+    /// record, which takes 0.2 ms (0.8 ms at worst) on an STM32F4. Where one bank is full, the parameters are copied to
+    /// the other before it.
     ///
     /// # Errors
-    /// The record could not be written and read back, or the bank is full until the next `open`. The previous settings
+    /// The record could not be written and read back, or the flash is full until the next `open`. The previous settings
     /// are still persistent.
     pub fn store(&mut self, settings: Settings) -> Result<(), Error> {
-        if self.newest.settings == Some(settings) && !self.is_doubtful {
+        if self.settings() == Some(settings) && !self.is_doubtful {
             return Ok(());
         }
-        let outcome = self.append(Some(settings), self.stored.reference);
-        self.end_store(outcome)
+        self.put_or_restore(settings, None)
     }
 
-    /// Makes `settings` and these packed parameters persistent. Parameters that already are cost nothing; others take
-    /// as long as a record for every 24 bytes, before the record itself.
+    /// Makes `settings` and these packed parameters persistent. Parameters that already are cost nothing; each run of 24
+    /// bytes that differs takes as long as a record, before the record itself.
     ///
     /// # Errors
     /// As for [`store`](Self::store): the previous settings and parameters are still persistent. [`Error::Full`] also
@@ -233,19 +362,16 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
         settings: Settings,
         parameters: &[u8],
     ) -> Result<(), Error> {
-        if PARAMETERS == 0 || parameters == self.parameters() {
+        if parameters == self.parameters() {
             return self.store(settings);
         }
-        let outcome = self.append_with_parameters(settings, parameters);
-        self.end_store(outcome)
-    }
-
-    /// After a store that failed, writes the old settings behind a rejected record.
-    fn end_store(&mut self, outcome: Result<(), Error>) -> Result<(), Error> {
-        if outcome.is_err() && self.is_doubtful {
-            let _ = self.append(self.newest.settings, self.stored.reference);
+        if parameters.len() > PARAMETERS {
+            return Err(Error::Full);
         }
-        outcome
+        self.put_or_restore(settings, Some(parameters))?;
+        self.taken_len = copy(parameters, 0, &mut self.taken);
+        self.has_taken_all = true;
+        Ok(())
     }
 
     /// Closes the log and returns its flash.
@@ -257,53 +383,50 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
         let erase_size = F::ERASE_SIZE as u32;
         let bank_len = self.flash.capacity() as u32 / 2 / erase_size * erase_size;
         let first = self.search(0..bank_len)?;
-        let second = self.search(bank_len..2 * bank_len)?;
+        let second = self.search(bank_len..bank_len.saturating_mul(2))?;
         let second_is_newer = match (&first.newest, &second.newest) {
-            (Some(first), Some(second)) => second.is_newer_than(first),
+            (Some(first), Some(second)) => {
+                record::is_newer(second.record.sequence, first.record.sequence)
+            }
             (first, second) => first.is_none() && second.is_some(),
         };
         let (bank, other) = if second_is_newer { (second, first) } else { (first, second) };
         let Some(newest) = bank.newest else {
             let is_blank = bank.is_blank() && other.is_blank();
             // Even a bank that reads blank is erased: its last erase may have been interrupted.
-            self.move_to(bank.range)?;
+            self.erase(bank.range)?;
+            self.put(None, None)?;
             return Ok(if is_blank { Found::Blank } else { Found::Damaged });
         };
-        let interrupted = bank.blank_from.saturating_sub(bank.newest_end) / record::LEN;
         self.newest = newest;
-        let mut are_damaged = false;
-        if PARAMETERS > 0 {
-            self.stored.bank = bank.range.start;
-            are_damaged = !self.are_intact(bank.reference, bank.newest_end)?;
-            self.stored.reference = bank.reference.filter(|_| !are_damaged);
+        self.space = bank.space(newest.at, newest.record.sequence);
+        let is_interrupted = bank.blank_from > newest.at.saturating_add(record::LEN);
+        let is_intact = newest.is_intact(&mut self.flash)?;
+        if !is_intact {
+            self.newest.record.parameters = None;
         }
-        // A later record must be newer than any that may turn out valid. The same place must also get the same sequence
-        // again: after a power cut in its first word, nothing else may be written there.
-        self.sequence = newest.sequence.wrapping_add(interrupted);
-        self.space = bank.blank_from..bank.range.end;
-        // The record of an interrupted move may turn out valid too; its sequence is later than that of the next store.
-        let has_moved = other.newest.is_none() && !other.is_blank();
-        // The record that supersedes an interrupted one takes space.
-        let mut least = bank_len / 4;
-        if PARAMETERS > 0 {
-            least = least.max((PARAMETERS.div_ceil(PARAMETERS_LEN) as u32 + 1) * record::LEN);
+        let is_certain = bank.is_repeated && is_intact && !is_interrupted
+            || self.append(newest.record.settings, None, false).is_ok();
+        match other.erased {
+            Some(sequence) => {
+                self.other = other.space(other.range.start, sequence);
+            }
+            None => self.erase(other.range)?,
         }
-        least += if interrupted > 0 { record::LEN } else { 0 };
-        if has_moved || self.space.end.saturating_sub(self.space.start) < least {
-            self.move_to(other.range)?;
-        } else if interrupted > 0 || are_damaged || self.commit_again(bank.newest_end).is_err() {
-            self.append(self.newest.settings, self.stored.reference)?;
+        if !is_certain {
+            self.put(newest.record.settings, None)?;
         }
-        if are_damaged {
-            return Ok(Found::ParametersDamaged);
-        }
-        Ok(if interrupted > 0 { Found::Interrupted } else { Found::Complete })
+        Ok(match (is_intact, is_interrupted) {
+            (false, _) => Found::ParametersDamaged,
+            (true, true) => Found::Interrupted,
+            (true, false) => Found::Complete,
+        })
     }
 
     fn search(&mut self, range: Range<u32>) -> Result<Bank, Error> {
         let start = range.start;
         let mut bank =
-            Bank { range, newest: None, reference: None, newest_end: start, blank_from: start };
+            Bank { range, newest: None, is_repeated: false, erased: None, blank_from: start };
         // One buffer for all: returning each of a thousand records would cost a copy, 1 ms in all.
         let mut bytes = [0; record::LEN as usize];
         for at in bank.range.clone().step_by(record::LEN as usize).rev() {
@@ -311,202 +434,164 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
             if is_blank(&bytes) {
                 continue;
             }
-            if bank.is_blank() {
-                bank.blank_from = at + record::LEN;
-            }
-            bank.newest = Record::from_bytes(&bytes);
-            if bank.newest.is_some() {
-                bank.newest_end = at + record::LEN;
-                if PARAMETERS > 0 {
-                    bank.reference = Reference::of_record(&bytes);
-                }
+            let record = Record::from_bytes(&bytes);
+            if let Some(newest) = &bank.newest {
+                bank.is_repeated = record.is_some_and(|record| record.repeats(&newest.record));
                 break;
             }
+            if bank.blank_from == start {
+                bank.blank_from = at.saturating_add(record::LEN);
+                bank.erased = record::mark_from_bytes(&bytes).filter(|_| at == start);
+            }
+            bank.newest = record.map(|record| Newest { record, at, bank: start });
         }
         Ok(bank)
     }
 
-    /// Erases `bank`, and copies the newest record to it with its parameters.
-    fn move_to(&mut self, bank: Range<u32>) -> Result<(), Error> {
+    /// Erases the bank without the newest record.
+    fn erase(&mut self, bank: Range<u32>) -> Result<(), Error> {
+        if record::mark_from_bytes(&read(&mut self.flash, bank.start)?).is_some() {
+            // An interrupted erase may leave the mark as it is.
+            let at = bank.start.saturating_add(record::VOID_AT);
+            self.flash.write(at, &record::VOID).map_err(|_| Error::Refused)?;
+        }
         self.flash.erase(bank.start, bank.end).map_err(|_| Error::Refused)?;
-        let start = bank.start;
-        let old_space = mem::replace(&mut self.space, bank);
-        let outcome = match self.stored.reference {
-            Some(reference) if PARAMETERS > 0 => self.copy(reference, start),
-            _ => self.append(self.newest.settings, None),
-        };
-        if PARAMETERS > 0 && outcome.is_ok() {
-            self.stored.bank = start;
+        // A record that is left would count, since it comes after those that follow.
+        if self.search(bank.clone())?.newest.is_some() {
+            return Err(Error::NotBlank);
         }
-        outcome.inspect_err(|_| self.space = old_space)
-    }
-
-    /// Appends the newest record with a copy of its parameters.
-    fn copy(&mut self, old: Reference, bank: u32) -> Result<(), Error> {
-        let source = Source::Flash { bank: self.stored.bank, reference: old };
-        let new = self.append_parameters(bank, old.len, source)?;
-        if new.crc != old.crc {
-            return Err(Error::NotAsWritten);
-        }
-        self.append(self.newest.settings, Some(new))
-    }
-
-    fn append_with_parameters(
-        &mut self,
-        settings: Settings,
-        parameters: &[u8],
-    ) -> Result<(), Error> {
-        let mut reference = None;
-        if parameters.len() > PARAMETERS {
-            return Err(Error::Full);
-        }
-        if !parameters.is_empty() {
-            let len = parameters.len() as u16;
-            let source = Source::Bytes(parameters);
-            reference = Some(self.append_parameters(self.stored.bank, len, source)?);
-        }
-        self.append(Some(settings), reference)?;
-        let Stored { bytes, len, .. } = &mut self.stored;
-        *len = copy(parameters, 0, bytes);
+        // Later than any in the other bank.
+        let places = bank.end.saturating_sub(bank.start) / record::LEN;
+        let sequence = self.newest.record.sequence.wrapping_add(places);
+        self.write(bank.start, &record::mark_to_bytes(sequence))?;
+        let range = bank.start.saturating_add(record::LEN)..bank.end;
+        self.other = Space { range, sequence: sequence.wrapping_add(1), bank: bank.start };
         Ok(())
     }
 
-    /// Appends parameters, which are copied part by part. Writes nothing if they do not fit with their record.
-    #[inline(never)] // It has two callers.
-    fn append_parameters(
-        &mut self,
-        bank: u32,
-        len: u16,
-        source: Source<'_>,
-    ) -> Result<Reference, Error> {
-        let first = self.space.start.saturating_sub(bank) / record::LEN;
-        let mut reference =
-            Reference { first: first.try_into().map_err(|_| Error::Full)?, len, crc: u32::MAX };
-        let space = self.space.end.saturating_sub(self.space.start) / record::LEN;
-        if reference.places() >= space {
-            return Err(Error::Full);
+    /// Makes `settings` persistent, or else leaves the old ones so.
+    fn put_or_restore(&mut self, settings: Settings, new: Option<&[u8]>) -> Result<(), Error> {
+        let outcome = self.put(Some(settings), new);
+        if outcome.is_err() && self.is_doubtful {
+            let _ = self.put(self.settings(), None);
         }
-        for at in (0..usize::from(len)).step_by(PARAMETERS_LEN) {
-            let mut part = [0xFF; PARAMETERS_LEN];
-            let rest = usize::from(len).saturating_sub(at).min(PARAMETERS_LEN);
-            let of_len = part.get_mut(..rest).unwrap_or_default();
-            match source {
-                Source::Bytes(bytes) => {
-                    copy(bytes, at, of_len);
-                }
-                Source::Flash { bank, reference } => {
-                    Blob { flash: &mut self.flash, bank, reference, at }.read(of_len)?;
-                }
-            }
-            reference.crc = record::crc32_of_more(reference.crc, of_len);
-            let at = self.take_place()?;
-            let bytes = record::parameters_to_bytes(self.sequence, part);
-            self.write_once(at, &bytes)?;
-        }
-        reference.crc = !reference.crc;
-        Ok(reference)
+        outcome
     }
 
-    /// Whether there are no parameters, or they are complete and undamaged, before their record.
-    fn are_intact(&mut self, reference: Option<Reference>, record_end: u32) -> Result<bool, Error> {
-        let Some(reference) = reference else {
-            return Ok(true);
-        };
-        let places = u32::from(reference.first).saturating_add(reference.places());
-        let end = places.saturating_mul(record::LEN).saturating_add(self.stored.bank);
-        if end >= record_end {
-            return Ok(false);
+    /// Appends a record with `new` parameters, or with those of the newest one, where there is room.
+    fn put(&mut self, settings: Option<Settings>, new: Option<&[u8]>) -> Result<(), Error> {
+        match self.append(settings, new, false) {
+            Err(Error::Full) => {}
+            outcome => return outcome,
         }
-        let mut blob = Blob { flash: &mut self.flash, bank: self.stored.bank, reference, at: 0 };
-        let mut crc = u32::MAX;
-        while blob.rest() > 0 {
-            let mut part = [0; PARAMETERS_LEN];
-            let part = part.get_mut(..blob.rest().min(PARAMETERS_LEN)).unwrap_or_default();
-            blob.read(part)?;
-            crc = record::crc32_of_more(crc, part);
+        mem::swap(&mut self.space, &mut self.other);
+        let outcome = self.append(settings, new, true);
+        match outcome {
+            Ok(()) => self.other = Space::NONE,
+            Err(_) => mem::swap(&mut self.space, &mut self.other),
         }
-        Ok(!crc == reference.crc)
+        outcome
     }
 
+    /// Appends a record in the bank with the newest one, after the parameters that differ, or in the other one, after
+    /// all parameters. Writes nothing if they do not fit.
     fn append(
         &mut self,
         settings: Option<Settings>,
-        reference: Option<Reference>,
+        new: Option<&[u8]>,
+        in_other: bool,
     ) -> Result<(), Error> {
-        let at = self.take_place()?;
-        let record = Record { sequence: self.sequence, settings };
-        self.write(at, &record.to_bytes(reference.filter(|_| PARAMETERS > 0)))?;
-        self.newest = record;
-        if PARAMETERS > 0 {
-            self.stored.reference = reference;
-        }
+        let parameters = match new {
+            None if !in_other => self.newest.record.parameters,
+            _ => self.append_parameters(new, in_other)?,
+        };
+        let (at, sequence) = self.space.take()?;
+        let record = Record { sequence, settings, parameters };
+        self.write(at, &record.to_bytes())?;
+        self.newest = Newest { record, at, bank: self.space.bank };
         Ok(())
     }
 
-    /// The next place for 32 bytes, whose sequence number is then [`sequence`](Self::sequence).
-    fn take_place(&mut self) -> Result<u32, Error> {
-        let at = self.space.start;
-        if at >= self.space.end {
+    fn append_parameters(
+        &mut self,
+        new: Option<&[u8]>,
+        in_other: bool,
+    ) -> Result<Option<Reference>, Error> {
+        let old = self.newest;
+        let stored = old.record.parameters;
+        let len = new.map_or(stored.map_or(0, |stored| stored.len), |new| new.len() as u16);
+        if len == 0 {
+            return Ok(None);
+        }
+        let keeps_some = !in_other && stored.is_some() && self.has_taken_all;
+        let new_part = |number| new.and_then(|new| part_of(new, number));
+        let is_kept =
+            |log: &Self, number, part| keeps_some && part_of(log.parameters(), number) == part;
+        let changed = parts(len).filter(|(number, _)| !is_kept(self, *number, new_part(*number)));
+        let changed = changed.count();
+        if changed as u32 >= self.space.len() {
             return Err(Error::Full);
         }
-        self.sequence = self.sequence.wrapping_add(1);
-        self.space.start = at.saturating_add(record::LEN);
-        Ok(at)
-    }
-
-    /// Rewrites the commit word of the record that ends at `end`.
-    fn commit_again(&mut self, end: u32) -> Result<(), F::Error> {
-        self.flash.write(end.saturating_sub(record::COMMIT.len() as u32), &record::COMMIT)
+        let first = self.space.range.start.saturating_sub(self.space.bank) / record::LEN;
+        let first = first.try_into().map_err(|_| Error::Full)?;
+        let mut crc = u32::MAX;
+        for (number, len) in parts(len) {
+            let part = match new {
+                Some(_) => new_part(number),
+                None => old.part(&mut self.flash, number)?,
+            };
+            let bytes = part.ok_or(Error::NotAsWritten)?;
+            crc = record::crc32_of_more(crc, bytes.get(..len).unwrap_or_default());
+            if !is_kept(self, number, part) {
+                let (at, sequence) = self.space.take()?;
+                self.write_once(at, &record::part_to_bytes(sequence, number, &bytes))?;
+            }
+        }
+        if new.is_none() && stored.is_some_and(|stored| stored.crc != !crc) {
+            return Err(Error::NotAsWritten);
+        }
+        let changes = Changes { parts: changed as u16, others: old.place() as u16 };
+        Ok(Some(Reference { first, len, crc: !crc, changes: keeps_some.then_some(changes) }))
     }
 
     fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
-        const COMMIT_AT: usize = record::LEN as usize - record::COMMIT.len();
+        const COMMIT_AT: usize = record::LEN as usize - 4;
         let (content, commit) = bytes.split_at(COMMIT_AT);
         self.write_once(at, content)?;
         // The read-back decides, as at the next open, whatever the flash reports for this last word.
-        let _ = self.flash.write(at + COMMIT_AT as u32, commit);
+        let _ = self.flash.write(at.saturating_add(COMMIT_AT as u32), commit);
         self.is_doubtful = true;
-        let written = self.read(at)?;
+        let written = read(&mut self.flash, at)?;
         self.is_doubtful = false;
         if written == *bytes { Ok(()) } else { Err(Error::NotAsWritten) }
     }
 
     /// Writes a blank place, or its beginning, and reads it back.
     fn write_once(&mut self, at: u32, content: &[u8]) -> Result<(), Error> {
-        if !is_blank(&self.read(at)?) {
+        if !is_blank(&read(&mut self.flash, at)?) {
             return Err(Error::NotBlank);
         }
         self.flash.write(at, content).map_err(|_| Error::Refused)?;
-        if self.read(at)?.starts_with(content) { Ok(()) } else { Err(Error::NotAsWritten) }
+        let written = read(&mut self.flash, at)?;
+        if written.starts_with(content) { Ok(()) } else { Err(Error::NotAsWritten) }
     }
-
-    fn read(&mut self, at: u32) -> Result<[u8; record::LEN as usize], Error> {
-        let mut bytes = [0; record::LEN as usize];
-        self.flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
-        Ok(bytes)
-    }
-}
-
-/// The place from which parameters are copied.
-#[derive(Clone, Copy)]
-enum Source<'a> {
-    Bytes(&'a [u8]),
-    Flash { bank: u32, reference: Reference },
 }
 
 /// The parameters of a record in the flash, read from the start to the end.
 struct Blob<'a, F> {
     flash: &'a mut F,
-    bank: u32,
-    reference: Reference,
+    newest: Newest,
     /// The number of bytes before the next one to read.
     at: usize,
+    /// The part that was read last, and its number.
+    last: Option<(u16, [u8; PART_LEN])>,
 }
 
 impl<F: NorFlash> Blob<'_, F> {
     /// The number of bytes that have not been read.
     fn rest(&self) -> usize {
-        usize::from(self.reference.len).saturating_sub(self.at)
+        let len = self.newest.record.parameters.map_or(0, |parameters| parameters.len);
+        usize::from(len).saturating_sub(self.at)
     }
 
     fn skip(&mut self, bytes: usize) {
@@ -515,15 +600,13 @@ impl<F: NorFlash> Blob<'_, F> {
 
     fn read(&mut self, mut to: &mut [u8]) -> Result<(), Error> {
         while !to.is_empty() {
-            let place = (self.at / PARAMETERS_LEN) as u32;
-            let address = u32::from(self.reference.first)
-                .saturating_add(place)
-                .saturating_mul(record::LEN)
-                .saturating_add(self.bank);
-            let mut bytes = [0; record::LEN as usize];
-            self.flash.read(address, &mut bytes).map_err(|_| Error::Refused)?;
-            let part = record::parameters_from_bytes(&bytes);
-            let read = copy(part, self.at % PARAMETERS_LEN, to);
+            let number = (self.at / PART_LEN) as u16;
+            let part = match self.last {
+                Some((last, part)) if last == number => part,
+                _ => self.newest.part(self.flash, number)?.ok_or(Error::NotAsWritten)?,
+            };
+            self.last = Some((number, part));
+            let read = copy(&part, self.at % PART_LEN, to);
             self.skip(read);
             to = to.get_mut(read..).unwrap_or_default();
         }

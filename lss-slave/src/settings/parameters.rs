@@ -11,7 +11,7 @@ pub const HEADER: usize = 6;
 /// with their record, so that others can be stored without an erase.
 pub const fn capacity(bank_len: usize) -> usize {
     let places = bank_len / 2 / record::LEN as usize;
-    places.saturating_sub(1) * record::PARAMETERS_LEN
+    places.saturating_sub(1) * record::PART_LEN
 }
 
 /// The value of an object, to be stored or as it was stored.

@@ -1,29 +1,37 @@
 //! A record of the settings log: 32 bytes that are either all valid or not valid.
 
 use super::Settings;
-use crate::{BitRateSetting, NodeId};
+use crate::{BitRateSetting, NodeId, application::copy};
 
 /// The size of a record in bytes.
 pub const LEN: u32 = 32;
 /// The last word, written only after all the others have been read back.
-pub const COMMIT: [u8; 4] = *b"LSS1";
-/// The last word of parameters. It has a bit that the commit word has not, so it cannot read as one, even half written.
-const PARAMETERS: [u8; 4] = *b"LSSP";
-/// The number of bytes of the parameters in 32 bytes of flash.
-pub const PARAMETERS_LEN: usize = 24;
+const COMMIT: [u8; 4] = *b"LSS1";
+/// The last bytes of a part of the parameters. They have a bit that the commit word has not, so they cannot read as its
+/// end, even half written.
+const PART: [u8; 2] = *b"SP";
+/// The last word of the mark; it cannot read as the commit word either.
+const MARK: [u8; 4] = *b"LSSE";
+/// A word that makes a mark invalid, and its place in the mark.
+pub const VOID: [u8; 4] = [0; 4];
+pub const VOID_AT: u32 = 16;
+/// The number of bytes of a part of the parameters, for which 32 bytes of flash have room.
+pub const PART_LEN: usize = 24;
 
-/// A record: its sequence number and the settings, `None` if the defaults of the device apply.
+/// A record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
     pub sequence: u32,
+    /// The settings; `None` if the defaults of the device apply.
     pub settings: Option<Settings>,
+    pub parameters: Option<Reference>,
 }
 
 impl Record {
     /// The record in flash: sequence (4 bytes, little endian), kind, node-ID, bit rate index, 1 byte unused, heartbeat
-    /// time (2 bytes), reference to the parameters (8 bytes), 6 bytes unused, CRC-32 of the bytes before it, commit
+    /// time (2 bytes), reference to the parameters (12 bytes), 2 bytes unused, CRC-32 of the bytes before it, commit
     /// word.
-    pub fn to_bytes(self, parameters: Option<Reference>) -> [u8; LEN as usize] {
+    pub fn to_bytes(self) -> [u8; LEN as usize] {
         let [s0, s1, s2, s3] = self.sequence.to_le_bytes();
         let (kind, node_id, index, [h0, h1]) = match self.settings {
             None => (KIND_DEFAULTS, 0xFF, 0xFF, [0xFF; 2]),
@@ -35,13 +43,14 @@ impl Record {
             ),
         };
         const X: u8 = 0xFF;
-        let [p0, p1, p2, p3, p4, p5, p6, p7] = parameters.map_or([X; 8], Reference::to_bytes);
+        let [p0, p1, p2, p3, p4, p5, p6, p7, p8, p9, p10, p11] =
+            self.parameters.map_or([X; 12], Reference::to_bytes);
         #[rustfmt::skip]
         let content = [
             s0, s1, s2, s3, kind, node_id, index, X, h0, h1, p0, p1,
-            p2, p3, p4, p5, p6, p7, X, X, X, X, X, X,
+            p2, p3, p4, p5, p6, p7, p8, p9, p10, p11, X, X,
         ];
-        let [r0, r1, r2, r3] = crc32(&content).to_le_bytes();
+        let [r0, r1, r2, r3] = (!crc32_of_more(u32::MAX, &content)).to_le_bytes();
         let [c0, c1, c2, c3] = COMMIT;
         let mut bytes = [X; LEN as usize];
         let (head, tail) = bytes.split_at_mut(content.len());
@@ -54,7 +63,7 @@ impl Record {
     pub fn from_bytes(bytes: &[u8; LEN as usize]) -> Option<Self> {
         let (content, rest) = bytes.split_first_chunk::<24>()?;
         let (crc, commit) = rest.split_first_chunk()?;
-        if commit != COMMIT || u32::from_le_bytes(*crc) != crc32(content) {
+        if commit != COMMIT || u32::from_le_bytes(*crc) != !crc32_of_more(u32::MAX, content) {
             return None;
         }
         let [s0, s1, s2, s3, kind, node_id, index, _, h0, h1, ..] = *content;
@@ -67,77 +76,118 @@ impl Record {
             }),
             _ => return None,
         };
-        Some(Self { sequence: u32::from_le_bytes([s0, s1, s2, s3]), settings })
+        let sequence = u32::from_le_bytes([s0, s1, s2, s3]);
+        Some(Self { sequence, settings, parameters: Reference::of_record(bytes) })
     }
 
-    /// Whether this record was written after `other`; sequence numbers wrap.
-    pub fn is_newer_than(&self, other: &Self) -> bool {
-        self.sequence != other.sequence
-            && self.sequence.wrapping_sub(other.sequence) <= u32::MAX / 2
+    /// Whether both records make the same persistent.
+    pub fn repeats(&self, other: &Self) -> bool {
+        self.settings == other.settings && self.parameters == other.parameters
     }
 }
 
-/// The place of the parameters that belong to a record.
+/// Whether a sequence number is later than `other`; they wrap.
+pub fn is_newer(sequence: u32, other: u32) -> bool {
+    sequence != other && sequence.wrapping_sub(other) <= u32::MAX / 2
+}
+
+/// The places of the parameters of a record, counted from the start of the bank in units of 32 bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reference {
-    /// The first place of 32 bytes, counted from the start of the bank.
+    /// The first place with parts of the parameters.
     pub first: u16,
-    /// The number of bytes.
+    /// The number of bytes of the parameters.
     pub len: u16,
-    /// The CRC-32 of the bytes.
+    /// The CRC-32 of these bytes.
     pub crc: u32,
+    /// `None`: all parts begin at `first`, in order.
+    pub changes: Option<Changes>,
+}
+
+/// The parts that a store has changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Changes {
+    /// The number of parts that begin at [`first`](Reference::first).
+    pub parts: u16,
+    /// The place of the record to whose parameters the other parts belong.
+    pub others: u16,
 }
 
 impl Reference {
-    /// The number of places of 32 bytes.
-    pub const fn places(self) -> u32 {
-        (self.len as u32).div_ceil(PARAMETERS_LEN as u32)
+    /// The first place after the parts.
+    pub fn end(&self) -> u32 {
+        let parts = self
+            .changes
+            .map_or(usize::from(self.len).div_ceil(PART_LEN), |changes| changes.parts.into());
+        u32::from(self.first).saturating_add(parts as u32)
     }
 
-    fn to_bytes(self) -> [u8; 8] {
+    fn to_bytes(self) -> [u8; 12] {
+        let Changes { parts, others } = self.changes.unwrap_or(NO_CHANGES);
         let ([f0, f1], [l0, l1]) = (self.first.to_le_bytes(), self.len.to_le_bytes());
         let [c0, c1, c2, c3] = self.crc.to_le_bytes();
-        [f0, f1, l0, l1, c0, c1, c2, c3]
+        let ([p0, p1], [o0, o1]) = (parts.to_le_bytes(), others.to_le_bytes());
+        [f0, f1, l0, l1, c0, c1, c2, c3, p0, p1, o0, o1]
     }
 
     /// The reference in a record, if it has parameters.
     pub fn of_record(bytes: &[u8; LEN as usize]) -> Option<Self> {
-        let [_, _, _, _, _, _, _, _, _, _, f0, f1, l0, l1, c0, c1, c2, c3, ..] = *bytes;
+        let [_, _, _, _, _, _, _, _, _, _, rest @ ..] = *bytes;
+        let [f0, f1, l0, l1, c0, c1, c2, c3, p0, p1, o0, o1, ..] = rest;
+        let changes =
+            Changes { parts: u16::from_le_bytes([p0, p1]), others: u16::from_le_bytes([o0, o1]) };
         let len = u16::from_le_bytes([l0, l1]);
         (len != u16::MAX).then_some(Self {
             first: u16::from_le_bytes([f0, f1]),
             len,
             crc: u32::from_le_bytes([c0, c1, c2, c3]),
+            changes: (changes != NO_CHANGES).then_some(changes),
         })
     }
 }
 
-/// 32 bytes of flash with a part of the parameters: sequence, 24 bytes of them, a word that is not the commit word.
-/// The sequence comes first, as in a record: a place where the first word may be half written gets the same word again.
-pub fn parameters_to_bytes(sequence: u32, part: [u8; PARAMETERS_LEN]) -> [u8; LEN as usize] {
-    let mut bytes = [0xFF; LEN as usize];
-    let (head, rest) = bytes.split_at_mut(4);
-    head.copy_from_slice(&sequence.to_le_bytes());
-    let (content, end) = rest.split_at_mut(PARAMETERS_LEN);
-    content.copy_from_slice(&part);
-    end.copy_from_slice(&PARAMETERS);
-    bytes
+const NO_CHANGES: Changes = Changes { parts: u16::MAX, others: u16::MAX };
+
+/// 32 bytes of flash with a part of the parameters: sequence, 24 bytes of them, the number of the part, two bytes that
+/// the commit word has not.
+pub fn part_to_bytes(sequence: u32, number: u16, part: &[u8; PART_LEN]) -> [u8; LEN as usize] {
+    let ([n0, n1], [p0, p1]) = (number.to_le_bytes(), PART);
+    place_to_bytes(sequence, part, [n0, n1, p0, p1])
 }
 
-/// The part of the parameters in 32 bytes of flash.
-pub fn parameters_from_bytes(bytes: &[u8; LEN as usize]) -> &[u8] {
-    bytes.get(4..4 + PARAMETERS_LEN).unwrap_or_default()
+/// The number of a part, and the part, in 32 bytes of flash.
+pub fn part_from_bytes(bytes: &[u8; LEN as usize]) -> (u16, [u8; PART_LEN]) {
+    let [_, _, _, _, part @ .., n0, n1, _, _] = *bytes;
+    (u16::from_le_bytes([n0, n1]), part)
+}
+
+/// The mark: the first 32 bytes of a bank whose erase was completed. They hold the sequence number and its complement.
+pub fn mark_to_bytes(sequence: u32) -> [u8; LEN as usize] {
+    let mut content = [0xFF; PART_LEN];
+    copy(&(!sequence).to_le_bytes(), 0, &mut content);
+    place_to_bytes(sequence, &content, MARK)
+}
+
+/// The sequence number in a mark.
+pub fn mark_from_bytes(bytes: &[u8; LEN as usize]) -> Option<u32> {
+    let [s0, s1, s2, s3, ..] = *bytes;
+    let sequence = u32::from_le_bytes([s0, s1, s2, s3]);
+    (*bytes == mark_to_bytes(sequence)).then_some(sequence)
+}
+
+fn place_to_bytes(sequence: u32, content: &[u8; PART_LEN], end: [u8; 4]) -> [u8; LEN as usize] {
+    let mut bytes = [0xFF; LEN as usize];
+    copy(&sequence.to_le_bytes(), 0, &mut bytes);
+    copy(content, 0, bytes.get_mut(4..).unwrap_or_default());
+    copy(&end, 0, bytes.get_mut(4 + PART_LEN..).unwrap_or_default());
+    bytes
 }
 
 const KIND_SETTINGS: u8 = 0x01;
 const KIND_DEFAULTS: u8 = 0x00;
 
-/// CRC-32 as in IEEE 802.3, bit by bit: the code is small, and a start checks at most a thousand records.
-fn crc32(bytes: &[u8]) -> u32 {
-    !crc32_of_more(u32::MAX, bytes)
-}
-
-/// Continues a CRC-32, which begins with all ones and is inverted at the end.
+/// Continues a CRC-32 as in IEEE 802.3, which begins with all ones and is inverted at the end. Bit by bit: the code is
+/// small, and a start checks at most a thousand records.
 #[inline(never)] // It has several callers.
 pub fn crc32_of_more(mut crc: u32, bytes: &[u8]) -> u32 {
     for byte in bytes {
@@ -153,6 +203,6 @@ pub fn crc32_of_more(mut crc: u32, bytes: &[u8]) -> u32 {
 mod tests {
     #[test]
     fn the_crc_is_the_one_of_ieee_802_3() {
-        assert_eq!(super::crc32(b"123456789"), 0xCBF4_3926);
+        assert_eq!(!super::crc32_of_more(u32::MAX, b"123456789"), 0xCBF4_3926);
     }
 }

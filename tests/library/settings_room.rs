@@ -1,0 +1,116 @@
+//! The room in the settings log: how many stores each start leaves at least, however full the log was before.
+
+use lss_slave::{
+    Application,
+    settings::{Error, Log},
+};
+use lss_slave_firmware::io;
+use testkit::{
+    flash::BoardFlash,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
+    settings::{open_with_parameters, parameters, settings},
+};
+
+type Example = NodeRig<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
+
+/// The least number of stores that fit after a start, however many places other stores have taken before it. `fill`
+/// takes a place and `store` those of a store, if there is room.
+fn least_room<B>(
+    start: impl Fn(&BoardFlash) -> B,
+    mut fill: impl FnMut(&mut B) -> bool,
+    mut store: impl FnMut(&mut B) -> bool,
+) -> usize {
+    let flash = BoardFlash::blank(0);
+    start(&flash);
+    let mut board = start(&flash);
+    let mut least = usize::MAX;
+    for filled in 0.. {
+        // Now and then, and always where a bank may be full.
+        if filled % 170 == 0 || (filled + 20) % 512 < 40 {
+            let mut other = start(&flash.duplicate(0));
+            let room = (0..).take_while(|_| store(&mut other)).count();
+            least = least.min(room);
+        }
+        if !fill(&mut board) {
+            assert!(filled > 900, "two banks were full");
+            break;
+        }
+    }
+    least
+}
+
+/// A store of another node-ID by LSS.
+fn store_by_lss<A: Application + Clone, const T: usize, const R: usize, const P: usize>(
+    board: &mut NodeRig<A, T, R, P>,
+) -> bool {
+    let next = board.stored().and_then(|stored| stored.node_id).map_or(1, |id| id.get() % 100 + 1);
+    board.lss("04 01");
+    board.lss(&format!("11 {next:02X}"));
+    let answer = board.lss("17");
+    assert!(answer == ["17 00"] || answer == ["17 02"], "{answer:?}");
+    answer == ["17 00"]
+}
+
+fn example(flash: &BoardFlash) -> Example {
+    let device = device(ADDRESS).with_defaults(defaults(0x40));
+    NodeRig::with_application(device, flash.clone(), 0, io::Application::new())
+}
+
+/// A save of another filter constant.
+fn save(board: &mut Example) -> bool {
+    let next = board.number(0x2100, 0) % 8 + 1;
+    board.download(0x2100, 0, &[next as u8]).expect("a legal value");
+    let outcome = board.download(0x1010, 1, b"save");
+    assert!(matches!(outcome, Ok(()) | Err(0x0800_0022)), "{outcome:X?}");
+    outcome.is_ok()
+}
+
+#[test]
+fn every_start_leaves_room_for_510_stores_by_lss() {
+    let device = device(ADDRESS).with_defaults(defaults(0x40));
+    let start = |flash: &BoardFlash| NodeRig::with_device(device, flash.clone(), 0);
+    assert_eq!(least_room(start, store_by_lss, store_by_lss), 510);
+}
+
+/// The example after a start, with stored parameters.
+fn example_in_use(flash: &BoardFlash) -> Example {
+    let mut board = example(flash);
+    assert!(!board.stored_parameters().is_empty() || save(&mut board));
+    board
+}
+
+#[test]
+fn every_start_leaves_room_for_500_stores_by_lss_of_the_example() {
+    assert_eq!(least_room(example_in_use, store_by_lss, store_by_lss), 500);
+}
+
+#[test]
+fn every_start_leaves_room_for_250_saves_of_a_value_of_the_example() {
+    assert_eq!(least_room(example_in_use, store_by_lss, save), 250);
+}
+
+#[test]
+fn every_start_leaves_room_for_45_saves_of_all_values_of_the_example() {
+    let len = example_in_use(&BoardFlash::blank(0)).stored_parameters().len();
+    let mut n = 0;
+    let mut store = |log: &mut Log<_, 1024>, len| {
+        n += 1;
+        let outcome = log.store_with_parameters(settings(n), &parameters(n, len));
+        assert!(matches!(outcome, Ok(()) | Err(Error::Full)));
+        outcome.is_ok()
+    };
+    let start = |flash: &BoardFlash| {
+        let mut log = open_with_parameters::<1024, 4, 0x4000>(flash).0;
+        if log.parameters().is_empty() {
+            log.store_with_parameters(settings(1), &parameters(1, len - 6)).expect("there is room");
+        }
+        log
+    };
+    let mut next = 0;
+    let fill = |log: &mut Log<_, 1024>| {
+        next += 1;
+        log.store(settings(next)).is_ok()
+    };
+    assert_eq!(least_room(start, fill, |log| store(log, len - 6)), 45);
+}
