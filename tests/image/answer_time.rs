@@ -293,7 +293,7 @@ fn a_node_boots_up_within_5_ms_even_with_a_full_bank_of_settings() {
     let reset = |event: &&Event| event.what == What::Reset(ResetCause::Software);
     let reset = rig.did(0, from).find(reset).expect("a reset").time;
     let (time, boot_up) = rig.requested(0, reset).next().expect("a boot-up");
-    assert_eq!(boot_up, Frame::data(Id::Standard(0x701), &[0]));
+    assert_eq!(boot_up, Frame::data(Id::Standard(0x702), &[0]));
     println!("boot-up {} ms after a reset", time - reset);
     assert!(time - reset < Time::from_ms(5));
 }

@@ -183,13 +183,14 @@ fn a_record_that_refers_to_nothing_or_beyond_is_read_as_by_the_node() {
     }
 }
 
-/// A flash whose first bank is almost full, with parameters in the first places.
-fn almost_full() -> Vec<u8> {
+/// A flash whose log has just moved to the second bank, with parameters in the first places.
+fn moved() -> Vec<u8> {
     let (mut log, _) = Log::<_, MOST>::open_with_parameters(BoardFlash::blank(0));
     let stored = settings(NODE_ID, BitRate::Kbit1000);
     let parameters = parameter(0x6426, 1, U32, &[7, 0, 0, 0]);
     log.store_with_parameters(stored, &parameters).expect("the flash works");
-    for heartbeat_ms in (0..400).rev() {
+    // The last of these is in the other bank.
+    for heartbeat_ms in (0..509).rev() {
         log.store(stored.with_heartbeat_ms(heartbeat_ms)).expect("there is room");
     }
     log.close().content()
@@ -207,29 +208,29 @@ fn board(content: &[u8], stuck: usize) -> ImageRig {
 }
 
 #[test]
-fn a_move_to_a_bad_bank_is_reported_and_nothing_is_lost() {
-    let sound = almost_full();
+fn a_bad_bank_is_reported_at_the_start_and_nothing_is_lost() {
+    let sound = moved();
     let torn = {
-        let end = sound[..SECOND_BANK].iter().rposition(|byte| *byte != 0xFF).expect("a record");
+        let end = sound.iter().rposition(|byte| *byte != 0xFF).expect("a record");
         let mut torn = sound.clone();
         torn[end + 1..][..4].fill(0);
         torn
     };
-    // The parameters, or the bit rate in the record behind them.
-    for (content, stuck) in [(&sound, 4), (&sound, 32 + 6), (&torn, 4), (&torn, 32 + 6)] {
-        let mut rig = board(content, SECOND_BANK + stuck);
-        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), 7, "{stuck}");
+    // The first bit of the last word of the mark.
+    for (content, stuck) in [(&sound, 28), (&torn, 28)] {
+        let mut rig = board(content, stuck);
+        assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), 7);
         let failed = "the flash failed, a store may fail too";
         let log = rig.network.board(0).log();
-        assert!(log.iter().any(|line| line.text.starts_with(failed)), "{stuck}: {log:#?}");
+        assert!(log.iter().any(|line| line.text.starts_with(failed)), "{log:#?}");
     }
 }
 
 #[test]
 fn a_save_that_fails_at_any_place_leaves_the_old_values() {
     let content = flash_with(&parameter(0x6426, 1, U32, &[7, 0, 0, 0]));
-    // The first places hold the record of the formatting, the parameters and their record.
-    for place in 3.. {
+    // The first places hold the mark, the defaults, the parameters, their record and its copy.
+    for place in 5.. {
         let mut rig = board(&content, 32 * place + 6);
         let mut client = rig.sdo_client(NODE_ID);
         client.download(0x6426, 1, &[8, 0, 0, 0]).expect("it can be written");
@@ -239,7 +240,7 @@ fn a_save_that_fails_at_any_place_leaves_the_old_values() {
         let expected = if is_saved { 8 } else { 7 };
         assert_eq!(rig.sdo_client(NODE_ID).number(0x6426, 1), expected, "place {place}");
         if is_saved {
-            assert!(place > 5, "a save writes several places");
+            assert!(place > 7, "a save writes several places");
             break;
         }
     }

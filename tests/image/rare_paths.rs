@@ -381,7 +381,7 @@ fn a_board_whose_flash_fails_at_the_start_still_has_its_settings() {
         board.set_flash(SETTINGS_OFFSET, &content);
         // The next two places.
         for offset in [SETTINGS_OFFSET + stuck, SETTINGS_OFFSET + stuck + 32] {
-            let bits = StuckBits { offset, mask: 1, value: u8::from(stuck > 192) };
+            let bits = StuckBits { offset, mask: 0b1001, value: 0b1001 };
             board.chip().flash_mut().add_stuck_bits(bits);
         }
         let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);

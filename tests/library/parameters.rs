@@ -332,9 +332,9 @@ fn a_save_into_a_full_flash_is_0800_0022_and_the_next_start_makes_room() {
         speed += 1;
     };
     assert_eq!(full, Err(0x0800_0022));
-    // All parameters take three places, a changed one takes one, and a record follows. 512 places begin with the mark
-    // and one record.
-    assert_eq!(speed - 10, 1 + (510 - 4) / 2);
+    // All parameters take three places, a changed one takes one, and a record follows. Each of two banks of 512 places
+    // begins with a mark, and one has a record of the defaults.
+    assert_eq!(speed - 10, 1 + (510 - 4) / 2 + 1 + (511 - 4) / 2);
     let erases = board.flash.erases();
     board.power_cycle();
     assert_eq!((board.flash.erases(), board.found), (erases + 1, Found::Complete));

@@ -100,10 +100,10 @@ fn a_store_that_fails_gives_the_reason() {
     let why = |fault: fn(&Flash<4, 256>)| {
         let (mut log, flash) = with_settings_1();
         fault(&flash);
-        let outcome = (2..9).map(|n| log.store(settings(n))).find(Result::is_err);
+        let outcome = (2..20).map(|n| log.store(settings(n))).find(Result::is_err);
         flash.repair();
         let (mut log, _) = Log::open(flash);
-        assert_eq!(log.store(settings(9)), Ok(()));
+        assert_eq!(log.store(settings(30)), Ok(()));
         outcome.expect("a failure").unwrap_err()
     };
     assert_eq!(why(|flash| flash.fail(Operation::Write)), Error::Refused);

@@ -93,9 +93,9 @@ fn a_start_appends_the_last_record_once_more_and_the_next_writes_nothing() {
 #[test]
 fn full_banks_refuse_a_store_and_the_next_open_makes_room() {
     let flash = BoardFlash::blank(0);
-    // In a new device the other bank is not known to be erased; two places hold the mark and the record of defaults.
-    let mut room = RECORDS - 2;
-    for erases in 1..5 {
+    // Each bank begins with a mark, and in a new device a record of the defaults follows.
+    let mut room = RECORDS - 2 + RECORDS - 1;
+    for erases in 2..5 {
         let (mut log, _) = Log::open(flash.clone());
         assert_eq!(flash.erases(), erases);
         for n in 1..=room {
@@ -106,7 +106,7 @@ fn full_banks_refuse_a_store_and_the_next_open_makes_room() {
         assert_eq!(log.store(settings(room)), Ok(()), "which are unchanged");
         assert_eq!(flash.erases(), erases, "store never erases");
         assert_eq!(open(&flash.duplicate(0)), (Some(settings(room)), Found::Complete));
-        // The last record has been copied behind the mark of the other bank.
+        // The next start copies the last record to the other bank, and the one after it erases this one.
         room = RECORDS - 2;
     }
 }

@@ -24,7 +24,7 @@ fn two_cuts_in_any_steps_lose_nothing_written_in_bytes() {
 
 #[test]
 fn two_cuts_in_any_steps_lose_nothing_in_the_smallest_banks() {
-    cut_twice::<LEN, 4, 64>(&[0xFF; 128], 9, 1);
+    cut_twice::<LEN, 4, 96>(&[0xFF; 192], 9, 1);
 }
 
 #[test]

@@ -27,8 +27,9 @@ const QUICK: usize = 12;
 /// one or two of the program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase
 /// anything. The same for stores of parameters, in turn with stores of settings, in three power-ons (--long: four).
 ///
-/// In the release image on an emulated board: two commissionings by LSS, from a blank flash and from one that has to be
-/// erased; with the example `io`, two stores of parameters by 1010h with a commissioning between them. The power fails
+/// In the release image on an emulated board: two commissionings by LSS, from a blank flash, from one with a half that is
+/// nearly full, and from one with a half that has to be erased; with the example `io`, two stores of parameters by 1010h
+/// with a commissioning between them, likewise. The power fails
 /// in every flash operation, in every pause between two, and at random instants from power-on to the last answer.
 ///
 /// Fails if settings are lost.

@@ -128,6 +128,11 @@ impl Space {
         self.range.end.saturating_sub(self.range.start) / record::LEN
     }
 
+    /// The sequence number of the last of them.
+    fn last_sequence(&self) -> u32 {
+        self.sequence.wrapping_add(self.len()).wrapping_sub(1)
+    }
+
     /// The address and the sequence number of the next place.
     fn take(&mut self) -> Result<(u32, u32), Error> {
         if self.len() == 0 {
@@ -261,8 +266,8 @@ fn is_blank(bytes: &[u8; record::LEN as usize]) -> bool {
 impl<F: NorFlash> Log<F> {
     /// Finds the newest settings, and erases the bank that does not hold them if it was used since its last erase.
     ///
-    /// The latter takes as long as an erase (800 ms at most on an STM32F4), at the first two starts of a new device and
-    /// once in some hundred stores. Call it before joining the bus.
+    /// The latter takes as long as an erase (800 ms at most on an STM32F4), once in some hundred stores; both banks are
+    /// erased at the first start of a new device. Call it before joining the bus.
     pub fn open(flash: F) -> (Self, Found) {
         Self::open_with_parameters(flash)
     }
@@ -396,6 +401,7 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
             // Even a bank that reads blank is erased: its last erase may have been interrupted.
             self.erase(bank.range)?;
             self.put(None, None)?;
+            self.erase(other.range)?;
             return Ok(if is_blank { Found::Blank } else { Found::Damaged });
         };
         self.newest = newest;
@@ -408,10 +414,10 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
         let is_certain = bank.is_repeated && is_intact && !is_interrupted
             || self.append(newest.record.settings, None, false).is_ok();
         match other.erased {
-            Some(sequence) => {
+            Some(sequence) if record::is_newer(sequence, self.space.last_sequence()) => {
                 self.other = other.space(other.range.start, sequence);
             }
-            None => self.erase(other.range)?,
+            _ => self.erase(other.range)?,
         }
         if !is_certain {
             self.put(newest.record.settings, None)?;

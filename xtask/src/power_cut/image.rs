@@ -32,8 +32,8 @@ use testkit::{
 
 /// The time-out for an answer; a store takes 1 ms.
 const PATIENCE: Time = Time::from_ms(20);
-/// The number of stores after which the next power-on moves to the other half of the flash.
-const STORES_TO_MOVE: u16 = 384;
+/// The number of places in a half of the flash.
+const PLACES: u16 = 512;
 /// What a master stores in the default image, one after the other.
 const COMMISSIONINGS: [Store; 2] =
     [Store::Settings(5, BitRate::Kbit500), Store::Settings(6, BitRate::Kbit250)];
@@ -60,11 +60,14 @@ const FULL_BUS_FRAMES: usize = 40;
 #[derive(Clone, Copy, PartialEq)]
 pub enum Session {
     Blank,
-    Moving,
+    /// A half of the flash is full during the session.
+    Full,
+    /// A half of the flash was full before the session, which begins with its erase.
+    Moved,
     /// The example `io`, with stored settings.
     Example,
-    /// The same, in a flash with other parameters that has to be erased.
-    MovingExample,
+    FullExample,
+    MovedExample,
 }
 
 /// What a session makes persistent at a time.
@@ -90,6 +93,31 @@ impl fmt::Display for Shown {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         Named(self.0.map(|content| content.settings)).fmt(f)?;
         self.0.map_or(Ok(()), |content| write!(f, ", {:?}", content.values))
+    }
+}
+
+impl Content {
+    /// The settings' flash of a board that has stored until this number of places were written; the last store was of
+    /// this content.
+    fn in_use_until(self, last: u16, has_parameters: bool) -> Vec<u8> {
+        let (mut log, _) = Log::<_, PACKED>::open_with_parameters(BoardFlash::blank(0));
+        // The mark and the record of the defaults.
+        let mut places = 2;
+        if has_parameters {
+            let mut packed = [0; PACKED];
+            let mut packer = Packer::new(&mut packed);
+            for ((index, sub_index, _), value) in PARAMETERS.into_iter().zip(self.values) {
+                packer.put(&Parameter { index, sub_index, data_type: 0x05, value: &[value] });
+            }
+            log.store_with_parameters(self.settings, &packed).expect("the flash works");
+            places += 2;
+        }
+        for place in places..last {
+            let heartbeat_ms = self.settings.heartbeat_ms + last - 1 - place;
+            let settings = self.settings.with_heartbeat_ms(heartbeat_ms);
+            log.store(settings).expect("the flash works");
+        }
+        log.close().content()
     }
 }
 
@@ -163,21 +191,23 @@ fn settings((node_id, bit_rate): (u8, BitRate)) -> Settings {
 
 impl Session {
     /// The sessions with the default image.
-    pub const DEFAULT: [Self; 2] = [Self::Blank, Self::Moving];
+    pub const DEFAULT: [Self; 3] = [Self::Blank, Self::Full, Self::Moved];
     /// The sessions with the example.
-    pub const EXAMPLE: [Self; 2] = [Self::Example, Self::MovingExample];
+    pub const EXAMPLE: [Self; 3] = [Self::Example, Self::FullExample, Self::MovedExample];
 
     pub const fn name(self) -> &'static str {
         match self {
             Self::Blank => "blank flash, two commissionings",
-            Self::Moving => "flash to be erased, two commissionings",
+            Self::Full => "one half nearly full, two commissionings",
+            Self::Moved => "one half to be erased, two commissionings",
             Self::Example => "settings stored, parameters twice",
-            Self::MovingExample => "flash to be erased, parameters twice",
+            Self::FullExample => "one half nearly full, parameters twice",
+            Self::MovedExample => "one half to be erased, parameters twice",
         }
     }
 
     const fn has_parameters(self) -> bool {
-        matches!(self, Self::Example | Self::MovingExample)
+        matches!(self, Self::Example | Self::FullExample | Self::MovedExample)
     }
 
     /// What the session stores, and what is stored after the cuts.
@@ -196,26 +226,10 @@ impl Session {
         match self {
             Self::Blank => (vec![0xFF; SETTINGS_LENGTH], Expected::NOTHING),
             Self::Example => (flash_with(&[first.settings]), known(first)),
-            Self::Moving => {
-                let number = |number| ((number % 127) as u8 + 1, BitRate::Kbit125);
-                let stores: Vec<_> = (0..STORES_TO_MOVE).map(|n| settings(number(n))).collect();
-                let (id, rate) = number(STORES_TO_MOVE - 1);
-                (flash_with(&stores), known(Store::Settings(id, rate).after(None)))
-            }
-            Self::MovingExample => {
-                let content = Content { values: [4, 2], ..first };
-                let mut packed = [0; PACKED];
-                let mut packer = Packer::new(&mut packed);
-                for ((index, sub_index, _), value) in PARAMETERS.into_iter().zip(content.values) {
-                    packer.put(&Parameter { index, sub_index, data_type: 0x05, value: &[value] });
-                }
-                let (mut log, _) = Log::<_, PACKED>::open_with_parameters(BoardFlash::blank(0));
-                log.store_with_parameters(content.settings, &packed).expect("the flash works");
-                // They refer to the same parameters.
-                for _ in 1..STORES_TO_MOVE {
-                    log.store(content.settings).expect("the flash works");
-                }
-                (log.close().content(), known(content))
+            Self::Full | Self::Moved | Self::FullExample | Self::MovedExample => {
+                let is_full = matches!(self, Self::Full | Self::FullExample);
+                let last = if is_full { PLACES - 2 } else { PLACES + 1 };
+                (first.in_use_until(last, self.has_parameters()), known(first))
             }
         }
     }

@@ -32,9 +32,9 @@ pub struct Histories {
 /// Settings and packed parameters.
 type Content = (Settings, Vec<u8>);
 
-/// A device between two lives: the content of its flash, and the settings that it must find there.
-struct Device {
-    content: Vec<u8>,
+/// A device between two lives: its flash, and the settings that it must find there.
+struct Device<const E: usize> {
+    flash: Flash<4, E>,
     expected: Expected<Content>,
     /// The number of the next settings to store.
     next: u8,
@@ -125,7 +125,7 @@ impl Histories {
         };
         vec![
             settings(lives, 4, false),
-            settings(lives, 2, false),
+            settings(lives, 3, false),
             settings(lives - 1, 4, true),
             settings(lives - 1, 8, false),
             parameters(6),
@@ -137,7 +137,7 @@ impl Histories {
     /// Runs all histories.
     pub fn run(&self, random: &mut Random) -> Tally {
         match (self.records, self.parameters) {
-            (2, false) => self.run_in::<0, 64>(random),
+            (3, false) => self.run_in::<0, 96>(random),
             (4, false) => self.run_in::<0, 128>(random),
             (_, false) => self.run_in::<0, 256>(random),
             (6, true) => self.run_in::<PARAMETERS, 192>(random),
@@ -150,15 +150,16 @@ impl Histories {
         let content = if self.garbage { vec![0xA5; 2 * E] } else { vec![0xFF; 2 * E] };
         let (expected, history) = (Expected::NOTHING, Vec::new());
         let mut tally = Tally::default();
-        let device = Device { content, expected, next: 1, history };
-        device.go_on::<P, E>(self.lives, 2, random, &mut tally);
+        let flash = Flash::with_content(content, 0);
+        let device = Device::<E> { flash, expected, next: 1, history };
+        device.go_on::<P>(self.lives, 2, random, &mut tally);
         tally
     }
 }
 
-impl Device {
+impl<const E: usize> Device<E> {
     /// Runs every continuation with this number of lives and at most this number of cuts, and a final power-on.
-    fn go_on<const P: usize, const E: usize>(
+    fn go_on<const P: usize>(
         &self,
         lives: usize,
         cuts: usize,
@@ -166,37 +167,38 @@ impl Device {
         tally: &mut Tally,
     ) {
         if lives == 0 {
-            self.then::<P, E>(&self.flash(random), 0, "power-on".to_owned(), tally);
+            self.then::<P>(&self.flash(random), 0, "power-on".to_owned(), tally);
             return;
         }
         let mut steps = 0;
         for stores in 0..=STORES {
-            let flash = self.flash::<E>(random);
-            let then = self.then::<P, E>(&flash, stores, format!("{stores} stores"), tally);
+            let flash = self.flash(random);
+            let then = self.then::<P>(&flash, stores, format!("{stores} stores"), tally);
             let Some(device) = then else { continue };
-            device.go_on::<P, E>(lives - 1, cuts, random, tally);
+            device.go_on::<P>(lives - 1, cuts, random, tally);
             steps = flash.writes() + flash.erases();
         }
         if cuts == 0 {
             return;
         }
         for step in 0..steps {
-            let flash = self.flash::<E>(random);
+            let flash = self.flash(random);
             flash.cut_power_after(step);
             tally.cuts += 1;
             let life = format!("{STORES} stores, cut in step {step}");
-            if let Some(device) = self.then::<P, E>(&flash, STORES, life, tally) {
-                device.go_on::<P, E>(lives - 1, cuts - 1, random, tally);
+            if let Some(device) = self.then::<P>(&flash, STORES, life, tally) {
+                device.go_on::<P>(lives - 1, cuts - 1, random, tally);
             }
         }
     }
 
-    fn flash<const E: usize>(&self, random: &mut Random) -> Flash<4, E> {
-        Flash::with_content(self.content.clone(), random.u64())
+    /// The flash after a power-on: interrupted words may read differently.
+    fn flash(&self, random: &mut Random) -> Flash<4, E> {
+        self.flash.duplicate(random.u64())
     }
 
     /// The device after one more life, or `None` if it has lost its settings.
-    fn then<const P: usize, const E: usize>(
+    fn then<const P: usize>(
         &self,
         flash: &Flash<4, E>,
         stores: usize,
@@ -207,7 +209,7 @@ impl Device {
         let mut history = self.history.clone();
         history.push(life);
         match live::<P, 4, E>(flash, &mut expected, self.next, stores) {
-            Ok(next) => Some(Self { content: flash.content(), expected, next, history }),
+            Ok(next) => Some(Self { flash: flash.clone(), expected, next, history }),
             Err(loss) => {
                 tally.losses.push(format!("{}: {loss}", history.join("; ")));
                 None
@@ -220,8 +222,8 @@ impl Device {
 pub fn stores_an_erase() -> u64 {
     let flash = BoardFlash::blank(0);
     let mut stores = 0;
-    // The first erase formats; each of the next two comes when a bank is three quarters full.
-    while flash.erases() < 3 {
+    // Two erases format the flash; each of the next two follows the move from a full bank.
+    while flash.erases() < 4 {
         let (mut log, _) = Log::open(flash.clone());
         log.store(settings((stores % 100) as u8 + 1)).expect("an open makes room");
         stores += 1;
