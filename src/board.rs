@@ -25,7 +25,8 @@ use crate::{
 pub const SETTINGS: *mut u32 = 0x0800_4000 as *mut u32;
 
 /// The watchdog timeout in ms at 32 kHz; its oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is
-/// the erase of a 16 KB sector: 800 ms.
+/// the erase of a 16 KB sector: 800 ms by bytes, 500 ms by words. A new board erases two; should the watchdog end that,
+/// the next start goes on.
 const WATCHDOG_MS: u32 = 2_000;
 
 /// The number of register reads that take at least 100 ms at the initial 16 MHz, at five cycles each.

@@ -29,7 +29,7 @@ pub const CORE_MHZ: u64 = 160;
 /// The wait for an answer after its request, in addition to the frame's own time.
 const PATIENCE: Time = Time::from_ms(5);
 /// The time in which a board joins the bus after power-on, even if its flash is slow and must be erased first.
-pub const BOOT: Time = Time::from_ms(600);
+pub const BOOT: Time = Time::from_ms(1_200);
 /// More bits than any frame, intermission included.
 const FRAME_BITS: u64 = 160;
 
