@@ -4,19 +4,9 @@
 #![cfg_attr(not(test), no_std)]
 
 pub mod application;
-pub mod chip;
 pub mod device;
-pub mod io;
-
-#[cfg(not(feature = "io"))]
-pub use application::{Application, Node, PRODUCERS, RPDOS};
-#[cfg(feature = "io")]
-pub use io::{Application, Node, PRODUCERS, RPDOS};
 
 use lss_slave::{Device, lss::Address};
-
-/// The COB-IDs that the node receives.
-pub type Receives = lss_slave::Receives<RPDOS, PRODUCERS>;
 
 /// The description of the device with this serial number, for the node.
 pub const fn describe(serial_number: u32) -> Device {

@@ -2,11 +2,11 @@
 
 use std::{fmt, ops::RangeInclusive};
 
+use firmware::device;
 use lss_slave::{
     BitRate, BitRateSetting, NodeId,
     lss::{Address, AddressPart, IdentifyKey, Request},
 };
-use lss_slave_firmware::device;
 
 use crate::{bus::Bus, stop::Stop};
 

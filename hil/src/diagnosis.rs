@@ -2,11 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use firmware::device;
 use lss_slave::{
     BitRate, BitRateSetting,
     lss::{AddressPart, Request},
 };
-use lss_slave_firmware::device;
 
 use crate::{board, bus::Bus, report::Report, stop::Stop};
 

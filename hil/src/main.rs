@@ -26,7 +26,8 @@ use std::{
 
 use anyhow::{Context, ensure};
 use clap::{Parser, builder::PossibleValuesParser};
-use lss_slave_firmware::chip;
+
+use canopen_stm32f4::chip;
 
 use adapter::Place;
 use bench::Bench;

@@ -8,10 +8,7 @@ use std::{
 };
 
 use anyhow::{Context, ensure};
-use lss_slave_firmware::{
-    chip::{CHIPS, Chip},
-    device,
-};
+use canopen_stm32f4::chip::{CHIPS, Chip, sysclk_hz};
 
 /// The longest run of `probe-rs`.
 const LIMIT: Duration = Duration::from_secs(20);
@@ -26,7 +23,7 @@ pub struct Probe {
 impl Probe {
     /// The features of the chips with the clocks of the emulated board.
     pub fn chips() -> impl Iterator<Item = &'static str> {
-        let has_its_clocks = |chip: &&Chip| device::sysclk_hz(chip) == device::SYSCLK_HZ;
+        let has_its_clocks = |chip: &&Chip| sysclk_hz(chip) == 160_000_000;
         const { &CHIPS }.iter().filter(has_its_clocks).map(|chip| chip.feature)
     }
 

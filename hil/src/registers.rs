@@ -1,7 +1,10 @@
 //! The values of the registers that matter, on the emulated board that runs the same firmware.
 
+use canopen_stm32f4::chip::APB1_HZ;
+use canopen_stm32f4::chip::{APB1_HZ, Chip};
+use firmware::device;
+use firmware::device;
 use lss_slave::{BitRate, NodeId, bit_rate::BitTiming, lss, nmt};
-use lss_slave_firmware::{chip::Chip, device};
 
 /// A register, and the value of its bits that do not vary.
 #[derive(Clone, Copy, Debug)]
@@ -65,7 +68,7 @@ pub fn expected(rate: BitRate, id: NodeId, controller: u8, chip: &Chip) -> Vec<R
         register("CAN_IER", can + 0x14, 0x0003_877F, 0x0000_8603),
         // Neither warning, error passive nor bus-off.
         register("CAN_ESR", can + 0x18, 0x0000_0007, 0),
-        register(CAN_BTR, can + 0x1C, ALL, BitTiming::solve(rate, device::APB1_HZ).map_or(0, btr)),
+        register(CAN_BTR, can + 0x1C, ALL, BitTiming::solve(rate, APB1_HZ).map_or(0, btr)),
         register("CAN_FMR", filters + 0x200, 1, 0),
         register("CAN_FM1R", filters + 0x204, 0x0FFF_FFFF, 0b01 << first),
         register("CAN_FS1R", filters + 0x20C, 0x0FFF_FFFF, 0),
@@ -119,7 +122,7 @@ impl Register {
         };
         format!(
             "{value:08X} ({} kbit/s, sample point {} %{mode})",
-            device::APB1_HZ / 1000 / (prescaler * quanta),
+            APB1_HZ / 1000 / (prescaler * quanta),
             100 * (1 + segment1) / quanta
         )
     }
@@ -129,25 +132,30 @@ impl Register {
 mod tests {
     use emulator::{
         Time,
+        board::{Board, Settings},
         chip::{Access, Part, Width},
     };
     use testkit::{
-        boards, image,
+        image,
         image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},
+        product,
     };
 
     use super::*;
 
     #[test]
     fn the_table_has_the_values_of_the_emulated_board_on_can1_and_on_can2() {
-        let on_can2 = image::build_with_features(Part::Stm32f405, &["can2", "switches"]);
-        let on_can2 = on_can2.expect("it builds");
+        let on_can2 = product::build(Part::Stm32f405, 2).expect("it builds");
         let chip = chip();
         let mut differences = Vec::new();
         for (rate, id) in BitRate::ALL.into_iter().zip([1, 5, 0x7E].into_iter().cycle()) {
             for (controller, image) in [(1, image::image()), (2, &on_can2)] {
                 let settings = settings(id, rate);
-                let mut board = boards::board_on(Part::Stm32f405, controller, image, 0);
+                let mut board = Board::new(
+                    Part::Stm32f405,
+                    image,
+                    Settings { controller: controller.into(), ..Default::default() },
+                );
                 board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
                 let mut rig = ImageRig::new(rate, [board]);
                 rig.network.run_for(Time::from_ms(500));

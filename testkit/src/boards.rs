@@ -22,16 +22,7 @@ const SETTINGS: Range<usize> = SETTINGS_OFFSET as usize..SETTINGS_OFFSET as usiz
 
 /// The board with this number, with erased settings, switched on at time zero. Each number gives a different unique id.
 pub fn board(part: Part, image: &Image, number: usize) -> Board {
-    board_on(part, 1, image, number)
-}
-
-/// The board with this number, with another CAN controller on the bus than CAN1.
-pub fn board_on(part: Part, controller: u8, image: &Image, number: usize) -> Board {
-    let settings = board::Settings {
-        unique_id: unique_id(number),
-        controller: controller.into(),
-        ..Default::default()
-    };
+    let settings = board::Settings { unique_id: unique_id(number), ..Default::default() };
     Board::new(part, image, settings)
 }
 

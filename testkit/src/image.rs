@@ -17,6 +17,8 @@ use emulator::{
     image::{Image, ImageError},
 };
 
+/// The package of the plain firmware.
+const FIRMWARE: &str = "firmware";
 const TARGET: &str = "thumbv7em-none-eabihf";
 /// The environment variable with the directory for records of the branches that all boards have taken.
 pub const COVERAGE: &str = "LSS_SLAVE_COVERAGE";
@@ -68,7 +70,7 @@ pub fn image() -> &'static Image {
 pub fn example() -> &'static Image {
     static IMAGE: OnceLock<Image> = OnceLock::new();
     IMAGE.get_or_init(|| {
-        build_with_features(Part::Stm32f407, &["io"]).unwrap_or_else(|error| panic!("{error}"))
+        build_example("io", Part::Stm32f407).unwrap_or_else(|error| panic!("{error}"))
     })
 }
 
@@ -77,18 +79,35 @@ pub fn example() -> &'static Image {
 /// # Errors
 /// The message of `cargo`. A missing compilation target is first installed with `rustup`.
 pub fn build(part: Part) -> Result<Image, BuildError> {
-    build_with_features(part, &[])
+    build_package(FIRMWARE, part)
 }
 
-/// Builds the release firmware for `part` with these features of the firmware: an example, another CAN controller.
+/// Builds the release firmware for `part` without bit-rate supervision.
 ///
 /// # Errors
 /// The same as for [`build`].
-pub fn build_with_features(part: Part, features: &[&str]) -> Result<Image, BuildError> {
-    let elf = build_elf(part, features)?;
+pub fn build_plain(part: Part) -> Result<Image, BuildError> {
+    build_with(workspace(), part, || {
+        let mut command = cargo_build(workspace(), FIRMWARE, part);
+        command.args(["--features", "plain"]);
+        command
+    })
+    .and_then(parse)
+}
+
+/// Builds the release image of an example for `part`: that in the folder `examples/` of this name.
+///
+/// # Errors
+/// The same as for [`build`].
+pub fn build_example(name: &str, part: Part) -> Result<Image, BuildError> {
+    build_package(&format!("example-{name}"), part)
+}
+
+fn build_package(package: &str, part: Part) -> Result<Image, BuildError> {
+    let elf = build_elf(package, part)?;
     let image = Image::from_elf(&elf).map_err(BuildError::Image)?;
     if let Some(directory) = env::var_os(COVERAGE) {
-        let name = [&[part.name()], features].concat().join("-");
+        let name = format!("{package}-{}", part.name());
         let coverage = coverage(Path::new(&directory), &name, &elf)
             .map_err(|error| BuildError::Cargo(format!("cannot record branches: {error}")))?;
         image.record(coverage);
@@ -96,12 +115,12 @@ pub fn build_with_features(part: Part, features: &[&str]) -> Result<Image, Build
     Ok(image)
 }
 
-/// Builds the release firmware for `part` with these features of the firmware, and returns the ELF file.
+/// Builds the release firmware of a package of the workspace for `part`, and returns the ELF file.
 ///
 /// # Errors
 /// The same as for [`build`].
-pub fn build_elf(part: Part, features: &[&str]) -> Result<Vec<u8>, BuildError> {
-    build_with(workspace(), part, || cargo_build(part, features))
+pub fn build_elf(package: &str, part: Part) -> Result<Vec<u8>, BuildError> {
+    build_with(workspace(), part, || cargo_build(workspace(), package, part))
 }
 
 /// Builds the release firmware of a product for `part`: the program `name` of the package of that name in `directory`,
@@ -111,8 +130,7 @@ pub fn build_elf(part: Part, features: &[&str]) -> Result<Vec<u8>, BuildError> {
 /// The same as for [`build`].
 pub fn build_product(directory: &str, name: &str, part: Part) -> Result<Image, BuildError> {
     let directory = Path::new(directory);
-    build_with(directory, part, || cargo_build_in(directory, name, name, &[part.name()]))
-        .and_then(parse)
+    build_with(directory, part, || cargo_build(directory, name, part)).and_then(parse)
 }
 
 /// Builds the release firmware for `part` for others: the ELF file. It does not depend on the `directory`, which holds the
@@ -137,9 +155,8 @@ pub fn build_release(
     });
     let flags = new_names.collect::<Vec<_>>().join("\u{1f}");
     build_with(directory, part, || {
-        let mut command = cargo_build(part, &[]);
+        let mut command = cargo_build(directory, FIRMWARE, part);
         command
-            .current_dir(directory)
             .arg("--locked")
             .arg("--target-dir")
             .arg(directory.join("target"))
@@ -149,20 +166,6 @@ pub fn build_release(
         }
         command
     })
-}
-
-/// Builds the release firmware for `part` from a copy of its sources in `directory`, with the `target` directory there:
-/// in that of the workspace cargo would take the library of the one for that of the other.
-///
-/// # Errors
-/// The same as for [`build`].
-pub fn build_in(directory: &Path, part: Part) -> Result<Image, BuildError> {
-    build_with(directory, part, || {
-        let mut command = cargo_build(part, &[]);
-        command.current_dir(directory).arg("--target-dir").arg(directory.join("target"));
-        command
-    })
-    .and_then(parse)
 }
 
 fn parse(elf: Vec<u8>) -> Result<Image, BuildError> {
@@ -214,22 +217,19 @@ fn lock(directory: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-fn workspace() -> &'static Path {
+/// The folder of this repository.
+pub fn workspace() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
-fn cargo_build(part: Part, features: &[&str]) -> Command {
-    let features = [&[part.name()], features].concat();
-    cargo_build_in(workspace(), "lss-slave-firmware", "lss-slave", &features)
-}
-
-fn cargo_build_in(directory: &Path, package: &str, program: &str, features: &[&str]) -> Command {
+/// The command that builds the program of a package, which has the same name.
+fn cargo_build(directory: &Path, package: &str, part: Part) -> Command {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
     command
         .current_dir(directory)
-        .args(["build", "--package", package, "--bin", program, "--release", "--target", TARGET])
-        .args(["--features", &features.join(","), "--message-format", "json-render-diagnostics"])
+        .args(["build", "--package", package, "--bin", package, "--release", "--target", TARGET])
+        .args(["--features", part.name(), "--message-format", "json-render-diagnostics"])
         // The host build's settings are not meant for the firmware.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")

@@ -21,6 +21,8 @@ pub mod io_board;
 pub mod lss_session;
 pub mod node_rig;
 pub mod power_cut;
+#[cfg(feature = "image")]
+pub mod product;
 pub mod random;
 pub mod rig_bus;
 pub mod sdo;

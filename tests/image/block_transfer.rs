@@ -3,8 +3,8 @@
 //! `cargo test --test image block_transfer:: -- --nocapture` prints the shares.
 
 use emulator::Time;
+use example_io::application as io;
 use lss_slave::BitRate;
-use lss_slave_firmware::io;
 use testkit::{
     image_rig::{ImageRig, SdoClient, example_board, settings},
     sdo::Client,

@@ -1,13 +1,13 @@
 //! The chips: the firmware's table against the emulated boards and `Cargo.toml`, and the image of a chip with two banks.
 //! `cargo xtask chips` runs those of all chips.
 
+use canopen_stm32f4::chip::{self, CHIPS};
 use emulator::{
     Time,
     board::{self, Board},
     chip::Part,
 };
 use lss_slave::BitRate;
-use lss_slave_firmware::{chip::CHIPS, device};
 use testkit::{image, image_rig::ImageRig};
 
 const MHZ: u32 = 1_000_000;
@@ -22,9 +22,9 @@ fn the_firmware_relies_on_no_more_than_the_emulated_chips_have() {
         let (sysclk, apb1, _) = part.clock_limits();
         assert!(chip.max_sysclk_mhz * MHZ <= sysclk, "{part:?}");
         assert!(chip.max_apb1_mhz * MHZ <= apb1, "{part:?}");
-        assert!(device::sysclk_hz(&chip) <= chip.max_sysclk_mhz * MHZ, "{part:?}");
+        assert!(chip::sysclk_hz(&chip) <= chip.max_sysclk_mhz * MHZ, "{part:?}");
         assert_eq!(chip.controllers as usize, part.cans(), "{part:?}");
-        assert!(device::APB1_HZ <= chip.max_apb1_mhz * MHZ, "{part:?}");
+        assert!(chip::APB1_HZ <= chip.max_apb1_mhz * MHZ, "{part:?}");
     }
 }
 

@@ -1,5 +1,4 @@
-//! The image on CAN2 and CAN3, while another controller's bus carries frames of others; and the example of a board with
-//! switches for the node-ID.
+//! A node on CAN2, while the bus of another controller carries frames of others.
 
 use std::sync::LazyLock;
 
@@ -7,29 +6,30 @@ use emulator::{
     Time,
     board::{self, Board},
     can::Adapter,
-    chip::{Part, Pin},
+    chip::Part,
     image::Image,
     network::AdapterId,
 };
 use lss_slave::BitRate;
 use testkit::{
     frames,
-    image::{build_with_features, image},
+    image::image,
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
+    product,
 };
 
 /// The first filter registers (RM0090, 32.9.4).
 const FM1R: u32 = 0x204;
 const FA1R: u32 = 0x21C;
 
-/// The image for CAN2 of an STM32F405, on the board with switches.
 fn image_on_can2() -> &'static Image {
-    static IMAGE: LazyLock<Image> = LazyLock::new(|| build(Part::Stm32f405, &["can2", "switches"]));
+    static IMAGE: LazyLock<Image> = LazyLock::new(|| build(Part::Stm32f405, 2));
     &IMAGE
 }
 
-fn build(part: Part, features: &[&str]) -> Image {
-    build_with_features(part, features).unwrap_or_else(|error| panic!("{error}"))
+/// The image of a new product.
+fn build(part: Part, controller: u8) -> Image {
+    product::build(part, controller).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn board_on(part: Part, image: &Image, controller: usize) -> Board {
@@ -91,7 +91,7 @@ fn an_image_on_can2_is_commissioned_beside_a_busy_bus_at_can1() {
 #[test]
 #[ignore = "builds the image of another chip: `.ci/run chips`"]
 fn an_image_on_can3_is_commissioned_beside_a_busy_bus_at_can1() {
-    let image = build(Part::Stm32f413, &["can3"]);
+    let image = build(Part::Stm32f413, 3);
     is_commissioned(Part::Stm32f413, 3, &image);
     uses_banks_from(0, Part::Stm32f413, 3, 3, &image);
 }
@@ -116,76 +116,4 @@ fn uses_banks_from(first: u32, part: Part, controller: usize, filters: usize, im
 fn can1_uses_banks_from_0_on_and_can2_those_from_14_on() {
     uses_banks_from(0, Part::Stm32f405, 1, 1, image());
     uses_banks_from(14, Part::Stm32f405, 2, 1, image_on_can2());
-}
-
-const SWITCHES: [Pin; 7] =
-    [Pin('E', 0), Pin('E', 1), Pin('E', 2), Pin('E', 3), Pin('E', 4), Pin('E', 5), Pin('E', 6)];
-
-/// A board of the example `switches` with these switches closed, bit 0 first.
-fn board_with_switches(closed: u8) -> Board {
-    let board = board_on(Part::Stm32f405, image_on_can2(), 2);
-    set_switches(&board, closed);
-    board
-}
-
-fn set_switches(board: &Board, closed: u8) {
-    let mut chip = board.chip();
-    for (bit, pin) in SWITCHES.into_iter().enumerate() {
-        chip.gpio_mut().set_input(pin, (closed >> bit & 1 == 1).then_some(false));
-    }
-}
-
-#[test]
-fn switches_give_the_node_id_until_one_is_stored() {
-    for (closed, boot_up) in [(0x05, "705: 00"), (0x7F, "77F: 00"), (0x40, "740: 00")] {
-        let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(closed)]);
-        assert_eq!(rig.collect(Time::from_ms(20)), [boot_up]);
-    }
-    let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(0x05)]);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["705: 00"]);
-    set_switches(rig.network.board(0), 0x06);
-    rig.power_cycle(0);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["706: 00"], "nothing is stored yet");
-    rig.lss("04 01");
-    assert_eq!(rig.lss("5E"), ["5E 06"]);
-    assert_eq!(rig.lss("11 22"), ["11 00"]);
-    assert_eq!(rig.lss("17"), ["17 00"]);
-    rig.power_cycle(0);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["722: 00"], "the stored one wins");
-}
-
-#[test]
-fn a_stored_lack_of_a_node_id_wins_over_the_switches() {
-    let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(0x05)]);
-    rig.collect(Time::from_ms(20));
-    rig.lss("04 01");
-    assert_eq!(rig.lss("11 FF"), ["11 00"]);
-    assert_eq!(rig.lss("17"), ["17 00"]);
-    rig.power_cycle(0);
-    assert_eq!(rig.collect(Time::from_ms(20)), [""; 0]);
-    assert_eq!(rig.lss("4C"), ["50"]);
-}
-
-#[test]
-fn open_switches_leave_a_new_device_without_a_node_id() {
-    let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(0)]);
-    assert_eq!(rig.collect(Time::from_ms(20)), [""; 0]);
-    assert_eq!(rig.lss("4C"), ["50"]);
-}
-
-#[test]
-fn an_led_to_the_supply_is_lit_while_its_pin_is_low() {
-    let mut rig = ImageRig::new(BitRate::Kbit125, [board_with_switches(0x05)]);
-    rig.nmt("01 05");
-    rig.network.run_for(Time::from_ms(100));
-    let output = |rig: &ImageRig, pin| rig.network.board(0).output(pin).level;
-    assert_eq!(output(&rig, Pin('D', 12)), Some(false), "RUN is lit in operational");
-    assert_eq!(output(&rig, Pin('D', 14)), None, "there is no ERR indicator");
-    rig.nmt("02 05");
-    let mut high = 0;
-    for _ in 0..24 {
-        rig.network.run_for(Time::from_ms(50));
-        high += u32::from(output(&rig, Pin('D', 12)) == Some(true));
-    }
-    assert_eq!(high, 20, "RUN flashes once, for 200 of 1200 ms, in stopped");
 }

@@ -4,8 +4,8 @@
 use std::{collections::BTreeMap, ops::Range};
 
 use emulator::Time;
+use firmware::device::DEFAULTS;
 use lss_slave::BitRate;
-use lss_slave_firmware::device::DEFAULTS;
 use testkit::{
     eds::parse,
     image_rig::{ImageRig, board_with, example_board, settings},

@@ -3,8 +3,8 @@
 use std::ops::RangeInclusive;
 
 use emulator::{Time, board::Board, chip::Part};
+use example_io::application as io;
 use lss_slave::{BitRate, Frame};
-use lss_slave_firmware::io;
 use testkit::{
     flash::BoardFlash,
     frames,

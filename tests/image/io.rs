@@ -643,8 +643,7 @@ fn a_minute_of_process_data_needs_no_reset_and_little_stack() {
 #[test]
 #[ignore = "builds the image of another chip: `.ci/run chips`"]
 fn the_example_works_on_an_stm32f446() {
-    let image =
-        image::build_with_features(Part::Stm32f446, &["io"]).unwrap_or_else(|e| panic!("{e}"));
+    let image = image::build_example("io", Part::Stm32f446).unwrap_or_else(|e| panic!("{e}"));
     let mut board = Board::new(Part::Stm32f446, &image, board::Settings::default());
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(1, BitRate::Kbit1000)]));
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);

@@ -7,8 +7,8 @@ use emulator::{
     chip::{Access, Readings, ResetCause, StuckBits, Timing, Width},
     network::{Short, What},
 };
+use firmware::device::DEFAULTS;
 use lss_slave::BitRate;
-use lss_slave_firmware::device::DEFAULTS;
 use testkit::{
     frames::{self, Frames, SILENCE},
     image::{image, part},

@@ -38,17 +38,17 @@ fn all_variables_lie_above_the_stack_and_nothing_lies_below_it() {
 }
 
 /// The bound of the stack, and the image.
-fn bound(part: Part, features: &[&str]) -> (Bound, Image) {
-    let elf = build_elf(part, features).unwrap_or_else(|error| panic!("{error}"));
+fn bound(package: &str, part: Part) -> (Bound, Image) {
+    let elf = build_elf(package, part).unwrap_or_else(|error| panic!("{error}"));
     let bound = Bound::of(&elf).unwrap_or_else(|error| panic!("{error}"));
     (bound, Image::from_elf(&elf).expect("an image"))
 }
 
 #[test]
 fn the_stack_suffices_for_every_path_through_the_program() {
-    for (part, features) in [(Part::Stm32f405, &[][..]), (Part::Stm32f407, &["io"])] {
-        let (bound, image) = bound(part, features);
-        println!("{} {features:?}\n{bound}", part.name());
+    for (package, part) in [("firmware", Part::Stm32f405), ("example-io", Part::Stm32f407)] {
+        let (bound, image) = bound(package, part);
+        println!("{package}\n{bound}");
         for handler in ["Reset", "HardFault", "NonMaskableInt", "TIM2", "CAN1_RX0", "USART1"] {
             let is_there = bound.levels.iter().any(|(name, _)| name == handler);
             assert!(is_there, "{handler}:\n{bound}");
@@ -131,7 +131,7 @@ fn storm(rig: &mut ImageRig, random: &mut Random) {
 
 #[test]
 fn the_stack_is_never_used_by_more_than_a_quarter() {
-    let (bound, _) = bound(Part::Stm32f405, &[]);
+    let (bound, _) = bound("firmware", Part::Stm32f405);
     let bound = bound.bytes() as usize;
     let mut random = Random::from_environment();
     let rate = BitRate::Kbit1000;

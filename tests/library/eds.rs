@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use firmware::{application::Application as Firmware, describe, device};
 use lss_slave::{
     Application, BitRates, Device, Node,
     application::{Domain, Integer24, OctetString, Text, Unsigned56},
     object_dictionary::{Access, DataType, DefaultValue, Description, Entry, Object, Options},
     objects,
 };
-use lss_slave_firmware::{Application as Firmware, describe, device};
 use testkit::{
     eds::{DataSheet, Product, Sections, parse},
     node_rig::ADDRESS,

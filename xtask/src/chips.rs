@@ -5,6 +5,7 @@ mod choices;
 use std::{fmt, sync::Mutex, time::Instant};
 
 use anyhow::{Context, bail, ensure};
+use canopen_stm32f4::chip::{self, Chip};
 use emulator::{
     Time, board,
     can::{Adapter, BitSegments, Clock, Frame, Id},
@@ -14,14 +15,14 @@ use emulator::{
 };
 use lss_master::Fastscan;
 use lss_slave::{BitRate, NodeId, Settings, bit_rate::BitTiming};
-use lss_slave_firmware::{chip::Chip, device};
 use testkit::{
-    boards, frames,
+    boards, frames, image,
     image_rig::{bit_per_s, on_the_wire},
+    product,
 };
 
 use crate::{
-    example, parallel,
+    parallel,
     readings::{
         bus::{AWAY, Variant},
         sessions,
@@ -68,6 +69,14 @@ fn targets(only: Option<Part>) -> Vec<Target> {
         .collect()
 }
 
+impl Target {
+    /// The image: on CAN1 the plain firmware, otherwise a new product.
+    fn image(&self) -> anyhow::Result<Image> {
+        let Self { part, controller } = *self;
+        Ok(if controller == 1 { image::build(part)? } else { product::build(part, controller)? })
+    }
+}
+
 impl fmt::Display for Target {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "`{}`", self.part.name())?;
@@ -79,8 +88,7 @@ impl fmt::Display for Target {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
     let targets = targets(arguments.chip);
-    let build = |target: &Target| example::image(target.part, target.controller, None);
-    let images = targets.iter().map(build).collect::<Result<Vec<_>, _>>()?;
+    let images = targets.iter().map(Target::image).collect::<Result<Vec<_>, _>>()?;
     let built = begin.elapsed().as_secs();
 
     println!("| chip | manual | core | flash | boot-up | all rates exact | sessions |");
@@ -162,14 +170,14 @@ fn boot(variant: &Variant) -> anyhow::Result<(u32, Time)> {
     let chip = bus.network.board(0).chip();
     let clocks = chip.clocks();
     ensure!(clocks.hclk.hz == core_hz(variant.part)?, "the core runs at {} Hz", clocks.hclk.hz);
-    ensure!(clocks.pclk1.hz == device::APB1_HZ, "APB1 runs at {} Hz", clocks.pclk1.hz);
+    ensure!(clocks.pclk1.hz == chip::APB1_HZ, "APB1 runs at {} Hz", clocks.pclk1.hz);
     Ok((clocks.hclk.hz / 1_000_000, boot))
 }
 
 /// The core clock that the firmware's table gives for a part.
 fn core_hz(part: Part) -> anyhow::Result<u32> {
-    let chip = Chip::named(part.name()).context("src/chip.rs does not have this chip")?;
-    Ok(device::sysclk_hz(&chip))
+    let chip = Chip::named(part.name()).context("stm32f4/src/chip.rs does not have this chip")?;
+    Ok(chip::sysclk_hz(&chip))
 }
 
 /// The board sets each rate exactly, with a bit timing that tolerates 0.5 % at both ends, and answers a master with such
@@ -190,9 +198,9 @@ fn check_rate(variant: &Variant, rate: BitRate, ppm: i32) -> anyhow::Result<()> 
     let board = Variant { settings, ..*variant }.board(0, Some(stored(rate)));
     let mut network = Network::new();
     network.add_board(board);
-    let timing = BitTiming::solve(rate, device::APB1_HZ).context("no bit timing")?;
+    let timing = BitTiming::solve(rate, chip::APB1_HZ).context("no bit timing")?;
     let master = network.add_adapter(Adapter::with_timing(
-        Clock { hz: device::APB1_HZ, ppm: -ppm },
+        Clock { hz: chip::APB1_HZ, ppm: -ppm },
         BitSegments {
             prescaler: timing.prescaler,
             segment_1: timing.segment1,

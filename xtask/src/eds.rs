@@ -1,7 +1,8 @@
 //! `cargo xtask eds`: the electronic data sheets and the page of the objects, from the tables of the firmware and of
 //! its example.
 
-use lss_slave_firmware::{application, describe, device, io};
+use example_io as io;
+use firmware::{application, describe, device};
 use testkit::eds::{DataSheet, Product};
 
 use crate::generated::write_or_check;
@@ -18,9 +19,9 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let sheet = of_firmware();
     let example = DataSheet::new(
-        product("io.eds", io::DESCRIPTION),
-        io::Node::entries(&describe(0)),
-        &io::Application::new(),
+        product("io.eds", io::device::DESCRIPTION),
+        io::application::Node::entries(&io::describe(0)),
+        &io::application::Application::new(),
     );
     let files = [
         ("eds/lss-slave.eds", sheet.eds()),

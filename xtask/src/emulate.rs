@@ -23,13 +23,16 @@ use emulator::{
     network::{Network, Recording},
 };
 use lss_slave::{BitRate, NodeId, Settings};
-use lss_slave_firmware::chip;
-
 use testkit::image_rig::{DEFAULT_BIT_RATE, bit_per_s};
 
 use testkit::boards::{self, FIRST_START};
 
-use crate::example::{self, Example};
+use canopen_stm32f4::chip;
+
+use crate::{
+    controller,
+    example::{self, Example},
+};
 use client::{Client, ClientId, Input};
 use console::Leds;
 use memory::Memory;
@@ -76,16 +79,16 @@ pub struct Arguments {
     /// Bit rate in kbit/s of a board without stored settings; 125 if only --node-id is given
     #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
     bit_rate: Option<BitRate>,
-    /// Run an example of an application; implies --console
+    /// Run an example of a product in place of the plain firmware; implies --console
     #[arg(long)]
     example: Option<Example>,
     /// Take commands from the standard input: switch the power, short the bus, press the button, set the temperature
     #[arg(long)]
     console: bool,
-    /// The chip on the boards
-    #[arg(long, default_value = "stm32f405")]
-    chip: Part,
-    /// The CAN controller on the bus: can1, can2, or on some chips can3
+    /// The chip on the boards [default: stm32f405, or that of the example]
+    #[arg(long)]
+    chip: Option<Part>,
+    /// The CAN controller on the bus, on the boards of --elf: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller)]
     controller: u8,
     /// The crystal on the boards of --elf, in MHz
@@ -146,8 +149,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         format!("cannot listen at {} (choose another address with --listen)", arguments.listen)
     })?;
     let address = listener.local_addr()?;
-    let (chip, controller) = (arguments.chip, arguments.controller);
-    example::check_controller(chip, controller)?;
+    let chip = example::chip(arguments.chip, arguments.example);
+    let controller = arguments.controller;
+    controller::check(chip, controller)?;
     ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
     ensure!(
         arguments.boards > 0 || arguments.node_id.is_none(),
@@ -159,11 +163,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);
-    let image = (arguments.boards > 0)
-        .then(|| example::image(arguments.chip, arguments.controller, arguments.example))
-        .transpose()?;
+    let image =
+        (arguments.boards > 0).then(|| example::image(chip, arguments.example)).transpose()?;
     for (number, (preset, image)) in presets.into_iter().zip(image.iter().cycle()).enumerate() {
-        let mut board = boards::board_on(arguments.chip, arguments.controller, image, number);
+        let mut board = boards::board(chip, image, number);
         memory.restore(&mut board, image, number, preset)?;
         network.add_board(board);
     }

@@ -6,36 +6,36 @@ use std::{
 };
 
 use anyhow::{Context, bail};
+use canopen_stm32f4::chip::Chip;
 use emulator::chip::Part;
-use lss_slave_firmware::chip::{self, Chip};
 
-use crate::example;
+use crate::example::{self, Example};
 
 /// Write the firmware to a board, with probe-rs, and show its log
 ///
 /// The log runs until Ctrl-C. The board is not halted at a reset or a fault, so that the log continues.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The chip on the board
-    #[arg(default_value = "stm32f405")]
-    chip: Part,
-    /// The CAN controller: can1, can2, or on some chips can3
-    #[arg(long, default_value = "can1", value_parser = chip::controller)]
-    controller: u8,
+    /// The chip on the board [default: stm32f405, or that of the example]
+    chip: Option<Part>,
+    /// Write an example of a product in place of the plain firmware
+    #[arg(long)]
+    example: Option<Example>,
 }
 
 /// Builds the firmware, writes it to the connected board, and shows its log until Ctrl-C.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    example::check_controller(arguments.chip, arguments.controller)?;
     find_probe_rs()?;
-    let chip = Chip::named(arguments.chip.name()).expect("a test compares the names");
-    let mut features = example::features(arguments.controller, None);
-    features.push(chip.feature);
+    let part = example::chip(arguments.chip, arguments.example);
+    let chip = Chip::named(part.name()).expect("a test compares the names");
+    let package = match arguments.example {
+        None => "firmware".to_owned(),
+        Some(example) => format!("example-{}", example.name()),
+    };
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let status = Command::new(cargo)
         .args(["run", "--release", "--target", "thumbv7em-none-eabihf"])
-        .args(["--package", "lss-slave-firmware", "--bin", "lss-slave"])
-        .args(["--features", &features.join(",")])
+        .args(["--package", &package, "--bin", &package, "--features", chip.feature])
         .env("PROBE_RS_CHIP", chip.probe_rs)
         .status()
         .context("cannot run cargo")?;

@@ -4,9 +4,9 @@
 //! `cargo xtask linux`, `cargo xtask new-product`, `cargo xtask no-harm`, `cargo xtask power-cut`, `cargo xtask qemu`,
 //! `cargo xtask readings`, `cargo xtask release`, `cargo xtask size`, `cargo xtask soak`, `cargo xtask storm`.
 
-mod apart;
 mod bench;
 mod chips;
+mod controller;
 mod coverage;
 mod eds;
 mod emulate;

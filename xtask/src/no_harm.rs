@@ -4,7 +4,6 @@ mod draw;
 mod judge;
 mod life;
 mod minimise;
-mod plain;
 mod situation;
 
 use std::{
@@ -61,7 +60,11 @@ pub struct Arguments {
 /// Runs the campaign. Fails if a board is worse off than with the plain slave, or is not found.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let part = arguments.chip;
-    let images = Images { part, plain: plain::build(part)?, product: testkit::image::build(part)? };
+    let images = Images {
+        part,
+        plain: testkit::image::build_plain(part)?,
+        product: testkit::image::build(part)?,
+    };
     match arguments.replay {
         Some(seed) => replay(&images, seed),
         None => campaign(&images, arguments),

@@ -144,7 +144,7 @@ fn session() -> Vec<Frame> {
 
 /// QEMU with the release image and a plugin.
 fn qemu(plugin: &str) -> anyhow::Result<Command> {
-    let elf = target_directory()?.join("thumbv7em-none-eabihf/release/lss-slave");
+    let elf = target_directory()?.join("thumbv7em-none-eabihf/release/firmware");
     let mut command = Command::new(QEMU);
     command
         .args(["-machine", MACHINE, "-display", "none", "-serial", "none", "-monitor", "none"])

@@ -4,7 +4,6 @@ use std::{collections::BTreeMap, env, fs, path::PathBuf};
 
 use anyhow::{Context, bail};
 use emulator::chip::{FLASH_BASE, Part, RAM_BASE};
-use lss_slave_firmware::chip;
 use object::{
     Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf, read::elf::ElfFile32,
 };
@@ -16,13 +15,10 @@ use crate::example::{self, Example};
 /// Fails if the flash takes more than xtask/size-budget.toml allows.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The chip to build for
-    #[arg(long, default_value = "stm32f405")]
-    chip: Part,
-    /// The CAN controller: can1, can2, or on some chips can3
-    #[arg(long, default_value = "can1", value_parser = chip::controller)]
-    controller: u8,
-    /// Show an example of an application, which has no budget
+    /// The chip to build for [default: stm32f405, or that of the example]
+    #[arg(long)]
+    chip: Option<Part>,
+    /// Show an example of a product, which has no budget
     #[arg(long)]
     example: Option<Example>,
 }
@@ -37,12 +33,12 @@ struct Section {
 
 /// Prints the sizes. Fails if they are above the budget.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    example::check_controller(arguments.chip, arguments.controller)?;
-    example::image(arguments.chip, arguments.controller, arguments.example)?;
-    let path = elf_path()?;
+    let chip = example::chip(arguments.chip, arguments.example);
+    example::image(chip, arguments.example)?;
+    let path = elf_path(arguments.example)?;
     let elf = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let has_budget = arguments.example.is_none();
-    let (report, flash) = report(&elf, arguments.chip, has_budget)
+    let (report, flash) = report(&elf, chip, has_budget)
         .with_context(|| format!("cannot parse {}", path.display()))?;
     print!("{report}");
     let budget = budget();
@@ -83,19 +79,19 @@ pub fn report(elf: &[u8], chip: Part, has_budget: bool) -> anyhow::Result<(Strin
 /// The part that a function belongs to, by text in its name; the first match counts. Inlined code counts as its
 /// caller's.
 const PARTS: [(&str, &[&str]); 13] = [
-    ("tasks", &["_RX0", "_TX", "_SCE", "TIM2", "TIM5", "USART1", "lss_slave::app::idle"]),
-    ("application", &["lss_slave_firmware::", "lss_slave::application", "stm32f4xx_hal::adc"]),
+    ("tasks", &["_RX0", "_TX", "_SCE", "TIM2", "TIM5", "USART1", "::app::idle"]),
     (
-        "start and clocks",
-        &["lss_slave::app", "lss_slave::board", "lss_slave::clock", "lss_slave::__"],
+        "application",
+        &["firmware::application", "example_", "lss_slave::application", "stm32f4xx_hal::adc"],
     ),
+    ("start and clocks", &["::app", "canopen_stm32f4::board", "canopen_stm32f4::clock", "::__"]),
     ("process data", &["lss_slave::process_data", "lss_slave::node::process"]),
     ("SDO", &["lss_slave::sdo", "lss_slave::object_dictionary", "lss_slave::node::objects"]),
     ("LSS", &["lss_slave::lss"]),
     ("settings log", &["lss_slave::settings"]),
-    ("flash driver", &["lss_slave::flash"]),
-    ("CAN driver", &["lss_slave::can", "lss_slave::transmit_queue", "bxcan"]),
-    ("node", &["lss_slave::"]),
+    ("flash driver", &["canopen_stm32f4::flash"]),
+    ("CAN driver", &["canopen_stm32f4::can", "bxcan"]),
+    ("node", &["lss_slave::", "canopen_stm32f4::"]),
     ("defmt", &["defmt"]),
     ("panic text", &["core::", "rust_begin_unwind"]),
     ("compiler's memory functions", &["mem"]),
@@ -147,10 +143,12 @@ fn budget() -> u64 {
 }
 
 /// The firmware's ELF file, beside this program: one cargo builds both into one directory.
-fn elf_path() -> anyhow::Result<PathBuf> {
+fn elf_path(example: Option<Example>) -> anyhow::Result<PathBuf> {
     let own = env::current_exe()?;
     let target = own.ancestors().nth(2).context("this program is not in a target directory")?;
-    Ok(target.join("thumbv7em-none-eabihf/release/lss-slave"))
+    let program =
+        example.map_or("firmware".to_owned(), |example| format!("example-{}", example.name()));
+    Ok(target.join("thumbv7em-none-eabihf/release").join(program))
 }
 
 /// The sections that are not empty, in the order of the file.

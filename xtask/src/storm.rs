@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use anyhow::ensure;
+use anyhow::{bail, ensure};
 use emulator::{chip::Part, image::Image};
 
 use testkit::{
@@ -42,10 +42,10 @@ pub struct Arguments {
     /// Seed of the frames; random if not given
     #[arg(long)]
     seed: Option<u64>,
-    /// The chip on the board
-    #[arg(long, default_value = "stm32f405")]
-    chip: Part,
-    /// Storm an example of an application
+    /// The chip on the board [default: stm32f405, or that of the example]
+    #[arg(long)]
+    chip: Option<Part>,
+    /// Storm an example of a product
     #[arg(long)]
     example: Option<Example>,
 }
@@ -56,8 +56,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         arguments.frames + arguments.image_frames > 0,
         "a storm needs --frames or --image-frames above 0"
     );
-    let chip = arguments.chip;
-    let image = example::image(chip, 1, arguments.example)?;
+    let chip = example::chip(arguments.chip, arguments.example);
+    let image = example::image(chip, arguments.example)?;
     let board = boards::board(chip, &image, 0);
     let seed = arguments.seed.unwrap_or_else(Random::seed);
     println!("--seed {seed}");
@@ -66,6 +66,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             rage_at_node(arguments, NodeStorm::new(seed));
             rage_at_image(arguments, &image, ImageStorm::new(board, &image, seed));
         }
+        Some(Example::Thermo) => bail!("no storm knows the objects of `thermo`: choose `io`"),
         Some(Example::Io) => {
             rage_at_node(arguments, NodeStorm::with_example(seed));
             rage_at_image(arguments, &image, ImageStorm::with_example(board, &image, seed));
@@ -93,7 +94,10 @@ fn rage_at_image<A: Stormed, const T: usize, const R: usize, const P: usize>(
     image: &Image,
     mut storm: ImageStorm<A, T, R, P>,
 ) {
-    println!("\nThe release image for the {}", arguments.chip.name());
+    println!(
+        "\nThe release image for the {}",
+        example::chip(arguments.chip, arguments.example).name()
+    );
     let begin = Instant::now();
     for part in parts(arguments.image_frames) {
         storm.rage(part);

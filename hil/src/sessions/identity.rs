@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use firmware::device;
 use lss_slave::lss::{Address, AddressPart, Request};
-use lss_slave_firmware::device;
 
 use crate::{bench::Bench, board, sdo, stop::Stop};
 

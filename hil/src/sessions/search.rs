@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use firmware::device;
 use lss_slave::{BitRate, BitRateSetting, lss::Request};
-use lss_slave_firmware::device;
 
 use crate::{
     adapter::Received,

@@ -5,7 +5,7 @@ use emulator::{
     Time,
     can::{Frame, Id},
 };
-use lss_slave_firmware::io::{Application, RPDOS, TPDOS, test_content};
+use example_io::application::{Application, RPDOS, TPDOS, test_content};
 
 use super::{LSS, NMT, SDO_COB_ID, Stormed};
 use crate::{

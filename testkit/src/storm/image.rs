@@ -6,13 +6,13 @@ use std::collections::VecDeque;
 use emulator::{
     Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
 };
+use example_io::application::{self as io, Filter, Sample};
 use lss_slave::{
     Action, BitRate, Settings,
     application::NoApplication,
     lss::{self, Address},
     nmt,
 };
-use lss_slave_firmware::io::{self, Filter, Sample};
 
 use super::{RATE, Stormed, Target, delivered, example::NODE_ID, is_pdo, lss_data, next};
 use crate::{

@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 
 use emulator::can::Frame;
+use example_io::application as io;
 use lss_slave::{
     Action, Settings,
     application::NoApplication,
     lss::{self, Address, State},
     sdo,
 };
-use lss_slave_firmware::io;
 
 use super::{RATE, Stormed, Target, delivered, is_pdo, lss_data, next};
 use crate::{

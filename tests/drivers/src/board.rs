@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use crate::memory::Memory;
 
+/// The core clock.
+pub(crate) const SYSCLK_HZ: u32 = crate::chip::sysclk_hz(&crate::chip::CHIP);
 /// The length of both sectors in bytes.
 pub const SETTINGS_LEN: usize = 2 * 16 * 1024;
 

@@ -1,46 +1,41 @@
 //! The drivers of the firmware on a computer, for Miri: their registers and the flash are plain memory.
 //!
-//! The sources are those of the firmware. Only what they name is replaced: the HAL, the parts of `cortex-m`, `rtic` and
+//! The sources are those of the firmware. Only what they name is replaced: the HAL, the parts of `cortex-m` and
 //! `defmt` that they use, and the two modules that know a fixed address or a controller.
 
 extern crate self as cortex_m;
 extern crate self as defmt;
-extern crate self as rtic;
 extern crate self as stm32f4xx_hal;
 
 pub mod board;
-pub mod controller;
+pub mod can;
 pub mod gpio;
 pub mod memory;
 pub mod pac;
 pub mod rcc;
 
-#[path = "../../../src/bit_timing.rs"]
-mod bit_timing;
-#[path = "../../../src/can.rs"]
-pub mod can;
-#[path = "../../../src/can_pins.rs"]
-pub mod can_pins;
-#[path = "../../../src/clock.rs"]
+#[path = "../../../stm32f4/src/clock.rs"]
 pub mod clock;
-#[path = "../../../src/crystal.rs"]
+#[path = "../../../stm32f4/src/crystal.rs"]
 pub mod crystal;
-#[path = "../../../src/flash.rs"]
+#[path = "../../../stm32f4/src/flash.rs"]
 pub mod flash;
-#[path = "../../../src/supply.rs"]
+#[path = "../../../stm32f4/src/supply.rs"]
 pub mod supply;
-#[path = "../../../src/transmit_queue.rs"]
-mod transmit_queue;
 
-use lss_slave_firmware as product;
-
-/// The part of `src/runner.rs` that the flash driver uses.
-mod runner {
-    pub const PARAMETERS: usize = crate::product::Node::PARAMETERS;
-}
+use canopen_stm32f4::chip;
 
 /// The part of `cortex-m`.
 pub mod peripheral {
+    use crate::pac::Interrupt;
+
+    pub struct NVIC;
+
+    impl NVIC {
+        /// The interrupts that drivers trigger have no handlers.
+        pub fn pend(_: Interrupt) {}
+    }
+
     pub struct SCB;
 
     impl SCB {
@@ -51,9 +46,6 @@ pub mod peripheral {
         }
     }
 }
-
-/// The part of `rtic`: the interrupts that drivers trigger have no handlers.
-pub fn pend(_: pac::Interrupt) {}
 
 /// The macros of `defmt`, without a log.
 macro_rules! log {

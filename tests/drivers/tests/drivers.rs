@@ -3,10 +3,9 @@
 use std::{panic::catch_unwind, sync::atomic::Ordering::Relaxed};
 
 use drivers::{
-    can::{Controller, Received},
-    can_pins::CanPins,
+    can::{CanPins, Controller, Received},
     clock::{self, Alarm},
-    crystal,
+    crystal::{self, Crystal},
     flash::{FlashError, SettingsFlash},
     gpio::Pin,
     memory,
@@ -15,12 +14,15 @@ use drivers::{
     supply::Supply,
 };
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
+use firmware::{
+    application::{Application, Node},
+    describe, device,
+};
 use lss_slave::{
     BitRate, BusEvent, Frame, Instant, NodeId,
     indicator::BusState,
     settings::{Found, Log},
 };
-use lss_slave_firmware::{Application, Node, describe, device};
 
 /// CAN_TSR: three empty mailboxes.
 const ALL_EMPTY: u32 = 0b111 << 26;
@@ -78,8 +80,8 @@ fn errors_of_the_flash_are_reported() {
     let _chip = memory::take();
     let mut flash = settings_flash();
     FLASH_STATUS.store(PROGRAMMING_PARALLELISM, Relaxed);
-    assert!(matches!(flash.write(0, &[0; 4]), Err(FlashError::Status(PROGRAMMING_PARALLELISM))));
-    assert!(matches!(flash.erase(0, 16 * 1024), Err(FlashError::Status(PROGRAMMING_PARALLELISM))));
+    assert!(matches!(flash.write(0, &[0; 4]), Err(FlashError::Status)));
+    assert!(matches!(flash.erase(0, 16 * 1024), Err(FlashError::Status)));
 }
 
 #[test]
@@ -111,13 +113,13 @@ fn settings_outlast_a_damaged_flash_and_restarts() {
 }
 
 /// A controller that is in initialisation mode, as its driver waits for it, with empty mailboxes.
-fn controller() -> Controller {
+fn controller() -> Controller<CAN1, 0, 0> {
     const INITIALISATION: u32 = 1 << 0;
     set(CAN1.msr(), INITIALISATION);
     set(CAN1.tsr(), ALL_EMPTY);
-    let pins = CanPins::new(Pin::<'B', 9>::new(), Pin::<'B', 8>::new());
+    let pins = CanPins::new(Pin::<'B', 9>::new(), Pin::<'B', 8>::new(), &mut Rcc);
     let node = Node::with_application(describe(1), None, Application::new());
-    Controller::new(CAN1, pins, &mut RCC, node.receives())
+    Controller::new(CAN1, pins, &mut Rcc, node.receives())
 }
 
 fn frame(cob_id: u16) -> Frame {
@@ -270,7 +272,7 @@ fn check_clock(source: u32, pll: u32) {
     let _chip = memory::take();
     set(RCC.cfgr(), source << 2);
     set(RCC.pllcfgr(), pll);
-    crystal::check(&RCC);
+    crystal::check(Crystal::new(device::CRYSTAL_HZ, false), &RCC);
 }
 
 #[test]

@@ -29,7 +29,7 @@ pub struct Package {
 }
 
 /// The name of the firmware's package.
-pub const FIRMWARE: &str = "lss-slave-firmware";
+pub const FIRMWARE: &str = "firmware";
 /// The library of the compiler, which every program contains.
 pub const CORE: &str = "core";
 

@@ -26,7 +26,7 @@ const TEMPERATURE: PdoMapping = PdoMapping { index: 0x6401, sub: 1, size: 16 };
 
 #[test]
 fn zencan_client_uses_objects_and_pdos_of_the_example() {
-    let image = image::build_with_features(Part::Stm32f407, &["io"]).expect("it builds");
+    let image = image::build_example("io", Part::Stm32f407).expect("it builds");
     let mut board = boards::board(Part::Stm32f407, &image, 0);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[STORED]));
     zencan_sessions::run(async {

@@ -1,0 +1,84 @@
+//! The objects of the thermometer, and what it makes of its sensors.
+
+use lss_slave::{
+    objects,
+    process_data::{Rpdo, Tpdo},
+};
+
+/// The temperatures.
+pub const TPDOS: usize = 1;
+/// The relays.
+pub const RPDOS: usize = 1;
+pub const PRODUCERS: usize = 0;
+
+/// The node with the application.
+pub type Node = lss_slave::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+
+/// The emergency error code of the first sensor; those of the others follow.
+pub const SENSOR_FAULT: u16 = 0x5031;
+/// The bit of the error register 1001h for errors of a device profile.
+pub const DEVICE_PROFILE: u8 = 1 << 5;
+
+/// The voltages of a sensor in order, in mV: 10 mV a degree, 500 mV at 0 degrees, from -40 to 125 degrees.
+const ORDERLY_MV: core::ops::RangeInclusive<u16> = 100..=1750;
+
+objects! {
+    /// The objects of the thermometer, with their values.
+    pub struct Application, values Value;
+
+    0x2100 "Gain of the sensors" {
+        1 "Gain 1" gain_1: f32 = 1.0, rw, 0.5..=2.0, stored;
+        2 "Gain 2" gain_2: f32 = 1.0, rw, 0.5..=2.0, stored;
+        3 "Gain 3" gain_3: f32 = 1.0, rw, 0.5..=2.0, stored;
+        4 "Gain 4" gain_4: f32 = 1.0, rw, 0.5..=2.0, stored;
+    }
+    0x2101 {
+        0 "Faulty sensors, a bit for each" faults: u8 = 0, ro;
+    }
+    0x6200 "Write output 8-bit" {
+        1 "Relays" relays: u8 = 0, rw, 0..=3, mappable;
+    }
+    0x7130 "AI input process value" {
+        1 "Temperature 1 in 0.1 degrees Celsius" temperature_1: i16 = 0, ro, mappable;
+        2 "Temperature 2 in 0.1 degrees Celsius" temperature_2: i16 = 0, ro, mappable;
+        3 "Temperature 3 in 0.1 degrees Celsius" temperature_3: i16 = 0, ro, mappable;
+        4 "Temperature 4 in 0.1 degrees Celsius" temperature_4: i16 = 0, ro, mappable;
+    }
+}
+
+impl lss_slave::Application for Application {
+    /// CiA 404, with analogue inputs.
+    const DEVICE_TYPE: u32 = 0x0002_0194;
+    const TPDOS: &'static [Tpdo] =
+        &[Tpdo::new(&[(0x7130, 1), (0x7130, 2), (0x7130, 3), (0x7130, 4)]).with_inhibit_time(1000)];
+    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1)])];
+}
+
+/// What a step has found, a bit for each sensor or relay.
+pub struct Step {
+    pub relays: u8,
+    pub new_faults: u8,
+    pub ended_faults: u8,
+}
+
+impl Application {
+    /// Takes the voltages of the sensors in mV. A faulty sensor keeps its last temperature.
+    pub fn step(&mut self, millivolts: [u16; 4]) -> Step {
+        let mut faults = 0;
+        let sensors = [
+            (&mut self.temperature_1, self.gain_1),
+            (&mut self.temperature_2, self.gain_2),
+            (&mut self.temperature_3, self.gain_3),
+            (&mut self.temperature_4, self.gain_4),
+        ];
+        for (number, ((temperature, gain), mv)) in sensors.into_iter().zip(millivolts).enumerate() {
+            if ORDERLY_MV.contains(&mv) {
+                *temperature = ((f32::from(mv) - 500.0) * gain) as i16;
+            } else {
+                faults |= 1 << number;
+            }
+        }
+        let before = core::mem::replace(&mut self.faults, faults);
+        Step { relays: self.relays, new_faults: faults & !before, ended_faults: before & !faults }
+    }
+}

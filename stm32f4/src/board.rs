@@ -1,0 +1,144 @@
+//! The board after a reset: watchdog, clocks, supply, settings and identity.
+
+use lss_slave::{
+    Application, Device, Node, NodeId, emergency::Fault, lss::Address, settings::Found,
+};
+use stm32f4xx_hal::{
+    gpio::{ErasedPin, Input},
+    pac::{DBGMCU, FLASH, IWDG, PWR, RCC, TIM2},
+    rcc::{Config, Rcc, RccExt},
+    time::Hertz,
+};
+
+use crate::{
+    can::{CanPins, Controller, Peripheral},
+    chip::{APB1_HZ, CHIP, UNIQUE_ID, sysclk_hz},
+    clock::Alarm,
+    crystal::{self, Crystal},
+    fault,
+    flash::SettingsFlash,
+    log,
+    runner::Runner,
+    start,
+    storage::Storage,
+    supply::Supply,
+    watchdog::Watchdog,
+};
+
+/// Sectors 1 and 2 of the flash, which `memory.x` keeps free of code.
+pub const SETTINGS: *mut u32 = 0x0800_4000 as *mut u32;
+
+/// The number of register reads that take at least 100 ms at the initial 16 MHz, at five cycles each.
+const READS_IN_100_MS: u32 = 320_000;
+
+/// The core clock.
+pub(crate) const SYSCLK_HZ: u32 = sysclk_hz(&CHIP);
+
+/// The peripherals that the board uses. All others are the product's.
+pub struct Peripherals {
+    pub debug: DBGMCU,
+    pub flash: FLASH,
+    pub power: PWR,
+    pub clocks: RCC,
+    pub timer: TIM2,
+    pub watchdog: IWDG,
+}
+
+/// The board with its clocks running.
+pub struct Board {
+    /// The clocks, for the peripherals of the product.
+    pub rcc: Rcc,
+    /// The watchdog, for tasks of the product that it shall wait for.
+    pub watchdog: Watchdog,
+    alarm: Alarm,
+    flash: SettingsFlash,
+}
+
+impl Board {
+    /// Sets the board up. The watchdog starts first, so that a hang in the set-up ends in a reset.
+    pub fn new(chip: Peripherals, core: &cortex_m::Peripherals, crystal: Crystal) -> Self {
+        start::restore(core, &chip.clocks, &chip.flash);
+        fault::guard_stack(&core.MPU);
+        log_reset_cause(&chip.clocks);
+        let watchdog = Watchdog::start(chip.watchdog, chip.debug);
+        let supply = Supply::wait(chip.power);
+        crystal::start(crystal, &chip.clocks);
+        let mut clocks = Config::hse(Hertz::from_raw(crystal.hz))
+            .sysclk(Hertz::from_raw(SYSCLK_HZ))
+            .pclk1(Hertz::from_raw(APB1_HZ));
+        if crystal.is_external_clock {
+            clocks = clocks.bypass_hse_oscillator();
+        }
+        // Waits for the PLL, 0.3 ms at most while the crystal runs; if the crystal stops, an interrupt ends the wait
+        // too.
+        let mut rcc = chip.clocks.freeze(clocks);
+        crystal::check(crystal, &rcc);
+        let alarm = Alarm::new(chip.timer, &mut rcc);
+        let flash = SettingsFlash::new(chip.flash, supply);
+        Self { rcc, watchdog, alarm, flash }
+    }
+
+    /// Starts the node of this device with its stored settings and parameters, or the defaults, and joins the bus.
+    pub fn start<
+        C: Peripheral,
+        A: Application,
+        const TPDOS: usize,
+        const RPDOS: usize,
+        const PRODUCERS: usize,
+        const PARAMETERS: usize,
+    >(
+        mut self,
+        device: Device,
+        application: A,
+        can: C,
+        pins: CanPins<C>,
+    ) -> (Runner<C, A, TPDOS, RPDOS, PRODUCERS>, Storage<PARAMETERS>, Watchdog) {
+        let (mut storage, mut found) = Storage::open(self.flash);
+        let stored = storage.log().settings();
+        let mut node = Node::with_application(device, stored, application);
+        if let Err(error) = storage.log().restore(|parameter| node.restore(parameter)) {
+            found = Found::MediumFailed(error);
+        }
+        log::found(found, &stored.unwrap_or(device.defaults));
+        if matches!(found, Found::Damaged | Found::ParametersDamaged) {
+            node.handle_fault(Fault::SettingsLost);
+        }
+        let can = Controller::new(can, pins, &mut self.rcc, node.receives());
+        // The start may have erased a sector, so the first roll call comes later.
+        self.watchdog.feed();
+        (Runner::new(node, can, self.alarm), storage, self.watchdog)
+    }
+}
+
+/// The node-ID of switches to ground, that for bit 0 first; a closed switch is a 1. `None` if all are open.
+pub fn node_id(switches: &[ErasedPin<Input>]) -> Option<NodeId> {
+    // Longer than a pull-up needs for the wires to the switches.
+    cortex_m::asm::delay(SYSCLK_HZ / 10_000);
+    NodeId::new(switches.iter().rev().fold(0, |bits, switch| bits << 1 | u8::from(switch.is_low())))
+}
+
+/// Waits at least 100 ms for `it_is_there`, with the core at 16 MHz; returns false on a timeout.
+pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
+    (0..READS_IN_100_MS).any(|_| it_is_there())
+}
+
+/// The serial number, derived from the chip's unique id.
+pub fn serial_number() -> u32 {
+    const ID: *const [u8; 12] = UNIQUE_ID as *const _;
+    // SAFETY: read-only memory of every STM32F4.
+    Address::serial_number_of(&unsafe { ID.read() })
+}
+
+fn log_reset_cause(rcc: &RCC) {
+    let cause = rcc.csr().read();
+    if cause.wdgrstf().bit_is_set() {
+        defmt::warn!("reset by the watchdog: a task did not run in time");
+    } else if crystal::has_failed() {
+        defmt::error!("reset because the crystal stopped");
+    } else if cause.sftrstf().bit_is_set() {
+        defmt::info!("reset by the firmware");
+    } else {
+        defmt::info!("power-on, or reset by the pin");
+    }
+    rcc.csr().modify(|_, w| w.rmvf().set_bit());
+}

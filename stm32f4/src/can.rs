@@ -1,0 +1,11 @@
+//! The CAN controller with its pins, and the frames that wait for it.
+
+mod bit_timing;
+mod controller;
+mod peripheral;
+mod pins;
+mod queue;
+
+pub use controller::{Controller, Received};
+pub use peripheral::Peripheral;
+pub use pins::{CanPins, Receives, Transmits};

@@ -1,0 +1,43 @@
+//! An STM32F4 board for a CANopen node with LSS: clocks, CAN controller, settings in flash, and the calls that a
+//! product's tasks make. On a computer there are only the [chips](chip).
+
+#![no_std]
+
+pub mod chip;
+
+#[cfg(target_os = "none")]
+pub mod board;
+#[cfg(target_os = "none")]
+pub mod can;
+#[cfg(target_os = "none")]
+mod clock;
+#[cfg(target_os = "none")]
+mod crystal;
+#[cfg(target_os = "none")]
+mod fault;
+#[cfg(target_os = "none")]
+mod flash;
+#[cfg(target_os = "none")]
+mod led;
+#[cfg(target_os = "none")]
+mod log;
+#[cfg(target_os = "none")]
+mod runner;
+#[cfg(target_os = "none")]
+mod start;
+#[cfg(target_os = "none")]
+mod storage;
+#[cfg(target_os = "none")]
+mod supply;
+#[cfg(target_os = "none")]
+pub mod watchdog;
+
+#[cfg(target_os = "none")]
+pub use crate::{
+    board::Board,
+    crystal::Crystal,
+    led::{Indicators, Led},
+    runner::Runner,
+    storage::Storage,
+    watchdog::Watchdog,
+};

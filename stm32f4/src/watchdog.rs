@@ -1,0 +1,96 @@
+//! The independent watchdog, which is fed only if all tasks have answered a roll call.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use cortex_m::peripheral::NVIC;
+use lss_slave::indicator;
+use stm32f4xx_hal::{
+    pac::{DBGMCU, IWDG, Interrupt},
+    watchdog::IndependentWatchdog,
+};
+
+/// The timeout in ms at 32 kHz; the oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is the erase
+/// of a 16 KB sector: 800 ms by bytes, 500 ms by words. A new board erases two; should the watchdog end that, the next
+/// start goes on.
+const TIMEOUT_MS: u32 = 2_000;
+
+/// The steps of the indicators between two roll calls: four a second.
+const STEPS: u8 = 250 / indicator::STEP_MS as u8;
+
+/// The tasks that have answered, a bit for each.
+static PRESENT: AtomicU32 = AtomicU32::new(0);
+
+/// A task that must answer.
+#[derive(Clone, Copy)]
+pub struct Task(u32);
+
+impl Task {
+    pub(crate) const RECEIVED: Self = Self(1 << 0);
+    pub(crate) const TRANSMITTED: Self = Self(1 << 1);
+    pub(crate) const STATUS: Self = Self(1 << 2);
+    pub(crate) const STORE: Self = Self(1 << 3);
+    /// The task that runs when no other does.
+    pub const IDLE: Self = Self(1 << 4);
+    const ALL: u32 = (1 << 5) - 1;
+
+    /// A task of the product, with a number from 0 to 26. [`Watchdog::expect`] makes the watchdog wait for it.
+    pub const fn own(number: u32) -> Self {
+        assert!(number <= 26, "the tasks of a product have the numbers 0 to 26");
+        Self(1 << (5 + number))
+    }
+
+    /// Records that the task is alive.
+    pub fn answer(self) {
+        PRESENT.fetch_or(self.0, Ordering::Relaxed);
+    }
+}
+
+/// The watchdog.
+pub struct Watchdog {
+    hardware: IndependentWatchdog,
+    debug: DBGMCU,
+    expected: u32,
+    steps: u8,
+}
+
+impl Watchdog {
+    /// Starts the watchdog, which resets the chip after 1.4 to 3.8 s without a feeding. It stops while a debugger has
+    /// halted the core.
+    pub(crate) fn start(hardware: IWDG, debug: DBGMCU) -> Self {
+        let mut hardware = IndependentWatchdog::new(hardware);
+        hardware.start(fugit::MillisDurationU32::from_ticks(TIMEOUT_MS));
+        hardware.stop_on_debug(&debug, true);
+        let mut watchdog = Self { hardware, debug, expected: Task::ALL, steps: 0 };
+        watchdog.feed();
+        watchdog
+    }
+
+    /// Also waits for a task of the product, which must [answer](Task::answer) at least four times a second.
+    pub fn expect(&mut self, task: Task) {
+        self.expected |= task.0;
+    }
+
+    /// Feeds the watchdog without a roll call. Also keeps RTT and the debug port on while the core sleeps, which a debugger
+    /// switches off as it leaves.
+    pub(crate) fn feed(&mut self) {
+        self.hardware.feed();
+        self.debug.cr().modify(|_, w| w.dbg_sleep().set_bit());
+    }
+
+    /// Counts a step of the indicators. Four times a second, feeds the watchdog if all tasks have answered, begins the
+    /// next roll call, and triggers the tasks that do not run by themselves, by the interrupts of the CAN controller.
+    /// Returns whether it has.
+    pub fn step(&mut self, interrupts: [Interrupt; 3]) -> bool {
+        self.steps = (self.steps + 1) % STEPS;
+        if self.steps != 0 {
+            return false;
+        }
+        let absent = self.expected & !PRESENT.swap(0, Ordering::Relaxed);
+        if absent == 0 {
+            self.feed();
+        }
+        interrupts.into_iter().for_each(NVIC::pend);
+        NVIC::pend(crate::storage::INTERRUPT);
+        true
+    }
+}

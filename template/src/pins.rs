@@ -1,0 +1,31 @@
+//! The pins of your board. Edit this file.
+
+use canopen_stm32f4::{Indicators, Led, can::CanPins};
+use stm32f4xx_hal::{
+    gpio::GpioExt,
+    pac::{self, GPIOB, GPIOD},
+    rcc::Rcc,
+};
+
+/// The CAN controller. Another one also has other interrupts in `main.rs`.
+pub type Can = pac::@can@;
+
+/// The pins of the board.
+pub struct Pins {
+    /// To the CAN transceiver. The compiler refuses pins that the chip does not connect to the controller.
+    pub can: CanPins<Can>,
+    /// The RUN (green) and ERR (red) indicators.
+    pub indicators: Indicators,
+}
+
+impl Pins {
+    /// Assigns the pins.
+    pub fn new(b: GPIOB, d: GPIOD, rcc: &mut Rcc) -> Self {
+        let (b, d) = (b.split(rcc), d.split(rcc));
+        Self {
+            can: CanPins::new(b.pb@transmit@, b.pb@receive@, rcc),
+            // Two LEDs of an STM32F407 Discovery; on a board without them the pins toggle unseen.
+            indicators: Indicators { run: Led::active_high(d.pd12), error: Led::active_high(d.pd14) },
+        }
+    }
+}
