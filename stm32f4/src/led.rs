@@ -1,9 +1,12 @@
 //! An LED on a pin, or in its place nothing.
 
+use core::hint::black_box;
+
 use lss_slave::indicator::Lit;
 use stm32f4xx_hal::gpio::{ErasedPin, Output, Pin, PinMode, PinState};
 
-/// An LED, dark at first.
+/// An LED, dark at first. The compiler does not see which pin: it makes a resource of RTIC that is constant the initial
+/// value of a variable, and RTIC's variables have none.
 pub enum Led {
     /// Lit while the pin is high.
     ActiveHigh(ErasedPin<Output>),
@@ -16,12 +19,12 @@ pub enum Led {
 impl Led {
     /// An LED between the pin and ground.
     pub fn active_high<const P: char, const N: u8>(pin: Pin<P, N, impl PinMode>) -> Self {
-        Self::ActiveHigh(pin.into_push_pull_output_in_state(PinState::Low).erase())
+        Self::ActiveHigh(black_box(pin.into_push_pull_output_in_state(PinState::Low).erase()))
     }
 
     /// An LED between the supply and the pin.
     pub fn active_low<const P: char, const N: u8>(pin: Pin<P, N, impl PinMode>) -> Self {
-        Self::ActiveLow(pin.into_push_pull_output_in_state(PinState::High).erase())
+        Self::ActiveLow(black_box(pin.into_push_pull_output_in_state(PinState::High).erase()))
     }
 
     /// Lights the LED, or puts it out.
