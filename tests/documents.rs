@@ -150,7 +150,8 @@ fn is_test(name: &str) -> bool {
     let (module, function) = name.rsplit_once("::").unwrap_or_default();
     let (folder, module) = match module.split_once("::") {
         Some(("lss_slave", module)) => ("lss-slave/src", module),
-        Some(("firmware", module)) => ("src", module),
+        Some(("example_io", module)) => ("examples/io/src", module),
+        Some(("example_thermo", module)) => ("examples/thermo/tests", module),
         _ => ("tests", module),
     };
     let path = root().join(folder).join(module.replace("::", "/"));

@@ -1,8 +1,6 @@
 //! The values of the registers that matter, on the emulated board that runs the same firmware.
 
-use canopen_stm32f4::chip::APB1_HZ;
 use canopen_stm32f4::chip::{APB1_HZ, Chip};
-use firmware::device;
 use firmware::device;
 use lss_slave::{BitRate, NodeId, bit_rate::BitTiming, lss, nmt};
 

@@ -7,9 +7,9 @@ use std::{
 };
 
 use emulator::network::Recording;
+use firmware::device;
 use lss_master::{Assign, Configure, Fastscan, Master, Timing};
 use lss_slave::{BitRate, NodeId, lss::AddressPart};
-use lss_slave_firmware::device;
 use testkit::{
     image_rig::{ImageRig, board_with, settings},
     lss_session::{carry_out, timing},

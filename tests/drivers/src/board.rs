@@ -1,4 +1,4 @@
-//! The flash sectors of the settings, and the wait of `src/board.rs`.
+//! The flash sectors of the settings, and the wait of `stm32f4/src/board.rs`.
 
 use std::ops::Range;
 
