@@ -172,7 +172,8 @@ impl Program {
                 }
             }
             let called = callee.map_or(Ok(0), |callee| self.depth(callee))?;
-            deepest = deepest.max((used + grows.max(0)) as u32 + called);
+            // A part that functions share may take down the frame of its caller.
+            deepest = deepest.max((used + grows.max(0)).max(0) as u32 + called);
         }
         self.depths.insert(entry, Some(deepest));
         Ok(deepest)
