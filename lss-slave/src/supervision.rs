@@ -33,9 +33,9 @@ const HEARD_MICROS: u32 = 40_000;
 /// can then be received in silence.
 const TURN_MICROS: u32 = 30_000;
 const TURN_FRAMES: u32 = 18;
-/// The time for which a visitor takes part at home, in frames.
-const TRIAL_FRAMES: u32 = 2;
 const FRAME_BITS: u32 = 135;
+/// The time for which a visitor takes part at home: that of two heartbeats.
+const TRIAL_BITS: u32 = 160;
 /// The number of errors without a valid frame after which the node no longer takes part as a guest or a visitor.
 const MOST_ERRORS: u8 = 2;
 /// The time for which a guest waits for an acknowledge.
@@ -336,7 +336,7 @@ impl Supervision {
             Place::Turn => self.stay_home(),
             Place::Guest => self.take_turn(now),
             Place::Visit => {
-                let end = now.plus_micros(frames_micros(TRIAL_FRAMES, self.home));
+                let end = now.plus_micros(bits_micros(TRIAL_BITS, self.home));
                 self.enter(Place::Trial, Some(end));
                 self.step = Some(Step::TakePart(self.home));
             }
@@ -414,7 +414,7 @@ impl Supervision {
     }
 
     fn listen_at_home(&mut self, place: Place, now: Instant) {
-        let micros = TURN_MICROS + frames_micros(TURN_FRAMES, self.home);
+        let micros = TURN_MICROS + bits_micros(TURN_FRAMES * FRAME_BITS, self.home);
         self.enter(place, Some(now.plus_micros(micros)));
         self.step = Some(Step::Listen(self.home));
     }
@@ -429,6 +429,6 @@ impl Supervision {
     }
 }
 
-const fn frames_micros(frames: u32, rate: BitRate) -> u32 {
-    frames * FRAME_BITS * 1000 / rate.kbit_per_s() as u32
+const fn bits_micros(bits: u32, rate: BitRate) -> u32 {
+    bits * 1000 / rate.kbit_per_s() as u32
 }

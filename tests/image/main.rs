@@ -33,5 +33,6 @@ mod session;
 mod sleep;
 mod stack;
 mod storm;
+mod supervision;
 mod switch_delay;
 mod uptime;

@@ -75,6 +75,8 @@ pub struct Running {
     pub messages: Vec<Frame>,
     /// The store in progress.
     pub store: Option<Kept>,
+    /// See [`Mutation::LeavesItsSession`].
+    has_left_its_session: bool,
 }
 
 impl Running {
@@ -92,7 +94,7 @@ impl Running {
 
     /// Whether the node is in LSS configuration state.
     pub fn is_selected(&self) -> bool {
-        self.node.lss().state() == State::Configuration
+        self.node.lss().state() == State::Configuration && !self.has_left_its_session
     }
 }
 
@@ -168,6 +170,7 @@ impl Board {
             answers: Vec::new(),
             messages: Vec::new(),
             store: None,
+            has_left_its_session: false,
         });
         self.settle();
     }
@@ -200,6 +203,13 @@ impl Board {
         let is_received = matches!(frame.cob_id(), lss::REQUEST_COB_ID | nmt::COMMAND_COB_ID);
         if !is_received && !running.node.is_listening() {
             return self.see(BusEvent::Received);
+        }
+        let leaves = running.node.node_id().is_none()
+            && running.node.lss().pending_node_id().is_some()
+            && self.mutation == Some(Mutation::LeavesItsSession);
+        running.has_left_its_session = leaves;
+        if leaves && frame.cob_id() == lss::REQUEST_COB_ID {
+            return;
         }
         for frame in Mutation::received(self.mutation, self.number, frame) {
             let Some(running) = &mut self.running else { return };

@@ -11,7 +11,7 @@ pub mod recovery;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use lss_slave::{BitRate, lss::StoreError};
+use lss_slave::{BitRate, BusEvent, lss::StoreError};
 use stateright::{Model, Property};
 
 use board::{Board, RATES};
@@ -37,6 +37,9 @@ pub struct Scenario {
     pub has_switches: bool,
     /// A master waits for the end of a switch, even if it has just taken over.
     pub is_patient: bool,
+    /// The master hands out node-IDs in the order of finding, instead of by a table of LSS addresses, and lone bit
+    /// errors come a second apart.
+    pub is_in_order: bool,
     /// A board may miss a frame that the others receive. On CAN only a receiver that is too slow does.
     pub has_overruns: bool,
     /// The recovery is tried from one in this number of states; 0: from none.
@@ -53,6 +56,7 @@ impl Scenario {
             is_supervised: true,
             has_switches: true,
             is_patient: true,
+            is_in_order: false,
             has_overruns: false,
             recover_every: 1,
             mutation: None,
@@ -65,6 +69,8 @@ impl Scenario {
         let constant = |scenario| Self { has_switches: false, ..scenario };
         let sampled = |scenario, recover_every| Self { recover_every, ..scenario };
         let overruns = |scenario| Self { has_overruns: true, ..scenario };
+        let in_order =
+            |scenario| Self { is_in_order: true, recover_every: 50, ..constant(scenario) };
         vec![
             ("1 board, 3 procedures, 3 faults", sampled(Self::new(1, 3, 3), 50)),
             (
@@ -76,6 +82,14 @@ impl Scenario {
                 plain(sampled(Self::new(1, 3, 3), 20)),
             ),
             ("2 boards, 3 procedures, no fault", sampled(Self::new(2, 3, 0), 20)),
+            (
+                "2 boards, node-IDs in the order of finding, 4 procedures",
+                in_order(Self::new(2, 4, 0)),
+            ),
+            (
+                "3 boards, node-IDs in the order of finding, 3 procedures",
+                in_order(Self::new(3, 3, 0)),
+            ),
             ("2 boards, 1 procedure, 1 fault", sampled(Self::new(2, 1, 1), 20)),
             ("2 boards, 1 procedure, 2 faults", sampled(Self::new(2, 1, 2), 100)),
             ("2 boards, 2 procedures, 1 fault", sampled(Self::new(2, 2, 1), 100)),
@@ -136,6 +150,8 @@ pub enum Event {
     AnswerUnheard(usize),
     /// The next deadline of a board arrives.
     Deadline(usize),
+    /// All boards detect a bit error, and a second passes.
+    BitError,
     /// The store in progress ends.
     Stored(usize, Result<(), StoreError>),
     /// The power of a board fails; a store in progress may have been completed.
@@ -159,6 +175,7 @@ impl Event {
             // A master with patience waits for all answers.
             Self::GiveUp => !network.boards.iter().all(|board| board.is_at_most_late_by(0)),
             Self::Begin(_) | Self::Send | Self::Answer(_) | Self::Deadline(_) => false,
+            Self::BitError => false,
             Self::Stored(_, Ok(())) | Self::PowerOn(_) => false,
         }
     }
@@ -172,7 +189,8 @@ impl Model for Scenario {
         let new = |number| Board::new(number, self.is_supervised, self.mutation);
         let boards = (0..self.boards).map(new).collect();
         let Self { procedures, faults, .. } = *self;
-        let master = Master::new(RATES[0]);
+        let mut master = Master::new(RATES[0]);
+        master.handed_out = self.is_in_order.then_some(0);
         let mut network = Network { boards, master, procedures, faults };
         network.seal();
         vec![network]
@@ -209,6 +227,9 @@ impl Model for Scenario {
         let new = RATES.into_iter().filter(|rate| self.has_switches || *rate == RATES[0]);
         let differs = |rate: &BitRate| Master::new(*rate) != *master;
         events.extend(new.filter(differs).map(Event::TakeOver));
+        if self.is_in_order {
+            events.push(Event::BitError);
+        }
         for (number, board) in network.boards.iter().enumerate() {
             let Some(running) = &board.running else {
                 events.push(Event::PowerOn(number));
@@ -262,6 +283,10 @@ impl Model for Scenario {
             Event::Deadline(board) => {
                 let micros = network.boards[board].micros_to_deadline()?;
                 network.boards[board].pass(micros);
+            }
+            Event::BitError => {
+                network.boards.iter_mut().for_each(|board| board.see(BusEvent::Error));
+                network.pass(1_000_000);
             }
             Event::Stored(board, outcome) => network.boards[board].end_store(outcome),
             Event::Cut { board, is_store_completed } => {

@@ -12,6 +12,8 @@ pub struct Master {
     pub task: Task,
     /// The first two bytes of the answer that the master waits for.
     pub awaited: Option<Awaited>,
+    /// The number of node-IDs in use, for a master that hands them out in the order of finding.
+    pub handed_out: Option<u8>,
 }
 
 /// A command specifier, and the error code that stands for success if the answer has one.
@@ -59,7 +61,26 @@ const SERIAL_NUMBER: u32 = address(0).serial_number;
 
 impl Master {
     pub const fn new(bit_rate: BitRate) -> Self {
-        Self { bit_rate, task: Task::Idle, awaited: None }
+        Self { bit_rate, task: Task::Idle, awaited: None, handed_out: None }
+    }
+
+    /// The node-ID for the board: of the table, or the next one.
+    fn node_id(&self, board: usize) -> u8 {
+        self.handed_out.map_or(node_id(board), |count| node_id(count.into()))
+    }
+
+    /// Takes note that the next node-ID is in use.
+    fn hand_out(&mut self) {
+        self.handed_out = self.handed_out.map(|count| count + 1);
+    }
+
+    /// Receives a frame that is no LSS answer: a boot-up shows that a node-ID is in use.
+    pub fn hear(&mut self, frame: &Frame) {
+        if frame.cob_id() == nmt::ERROR_CONTROL_COB_ID + u16::from(self.node_id(0))
+            && self.handed_out.is_some()
+        {
+            self.hand_out();
+        }
     }
 
     /// The next frame and the answer to wait for.
@@ -90,7 +111,7 @@ impl Master {
             Task::Scan { step: 6, found } => scan(SERIAL_NUMBER + found, 0, 3, 3),
             Task::Scan { found, .. } => scan(SERIAL_NUMBER + found, 0, 3, 0),
             Task::Assign { board, step: 0 } => {
-                lss(&format!("11 {:02X}", node_id(board)), Some((0x11, Some(0))))
+                lss(&format!("11 {:02X}", self.node_id(board)), Some((0x11, Some(0))))
             }
             Task::Assign { .. } | Task::Switch { step: 3, .. } => lss("17", Some((0x17, Some(0)))),
             Task::Switch { step: 0, .. } => lss("04 01", None),
@@ -108,6 +129,9 @@ impl Master {
     /// Goes on after a frame that needs no answer, or a right answer.
     pub fn advance(&mut self) {
         self.awaited = None;
+        if let Task::Assign { step: 1, .. } = self.task {
+            self.hand_out();
+        }
         self.task = match self.task {
             Task::Select { board, step: 4 } => Task::Assign { board, step: 0 },
             Task::Select { board, step } => Task::Select { board, step: step + 1 },

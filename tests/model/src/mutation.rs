@@ -22,6 +22,9 @@ pub enum Mutation {
     IgnoresWaiting,
     /// The node takes a node-ID in LSS waiting state.
     TakesEveryNodeId,
+    /// The node forgets that it is selected, but not the node-ID that it was given: the supervision once did so after
+    /// three lone bit errors.
+    LeavesItsSession,
 }
 
 impl Mutation {

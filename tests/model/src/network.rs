@@ -76,7 +76,12 @@ impl Network {
                 && !running.messages.is_empty()
             {
                 let frame = running.messages.remove(0);
-                self.attempt(Station::Board(board), &frame, 0, None);
+                let rate = running.bit_rate;
+                if self.attempt(Station::Board(board), &frame, 0, None)
+                    && rate == self.master.bit_rate
+                {
+                    self.master.hear(&frame);
+                }
             }
         }
     }

@@ -34,6 +34,12 @@ fn the_properties_hold_with_three_boards_at_one_bit_rate() {
     hold_in(Scenario { has_switches: false, recover_every: 10, ..Scenario::new(3, 3, 1) });
 }
 
+#[test]
+fn the_properties_hold_with_node_ids_in_the_order_of_finding() {
+    let scenario = Scenario { is_in_order: true, has_switches: false, ..Scenario::new(2, 3, 0) };
+    hold_in_all_of(Scenario { recover_every: 50, ..scenario });
+}
+
 /// Checks every state.
 fn hold_in_all_of(scenario: Scenario) {
     let report = check(scenario, 10 * STATES);
@@ -98,6 +104,12 @@ fn a_node_that_stays_selected_is_found() {
 #[test]
 fn a_node_that_takes_the_node_id_of_others_is_found() {
     is_violated(OWN_NODE_ID, mutated(Mutation::TakesEveryNodeId, 2, 0));
+}
+
+#[test]
+fn a_node_that_keeps_the_node_id_of_a_session_that_it_leaves_is_found() {
+    let scenario = mutated(Mutation::LeavesItsSession, 2, 0);
+    is_violated(OWN_NODE_ID, Scenario { is_in_order: true, procedures: 3, ..scenario });
 }
 
 #[test]
