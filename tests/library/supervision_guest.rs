@@ -228,14 +228,14 @@ fn visitor() -> NodeRig {
 }
 
 #[test]
-fn a_visitor_listens_then_takes_part_for_two_frames_and_returns() {
+fn a_visitor_listens_then_takes_part_for_two_heartbeats_and_returns() {
     let mut board = visitor();
     board.pass_ms(60);
     let expected = [
         "49.44 ms 125 kbit/s",
         "49.44 ms resume",
         "49.44 ms 740: 7F",
-        "51.6 ms listen at 1000 kbit/s",
+        "50.72 ms listen at 1000 kbit/s",
     ];
     assert_eq!(board.timeline(), expected);
     assert_eq!(board.see(Received), ["740: 7F"], "a guest again");
@@ -282,7 +282,7 @@ fn a_visitor_that_is_heard_or_hears_stays_home() {
 #[test]
 fn a_visitor_that_hears_nothing_at_either_rate_stays_home() {
     let mut board = visitor();
-    board.pass_us(2_160 + 1_100_000 + 2 * TURN_US);
+    board.pass_us(1_280 + 1_100_000 + 2 * TURN_US);
     assert_eq!((board.bit_rate(), board.node.is_listening()), (BitRate::Kbit125, false));
     let mut board = visitor();
     board.see(HeldDominant);

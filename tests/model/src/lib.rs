@@ -11,7 +11,10 @@ pub mod recovery;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use lss_slave::{BitRate, BusEvent, lss::StoreError};
+use lss_slave::{
+    BitRate, BusEvent,
+    lss::{State, StoreError},
+};
 use stateright::{Model, Property};
 
 use board::{Board, RATES};
@@ -38,7 +41,7 @@ pub struct Scenario {
     /// A master waits for the end of a switch, even if it has just taken over.
     pub is_patient: bool,
     /// The master hands out node-IDs in the order of finding, instead of by a table of LSS addresses, and lone bit
-    /// errors come a second apart.
+    /// errors come a second apart while it configures a board.
     pub is_in_order: bool,
     /// A board may miss a frame that the others receive. On CAN only a receiver that is too slow does.
     pub has_overruns: bool,
@@ -227,7 +230,10 @@ impl Model for Scenario {
         let new = RATES.into_iter().filter(|rate| self.has_switches || *rate == RATES[0]);
         let differs = |rate: &BitRate| Master::new(*rate) != *master;
         events.extend(new.filter(differs).map(Event::TakeOver));
-        if self.is_in_order {
+        let mut running = network.boards.iter().filter_map(|board| board.running.as_ref());
+        if self.is_in_order
+            && running.any(|running| running.node.lss().state() == State::Configuration)
+        {
             events.push(Event::BitError);
         }
         for (number, board) in network.boards.iter().enumerate() {
