@@ -113,7 +113,7 @@ impl Board {
                 self.may_transmit = false;
             }
             Action::ResumeTransmitting => self.may_transmit = true,
-            Action::SetReceives => {}
+            Action::SetReceives | Action::DropPdos => {}
             Action::SetNodeId(id) => assert_eq!(id, self.node.node_id()),
             Action::Store(settings) => {
                 assert!(self.store.is_none(), "a store before the previous one has ended");

@@ -42,7 +42,9 @@ impl Board {
                 self.may_transmit = false;
             }
             Action::ResumeTransmitting => self.may_transmit = true,
-            Action::SetReceives => unreachable!("the node has no process data"),
+            Action::SetReceives | Action::DropPdos => {
+                unreachable!("the node has no process data")
+            }
             Action::SetNodeId(id) => assert_eq!(id, self.node.node_id()),
             Action::Store(_) => {
                 assert!(!self.is_storing, "a store before the previous one has ended");

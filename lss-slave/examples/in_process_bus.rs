@@ -41,6 +41,9 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
                 Action::Transmit(frame) => {
                     transmitted.send(frame).unwrap();
                     node.handle_bus(BusEvent::Acknowledged, now());
+                    if node.wants_to_send_more() {
+                        node.handle_bus(BusEvent::NonePending, now());
+                    }
                 }
                 Action::Store(_settings) => node.handle_stored(Ok(())),
                 other => println!("  {other:?}"),

@@ -4,6 +4,8 @@ use core::fmt;
 
 use embedded_can::{Id, StandardId};
 
+use crate::BitRate;
+
 /// A classical CAN data frame with an 11-bit identifier.
 ///
 /// It cannot hold remote frames, 29-bit identifiers and data length codes above 8. CANopen gives them no meaning for
@@ -63,6 +65,14 @@ impl Frame {
     /// Eight bytes that begin with the data, for a controller that takes all eight; the rest has no meaning.
     pub const fn padded_data(&self) -> [u8; 8] {
         self.data
+    }
+
+    /// The longest time that the frame takes on a bus at `rate`, in microseconds: with the most stuff bits, and the
+    /// three bits that follow it (ISO 11898-1).
+    pub(crate) const fn longest_micros(&self, rate: BitRate) -> u32 {
+        let stuffed = 34 + 8 * self.len as u32;
+        let bits = stuffed + (stuffed - 1) / 4 + 13;
+        (bits * 1000).div_ceil(rate.kbit_per_s() as u32)
     }
 
     /// The data of a frame that has all eight bytes, as every LSS and SDO frame does.

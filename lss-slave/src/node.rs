@@ -1,10 +1,12 @@
 //! The node, which joins LSS, bit rate control, NMT, SDO, emergency, storing and process data. Inputs are `handle_*`
 //! and `poll`; outputs are actions.
 
+mod agenda;
 mod bit_rate_control;
 mod nmt_slave;
 mod objects;
 mod parameters;
+mod periodic;
 mod process;
 mod product;
 mod receives;
@@ -24,10 +26,12 @@ use crate::{
     settings::parameters::{Packer, Parameter, Parameters},
     supervision::Step,
 };
+use agenda::{Agenda, Task, Tasks};
 use bit_rate_control::BitRateControl;
 use nmt_slave::NmtSlave;
 use objects::Parts;
 use parameters::{Change, Part};
+use periodic::{Periodic, Sender};
 use product::Product;
 pub use receives::Receives;
 use storing::Storing;
@@ -46,6 +50,9 @@ pub enum Action {
     SetNodeId(Option<NodeId>),
     /// Receive the COB-IDs that the node [`receives`](Node::receives): a master has changed one of process data.
     SetReceives,
+    /// Drop the pending PDOs, those frames whose COB-ID [`is_pdo`](Node::is_pdo): the node has left NMT operational. A
+    /// frame that is on the bus now may finish.
+    DropPdos,
     /// Start no frame from now on and drop the pending ones; keep receiving and acknowledging.
     StopTransmitting,
     /// Drop the pending frames and run the controller at this bit rate, leaving bus-off if necessary. After
@@ -95,16 +102,8 @@ pub struct Node<
     sdo: sdo::Server<A::SdoBuffer>,
     storing: Storing,
     product: Product<A, TPDOS, RPDOS, PRODUCERS>,
-    due: Due,
-}
-
-/// The time at which [`Node::poll`] has something to do.
-#[derive(Clone, Copy, Debug)]
-enum Due {
-    /// The latest input may have made something due.
-    Now,
-    At(Instant),
-    Never,
+    agenda: Agenda,
+    periodic: Periodic,
 }
 
 impl Node {
@@ -149,7 +148,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             emergency: Emergency::new(),
             sdo: sdo::Server::NEW,
             storing: Storing::new(persistent),
-            due: Due::Now,
+            agenda: Agenda::new(),
+            periodic: Periodic::Free,
         }
     }
 
@@ -160,14 +160,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// The application of the node, to be changed. [`poll`](Self::poll) must follow.
     pub const fn application_mut(&mut self) -> &mut A {
-        self.due = Due::Now;
+        self.note_values();
         &mut self.product.application
     }
 
-    /// Whether the node sends more frames than its board can queue, as in an SDO block upload. The next of them follow
-    /// [`BusEvent::NonePending`].
+    /// Whether frames of the node wait until those before them have left, as in an SDO block upload or after a heartbeat.
+    /// The next of them follow [`BusEvent::NonePending`].
     pub fn wants_to_send_more(&self) -> bool {
-        self.sdo.is_sending_block()
+        self.sdo.is_sending_block() || self.periodic.is_waiting()
     }
 
     /// The LSS slave of the node.
@@ -223,74 +223,114 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
     /// returns all other actions.
-    #[inline(never)] // Apart it takes 480 bytes less.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
-        if !self.bit_rate.is_settled() {
-            self.due = Due::Now;
-            if !self.bit_rate.handle_frame(frame, now) {
-                return None;
-            }
+        // A copy, so that a settled node has the frame in registers.
+        if !self.bit_rate.is_settled() && !self.admit(&{ *frame }, now) {
+            return None;
         }
-        match frame.cob_id() {
-            lss::REQUEST_COB_ID => return self.handle_lss(frame.eight_bytes()?, now),
-            nmt::COMMAND_COB_ID => {
-                self.nmt.handle(Command::from_frame(frame, self.node_id())?);
-                self.due = Due::Now;
-            }
-            id if Some(id) == self.sdo_request_cob_id() => {
-                let request = Message::from_bytes(*frame.eight_bytes()?);
-                self.sdo.handle(request, self.serves_sdo());
-                self.due = Due::Now;
-            }
-            _ => self.handle_process_data(frame, now),
+        if frame.cob_id() == lss::REQUEST_COB_ID {
+            return self.handle_lss(frame.eight_bytes()?, now);
         }
+        self.handle_other(frame, now);
         None
+    }
+
+    /// Passes a frame to the bit rate control, and returns whether it is served.
+    #[inline(never)] // A settled node does not call it.
+    fn admit(&mut self, frame: &Frame, now: Instant) -> bool {
+        self.agenda.add(Tasks::of(&[Task::BitRate]));
+        let is_served = self.bit_rate.handle_frame(frame, now);
+        is_served && (!self.bit_rate.is_switching() || frame.cob_id() != lss::REQUEST_COB_ID)
+    }
+
+    fn handle_other(&mut self, frame: &Frame, now: Instant) {
+        let cob_id = frame.cob_id();
+        if cob_id == nmt::COMMAND_COB_ID {
+            if let Some(command) = Command::from_frame(frame, self.node_id()) {
+                self.nmt.handle(command);
+                self.agenda.add(Tasks::of(&[Task::Command]));
+            }
+        } else if Some(cob_id) == self.sdo_request_cob_id() {
+            if let Some(request) = frame.eight_bytes() {
+                self.sdo.handle(Message::from_bytes(*request), self.serves_sdo());
+                self.agenda.add(Tasks::of(&[Task::Sdo]));
+            }
+        } else {
+            self.handle_process_data(frame, now);
+        }
     }
 
     /// Records a fault of the board, such as [`Fault::SettingsLost`], in the history 1003h and queues an emergency
     /// message.
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.faults.report(fault);
-        self.due = Due::Now;
+        self.agenda.add(Tasks::of(&[Task::Messages]));
     }
 
     /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
     /// [`BusEvent::BusOffRecovered`] is counted.
-    #[inline(never)] // It has several callers.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
-        if event == BusEvent::Acknowledged && self.is_at_ease() {
+        if self.bit_rate.is_settled() {
+            if event != BusEvent::Acknowledged || self.awaits_acknowledge() {
+                self.handle_event(event, now);
+            }
             return;
         }
-        self.due = Due::Now;
+        self.handle_event(event, now);
+        self.agenda.add(Tasks::of(&[Task::BitRate]));
         match event {
+            BusEvent::ErrorCounters { .. }
+            | BusEvent::NonePending
+            | BusEvent::Overrun
+            | BusEvent::BusOffRecovered => {}
+            _ => self.bit_rate.handle_bus(event, now),
+        }
+    }
+
+    fn awaits_acknowledge(&self) -> bool {
+        self.nmt.awaits_acknowledge() || self.emergency.awaits_acknowledge()
+    }
+
+    /// Handles an event for all but the bit rate.
+    #[inline(never)] // It has two callers.
+    fn handle_event(&mut self, event: BusEvent, now: Instant) {
+        let tasks: &[Task] = match event {
             BusEvent::ErrorCounters { transmit, receive } => {
                 let counters = ErrorCounters { transmit, receive };
                 self.emergency.faults.handle_error_counters(counters, self.bit_rate.is_listening());
-                return;
+                &[Task::Messages]
             }
             BusEvent::NonePending => {
                 self.sdo.note_sent();
-                return;
+                if self.periodic.note_none_pending(now) == Some(Sender::Heartbeat) {
+                    self.nmt.skip_heartbeats(now);
+                }
+                &[Task::Sdo, Task::Messages, Task::Pdos]
             }
-            BusEvent::Overrun => return self.emergency.faults.report(Fault::Overrun),
+            BusEvent::Overrun => {
+                self.emergency.faults.report(Fault::Overrun);
+                &[Task::Messages]
+            }
             BusEvent::BusOffRecovered => {
-                return self.emergency.faults.report(Fault::BusOffRecovered);
+                self.emergency.faults.report(Fault::BusOffRecovered);
+                &[Task::Messages]
             }
             BusEvent::Acknowledged => {
                 self.nmt.note_acknowledge();
                 self.emergency.note_acknowledge();
+                &[Task::Messages]
             }
             BusEvent::BusOff => {
                 self.nmt.handle_communication_error();
                 self.lock_lss();
+                &[Task::State]
             }
             BusEvent::Received | BusEvent::Error | BusEvent::FormError | BusEvent::HeldDominant => {
+                &[]
             }
-        }
-        if !self.bit_rate.is_settled() {
-            self.bit_rate.handle_bus(event, now);
-        }
+        };
+        self.agenda.add(Tasks::of(tasks));
     }
 
     /// Takes a stored parameter in place of the default, if the node has it with this data type and the value is within
@@ -333,17 +373,13 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             if outcome.is_ok() {
                 self.emergency.faults.end(Fault::SettingsLost);
             }
-            self.due = Due::Now;
+            self.agenda.add(Tasks::of(&[Task::Store, Task::Messages]));
         }
     }
 
     /// Whether [`poll`](Self::poll) may have something to do at `now`: a cheap check.
     pub const fn is_due(&self, now: Instant) -> bool {
-        match self.due {
-            Due::Now => true,
-            Due::At(instant) => instant.has_come(now),
-            Due::Never => false,
-        }
+        self.agenda.is_due(now)
     }
 
     /// Performs the next step that is due at `now`; returns `None` when nothing is due.
@@ -352,32 +388,66 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !self.is_due(now) {
             return None;
         }
-        // More may be due than has a deadline.
-        self.due = Due::Now;
-        let action = self.do_next(now);
-        if action.is_none() {
-            self.due = self.find_deadline().map_or(Due::Never, Due::At);
+        self.agenda.begin(now);
+        if !self.bit_rate.is_settled() {
+            self.agenda.add(Tasks::of(&[Task::BitRate]));
+        }
+        while let Some(task) = self.agenda.first() {
+            if let Some(action) = self.perform(task, now) {
+                return Some(action);
+            }
+        }
+        self.find_deadlines(now);
+        None
+    }
+
+    /// The latest time of the next [`poll`](Self::poll), if there is no other call before.
+    pub const fn poll_at(&self) -> Option<Instant> {
+        self.agenda.next_deadline()
+    }
+
+    /// Performs a step of a task. Without an action the task is over.
+    fn perform(&mut self, task: Task, now: Instant) -> Option<Action> {
+        let action = match task {
+            Task::BitRate => self.next_step(now),
+            Task::State => {
+                // In NMT stopped there are neither SDO transfers nor emergency messages.
+                self.agenda.add(Tasks::SENDING);
+                self.inform()
+            }
+            Task::Command => self.nmt.take_command().and_then(|command| self.carry_out(command)),
+            Task::Producers => {
+                self.watch_producers(now);
+                None
+            }
+            Task::Sdo => self.answer_sdo(now),
+            Task::Store => self.store_or_answer(),
+            Task::Messages => self.next_message(now),
+            Task::Pdos => self.next_pdo(now),
+        };
+        match action {
+            None => self.agenda.end(task),
+            Some(Action::Transmit(_)) if !self.bit_rate.is_settled() => {
+                self.bit_rate.note_sent(now)
+            }
+            Some(_) => {}
         }
         action
     }
 
-    /// The latest time of the next [`poll`](Self::poll), if there is no other call before.
-    pub fn poll_at(&self) -> Option<Instant> {
-        match self.due {
-            Due::Now => self.find_deadline(),
-            Due::At(instant) => Some(instant),
-            Due::Never => None,
-        }
-    }
-
-    fn do_next(&mut self, now: Instant) -> Option<Action> {
+    /// The next step of a switch or of the supervision. Without one, lets those tasks wait that a later one allows.
+    fn next_step(&mut self, now: Instant) -> Option<Action> {
         use bit_rate_control::Next::*;
         loop {
             let next = self.bit_rate.poll(now);
             self.follow_bit_rate();
-            self.inform_application();
+            // The NMT state is known.
+            let _ = self.inform();
             match next {
-                Some(StopTransmitting) => return Some(Action::StopTransmitting),
+                Some(StopTransmitting) => {
+                    self.periodic.note_dropped();
+                    return Some(Action::StopTransmitting);
+                }
                 Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
                 Some(EndSwitch) => {
                     self.nmt.restart_heartbeat(now);
@@ -389,47 +459,36 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                     self.product.process_data.note_resumed();
                     return Some(Action::ResumeTransmitting);
                 }
-                Some(KeepSilent) => return None,
+                Some(KeepSilent) => {
+                    self.agenda.hold(Tasks::AFTER_SWITCH);
+                    return None;
+                }
                 None => break,
             }
         }
-        if let Some(command) = self.nmt.take_command()
-            && let Some(action) = self.carry_out(command)
-        {
-            return Some(action);
-        }
-        self.watch_producers(now);
-        self.inform_application();
-        if !self.bit_rate.may_send() {
-            return None;
-        }
-        let action = match self.answer_sdo(now) {
-            None => self
-                .store_or_answer()
-                .or_else(|| self.next_message(now))
-                .or_else(|| self.next_pdo(now)),
-            action => action,
-        };
-        if let Some(Action::Transmit(_)) = action {
-            self.bit_rate.note_sent(now);
-        }
-        action
+        let may_send = self.bit_rate.may_send();
+        self.agenda.hold(if may_send { Tasks::NONE } else { Tasks::SENDING });
+        None
     }
 
     #[inline(never)] // It has two callers.
-    fn find_deadline(&self) -> Option<Instant> {
+    fn find_deadlines(&mut self, now: Instant) {
         let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
-        let heartbeat = self.nmt.poll_at().filter(|_| may_report);
-        let deadline = Instant::earliest(self.bit_rate.poll_at(), heartbeat);
-        let sdo =
-            self.sdo.poll_at::<Parts<'_, A, TPDOS, RPDOS, PRODUCERS>>().filter(|_| may_report);
-        Instant::earliest(Instant::earliest(deadline, sdo), self.process_data_at(may_report))
+        let Self { agenda, bit_rate, nmt, sdo, product, periodic, .. } = self;
+        agenda.find_deadlines(|task| match task {
+            Task::BitRate => bit_rate.poll_at(),
+            Task::Producers => {
+                product.process_data.producers_poll_at().filter(|_| !bit_rate.is_switching())
+            }
+            _ if !may_report => None,
+            Task::Sdo => sdo.poll_at::<Parts<'_, A, TPDOS, RPDOS, PRODUCERS>>(),
+            Task::Messages => periodic.postpone(nmt.poll_at()?, now),
+            Task::Pdos => product.process_data.poll_at(|at| periodic.postpone(at, now)),
+            Task::State | Task::Command | Task::Store => None,
+        });
     }
 
     fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
-        if self.bit_rate.is_switching() {
-            return None;
-        }
         match self.lss.handle(data)? {
             Reaction::Answer(answer) => {
                 if !self.bit_rate.is_settled() {
@@ -440,19 +499,18 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Reaction::ActivateBitTiming(delay_ms) => {
                 self.bit_rate.switch(delay_ms, now);
                 self.end_sdo();
+                self.agenda.add(Tasks::of(&[Task::BitRate]));
             }
-            Reaction::StoreConfiguration => self.storing.request_by_lss(),
-            Reaction::ResetCommunication => self.nmt.handle(Command::ResetCommunication),
+            Reaction::StoreConfiguration => {
+                self.storing.request_by_lss();
+                self.agenda.add(Tasks::of(&[Task::Store]));
+            }
+            Reaction::ResetCommunication => {
+                self.nmt.handle(Command::ResetCommunication);
+                self.agenda.add(Tasks::of(&[Task::Command]));
+            }
         }
-        self.due = Due::Now;
         None
-    }
-
-    /// Whether an acknowledge makes no difference.
-    fn is_at_ease(&self) -> bool {
-        self.bit_rate.is_settled()
-            && !self.nmt.awaits_acknowledge()
-            && !self.emergency.awaits_acknowledge()
     }
 
     fn activate_bit_rate(&mut self, silent_until: Instant) {
@@ -485,6 +543,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.end_sdo_transfer();
         self.emergency.note_dropped();
         self.nmt.note_dropped();
+        self.periodic.note_dropped();
         match step {
             Step::TakePart(rate) => Action::SetBitRate(rate),
             Step::Listen(rate) => {
@@ -508,6 +567,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         };
         self.nmt.enter(state);
         self.lock_lss();
+        self.agenda.add(Tasks::of(&[Task::State]));
         None
     }
 
@@ -516,7 +576,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let error_behaviour = self.product.process_data.error_behaviour::<A>();
         self.nmt.reset_communication(self.storing.persistent().heartbeat_ms, error_behaviour);
         self.product.process_data.reset();
+        self.periodic.note_dropped();
         self.end_sdo();
+        self.agenda.add(Tasks::ALL);
         Action::SetNodeId(self.node_id())
     }
 
@@ -554,8 +616,11 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             application: &mut self.product.application,
             now,
         };
-        let answer = self.sdo.poll(&mut objects, now)?;
-        self.transmit_by_sdo(answer)
+        let answer = self.sdo.poll(&mut objects, now);
+        // A write may concern any of them.
+        self.agenda.add(Tasks::of(&[Task::Producers, Task::Store, Task::Messages]));
+        self.note_values();
+        self.transmit_by_sdo(answer?)
     }
 
     fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
@@ -618,10 +683,27 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Returns the next boot-up, emergency message or heartbeat.
     fn next_message(&mut self, now: Instant) -> Option<Action> {
         let node = self.node_id()?;
-        let frame = self.nmt.next_boot_up(node, now).or_else(|| {
-            let emergency = self.nmt.allows_emergencies().then(|| self.emergency.next(node));
-            emergency.flatten().or_else(|| self.nmt.next_heartbeat(node, now))
-        });
-        frame.map(Action::Transmit)
+        if let Some(boot_up) = self.nmt.next_boot_up(node, now) {
+            self.agenda.add(Tasks::of(&[Task::State, Task::Sdo]));
+            return Some(Action::Transmit(boot_up));
+        }
+        if self.nmt.allows_emergencies()
+            && let Some(emergency) = self.emergency.next(node)
+        {
+            return Some(Action::Transmit(emergency));
+        }
+        let due_since = self.nmt.heartbeat_due_since(now)?;
+        let tpdo = self.product.process_data.first_timed_out(now);
+        if !self.periodic.is_free(now) || tpdo.is_some_and(|(_, at)| !due_since.has_come(at)) {
+            return None;
+        }
+        let heartbeat = self.nmt.next_heartbeat(node, now);
+        self.note_periodic(Sender::Heartbeat, &heartbeat, now);
+        Some(Action::Transmit(heartbeat))
+    }
+
+    /// Records a frame of a periodic service.
+    fn note_periodic(&mut self, sender: Sender, frame: &Frame, now: Instant) {
+        self.periodic.note_sent(sender, frame.longest_micros(self.bit_rate()), now);
     }
 }

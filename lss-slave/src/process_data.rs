@@ -37,6 +37,8 @@ use tpdo::Transmission;
 
 /// The most TPDOs, and the most RPDOs, of a node: those with a COB-ID in the predefined connection set (CiA 301).
 pub const MAX_PDOS: usize = 4;
+/// The sub-index of the inhibit time in the communication parameter of a TPDO (CiA 301, 7.5.2.37).
+const INHIBIT_TIME: u8 = 3;
 /// The most heartbeat producers that a node watches.
 pub const MAX_PRODUCERS: usize = 16;
 
@@ -48,6 +50,12 @@ pub(crate) struct ProcessData<const TPDOS: usize, const RPDOS: usize, const PROD
     /// What the store in progress makes persistent, if that changes.
     staged: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
     tpdos: [Transmission; TPDOS],
+    /// The TPDOs in use whose type is synchronous.
+    synchronous: Tpdos,
+    /// The other TPDOs in use.
+    event_driven: Tpdos,
+    /// The synchronous TPDOs that a SYNC has asked for, and the others that may have news.
+    due: Tpdos,
     rpdos: [Reception; RPDOS],
     watches: [Watch; PRODUCERS],
     /// The latest SYNC had a wrong length.
@@ -71,8 +79,11 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             current: Self::declared::<A>(),
             persistent: Self::declared::<A>(),
             staged: None,
-            tpdos: [Transmission::NEW; TPDOS],
-            rpdos: [Reception::NEW; RPDOS],
+            tpdos: [Transmission::UNUSED; TPDOS],
+            synchronous: Tpdos::NONE,
+            event_driven: Tpdos::NONE,
+            due: Tpdos::NONE,
+            rpdos: [Reception::UNUSED; RPDOS],
             watches: [Watch::Waiting; PRODUCERS],
             is_sync_wrong: false,
             is_running: false,
@@ -120,16 +131,45 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     pub fn reset(&mut self) {
         if Self::IS_USED {
             self.current = self.persistent;
-            self.restart_pdos();
+            self.stop_pdos();
             self.watches.fill(Watch::Waiting);
             (self.is_sync_wrong, self.is_running, self.has_new_receives) = (false, false, false);
         }
     }
 
-    /// Makes all TPDOs due, and forgets the RPDOs received until now.
-    fn restart_pdos(&mut self) {
-        self.tpdos.fill(Transmission::NEW);
-        self.rpdos.fill(Reception::NEW);
+    fn stop_pdos(&mut self) {
+        (self.synchronous, self.event_driven, self.due) = (Tpdos::NONE, Tpdos::NONE, Tpdos::NONE);
+        self.tpdos.fill(Transmission::UNUSED);
+        self.rpdos.fill(Reception::UNUSED);
+    }
+
+    /// Makes the parameters of a TPDO effective, and the TPDO due.
+    fn start_tpdo(&mut self, at: usize, node: Option<NodeId>) {
+        let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at)) else {
+            return;
+        };
+        for set in [&mut self.synchronous, &mut self.event_driven, &mut self.due] {
+            set.remove(at);
+        }
+        let cob_id = pdo.cob_id.active(base(Direction::Transmit, at), node);
+        let Some(cob_id) = cob_id.filter(|_| self.is_running && !pdo.mapping.is_empty()) else {
+            return;
+        };
+        *tpdo = tpdo.renewed(cob_id);
+        if pdo.transmission_type <= 240 {
+            self.synchronous.add(at);
+        } else {
+            self.event_driven.add(at);
+            self.due.add(at);
+        }
+    }
+
+    /// Makes the parameters of an RPDO effective, and forgets what it has received.
+    fn start_rpdo(&mut self, at: usize, node: Option<NodeId>) {
+        let cob_id = self.rpdo_cob_id(at, node).filter(|_| self.is_running);
+        if let Some(rpdo) = self.rpdos.get_mut(at) {
+            *rpdo = Reception::new(cob_id);
+        }
     }
 
     /// The COB-ID of SYNC, if there are PDOs.
@@ -152,17 +192,28 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         Self::IS_USED && mem::take(&mut self.has_new_receives)
     }
 
-    /// Follows the NMT state: PDOs live in NMT operational.
-    pub fn follow(&mut self, state: nmt::State) {
+    /// Follows the NMT state: PDOs live in NMT operational. Returns whether this state has ended.
+    pub fn follow(&mut self, state: nmt::State, node: Option<NodeId>) -> bool {
         let is_running = state == nmt::State::Operational;
-        if Self::HAS_PDOS && mem::replace(&mut self.is_running, is_running) != is_running {
-            self.restart_pdos();
+        let was_running = mem::replace(&mut self.is_running, is_running);
+        if !Self::HAS_PDOS || is_running == was_running {
+            return false;
         }
+        self.stop_pdos();
+        (0..TPDOS).for_each(|at| self.start_tpdo(at, node));
+        (0..RPDOS).for_each(|at| self.start_rpdo(at, node));
+        was_running
     }
 
     /// Makes all event-driven TPDOs due, since frames may have been dropped.
     pub fn note_resumed(&mut self) {
-        self.tpdos.fill(Transmission::NEW);
+        self.tpdos.iter_mut().for_each(Transmission::restart);
+        self.due = self.event_driven;
+    }
+
+    /// Records that values of the application may have changed.
+    pub const fn note_values(&mut self) {
+        self.due.add_all(self.event_driven);
     }
 
     /// Grants all producers a new period, since nobody has sent heartbeats during a switch of the bit rate.
@@ -176,7 +227,6 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     pub fn handle_frame<A: Application>(
         &mut self,
         frame: &Frame,
-        node: NodeId,
         application: &mut A,
         errors: &mut Errors<'_>,
         now: Instant,
@@ -185,7 +235,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             if frame.cob_id() == self.current.sync.cob_id() {
                 return self.handle_sync(frame, application, errors);
             }
-            self.handle_pdo(frame, node, application, errors);
+            self.handle_pdo(frame, application, errors);
         }
         for (watch, producer) in self.watches.iter_mut().zip(&self.current.producers) {
             if let Some(event) = watch.handle(producer, frame, now) {
@@ -197,15 +247,13 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     fn handle_pdo<A: Application>(
         &mut self,
         frame: &Frame,
-        node: NodeId,
         application: &mut A,
         errors: &mut Errors<'_>,
     ) {
-        for (at, (rpdo, pdo)) in self.rpdos.iter_mut().zip(&self.current.rpdos).enumerate() {
-            if pdo.cob_id.active(base(Direction::Receive, at), Some(node)) != Some(frame.cob_id()) {
+        for (number, (rpdo, pdo)) in (1..).zip(self.rpdos.iter_mut().zip(&self.current.rpdos)) {
+            if !rpdo.receives(frame.cob_id()) {
                 continue;
             }
-            let number = at as u8 + 1;
             if let Some(code) = rpdo.check_length(pdo, frame) {
                 errors.report(code, COMMUNICATION, [number, 0, 0, 0, 0]);
             }
@@ -230,14 +278,18 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             }
             return;
         };
-        for (at, (rpdo, pdo)) in self.rpdos.iter_mut().zip(&self.current.rpdos).enumerate() {
+        for (number, (rpdo, pdo)) in (1..).zip(self.rpdos.iter_mut().zip(&self.current.rpdos)) {
             if rpdo.handle_sync(pdo, application) {
-                application.handle(Event::Received(at as u8 + 1));
+                application.handle(Event::Received(number));
             }
         }
         application.handle(Event::Sync);
-        for (tpdo, pdo) in self.tpdos.iter_mut().zip(&self.current.tpdos) {
-            tpdo.handle_sync(pdo, counter);
+        for at in self.synchronous {
+            if let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at))
+                && tpdo.handle_sync(pdo, counter)
+            {
+                self.due.add(at);
+            }
         }
     }
 
@@ -267,27 +319,60 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         }
     }
 
-    /// The next TPDO to send at `now`.
+    /// The next TPDO to send at `now`, and whether only its event timer asks for it; `may_be_timed` says whether one may
+    /// be sent for that.
     pub fn next_frame<A: Application>(
         &mut self,
-        node: NodeId,
         application: &A,
+        may_be_timed: bool,
         now: Instant,
-    ) -> Option<Frame> {
-        if !self.is_running {
-            return None;
+    ) -> Option<(Frame, bool)> {
+        let mut timed_out = None;
+        if !self.event_driven.is_empty() {
+            for at in self.event_driven {
+                if self.tpdos.get_mut(at).is_some_and(|tpdo| tpdo.ends_inhibit_time(now)) {
+                    self.due.add(at);
+                }
+            }
+            timed_out = self.first_timed_out(now).filter(|_| may_be_timed).map(|(at, _)| at);
+            if let Some(at) = timed_out {
+                self.due.add(at);
+            }
         }
-        let mut tpdos = self.tpdos.iter_mut().zip(&self.current.tpdos).enumerate();
-        tpdos.find_map(|(at, (tpdo, pdo))| {
-            let cob_id = pdo.cob_id.active(base(Direction::Transmit, at), Some(node))?;
-            tpdo.poll(pdo, cob_id, application, now)
-        })
+        while let Some(at) = self.due.take_first() {
+            let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at))
+            else {
+                continue;
+            };
+            let sent = if pdo.transmission_type <= 240 {
+                tpdo.answer_sync(pdo, application).map(|frame| (frame, false))
+            } else {
+                tpdo.poll(pdo, application, timed_out == Some(at), now)
+            };
+            if sent.is_some() {
+                return sent;
+            }
+        }
+        None
     }
 
-    /// The time at which [`next_frame`](Self::next_frame) has something to do.
-    pub fn poll_at(&self) -> Option<Instant> {
-        let tpdos = self.tpdos.iter().zip(&self.current.tpdos).filter(|_| self.is_running);
-        tpdos.filter_map(|(tpdo, pdo)| tpdo.poll_at(pdo)).reduce(Instant::earlier)
+    /// The TPDO whose event timer has been over for the longest time, with its end.
+    pub fn first_timed_out(&self, now: Instant) -> Option<(usize, Instant)> {
+        let timed_out = self.event_driven.into_iter().filter_map(|at| {
+            let end = self.tpdos.get(at)?.is_timed_out(self.current.tpdos.get(at)?, now)?;
+            Some((at, end))
+        });
+        timed_out.reduce(|first, other| if first.1.has_come(other.1) { first } else { other })
+    }
+
+    /// The time at which [`next_frame`](Self::next_frame) has something to do; `postpone` says when a TPDO may be sent
+    /// whose event timer is over.
+    pub fn poll_at(&self, postpone: impl Fn(Instant) -> Option<Instant>) -> Option<Instant> {
+        let at = |at| {
+            let tpdo: &Transmission = self.tpdos.get(at)?;
+            tpdo.inhibited_until().or_else(|| postpone(tpdo.event_at()?))
+        };
+        self.event_driven.into_iter().filter_map(at).reduce(Instant::earlier)
     }
 
     /// The time at which [`next_lost`](Self::next_lost) has something to do.
@@ -380,19 +465,64 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         pdo.set_parameter(sub_index, value, base(direction, at), node)?;
         match direction {
             Receive => {
-                if let Some(rpdo) = self.rpdos.get_mut(at) {
-                    *rpdo = Reception::NEW;
-                }
+                self.start_rpdo(at, node);
                 self.has_new_receives = true;
             }
-            // It is due then, and its times begin again.
             Transmit => {
-                if let Some(tpdo) = self.tpdos.get_mut(at) {
-                    *tpdo = Transmission::NEW;
+                if sub_index == INHIBIT_TIME
+                    && let Some(tpdo) = self.tpdos.get_mut(at)
+                {
+                    tpdo.end_inhibit_time();
                 }
+                self.start_tpdo(at, node);
             }
         }
         Ok(())
+    }
+}
+
+/// A set of TPDOs.
+#[derive(Clone, Copy, Debug)]
+struct Tpdos(u8);
+
+impl Tpdos {
+    const NONE: Self = Self(0);
+
+    const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    const fn bit(at: usize) -> u8 {
+        1 << (at % MAX_PDOS)
+    }
+
+    const fn add(&mut self, at: usize) {
+        self.0 |= Self::bit(at);
+    }
+
+    const fn add_all(&mut self, others: Self) {
+        self.0 |= others.0;
+    }
+
+    const fn remove(&mut self, at: usize) {
+        self.0 &= !Self::bit(at);
+    }
+
+    const fn take_first(&mut self) -> Option<usize> {
+        if self.is_empty() {
+            return None;
+        }
+        let at = self.0.trailing_zeros() as usize;
+        self.remove(at);
+        Some(at)
+    }
+}
+
+impl Iterator for Tpdos {
+    type Item = usize;
+
+    fn next(&mut self) -> Option<usize> {
+        self.take_first()
     }
 }
 

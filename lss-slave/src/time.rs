@@ -46,6 +46,18 @@ impl Instant {
         }
     }
 
+    /// The later of two instants.
+    pub(crate) const fn later(self, other: Self) -> Self {
+        if self.has_come(other) { other } else { self }
+    }
+
+    /// Whether this instant is after `now`, by at most `micros`. A deadline that nobody has looked at for half a turn of
+    /// the count would otherwise lie in the future again.
+    pub(crate) const fn is_ahead(self, now: Self, micros: u32) -> bool {
+        let ahead = self.micros_after(now);
+        0 < ahead && ahead <= micros
+    }
+
     /// Whether this instant is at or before `now`.
     pub const fn has_come(self, now: Self) -> bool {
         self.micros_after(now) == 0

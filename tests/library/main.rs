@@ -29,6 +29,7 @@ mod object_dictionary;
 mod parameters;
 mod parameters_log;
 mod parameters_power_cut;
+mod periodic_services;
 mod process_data;
 mod process_data_random;
 mod process_data_receive;

@@ -46,6 +46,33 @@ fn pdos_are_sent_in_operational_only() {
 }
 
 #[test]
+fn the_end_of_operational_drops_the_pdos_that_wait() {
+    for end in ["80 40", "02 40", "80 00"] {
+        let mut board = operational();
+        board.take_actions();
+        board.nmt(end);
+        assert_eq!(board.take_actions(), [Action::DropPdos], "{end}");
+        board.nmt(end);
+        assert_eq!(board.take_actions(), [], "they have been dropped");
+    }
+    let mut board = operational();
+    board.take_actions();
+    board.see(BusEvent::BusOff);
+    assert_eq!(board.take_actions(), [Action::DropPdos]);
+}
+
+#[test]
+fn the_frames_of_all_other_services_are_no_pdos() {
+    let board = operational();
+    for cob_id in [0x0C0, 0x5C0, 0x740, 0x7E4] {
+        assert!(!board.node.is_pdo(cob_id), "{cob_id:03X}");
+    }
+    for cob_id in [0x0C1, 0x1C0, 0x2C0, 0x57F, 0x580, 0x6DF, 0x700] {
+        assert!(board.node.is_pdo(cob_id), "{cob_id:03X}");
+    }
+}
+
+#[test]
 fn an_acknowledge_amid_the_calls_of_poll_leaves_no_tpdo_out() {
     let mut board = operational();
     for request in ["04 01", "13 00 00", "15 0A 00"] {
@@ -89,6 +116,43 @@ fn a_change_that_is_taken_back_within_the_inhibit_time_is_not_sent() {
     assert_eq!(change(&mut board, |machine| machine.buttons = 1), SILENCE);
     assert_eq!(change(&mut board, |machine| machine.buttons = 0), SILENCE);
     assert_eq!(board.pass_ms(1_000), SILENCE);
+}
+
+#[test]
+fn parameters_that_are_written_leave_the_inhibit_time() {
+    let writes = [
+        &[(2, 254, 1)][..],
+        &[(5, 50, 2)],
+        &[(1, 0x1C0, 4)],
+        &[(1, 0x8000_01C0, 4), (1, 0x1C0, 4)],
+    ];
+    for writes in writes {
+        let mut board = inhibited_for_10_ms();
+        board.pass_ms(20);
+        assert_eq!(change(&mut board, |machine| machine.buttons = 1), ["1C0: 01 00 00"]);
+        board.pass_ms(4);
+        board.take_actions();
+        for (sub_index, value, size) in writes {
+            set(&mut board, 0x1800, *sub_index, *value, *size);
+        }
+        let is_pdo =
+            |action: &Action| matches!(action, Action::Transmit(frame) if frame.cob_id() == 0x1C0);
+        assert!(!board.actions().any(|action| is_pdo(&action)), "{writes:X?}");
+        assert_eq!(board.pass_us(5_999), SILENCE, "{writes:X?}");
+        assert_eq!(board.pass_us(1), ["1C0: 01 00 00"], "{writes:X?}");
+    }
+}
+
+#[test]
+fn a_new_inhibit_time_counts_from_the_next_pdo_on() {
+    let mut board = inhibited_for_10_ms();
+    for (sub_index, value, size) in [(1, 0x8000_01C0, 4), (3, 200, 2)] {
+        set(&mut board, 0x1800, sub_index, value, size);
+    }
+    assert_eq!(board.sdo("23 00 18 01 C0 01 00 00").0.len(), 2, "the answer and the PDO");
+    assert_eq!(change(&mut board, |machine| machine.buttons = 1), SILENCE);
+    assert_eq!(board.pass_us(19_999), SILENCE);
+    assert_eq!(board.pass_us(1), ["1C0: 01 00 00"]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use lss_slave::{
     BitRate, BitRates,
-    BusEvent::{self, Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
+    BusEvent::{self, Acknowledged, BusOff, Error, FormError, HeldDominant, NonePending, Received},
     Frame, Instant, NodeId, lss,
 };
 use testkit::{
@@ -80,7 +80,7 @@ fn a_node_without_supervision_never_looks_elsewhere_nor_pauses() {
     board.is_acknowledged = false;
     board.power_cycle();
     for _ in 0..1_000 {
-        for event in [BusOff, Error, FormError, Error] {
+        for event in [NonePending, BusOff, Error, FormError, Error] {
             board.see(event);
         }
         assert_eq!(board.pass_ms(100), ["740: 7F"]);

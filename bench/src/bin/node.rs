@@ -44,7 +44,6 @@ extern "C" fn receive() {
     if node.is_due(now) {
         act_until_nothing_is_due(node, now);
     }
-    TIMER.write(node.poll_at().map_or(0, |deadline| deadline.as_micros() | 1));
 }
 
 #[inline(never)]
@@ -52,6 +51,7 @@ fn act_until_nothing_is_due(node: &mut Node, now: Instant) {
     while let Some(action) = node.poll(now) {
         act(node, action);
     }
+    TIMER.write(node.poll_at().map_or(0, |deadline| deadline.as_micros() | 1));
 }
 
 #[inline(always)]

@@ -1,11 +1,17 @@
 //! Process data, heartbeat consumer and errors of the application, as parts of the node.
 
-use super::{Action, Due, Node};
+use super::{
+    Action, Node,
+    agenda::{Task, Tasks},
+    periodic::Sender,
+};
 use crate::{
     Application, Device, Frame, Instant,
     application::Event,
+    emergency, lss, nmt,
     object_dictionary::{self, DefaultValue, Description, Entry, Object, TABLE},
     process_data::ProcessData,
+    sdo,
 };
 
 impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
@@ -25,7 +31,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
         if code != 0 && Self::HAS_APPLICATION {
             self.emergency.errors().report(code, register, information);
-            self.due = Due::Now;
+            self.agenda.add(Tasks::of(&[Task::Messages]));
         }
     }
 
@@ -34,7 +40,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub fn end_report(&mut self, code: u16) {
         if Self::HAS_APPLICATION {
             self.emergency.errors().end(code);
-            self.due = Due::Now;
+            self.agenda.add(Tasks::of(&[Task::Messages]));
         }
     }
 
@@ -56,27 +62,45 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
-        if !Self::HAS_PROCESS_DATA || self.bit_rate.is_switching() {
+        let is_served = self.node_id().is_some() && !self.bit_rate.is_switching();
+        if !Self::HAS_PROCESS_DATA || !is_served {
             return;
         }
-        let Some(node) = self.node_id() else {
-            return;
-        };
         let mut errors = self.emergency.errors();
         self.product.process_data.handle_frame(
             frame,
-            node,
             &mut self.product.application,
             &mut errors,
             now,
         );
-        self.due = Due::Now;
+        if PRODUCERS > 0 || !errors.is_empty() {
+            self.agenda.add(Tasks::of(&[Task::Producers, Task::Messages]));
+        }
+        self.note_values();
     }
 
-    pub(super) fn inform_application(&mut self) {
-        if Self::HAS_APPLICATION {
-            self.product.inform(self.nmt_state(), self.bit_rate());
+    /// Records that values of the application may have changed.
+    pub(super) const fn note_values(&mut self) {
+        if Self::HAS_PROCESS_DATA {
+            self.product.process_data.note_values();
+            self.agenda.add(Tasks::of(&[Task::Pdos]));
         }
+    }
+
+    /// Informs the application and process data of a new NMT state and bit rate.
+    pub(super) fn inform(&mut self) -> Option<Action> {
+        if !Self::HAS_APPLICATION {
+            return None;
+        }
+        let (state, rate, node) = (self.nmt_state(), self.bit_rate(), self.node_id());
+        let has_left_operational = self.product.inform(state, rate, node);
+        self.agenda.add(Tasks::of(&[Task::Producers]));
+        self.note_values();
+        if !has_left_operational || TPDOS == 0 {
+            return None;
+        }
+        self.periodic.note_pdos_dropped();
+        Some(Action::DropPdos)
     }
 
     /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
@@ -89,8 +113,13 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             is_any_lost = true;
         }
         self.product.process_data.end_errors(&mut errors);
+        if !errors.is_empty() {
+            self.agenda.add(Tasks::of(&[Task::Messages]));
+        }
         if is_any_lost {
             self.lock_lss();
+            self.agenda.add(Tasks::of(&[Task::State, Task::Messages]));
+            self.note_values();
         }
     }
 
@@ -99,24 +128,24 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !Self::HAS_PROCESS_DATA {
             return None;
         }
-        if self.product.process_data.take_new_receives() {
+        let Self { product, periodic, .. } = self;
+        if product.process_data.take_new_receives() {
             return Some(Action::SetReceives);
         }
-        let frame = self.product.process_data.next_frame(
-            self.node_id()?,
-            &self.product.application,
-            now,
-        )?;
+        let may_be_timed = periodic.is_free(now);
+        let (frame, is_timed) =
+            product.process_data.next_frame(&product.application, may_be_timed, now)?;
+        if is_timed {
+            self.note_periodic(Sender::Tpdo, &frame, now);
+        }
         Some(Action::Transmit(frame))
     }
 
-    /// The next deadline of process data; `may_send` says whether frames may be sent.
-    pub(super) fn process_data_at(&self, may_send: bool) -> Option<Instant> {
-        if !Self::HAS_PROCESS_DATA {
-            return None;
-        }
-        let tpdos = self.product.process_data.poll_at().filter(|_| may_send);
-        let producers = self.product.process_data.producers_poll_at();
-        Instant::earliest(tpdos, producers.filter(|_| !self.bit_rate.is_switching()))
+    /// Whether a frame of this COB-ID that the node has sent is a PDO.
+    pub fn is_pdo(&self, cob_id: u16) -> bool {
+        let services = [emergency::COB_ID, sdo::RESPONSE_COB_ID, nmt::ERROR_CONTROL_COB_ID];
+        let is_of =
+            |base: u16| self.node_id().is_some_and(|node| cob_id == base + u16::from(node.get()));
+        Self::HAS_TPDOS && cob_id != lss::RESPONSE_COB_ID && !services.into_iter().any(is_of)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::parameters::Part;
 use crate::{
-    Application, BitRate, Device,
+    Application, BitRate, Device, NodeId,
     application::Event,
     nmt,
     process_data::ProcessData,
@@ -27,17 +27,20 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         Self { device, application, process_data: ProcessData::new::<A>(), known }
     }
 
-    /// Informs the application and process data of the NMT state and the bit rate, if they are new.
-    pub fn inform(&mut self, state: nmt::State, rate: BitRate) {
+    /// Informs the application and process data of the NMT state and the bit rate, if they are new. Returns whether PDOs
+    /// must no longer be sent.
+    pub fn inform(&mut self, state: nmt::State, rate: BitRate, node: Option<NodeId>) -> bool {
         let (known_state, known_rate) = self.known;
         self.known = (state, rate);
         if rate != known_rate {
             self.application.handle(Event::BitRate(rate));
         }
-        if state != known_state {
-            self.process_data.follow(state);
-            self.application.handle(Event::Nmt(state));
+        if state == known_state {
+            return false;
         }
+        let has_left_operational = self.process_data.follow(state, node);
+        self.application.handle(Event::Nmt(state));
+        has_left_operational
     }
 
     /// Takes a stored parameter in place of the default; returns whether it was taken.

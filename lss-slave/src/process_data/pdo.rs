@@ -30,6 +30,10 @@ impl Pdo {
         sync_start_value: 0,
     };
 
+    pub const fn event_timer_micros(&self) -> u32 {
+        self.event_timer_ms as u32 * 1000
+    }
+
     /// The number of parameters that are stored before the mapping.
     pub const fn stored_parameters(direction: Direction) -> usize {
         match direction {

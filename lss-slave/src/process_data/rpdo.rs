@@ -8,9 +8,11 @@ pub(super) const TOO_SHORT: u16 = 0x8210;
 /// Error code of a PDO that is longer than its mapping; its first bytes are used (CiA 301, table 26).
 pub(super) const TOO_LONG: u16 = 0x8220;
 
-/// The state of an RPDO.
+/// The state of an RPDO in NMT operational.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reception {
+    /// `None`: it is not in use.
+    cob_id: Option<u16>,
     /// The error code for the length of the latest frame.
     fault: Option<u16>,
     /// The data that waits for the next SYNC.
@@ -18,8 +20,18 @@ pub(super) struct Reception {
 }
 
 impl Reception {
-    /// An RPDO of which nothing was received.
-    pub const NEW: Self = Self { fault: None, waiting: None };
+    /// An RPDO that is not in use.
+    pub const UNUSED: Self = Self { cob_id: None, fault: None, waiting: None };
+
+    /// An RPDO of which nothing was received. Without a COB-ID it is not in use.
+    pub const fn new(cob_id: Option<u16>) -> Self {
+        Self { cob_id, ..Self::UNUSED }
+    }
+
+    /// Whether frames of this COB-ID are for the RPDO.
+    pub fn receives(&self, cob_id: u16) -> bool {
+        self.cob_id == Some(cob_id)
+    }
 
     /// The error code for the length of the latest frame.
     pub const fn fault(&self) -> Option<u16> {

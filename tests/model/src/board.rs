@@ -354,7 +354,7 @@ impl Board {
                 self.power_on();
             }
             Action::SetNodeId(_) => running.messages.clear(),
-            Action::SetReceives => {}
+            Action::SetReceives | Action::DropPdos => {}
         }
     }
 }

@@ -1,0 +1,80 @@
+//! The limit of the node's periodic services, the heartbeat and the event timers of TPDOs: one frame of them waits at a
+//! time, and half of the bus is left to others.
+
+use crate::Instant;
+
+/// The place that the periodic services share. Times that are too short for the bus would otherwise keep LSS off it,
+/// whose frames have the lowest priority.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Periodic {
+    Free,
+    /// A frame waits for the bus, or is on it. It was sent to the board at this time and takes at most `micros`.
+    Waiting {
+        sender: Sender,
+        since: Instant,
+        micros: u32,
+    },
+    /// The bus is left to others for at most `micros`.
+    Resting {
+        until: Instant,
+        micros: u32,
+    },
+}
+
+/// The service that a frame belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Sender {
+    Heartbeat,
+    Tpdo,
+}
+
+impl Periodic {
+    /// Records a frame that takes at most `micros`.
+    pub const fn note_sent(&mut self, sender: Sender, micros: u32, now: Instant) {
+        *self = Self::Waiting { sender, since: now, micros };
+    }
+
+    /// Whether a frame waits.
+    pub const fn is_waiting(&self) -> bool {
+        matches!(self, Self::Waiting { .. })
+    }
+
+    /// Records that no frame of the node waits for the bus; returns whose frame has left.
+    pub const fn note_none_pending(&mut self, now: Instant) -> Option<Sender> {
+        let Self::Waiting { sender, since, micros } = *self else {
+            return None;
+        };
+        // The board may have taken less time than the longest frame.
+        let until = since.plus_micros(micros).later(now).plus_micros(micros);
+        *self = Self::Resting { until, micros };
+        Some(sender)
+    }
+
+    /// Records that the board has dropped all frames.
+    pub const fn note_dropped(&mut self) {
+        *self = Self::Free;
+    }
+
+    /// Records that the board has dropped the PDOs.
+    pub fn note_pdos_dropped(&mut self) {
+        if let Self::Waiting { sender: Sender::Tpdo, .. } = self {
+            *self = Self::Free;
+        }
+    }
+
+    /// Whether a service may send at `now`.
+    pub fn is_free(&self, now: Instant) -> bool {
+        self.postpone(now, now) == Some(now)
+    }
+
+    /// The time at which a service that is due at `due` may send; `None` while a frame waits.
+    pub const fn postpone(&self, due: Instant, now: Instant) -> Option<Instant> {
+        match *self {
+            Self::Waiting { .. } => None,
+            Self::Resting { until, micros } if until.is_ahead(now, micros.saturating_mul(2)) => {
+                Some(until.later(due))
+            }
+            Self::Free | Self::Resting { .. } => Some(due),
+        }
+    }
+}
