@@ -109,6 +109,11 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
 
     /// Handles a change of the controller's error state, or an error on the bus.
     pub fn handle_status(&mut self) {
+        self.check_status();
+        Task::STATUS.answer();
+    }
+
+    fn check_status(&mut self) {
         let (transmit, receive) = self.can.error_counters();
         let counters = BusEvent::ErrorCounters { transmit, receive };
         self.node.handle_bus(counters, clock::now());
@@ -123,13 +128,12 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
             self.watch_bus();
         }
         self.finish();
-        Task::STATUS.answer();
     }
 
     /// Checks the controller, a few times a second: no interrupt reports its recovery from bus-off.
     pub fn supervise(&mut self) {
         self.can.supervise();
-        self.handle_status();
+        self.check_status();
     }
 
     fn watch_bus(&mut self) {

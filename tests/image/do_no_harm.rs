@@ -428,13 +428,13 @@ fn a_wrong_stored_rate_is_found_within_5_s_by_one_heartbeat_a_second() {
 }
 
 #[test]
-fn a_wrong_stored_rate_is_found_in_150_ms_under_load() {
+fn a_wrong_stored_rate_is_found_in_250_ms_under_load() {
     for (stored, found) in pairs() {
         // A bus load of 90 %.
         let period = Time::from_us(13_500 / u64::from(found.kbit_per_s()));
         let time = time_until_found(0xFF, (stored, found), period, Time::from_s(2));
         let what = format!("{stored:?} stored, {found:?} found: {time:?}");
         println!("{what}");
-        assert!(time.is_some_and(|time| time < Time::from_ms(150)), "{what}");
+        assert!(time.is_some_and(|time| time < Time::from_ms(250)), "{what}");
     }
 }
