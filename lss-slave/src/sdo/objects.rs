@@ -41,8 +41,8 @@ pub(crate) trait Objects {
     fn abort_domain(&mut self, entry: &Entry);
 }
 
-/// The memory of the [`Server`](super::Server) for the value under way, with room for the longest that a client can
-/// write: an array of bytes.
+/// The memory of the SDO server for the value under way, with room for the longest that a client can write: an array of
+/// bytes.
 pub trait Buffer: AsRef<[u8]> + AsMut<[u8]> + Clone + Debug {
     /// A buffer that holds nothing.
     const EMPTY: Self;
