@@ -64,8 +64,11 @@ fn texts_of(package: &Package, packages: &[Package]) -> anyhow::Result<Vec<Strin
     if let Some((_, notice)) = NOTICES.iter().find(|(name, _)| *name == package.name) {
         return Ok(vec![mit(notice, &package.licence)?]);
     }
-    let beside =
-        |other: &&Package| package.repository.is_some() && other.repository == package.repository;
+    let beside = |other: &&Package| match &package.repository {
+        Some(repository) => other.repository.as_ref() == Some(repository),
+        // A package of this repository, as those of the registry have a checksum.
+        None => package.checksum.is_none() && other.checksum.is_none(),
+    };
     for other in packages.iter().filter(beside) {
         if let Some(texts) = texts_in_folder(other)? {
             return Ok(texts);
@@ -140,6 +143,14 @@ mod tests {
             "{error}"
         );
         of(&[package("core", "BSD-3-Clause")]).expect_err("the notice is for the MIT licence");
+    }
+
+    #[test]
+    fn packages_of_this_repository_share_its_texts() {
+        let folder = Some(Path::new(env!("CARGO_MANIFEST_DIR")).join(".."));
+        let firmware = Package { folder, ..package("firmware", "MIT") };
+        let list = of(&[firmware, package("library", "MIT")]).expect("texts");
+        assert!(list.contains("\nfirmware 1.0.0, library 1.0.0\n"), "{list}");
     }
 
     #[test]
