@@ -88,7 +88,7 @@ impl Agenda {
             due: Tasks::ALL,
             held: Tasks::NONE,
             changed: Tasks::ALL,
-            deadlines: [None; _],
+            deadlines: [None; Task::TIMED.len()],
             next: None,
         }
     }
