@@ -5,7 +5,7 @@ use lss_slave::BitRate;
 
 use super::{
     life::SWITCH_LEAD_MS,
-    situation::{Event, Foreign, Kind, Master, Node, Probe, Situation, Traffic, What},
+    situation::{Configure, Event, Foreign, Kind, Master, Node, Probe, Situation, Traffic, What},
 };
 use testkit::{image_rig::bit_per_s, random::Random};
 
@@ -64,12 +64,15 @@ pub fn situation(seed: u64) -> Situation {
         Kind::WrongRate => draft.wrong_rate(),
         Kind::PowerCut => draft.power_cut(),
         Kind::Mixture => draft.mixture(),
+        Kind::Herd => draft.herd(),
+        Kind::Session => draft.session(),
+        Kind::Scan => draft.scan(),
+        Kind::HalfSwitch => draft.half_switch(),
+        Kind::BrownOut => draft.brown_out(),
+        Kind::Stagger => draft.stagger(),
+        Kind::TwoMasters => draft.two_masters(),
+        Kind::Contacts => draft.contacts(),
     };
-    // Boards that a foreign device has led to its rate receive each other there. To them it looks like a network with a
-    // silent master: they have no reason to leave.
-    let is_foreign = |event: &Event| matches!(event.what, What::Foreign(_));
-    let may_stay = draft.boards.len() > 1 && draft.events.iter().any(is_foreign);
-    let probe = Probe { listens: probe.listens && !may_stay, ..probe };
     draft.events.sort_by_key(|event| event.at);
     Situation { kind, boards: draft.boards, events: draft.events, probe }
 }
@@ -223,6 +226,140 @@ impl Draft {
         }
         let wait = self.wait();
         self.probe(end.max(at) + wait, rate)
+    }
+
+    /// A master that only listens or only acknowledges.
+    fn silent_master(&mut self) -> Master {
+        if self.random.one_in(2) { Master::Listens(self.home) } else { Master::Idle(self.home) }
+    }
+
+    /// Several boards with a foreign device and a silent master.
+    fn herd(&mut self) -> Probe {
+        while self.boards.len() < 2 {
+            self.boards.push(Node { node_id: Some(NODE_IDS[self.boards.len()]), ..self.boards[0] });
+        }
+        for (board, node_id) in self.boards.iter_mut().zip(NODE_IDS) {
+            board.node_id = Some(node_id);
+            board.heartbeat_ms = self.random.pick(&[100, 1000]);
+        }
+        let master = self.silent_master();
+        self.add(0, 0, What::Master(master));
+        let begin = if self.random.one_in(2) { 0 } else { self.span(50, 1_500) };
+        let end = self.foreign(begin, self.home);
+        let wait = self.wait();
+        Probe { at: end + wait, rate: self.home, listens: matches!(master, Master::Listens(_)) }
+    }
+
+    /// A session of the LSS master with single-bit pulses and a pause.
+    fn session(&mut self) -> Probe {
+        self.boards.truncate(1);
+        self.master_at(0, self.home);
+        let begin = self.span(200, 600);
+        self.add(begin - 60, begin - 60, What::Master(Master::Idle(self.home)));
+        let end = begin + self.span(1_000, 10_000);
+        let configure = if self.random.one_in(2) {
+            Configure::NodeId(self.boards[0].node_id.unwrap_or(1))
+        } else {
+            Configure::Rate(self.other_rate())
+        };
+        self.add(begin, end, What::Session(configure));
+        let noise = What::Noise {
+            seed: self.random.u64(),
+            mean_interval_us: self.random.within(100_000..1_500_000) as u32,
+            length_ns: 1_000_000 / u32::from(self.home.kbit_per_s()),
+        };
+        self.add(begin + 50, end - 50, noise);
+        self.probe(end + 200, self.home)
+    }
+
+    /// A master that tries one bit rate after another.
+    fn scan(&mut self) -> Probe {
+        let mut at = 0;
+        for _ in 0..self.random.within(2..7) {
+            let rate = self.random.pick(&RATES);
+            let master = self.talking_master(rate);
+            self.add(at, at, What::Master(master));
+            at += self.span(100, 700);
+        }
+        self.add(at, at, What::Master(Master::Away));
+        self.probe(at, self.home)
+    }
+
+    /// A switch that half of the boards miss.
+    fn half_switch(&mut self) -> Probe {
+        while self.boards.len() < 2 {
+            self.boards.push(Node { node_id: Some(NODE_IDS[self.boards.len()]), ..self.boards[0] });
+        }
+        self.master_at(0, self.home);
+        let begin = self.span(300, 1_000);
+        let to = self.other_rate();
+        let t0 = self.switch(begin, to);
+        let away = t0 + self.delay_of_switch() + self.span(10, 500);
+        for board in (0..self.boards.len()).step_by(2) {
+            self.add(begin - 20, away, What::BrokenWire(board));
+        }
+        let follows = t0 + self.delay_of_switch() + 1;
+        self.add(follows, follows, What::Master(Master::Idle(to)));
+        let wait = self.wait();
+        let rate = if self.random.one_in(2) { to } else { self.home };
+        self.probe(away.max(follows) + wait, rate)
+    }
+
+    /// Power cuts of a few milliseconds while a foreign device sends.
+    fn brown_out(&mut self) -> Probe {
+        self.any_master_at(0, self.home);
+        let end = self.foreign(0, self.home);
+        for _ in 0..self.random.within(1..5) {
+            let board = self.random.within(0..self.boards.len() as u64) as usize;
+            let at = self.span(10, end);
+            let length = self.span(2, 40);
+            self.add(at, at + length, What::NoPower(board));
+        }
+        let wait = self.wait();
+        self.probe(end + 50 + wait, self.home)
+    }
+
+    /// Boards that come up one after another, with different stored rates.
+    fn stagger(&mut self) -> Probe {
+        self.any_master_at(0, self.home);
+        let mut last = 0;
+        for board in 0..self.boards.len() {
+            if self.random.one_in(3) {
+                self.boards[board].stored = self.other_rate();
+            }
+            let on = self.span(1, 1_500);
+            self.add(0, on, What::NoPower(board));
+            last = last.max(on);
+        }
+        let wait = self.wait();
+        self.probe(last + wait, self.home)
+    }
+
+    /// A second master, at a wrong rate.
+    fn two_masters(&mut self) -> Probe {
+        self.any_master_at(0, self.home);
+        let other = self.other_rate();
+        let begin = self.span(0, 1_000);
+        let end = begin + self.span(100, 3_000);
+        let traffic = Traffic::Requests;
+        let bit_per_s = bit_per_s(other);
+        let has_companion = self.random.one_in(2);
+        self.add(begin, end, What::Foreign(Foreign { bit_per_s, traffic, has_companion }));
+        let wait = self.wait();
+        self.probe(end + wait, self.home)
+    }
+
+    /// Contacts that open again and again.
+    fn contacts(&mut self) -> Probe {
+        self.any_master_at(0, self.home);
+        let mut at = self.span(0, 500);
+        for _ in 0..self.random.within(3..12) {
+            let board = self.random.within(0..self.boards.len() as u64) as usize;
+            let length = self.span(1, 50);
+            self.add(at, at + length, What::BrokenWire(board));
+            at += length + self.span(1, 200);
+        }
+        self.probe(at, self.home)
     }
 
     fn add(&mut self, at: u32, until: u32, what: What) {

@@ -6,24 +6,23 @@ use emulator::{Time, chip::Part, image::Image};
 
 use super::{
     life::{FRAME_BITS, Life, POLL},
-    situation::{Situation, ms},
+    situation::{Kind, Situation, ms},
 };
 use testkit::image_rig::bit_per_s;
 
-/// The allowed delay against the plain slave, unless [`LATE_FRAMES`] take longer.
-const LATE: Time = Time::from_ms(100);
+/// The allowed delay of a board that is proven at its rate against the plain slave, unless [`LATE_FRAMES`] take longer.
+const LATE: Time = Time::from_ms(200);
 const LATE_FRAMES: u64 = 25;
-/// The same on a contested bus, where a board at another rate disturbs. It does so until it is error passive, which
-/// comes sooner the more the others send, or until it has had errors for a second and looks elsewhere.
-const LATE_IF_CONTESTED: Time = Time::from_ms(1_250);
-/// The time for which a foreign device may keep a board away after it has left. A master that only listens sends
-/// nothing: the board's next heartbeat, up to a second later, must first go without an acknowledge for a second.
-const AFTER_DEPARTURE: Time = Time::from_s(1);
-const AFTER_DEPARTURE_UNHEARD: Time = Time::from_s(2);
+/// The time after the end of a disturbance in which a board that is not proven must be back.
+const BACK: Time = Time::from_s(5);
+/// The longest pause of a board that nobody acknowledges, and its repetition before.
+const PAUSE: Time = Time::from_ms(760);
+/// The time for which a board that was led away repeats a frame that nobody acknowledges.
+const UNACKNOWLEDGED: Time = Time::from_s(1);
 /// The time for which a board looks for no other rate after a commanded switch.
 const TRUST: Time = Time::from_s(30);
 /// The time from the first evidence until a lost board is found.
-const FOUND: Time = Time::from_s(10);
+const FOUND: Time = Time::from_s(5);
 /// The same for a board that had the evidence before the probe began.
 const AT_ONCE: Time = Time::from_s(1);
 /// The time after which an unreached plain slave counts as lost.
@@ -56,6 +55,8 @@ pub enum Failure {
     Worse { board: usize, plain: Time, ours: Option<Time>, limit: Time },
     /// The plain slave is lost, and the product was not found in time.
     NotFound { board: usize, ours: Option<Time>, limit: Time },
+    /// The stored settings or the bit rate differ from the plain slave's.
+    Outcome { board: usize },
     /// An access or reset that no program may cause.
     Offence(String),
 }
@@ -66,6 +67,7 @@ impl Failure {
             Self::Worse { ours: Some(_), .. } => "reached late",
             Self::Worse { ours: None, .. } => "not reached",
             Self::NotFound { .. } => "not found",
+            Self::Outcome { .. } => "outcome",
             Self::Offence(_) => "offence",
         }
     }
@@ -92,6 +94,9 @@ impl fmt::Display for Failure {
                     "board {board} is lost to the plain slave and found {ours}; {limit} ms are allowed"
                 )
             }
+            Self::Outcome { board } => {
+                write!(f, "board {board} has other settings or another rate than the plain slave")
+            }
             Self::Offence(what) => f.write_str(what),
         }
     }
@@ -115,8 +120,17 @@ impl Images {
         let mut ours = Life::up_to_the_probe(situation, &self.product, self.part);
         let limits: Vec<Option<Time>> = (0..homes.len())
             .map(|board| match plain_seen[board].sign_of_life(situation.boards[board]) {
-                Some(reached) => Some(latest(situation, &homes, reached)),
-                None if is_lost_alone(situation, &homes, board) => {
+                Some(reached) => {
+                    let is_trusted = ours
+                        .switched(board)
+                        .is_some_and(|switched| ms(situation.probe.at) < switched + TRUST);
+                    let is_proven = is_trusted || ours.has_proven(board, homes[board]);
+                    Some(latest(situation, is_proven, reached))
+                }
+                None if is_lost_alone(situation, &homes, board)
+                    && ours.bit_rate(board).is_none_or(|rate| !plain.has_proven(board, rate))
+                    && !ours.has_proven(board, homes[board]) =>
+                {
                     let switched = plain.switched(board).max(ours.switched(board));
                     Some(latest_rescue(situation, switched))
                 }
@@ -127,9 +141,17 @@ impl Images {
         // Somewhat longer, to report when a late board is reached.
         let limit = limits.iter().flatten().max().map_or(Time::ZERO, |limit| *limit + LATE * 10);
         let seen = ours.probe(&wanted, limit);
+        let has_session = situation.kind == Kind::Session;
 
         let mut verdict = Verdict { log: ours.log().collect(), ..Verdict::default() };
         verdict.failures.extend(ours.offences().into_iter().map(Failure::Offence));
+        for board in (0..homes.len()).filter(|_| has_session) {
+            let outcome = |life: &Life<'_>| (life.stored(board), life.bit_rate(board));
+            if outcome(&plain) != outcome(&ours) {
+                verdict.failures.push(Failure::Outcome { board });
+            }
+        }
+        let has_proven = |board: usize| ours.has_proven(board, homes[board]);
         for (board, limit) in limits.iter().enumerate() {
             let (Some(limit), plain, ours) =
                 (*limit, plain_seen[board].reached, seen[board].reached)
@@ -145,6 +167,8 @@ impl Images {
                     verdict.failures.push(Failure::Worse { board, plain, ours, limit });
                 }
                 (None, _) if is_in_time => verdict.rescued += 1,
+                // The board was switched on with the probe, and others at its rate have acknowledged it.
+                (None, None) if has_proven(board) => {}
                 (None, ours) => verdict.failures.push(Failure::NotFound { board, ours, limit }),
             }
         }
@@ -154,18 +178,26 @@ impl Images {
 }
 
 /// The deadline for a board whose plain slave is reached after `plain`.
-fn latest(situation: &Situation, homes: &[u32], plain: Time) -> Time {
+fn latest(situation: &Situation, is_proven: bool, plain: Time) -> Time {
     let frame =
         Time::from_ps(FRAME_BITS * 1_000_000_000_000 / u64::from(bit_per_s(situation.probe.rate)));
     // At slow rates a round of questions and answers takes longer than the polling interval.
     let round = (frame * (2 * situation.boards.len() as u64)).saturating_sub(POLL);
-    let late = if is_contested(situation, homes) { LATE_IF_CONTESTED } else { LATE };
-    let allowance = late.max(frame * LATE_FRAMES) + round;
-    let after_departure = situation.last_departure().map_or(Time::ZERO, |departure| {
-        let span = if situation.probe.listens { AFTER_DEPARTURE_UNHEARD } else { AFTER_DEPARTURE };
-        (ms(departure) + span).saturating_sub(ms(situation.probe.at))
+    let allowance = LATE.max(frame * LATE_FRAMES) + round;
+    if is_proven {
+        return plain + allowance;
+    }
+    let back = situation.calm_at().map_or(Time::ZERO, |(calm, span)| {
+        // Boards that were led away together stay as long again.
+        let together = if situation.boards.len() > 1 { ms(span) } else { Time::ZERO };
+        (ms(calm) + BACK + together).saturating_sub(ms(situation.probe.at))
     });
-    plain.max(after_departure) + allowance
+    // A board that is alone at the foreign rate leaves it at the master's requests, which are errors there, unless its
+    // own frame, which nobody acknowledges, keeps the master from sending.
+    if !situation.probe.listens && situation.boards.len() == 1 {
+        return (plain + allowance).max(back.min(UNACKNOWLEDGED + allowance));
+    }
+    (plain + PAUSE + allowance).max(back)
 }
 
 /// The deadline for a lost board that switched at this instant.
@@ -186,12 +218,6 @@ fn is_lost_alone(situation: &Situation, homes: &[u32], board: usize) -> bool {
         return false;
     }
     peers(homes, home).count() == 1 || !peers(homes, home).any(|at| talks(situation, at))
-}
-
-/// Whether any board has another rate than the probe.
-fn is_contested(situation: &Situation, homes: &[u32]) -> bool {
-    let rate = bit_per_s(situation.probe.rate);
-    homes.iter().any(|home| *home != rate)
 }
 
 /// The boards at this rate.

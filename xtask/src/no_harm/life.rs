@@ -6,14 +6,14 @@ use emulator::{
     can::{Adapter, Clock, Frame, Id},
     chip::{Part, ResetCause},
     image::Image,
-    network::{self, AdapterId, Network, Noise, Recording, Source},
+    network::{self, AdapterId, Network, Noise, Source},
 };
 use lss_slave::{BitRate, NodeId, Settings};
 
-use super::situation::{Event, Foreign, Master, Node, Situation, Traffic, What, ms};
+use super::situation::{Configure, Event, Foreign, Master, Node, Situation, Traffic, What, ms};
 use testkit::{
     boards, frames,
-    image_rig::{SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
+    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
     random::Random,
 };
 
@@ -25,8 +25,6 @@ const PPM: [i32; 8] = [0, 30, -40, 15, -25, 50, -10, 5];
 pub const SWITCH_LEAD_MS: u32 = 100;
 /// The number of frames that a foreign device sends at once, unless it sends one a second; as many more may wait.
 const BURST: usize = 4;
-/// The number of trace events that are kept if boards without a node-ID have to be distinguished.
-const TRACE: usize = 1_000;
 /// The length of a long frame with its intermission, in bits.
 pub const FRAME_BITS: u64 = 130;
 
@@ -43,6 +41,8 @@ pub struct Life<'a> {
     random: Random,
     /// The end of the silent time of the last switch that each board took part in, since its last power-on.
     switched: Vec<Option<Time>>,
+    /// The last power cut or switch of each board.
+    changed: Vec<Time>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -83,9 +83,6 @@ impl<'a> Life<'a> {
     /// Runs a situation up to the probe.
     pub fn up_to_the_probe(situation: &'a Situation, image: &Image, part: Part) -> Self {
         let mut network = Network::new();
-        let is_unconfigured = |node: &Node| node.node_id.is_none();
-        let several = situation.boards.iter().any(is_unconfigured);
-        network.record(if several { Recording::Latest(TRACE) } else { Recording::Off });
         for (number, &node) in situation.boards.iter().enumerate() {
             network.add_board(board(number, node, image, part));
         }
@@ -112,6 +109,7 @@ impl<'a> Life<'a> {
             talkers: Vec::new(),
             random: Random::from_seed(count as u64),
             switched: vec![None; count],
+            changed: vec![Time::ZERO; count],
         };
         let mut steps = life.steps();
         steps.sort_by_key(|(time, _)| *time);
@@ -131,6 +129,16 @@ impl<'a> Life<'a> {
             steps.push((at, Step::Begin(index)));
             if event.until > event.at {
                 steps.push((ms(event.until), Step::End(index)));
+            }
+            if let What::Session(configure) = event.what {
+                let (request, value) = match configure {
+                    Configure::NodeId(id) => ("11", id),
+                    Configure::Rate(rate) => ("13 00", rate.index()),
+                };
+                steps.push((at, Step::Send("04 01", 0)));
+                steps.push((at + Time::from_ms(20), Step::Send(request, value)));
+                steps.push((ms(event.until), Step::Send("17", 0)));
+                steps.push((ms(event.until) + Time::from_ms(100), Step::Send("04 00", 0)));
             }
             if let What::Switch { to, delay_ms, is_stored } = event.what {
                 steps.push((at, Step::Send("04 01", 0)));
@@ -162,6 +170,7 @@ impl<'a> Life<'a> {
                 for board in 0..self.switched.len() {
                     if self.bit_rate(board) == Some(bit_per_s(to)) {
                         self.switched[board] = Some(self.network.now());
+                        self.changed[board] = self.network.now();
                     }
                 }
             }
@@ -172,10 +181,11 @@ impl<'a> Life<'a> {
         let network = &mut self.network;
         match event.what {
             What::Master(master) => self.set_master(master),
-            What::Switch { .. } => {}
+            What::Switch { .. } | What::Session(_) => {}
             What::NoPower(board) => {
                 network.power_off(board);
                 self.switched[board] = None;
+                self.changed[board] = network.now();
             }
             What::BrokenWire(board) => network.cut_wire(Source::Board(board)),
             What::BrokenWireOfMaster => network.cut_wire(Source::Adapter(self.master)),
@@ -199,7 +209,7 @@ impl<'a> Life<'a> {
     fn end(&mut self, index: usize, event: Event) {
         let network = &mut self.network;
         match event.what {
-            What::Master(_) | What::Switch { .. } | What::BitError(_) => {}
+            What::Master(_) | What::Switch { .. } | What::Session(_) | What::BitError(_) => {}
             What::NoPower(board) => network.power_on(board),
             What::BrokenWire(board) => network.mend_wire(Source::Board(board)),
             What::BrokenWireOfMaster => network.mend_wire(Source::Adapter(self.master)),
@@ -244,6 +254,47 @@ impl<'a> Life<'a> {
         }
     }
 
+    /// Whether a board has received a frame at `rate` or had one acknowledged, since its last power-on and switch.
+    pub fn has_proven(&self, board: usize, rate: u32) -> bool {
+        let mut at = None;
+        let mut takes_part = false;
+        let has_wire = |time: Time| {
+            !self.situation.events.iter().any(|event| {
+                event.what == What::BrokenWire(board)
+                    && ms(event.at) <= time
+                    && time <= ms(event.until)
+            })
+        };
+        self.network.trace().iter().any(|event| match &event.what {
+            network::What::Frame { start, bit_rate, .. } => {
+                let since = at.filter(|_| takes_part && event.time > self.changed[board]);
+                since == Some(rate) && *bit_rate == rate && has_wire(*start) && has_wire(event.time)
+            }
+            _ if event.source != Source::Board(board) => false,
+            network::What::BitTiming { bit_rate, .. } => {
+                at = Some(*bit_rate);
+                false
+            }
+            network::What::InitializationLeft | network::What::Recovered => {
+                takes_part = true;
+                false
+            }
+            network::What::InitializationEntered
+            | network::What::BusOff
+            | network::What::PowerOff => {
+                takes_part = false;
+                false
+            }
+            _ => false,
+        })
+    }
+
+    /// The settings in a board's flash.
+    pub fn stored(&self, board: usize) -> Vec<u8> {
+        let flash = self.network.board(board).flash();
+        flash[SETTINGS_OFFSET as usize..][..SETTINGS_LENGTH].to_vec()
+    }
+
     fn run_until(&mut self, until: Time) {
         loop {
             let due = self.talkers.iter_mut().min_by_key(|(_, next)| *next);
@@ -262,12 +313,20 @@ impl<'a> Life<'a> {
         match talker {
             Talker::Foreign { event, every } => {
                 let adapter = self.foreign[event][0];
-                let burst = if every < Time::from_s(1) { BURST } else { 1 };
+                let asks = matches!(
+                    self.situation.events[event].what,
+                    What::Foreign(Foreign { traffic: Traffic::Requests, .. })
+                );
+                let burst = if every < Time::from_s(1) && !asks { BURST } else { 1 };
                 if self.network.adapter_mut(adapter).unsent() > burst {
                     return;
                 }
                 for _ in 0..burst {
-                    let frame = Frame::data(Id::Standard(0x181), &self.random.bytes::<8>());
+                    let frame = if asks {
+                        on_the_wire(&frames::request("5E"))
+                    } else {
+                        Frame::data(Id::Standard(0x181), &self.random.bytes::<8>())
+                    };
                     self.network.send(adapter, frame);
                 }
             }
@@ -405,6 +464,7 @@ fn pause(foreign: Foreign) -> Time {
     let burst = Time::from_ps(frames * 1_000_000_000_000 / u64::from(foreign.bit_per_s));
     match foreign.traffic {
         Traffic::OneASecond => Time::from_s(1),
+        Traffic::Requests => Time::from_ms(50),
         Traffic::WithoutPause => burst,
         Traffic::Load(percent) => Time::from_ps(burst.as_ps() * 100 / u64::from(percent)),
     }

@@ -27,10 +27,18 @@ pub enum Kind {
     WrongRate,
     PowerCut,
     Mixture,
+    Herd,
+    Session,
+    Scan,
+    HalfSwitch,
+    BrownOut,
+    Stagger,
+    TwoMasters,
+    Contacts,
 }
 
 impl Kind {
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 15] = [
         Self::LateMaster,
         Self::Laptop,
         Self::LineFault,
@@ -38,6 +46,14 @@ impl Kind {
         Self::WrongRate,
         Self::PowerCut,
         Self::Mixture,
+        Self::Herd,
+        Self::Session,
+        Self::Scan,
+        Self::HalfSwitch,
+        Self::BrownOut,
+        Self::Stagger,
+        Self::TwoMasters,
+        Self::Contacts,
     ];
 }
 
@@ -51,6 +67,14 @@ impl fmt::Display for Kind {
             Self::WrongRate => "wrong stored rate",
             Self::PowerCut => "power cuts",
             Self::Mixture => "mixture",
+            Self::Herd => "led away together",
+            Self::Session => "session and pulses",
+            Self::Scan => "scan of bit rates",
+            Self::HalfSwitch => "half of a switch",
+            Self::BrownOut => "brown-outs",
+            Self::Stagger => "one after another",
+            Self::TwoMasters => "two masters",
+            Self::Contacts => "bad contacts",
         })
     }
 }
@@ -83,6 +107,9 @@ pub enum What {
         delay_ms: u16,
         is_stored: bool,
     },
+    /// The master selects all boards with `04 01`, sends `11` or `13` 20 ms later, at the end `17` and 100 ms later
+    /// `04 00`.
+    Session(Configure),
     NoPower(usize),
     BrokenWire(usize),
     /// The master's own wire is broken.
@@ -97,6 +124,13 @@ pub enum What {
     /// A board samples one bit wrongly.
     BitError(usize),
     Foreign(Foreign),
+}
+
+/// What a session configures: a node-ID, or a bit rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Configure {
+    NodeId(u8),
+    Rate(BitRate),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,6 +172,8 @@ pub enum Traffic {
     WithoutPause,
     /// A percentage of the bus.
     Load(u8),
+    /// A request of an LSS master every 50 ms.
+    Requests,
 }
 
 /// The master's search for the boards.
@@ -151,26 +187,29 @@ pub struct Probe {
 }
 
 impl Situation {
-    /// The time at which the last foreign device leaves, in milliseconds. A master at another rate than the probe's
-    /// counts as one, unless it has commanded a switch, which is trusted until the power fails.
-    pub fn last_departure(&self) -> Option<u32> {
-        let is_of_trust =
-            |event: &&Event| matches!(event.what, What::Switch { .. } | What::NoPower(_));
-        let latest = self.events.iter().rfind(is_of_trust);
-        let is_trusted = latest.is_some_and(|event| matches!(event.what, What::Switch { .. }));
-        let departures =
-            self.events.iter().enumerate().filter_map(|(index, event)| match event.what {
-                What::Foreign(_) => Some(event.until),
-                What::Master(master) if !is_trusted => {
-                    let rate =
-                        master.bit_rate().filter(|_| !matches!(master, Master::Listens(_)))?;
+    /// The end of the last disturbance and the longest time that one has lasted, in milliseconds. A master at another
+    /// rate than the probe's counts as one.
+    pub fn calm_at(&self) -> Option<(u32, u32)> {
+        let mut ends = Vec::new();
+        for (index, event) in self.events.iter().enumerate() {
+            let until = match event.what {
+                What::Master(master)
+                    if master.bit_rate().is_none_or(|rate| rate == self.probe.rate) =>
+                {
+                    continue;
+                }
+                What::Master(_) => {
                     let is_master = |event: &&Event| matches!(event.what, What::Master(_));
                     let next = self.events[index + 1..].iter().find(is_master);
-                    (rate != self.probe.rate).then(|| next.map_or(self.probe.at, |event| event.at))
+                    next.map_or(self.probe.at, |event| event.at)
                 }
-                _ => None,
-            });
-        departures.max()
+                What::Switch { .. } | What::Session(_) => continue,
+                _ => event.until,
+            };
+            ends.push((until, until - event.at));
+        }
+        let calm = ends.iter().map(|(until, _)| *until).max()?;
+        Some((calm, ends.iter().map(|(_, span)| *span).max()?))
     }
 
     /// The end of the last switch, in milliseconds. The request itself takes up to 13 ms.
@@ -231,6 +270,13 @@ impl fmt::Display for What {
                     "the master sends 04 01, 13 00 {index:02X}{store}, 15 with d = {delay_ms} ms: to {kbit_per_s} kbit/s"
                 )
             }
+            Self::Session(Configure::NodeId(id)) => {
+                write!(f, "the master sends 04 01, 11 {id:02X}, and at the end 17, 04 00")
+            }
+            Self::Session(Configure::Rate(rate)) => {
+                let index = rate.index();
+                write!(f, "the master sends 04 01, 13 00 {index:02X}, and at the end 17, 04 00")
+            }
             Self::NoPower(board) => write!(f, "board {board} has no power"),
             Self::BrokenWire(board) => write!(f, "the wire of board {board} is broken"),
             Self::BrokenWireOfMaster => write!(f, "the wire of the master is broken"),
@@ -269,6 +315,7 @@ impl fmt::Display for Foreign {
             Traffic::OneASecond => f.write_str("a frame a second")?,
             Traffic::WithoutPause => f.write_str("without a pause")?,
             Traffic::Load(percent) => write!(f, "{percent} % load")?,
+            Traffic::Requests => f.write_str("LSS requests every 50 ms")?,
         }
         f.write_str(if self.has_companion { ", a second one acknowledges" } else { "" })
     }
