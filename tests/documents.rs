@@ -102,7 +102,8 @@ fn every_path_that_a_document_names_exists() {
     let mut faults = Vec::new();
     for (document, text) in documents() {
         let own = root().join(&document).with_file_name("");
-        let places = [root().to_owned(), own, root().join("lss-slave/src")];
+        let places =
+            [root().to_owned(), own, root().join("lss-slave/src"), root().join("template")];
         let is_made = |path: &&str| MADE.iter().any(|directory| path.starts_with(directory));
         for path in paths(&text).filter(|path| !is_made(path)) {
             if !places.iter().any(|place| exists(place, path)) {

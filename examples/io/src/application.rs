@@ -1,4 +1,4 @@
-//! The objects of the example: digital and analogue I/O after CiA 401. `docs/tutorial.md` builds it step by step.
+//! The objects of the example: digital and analogue I/O after CiA 401.
 
 use lss_slave::{
     application::{Domain, Text},
