@@ -227,7 +227,7 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
     }
 
     /// Completes the handling of every event.
-    #[inline(never)] // It has several callers: 28 bytes.
+    #[inline(never)]
     fn finish(&mut self) {
         self.act_until_nothing_is_due();
         self.set_alarm();

@@ -5,7 +5,7 @@ use emulator::{
     chip::{Part, Pin},
 };
 
-/// The pins on the board with a chip, as `src/pins.rs` of the firmware assigns them for the example.
+/// The pins on the board with a chip, as `examples/io/src/pins.rs` assigns them.
 struct Wiring {
     button: Pin,
     is_button_active_low: bool,

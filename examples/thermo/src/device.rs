@@ -37,8 +37,8 @@ pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
 /// The bit rates that LSS may select. Without `with_automatic()`, index 9 (automatic detection) is rejected.
 pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ).with_automatic();
 
-/// Bit-rate supervision: a device that receives lasting errors and no valid frame searches for the rate of the others,
-/// and returns to its own: docs/bit-rates.md.
+/// Bit-rate supervision: a device whose rate no frame has proven since power-on searches for the rate of the others
+/// after an error. A proven rate is never left: docs/bit-rates.md.
 pub const RESCUE: bool = true;
 
 /// LSS lock, which refuses LSS configuration while the node is NMT operational: docs/threat-model.md.
