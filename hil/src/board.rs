@@ -1,8 +1,9 @@
 //! The boards on the bus: how they are found without a change to any, addressed, and left as they were.
 
-use std::{fmt, ops::RangeInclusive};
+use std::fmt;
 
 use firmware::device;
+use lss_master::{Find, Identify};
 use lss_slave::{
     BitRate, BitRateSetting, NodeId,
     lss::{Address, AddressPart, IdentifyKey, Request},
@@ -43,91 +44,43 @@ impl fmt::Display for Board {
     }
 }
 
-const ALL: RangeInclusive<u32> = 0..=u32::MAX;
-
-/// Asks whether there is a board of this product in the given ranges (CiA 305, identify remote slave). Boards that
-/// answer together send equal frames; none changes its state.
-fn is_anyone(
-    bus: &mut Bus,
-    revision: &RangeInclusive<u32>,
-    serial: &RangeInclusive<u32>,
-) -> Result<bool, Stop> {
+/// Asks once whether any board is within these ranges. A board that looks for the bit rate needs one question soon after
+/// the other, so this does not wait as long as the LSS master that does not know the boards yet.
+fn is_anyone(bus: &mut Bus, within: Identify) -> Result<bool, Stop> {
     use IdentifyKey as Key;
-    bus.request(Request::Identify(Key::VendorId, device::VENDOR_ID))?;
-    bus.request(Request::Identify(Key::ProductCode, device::PRODUCT_CODE))?;
-    bus.request(Request::Identify(Key::RevisionNumberLow, *revision.start()))?;
-    bus.request(Request::Identify(Key::RevisionNumberHigh, *revision.end()))?;
-    bus.request(Request::Identify(Key::SerialNumberLow, *serial.start()))?;
-    let answer = bus.probe(Request::Identify(Key::SerialNumberHigh, *serial.end()))?;
-    Ok(answer.is_some_and(|answer| answer[0] == 0x4F))
+    bus.request(Request::Identify(Key::VendorId, within.vendor_id))?;
+    bus.request(Request::Identify(Key::ProductCode, within.product_code))?;
+    bus.request(Request::Identify(Key::RevisionNumberLow, *within.revision_numbers.start()))?;
+    bus.request(Request::Identify(Key::RevisionNumberHigh, *within.revision_numbers.end()))?;
+    bus.request(Request::Identify(Key::SerialNumberLow, *within.serial_numbers.start()))?;
+    let last = Request::Identify(Key::SerialNumberHigh, *within.serial_numbers.end());
+    Ok(bus.probe(last)?.is_some_and(|answer| answer[0] == 0x4F))
 }
 
 /// Whether any board of this product is on the bus.
 pub fn is_any_there(bus: &mut Bus) -> Result<bool, Stop> {
-    is_anyone(bus, &ALL, &ALL)
+    is_anyone(bus, Identify::product(device::VENDOR_ID, device::PRODUCT_CODE))
 }
 
 /// Whether the board with this address is on the bus.
 pub fn is_there(bus: &mut Bus, address: Address) -> Result<bool, Stop> {
-    let exact = |number| number..=number;
-    is_anyone(bus, &exact(address.revision_number), &exact(address.serial_number))
+    is_anyone(bus, Identify::address(address))
 }
 
-/// The addresses of all boards of this product, by halving the ranges of their numbers.
+/// The addresses of all boards of this product. The revision of this repository comes first, since a single revision
+/// takes half of the time.
 pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
+    const OWN: u32 = device::REVISION_NUMBER;
     let mut found = Vec::new();
-    for revision in
-        halve(bus, ALL, Some(device::REVISION_NUMBER), |bus, range| is_anyone(bus, range, &ALL))?
-    {
-        let range = revision..=revision;
-        for serial_number in halve(bus, ALL, None, |bus, serial| is_anyone(bus, &range, serial))? {
-            found.push(Address {
-                vendor_id: device::VENDOR_ID,
-                product_code: device::PRODUCT_CODE,
-                revision_number: revision,
-                serial_number,
-            });
-        }
-    }
-    Ok(found)
-}
-
-/// The number of times that a question is asked whose answer must be yes.
-const ATTEMPTS: usize = 3;
-
-/// The numbers in `range` for which `is_anyone` is true. The likely one is tried first.
-fn halve(
-    bus: &mut Bus,
-    range: RangeInclusive<u32>,
-    likely: Option<u32>,
-    is_anyone: impl Fn(&mut Bus, &RangeInclusive<u32>) -> Result<bool, Stop>,
-) -> Result<Vec<u32>, Stop> {
-    if let Some(likely) = likely
-        && is_anyone(bus, &(likely..=likely))?
-    {
-        return Ok(vec![likely]);
-    }
-    let mut found = Vec::new();
-    // Ranges in which somebody is.
-    let mut rest = vec![range];
-    while let Some(range) = rest.pop() {
-        let (low, high) = range.into_inner();
-        if low == high {
-            found.push(low);
-            continue;
-        }
-        let middle = low + (high - low) / 2;
-        for _ in 0..ATTEMPTS {
-            let mut halves = Vec::new();
-            for half in [middle + 1..=high, low..=middle] {
-                if is_anyone(bus, &half)? {
-                    halves.push(half);
-                }
-            }
-            if !halves.is_empty() {
-                rest.extend(halves);
-                break;
-            }
+    let below = OWN.checked_sub(1).map(|last| 0..=last);
+    let above = OWN.checked_add(1).map(|first| first..=u32::MAX);
+    for revision_numbers in [Some(OWN..=OWN), below, above].into_iter().flatten() {
+        let product = Identify::product(device::VENDOR_ID, device::PRODUCT_CODE);
+        let mut rest = Identify { revision_numbers, ..product };
+        while let Ok(Some(address)) = bus.carry_out(Find::new(rest.clone()))? {
+            found.push(address);
+            let Some(next) = address.serial_number.checked_add(1) else { break };
+            rest.serial_numbers = next..=u32::MAX;
         }
     }
     Ok(found)

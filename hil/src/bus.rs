@@ -9,6 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use lss_master::{Error, Master, Output, Procedure, Timing};
 use lss_slave::{
     BitRate, Frame,
     lss::{self, Request},
@@ -45,6 +46,10 @@ pub struct Bus {
     pub states: BTreeMap<u8, u8>,
     /// The time from the latest LSS request to its answer.
     pub last_answer: Option<Duration>,
+    /// The master, which learns how fast the boards answer at this rate; `None` before its first procedure.
+    master: Option<Master>,
+    /// The beginning of the master's time.
+    start: Instant,
 }
 
 /// The time of `bits` at `rate`.
@@ -68,12 +73,15 @@ impl Bus {
             unasked: VecDeque::new(),
             states: BTreeMap::new(),
             last_answer: None,
+            master: None,
+            start: Instant::now(),
         }
     }
 
     /// Joins the bus at another rate, or again.
     pub fn open(&mut self, rate: BitRate) -> Result<(), Stop> {
         self.rate = rate;
+        self.master = None;
         self.adapter.open(rate, Mode::Normal)
     }
 
@@ -227,6 +235,53 @@ impl Bus {
         }
     }
 
+    /// Carries out a procedure of the LSS master.
+    pub fn carry_out<P: Procedure>(
+        &mut self,
+        procedure: P,
+    ) -> Result<Result<P::Output, Error>, Stop> {
+        let micros = |span: Duration| u32::try_from(span.as_micros()).unwrap_or(u32::MAX);
+        let (answer, margin) = (micros(self.patience()), micros(self.short()));
+        let new = || Master::new(Timing { answer, store: answer, margin, gap: 0 });
+        let mut master = self.master.take().unwrap_or_else(new);
+        let mut session = master.start(procedure);
+        self.forget_answers();
+        let result = loop {
+            let now = self.now();
+            match session.poll(now) {
+                Output::Transmit(frame) => self.send(&frame)?,
+                Output::SetBitRate(rate) => self.open(rate)?,
+                Output::Wait(until) => {
+                    let wait = Duration::from_micros(until.micros_after(now).into());
+                    match self.wait_for(wait, |frame| frame.cob_id() == lss::RESPONSE_COB_ID)? {
+                        Some(answer) => session.handle_frame(&answer.frame, self.now()),
+                        None => {
+                            // The computer may have paused, and the adapter with it.
+                            self.flush()?;
+                            for late in self.take_unasked() {
+                                session.handle_frame(&late.frame, self.now());
+                                self.keep(late);
+                            }
+                            self.forget_answers();
+                        }
+                    }
+                }
+                Output::Done(result) => break result,
+            }
+        };
+        self.master = Some(master);
+        Ok(result)
+    }
+
+    fn forget_answers(&mut self) {
+        self.unasked.retain(|received| received.frame.cob_id() != lss::RESPONSE_COB_ID);
+    }
+
+    /// The master's time.
+    fn now(&self) -> lss_slave::Instant {
+        lss_slave::Instant::from_micros(self.start.elapsed().as_micros() as u32)
+    }
+
     /// Waits until what was sent has left the adapter.
     pub fn flush(&mut self) -> Result<(), Stop> {
         for _ in 0..2 {
@@ -237,7 +292,7 @@ impl Bus {
     }
 
     fn ask_within(&mut self, request: Request, wait: Duration) -> Result<Option<[u8; 8]>, Stop> {
-        self.unasked.retain(|received| received.frame.cob_id() != lss::RESPONSE_COB_ID);
+        self.forget_answers();
         let begin = Instant::now();
         self.request(request)?;
         let answer = self.answer_to(request, wait)?;

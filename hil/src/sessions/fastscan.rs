@@ -1,15 +1,13 @@
 //! Fastscan: all boards lose their node-IDs and are found again one by one.
 
-use lss_slave::lss::{Address, FastscanStep, Request};
+use lss_master::Fastscan;
+use lss_slave::lss::Request;
 
 use crate::{
     bench::{BOOT, Bench, RESET_NODE},
     board,
     stop::Stop,
 };
-
-/// The number of scans: an answer that comes too late on a busy computer spoils one.
-const ATTEMPTS: usize = 3;
 
 pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     for board in bench.boards.clone() {
@@ -31,15 +29,11 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         let non_configured = bench.bus.ask(Request::IdentifyNonConfigured)?;
         let seen = non_configured.map_or("no answer".to_owned(), |answer| board::text(&answer));
         bench.report.equal(format!("4C, {} without a node-ID", rest.len()), seen, "50 00");
-        let mut found = scan(bench)?;
-        let mut attempt = 1;
-        while found.is_err() && attempt < ATTEMPTS {
-            attempt += 1;
-            found = scan(bench)?;
-        }
-        let found = match found {
-            Ok(address) => address,
-            Err(why) => {
+        let found = match bench.bus.carry_out(Fastscan::new())? {
+            Ok(Some(address)) => address,
+            nobody => {
+                let why =
+                    nobody.err().map_or("51 80 is not answered".into(), |why| why.to_string());
                 bench.report.failed("Fastscan", why, "a board");
                 return Ok(());
             }
@@ -49,7 +43,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
             return Ok(());
         };
         let board = rest.remove(at);
-        bench.report.passed("Fastscan", format!("finds {board} in attempt {attempt}"));
+        bench.report.passed("Fastscan", format!("finds {board}"));
         let id = board.id.get();
         let stored = board::store(&mut bench.bus, Some(board.id), None)?;
         bench.report.equal(
@@ -68,31 +62,4 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     let seen = answer.map_or("no answer".to_owned(), |answer| board::text(&answer));
     bench.report.equal("4C, all have a node-ID", seen, "no answer");
     Ok(())
-}
-
-/// Finds one board without a node-ID, which then is in LSS configuration state.
-fn scan(bench: &mut Bench) -> Result<Result<Address, String>, Stop> {
-    let mut parts = [0; 4];
-    let begin = FastscanStep { id_number: 0, bit_check: 0x80, sub: 0, next: 0 };
-    if bench.bus.ask(Request::Fastscan(begin))?.is_none() {
-        return Ok(Err("51 80 is not answered".into()));
-    }
-    for sub in 0..4_u8 {
-        let mut number = 0;
-        for bit in (0..32).rev() {
-            let step = FastscanStep { id_number: number, bit_check: bit, sub, next: sub };
-            if bench.bus.probe(Request::Fastscan(step))?.is_none() {
-                number |= 1 << bit;
-            }
-        }
-        let last = FastscanStep { id_number: number, bit_check: 0, sub, next: (sub + 1) % 4 };
-        if bench.bus.ask(Request::Fastscan(last))?.is_none() {
-            return Ok(Err(format!(
-                "part {sub} is not {number:08X}: an answer was lost or came too late"
-            )));
-        }
-        parts[usize::from(sub)] = number;
-    }
-    let [vendor_id, product_code, revision_number, serial_number] = parts;
-    Ok(Ok(Address { vendor_id, product_code, revision_number, serial_number }))
 }
