@@ -40,7 +40,8 @@ impl Bench {
         }
     }
 
-    /// Finds each board at whatever rate it has, and stores these settings. Returns what failed.
+    /// Finds each board at whatever rate it has, stores these settings, and resets it: a board at another rate is not
+    /// reached from the base rate. Returns what failed.
     fn store_everywhere(
         &mut self,
         wanted: &[(Board, Option<NodeId>, BitRateSetting)],
@@ -56,7 +57,7 @@ impl Bench {
                     continue;
                 }
                 self.bus.open(rate)?;
-                let mut still = Vec::new();
+                let (mut still, count) = (Vec::new(), rest.len());
                 for (board, node_id, setting) in rest {
                     let is_found = board::is_there(&mut self.bus, board.address)?
                         && board::select(&mut self.bus, board.address)?;
@@ -69,8 +70,8 @@ impl Bench {
                     }
                 }
                 rest = still;
-                if !rest.is_empty() && attempt == 1 {
-                    // A board that answers nothing may still listen, and return to its stored rate.
+                // A board that answers nothing may still listen, and return to its stored rate.
+                if rest.len() < count || attempt == 1 {
                     self.bus.nmt(RESET_NODE, 0)?;
                     self.bus.pass(Duration::from_millis(100))?;
                 }
@@ -111,8 +112,6 @@ impl Bench {
             .map(|board| (*board, board.original.node_id, board.original.bit_rate))
             .collect();
         let mut faults = self.store_everywhere(&wanted)?;
-        self.bus.nmt(RESET_NODE, 0)?;
-        self.bus.pass(Duration::from_millis(200))?;
         for board in self.boards.clone() {
             let Original { node_id, bit_rate, heartbeat_ms, was_operational } = board.original;
             if let BitRateSetting::Fixed(rate) = bit_rate
