@@ -1,6 +1,6 @@
 //! The independent watchdog, which is fed only if all tasks have answered a roll call.
 
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, Ordering};
 
 use cortex_m::peripheral::NVIC;
 use lss_slave::indicator;
@@ -17,31 +17,36 @@ const TIMEOUT_MS: u32 = 2_000;
 /// The steps of the indicators between two roll calls: four a second.
 const STEPS: u8 = 250 / indicator::STEP_MS as u8;
 
-/// The tasks that have answered, a bit for each.
-static PRESENT: AtomicU32 = AtomicU32::new(0);
+/// The most tasks, those of the product included.
+const TASKS: usize = 16;
+
+/// Whether each task has answered.
+static PRESENT: [AtomicBool; TASKS] = [const { AtomicBool::new(false) }; TASKS];
 
 /// A task that must answer.
 #[derive(Clone, Copy)]
-pub struct Task(u32);
+pub struct Task(usize);
 
 impl Task {
-    pub(crate) const RECEIVED: Self = Self(1 << 0);
-    pub(crate) const TRANSMITTED: Self = Self(1 << 1);
-    pub(crate) const STATUS: Self = Self(1 << 2);
-    pub(crate) const STORE: Self = Self(1 << 3);
+    pub(crate) const RECEIVED: Self = Self(0);
+    pub(crate) const TRANSMITTED: Self = Self(1);
+    pub(crate) const STATUS: Self = Self(2);
+    pub(crate) const STORE: Self = Self(3);
     /// The task that runs when no other does.
-    pub const IDLE: Self = Self(1 << 4);
-    const ALL: u32 = (1 << 5) - 1;
+    pub const IDLE: Self = Self(4);
+    const ALL: u16 = 0b1_1111;
 
-    /// A task of the product, with a number from 0 to 26. [`Watchdog::expect`] makes the watchdog wait for it.
-    pub const fn own(number: u32) -> Self {
-        assert!(number <= 26, "the tasks of a product have the numbers 0 to 26");
-        Self(1 << (5 + number))
+    /// A task of the product, with a number from 0 to 10. [`Watchdog::expect`] makes the watchdog wait for it.
+    pub const fn own(number: usize) -> Self {
+        assert!(number <= 10, "the tasks of a product have the numbers 0 to 10");
+        Self(5 + number)
     }
 
     /// Records that the task is alive.
     pub fn answer(self) {
-        PRESENT.fetch_or(self.0, Ordering::Relaxed);
+        if let Some(present) = PRESENT.get(self.0) {
+            present.store(true, Ordering::Relaxed);
+        }
     }
 }
 
@@ -49,7 +54,8 @@ impl Task {
 pub struct Watchdog {
     hardware: IndependentWatchdog,
     debug: DBGMCU,
-    expected: u32,
+    /// A bit for each task.
+    expected: u16,
     steps: u8,
 }
 
@@ -67,7 +73,7 @@ impl Watchdog {
 
     /// Also waits for a task of the product, which must [answer](Task::answer) at least four times a second.
     pub fn expect(&mut self, task: Task) {
-        self.expected |= task.0;
+        self.expected |= 1 << task.0;
     }
 
     /// Feeds the watchdog without a roll call. Also keeps RTT and the debug port on while the core sleeps, which a debugger
@@ -85,8 +91,13 @@ impl Watchdog {
         if self.steps != 0 {
             return false;
         }
-        let absent = self.expected & !PRESENT.swap(0, Ordering::Relaxed);
-        if absent == 0 {
+        let mut is_everyone_present = true;
+        for (number, present) in PRESENT.iter().enumerate() {
+            let is_expected = self.expected >> number & 1 == 1;
+            is_everyone_present &= present.load(Ordering::Relaxed) || !is_expected;
+            present.store(false, Ordering::Relaxed);
+        }
+        if is_everyone_present {
             self.feed();
         }
         interrupts.into_iter().for_each(NVIC::pend);

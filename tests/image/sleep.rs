@@ -12,7 +12,7 @@ use testkit::{
 };
 
 /// The limit for a SYNC with its four TPDOs, in core cycles.
-const ROUND_CYCLES: u64 = 5_500;
+const ROUND_CYCLES: u64 = 5_000;
 
 /// The share of time asleep while `act` lasts, in thousandths of a percent.
 fn share_asleep(rig: &mut ImageRig, what: &str, act: impl FnOnce(&mut ImageRig)) -> u64 {
