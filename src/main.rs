@@ -99,8 +99,8 @@ mod app {
         }
     }
 
-    /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store configuration:
-    /// 20 ms are allowed. The interrupt is that of an unused USART.
+    /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store
+    /// configuration: 20 ms are allowed. The interrupt is that of an unused USART.
     #[task(binds = USART1, local = [storage], shared = [runner], priority = 1)]
     fn store(mut cx: store::Context) {
         cx.local.storage.store(&mut cx.shared.runner);

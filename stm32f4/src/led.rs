@@ -1,4 +1,4 @@
-//! An LED on a pin, or in its place nothing.
+//! The LEDs of a board, and the indicators that they make.
 
 use core::hint::black_box;
 

@@ -1,7 +1,7 @@
 //! The first act of the image: the state that a reset leaves, whoever has started the image.
 //!
-//! A boot loader may leave interrupts, SysTick, the PLL and peripherals on. That in ROM also leaves its own vector table
-//! at address 0 while BOOT0 is high, as after `dfu-util ... :leave`.
+//! A boot loader may leave interrupts, SysTick, the PLL and peripherals on. The one in ROM also leaves its own vector
+//! table at address 0 while BOOT0 is high, as after `dfu-util ... :leave`.
 
 use core::arch::naked_asm;
 

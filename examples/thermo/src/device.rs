@@ -1,4 +1,4 @@
-//! The identity, the defaults and the crystal of the example.
+//! The identity, the defaults and the crystal of the thermometer.
 
 use canopen_stm32f4::chip::APB1_HZ;
 use lss_slave::{BitRate, BitRateSetting, BitRates, Settings};

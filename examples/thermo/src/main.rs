@@ -1,4 +1,4 @@
-//! The firmware of the example: the tasks of every product, and one that reads the sensors.
+//! The firmware of the thermometer: the tasks of every product, and one that reads the sensors.
 
 #![no_std]
 #![no_main]
@@ -128,8 +128,8 @@ mod app {
         cx.local.relays.set(relays);
     }
 
-    /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store configuration:
-    /// 20 ms are allowed. The interrupt is that of an unused USART.
+    /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store
+    /// configuration: 20 ms are allowed. The interrupt is that of an unused USART.
     #[task(binds = USART1, local = [storage], shared = [runner], priority = 1)]
     fn store(mut cx: store::Context) {
         cx.local.storage.store(&mut cx.shared.runner);
