@@ -14,7 +14,7 @@ mod app {
     use canopen_stm32f4::{Board, Crystal, Indicators, Storage, Watchdog, board, watchdog::Task};
     use firmware::{
         application::{Application, Node, PRODUCERS, RPDOS, TPDOS},
-        describe, device,
+        device::{self, DEVICE},
     };
     use stm32f4xx_hal::pac::Interrupt;
 
@@ -32,7 +32,7 @@ mod app {
     #[local]
     struct Local {
         indicators: Indicators,
-        storage: Storage<{ Node::PARAMETERS }>,
+        storage: Storage<{ Node::STORED_LEN }>,
         watchdog: Watchdog,
     }
 
@@ -52,7 +52,7 @@ mod app {
             CRYSTAL,
         );
         let pins = Pins::new(chip.GPIOB, chip.GPIOD, &mut board.rcc);
-        let device = describe(board::serial_number());
+        let device = DEVICE.with_serial_number(board::serial_number());
         let (runner, storage, watchdog) =
             board.start(device, Application::new(), chip.CAN1, pins.can);
         (Shared { runner }, Local { indicators: pins.indicators, storage, watchdog })

@@ -6,7 +6,8 @@ use std::{
 };
 
 /// The directories with documents.
-const DIRECTORIES: [&str; 5] = ["", "docs", "fuzz", "lss-slave", "tests/clients"];
+const DIRECTORIES: [&str; 7] =
+    ["", "canopen-node", "docs", "fuzz", "lss-master", "lss-slave", "tests/clients"];
 /// Directories that commands make.
 const MADE: [&str; 2] = ["target/", "fuzz/artifacts/"];
 /// The greatest width of prose; tables and printed output may be wider.
@@ -102,8 +103,9 @@ fn every_path_that_a_document_names_exists() {
     let mut faults = Vec::new();
     for (document, text) in documents() {
         let own = root().join(&document).with_file_name("");
-        let places =
-            [root().to_owned(), own, root().join("lss-slave/src"), root().join("template")];
+        let folders = ["", "canopen-node/src", "lss-slave/src", "template"];
+        let places: Vec<_> =
+            folders.map(|folder| root().join(folder)).into_iter().chain([own]).collect();
         let is_made = |path: &&str| MADE.iter().any(|directory| path.starts_with(directory));
         for path in paths(&text).filter(|path| !is_made(path)) {
             if !places.iter().any(|place| exists(place, path)) {
@@ -116,15 +118,17 @@ fn every_path_that_a_document_names_exists() {
 
 #[test]
 fn every_command_of_the_project_that_a_document_names_exists() {
-    let main = fs::read_to_string(root().join("xtask/src/main.rs")).expect("the commands");
-    let module = |name: &str| format!("mod {};", name.replace('-', "_"));
     let mut faults = Vec::new();
-    for (document, text) in documents() {
-        for command in text.split("cargo xtask ").skip(1) {
-            let is_of_name = |c: char| c.is_ascii_lowercase() || c == '-';
-            let name = command.split(|c| !is_of_name(c)).next().unwrap_or_default();
-            if !name.starts_with('-') && !main.contains(&module(name)) {
-                faults.push(format!("{}: cargo xtask {name}", document.display()));
+    for tool in ["xtask", "verify"] {
+        let main = fs::read_to_string(root().join(tool).join("src/main.rs")).expect("the commands");
+        let run = |name: &str| format!("=> {}::run(", name.replace('-', "_"));
+        for (document, text) in documents() {
+            for command in text.split(&format!("cargo {tool} ")).skip(1) {
+                let is_of_name = |c: char| c.is_ascii_lowercase() || c == '-';
+                let name = command.split(|c| !is_of_name(c)).next().unwrap_or_default();
+                if !name.starts_with('-') && !main.contains(&run(name)) {
+                    faults.push(format!("{}: cargo {tool} {name}", document.display()));
+                }
             }
         }
     }
@@ -150,6 +154,7 @@ fn every_rule_of_the_conformance_names_tests_that_exist() {
 fn is_test(name: &str) -> bool {
     let (module, function) = name.rsplit_once("::").unwrap_or_default();
     let (folder, module) = match module.split_once("::") {
+        Some(("canopen_node", module)) => ("canopen-node/src", module),
         Some(("lss_slave", module)) => ("lss-slave/src", module),
         Some(("example_io", module)) => ("examples/io/src", module),
         Some(("example_thermo", module)) => ("examples/thermo/tests", module),

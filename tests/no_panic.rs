@@ -7,9 +7,8 @@ use testkit::cargo::cargo_for_the_chip;
 /// Builds the program of `tests/no_panic` for the chip.
 fn build(arguments: &[&str]) -> Output {
     let target_dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("no_panic");
-    cargo_for_the_chip()
-        .args(["build", "--release", "--locked", "--target", "thumbv7em-none-eabihf"])
-        .args(["--manifest-path", "tests/no_panic/Cargo.toml"])
+    cargo_for_the_chip("build")
+        .args(["--release", "--locked", "--manifest-path", "tests/no_panic/Cargo.toml"])
         .arg("--target-dir")
         .arg(target_dir)
         .args(arguments)

@@ -3,9 +3,9 @@
 use testkit::cargo::cargo;
 
 #[test]
-#[ignore = "needs qemu-system-arm; `cargo xtask qemu` says how to install it"]
+#[ignore = "needs qemu-system-arm; `cargo verify qemu` says how to install it"]
 fn qemu_runs_the_release_image_and_answers_as_the_emulator_does() {
-    let output = cargo().args(["xtask", "qemu"]).output().expect("cargo runs");
+    let output = cargo().args(["verify", "qemu"]).output().expect("cargo runs");
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     // Found, commissioned, stored, and still so after a restart.

@@ -17,7 +17,7 @@ use crate::{
     can::{Clock, bxcan},
     chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Readings, Request, ResetCause, StartUp},
     coverage::Recorder,
-    engine::{Engine, Halt, Lockup, Watcher, rsemu::Rsemu},
+    engine::{Engine, Halt, Lockup, rsemu::Rsemu},
     image::Image,
 };
 #[cfg(feature = "log")]
@@ -381,11 +381,6 @@ impl Board {
     /// The stack pointer in use.
     pub fn sp(&self) -> u32 {
         self.engine.sp()
-    }
-
-    /// Registers `watcher` for every instruction from now on.
-    pub fn watch(&mut self, watcher: Box<dyn Watcher>) {
-        self.engine.watch(watcher);
     }
 
     /// Copies out of RAM or flash; outside of them, returns false and copies nothing.

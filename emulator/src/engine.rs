@@ -3,7 +3,7 @@
 pub mod clock;
 pub mod rsemu;
 
-use crate::{Time, chip::Access, coverage::Recorder};
+use crate::{Time, coverage::Recorder};
 
 /// The reason why a CPU stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,69 +70,8 @@ pub trait Engine: Send {
     /// The stack pointer in use.
     fn sp(&self) -> u32;
 
-    /// The registers, before the next instruction.
-    fn registers(&self) -> Registers;
-
     /// Records the branches of the program from now on.
     fn record(&mut self, recorder: Recorder);
-
-    /// Registers `watcher` for every instruction from now on.
-    fn watch(&mut self, watcher: Box<dyn Watcher>);
-}
-
-/// The core's registers, with a debugger's names.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Registers {
-    /// `r0..r15`: `r13` is the stack pointer in use, `r15` the address of the next instruction.
-    pub r: [u32; 16],
-    /// Flags, ITSTATE and the number of the current exception.
-    pub xpsr: u32,
-    /// `s0..s31`.
-    pub s: [u32; 32],
-    /// Status and control of the floating-point unit.
-    pub fpscr: u32,
-}
-
-/// Follows a program instruction by instruction.
-pub trait Watcher: Send {
-    /// Called after each step, with the core's state after it.
-    fn stepped(&mut self, step: &Step, core: &dyn Engine);
-
-    /// Called when the flash changes to `bytes` at `offset`, before the next step.
-    fn flash_changed(&mut self, offset: usize, bytes: &[u8], core: &dyn Engine);
-
-    /// Called when the debug probe has written to RAM.
-    fn ram_changed(&mut self, address: u32, bytes: &[u8], core: &dyn Engine);
-}
-
-/// An instruction, an exception entry, or the load of the first stack pointer and PC after a reset.
-#[derive(Clone, Debug)]
-pub struct Step {
-    /// Whether this was the first step after a reset.
-    pub from_reset: bool,
-    /// The registers before the step.
-    pub before: Registers,
-    /// Levels of the interrupt lines before the step, bit n for interrupt n.
-    pub irqs: u128,
-    /// `SYST_CSR`, `SYST_RVR`, `SYST_CVR` and `SYST_CALIB` before the step.
-    pub systick: [u32; 4],
-    /// Whether SysTick was pending before the step.
-    pub systick_pending: bool,
-    /// Whether the step requested a reset with `AIRCR.SYSRESETREQ`.
-    pub requests_reset: bool,
-    /// Loads from the chip and stores to it, in order.
-    pub transfers: Vec<Transfer>,
-}
-
-/// A load from the chip, or a store to it or to flash.
-#[derive(Clone, Copy, Debug)]
-pub struct Transfer {
-    /// The address and width of the access.
-    pub access: Access,
-    /// Whether it was a store.
-    pub is_store: bool,
-    /// The value loaded or stored.
-    pub value: u32,
 }
 
 /// The fault registers of a core that locked up (ARM DDI 0403, B1.5.15).

@@ -11,7 +11,7 @@ use crate::{
     Time,
     board::{Board, Stop},
     can::{Adapter, Bus, Bxcan, Controller, Frame, Station},
-    chip::Chip,
+    chip::{Chip, ResetCause},
 };
 use trace::Trace;
 
@@ -56,6 +56,8 @@ pub struct Network {
     /// The bus of each adapter.
     adapter_buses: Vec<BusId>,
     trace: Trace,
+    /// The causes of the resets that are allowed, by board; `None`: anything is.
+    allowed: Option<Vec<Vec<ResetCause>>>,
 }
 
 impl Network {
@@ -97,6 +99,7 @@ impl Network {
         self.plugs.push(plugs);
         self.boards.push(board);
         self.wake.push(self.now);
+        self.allowed.iter_mut().for_each(|allowed| allowed.push(Vec::new()));
         self.boards.len() - 1
     }
 
@@ -241,6 +244,47 @@ impl Network {
         self.trace.record(recording);
     }
 
+    /// From now on a run ends in a panic if a board has misused its chip, is locked up, or was reset, unless that was a
+    /// power-on or is [allowed](Self::allow_reset).
+    pub fn forbid_misuse(&mut self) {
+        self.allowed = Some((0..self.boards.len()).map(|board| self.resets(board)).collect());
+    }
+
+    /// Allows anything again.
+    pub fn permit_misuse(&mut self) {
+        self.allowed = None;
+    }
+
+    /// Allows one reset of the board for this cause.
+    ///
+    /// # Panics
+    /// If a reset that was allowed before has not come.
+    pub fn allow_reset(&mut self, board: usize, cause: ResetCause) {
+        let resets = self.resets(board);
+        if let Some(allowed) = self.allowed.as_mut().map(|allowed| &mut allowed[board]) {
+            assert_eq!(resets, *allowed, "the resets of board {board} so far");
+            allowed.push(cause);
+        }
+    }
+
+    /// The causes of the board's resets but power-on.
+    fn resets(&self, board: usize) -> Vec<ResetCause> {
+        let causes = self.boards[board].resets().iter().map(|(_, cause)| *cause);
+        causes.filter(|cause| *cause != ResetCause::PowerOn).collect()
+    }
+
+    fn check_for_misuse(&self) {
+        let Some(allowed) = &self.allowed else { return };
+        for (number, (board, allowed)) in self.boards.iter().zip(allowed).enumerate() {
+            if let Some(finding) = board.findings().first() {
+                panic!("board {number}: {finding}");
+            }
+            assert_eq!(board.lockup(), None, "board {number}");
+            let resets = self.resets(number);
+            assert!(allowed.starts_with(&resets), "resets of board {number}: {:?}", board.resets());
+        }
+    }
+
     /// Checks all boards and adapters again, since anything may have been done to them.
     fn begin(&mut self) {
         self.touched = true;
@@ -256,6 +300,7 @@ impl Network {
                 self.run_board(board, self.now, self.now);
             }
         }
+        self.check_for_misuse();
     }
 
     /// Runs up to `until`, or to an earlier time that needs a new decision.

@@ -201,7 +201,8 @@ fn sysresetreq_resets_the_board_and_keeps_its_ram() {
     program.load(R2, RCC_CSR).store_register(COUNTER, R2);
     program.load(R3, COUNTER + 4).add(R3, 1).store_register(COUNTER + 4, R3);
     program.sleep_forever_if_nonzero_after(RCC_CSR, 1 << 28);
-    program.store(COUNTER + 4, 7).store(AIRCR, 0x05FA_0004).stop();
+    // The last store comes too late.
+    program.store(COUNTER + 4, 7).store(AIRCR, 0x05FA_0004).store(COUNTER + 4, 20).stop();
     let mut board = board(program);
     assert_eq!(board.run_until(Time::from_ms(2)), Stop::Reset(ResetCause::Software));
     run(&mut board, Time::from_ms(2));

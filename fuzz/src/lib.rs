@@ -1,6 +1,6 @@
 //! The part of a board that targets share.
 
-use lss_slave::lss::Address;
+use canopen_node::lss::Address;
 
 /// The LSS address of a board.
 pub const ADDRESS: Address =

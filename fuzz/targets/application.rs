@@ -4,21 +4,21 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lss_slave::{
+use canopen_node::{
     Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
     Settings,
     application::{Domain, Text},
     lss::StoreError,
     nmt::State,
     objects,
-    process_data::{Rpdo, Tpdo},
+    pdo::{Rpdo, Tpdo},
     sdo::Abort,
     settings::parameters::unpack,
 };
-use lss_slave_fuzz::{ADDRESS, act_until_nothing_is_due};
+use canopen_node_fuzz::{ADDRESS, act_until_nothing_is_due};
 use testkit::sdo_messages::{block_download, block_upload, download, upload};
 
-const PARAMETERS: usize = MachineNode::PARAMETERS;
+const STORED_LEN: usize = MachineNode::STORED_LEN;
 
 type MachineNode = Node<Machine, 2, 2, 2>;
 
@@ -40,7 +40,7 @@ objects! {
     }
     0x6200 "Outputs" {
         1 "Lamps" lamps: u8 = 0, rw, mappable;
-        2 "Speed" speed: u16 = 0, rw, 0..=1000, mappable, stored;
+        2 "Speed" speed: u16 = 0, rw in 0..=1000, mappable, stored;
     }
 }
 
@@ -117,7 +117,7 @@ impl Board {
             Action::SetNodeId(id) => assert_eq!(id, self.node.node_id()),
             Action::Store(settings) => {
                 assert!(self.store.is_none(), "a store before the previous one has ended");
-                let mut parameters = vec![0; PARAMETERS];
+                let mut parameters = vec![0; STORED_LEN];
                 let len = self.node.write_parameters(&self.parameters, &mut parameters);
                 parameters.truncate(len);
                 self.store = Some((settings, parameters));
@@ -205,8 +205,8 @@ impl Board {
     fn check(&mut self) {
         let restarted = start(self.settings, &self.parameters);
         self.receive(0x000, &[0x82, 0]);
-        let is_at_ease = self.may_transmit && self.node.nmt_state() == State::PreOperational;
-        if is_at_ease && self.node.node_id() == restarted.node_id() {
+        let is_undisturbed = self.may_transmit && self.node.nmt_state() == State::PreOperational;
+        if is_undisturbed && self.node.node_id() == restarted.node_id() {
             assert_eq!(self.node.receives(), restarted.receives());
         }
     }

@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lss_slave::lss::Request;
+use canopen_node::lss::Request;
 
 fuzz_target!(|data: [u8; 8]| {
     if let Some(request) = Request::from_bytes(&data) {

@@ -3,11 +3,11 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lss_slave::{
+use canopen_node::{
     Action, BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
     Settings, emergency::Fault, lss::StoreError,
 };
-use lss_slave_fuzz::{ADDRESS, act_until_nothing_is_due};
+use canopen_node_fuzz::{ADDRESS, act_until_nothing_is_due};
 
 /// A board that tracks the permissions of its node.
 struct Board {

@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lss_slave::{
+use canopen_node::{
     Action, BitRate, BitRates, Device, Frame, Instant, Node, NodeId, Settings, lss::Address,
 };
 

@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use lss_slave::{BitRate, Frame};
+use canopen_node::{BitRate, Frame};
 
 use crate::stop::Stop;
 

@@ -5,7 +5,7 @@ mod restore;
 
 use std::time::{Duration, Instant};
 
-use lss_slave::{
+use canopen_node::{
     BitRate,
     lss::{Address, Request},
 };

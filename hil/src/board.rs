@@ -2,12 +2,12 @@
 
 use std::fmt;
 
-use firmware::device;
-use lss_master::{Find, Identify};
-use lss_slave::{
+use canopen_node::{
     BitRate, BitRateSetting, NodeId,
     lss::{Address, AddressPart, IdentifyKey, Request},
 };
+use firmware::device::DEVICE;
+use lss_master::{Find, Identify};
 
 use crate::{bus::Bus, stop::Stop};
 
@@ -59,7 +59,7 @@ fn is_anyone(bus: &mut Bus, within: Identify) -> Result<bool, Stop> {
 
 /// Whether any board of this product is on the bus.
 pub fn is_any_there(bus: &mut Bus) -> Result<bool, Stop> {
-    is_anyone(bus, Identify::product(device::VENDOR_ID, device::PRODUCT_CODE))
+    is_anyone(bus, Identify::product(DEVICE.address.vendor_id, DEVICE.address.product_code))
 }
 
 /// Whether the board with this address is on the bus.
@@ -70,12 +70,12 @@ pub fn is_there(bus: &mut Bus, address: Address) -> Result<bool, Stop> {
 /// The addresses of all boards of this product. The revision of this repository comes first, since a single revision
 /// takes half of the time.
 pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
-    const OWN: u32 = device::REVISION_NUMBER;
+    const OWN: u32 = DEVICE.address.revision_number;
     let mut found = Vec::new();
     let below = OWN.checked_sub(1).map(|last| 0..=last);
     let above = OWN.checked_add(1).map(|first| first..=u32::MAX);
     for revision_numbers in [Some(OWN..=OWN), below, above].into_iter().flatten() {
-        let product = Identify::product(device::VENDOR_ID, device::PRODUCT_CODE);
+        let product = Identify::product(DEVICE.address.vendor_id, DEVICE.address.product_code);
         let mut rest = Identify { revision_numbers, ..product };
         while let Ok(Some(address)) = bus.carry_out(Find::new(rest.clone()))? {
             found.push(address);

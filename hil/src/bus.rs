@@ -9,12 +9,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use lss_master::{Error, Master, Output, Procedure, Timing};
-use lss_slave::{
+use canopen_node::{
     BitRate, Frame,
     lss::{self, Request},
     nmt,
 };
+use lss_master::{Error, Master, Output, Procedure, Timing};
 
 use crate::{
     adapter::{Adapter, Clock, Mode, Received, Status},
@@ -278,8 +278,8 @@ impl Bus {
     }
 
     /// The master's time.
-    fn now(&self) -> lss_slave::Instant {
-        lss_slave::Instant::from_micros(self.start.elapsed().as_micros() as u32)
+    fn now(&self) -> canopen_node::Instant {
+        canopen_node::Instant::from_micros(self.start.elapsed().as_micros() as u32)
     }
 
     /// Waits until what was sent has left the adapter.

@@ -2,11 +2,11 @@
 
 use std::time::{Duration, Instant};
 
-use firmware::device;
-use lss_slave::{
+use canopen_node::{
     BitRate, BitRateSetting,
     lss::{AddressPart, Request},
 };
+use firmware::device::DEVICE;
 
 use crate::{board, bus::Bus, report::Report, stop::Stop};
 
@@ -32,7 +32,7 @@ struct Sight {
 /// # Errors
 /// [`Stop::Bench`] says what is wrong.
 pub fn find_rate(bus: &mut Bus, report: &mut Report) -> Result<BitRate, Stop> {
-    let default = match device::DEFAULTS.bit_rate {
+    let default = match DEVICE.defaults.bit_rate {
         BitRateSetting::Fixed(rate) => rate,
         BitRateSetting::Automatic => BitRate::Kbit125,
     };
@@ -131,8 +131,8 @@ fn stranger(bus: &mut Bus, sight: Sight) -> Result<Option<String>, Stop> {
              {:08X} and {:08X} (src/device.rs). Nothing was changed",
             number(vendor),
             number(product),
-            device::VENDOR_ID,
-            device::PRODUCT_CODE
+            DEVICE.address.vendor_id,
+            DEVICE.address.product_code
         ),
     }))
 }

@@ -1,8 +1,8 @@
 //! The values of the registers that matter, on the emulated board that runs the same firmware.
 
+use canopen_node::{BitRate, NodeId, bit_rate::BitTiming, lss, nmt};
 use canopen_stm32f4::chip::{APB1_HZ, Chip};
 use firmware::device;
-use lss_slave::{BitRate, NodeId, bit_rate::BitTiming, lss, nmt};
 
 /// A register, and the value of its bits that do not vary.
 #[derive(Clone, Copy, Debug)]

@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use lss_slave::BitRate;
+use canopen_node::BitRate;
 
 /// The outcome of a check.
 #[derive(Clone, Debug, PartialEq, Eq)]

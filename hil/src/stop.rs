@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use lss_slave::Frame;
+use canopen_node::Frame;
 
 /// A reason to end the sessions and to restore the boards.
 #[derive(Clone, Debug)]

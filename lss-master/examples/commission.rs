@@ -1,7 +1,10 @@
-//! Two slaves without a node-ID on a bus within the process: the master finds each, and it boots up with a node-ID.
+//! Two slaves without a node-ID on a bus within the process: the master finds each and gives it a node-ID.
 
 use lss_master::{Assign, Configure, Error, Fastscan, Instant, Master, Output, Timing};
-use lss_slave::{Action, BitRate, BitRates, Device, Frame, Node, NodeId, Settings, lss::Address};
+use lss_slave::{
+    BitRate, BitRates, Frame, NodeId,
+    lss::{Address, Reaction, Response, Slave},
+};
 
 fn main() -> Result<(), Error> {
     let mut slaves = [0xA, 0xB].map(slave);
@@ -16,7 +19,7 @@ fn main() -> Result<(), Error> {
                     now = now.plus_micros(1_000);
                     let mut answers = Vec::new();
                     for slave in &mut slaves {
-                        answers.extend(receive(slave, &request, now));
+                        answers.extend(receive(slave, &request));
                     }
                     // Slaves that answer together send one frame.
                     answers.dedup();
@@ -38,23 +41,20 @@ fn main() -> Result<(), Error> {
 }
 
 /// A slave whose LSS address ends with this serial number.
-fn slave(serial_number: u32) -> Node {
+fn slave(serial_number: u32) -> Slave {
     let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number };
-    let device = Device::new(address, BitRates::possible(40_000_000))
-        .with_defaults(Settings::new(BitRate::Kbit125.into()));
-    Node::new(device, None)
+    Slave::new(address, BitRates::possible(40_000_000), None, BitRate::Kbit125.into())
 }
 
-/// What the slave sends after a frame.
-fn receive(slave: &mut Node, frame: &Frame, now: Instant) -> Vec<Frame> {
-    let mut sent = Vec::new();
-    let mut first = slave.handle_frame(frame, now);
-    while let Some(action) = first.take().or_else(|| slave.poll(now)) {
-        match action {
-            Action::Transmit(frame) => sent.push(frame),
-            Action::Store(_) => slave.handle_stored(Ok(())),
-            _ => {}
+/// What the slave sends after a request.
+fn receive(slave: &mut Slave, request: &Frame) -> Option<Frame> {
+    match slave.handle(request.data().try_into().ok()?)? {
+        Reaction::Answer(answer) => Some(answer),
+        Reaction::StoreConfiguration => Some(Response::StoreConfiguration(Ok(())).to_frame()),
+        Reaction::ResetCommunication => {
+            slave.reset_communication();
+            None
         }
+        Reaction::ActivateBitTiming(_) => None,
     }
-    sent
 }

@@ -6,12 +6,10 @@
 //!
 //! ```
 //! use lss_master::{Fastscan, Instant, Master, Output, Timing};
-//! use lss_slave::{BitRate, BitRates, Device, Node, Settings, Action, lss::Address};
+//! use lss_slave::{BitRate, BitRates, lss::{Address, Reaction, Slave}};
 //!
 //! let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-//! let device = Device::new(address, BitRates::possible(40_000_000))
-//!     .with_defaults(Settings::new(BitRate::Kbit125.into()));
-//! let mut slave = Node::new(device, None);
+//! let mut slave = Slave::new(address, BitRates::possible(40_000_000), None, BitRate::Kbit125.into());
 //!
 //! let mut master = Master::new(Timing::default());
 //! let mut scan = master.start(Fastscan::new());
@@ -19,7 +17,8 @@
 //! let found = loop {
 //!     match scan.poll(now) {
 //!         Output::Transmit(request) => {
-//!             if let Some(Action::Transmit(answer)) = slave.handle_frame(&request, now) {
+//!             let data = request.data().try_into().expect("a request has eight bytes");
+//!             if let Some(Reaction::Answer(answer)) = slave.handle(data) {
 //!                 now = now.plus_micros(1_000);
 //!                 scan.handle_frame(&answer, now);
 //!             }

@@ -12,7 +12,7 @@ use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults, device},
     random::Random,
-    rig_bus::{Faults, RigBus},
+    rig_bus::{Faults, RigBus, neighbours},
 };
 
 /// For slaves that answer within 100 us on a bus at 1 Mbit/s.
@@ -155,21 +155,6 @@ fn skipped_parts_are_told_by_the_slave() {
     assert_eq!(bus.requests, 1 + 1 + 1 + 33 + 3);
     let found = commission(&mut bus, &mut master, &scan);
     assert_commissioned(&mut bus, &found);
-}
-
-/// Blank slaves, some equal but for a bit.
-fn neighbours(random: &mut Random, count: usize) -> Vec<Address> {
-    let mut all: Vec<[u32; 4]> = vec![ADDRESS.into()];
-    while all.len() < count {
-        let mut parts = random.pick(&all);
-        let part = random.within(0..4) as usize;
-        parts[part] =
-            if random.one_in(2) { parts[part] ^ 1 << random.within(0..32) } else { random.u32() };
-        if !all.contains(&parts) {
-            all.push(parts);
-        }
-    }
-    all.into_iter().map(Address::from).collect()
 }
 
 #[test]
@@ -325,7 +310,7 @@ fn identify_bears_lost_and_late_frames() {
     for _ in 0..20 {
         let serial_number = random.u32();
         let mut bus = bus([address(serial_number)]);
-        bus.faults = Faults { lost: 400, late: 200, late_us: 2_000, doubled: 100 };
+        bus.faults = Faults { lost: 200, late: 200, late_us: 2_000, doubled: 100 };
         let product = Identify::product(ADDRESS.vendor_id, ADDRESS.product_code);
         let find = Find::new(Identify { revision_numbers: 0..=0xFFFFF, ..product });
         assert_eq!(bus.run(&mut master(), find), Ok(Some(address(serial_number))));

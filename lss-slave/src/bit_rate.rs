@@ -1,6 +1,20 @@
-//! The bit rates of CiA 301, their table for LSS, and the solver for the bit timing at a given clock.
+//! The bit rates of CiA 301 and their table for LSS; below it, the bit timing for each, the switch to another, and the
+//! supervision.
+
+mod control;
+mod event;
+mod supervision;
+mod timing;
 
 use core::fmt;
+
+pub use control::{Control, Next};
+pub use event::BusEvent;
+pub use supervision::Step;
+pub use timing::BitTiming;
+
+/// The error code of the emergency message by which a node tells that it has become a guest: FF10h.
+pub const GUEST_ERROR_CODE: u16 = 0xFF10;
 
 /// A bit rate of CiA 301; the value is its index in the table that configure bit timing selects with 0 (CiA 305).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -135,8 +149,14 @@ impl BitRates {
         Self(self.0 | 1 << BitRateSetting::AUTOMATIC_INDEX)
     }
 
+    /// The same rates except this one, which a transceiver or a long bus may not allow.
+    #[must_use]
+    pub const fn without(self, rate: BitRate) -> Self {
+        Self(self.0 & !(1 << rate.index()))
+    }
+
     /// The fastest rate of the set; 10 kbit/s if the set is empty.
-    pub(crate) const fn fastest(self) -> BitRate {
+    pub const fn fastest(self) -> BitRate {
         let mut fastest = BitRate::Kbit10;
         let mut i = BitRate::ALL.len();
         while i > 0 {
@@ -153,178 +173,14 @@ impl BitRates {
         self.offers(BitRateSetting::Fixed(rate))
     }
 
+    /// The setting, or automatic detection in place of a rate that is not in the set: a program with another clock may
+    /// have stored it.
+    pub const fn or_automatic(self, setting: BitRateSetting) -> BitRateSetting {
+        if self.offers(setting) { setting } else { BitRateSetting::Automatic }
+    }
+
     /// Whether the set contains `setting`.
     pub const fn offers(self, setting: BitRateSetting) -> bool {
         self.0 >> setting.index() & 1 == 1
-    }
-}
-
-/// Bit timing (ISO 11898-1): prescaler and segments, in time quanta. The ranges are those of a bxCAN and of most other
-/// controllers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct BitTiming {
-    /// Cycles of the controller's clock per time quantum: 1..=1024.
-    pub prescaler: u16,
-    /// Time quanta from the synchronisation quantum to the sample point: 1..=16.
-    pub segment1: u8,
-    /// Time quanta after the sample point: 1..=8.
-    pub segment2: u8,
-    /// Time quanta by which a resynchronisation may move the sample point: 1..=4.
-    pub sync_jump_width: u8,
-}
-
-impl BitTiming {
-    /// The largest rate error: 1/1000, which leaves most of the tolerance of a CAN bit to the crystals.
-    pub const MAX_RATE_ERROR_PPM: u32 = 1_000;
-    /// The crystal error to tolerate in each of two nodes, if the clock allows it: 1/200.
-    pub const CRYSTAL_ERROR_PPM: u32 = 5_000;
-    /// The preferred sample point, in 1/1000 of the bit (CiA 301).
-    pub const SAMPLE_POINT: u32 = 875;
-    /// Time quanta per bit (ISO 11898-1).
-    const QUANTA: core::ops::RangeInclusive<u32> = 8..=25;
-
-    /// The range of the sample point that CiA 301 allows at `rate`, in 1/1000 of the bit: 750..=900 at 1000 and
-    /// 800 kbit/s, 850..=900 below.
-    pub const fn sample_point_range(rate: BitRate) -> core::ops::RangeInclusive<u32> {
-        match rate {
-            BitRate::Kbit1000 | BitRate::Kbit800 => 750..=900,
-            _ => 850..=900,
-        }
-    }
-
-    /// The best bit timing for `rate` at a controller clock of `clock_hz`. The criteria, in this order: the least rate
-    /// error; a [`crystal_tolerance_ppm`](Self::crystal_tolerance_ppm) of
-    /// [`CRYSTAL_ERROR_PPM`](Self::CRYSTAL_ERROR_PPM) or as near as possible; the sample point nearest to 87.5 %, the
-    /// earlier of two; the most time quanta. The synchronisation jump width is as large as the second segment allows.
-    ///
-    /// `None` if the rate would be more than 0.1 % off or the sample point outside of
-    /// [`sample_point_range`](Self::sample_point_range).
-    pub const fn solve(rate: BitRate, clock_hz: u32) -> Option<Self> {
-        let bit_hz = rate.kbit_per_s() as u64 * 1000;
-        let sample_points = Self::sample_point_range(rate);
-        let mut best = None;
-        let mut best_rank = Rank::WORST;
-        // The first of equal ranks is kept: it has the most quanta and, at equal distance from 87.5 %, the earlier
-        // sample point.
-        let mut quanta = *Self::QUANTA.end();
-        while quanta >= *Self::QUANTA.start() {
-            let quantum_hz = bit_hz * quanta as u64;
-            let prescaler = (clock_hz as u64 + quantum_hz / 2) / quantum_hz;
-            let error_hz = (clock_hz as u64).abs_diff(quantum_hz * prescaler);
-            let error_ppm = error_hz * 1_000_000 / quantum_hz;
-            let rate_fits = prescaler >= 1
-                && prescaler <= 1024
-                && error_hz * 1_000_000 <= Self::MAX_RATE_ERROR_PPM as u64 * quantum_hz * prescaler;
-            let mut segment2 = 8;
-            while rate_fits && segment2 >= 1 {
-                let segment1 = (quanta - 1).saturating_sub(segment2);
-                let timing = Self {
-                    prescaler: prescaler as u16,
-                    segment1: segment1 as u8,
-                    segment2: segment2 as u8,
-                    sync_jump_width: if segment2 < 4 { segment2 as u8 } else { 4 },
-                };
-                let intolerance =
-                    Self::CRYSTAL_ERROR_PPM.saturating_sub(timing.crystal_tolerance_ppm());
-                let sample_point = timing.sample_point();
-                let rank = Rank {
-                    rate_error_ppm: error_ppm / prescaler,
-                    intolerance_ppm: intolerance,
-                    sample_point_error: sample_point.abs_diff(Self::SAMPLE_POINT),
-                };
-                if segment1 >= 1
-                    && segment1 <= 16
-                    && sample_point >= *sample_points.start()
-                    && sample_point <= *sample_points.end()
-                    && rank.is_better_than(&best_rank)
-                {
-                    best_rank = rank;
-                    best = Some(timing);
-                }
-                segment2 -= 1;
-            }
-            quanta -= 1;
-        }
-        best
-    }
-
-    /// The crystal error that two nodes on a short bus tolerate, in opposite directions and in ppm. A resynchronisation
-    /// corrects the drift of 10 bits, and the drift of the 13 bits that an error flag can last does not pass the sample
-    /// point (ISO 11898-1).
-    pub const fn crystal_tolerance_ppm(self) -> u32 {
-        let quanta = self.quanta();
-        let shorter =
-            if self.segment1 < self.segment2 { self.segment1 } else { self.segment2 } as u32;
-        let jump = self.sync_jump_width as u32 * 1_000_000 / (20 * quanta);
-        let phase = shorter * 1_000_000 / (2 * (13 * quanta - self.segment2 as u32));
-        if jump < phase { jump } else { phase }
-    }
-
-    /// Time quanta per bit.
-    pub const fn quanta(self) -> u32 {
-        1 + self.segment1 as u32 + self.segment2 as u32
-    }
-
-    /// The sample point, in 1/1000 of the bit.
-    pub const fn sample_point(self) -> u32 {
-        (1 + self.segment1 as u32) * 1000 / self.quanta()
-    }
-
-    /// The bit rate at a clock of `clock_hz`, in bit/s.
-    pub const fn bit_per_s(self, clock_hz: u32) -> u32 {
-        clock_hz / (self.prescaler as u32 * self.quanta())
-    }
-}
-
-/// The distance of a bit timing from the ideal. The first field that differs decides; the smaller value is better.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Rank {
-    rate_error_ppm: u64,
-    /// The shortfall from [`BitTiming::CRYSTAL_ERROR_PPM`].
-    intolerance_ppm: u32,
-    /// In 1/1000 of the bit.
-    sample_point_error: u32,
-}
-
-impl Rank {
-    const WORST: Self =
-        Self { rate_error_ppm: u64::MAX, intolerance_ppm: u32::MAX, sample_point_error: u32::MAX };
-
-    /// The operator `<`, which cannot be called in a constant.
-    const fn is_better_than(&self, other: &Self) -> bool {
-        if self.rate_error_ppm != other.rate_error_ppm {
-            return self.rate_error_ppm < other.rate_error_ppm;
-        }
-        if self.intolerance_ppm != other.intolerance_ppm {
-            return self.intolerance_ppm < other.intolerance_ppm;
-        }
-        self.sample_point_error < other.sample_point_error
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Rank;
-
-    #[test]
-    fn a_rank_is_better_than_another_if_it_is_less() {
-        let numbers = || 0..3;
-        let ranks = || {
-            numbers().flat_map(move |rate| {
-                numbers().flat_map(move |intolerance_ppm| {
-                    numbers().map(move |sample_point_error| Rank {
-                        rate_error_ppm: rate.into(),
-                        intolerance_ppm,
-                        sample_point_error,
-                    })
-                })
-            })
-        };
-        for a in ranks() {
-            for b in ranks() {
-                assert_eq!(a.is_better_than(&b), a < b, "{a:?}, {b:?}");
-            }
-        }
     }
 }

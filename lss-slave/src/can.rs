@@ -44,11 +44,15 @@ impl Frame {
         }
     }
 
-    pub(crate) const fn with_eight_bytes(cob_id: u16, data: [u8; 8]) -> Self {
+    /// A frame with eight bytes. The COB-ID must be 0..=7FFh.
+    #[doc(hidden)]
+    pub const fn with_eight_bytes(cob_id: u16, data: [u8; 8]) -> Self {
         Self { data, cob_id, len: 8 }
     }
 
-    pub(crate) const fn with_one_byte(cob_id: u16, byte: u8) -> Self {
+    /// A frame with one byte. The COB-ID must be 0..=7FFh.
+    #[doc(hidden)]
+    pub const fn with_one_byte(cob_id: u16, byte: u8) -> Self {
         Self { data: [byte, 0, 0, 0, 0, 0, 0, 0], cob_id, len: 1 }
     }
 
@@ -69,14 +73,17 @@ impl Frame {
 
     /// The longest time that the frame takes on a bus at `rate`, in microseconds: with the most stuff bits, and the
     /// three bits that follow it (ISO 11898-1).
-    pub(crate) const fn longest_micros(&self, rate: BitRate) -> u32 {
+    #[doc(hidden)]
+    pub const fn longest_micros(&self, rate: BitRate) -> u32 {
         let stuffed = 34 + 8 * self.len as u32;
         let bits = stuffed + (stuffed - 1) / 4 + 13;
         (bits * 1000).div_ceil(rate.kbit_per_s() as u32)
     }
 
     /// The data of a frame that has all eight bytes, as every LSS and SDO frame does.
-    pub(crate) fn eight_bytes(&self) -> Option<&[u8; 8]> {
+    #[doc(hidden)]
+    #[inline]
+    pub fn eight_bytes(&self) -> Option<&[u8; 8]> {
         (self.len == 8).then_some(&self.data)
     }
 }

@@ -1,36 +1,34 @@
-//! A CANopen LSS slave (CiA 305) and the small node around it: deterministic, without I/O.
+//! A CANopen LSS slave (CiA 305) for any CANopen stack: deterministic, without I/O.
 //!
 //! The library reads no clock, allocates nothing, knows no chip and cannot panic. It takes frames and the present time
-//! and returns [`Action`]s; the same calls always return the same actions. A board carries the actions out. Here a
-//! master asks whether any slave has no node-ID:
+//! and says what the node has to do; the same calls always return the same results. Here a master asks whether any
+//! slave has no node-ID:
 //!
 //! ```
-//! use lss_slave::{Action, BitRate, BitRates, Device, Frame, Instant, Node, Settings, lss::Address};
+//! use lss_slave::{BitRate, BitRates, Frame, lss::{Address, Reaction, Slave}};
 //!
 //! let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-//! let device = Device::new(address, BitRates::possible(40_000_000))
-//!     .with_defaults(Settings::new(BitRate::Kbit125.into()))
-//!     .with_name("Example");
-//! let mut node = Node::new(device, None);
-//! let now = Instant::from_micros(0);
-//! assert_eq!(node.poll(now), None, "no boot-up without a node-ID");
+//! let rates = BitRates::possible(40_000_000);
+//! let mut slave = Slave::new(address, rates, None, BitRate::Kbit125.into());
 //!
-//! let is_anyone_unconfigured = Frame::new(0x7E5, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
-//! let Some(Action::Transmit(answer)) = node.handle_frame(&is_anyone_unconfigured, now) else { panic!() };
+//! let is_anyone_unconfigured = [0x4C, 0, 0, 0, 0, 0, 0, 0];
+//! let Some(Reaction::Answer(answer)) = slave.handle(&is_anyone_unconfigured) else { panic!() };
 //! assert_eq!((answer.cob_id(), answer.data()), (0x7E4, &[0x50, 0, 0, 0, 0, 0, 0, 0][..]));
 //! ```
 //!
-//! A complete port, on a bus within the process:
+//! Joined to a small node of one's own:
 //!
 //! ```no_run
-#![doc = include_str!("../examples/in_process_bus.rs")]
+#![doc = include_str!("../examples/own_node.rs")]
 //! ```
 //!
 //! # Where to begin
-//! - [`Node`] documents the calls that drive it and their order; [`Action`] documents what the board must do.
-//! - [`Device`] describes the device, [`Settings`] its configuration; [`settings::Log`] keeps the settings in flash.
+//! - [`lss::Slave`] is the state machine of CiA 305; [`lss::Reaction`] says what the node must do after a request.
+//! - [`bit_rate::Control`] switches the bit rate with both delays, detects it, and finds the others if it is wrong.
+//! - [`settings::Log`] keeps [`Settings`] in flash, safe from power cuts.
 //! - [`BitRates`] holds the bit rates that a clock can produce, [`bit_rate::BitTiming`] the segments for each.
-//! - [`lss::Slave`] is the state machine of CiA 305 alone, for a node that has its own NMT and SDO.
+//!
+//! The crate `canopen-node` is a whole node around them.
 //!
 //! # Features
 //! - `defmt`: `defmt::Format` for the public types.
@@ -39,35 +37,23 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
-pub mod application;
 pub mod bit_rate;
-pub mod emergency;
-pub mod indicator;
+#[doc(hidden)]
+pub mod bytes;
+pub mod cob_id;
 pub mod lss;
-pub mod nmt;
-pub mod object_dictionary;
-pub mod process_data;
-pub mod sdo;
 pub mod settings;
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
 
-mod bus_event;
 mod can;
-mod device;
-mod node;
 mod node_id;
-mod supervision;
 mod time;
 
-pub use application::Application;
-pub use bit_rate::{BitRate, BitRateSetting, BitRates};
-pub use bus_event::BusEvent;
+pub use bit_rate::{BitRate, BitRateSetting, BitRates, BusEvent};
 pub use can::Frame;
-pub use device::Device;
-pub use node::{Action, Node, Receives};
 pub use node_id::{InvalidNodeId, NodeId};
 pub use settings::Settings;
 pub use time::Instant;

@@ -21,11 +21,13 @@ impl Instant {
 
     /// The instant `micros` later.
     #[must_use]
+    #[inline]
     pub const fn plus_micros(self, micros: u32) -> Self {
         Self(self.0.wrapping_add(micros))
     }
 
     /// Microseconds from `now` to this instant; 0 if it has passed.
+    #[inline]
     pub const fn micros_after(self, now: Self) -> u32 {
         let ahead = self.0.wrapping_sub(now.0);
         if ahead <= u32::MAX / 2 { ahead } else { 0 }
@@ -33,13 +35,14 @@ impl Instant {
 
     /// The earlier of two instants.
     #[must_use]
+    #[inline]
     pub const fn earlier(self, other: Self) -> Self {
         if self.has_come(other) { self } else { other }
     }
 
     /// The earlier of two optional deadlines.
     #[inline(never)] // It has several callers.
-    pub(crate) fn earliest(a: Option<Self>, b: Option<Self>) -> Option<Self> {
+    pub fn earliest(a: Option<Self>, b: Option<Self>) -> Option<Self> {
         match (a, b) {
             (Some(a), Some(b)) => Some(a.earlier(b)),
             _ => a.or(b),
@@ -47,18 +50,21 @@ impl Instant {
     }
 
     /// The later of two instants.
-    pub(crate) const fn later(self, other: Self) -> Self {
+    #[inline]
+    pub const fn later(self, other: Self) -> Self {
         if self.has_come(other) { other } else { self }
     }
 
     /// Whether this instant is after `now`, by at most `micros`. A deadline that nobody has looked at for half a turn of
     /// the count would otherwise lie in the future again.
-    pub(crate) const fn is_ahead(self, now: Self, micros: u32) -> bool {
+    #[inline]
+    pub const fn is_ahead(self, now: Self, micros: u32) -> bool {
         let ahead = self.micros_after(now);
         0 < ahead && ahead <= micros
     }
 
     /// Whether this instant is at or before `now`.
+    #[inline]
     pub const fn has_come(self, now: Self) -> bool {
         self.micros_after(now) == 0
     }

@@ -1,6 +1,6 @@
 //! The board after a reset: watchdog, clocks, supply, settings and identity.
 
-use lss_slave::{
+use canopen_node::{
     Application, Device, Node, NodeId, emergency::Fault, lss::Address, settings::Found,
 };
 use stm32f4xx_hal::{
@@ -85,14 +85,14 @@ impl Board {
         const TPDOS: usize,
         const RPDOS: usize,
         const PRODUCERS: usize,
-        const PARAMETERS: usize,
+        const STORED_LEN: usize,
     >(
         mut self,
         device: Device,
         application: A,
         can: C,
         pins: CanPins<C>,
-    ) -> (Runner<C, A, TPDOS, RPDOS, PRODUCERS>, Storage<PARAMETERS>, Watchdog) {
+    ) -> (Runner<C, A, TPDOS, RPDOS, PRODUCERS>, Storage<STORED_LEN>, Watchdog) {
         let (mut storage, mut found) = Storage::open(self.flash);
         let stored = storage.log().settings();
         let mut node = Node::with_application(device, stored, application);

@@ -2,7 +2,7 @@
 
 /// An STM32F4 with bxCAN. The sizes are those of its smallest version, which the image must fit. On every chip sectors
 /// 0 to 3 of the flash have 16 KB (chapter "Embedded flash memory interface" of each manual; of RM0402 and RM0430 that
-/// table was not at hand: there the flash algorithms of the STM32F4 device pack 2.17.1 say so).
+/// table was not available: there the flash algorithms of the STM32F4 device pack 2.17.1 say so).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chip {
     /// The feature of the firmware, the chip's name in lower case.
@@ -96,7 +96,7 @@ pub fn controller(name: &str) -> Result<u8, &'static str> {
 }
 
 /// The address of the 96-bit unique id (RM0090, 39.1; RM0386, 38.1; RM0390 Rev 4, 34.1; RM0402, 31.1; of RM0430 the
-/// chapter was not at hand: there `UID_BASE` in ST's header).
+/// chapter was not available: there `UID_BASE` in ST's header).
 pub const UNIQUE_ID: usize = 0x1FFF_7A10;
 
 /// The clock of the CAN controllers in Hz: the only whole number of MHz up to 50 with which all eight bit rates are

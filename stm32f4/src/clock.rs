@@ -1,7 +1,7 @@
 //! Time: a free-running count of microseconds, and an interrupt at the next deadline.
 
+use canopen_node::Instant;
 use cortex_m::peripheral::NVIC;
-use lss_slave::Instant;
 use stm32f4xx_hal::{
     pac::{Interrupt, TIM2},
     rcc::{Enable, Rcc},

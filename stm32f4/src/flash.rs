@@ -1,10 +1,10 @@
 //! The chip's flash, sectors 1 and 2, for the settings log (RM0090, chapter 3).
 
+use canopen_node::settings::parameters::capacity;
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash, check_erase, check_read,
     check_write,
 };
-use lss_slave::settings::parameters::capacity;
 use stm32f4xx_hal::pac;
 
 use crate::{board::SETTINGS, supply::Supply};
@@ -14,7 +14,7 @@ const SECTORS: u32 = 2;
 const SECTOR_LEN: u32 = 16 * 1024;
 
 /// The greatest number of bytes that stored parameters may take.
-pub const PARAMETERS: usize = capacity(SECTOR_LEN as usize);
+pub const CAPACITY: usize = capacity(SECTOR_LEN as usize);
 
 /// The width of programming and erasing, as PSIZE has it (RM0090, 3.6.2).
 #[derive(Clone, Copy)]

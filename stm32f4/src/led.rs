@@ -2,7 +2,7 @@
 
 use core::hint::black_box;
 
-use lss_slave::indicator::Lit;
+use canopen_node::indicator::Lit;
 use stm32f4xx_hal::gpio::{ErasedPin, Output, Pin, PinMode, PinState};
 
 /// An LED, dark at first. The compiler does not see which pin: it makes a resource of RTIC that is constant the initial

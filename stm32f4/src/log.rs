@@ -1,6 +1,6 @@
 //! The line of the log that says which settings the board starts with.
 
-use lss_slave::{BitRateSetting, NodeId, Settings, settings::Found};
+use canopen_node::{BitRateSetting, NodeId, Settings, settings::Found};
 
 /// Logs what the start has found in the flash, and the settings in use.
 pub fn found(found: Found, settings: &Settings) {

@@ -2,12 +2,12 @@
 
 use core::mem;
 
-use cortex_m::peripheral::{NVIC, SCB};
-use lss_slave::{
+use canopen_node::{
     Action, Application, BusEvent, Instant, Node, NodeId, Settings,
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
 };
+use cortex_m::peripheral::{NVIC, SCB};
 
 use crate::{
     can::{Controller, Peripheral, Received},
@@ -48,12 +48,12 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
     ) -> Self {
         const {
             assert!(
-                Node::<A, TPDOS, RPDOS, PRODUCERS>::PARAMETERS <= flash::PARAMETERS,
+                Node::<A, TPDOS, RPDOS, PRODUCERS>::STORED_LEN <= flash::CAPACITY,
                 "the flash has no room for the stored parameters of the application"
             );
         }
         if !node.is_listening() {
-            can.set_bit_rate(node.bit_rate());
+            can.set_bit_rate(node.bit_rate(), node.receives());
         }
         let step_at = clock::now();
         alarm.set(step_at);
@@ -119,8 +119,6 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
         self.node.handle_bus(counters, clock::now());
         let error = self.can.handle_status();
         let now = clock::now();
-        // Frames received before the error come first.
-        self.hear_others();
         if let Some(error) = error {
             self.node.handle_bus(error, now);
         }
@@ -177,6 +175,12 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
         self.finish();
     }
 
+    /// Sends a TPDO though no value has changed, as [`Node::send_tpdo`] does.
+    pub fn send_tpdo(&mut self, number: u8) {
+        self.node.send_tpdo(number);
+        self.finish();
+    }
+
     /// Passes the outcome of a store to the node.
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         self.node.handle_stored(outcome);
@@ -194,17 +198,9 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
         Some((settings, self.node.write_parameters(persistent, parameters)))
     }
 
-    fn hear_others(&mut self) {
-        if self.can.has_heard_others() {
-            self.node.handle_bus(BusEvent::Received, clock::now());
-        }
-    }
-
     /// Does what is due now; returns the indicators to light, at the start of each of their steps.
     pub fn handle_alarm(&mut self) -> Option<Lit> {
         self.alarm.acknowledge();
-        // Traffic received until now counts before the deadlines.
-        self.hear_others();
         self.act_until_nothing_is_due();
         let now = clock::now();
         if let Some(event) = self.can.watch(now) {
@@ -247,14 +243,14 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
     }
 
     fn set_alarm(&mut self) {
-        let mut at = self.step_at;
+        let mut next = self.step_at;
         if let Some(of_node) = self.node.poll_at() {
-            at = at.earlier(of_node);
+            next = next.earlier(of_node);
         }
         if let Some(of_watch) = self.can.watch_at() {
-            at = at.earlier(of_watch);
+            next = next.earlier(of_watch);
         }
-        self.alarm.set(at);
+        self.alarm.set(next);
     }
 
     #[inline(always)] // Most actions are frames.
@@ -273,9 +269,7 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
                 self.can.drop_frames(|cob_id| cob_id != lss::RESPONSE_COB_ID);
                 self.can.set_receives(self.node.receives());
             }
-            Action::SetReceives => {
-                self.can.set_receives(self.node.receives());
-            }
+            Action::SetReceives => self.can.set_receives(self.node.receives()),
             Action::DropPdos => {
                 self.can.drop_frames(|cob_id| self.node.is_pdo(cob_id));
             }
@@ -284,14 +278,14 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
             }
             Action::SetBitRate(rate) => {
                 defmt::info!("CAN: at {=u16} kbit/s", rate.kbit_per_s());
-                self.can.set_bit_rate(rate);
+                self.can.set_bit_rate(rate, self.node.receives());
             }
             Action::ResumeTransmitting => {
                 self.can.resume_transmitting();
             }
             Action::Listen(rate) => {
                 defmt::debug!("CAN: listening at {=u16} kbit/s", rate.kbit_per_s());
-                self.can.listen(rate);
+                self.can.listen(rate, self.node.receives());
             }
             Action::Store(settings) => {
                 self.store = Some(settings);

@@ -1,6 +1,6 @@
 //! The settings and parameters in the flash, and the task that stores them.
 
-use lss_slave::{
+use canopen_node::{
     Application,
     lss::StoreError,
     settings::{Found, Log},
@@ -13,18 +13,18 @@ use crate::{can::Peripheral, flash::SettingsFlash, runner::Runner, watchdog::Tas
 /// The interrupt of the task that stores, which belongs to an unused USART. [`Runner`] triggers it.
 pub(crate) const INTERRUPT: Interrupt = Interrupt::USART1;
 
-/// The log in the flash. `PARAMETERS` is [`Node::PARAMETERS`](lss_slave::Node::PARAMETERS).
-pub struct Storage<const PARAMETERS: usize> {
-    log: Log<SettingsFlash, PARAMETERS>,
+/// The log in the flash. `STORED_LEN` is [`Node::STORED_LEN`](canopen_node::Node::STORED_LEN).
+pub struct Storage<const STORED_LEN: usize> {
+    log: Log<SettingsFlash, STORED_LEN>,
 }
 
-impl<const PARAMETERS: usize> Storage<PARAMETERS> {
+impl<const STORED_LEN: usize> Storage<STORED_LEN> {
     pub(crate) fn open(flash: SettingsFlash) -> (Self, Found) {
         let (log, found) = Log::open_with_parameters(flash);
         (Self { log }, found)
     }
 
-    pub(crate) fn log(&mut self) -> &mut Log<SettingsFlash, PARAMETERS> {
+    pub(crate) fn log(&mut self) -> &mut Log<SettingsFlash, STORED_LEN> {
         &mut self.log
     }
 
@@ -37,7 +37,7 @@ impl<const PARAMETERS: usize> Storage<PARAMETERS> {
         A: Application,
     {
         Task::STORE.answer();
-        let mut parameters = [0; PARAMETERS];
+        let mut parameters = [0; STORED_LEN];
         let persistent = self.log.parameters();
         let Some((settings, len)) =
             runner.lock(|runner| runner.take_store(persistent, &mut parameters))

@@ -2,8 +2,8 @@
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
+use canopen_node::indicator;
 use cortex_m::peripheral::NVIC;
-use lss_slave::indicator;
 use stm32f4xx_hal::{
     pac::{DBGMCU, IWDG, Interrupt},
     watchdog::IndependentWatchdog,

@@ -2,7 +2,7 @@
 
 use std::{fs, io};
 
-use @crate@::{application, describe, device};
+use @crate@::{application, device::{self, DEVICE}};
 use testkit::eds::{DataSheet, Product};
 
 fn main() -> io::Result<()> {
@@ -10,7 +10,7 @@ fn main() -> io::Result<()> {
         file_name: "@name@.eds",
         vendor_name: device::VENDOR_NAME,
         description: device::DESCRIPTION,
-        device: describe(0),
+        device: DEVICE,
     };
     let objects = application::Node::entries(&product.device);
     let sheet = DataSheet::new(product, objects, &application::Application::new());

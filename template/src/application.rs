@@ -3,25 +3,25 @@
 //! An object takes three lines, here a brightness of 0 to 100 percent. `cargo eds` adds it to the electronic data sheet. [`objects!`] explains the other types, accesses and
 //! options; `docs/product.md` shows how a task reads and writes the values.
 
-use lss_slave::objects;
+use canopen_node::objects;
 
-/// The number of TPDOs: 0 to 4.
+/// The number of TPDOs: 0 to 16.
 pub const TPDOS: usize = 0;
-/// The number of RPDOs: 0 to 4.
+/// The number of RPDOs: 0 to 16.
 pub const RPDOS: usize = 0;
 /// The number of nodes whose heartbeat can be watched: 0 to 16.
 pub const PRODUCERS: usize = 0;
 
 /// The node with the application.
-pub type Node = lss_slave::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+pub type Node = canopen_node::Node<Application, TPDOS, RPDOS, PRODUCERS>;
 
 objects! {
     /// The objects of the product, with their values.
     pub struct Application, values Value;
 
     0x2100 {
-        0 "Brightness in percent" brightness: u8 = 50, rw, 0..=100, stored;
+        0 "Brightness in percent" brightness: u8 = 50, rw in 0..=100, stored;
     }
 }
 
-impl lss_slave::Application for Application {}
+impl canopen_node::Application for Application {}

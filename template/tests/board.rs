@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use @crate@::{describe, device};
+use @crate@::device::{self, DEVICE};
 use emulator::{
     Time,
     board::{Board, Settings},
@@ -10,7 +10,7 @@ use emulator::{
     chip::Part,
     image::Image,
 };
-use lss_slave::BitRateSetting;
+use canopen_node::BitRateSetting;
 use testkit::{
     boards,
     frames::{SILENCE, number},
@@ -26,7 +26,7 @@ static IMAGE: LazyLock<Image> = LazyLock::new(|| {
 
 /// A new board, which has stored nothing.
 fn new_board() -> ImageRig {
-    let BitRateSetting::Fixed(bit_rate) = device::DEFAULTS.bit_rate else {
+    let BitRateSetting::Fixed(bit_rate) = DEVICE.defaults.bit_rate else {
         panic!("the master needs a bit rate");
     };
     let settings = Settings {
@@ -49,7 +49,7 @@ fn commission(rig: &mut ImageRig) {
 #[test]
 fn a_master_finds_the_product_by_its_lss_address() {
     let mut rig = new_board();
-    let address = describe(boards::serial_number(0)).address;
+    let address = DEVICE.with_serial_number(boards::serial_number(0)).address;
     let [vendor, product, revision, serial] = [
         address.vendor_id,
         address.product_code,
@@ -76,7 +76,7 @@ fn the_product_has_its_name() {
     let mut rig = new_board();
     commission(&mut rig);
     let name = rig.sdo_client(5).upload(0x1008, 0);
-    assert_eq!(name.as_deref(), Ok(device::NAME.as_bytes()));
+    assert_eq!(name.as_deref(), Ok(DEVICE.name.as_bytes()));
 }
 
 #[test]

@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
+use canopen_node::{Settings, lss::Address, settings::Log};
 use emulator::{
     Time,
     board::{self, Board},
     chip::Part,
     image::Image,
 };
-use lss_slave::{Settings, lss::Address, settings::Log};
 
 use crate::{
     flash::BoardFlash,
@@ -57,7 +57,7 @@ fn log(flash: &[u8]) -> Log<BoardFlash> {
 
 #[cfg(test)]
 mod tests {
-    use lss_slave::{BitRate, NodeId};
+    use canopen_node::{BitRate, NodeId};
 
     use super::*;
 

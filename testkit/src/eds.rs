@@ -4,7 +4,7 @@ mod page;
 
 use std::{collections::BTreeMap, fmt::Write as _};
 
-use lss_slave::{
+use canopen_node::{
     BitRate, Device,
     application::Dictionary,
     object_dictionary::{Access, DataType, DefaultValue, Description, Entry, Object},
@@ -43,7 +43,7 @@ struct Value {
 impl<'a> DataSheet<'a> {
     /// The data sheet of a product whose dictionary has these entries, such as [`entries`] of its application.
     ///
-    /// [`entries`]: lss_slave::Node::entries
+    /// [`entries`]: canopen_node::Node::entries
     pub fn new(
         product: Product<'a>,
         entries: impl IntoIterator<Item = (Entry, Description)>,

@@ -1,19 +1,52 @@
-//! The code and the functions of a linked program.
+//! The sections, the code and the functions of a linked program.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind, read::elf::ElfFile32};
+pub use object::{Object, ObjectSection, ObjectSymbol, Result, SectionKind, SymbolKind};
+use object::{SectionFlags, elf, read::elf::ElfFile32};
 
 use crate::thumb::Code;
 
 /// A parsed ELF file.
 pub type Elf<'a> = ElfFile32<'a>;
 
+/// A section of a program that occupies memory.
+pub struct Section {
+    pub name: String,
+    pub address: u32,
+    pub bytes: u64,
+    /// Whether its content is loaded into flash: code, constants, and the initial values of RAM.
+    pub is_loaded: bool,
+}
+
+/// The sections that are not empty, in the order of the file.
+///
+/// # Errors
+/// A section has no name.
+pub fn sections(file: &Elf) -> Result<Vec<Section>> {
+    let is_allocated = |flags| match flags {
+        SectionFlags::Elf { sh_flags } => sh_flags & u64::from(elf::SHF_ALLOC) != 0,
+        _ => false,
+    };
+    let occupied = |section: &object::read::elf::ElfSection32<'_, '_>| {
+        section.size() > 0 && is_allocated(section.flags())
+    };
+    let section = |section: object::read::elf::ElfSection32<'_, '_>| {
+        Ok(Section {
+            name: section.name()?.to_owned(),
+            address: section.address() as u32,
+            bytes: section.size(),
+            is_loaded: section.file_range().is_some(),
+        })
+    };
+    file.sections().filter(occupied).map(section).collect()
+}
+
 /// The code of a program, without the constants in it.
 ///
 /// # Errors
 /// A section cannot be read.
-pub fn codes<'a>(file: &Elf<'a>) -> object::Result<Vec<Code<'a>>> {
+pub fn codes<'a>(file: &Elf<'a>) -> Result<Vec<Code<'a>>> {
     // "$t" begins code and "$d" constants, up to the next of them.
     let is_code: BTreeMap<u64, bool> = file
         .symbols()
@@ -58,7 +91,7 @@ pub fn functions(file: &Elf) -> BTreeMap<u32, String> {
 ///
 /// # Errors
 /// There is no vector table.
-pub fn vectors(file: &Elf) -> object::Result<BTreeSet<u32>> {
+pub fn vectors(file: &Elf) -> Result<BTreeSet<u32>> {
     let table = file.section_by_name(".vector_table").map(|section| section.data()).transpose()?;
     let words = table.unwrap_or_default().as_chunks::<4>().0.iter().skip(1);
     Ok(words.map(|word| u32::from_le_bytes(*word) & !1).filter(|vector| *vector != 0).collect())

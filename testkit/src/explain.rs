@@ -1,11 +1,11 @@
 //! The meaning of a CANopen frame in one sentence: LSS, NMT, SDO and the other services with predefined COB-IDs.
 
-use emulator::can::{Frame, Id};
-use lss_slave::{
+use canopen_node::{
     BitRate, NodeId,
     lss::{self, AddressPart, FastscanStep, IdentifyKey, Request},
     nmt,
 };
+use emulator::can::{Frame, Id};
 
 /// The meaning of `frame`, without its sender: a short sentence on one line.
 pub fn explain(frame: &Frame) -> String {

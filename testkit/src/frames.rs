@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use lss_slave::{Frame, lss, nmt};
+use canopen_node::{Frame, lss, nmt};
 
 /// The expected frames if nothing may be sent.
 pub const SILENCE: [&str; 0] = [];

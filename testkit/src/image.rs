@@ -1,84 +1,71 @@
-//! Builds the workspace's firmware for a part, and suggests a remedy if that fails.
+//! Builds the release images of the workspace and of products.
 
 use std::{
-    env, error, fmt,
+    env,
     fs::{self, File},
     io,
     path::Path,
-    process::{Command, Output, Stdio},
-    sync::{OnceLock, mpsc},
-    thread,
-    time::Duration,
+    process::{Command, Stdio},
+    sync::OnceLock,
 };
 
-use emulator::{
-    chip::Part,
-    coverage::Coverage,
-    image::{Image, ImageError},
-};
+use anyhow::{Context, bail, ensure};
+use emulator::{chip::Part, coverage::Coverage, image::Image};
+
+use crate::cargo::{TARGET, cargo_for_the_chip, workspace};
 
 /// The package of the plain firmware.
 const FIRMWARE: &str = "firmware";
-const TARGET: &str = "thumbv7em-none-eabihf";
 /// The environment variable with the directory for records of the branches that all boards have taken.
 pub const COVERAGE: &str = "LSS_SLAVE_COVERAGE";
-/// The environment variable that runs the tests of the release image with the image of the example `io`.
-pub const EXAMPLE: &str = "LSS_SLAVE_EXAMPLE";
-/// The time after which a build prints a notice that it is running.
-const PATIENCE: Duration = Duration::from_secs(3);
 
-/// The reason for a failed build of the image.
-#[derive(Debug)]
-pub enum BuildError {
-    /// `cargo` could not be run or failed: its message and a remedy.
-    Cargo(String),
-    /// The output of `cargo` is no image.
-    Image(ImageError),
+/// A firmware of this workspace whose release image is tested.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Firmware {
+    /// The root package.
+    Default,
+    /// The same without bit-rate supervision.
+    Plain,
+    /// The example `io`.
+    Io,
 }
 
-impl fmt::Display for BuildError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl Firmware {
+    /// The chip that [`image`](Self::image) is for.
+    pub const fn part(self) -> Part {
         match self {
-            Self::Cargo(why) => write!(f, "the firmware does not build: {why}"),
-            Self::Image(error) => error.fmt(f),
+            Self::Default | Self::Plain => Part::Stm32f405,
+            Self::Io => Part::Stm32f407,
         }
     }
-}
 
-impl error::Error for BuildError {}
-
-/// Whether the tests of the release image run with the example `io`, by the environment variable [`EXAMPLE`].
-fn is_with_example() -> bool {
-    env::var_os(EXAMPLE).is_some()
-}
-
-/// The chip that [`image`] is for: an STM32F405, or an STM32F407 with the example.
-pub fn part() -> Part {
-    if is_with_example() { Part::Stm32f407 } else { Part::Stm32f405 }
-}
-
-/// The release image, built once.
-pub fn image() -> &'static Image {
-    static IMAGE: OnceLock<Image> = OnceLock::new();
-    if is_with_example() {
-        return example();
+    /// The release image, built once.
+    pub fn image(self) -> &'static Image {
+        static IMAGES: [OnceLock<Image>; 3] = [const { OnceLock::new() }; 3];
+        let build = || match self {
+            Self::Default => build(self.part()),
+            Self::Plain => build_plain(self.part()),
+            Self::Io => build_example("io", self.part()),
+        };
+        IMAGES[self as usize].get_or_init(|| build().unwrap_or_else(|error| panic!("{error}")))
     }
-    IMAGE.get_or_init(|| build(part()).unwrap_or_else(|error| panic!("{error}")))
 }
 
-/// The release image with the example `io` for the STM32F407, built once.
+/// The release image of the root package.
+pub fn image() -> &'static Image {
+    Firmware::Default.image()
+}
+
+/// The release image of the example `io`.
 pub fn example() -> &'static Image {
-    static IMAGE: OnceLock<Image> = OnceLock::new();
-    IMAGE.get_or_init(|| {
-        build_example("io", Part::Stm32f407).unwrap_or_else(|error| panic!("{error}"))
-    })
+    Firmware::Io.image()
 }
 
 /// Builds the release firmware for `part` with the running `cargo`, and loads it.
 ///
 /// # Errors
-/// The message of `cargo`. A missing compilation target is first installed with `rustup`.
-pub fn build(part: Part) -> Result<Image, BuildError> {
+/// `cargo` has failed, and has said why. A missing compilation target is first installed with `rustup`.
+pub fn build(part: Part) -> anyhow::Result<Image> {
     build_package(FIRMWARE, part)
 }
 
@@ -86,31 +73,28 @@ pub fn build(part: Part) -> Result<Image, BuildError> {
 ///
 /// # Errors
 /// The same as for [`build`].
-pub fn build_plain(part: Part) -> Result<Image, BuildError> {
-    build_with(workspace(), part, || {
-        let mut command = cargo_build(workspace(), FIRMWARE, part);
+pub fn build_plain(part: Part) -> anyhow::Result<Image> {
+    let elf = build_with(workspace(), FIRMWARE, part, |command| {
         command.args(["--features", "plain"]);
-        command
-    })
-    .and_then(parse)
+    })?;
+    Ok(Image::from_elf(&elf)?)
 }
 
 /// Builds the release image of an example for `part`: that in the folder `examples/` of this name.
 ///
 /// # Errors
 /// The same as for [`build`].
-pub fn build_example(name: &str, part: Part) -> Result<Image, BuildError> {
+pub fn build_example(name: &str, part: Part) -> anyhow::Result<Image> {
     build_package(&format!("example-{name}"), part)
 }
 
-fn build_package(package: &str, part: Part) -> Result<Image, BuildError> {
+fn build_package(package: &str, part: Part) -> anyhow::Result<Image> {
     let elf = build_elf(package, part)?;
-    let image = Image::from_elf(&elf).map_err(BuildError::Image)?;
+    let image = Image::from_elf(&elf)?;
     if let Some(directory) = env::var_os(COVERAGE) {
         let name = format!("{package}-{}", part.name());
-        let coverage = coverage(Path::new(&directory), &name, &elf)
-            .map_err(|error| BuildError::Cargo(format!("cannot record branches: {error}")))?;
-        image.record(coverage);
+        let coverage = coverage(Path::new(&directory), &name, &elf);
+        image.record(coverage.context("cannot record branches")?);
     }
     Ok(image)
 }
@@ -119,8 +103,8 @@ fn build_package(package: &str, part: Part) -> Result<Image, BuildError> {
 ///
 /// # Errors
 /// The same as for [`build`].
-pub fn build_elf(package: &str, part: Part) -> Result<Vec<u8>, BuildError> {
-    build_with(workspace(), part, || cargo_build(workspace(), package, part))
+pub fn build_elf(package: &str, part: Part) -> anyhow::Result<Vec<u8>> {
+    build_with(workspace(), package, part, |_| ())
 }
 
 /// Builds the release firmware of a product for `part`: the program `name` of the package of that name in `directory`,
@@ -128,9 +112,8 @@ pub fn build_elf(package: &str, part: Part) -> Result<Vec<u8>, BuildError> {
 ///
 /// # Errors
 /// The same as for [`build`].
-pub fn build_product(directory: &str, name: &str, part: Part) -> Result<Image, BuildError> {
-    let directory = Path::new(directory);
-    build_with(directory, part, || cargo_build(directory, name, part)).and_then(parse)
+pub fn build_product(directory: &str, name: &str, part: Part) -> anyhow::Result<Image> {
+    Ok(Image::from_elf(&build_with(Path::new(directory), name, part, |_| ())?)?)
 }
 
 /// Builds the release firmware for `part` for others: the ELF file. It does not depend on the `directory`, which holds the
@@ -142,7 +125,7 @@ pub fn build_release(
     directory: &Path,
     cargo_home: Option<&Path>,
     part: Part,
-) -> Result<Vec<u8>, BuildError> {
+) -> anyhow::Result<Vec<u8>> {
     let usual_home = || match env::var_os("CARGO_HOME") {
         Some(home) => Some(home.into()),
         None => env::home_dir().map(|home| home.join(".cargo")),
@@ -154,46 +137,38 @@ pub fn build_release(
         path.map(|path| format!("--remap-path-prefix={}={name}", path.display()))
     });
     let flags = new_names.collect::<Vec<_>>().join("\u{1f}");
-    build_with(directory, part, || {
-        let mut command = cargo_build(directory, FIRMWARE, part);
-        command
-            .arg("--locked")
-            .arg("--target-dir")
-            .arg(directory.join("target"))
-            .env("CARGO_ENCODED_RUSTFLAGS", &flags);
+    build_with(directory, FIRMWARE, part, |command| {
+        command.args(["--locked", "--target-dir"]).arg(directory.join("target"));
+        command.env("CARGO_ENCODED_RUSTFLAGS", &flags);
         if let Some(home) = cargo_home {
             command.env("CARGO_HOME", home);
         }
-        command
     })
 }
 
-fn parse(elf: Vec<u8>) -> Result<Image, BuildError> {
-    Image::from_elf(&elf).map_err(BuildError::Image)
-}
-
-/// Runs the command, which builds in `directory`, and returns the ELF file that it makes.
+/// Builds the program of a package in `directory`, which has the same name, and returns the ELF file. `cargo` shows its
+/// progress.
 fn build_with(
     directory: &Path,
+    package: &str,
     part: Part,
-    command: impl Fn() -> Command,
-) -> Result<Vec<u8>, BuildError> {
-    let _lock = lock(directory).map_err(|error| {
-        BuildError::Cargo(format!("cannot wait for other builds of the firmware: {error}"))
-    })?;
-    let mut output = run_with_notice(&mut command(), part)?;
-    if !output.status.success() && stderr(&output).contains("target may not be installed") {
-        add_target()?;
-        output = run_with_notice(&mut command(), part)?;
-    }
-    if !output.status.success() {
-        return Err(BuildError::Cargo(format!("\n{}", stderr(&output).trim_end())));
-    }
+    change: impl FnOnce(&mut Command),
+) -> anyhow::Result<Vec<u8>> {
+    add_target()?;
+    let _lock = lock(directory).context("cannot wait for other builds of the firmware")?;
+    let mut command = cargo_for_the_chip("build");
+    command
+        .current_dir(directory)
+        .args(["--package", package, "--bin", package, "--release"])
+        .args(["--features", part.name(), "--message-format", "json-render-diagnostics"])
+        .stdin(Stdio::null())
+        .stderr(Stdio::inherit());
+    change(&mut command);
+    let output = command.output().context("cannot run cargo")?;
+    ensure!(output.status.success(), "the firmware does not build: see above");
     let messages = String::from_utf8_lossy(&output.stdout);
-    let path = executable(&messages).ok_or_else(|| {
-        BuildError::Cargo("cargo reported no executable for the firmware".to_owned())
-    })?;
-    fs::read(&path).map_err(|error| BuildError::Image(ImageError::Io(path.into(), error)))
+    let path = executable(&messages).context("cargo reported no executable for the firmware")?;
+    fs::read(&path).with_context(|| format!("cannot read {path}"))
 }
 
 /// The record `name.branches` in the directory, beside the image `name.elf` that it belongs to.
@@ -217,58 +192,21 @@ fn lock(directory: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// The folder of this repository.
-pub fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
-}
-
-/// The command that builds the program of a package, which has the same name.
-fn cargo_build(directory: &Path, package: &str, part: Part) -> Command {
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut command = Command::new(cargo);
-    command
-        .current_dir(directory)
-        .args(["build", "--package", package, "--bin", package, "--release", "--target", TARGET])
-        .args(["--features", part.name(), "--message-format", "json-render-diagnostics"])
-        // The host build's settings are not meant for the firmware.
-        .env_remove("RUSTFLAGS")
-        .env_remove("CARGO_ENCODED_RUSTFLAGS")
-        .env_remove("CARGO_BUILD_TARGET");
-    command
-}
-
-fn run_with_notice(command: &mut Command, part: Part) -> Result<Output, BuildError> {
-    let (done, waiting) = mpsc::channel::<()>();
-    let notice = thread::spawn(move || {
-        if waiting.recv_timeout(PATIENCE) == Err(mpsc::RecvTimeoutError::Timeout) {
-            eprintln!("building the firmware for {} ...", part.name());
-        }
-    });
-    let output = run(command);
-    drop(done);
-    notice.join().expect("the notice does not panic");
-    output
-}
-
-fn add_target() -> Result<(), BuildError> {
-    eprintln!("installing the compilation target {TARGET} ...");
-    let output = run(Command::new("rustup").args(["target", "add", TARGET]));
-    if output.is_ok_and(|output| output.status.success()) {
+/// Installs the compilation target unless it is there.
+fn add_target() -> anyhow::Result<()> {
+    let libraries =
+        Command::new("rustc").args(["--print", "target-libdir", "--target", TARGET]).output();
+    let libraries = String::from_utf8(libraries.context("cannot run rustc")?.stdout)?;
+    if Path::new(libraries.trim()).is_dir() {
         return Ok(());
     }
-    Err(BuildError::Cargo(format!(
-        "the compilation target {TARGET} is missing. Install it with `rustup target add {TARGET}`"
-    )))
-}
-
-fn run(command: &mut Command) -> Result<Output, BuildError> {
-    command.stdin(Stdio::null()).output().map_err(|error| {
-        BuildError::Cargo(format!("cannot run `{}`: {error}", command.get_program().display()))
-    })
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
+    let status = Command::new("rustup").args(["target", "add", TARGET]).status();
+    if !status.is_ok_and(|status| status.success()) {
+        bail!(
+            "the compilation target {TARGET} is missing. Install it with `rustup target add {TARGET}`"
+        );
+    }
+    Ok(())
 }
 
 /// The path in the last `"executable":"..."` of cargo's messages.

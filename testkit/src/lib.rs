@@ -20,6 +20,8 @@ pub mod io_board;
 #[cfg(feature = "image")]
 pub mod lss_session;
 pub mod node_rig;
+#[cfg(feature = "image")]
+pub mod parallel;
 pub mod power_cut;
 #[cfg(feature = "image")]
 pub mod product;
@@ -27,6 +29,8 @@ pub mod random;
 pub mod rig_bus;
 pub mod sdo;
 pub mod sdo_messages;
+#[cfg(feature = "image")]
+pub mod sessions;
 pub mod settings;
 pub mod soak;
 #[cfg(feature = "image")]

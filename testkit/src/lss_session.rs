@@ -1,12 +1,12 @@
 //! An LSS master on the emulated bus.
 
+use canopen_node::{BitRate, Frame, Instant};
 use emulator::{
     Time,
     can::Id,
     network::{AdapterId, Network},
 };
 use lss_master::{Error, Master, Output, Procedure, Timing};
-use lss_slave::{BitRate, Frame, Instant};
 
 use super::image_rig::{bit_per_s, on_the_wire};
 

@@ -1,7 +1,7 @@
 //! A board in the process: drives a [`Node`] in virtual time as its documentation prescribes, with its settings in a
 //! flash.
 
-use lss_slave::{
+use canopen_node::{
     Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
     Receives, Settings,
     application::NoApplication,
@@ -23,7 +23,7 @@ pub const ADDRESS: Address = Address {
 };
 
 /// The bytes for parameters in the settings log of a board.
-const PARAMETERS: usize = 1024;
+const ROOM: usize = 2048;
 
 /// A board with a node on it.
 pub struct NodeRig<
@@ -42,7 +42,7 @@ pub struct NodeRig<
     /// Whether other nodes acknowledge the node's frames.
     pub is_acknowledged: bool,
     device: Device,
-    log: Log<BoardFlash, PARAMETERS>,
+    log: Log<BoardFlash, ROOM>,
     /// Microseconds since the rig was created.
     now: u64,
     /// The node's clock at that time.
@@ -346,6 +346,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
                 let is_silent = !self.may_transmit;
                 assert!(is_silent || rate == self.bit_rate, "it changes in a silent period");
                 self.bit_rate = rate;
+                self.receives = self.node.receives();
             }
             Action::ResumeTransmitting => self.may_transmit = true,
             Action::Store(settings) if self.stores_take_time => {
@@ -360,17 +361,19 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
             Action::Listen(rate) => {
                 self.may_transmit = false;
                 self.bit_rate = rate;
+                self.receives = self.node.receives();
             }
         }
     }
 
     fn store(&mut self, settings: Settings) -> Result<(), StoreError> {
-        let mut parameters = [0; PARAMETERS];
+        let mut parameters = [0; ROOM];
         let len = self.node.write_parameters(self.log.parameters(), &mut parameters);
         Ok(self.log.store_with_parameters(settings, &parameters[..len])?)
     }
 
-    fn restart(&mut self) {
+    /// Cuts and restores the power; the node has not been polled then.
+    pub fn restart(&mut self) {
         let application = self.new_application.clone();
         (self.log, self.node, self.found) = start(self.device, &self.flash, application);
         self.bit_rate = self.node.bit_rate();
@@ -385,8 +388,8 @@ fn start<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS
     device: Device,
     flash: &BoardFlash,
     application: A,
-) -> (Log<BoardFlash, PARAMETERS>, Node<A, TPDOS, RPDOS, PRODUCERS>, Found) {
-    const { assert!(Node::<A, TPDOS, RPDOS, PRODUCERS>::PARAMETERS <= PARAMETERS) };
+) -> (Log<BoardFlash, ROOM>, Node<A, TPDOS, RPDOS, PRODUCERS>, Found) {
+    const { assert!(Node::<A, TPDOS, RPDOS, PRODUCERS>::STORED_LEN <= ROOM) };
     let (mut log, mut found) = Log::open_with_parameters(flash.clone());
     let mut node = Node::with_application(device, log.settings(), application);
     if let Err(error) = log.restore(|parameter| node.restore(parameter)) {

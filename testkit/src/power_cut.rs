@@ -1,6 +1,9 @@
 //! Lives of a device with a settings log whose power fails in any program or erase step: nothing acknowledged is lost.
 
-use lss_slave::settings::Log;
+#[cfg(feature = "image")]
+pub mod image;
+
+use canopen_node::settings::{Found, Log};
 
 use super::{
     flash::Flash,
@@ -29,7 +32,12 @@ impl<const P: usize> Expected<P> {
 
     /// The expectation for a new device, or one full of garbage.
     pub fn nothing() -> Self {
-        Self { known: (None, Vec::new()), attempted: Vec::new(), next: 1 }
+        Self::of((None, Vec::new()))
+    }
+
+    /// The expectation for a device with this content.
+    pub fn of(known: Content) -> Self {
+        Self { known, attempted: Vec::new(), next: 1 }
     }
 
     /// The content after the next store: of settings, of parameters, of both, or one without parameters.
@@ -46,43 +54,50 @@ impl<const P: usize> Expected<P> {
         }
     }
 
-    /// The life of a device until its power fails: it is powered on, stores, and is powered on again, until it has made
-    /// a number of stores.
+    /// Lives of a device until its power fails: it is powered on, stores, and is powered on again, until it has made a
+    /// number of stores.
     ///
     /// # Panics
     /// If a power-on finds something else than expected, or a store erases.
     pub fn live<const W: usize, const E: usize>(&mut self, flash: &Flash<W, E>, stores: usize) {
-        let mut made = 0;
-        loop {
+        for made in (0..stores).step_by(Self::STORES_A_POWER_ON).chain([stores]) {
             flash.cycle_power();
-            let (mut log, read, found) = open_with_parameters::<P, W, E>(flash);
+            self.power_on(flash, if made < stores { Self::STORES_A_POWER_ON } else { 0 });
             if !flash.is_powered() {
                 return;
             }
-            assert!(
-                read == self.known || self.attempted.contains(&read),
-                "{found:?} {read:?}, but {:?} is known and {:?} were attempted",
-                self.known,
-                self.attempted
-            );
-            self.known = read;
-            self.attempted.clear();
-            if made >= stores {
+        }
+    }
+
+    /// A power-on and this number of stores, until the power fails.
+    ///
+    /// # Panics
+    /// The same as for [`live`](Self::live).
+    pub fn power_on<const W: usize, const E: usize>(&mut self, flash: &Flash<W, E>, stores: usize) {
+        let (mut log, read, found) = open_with_parameters::<P, W, E>(flash);
+        if !flash.is_powered() {
+            return;
+        }
+        assert!(
+            read == self.known || self.attempted.contains(&read),
+            "{found:?} {read:?}, but {:?} is known and {:?} were attempted",
+            self.known,
+            self.attempted
+        );
+        assert!(!matches!(found, Found::MediumFailed(_)), "{found:?}");
+        self.known = read;
+        self.attempted.clear();
+        for _ in 0..stores {
+            let new = self.next();
+            let erases = flash.erases();
+            let is_stored = store(&mut log, &new);
+            assert_eq!(flash.erases(), erases, "only open erases");
+            if is_stored {
+                self.known = new;
+                self.attempted.clear();
+            } else if !flash.is_powered() {
+                self.attempted.push(new);
                 return;
-            }
-            for _ in 0..Self::STORES_A_POWER_ON {
-                let new = self.next();
-                made += 1;
-                let erases = flash.erases();
-                let is_stored = store(&mut log, &new);
-                assert_eq!(flash.erases(), erases, "only open erases");
-                if is_stored {
-                    self.known = new;
-                    self.attempted.clear();
-                } else if !flash.is_powered() {
-                    self.attempted.push(new);
-                    return;
-                }
             }
         }
     }

@@ -8,7 +8,7 @@ use std::{
 use canopen_stm32f4::chip::Chip;
 use emulator::{chip::Part, image::Image};
 
-use crate::image::{self, BuildError, workspace};
+use crate::{cargo::workspace, image};
 
 /// The files that the product shares with this repository.
 const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
@@ -33,11 +33,11 @@ const TEMPLATE: [&str; 12] = [
 ///
 /// # Errors
 /// It cannot be written or does not build.
-pub fn build(chip: Part, controller: u8) -> Result<Image, BuildError> {
+pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
     let name = format!("{}-can{controller}", chip.name());
     let folder = workspace().join("target/products").join(&name);
     let product = Product { name: &name, chip, controller, git: None, folder: &folder };
-    product.write().map_err(|error| BuildError::Cargo(error.to_string()))?;
+    product.write()?;
     image::build_product(&folder.to_string_lossy(), &name, chip)
 }
 
@@ -107,7 +107,7 @@ impl Product<'_> {
             ("probe-rs", chip.probe_rs.to_owned()),
             ("repository", self.git.map_or_else(|| self.path(""), str::to_owned)),
             ("source emulator", self.dependency("emulator")),
-            ("source lss-slave", self.dependency("lss-slave")),
+            ("source canopen-node", self.dependency("canopen-node")),
             ("source stm32f4", self.dependency("stm32f4")),
             ("source testkit", self.dependency("testkit")),
         ]
@@ -197,8 +197,8 @@ mod tests {
         let files_beside = files(Part::Stm32f446, 1, None, &beside);
         let manifest: Table = content(&files_beside, "Cargo.toml").parse().expect("TOML");
         let here = workspace().file_name().and_then(|name| name.to_str()).expect("UTF-8");
-        let library = &manifest["dependencies"]["lss-slave"];
-        assert_eq!(library["path"].as_str(), Some(&*format!("../{here}/lss-slave")));
+        let library = &manifest["dependencies"]["canopen-node"];
+        assert_eq!(library["path"].as_str(), Some(&*format!("../{here}/canopen-node")));
         let feature = &manifest["features"]["stm32f446"];
         assert_eq!(feature[0].as_str(), Some("canopen-stm32f4/stm32f446"));
 

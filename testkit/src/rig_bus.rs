@@ -3,10 +3,16 @@
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
+use canopen_node::{
+    BitRate, Frame, Instant,
+    lss::{self, Address},
+};
 use lss_master::{Error, Master, Output, Procedure};
-use lss_slave::{BitRate, Frame, Instant, lss};
 
-use super::{node_rig::NodeRig, random::Random};
+use super::{
+    node_rig::{ADDRESS, NodeRig},
+    random::Random,
+};
 
 /// The bits of a frame with eight bytes, intermission included, without stuff bits and with the most.
 const FRAME_BITS: std::ops::Range<u64> = 111..136;
@@ -211,4 +217,19 @@ impl RigBus {
             self.at(again, event);
         }
     }
+}
+
+/// Addresses that share parts and differ in single bits, and the extremes; at least three.
+pub fn neighbours(random: &mut Random, count: usize) -> Vec<Address> {
+    let mut all = vec![ADDRESS.into(), [0; 4], [u32::MAX; 4]];
+    while all.len() < count {
+        let mut parts = random.pick(&all);
+        let part = random.within(0..4) as usize;
+        parts[part] =
+            if random.one_in(2) { parts[part] ^ 1 << random.within(0..32) } else { random.u32() };
+        if !all.contains(&parts) {
+            all.push(parts);
+        }
+    }
+    all.into_iter().map(Address::from).collect()
 }

@@ -1,7 +1,7 @@
 //! An SDO client (CiA 301, 7.2.4) for the tests, of a node in the process and of the release image. It is written
 //! independently of the server, and checks each byte of the answers.
 
-use lss_slave::{Application, Frame};
+use canopen_node::{Application, Frame};
 
 use super::{
     frames::{Frames, bytes},

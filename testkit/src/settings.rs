@@ -1,6 +1,6 @@
 //! Settings to store, and handmade records and flashes of the log.
 
-use lss_slave::{
+use canopen_node::{
     BitRate, NodeId, Settings,
     settings::{
         Found, Log,

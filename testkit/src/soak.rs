@@ -5,7 +5,7 @@ mod bus;
 #[cfg(feature = "image")]
 pub mod image;
 
-use lss_slave::{BitRate, lss::Address};
+use canopen_node::{BitRate, lss::Address};
 
 use crate::{
     flash::BoardFlash,
@@ -39,11 +39,15 @@ pub struct Counts {
     pub replaced: u64,
     pub equal_node_ids: u64,
     pub strangers: u64,
+    /// The times that a master made its rate the home rate of guests.
+    pub kept_guests: u64,
     pub inquiries: u64,
     /// Selections of a board that was not found yet.
     pub late: u64,
     /// The longest time until all boards were found, in milliseconds.
     pub longest_search_ms: u64,
+    /// The longest time between two heartbeats of a guest in the quiet time, in milliseconds.
+    pub longest_guest_gap_ms: u64,
 }
 
 /// The life of a network.
@@ -97,8 +101,9 @@ impl Soak {
     }
 
     pub fn counts(&self) -> Counts {
-        let bus::Counts { frames, heartbeats, emergencies } = self.bus.counts;
-        Counts { frames, heartbeats, emergencies, ..self.counts }
+        let bus::Counts { frames, heartbeats, emergencies, longest_guest_gap } = self.bus.counts;
+        let longest_guest_gap_ms = longest_guest_gap / 1000;
+        Counts { frames, heartbeats, emergencies, longest_guest_gap_ms, ..self.counts }
     }
 
     /// Lets a quiet time pass, of up to an hour, and then something happens, after which a master looks for all boards.
@@ -122,6 +127,9 @@ impl Soak {
             _ => {}
         }
         self.find_all();
+        if self.bus.has_guests() && !self.random.one_in(3) {
+            self.keep_guests();
+        }
     }
 
     fn any_board(&mut self) -> usize {
@@ -283,6 +291,18 @@ impl Soak {
         self.bus.lss("15 00 00");
         self.bus.pass(10_000);
         self.bus.lss("04 00");
+    }
+
+    /// Makes the rate of the master the home rate of all boards.
+    fn keep_guests(&mut self) {
+        self.bus.note_event();
+        self.counts.kept_guests += 1;
+        self.bus.lss("04 01");
+        self.bus.lss("15 00 00");
+        self.bus.pass(10_000);
+        self.bus.lss("04 00");
+        self.bus.note_all_home();
+        self.bus.note_quiet();
     }
 
     /// Selects each board, until all have answered; then they are at the bit rate of the master.

@@ -6,11 +6,11 @@ pub mod node;
 
 use std::collections::VecDeque;
 
+use canopen_node::{Application, BitRate, application::NoApplication, lss};
 use emulator::{
     Time,
     can::{Frame, Id},
 };
-use lss_slave::{Application, BitRate, application::NoApplication, lss};
 
 use super::random::Random;
 
@@ -102,7 +102,7 @@ fn lss_request(random: &mut Random, target: &Target) -> Frame {
 }
 
 /// The correct number for a request that compares it with the LSS address `address`, and the comparison for Fastscan.
-pub fn address_number(random: &mut Random, data: &mut [u8; 8], address: [u32; 4]) -> u32 {
+fn address_number(random: &mut Random, data: &mut [u8; 8], address: [u32; 4]) -> u32 {
     let [vendor, product, revision, serial] = address;
     match data[0] {
         0x40 | 0x46 => vendor,
@@ -180,10 +180,10 @@ fn clean(mut frame: Frame) -> Frame {
 }
 
 /// The frame that the driver passes to the node for `frame`, if any.
-fn delivered(frame: &Frame) -> Option<lss_slave::Frame> {
+fn delivered(frame: &Frame) -> Option<canopen_node::Frame> {
     match frame.id {
         Id::Standard(id) if !frame.remote && frame.dlc <= 8 => {
-            Some(lss_slave::Frame::new(id, frame.payload()).expect("at most eight bytes"))
+            Some(canopen_node::Frame::new(id, frame.payload()).expect("at most eight bytes"))
         }
         _ => None,
     }
@@ -195,7 +195,7 @@ fn lss_data(frame: &Frame) -> Option<[u8; 8]> {
 }
 
 /// Whether only PDOs may have the COB-ID of `frame` (CiA 301, 7.3.5).
-fn is_pdo(frame: &lss_slave::Frame) -> bool {
+fn is_pdo(frame: &canopen_node::Frame) -> bool {
     matches!(frame.cob_id(), 0x180..=0x57F | 0x680..=0x6DF)
 }
 

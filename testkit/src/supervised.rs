@@ -1,6 +1,6 @@
 //! Boards with bit-rate supervision, in the initial states of its tests.
 
-use lss_slave::{
+use canopen_node::{
     BitRate,
     BusEvent::{Error, Received},
 };

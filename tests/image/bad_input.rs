@@ -1,21 +1,19 @@
 //! The release image under adverse input: frames of any kind, damaged flash, and a bus without nodes or at the wrong
 //! rate.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Frame, Id},
-    chip::PowerCut,
     network::{Short, What},
 };
-use lss_slave::BitRate;
 use testkit::{
     frames::{self, SILENCE},
-    image_rig::{
-        DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, blank_board, flash_with, on_the_wire, settings,
-    },
-    node_rig::{self as reference, NodeRig},
     random::Random,
-    storm,
+};
+
+use crate::rig::{
+    DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, blank_board, flash_with, rig_with, settings,
 };
 
 const LSS: Id = Id::Standard(0x7E5);
@@ -27,7 +25,7 @@ fn inquiry(id: Id) -> Frame {
 
 /// Node 40 in configuration state, on which the frames sent must have no effect.
 fn configured() -> ImageRig {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
     rig.collect(Time::from_ms(20));
     rig.lss("04 01");
     rig
@@ -64,19 +62,6 @@ fn only_eight_bytes_in_a_base_format_data_frame_are_a_request() {
 }
 
 #[test]
-fn command_specifiers_that_are_no_request_are_ignored() {
-    const REQUESTS: [u8; 22] = [
-        0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B,
-        0x4C, 0x51, 0x5A, 0x5B, 0x5C, 0x5D, 0x5E,
-    ];
-    let mut rig = configured();
-    let others = (0..=0xFF).filter(|command| !REQUESTS.contains(command));
-    let frames: Vec<Frame> =
-        others.map(|command| Frame::data(LSS, &[command, 1, 2, 3, 4, 5, 6, 7])).collect();
-    assert_ignored(&mut rig, &frames);
-}
-
-#[test]
 fn an_nmt_command_of_another_form_or_for_another_node_is_ignored() {
     let mut rig = configured();
     let reset = Frame::data(Id::Standard(0), &[0x81, 0x00, 0, 0, 0, 0, 0, 0]);
@@ -87,101 +72,6 @@ fn an_nmt_command_of_another_form_or_for_another_node_is_ignored() {
     frames.push(Frame::data(Id::Standard(0), &[0x81, 0x41]));
     frames.push(Frame::data(Id::Standard(0), &[0x7F, 0x00]));
     assert_ignored(&mut rig, &frames);
-}
-
-/// A random frame without an effect on node 40 in configuration state, mostly almost a request.
-fn meaningless(random: &mut Random) -> Frame {
-    let id = match random.within(0..8) {
-        0 => Id::Extended(random.u32() >> 3),
-        1 => Id::Extended(random.pick(&[0x7E5, 0, 0x640, 0x7E5 << 18])),
-        2 => Id::Standard(random.within(0..0x800) as u16),
-        3 => Id::Standard(random.pick(&[0x000, 0x640])),
-        _ => LSS,
-    };
-    let dlc = random.within(0..16) as u8;
-    if random.one_in(8) {
-        return Frame::remote(id, dlc);
-    }
-    let mut data = random.bytes::<8>();
-    if random.one_in(2) {
-        data[0] = random.pick(&[0x04, 0x11, 0x13, 0x15, 0x17, 0x81, 0x82, 0x40, 0x23]);
-    }
-    let mut frame = Frame::data(id, &data).with_dlc(dlc);
-    match (id, dlc) {
-        // Command specifiers of answers and undefined ones.
-        (LSS, 8) => frame.data[0] = random.pick(&[0x00, 0x44, 0x4F, 0x50, 0x80, 0xE5, 0xFF]),
-        (Id::Standard(0x000), 2) => frame.data[1] = random.within(0x41..0x100) as u8,
-        (Id::Standard(0x640), 8) => frame.dlc = 9,
-        _ => {}
-    }
-    (usize::from(dlc.min(8))..8).for_each(|unused| frame.data[unused] = 0);
-    frame
-}
-
-#[test]
-fn random_frames_that_ask_nothing_have_no_effect() {
-    let mut random = Random::from_environment();
-    let mut rig = configured();
-    for _ in 0..30 {
-        let frames: Vec<Frame> = (0..1_000).map(|_| meaningless(&mut random)).collect();
-        assert_ignored(&mut rig, &frames);
-    }
-}
-
-/// A request with a valid command specifier, mostly with sensible parameters. None activates bit timing, which takes
-/// time, or stores, which wears the flash.
-fn request(random: &mut Random, address: [u32; 4]) -> [u8; 8] {
-    let mut data = random.bytes::<8>();
-    data[0] = random.pick(&[
-        0x04, 0x11, 0x13, 0x40, 0x41, 0x42, 0x43, 0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B, 0x4C, 0x51,
-        0x5A, 0x5B, 0x5C, 0x5D, 0x5E,
-    ]);
-    if random.one_in(10) {
-        return data;
-    }
-    let number = match data[0] {
-        0x40..=0x51 => storm::address_number(random, &mut data, address),
-        0x04 => random.within(0..2) as u32,
-        0x11 => random.pick(&[0x01, 0x40, 0x7F, 0xFF, 0xFF, 0x00]),
-        0x13 => random.pick(&[0x0000, 0x0200, 0x0500, 0x0800, 0x0001]),
-        _ => return data,
-    };
-    data[1..5].copy_from_slice(&number.to_le_bytes());
-    data
-}
-
-#[test]
-fn random_requests_are_answered_as_the_library_answers_them() {
-    let mut random = Random::from_environment();
-    let new = settings(0xFF, BitRate::Kbit1000);
-    let mut rig = ImageRig::with(new);
-    rig.lss("04 01");
-    let parts = ["5A", "5B", "5C", "5D"].map(|inquiry| {
-        let answer = rig.lss(inquiry);
-        u32::from_le_bytes(*answer.0[0].data()[1..].first_chunk().expect("eight bytes"))
-    });
-    let [vendor_id, product_code, revision_number, serial_number] = parts;
-    let address =
-        lss_slave::lss::Address { vendor_id, product_code, revision_number, serial_number };
-    let flash = testkit::flash::BoardFlash::blank(0);
-    let mut node = NodeRig::with_device(reference::device(address).with_defaults(new), flash, 0);
-    node.lss("04 01");
-    let mut last_ones = Vec::new();
-    for _ in 0..3_000 {
-        let request = request(&mut random, parts);
-        // Back to FF with a reset now and then: otherwise the node would have a node-ID for most of the test.
-        let frame = match random.within(0..40) {
-            0 => lss_slave::Frame::new(0x7E5, &[0x11, 0xFF, 0, 0, 0, 0, 0, 0]),
-            1 => lss_slave::Frame::new(0x000, &[0x82, 0x00]),
-            _ => lss_slave::Frame::new(0x7E5, &request),
-        }
-        .expect("a frame");
-        last_ones.push(frames::text(&frame));
-        rig.transmit(on_the_wire(&frame));
-        let answers = rig.collect(Time::from_us(300));
-        let from = last_ones.len().saturating_sub(10);
-        assert_eq!(answers, node.receive(&frame), "after {:#?}", &last_ones[from..]);
-    }
 }
 
 #[test]
@@ -230,43 +120,8 @@ fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
 }
 
 #[test]
-fn a_power_cut_in_any_step_of_a_store_leaves_the_old_settings_or_the_new() {
-    let mut random = Random::from_environment();
-    const STEPS: u64 = 8;
-    for step in 0..=STEPS {
-        let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-        rig.collect(Time::from_ms(20));
-        rig.lss("04 01");
-        rig.lss("11 04");
-        let operation = rig.network.board(0).chip().flash().operations() + step;
-        // The next start programs a word again.
-        if step < STEPS {
-            let cut = PowerCut { operation, seed: random.u64() };
-            rig.network.board(0).chip().flash_mut().cut_power(cut);
-        }
-        let answer = rig.lss("17");
-        let is_cut = !rig.network.board(0).is_powered();
-        assert_eq!(is_cut, step < STEPS);
-        if is_cut {
-            assert_eq!(answer, SILENCE);
-            rig.power_on(0);
-        } else {
-            assert_eq!(answer, ["17 00"]);
-            rig.power_cycle(0);
-        }
-        let boot_up = rig.collect(Time::from_ms(20));
-        let (old, new) = (boot_up == ["740: 00"], boot_up == ["704: 00"]);
-        match step {
-            0..7 => assert!(old, "step {step}: {boot_up:?}"),
-            7 => assert!(old || new, "{boot_up:?}"),
-            _ => assert!(new, "{boot_up:?}"),
-        }
-    }
-}
-
-#[test]
 fn a_board_alone_on_the_bus_waits_and_answers_a_master_that_joins() {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(500));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(500));
     let from = rig.network.now();
     rig.network.adapter_mut(rig.master).close();
     rig.network.run_for(Time::from_s(6));
@@ -282,7 +137,7 @@ fn a_board_alone_on_the_bus_waits_and_answers_a_master_that_joins() {
 #[test]
 fn a_board_that_is_driven_bus_off_recovers_and_reports_it() {
     let settings = settings(0x40, BitRate::Kbit500).with_heartbeat_ms(20);
-    let mut rig = ImageRig::with(settings);
+    let mut rig = rig_with(settings);
     rig.lss("04 01");
     let from = rig.network.now();
     rig.network.set_short(Some(Short::Recessive));

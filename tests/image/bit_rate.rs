@@ -1,18 +1,17 @@
 //! A release image at the wrong bit rate, or set to detect it: it finds the rate of the bus with little disturbance.
 
+use canopen_node::{BitRate, BitRateSetting, Settings};
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
     network::{AdapterId, Source, What},
 };
-use lss_slave::{BitRate, BitRateSetting, Settings};
-use testkit::{
-    frames::{self, SILENCE},
-    image_rig::{DEFAULT_BIT_RATE, ImageRig, bit_per_s, blank_board, board_with, settings},
-};
+use testkit::frames::{self, SILENCE};
+
+use crate::rig::{ImageRig, bit_per_s, board_with, rig_with, settings};
 
 /// Two other nodes that exchange a frame every 10 ms for a duration.
-fn talk(rig: &mut ImageRig, others: [AdapterId; 2], span: Time) {
+pub fn talk(rig: &mut ImageRig, others: [AdapterId; 2], span: Time) {
     let until = rig.network.now() + span;
     while rig.network.now() < until {
         for (adapter, cob_id) in others.into_iter().zip([0x181, 0x182]) {
@@ -22,7 +21,7 @@ fn talk(rig: &mut ImageRig, others: [AdapterId; 2], span: Time) {
     }
 }
 
-fn others(rig: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
+pub fn others(rig: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
     [(); 2].map(|()| rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
 }
 
@@ -31,7 +30,7 @@ fn automatic() -> Settings {
 }
 
 /// Makes the master repeat a frame, as CAN controllers do, until another node acknowledges it.
-fn wait_until_acknowledged(rig: &mut ImageRig) {
+pub fn wait_until_acknowledged(rig: &mut ImageRig) {
     let from = rig.network.now();
     rig.queue(&frames::request("04 00"));
     while rig.network.adapter_mut(rig.master).unsent() > 0 {
@@ -43,7 +42,7 @@ fn wait_until_acknowledged(rig: &mut ImageRig) {
 }
 
 /// Whether node 40 answers the master, once it is in configuration state.
-fn answers(rig: &mut ImageRig) -> bool {
+pub fn answers(rig: &mut ImageRig) -> bool {
     rig.lss("04 01");
     let answers = rig.lss("5E");
     answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
@@ -75,7 +74,7 @@ fn a_board_that_detects_the_bit_rate_finds_that_of_a_master_that_is_alone() {
 
 #[test]
 fn automatic_detection_can_be_configured_stored_and_taken_back() {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
     rig.collect(Time::from_ms(20));
     rig.lss("04 01");
     assert_eq!(rig.lss("13 00 09"), ["13 00"]);
@@ -96,31 +95,4 @@ fn automatic_detection_can_be_configured_stored_and_taken_back() {
     rig.set_master_bit_rate(BitRate::Kbit500);
     rig.power_cycle(0);
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
-}
-
-#[test]
-fn a_configured_board_joins_a_busy_network_of_another_rate() {
-    for (own, theirs) in [
-        (BitRate::Kbit1000, BitRate::Kbit125),
-        (BitRate::Kbit500, BitRate::Kbit10),
-        (BitRate::Kbit20, BitRate::Kbit250),
-        (BitRate::Kbit125, BitRate::Kbit1000),
-    ] {
-        let board = board_with(0, settings(0x40, own).with_heartbeat_ms(100));
-        let mut rig = ImageRig::new(theirs, [board]);
-        let others = others(&mut rig, theirs);
-        talk(&mut rig, others, Time::from_s(6));
-        rig.collect(Time::from_ms(200));
-        // A guest that is on a visit to its home misses a request.
-        assert!(answers(&mut rig) || answers(&mut rig), "{own:?} among {theirs:?}");
-    }
-}
-
-#[test]
-fn a_new_board_is_found_by_a_master_at_any_rate() {
-    for bit_rate in BitRate::ALL.into_iter().filter(|&rate| rate != DEFAULT_BIT_RATE) {
-        let mut rig = ImageRig::new(bit_rate, [blank_board(0)]);
-        wait_until_acknowledged(&mut rig);
-        assert_eq!(rig.lss("4C"), ["50"], "{bit_rate:?}");
-    }
 }

@@ -2,9 +2,9 @@
 //!
 //! `cargo test --test image block_transfer:: -- --nocapture` prints the shares.
 
+use canopen_node::BitRate;
 use emulator::Time;
 use example_io::application as io;
-use lss_slave::BitRate;
 use testkit::{
     image_rig::{ImageRig, SdoClient, example_board, settings},
     sdo::Client,

@@ -1,21 +1,16 @@
 //! The release image on difficult hardware: a low supply, a crystal that does not start or stops, no fault below the
 //! stack, commit words that read differently each time, a slow core, a brown-out.
 
+use canopen_node::{BitRate, Settings};
 use emulator::{
     Time,
     board::{self, Board},
-    chip::{
-        Access, FLASH_BASE, PowerCut, RAM_BASE, Readings, ResetCause, StartUp, Thresholds, Width,
-    },
+    chip::{Access, FLASH_BASE, RAM_BASE, Readings, ResetCause, StartUp, Thresholds, Width},
     network::{Event, Source, What},
 };
-use lss_slave::{BitRate, Settings};
-use testkit::{
-    frames::{Frames, SILENCE},
-    image::{image, part},
-    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},
-    random::Random,
-};
+use testkit::frames::{Frames, SILENCE};
+
+use crate::rig::{ImageRig, SETTINGS_OFFSET, blank_rig, flash_with, image, part, settings};
 
 const RATE: BitRate = BitRate::Kbit1000;
 
@@ -78,14 +73,13 @@ fn a_store_programs_words_if_the_supply_is_safely_above_2_7_v_or_else_bytes() {
 
 #[test]
 fn a_supply_that_rises_slowly_is_waited_for_before_the_flash_is_erased() {
-    let mut rig = ImageRig::blank();
+    let mut rig = blank_rig();
     rig.network.power_off(0);
     rig.network.board_mut(0).set_flash(SETTINGS_OFFSET, &[0xFF; 0x8000]);
     rig.network.board_mut(0).set_supply(2_000);
     let operations = |rig: &ImageRig| rig.network.board(0).chip().flash().operations();
     let before = operations(&rig);
     let since = rig.network.now();
-    rig.expect_reset(0, ResetCause::PowerOn);
     rig.network.power_on(0);
     rig.network.run_for(Time::from_ms(80));
     assert_eq!(operations(&rig), before);
@@ -129,7 +123,7 @@ fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
             rig.network.run_for(Time::from_us(30));
         }
         let from = rig.network.now();
-        rig.expect_reset(0, ResetCause::Software);
+        rig.network.allow_reset(0, ResetCause::Software);
         rig.network.board_mut(0).stop_crystal();
         rig.network.run_for(Time::from_ms(50));
         let resets = rig.network.board(0).resets();
@@ -189,7 +183,7 @@ fn a_stack_overflow_is_a_fault_even_where_nothing_faults_below_the_ram() {
         let code = rig.network.board(0).flash()[offset as usize..][..4].to_vec();
         let mut guard = [0; 1024];
         assert!(rig.network.board(0).read_memory(RAM_BASE, &mut guard));
-        rig.expect_reset(0, ResetCause::Software);
+        rig.network.allow_reset(0, ResetCause::Software);
         let from = rig.network.now();
         rig.network.board_mut(0).set_flash(offset, &PUSH_FOR_EVER);
         while rig.network.board(0).resets().len() == 1 {
@@ -204,32 +198,6 @@ fn a_stack_overflow_is_a_fault_even_where_nothing_faults_below_the_ram() {
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
         assert_eq!(says(rig.network.board(0), "stack overflow, resetting"), 1);
     }
-}
-
-#[test]
-fn settings_found_after_a_cut_are_found_at_every_power_on() {
-    let mut random = Random::from_environment();
-    let mut found_new = 0;
-    for _ in 0..24 {
-        let readings = Readings { cut_words_flip: true, ..Readings::default() };
-        let mut rig = node_40(readings);
-        rig.lss("04 01");
-        rig.lss("11 04");
-        let last_word = rig.network.board(0).chip().flash().operations() + 7;
-        let cut = PowerCut { operation: last_word, seed: random.u64() };
-        rig.network.board(0).chip().flash_mut().cut_power(cut);
-        assert_eq!(rig.lss("17"), SILENCE);
-        rig.power_on(0);
-        let first = rig.collect(Time::from_ms(20));
-        let is_new = first == ["704: 00"];
-        assert!(is_new || first == ["740: 00"], "{first:?}");
-        found_new += u32::from(is_new);
-        for _ in 0..4 {
-            rig.power_cycle(0);
-            assert_eq!(rig.collect(Time::from_ms(20)), first);
-        }
-    }
-    assert!((1..24).contains(&found_new), "{found_new} of 24 cut words read valid");
 }
 
 #[test]
@@ -256,11 +224,11 @@ fn a_brown_out_while_settings_are_written_loses_none() {
         rig.lss("11 04");
         rig.transmit_request("17");
         rig.network.run_for(Time::from_us(us));
+        rig.network.allow_reset(0, ResetCause::BrownOut);
         rig.network.board_mut(0).set_supply(2_800);
         rig.network.run_for(Time::from_ms(2));
         let since = rig.network.now();
         rig.network.board_mut(0).set_supply(3_300);
-        rig.expect_reset(0, ResetCause::BrownOut);
         rig.boot(0, since);
         let shown = rig.collect(Time::from_ms(20));
         let is_new = shown == ["704: 00"];
@@ -323,7 +291,7 @@ fn a_board_that_a_boot_loader_starts_is_on_the_bus_within_10_ms() {
     rig.lss("04 01");
     assert_eq!(rig.lss("5E"), ["5E 40"]);
     rig.network.run_for(Time::from_s(5));
-    rig.expect_reset(0, ResetCause::Software);
+    rig.network.allow_reset(0, ResetCause::Software);
     let since = rig.network.now();
     rig.transmit_command("81 40");
     rig.boot(0, since);

@@ -6,14 +6,13 @@ use std::{
     io::{self, Write},
 };
 
+use canopen_node::{BitRate, NodeId, lss::AddressPart};
 use emulator::network::Recording;
-use firmware::device;
+use firmware::device::DEVICE;
 use lss_master::{Assign, Configure, Fastscan, Master, Timing};
-use lss_slave::{BitRate, NodeId, lss::AddressPart};
-use testkit::{
-    image_rig::{ImageRig, board_with, settings},
-    lss_session::{carry_out, timing},
-};
+use testkit::lss_session::{carry_out, timing};
+
+use crate::rig::{ImageRig, board_with, settings};
 
 /// The number of boards: 8, or the value of `BOARDS`, up to 127.
 fn boards() -> u8 {
@@ -61,9 +60,9 @@ fn commission(bit_rate: BitRate, what: &str, scan: &Fastscan, floor_ms: f64) {
 #[test]
 fn blank_boards_with_unknown_serial_numbers_are_commissioned_at_bus_speed() {
     let scan = Fastscan::new()
-        .with_known(AddressPart::VendorId, device::VENDOR_ID)
-        .with_known(AddressPart::ProductCode, device::PRODUCT_CODE)
-        .with_known(AddressPart::RevisionNumber, device::REVISION_NUMBER);
+        .with_known(AddressPart::VendorId, DEVICE.address.vendor_id)
+        .with_known(AddressPart::ProductCode, DEVICE.address.product_code)
+        .with_known(AddressPart::RevisionNumber, DEVICE.address.revision_number);
     commission(BitRate::Kbit1000, "serial number unknown", &scan, 10.9);
 }
 

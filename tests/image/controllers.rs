@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     board::{self, Board},
@@ -10,13 +11,9 @@ use emulator::{
     image::Image,
     network::AdapterId,
 };
-use lss_slave::BitRate;
-use testkit::{
-    frames,
-    image::image,
-    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
-    product,
-};
+use testkit::{frames, product};
+
+use crate::rig::{ImageRig, SETTINGS_OFFSET, flash_with, image, on_the_wire, settings};
 
 /// The first filter registers (RM0090, 32.9.4).
 const FM1R: u32 = 0x204;
@@ -109,7 +106,7 @@ fn uses_banks_from(first: u32, part: Part, controller: usize, filters: usize, im
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(4, BitRate::Kbit500)]));
     let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
     rig.collect(Time::from_ms(20));
-    assert_eq!(banks(&rig, filters), [0b11 << first, 0b01 << first], "CAN{controller}");
+    assert_eq!(banks(&rig, filters), [1 << first, 1 << first], "CAN{controller}");
 }
 
 #[test]

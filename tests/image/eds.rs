@@ -3,14 +3,12 @@
 
 use std::{collections::BTreeMap, ops::Range};
 
+use canopen_node::BitRate;
 use emulator::Time;
 use firmware::device::DEFAULTS;
-use lss_slave::BitRate;
-use testkit::{
-    eds::parse,
-    image_rig::{ImageRig, board_with, example_board, settings},
-    sdo::Client,
-};
+use testkit::{eds::parse, sdo::Client};
+
+use crate::rig::{ImageRig, board_with, example_board, settings};
 
 const NODE_ID: u8 = 0x40;
 const READ_ONLY: u32 = 0x0601_0002;

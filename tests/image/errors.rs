@@ -1,20 +1,19 @@
 //! The release image on a failing bus: its emergencies (CiA 301) and its NMT state.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     network::{Short, What},
 };
-use lss_slave::BitRate;
-use testkit::{
-    image_rig::{ImageRig, on_the_wire, settings},
-    sdo,
-};
+use testkit::sdo;
+
+use crate::rig::{ImageRig, on_the_wire, rig_with, settings};
 
 const ERROR_PASSIVE: &str = "0C0: 20 81 11 00 00 00 00 00";
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
 
 fn node_40() -> ImageRig {
-    ImageRig::with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100))
+    rig_with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100))
 }
 
 /// Leaves the board alone on the bus for `span`; returns the frames that it sends in the two seconds after.

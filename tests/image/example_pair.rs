@@ -2,9 +2,9 @@
 
 use std::ops::RangeInclusive;
 
+use canopen_node::{BitRate, Frame};
 use emulator::{Time, board::Board, chip::Part};
 use example_io::application as io;
-use lss_slave::{BitRate, Frame};
 use testkit::{
     flash::BoardFlash,
     frames,

@@ -1,16 +1,17 @@
 //! The example `io` with parameters in its flash that another firmware may have written, or that are damaged: it takes
 //! and leaves them as the node in the process does.
 
+use canopen_node::{BitRate, settings::Log};
 use emulator::{
     Time,
     board::Board,
     chip::{Part, StuckBits},
 };
-use lss_slave::{BitRate, settings::Log};
 use testkit::{
     flash::BoardFlash,
     image::example,
     image_rig::{ImageRig, SETTINGS_OFFSET, settings},
+    random::Random,
     sdo::Client,
     settings::{record, sealed},
 };
@@ -57,100 +58,122 @@ fn check_content(content: &[u8]) {
     assert_eq!(differing, None);
 }
 
-/// The value, and its bytes with too few and too many of them.
-fn lengths(value: &[u8]) -> impl Iterator<Item = Vec<u8>> {
-    let longest = [value, &[0; 18]].concat();
-    [0, 1, 2, 3, 4, 5, 7, 8, 9, 16, 17]
-        .map(|len| longest[..len.min(longest.len())].to_vec())
-        .into_iter()
-}
+/// Values that are stored, and some that are not: index, sub-index, data type and length.
+const STORED: [(u16, u8, u8, usize); 16] = [
+    (0x1005, 0, U32, 4),
+    (0x1005, 0, U32, 4),
+    (0x1016, 1, U32, 4),
+    (0x1019, 0, U8, 1),
+    (0x1029, 1, U8, 1),
+    (0x2100, 0, U8, 1),
+    (0x2101, 1, REAL32, 4),
+    (0x2101, 2, I64, 8),
+    (0x2101, 3, TEXT, 16),
+    (0x6426, 1, U32, 4),
+    (0x0001, 0, U8, 1),
+    (0x1000, 0, U32, 4),
+    (0x1017, 0, U32, 4),
+    (0x2102, 0, 0x0F, 1),
+    (0x6200, 1, U8, 1),
+    (0x9FFF, 0, U8, 1),
+];
+/// COB-IDs, legal ones and others, also with the bits for a PDO that is not valid and for one whose COB-ID follows the
+/// node-ID.
+const COB_IDS: [u32; 26] = [
+    0,
+    0x7F,
+    0x80,
+    0x81,
+    0xFF,
+    0x100,
+    0x101,
+    0x180,
+    0x181,
+    0x580,
+    0x581,
+    0x5FF,
+    0x600,
+    0x601,
+    0x67F,
+    0x680,
+    0x6DF,
+    0x6E0,
+    0x6FF,
+    0x700,
+    0x701,
+    0x7FF,
+    0x800,
+    0x801,
+    0x4000_0181,
+    0x8000_0101,
+];
+const OUTPUTS: u32 = 0x6200_0108;
+const MAPPED: [u32; 8] = [
+    OUTPUTS,
+    OUTPUTS,
+    0x0007_0020,
+    0x6401_0110,
+    0x2100_0008,
+    0x6200_0110,
+    0x6200_0208,
+    0x0005_0108,
+];
 
-#[test]
-fn a_stored_value_is_taken_with_its_type_and_length_and_within_limits() {
-    for (index, sub_index, data_type, values) in [
-        (0x2100, 0, U8, &[&[9][..], &[255], &[8]][..]),
-        (
-            0x2101,
-            1,
-            REAL32,
-            &[&[0, 0, 0xC0, 0x7F], &[0, 0, 0, 0xBF], &[0, 0, 0, 0x41], &[0, 0, 0xC0, 0x3F]],
-        ),
-        (0x2101, 2, I64, &[&[1, 2, 3, 4, 5, 6, 7, 0x88]]),
-        (0x2101, 3, TEXT, &[&[0x41; 17], &[0x42; 16], &[], &[0x43, 0xFF]]),
-        (0x6426, 1, U32, &[&[1, 2, 3, 4]]),
-        // Values that are not stored, and those of nobody.
-        (0x2101, 0, U8, &[&[3]]),
-        (0x2101, 4, U8, &[&[3]]),
-        (0x2102, 0, 0x0F, &[&[3], &[]]),
-        (0x6200, 1, U8, &[&[3]]),
-        (0x6401, 1, 0x03, &[&[3, 0]]),
-        (0x2001, 0, U8, &[&[3]]),
-        (0x0001, 0, U8, &[&[3]]),
-        (0x9FFF, 0, U8, &[&[3]]),
-    ] {
-        let mut all = Vec::new();
-        for value in values {
-            for other in [data_type, U32, 0x06, 0x10] {
-                all.extend(parameter(index, sub_index, other, value));
-            }
-            all.extend(parameter(index, sub_index, data_type, value));
-        }
-        check(&all);
-        for value in lengths(values[0]) {
-            all.extend(parameter(index, sub_index, data_type, &value));
-        }
-        check(&all);
+/// A number that a parameter may have, or just not.
+fn number(random: &mut Random) -> u32 {
+    match random.within(0..4) {
+        0 => random.pick(&COB_IDS),
+        1 => random.pick(&[1, 2, 3, 8, 9, 240, 241, 254, 255, 256, 0xFFFF, 0x1_0000]),
+        // The numbers of nodes and times, and REAL32: NaN, -0.5, 8, 1.5.
+        2 => random.pick(&[0x0080_0064, 0x000A_0000, 0x0100_0000, 0x000A_0064]),
+        _ => random.pick(&[0x7FC0_0000, 0xBF00_0000, 0x4100_0000, 0x3FC0_0000]),
     }
 }
 
+/// The words of a PDO: COB-ID, transmission type, the times of a TPDO and its SYNC start value, and the mapping.
+fn pdo(random: &mut Random, is_tpdo: bool) -> Vec<u8> {
+    let kind = random.pick(&[0, 240, 241, 253, 254, 255, 255, 255, 256, 0x1_0000]);
+    let mut words = vec![random.pick(&COB_IDS), kind];
+    if is_tpdo {
+        words.extend([random.pick(&[0, 0xFFFF, 0x1_0000]), 0, random.pick(&[0, 240, 241])]);
+    }
+    let same = random.pick(&MAPPED);
+    let is_uniform = random.one_in(2);
+    let count = random.within(0..10);
+    words.extend((0..count).map(|_| if is_uniform { same } else { random.pick(&MAPPED) }));
+    words.iter().flat_map(|word| word.to_le_bytes()).collect()
+}
+
+/// A parameter that is stored, or one with a fault: an address, a type or a length that does not fit.
+fn any_parameter(random: &mut Random) -> Vec<u8> {
+    let (index, mut sub_index, mut data_type, mut value) = if random.one_in(2) {
+        let is_tpdo = random.one_in(2);
+        let first = if is_tpdo { 0x1800 } else { 0x1400 };
+        (first + random.within(0..5) as u16, 0, PDO, pdo(random, is_tpdo))
+    } else {
+        let (index, sub_index, data_type, len) = random.pick(&STORED);
+        let bytes = [number(random).to_le_bytes(), random.bytes()].concat().repeat(2);
+        (index, sub_index, data_type, bytes[..len].to_vec())
+    };
+    match random.within(0..10) {
+        0 => sub_index += 1,
+        1 => data_type = random.pick(&[U32, 0x06, 0x10, U8]),
+        2 => value.resize(random.within(0..18) as usize, 0),
+        _ => {}
+    }
+    parameter(index, sub_index, data_type, &value)
+}
+
 #[test]
-fn a_stored_communication_parameter_is_taken_only_if_it_is_legal() {
-    for (index, sub_index, data_type, values) in [
-        (
-            0x1005,
-            0,
-            U32,
-            &[
-                0x80_u32,
-                0x81,
-                0x100,
-                0x101,
-                0x580,
-                0x581,
-                0x600,
-                0x601,
-                0x6E0,
-                0x701,
-                0x800,
-                0x4000_0080,
-                0x8000_0082,
-            ][..],
-        ),
-        (0x1019, 0, U8, &[1, 241, 255, 2, 240, 0]),
-        (0x1029, 1, U8, &[3, 255, 2, 1]),
-        (0x1029, 0, U8, &[1]),
-        (0x1029, 2, U8, &[1]),
-        (0x1016, 0, U32, &[0x000A_0064]),
-        (0x1016, 1, U32, &[0x0080_0064, 0x0000_0064, 0x000A_0000, 0x0100_0000, 0x000A_0064]),
-        (0x1016, 2, U32, &[0x000A_0064]),
-        (0x1017, 0, U32, &[100]),
-        (0x1400, 1, U32, &[0x181]),
-        (0x1000, 0, U32, &[1]),
-    ] {
-        let len = if data_type == U8 { 1 } else { 4 };
-        let mut all = Vec::new();
-        for value in values {
-            let bytes = value.to_le_bytes();
-            for other in [data_type, 0x06, 0x10] {
-                all.extend(parameter(index, sub_index, other, &bytes[..len]));
-            }
+fn stored_parameters_legal_or_not_are_taken_as_by_the_node() {
+    let mut random = Random::from_environment();
+    for _ in 0..150 {
+        let count = random.within(1..30);
+        let mut parameters: Vec<u8> = (0..count).flat_map(|_| any_parameter(&mut random)).collect();
+        if random.one_in(4) {
+            parameters.truncate(random.within(1..parameters.len() as u64) as usize);
         }
-        check(&all);
-        for value in lengths(&values[0].to_le_bytes()[..len]) {
-            all.extend(parameter(index, sub_index, data_type, &value));
-            all.extend(parameter(index, sub_index + 1, data_type, &value));
-        }
-        check(&all);
+        check(&parameters);
     }
 }
 
@@ -246,92 +269,10 @@ fn a_save_that_fails_at_any_place_leaves_the_old_values() {
     }
 }
 
-fn words(words: &[u32]) -> Vec<u8> {
-    words.iter().flat_map(|word| word.to_le_bytes()).collect()
-}
-
-#[test]
-fn a_stored_pdo_is_taken_only_if_all_of_it_is_legal() {
-    const FOLLOWS_NODE_ID: u32 = 0x800;
-    const OUTPUTS: u32 = 0x6200_0108;
-    for (first, number) in [(0x1400, 2), (0x1800, 5)] {
-        let pdo = |cob_id, transmission_type, rest: [u32; 3], mapping: &[u32]| {
-            words(&[&[cob_id, transmission_type][..], &rest[..number - 2], mapping].concat())
-        };
-        let legal = |mapping: &[u32]| pdo(0x181, 255, [0; 3], mapping);
-        let mut values: Vec<Vec<u8>> = [
-            FOLLOWS_NODE_ID,
-            0x801,
-            0x8000_0800,
-            0x8000_0101,
-            0x4000_0181,
-            0x0,
-            0x7F,
-            0x80,
-            0xFF,
-            0x100,
-            0x101,
-            0x180,
-            0x181,
-            0x580,
-            0x581,
-            0x5FF,
-            0x600,
-            0x601,
-            0x67F,
-            0x680,
-            0x6DF,
-            0x6E0,
-            0x6FF,
-            0x700,
-            0x701,
-            0x7FF,
-        ]
-        .iter()
-        .map(|&cob_id| pdo(cob_id, 255, [0; 3], &[OUTPUTS]))
-        .collect();
-        values.extend(
-            [0, 240, 241, 253, 254, 255, 256, 0x1_0000]
-                .map(|kind| pdo(0x181, kind, [0; 3], &[OUTPUTS])),
-        );
-        for rest in [[0x1_0000, 0, 0], [0, 0x1_0000, 0], [0, 0, 241], [0xFFFF, 0xFFFF, 240]] {
-            values.push(pdo(0x181, 254, rest, &[OUTPUTS]));
-        }
-        values.extend([
-            legal(&[]),
-            legal(&[OUTPUTS; 8]),
-            legal(&[OUTPUTS; 9]),
-            legal(&[0x0007_0020, OUTPUTS]),
-            legal(&[0x0007_0020; 3]),
-            legal(&[0x0007_0020, 0x0007_0020]),
-            legal(&[0x6401_0110; 5]),
-            legal(&[0x6401_0110; 4]),
-            legal(&[0x2100_0008]),
-            legal(&[0x6200_0110]),
-            legal(&[OUTPUTS, 0]),
-            legal(&[0x6200_0208]),
-            legal(&[0x0005_0108]),
-        ]);
-        let whole = legal(&[OUTPUTS]);
-        values.extend((0..whole.len()).map(|len| whole[..len].to_vec()));
-        for at in [0, 4] {
-            let addressed = |sub_index, data_type| {
-                move |value: &Vec<u8>| parameter(first + at, sub_index, data_type, value)
-            };
-            for some in values.chunks(12) {
-                check(&some.iter().flat_map(addressed(0, PDO)).collect::<Vec<_>>());
-            }
-            check(&values[..6].iter().flat_map(addressed(1, PDO)).collect::<Vec<_>>());
-            check(&values[..6].iter().flat_map(addressed(0, U32)).collect::<Vec<_>>());
-        }
-        check(&parameter(first + 0x200, 0, PDO, &whole));
-    }
-}
-
 #[test]
 fn parameters_that_end_in_the_middle_are_taken_up_to_there() {
     let legal = parameter(0x6426, 1, U32, &[7, 0, 0, 0]);
-    let long = parameter(0x2101, 3, TEXT, &[0x41; 2_000]);
+    let long = parameter(0x2101, 3, TEXT, &[0x41; 3_000]);
     let unfinished = [0x26, 0x64, 1, U32, 0xFF, 0xFF];
     for more in 0..=9 {
         check(&[&legal[..], &long, &legal, &unfinished, &[0; 9][..more]].concat());
@@ -341,5 +282,5 @@ fn parameters_that_end_in_the_middle_are_taken_up_to_there() {
         check(&[0x26; 9][..len]);
     }
     let many = [&legal[..], &parameter(0x2101, 3, TEXT, &[0x42; 16])].concat();
-    check(&many.repeat(40));
+    check(&many.repeat(80));
 }

@@ -1,7 +1,7 @@
 //! The process data of the example `io` and of the node in the process, which get the same frames.
 
+use canopen_node::{BitRate, Frame};
 use emulator::{Time, network::Short};
-use lss_slave::{BitRate, Frame};
 use testkit::{
     frames,
     image_rig::{ImageRig, flash_with, on_the_wire, settings},

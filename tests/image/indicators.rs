@@ -1,8 +1,9 @@
 //! The indicators of the release image (CiA 303-3), observed on the pins of the emulated board.
 
+use canopen_node::BitRate;
 use emulator::{Time, chip::Pin};
-use lss_slave::BitRate;
-use testkit::image_rig::{ImageRig, settings};
+
+use crate::rig::{ImageRig, blank_rig, rig_with, settings};
 
 const RUN: Pin = Pin('D', 12);
 const ERR: Pin = Pin('D', 14);
@@ -30,7 +31,7 @@ fn pattern(rig: &mut ImageRig, pin: Pin) -> String {
 }
 
 fn operational() -> ImageRig {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit500));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit500));
     rig.collect(Time::from_ms(20));
     rig.nmt("01 40");
     rig
@@ -51,7 +52,7 @@ fn run_shows_the_nmt_state_and_err_is_dark_while_all_is_well() {
 fn both_flicker_in_turn_in_lss_configuration_state_and_without_a_node_id() {
     let mut configured = operational();
     configured.lss("04 01");
-    for mut rig in [configured, ImageRig::blank()] {
+    for mut rig in [configured, blank_rig()] {
         assert_eq!(pattern(&mut rig, RUN), "#.".repeat(24));
         for _ in 0..20 {
             let board = rig.network.board(0);
@@ -63,7 +64,7 @@ fn both_flicker_in_turn_in_lss_configuration_state_and_without_a_node_id() {
 
 #[test]
 fn err_flashes_once_while_the_error_counters_warn() {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100));
     rig.collect(Time::from_ms(20));
     // No other node acknowledges: the transmit error counter rises to 128 and stays there.
     rig.network.adapter_mut(rig.master).close();

@@ -4,6 +4,7 @@
 
 use std::ops::Range;
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     board::{self, Board},
@@ -11,7 +12,6 @@ use emulator::{
     chip::{Part, Pin},
     network::{AdapterId, Event, Source, What},
 };
-use lss_slave::BitRate;
 use testkit::{
     frames::{self, Frames, SILENCE},
     image::{self, example},

@@ -9,6 +9,7 @@ mod chip_traps;
 mod chips;
 mod commissioning;
 mod controllers;
+mod disturbed;
 mod do_no_harm;
 mod eds;
 mod errors;
@@ -24,10 +25,13 @@ mod overload;
 mod power_cut;
 mod rare_moments;
 mod rare_paths;
+mod rare_searches;
 mod rates_bus_off;
 mod rates_detection;
 mod rates_matrix;
 mod rates_rescue;
+mod reachable;
+mod rig;
 mod robustness;
 mod session;
 mod sleep;
@@ -36,3 +40,6 @@ mod storm;
 mod supervision;
 mod switch_delay;
 mod uptime;
+
+/// The image under test.
+const FIRMWARE: testkit::image::Firmware = testkit::image::Firmware::Default;

@@ -1,15 +1,15 @@
 //! The release image on a failing flash: the store is refused, the old settings stay, the node continues, and logs why.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     chip::{Flash, StuckBits},
 };
-use lss_slave::BitRate;
-use testkit::{
-    frames::{Frames, SILENCE},
-    image_rig::{
-        DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, blank_board, flash_with, on_the_wire, settings,
-    },
+use testkit::frames::{Frames, SILENCE};
+
+use crate::rig::{
+    DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, blank_board, flash_with, on_the_wire, rig_with,
+    settings,
 };
 
 /// Sectors 1 and 2, which hold the settings.
@@ -27,7 +27,7 @@ const READS_BACK_OTHERWISE: &str = "the flash reads back otherwise than written"
 
 /// Node 40 with a heartbeat, in LSS configuration state and about to store node-ID 4.
 fn node_40() -> ImageRig {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(30));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(30));
     rig.collect(Time::from_ms(20));
     configure(&mut rig);
     rig
@@ -57,7 +57,8 @@ fn says(rig: &ImageRig, text: &str) -> bool {
 /// Checks that LSS, SDO and heartbeat of node 40 still work.
 fn assert_node_40_goes_on(rig: &mut ImageRig) {
     assert_eq!(lss(rig, "5E"), ["5E 40"]);
-    let read = lss_slave::Frame::new(0x640, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]).expect("a frame");
+    let read =
+        canopen_node::Frame::new(0x640, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]).expect("a frame");
     rig.transmit(on_the_wire(&read));
     let frames = rig.collect(HEARTBEAT + Time::from_ms(5)).0;
     let has = |frame: [&str; 1]| frames.iter().any(|sent| Frames(vec![*sent]) == frame);

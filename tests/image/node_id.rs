@@ -1,20 +1,21 @@
 //! The release image when its node-ID changes or is removed: waiting frames with the old one are dropped.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Frame, Id},
     network::{Event, Source, What},
 };
-use lss_slave::BitRate;
 use testkit::{
     frames::{self, SILENCE},
-    image_rig::{ImageRig, on_the_wire, settings},
     sdo,
 };
 
+use crate::rig::{ImageRig, on_the_wire, rig_with, settings};
+
 /// Node 5, operational, with a heartbeat.
 fn node_5(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
-    let mut rig = ImageRig::with(settings(5, bit_rate).with_heartbeat_ms(heartbeat_ms));
+    let mut rig = rig_with(settings(5, bit_rate).with_heartbeat_ms(heartbeat_ms));
     rig.transmit_command("01 05");
     rig
 }

@@ -1,18 +1,18 @@
 //! The release image under overload: a full bus, endless errors, endless interrupts, tasks that do nothing.
 
+use canopen_node::{BitRate, BitRateSetting};
 use emulator::{
     Time,
     can::{Frame, Id},
     chip::{FLASH_BASE, ResetCause, Timing},
     network::{Event, Source, What},
 };
-use lss_slave::{BitRate, BitRateSetting};
 use testkit::{
     frames::{self, SILENCE},
-    image::image,
-    image_rig::{ImageRig, board_with, on_the_wire, settings},
     sdo,
 };
+
+use crate::rig::{ImageRig, board_with, image, on_the_wire, rig_with, settings};
 
 /// Longer than the time-out of the watchdog.
 const LONG: Time = Time::from_s(4);
@@ -21,7 +21,7 @@ const LONG: Time = Time::from_s(4);
 const INTERMISSION: Time = Time::from_us(4);
 
 fn node_40(heartbeat_ms: u16) -> ImageRig {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
     rig.collect(Time::from_ms(20));
     rig
 }
@@ -43,7 +43,7 @@ fn frames_on_the_bus(rig: &ImageRig, since: Time) -> Vec<(Source, Frame, Time, T
 
 #[test]
 fn a_heartbeat_too_frequent_for_the_bus_leaves_half_of_it_to_lss() {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit10));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit10));
     rig.collect(Time::from_ms(50));
     rig.transmit(on_the_wire(&sdo::request(0x40, "2B 17 10 00 05 00 00 00")));
     rig.collect(Time::from_ms(500));
@@ -56,7 +56,7 @@ fn a_heartbeat_too_frequent_for_the_bus_leaves_half_of_it_to_lss() {
     for _ in 0..20 {
         let asked = rig.network.now();
         rig.transmit_request("5E");
-        let is_answer = |frame: &lss_slave::Frame| frame.cob_id() == 0x7E4;
+        let is_answer = |frame: &canopen_node::Frame| frame.cob_id() == 0x7E4;
         while !rig.next_frame().1.0.iter().any(is_answer) {}
         // Request and answer take 12 ms each, and a heartbeat of 6 ms may come before each.
         let took = rig.network.now() - asked;
@@ -122,7 +122,7 @@ fn a_full_bus_of_the_shortest_frames_loses_none_during_a_slow_flash_write() {
     }
     let answers = rig.collect(Time::from_ms(5)).0;
     let count = |text: &str| {
-        let is_one = |frame: &&lss_slave::Frame| frames::text(frame).starts_with(text);
+        let is_one = |frame: &&canopen_node::Frame| frames::text(frame).starts_with(text);
         answers.iter().filter(is_one).count()
     };
     assert_eq!([count("7E4: 11 00"), count("7E4: 17 00")], [STORES; 2]);
@@ -220,7 +220,7 @@ fn the_watchdog_resets_a_board_whose_tasks_run_but_do_nothing() {
         let mut rig = node_40(0);
         let code = (image().symbol(handler).expect("a handler") & !1) - FLASH_BASE;
         let before = rig.network.board(0).flash()[code as usize..][..2].to_vec();
-        rig.expect_reset(0, ResetCause::Watchdog);
+        rig.network.allow_reset(0, ResetCause::Watchdog);
         let from = rig.network.now();
         rig.network.board_mut(0).set_flash(code, &RETURN);
         while rig.network.board(0).resets().len() == 1 {

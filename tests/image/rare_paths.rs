@@ -1,6 +1,7 @@
-//! The release image on paths that a healthy bus, a patient master and a sound flash do not take. `cargo xtask coverage`
+//! The release image on paths that a healthy bus, a patient master and a sound flash do not take. `cargo verify coverage`
 //! shows them.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     board::{self, Board},
@@ -8,22 +9,21 @@ use emulator::{
     network::{Short, What},
 };
 use firmware::device::DEFAULTS;
-use lss_slave::BitRate;
 use testkit::{
     frames::{self, Frames, SILENCE},
-    image::{image, part},
-    image_rig::{
-        DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, blank_board, board_with,
-        flash_with, on_the_wire, settings,
-    },
     sdo,
+};
+
+use crate::rig::{
+    DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, blank_board, blank_rig,
+    flash_with, image, on_the_wire, part, rig_with, settings,
 };
 
 /// The last sector of the settings' flash begins here.
 const SECOND_BANK: usize = SETTINGS_LENGTH / 2;
 
 fn node_40(heartbeat_ms: u16) -> ImageRig {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
     rig.collect(Time::from_ms(20));
     rig
 }
@@ -105,7 +105,7 @@ fn a_core_that_is_too_slow_for_the_bus_reports_lost_frames() {
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
     rig.collect(Time::from_ms(100));
     for _ in 0..40 {
-        rig.queue(&lss_slave::Frame::new(0x7E5, &[]).expect("a frame"));
+        rig.queue(&canopen_node::Frame::new(0x7E5, &[]).expect("a frame"));
     }
     let sent = rig.collect(Time::from_ms(200)).texts();
     assert!(rig.has_logged("CAN: overrun, a received frame was lost"));
@@ -150,7 +150,7 @@ fn a_detection_that_continues_keeps_its_result() {
 
 #[test]
 fn fastscan_ignores_steps_beyond_32_bits_and_four_parts() {
-    let mut rig = ImageRig::blank();
+    let mut rig = blank_rig();
     assert_eq!(rig.lss("51 00 00 00 00 80 00 00"), ["4F"]);
     for bit_check in ["20", "21", "7F"] {
         assert_eq!(rig.lss(&format!("51 00 00 00 00 {bit_check} 00 00")), SILENCE, "{bit_check}");
@@ -169,7 +169,7 @@ fn of_nmt_commands_during_a_switch_the_reset_of_the_node_counts() {
         for command in commands {
             rig.transmit_command(command);
         }
-        rig.expect_reset(0, ResetCause::Software);
+        rig.network.allow_reset(0, ResetCause::Software);
         rig.collect(Time::from_ms(300));
         assert_eq!(rig.network.board(0).resets().len(), 2, "{commands:?}");
     }
@@ -177,7 +177,7 @@ fn of_nmt_commands_during_a_switch_the_reset_of_the_node_counts() {
 
 #[test]
 fn a_board_without_a_node_id_does_not_start() {
-    let mut rig = ImageRig::blank();
+    let mut rig = blank_rig();
     assert_eq!(rig.nmt("01 00"), SILENCE);
     for request in ["04 01", "11 40"] {
         rig.lss(request);
@@ -202,7 +202,7 @@ fn error_behaviour_2_stops_the_node_at_bus_off() {
 
 #[test]
 fn bus_off_before_the_first_boot_up_does_not_stop_the_node() {
-    let mut rig = ImageRig::blank();
+    let mut rig = blank_rig();
     rig.lss("04 01");
     rig.network.set_short(Some(Short::Recessive));
     rig.queue(&frames::request("5E"));
@@ -408,7 +408,7 @@ fn a_new_board_with_a_weak_supply_answers_and_stores() {
 
 #[test]
 fn a_board_recovers_from_bus_off_at_a_slow_rate() {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit20).with_heartbeat_ms(300));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit20).with_heartbeat_ms(300));
     rig.collect(Time::from_ms(50));
     rig.network.set_short(Some(Short::Recessive));
     rig.network.run_for(Time::from_s(8));
@@ -422,7 +422,7 @@ fn a_board_recovers_from_bus_off_at_a_slow_rate() {
 #[test]
 fn of_the_heartbeats_that_a_full_bus_delays_one_remains() {
     let mut rig = node_40(20);
-    let urgent = lss_slave::Frame::new(0x001, &[0x55; 8]).expect("a frame");
+    let urgent = canopen_node::Frame::new(0x001, &[0x55; 8]).expect("a frame");
     for command in ["01 40", "02 40"] {
         (0..800).for_each(|_| rig.queue(&urgent));
         rig.queue(&frames::command(command));
@@ -475,62 +475,4 @@ fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
         rig.queue(&sdo::request(0x40, "40 17 10 00"));
         assert_eq!(rig.collect(Time::from_ms(50)).texts(), *boot_up, "{configure}");
     }
-}
-
-/// Node 40 at 1000 kbit/s, just powered on, with a master at 250 kbit/s.
-fn at_a_wrong_rate() -> ImageRig {
-    let settings = settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100);
-    ImageRig::new(BitRate::Kbit250, [board_with(0, settings)])
-}
-
-/// The same, which has become a guest at the rate of the master.
-fn guest() -> ImageRig {
-    let mut rig = at_a_wrong_rate();
-    assert!(rig.is_reached());
-    rig
-}
-
-#[test]
-fn a_guest_goes_home_when_its_master_is_gone() {
-    let mut rig = guest();
-    rig.network.adapter_mut(rig.master).close();
-    rig.network.run_for(Time::from_s(10));
-    rig.network.adapter_mut(rig.master).open();
-    rig.set_master_bit_rate(BitRate::Kbit1000);
-    assert!(rig.is_reached());
-}
-
-#[test]
-fn a_dominant_bus_ends_a_search_and_not_the_stay_of_a_guest() {
-    let mut rig = guest();
-    rig.network.set_short(Some(Short::Dominant));
-    rig.network.run_for(Time::from_s(3));
-    rig.network.set_short(None);
-    assert!(rig.is_reached());
-    for ms in [5, 40, 90, 130, 180, 230, 300, 400] {
-        let mut rig = at_a_wrong_rate();
-        rig.network.run_for(Time::from_ms(ms));
-        rig.network.set_short(Some(Short::Dominant));
-        rig.network.run_for(Time::from_ms(600));
-        rig.network.set_short(None);
-        rig.set_master_bit_rate(BitRate::Kbit1000);
-        assert!(rig.is_reached());
-    }
-}
-
-#[test]
-fn a_request_during_the_pause_of_a_lonely_board_is_answered() {
-    let mut unanswered = 0;
-    for delay in 0..12 {
-        let mut rig = node_40(50);
-        rig.network.adapter_mut(rig.master).close();
-        rig.power_cycle(0);
-        rig.network.run_for(Time::from_ms(50 + 60 * delay));
-        rig.network.adapter_mut(rig.master).open();
-        rig.queue(&frames::request("04 01"));
-        rig.queue(&frames::request("5E"));
-        let answers = rig.collect(Time::from_ms(100)).texts();
-        unanswered += u32::from(!answers.iter().any(|text| text.starts_with("7E4: 5E")));
-    }
-    assert_eq!(unanswered, 0);
 }

@@ -1,18 +1,19 @@
 //! Bus-off before, during and after a switch of the bit rate, caused by a foreign node at an undefined rate.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Frame, Id},
     network::{AdapterId, Short, What},
 };
-use lss_slave::BitRate;
-use testkit::image_rig::{ImageRig, settings};
+
+use crate::rig::{ImageRig, rig_with, settings};
 
 /// Node 40 at 500 kbit/s with a heartbeat, in LSS configuration state and about to switch to 250 kbit/s; and the
 /// foreign node.
 fn about_to_switch() -> (ImageRig, AdapterId) {
     let settings = settings(0x40, BitRate::Kbit500).with_heartbeat_ms(20);
-    let mut rig = ImageRig::with(settings);
+    let mut rig = rig_with(settings);
     let foreign = rig.add_disturber();
     rig.lss("04 01");
     rig.lss("13 00 03");

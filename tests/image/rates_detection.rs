@@ -1,16 +1,14 @@
 //! The detection time of a release image that detects the bit rate, and its silence until then.
 
+use canopen_node::{BitRate, BitRateSetting};
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
-    chip::ResetCause,
     network::{AdapterId, Event, Source, What},
 };
-use lss_slave::{BitRate, BitRateSetting};
-use testkit::{
-    frames,
-    image_rig::{ImageRig, bit_per_s, board_with, settings},
-};
+use testkit::frames;
+
+use crate::rig::{ImageRig, bit_per_s, board_with, settings};
 
 /// The silent bit of CAN_BTR (RM0090, 32.9.2).
 const SILM: u32 = 1 << 31;
@@ -74,7 +72,6 @@ fn rig(bit_rate: BitRate, node_id: u8) -> ImageRig {
 /// Switches the board on while the bus is in use; returns the time.
 fn switch_on(rig: &mut ImageRig) -> Time {
     rig.network.power_on(0);
-    rig.expect_reset(0, ResetCause::PowerOn);
     rig.network.now()
 }
 

@@ -1,17 +1,16 @@
 //! Switches between all bit rates, with delays, load, slow neighbours and bad crystals: no punctual node is lost.
 
+use canopen_node::{BitRate, bit_rate::BitTiming};
 use emulator::{
     Time, board,
     can::{Adapter, BitSegments, Clock, Frame, Id},
     network::{AdapterId, Network, What},
 };
-use lss_slave::{BitRate, bit_rate::BitTiming};
-use testkit::{
-    frames,
-    image::{image, part},
-    image_rig::{
-        ImageRig, SETTINGS_OFFSET, bit_per_s, board_with, flash_with, on_the_wire, settings,
-    },
+use testkit::frames;
+
+use crate::rig::{
+    ImageRig, SETTINGS_OFFSET, bit_per_s, board_with, flash_with, image, on_the_wire, part,
+    rig_with, settings,
 };
 
 /// The accuracy of the boards' switch delay.
@@ -243,7 +242,7 @@ fn each_bit_rate_has_its_value_in_can_btr() {
         (BitRate::Kbit20, 0x022F_0063),
         (BitRate::Kbit10, 0x022F_00C7),
     ] {
-        let rig = ImageRig::with(settings(0x40, bit_rate));
+        let rig = rig_with(settings(0x40, bit_rate));
         let written = rig.did(0, Time::ZERO).filter_map(|event| match event.what {
             What::BitTiming { btr, .. } => Some(btr),
             _ => None,

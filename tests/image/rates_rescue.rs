@@ -1,15 +1,16 @@
 //! Networks of release images with a wrong bit rate in some nodes: the time until the master reaches every node again.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Frame, Id},
-    chip::ResetCause,
     network::Recording,
 };
-use lss_slave::BitRate;
-use testkit::{
-    frames,
-    image_rig::{ImageRig, board_with, on_the_wire, settings},
+use testkit::frames;
+
+use crate::{
+    bit_rate::{answers, others, talk, wait_until_acknowledged},
+    rig::{DEFAULT_BIT_RATE, ImageRig, blank_board, board_with, on_the_wire, settings},
 };
 
 /// The interval at which the master asks a missing node.
@@ -102,7 +103,6 @@ fn leave_node_4_out(rig: &mut ImageRig) {
 
 fn power_on_at_any_rate(rig: &mut ImageRig, board: usize) {
     rig.network.power_on(board);
-    rig.expect_reset(board, ResetCause::PowerOn);
 }
 
 #[test]
@@ -265,5 +265,32 @@ fn a_node_that_missed_the_switch_is_reached_after_its_power_was_switched() {
         power_on_at_any_rate(&mut rig, 3);
         let scenario = format!("1 of 4 missed the switch, heartbeat {heartbeat_ms} ms");
         all_reached(&scenario, &mut rig, nodes(4));
+    }
+}
+
+#[test]
+fn a_configured_board_joins_a_busy_network_of_another_rate() {
+    for (own, theirs) in [
+        (BitRate::Kbit1000, BitRate::Kbit125),
+        (BitRate::Kbit500, BitRate::Kbit10),
+        (BitRate::Kbit20, BitRate::Kbit250),
+        (BitRate::Kbit125, BitRate::Kbit1000),
+    ] {
+        let board = board_with(0, settings(0x40, own).with_heartbeat_ms(100));
+        let mut rig = ImageRig::new(theirs, [board]);
+        let others = others(&mut rig, theirs);
+        talk(&mut rig, others, Time::from_s(6));
+        rig.collect(Time::from_ms(200));
+        // A guest that is on a visit to its home misses a request.
+        assert!(answers(&mut rig) || answers(&mut rig), "{own:?} among {theirs:?}");
+    }
+}
+
+#[test]
+fn a_new_board_is_found_by_a_master_at_any_rate() {
+    for bit_rate in BitRate::ALL.into_iter().filter(|&rate| rate != DEFAULT_BIT_RATE) {
+        let mut rig = ImageRig::new(bit_rate, [blank_board(0)]);
+        wait_until_acknowledged(&mut rig);
+        assert_eq!(rig.lss("4C"), ["50"], "{bit_rate:?}");
     }
 }

@@ -1,13 +1,14 @@
 //! Sessions of an LSS master with the release image: every service of CiA 305 on emulated boards, frame by frame.
 
+use canopen_node::BitRate;
 use emulator::{Time, chip::ResetCause, network::What};
 use lss_master::{Fastscan, Master};
-use lss_slave::BitRate;
 use testkit::{
     frames::{Frames, SILENCE, number},
-    image_rig::{ImageRig, bit_per_s, blank_board, board_with, settings},
     lss_session::{carry_out, timing},
 };
+
+use crate::rig::{ImageRig, bit_per_s, blank_board, blank_rig, board_with, rig_with, settings};
 
 /// The number in the answer to an inquiry, the only frame.
 fn inquired(answers: &Frames) -> u32 {
@@ -43,7 +44,7 @@ fn identify(rig: &mut ImageRig, numbers: [u32; 6]) -> Frames {
 
 /// Restarts the board by NMT; returns its boot-up at its new bit rate.
 fn reset_node(rig: &mut ImageRig, node_id: u8, then: BitRate) -> Frames {
-    rig.expect_reset(0, ResetCause::Software);
+    rig.network.allow_reset(0, ResetCause::Software);
     rig.transmit_command(&format!("81 {node_id:02X}"));
     rig.set_master_bit_rate(then);
     let boot_up = rig.collect(Time::from_ms(20));
@@ -57,7 +58,7 @@ fn reset_node(rig: &mut ImageRig, node_id: u8, then: BitRate) -> Frames {
 
 #[test]
 fn node_40_at_1_mbit_per_s_becomes_node_4_at_500_kbit_per_s() {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
     assert_eq!(rig.lss("04 01"), SILENCE);
     assert_eq!(rig.lss("5E"), ["5E 40"]);
@@ -73,7 +74,7 @@ fn node_40_at_1_mbit_per_s_becomes_node_4_at_500_kbit_per_s() {
 
 #[test]
 fn a_new_board_gets_its_node_id_and_bit_rate_and_comes_back_with_them() {
-    let mut rig = ImageRig::blank();
+    let mut rig = blank_rig();
     assert_eq!(rig.collect(Time::from_ms(1500)), SILENCE, "neither boot-up nor heartbeat");
     assert_eq!(rig.lss("4C"), ["50"]);
     assert_eq!(rig.lss("04 01"), SILENCE);
@@ -92,7 +93,7 @@ fn a_new_board_gets_its_node_id_and_bit_rate_and_comes_back_with_them() {
 
 #[test]
 fn a_new_board_in_configuration_state_answers_every_inquiry() {
-    let mut rig = ImageRig::blank();
+    let mut rig = blank_rig();
     rig.lss("04 01");
     let [vendor, product, revision, serial] = address(&mut rig).map(number);
     assert_eq!(rig.lss("5A"), [format!("5A {vendor} 00 00 00").as_str()]);
@@ -108,8 +109,8 @@ fn a_new_board_in_configuration_state_answers_every_inquiry() {
 
 #[test]
 fn select_and_identify_find_the_board_by_its_address_and_only_by_that() {
-    let configured = ImageRig::with(settings(0x40, BitRate::Kbit1000));
-    for (mut rig, node_id) in [(configured, "5E 40"), (ImageRig::blank(), "5E FF")] {
+    let configured = rig_with(settings(0x40, BitRate::Kbit1000));
+    for (mut rig, node_id) in [(configured, "5E 40"), (blank_rig(), "5E FF")] {
         rig.collect(Time::from_ms(20));
         rig.lss("04 01");
         let own = address(&mut rig);
@@ -172,7 +173,7 @@ fn equal_answers_of_several_boards_are_one_frame() {
 
 #[test]
 fn values_out_of_range_are_refused_and_the_old_ones_stay() {
-    let mut rig = ImageRig::blank();
+    let mut rig = blank_rig();
     rig.lss("04 01");
     assert_eq!(rig.lss("11 05"), ["11 00"]);
     for node_id in ["00", "80", "FE"] {
@@ -190,7 +191,7 @@ fn values_out_of_range_are_refused_and_the_old_ones_stay() {
 
 #[test]
 fn the_node_id_ff_takes_a_board_out_of_the_network() {
-    let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100));
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100));
     assert_eq!(rig.collect(Time::from_ms(150)), ["740: 00", "740: 7F"]);
     rig.lss("04 01");
     assert_eq!(rig.lss("11 FF"), ["11 00"]);

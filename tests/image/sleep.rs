@@ -1,15 +1,13 @@
 //! The share of time in which the core sleeps: it is woken only by frames on the bus and by due actions.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
 };
-use lss_slave::BitRate;
-use testkit::{
-    frames,
-    image_rig::{ImageRig, bit_per_s, example_board, on_the_wire, settings},
-    sdo::Client,
-};
+use testkit::{frames, sdo::Client};
+
+use crate::rig::{ImageRig, bit_per_s, blank_rig, example_board, on_the_wire, rig_with, settings};
 
 /// The limit for a SYNC with its four TPDOs, in core cycles.
 const ROUND_CYCLES: u64 = 5_000;
@@ -26,7 +24,7 @@ fn share_asleep(rig: &mut ImageRig, what: &str, act: impl FnOnce(&mut ImageRig))
 
 /// Node 40 with a heartbeat each second, after its boot-up.
 fn node_40(bit_rate: BitRate) -> ImageRig {
-    let mut rig = ImageRig::with(settings(0x40, bit_rate).with_heartbeat_ms(1000));
+    let mut rig = rig_with(settings(0x40, bit_rate).with_heartbeat_ms(1000));
     rig.collect(Time::from_ms(200));
     rig
 }
@@ -40,7 +38,7 @@ fn an_idle_board_is_asleep_for_more_than_99_5_percent_of_the_time() {
     let idle =
         share_asleep(&mut node_40(BitRate::Kbit125), "idle, a heartbeat a second", run_for_10_s);
     assert!(idle > 99_950, "{idle}");
-    let blank = share_asleep(&mut ImageRig::blank(), "blank, LSS waiting", run_for_10_s);
+    let blank = share_asleep(&mut blank_rig(), "blank, LSS waiting", run_for_10_s);
     assert!(blank > 99_950, "{blank}");
 }
 

@@ -2,19 +2,17 @@
 //!
 //! `cargo test --test image stack -- --nocapture` prints the depths and the bound.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
     chip::{FLASH_BASE, Part, RAM_BASE, ResetCause, Timing},
     image::Image,
 };
-use lss_slave::BitRate;
-use testkit::{
-    image::{build_elf, image},
-    image_rig::{ImageRig, SETTINGS_OFFSET, blank_board, flash_with, on_the_wire, settings},
-    random::Random,
-    sdo, stack,
-    stack_bound::Bound,
+use testkit::{image::build_elf, random::Random, sdo, stack, stack_bound::Bound};
+
+use crate::rig::{
+    ImageRig, SETTINGS_OFFSET, blank_board, flash_with, image, on_the_wire, rig_with, settings,
 };
 
 /// The limit for the use of the stack: a quarter of it.
@@ -65,7 +63,7 @@ const PUSH_FOR_EVER: [u8; 4] = [0xFF, 0xB4, 0xFD, 0xE7];
 fn a_stack_that_overflows_is_logged_and_ends_in_a_reset_at_once() {
     // By priority, the highest first.
     for handler in ["TIM2", "CAN1_RX0", "USART1"] {
-        let mut rig = ImageRig::with(settings(0x40, BitRate::Kbit1000));
+        let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
         let offset = (symbol(handler) & !1) - FLASH_BASE;
         let code = rig.network.board(0).flash()[offset as usize..][..4].to_vec();
@@ -76,7 +74,7 @@ fn a_stack_that_overflows_is_logged_and_ends_in_a_reset_at_once() {
         };
         let before = log_control(&rig);
         let from = rig.network.now();
-        rig.expect_reset(0, ResetCause::Software);
+        rig.network.allow_reset(0, ResetCause::Software);
         rig.network.board_mut(0).set_flash(offset, &PUSH_FOR_EVER);
         while rig.network.board(0).resets().len() == 1 {
             assert!(rig.network.now() < from + Time::from_ms(600), "{handler}: no reset");
@@ -173,7 +171,7 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
     note(&mut rig, bound, "a switch of the bit rate");
     rig.lss("11 40");
     rig.lss("17");
-    rig.expect_reset(0, ResetCause::Software);
+    rig.network.allow_reset(0, ResetCause::Software);
     rig.nmt("81 00");
     rig.collect(Time::from_ms(20));
     note(&mut rig, bound, "a reset of the node");

@@ -1,15 +1,16 @@
-//! A short storm of random frames against the release image and against the node; `cargo xtask storm` makes long ones.
+//! A short storm of random frames against the release image and against the node; `cargo verify storm` makes long ones.
 
 use emulator::{board::Board, chip::Part};
 use testkit::{
-    image::{example, image},
-    image_rig::blank_board,
+    image::example,
     random::Random,
     storm::{
         image::{ExampleStorm, ImageStorm},
         node::{ExampleNodeStorm, NodeStorm},
     },
 };
+
+use crate::rig::{blank_board, image};
 
 /// The seed of the storms of the image; the number of stores and resets depends on it.
 const SEED: u64 = 11;

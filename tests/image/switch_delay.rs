@@ -1,15 +1,14 @@
 //! Activate bit timing (CiA 305) with the release image: the times at which boards fall silent, switch and send again.
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
     network::{Event, Source, What},
 };
-use lss_slave::BitRate;
-use testkit::{
-    frames::{self, SILENCE},
-    image_rig::{ImageRig, bit_per_s, board_with, on_the_wire, settings},
-};
+use testkit::frames::{self, SILENCE};
+
+use crate::rig::{ImageRig, bit_per_s, board_with, on_the_wire, rig_with, settings};
 
 /// The time in which a board handles a request.
 const PROCESSING: Time = Time::from_us(100);
@@ -247,7 +246,7 @@ fn an_nmt_command_within_the_silence_is_carried_out_at_its_end() {
 fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
     // In bits: a heartbeat is due every 100 and takes less than 60, the request takes more than 100.
     let rate = BitRate::Kbit10;
-    let mut rig = ImageRig::with(settings(1, rate).with_heartbeat_ms(10));
+    let mut rig = rig_with(settings(1, rate).with_heartbeat_ms(10));
     let other = rig.network.add_adapter(Adapter::new(bit_per_s(rate)));
     rig.transmit_request("04 01");
     configure(&mut rig, BitRate::Kbit1000);
@@ -304,32 +303,10 @@ fn an_answer_not_sent_before_the_request_for_silence_is_dropped() {
     assert!(frames_of_boards(&rig, t0 + PROCESSING, Time::MAX).is_empty());
 }
 
-#[test]
-fn a_board_that_switched_alone_returns_to_the_bus_at_the_old_rate() {
-    let rate = BitRate::Kbit125;
-    let mut rig = ImageRig::with(settings(1, rate).with_heartbeat_ms(50));
-    let other = rig.network.add_adapter(Adapter::new(bit_per_s(rate)));
-    rig.transmit_request("04 01");
-    configure(&mut rig, BitRate::Kbit500);
-    activate(&mut rig, 10);
-    // For 30 s only the commanded rate counts.
-    rig.network.run_for(Time::from_s(29));
-    let busy_until = rig.network.now() + Time::from_s(3);
-    while rig.network.now() < busy_until {
-        rig.network.send(other, Frame::data(Id::Standard(0x123), &[0; 8]));
-        rig.network.run_for(Time::from_us(1_500));
-    }
-    assert!(rig.network.trace().iter().any(|event| matches!(event.what, What::Error { .. })));
-    rig.collect(Time::from_ms(10));
-    rig.lss("04 01");
-    let answers = rig.lss("5E");
-    assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 01")));
-}
-
 /// The watchdog, which resets a board after 2 s in which a task hangs, checks too: the rig expects no reset.
 #[test]
 fn a_board_without_an_idle_bus_at_the_new_rate_joins_when_there_is_one() {
-    let mut rig = ImageRig::with(settings(1, BitRate::Kbit500));
+    let mut rig = rig_with(settings(1, BitRate::Kbit500));
     let other = rig.network.add_adapter(Adapter::new(500_000));
     rig.transmit_request("04 01");
     configure(&mut rig, BitRate::Kbit10);

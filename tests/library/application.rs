@@ -1,12 +1,12 @@
 //! A product's own objects, declared by `objects!`: every type, access, limit and refusal, read and written by SDO.
 
-use lss_slave::{
+use canopen_node::{
     Application, Node,
     application::{
-        Dictionary, Domain, Integer24, Integer40, Integer48, Integer56, OctetString, Text,
+        self, Dictionary, Domain, Integer24, Integer40, Integer48, Integer56, OctetString, Text,
         Unsigned24, Unsigned40, Unsigned48, Unsigned56,
     },
-    object_dictionary::{Entry, Number},
+    object_dictionary::{Access, DataType, Entry, Number, Object, Options},
     objects,
     sdo::Abort,
 };
@@ -24,19 +24,19 @@ objects! {
         0 "Boolean" boolean: bool = true, rw;
     }
     0x2100 "Signed numbers" {
-        1 "8 bits" i8: i8 = -8, rw, -10..=10;
+        1 "8 bits" i8: i8 = -8, rw in -10..=10;
         2 "16 bits" i16: i16 = -16, rw, mappable;
         3 "32 bits" i32: i32 = -32, rw, stored;
-        5 "64 bits" i64: i64 = -64, rw, -100..=100, mappable, stored;
+        5 "64 bits" i64: i64 = -64, rw in -100..=100, mappable, stored;
     }
     0x2101 "Unsigned numbers" {
-        1 "8 bits" u8: u8 = 8, rw, 5..=250;
+        1 "8 bits" u8: u8 = 8, rw in 5..=250;
         2 "16 bits" u16: u16 = 16, rw;
         3 "32 bits" u32: u32 = 32, ro;
         4 "64 bits" u64: u64 = 0x1122_3344_5566_7788, rw;
     }
     0x2102 "Signed numbers of other lengths" {
-        1 "24 bits" i24: Integer24 = -2, rw, -8_388_608..=8_388_606, mappable, stored;
+        1 "24 bits" i24: Integer24 = -2, rw in -8_388_608..=8_388_606, mappable, stored;
         2 "40 bits" i40: Integer40 = -2, rw, mappable;
         3 "48 bits" i48: Integer48 = -2, rw, mappable;
         4 "56 bits" i56: Integer56 = -2, rw, mappable;
@@ -45,10 +45,10 @@ objects! {
         1 "24 bits" u24: Unsigned24 = 0x12_3456, rw, mappable;
         2 "40 bits" u40: Unsigned40 = 40, rw, mappable;
         3 "48 bits" u48: Unsigned48 = 48, rw, mappable;
-        4 "56 bits" u56: Unsigned56 = 56, rw, 1..=72_057_594_037_927_935, mappable;
+        4 "56 bits" u56: Unsigned56 = 56, rw in 1..=72_057_594_037_927_935, mappable;
     }
     0x2200 {
-        0 "Real number" f32: f32 = 1.5, rw, 0.0..=2.0;
+        0 "Real number" f32: f32 = 1.5, rw in 0.0..=2.0;
     }
     0x2201 {
         0 "Long real number" f64: f64 = -2.5, rw;
@@ -196,11 +196,54 @@ fn each_object_has_a_description() {
         <Node<Objects>>::entries(&device(ADDRESS)).find(is_it).unwrap().1
     };
     assert_eq!(Objects::descriptions().count(), Objects::OBJECTS.len());
-    assert_eq!(of(0x1029, 1).name, "Communication error");
+    assert_eq!(of(0x1029, 1).name.to_string(), "Communication error");
     assert_eq!(of(0x2001, 0).object, None);
-    assert_eq!(of(0x2100, 0).object, Some("Signed numbers"));
-    assert_eq!(of(0x2100, 1).name, "8 bits");
+    assert_eq!(of(0x2100, 0).object, Some("Signed numbers".into()));
+    assert_eq!(of(0x2100, 1).name.to_string(), "8 bits");
     assert_eq!(of(0x2100, 1).limits, Some((Number::Integer(-10), Number::Integer(10))));
     assert_eq!(of(0x2101, 3).limits, None);
     assert_eq!(of(0x2200, 0).limits, Some((Number::Real32(0.0), Number::Real32(2.0))));
+}
+
+/// A value with sub-index 1 of an object, which an RPDO may carry.
+const fn part(index: u16, data_type: DataType) -> Entry {
+    Entry {
+        index,
+        sub_index: 1,
+        data_type,
+        access: Access::ReadWrite,
+        options: Options::NONE.mappable(),
+        object: Object::Application(0),
+    }
+}
+
+/// Sub-index 0 of an object with further sub-indices.
+const fn whole(index: u16) -> Entry {
+    let object = Object::HighestSubIndex(1);
+    Entry { sub_index: 0, object, ..part(index, DataType::Unsigned8) }
+}
+
+#[test]
+#[should_panic(expected = "object 2100h sub-index 1: it is declared twice")]
+fn the_error_names_the_object_that_occurs_twice() {
+    let entry = part(0x2100, DataType::Unsigned8);
+    application::check(&[whole(0x2100), entry, entry]);
+}
+
+#[test]
+#[should_panic(expected = "object 2100h sub-index 0: objects must be sorted")]
+fn the_error_names_the_object_that_is_out_of_order() {
+    application::check(&[whole(0x2101), whole(0x2100)]);
+}
+
+#[test]
+#[should_panic(expected = "object 2100h sub-index 1: only numbers can be mapped into a PDO")]
+fn the_error_names_the_text_that_is_mapped() {
+    application::check(&[whole(0x2100), part(0x2100, DataType::VisibleString)]);
+}
+
+#[test]
+#[should_panic(expected = "object A000h sub-index 0: its index must be 2001h to 9FFFh")]
+fn the_error_names_the_index_that_is_out_of_range() {
+    application::check(&[whole(0xA000)]);
 }

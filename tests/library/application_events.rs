@@ -1,6 +1,6 @@
 //! Events of the node for its application, and errors of the application as emergency messages (CiA 301, 7.2.7).
 
-use lss_slave::{BitRate, BusEvent, application::Event, nmt::State};
+use canopen_node::{BitRate, BusEvent, application::Event, nmt::State};
 use testkit::{
     flash::BoardFlash,
     frames::{Frames, SILENCE},

@@ -2,7 +2,7 @@
 
 use std::{cmp::Reverse, collections::BTreeSet};
 
-use lss_slave::{BitRate, BitRateSetting, BitRates, bit_rate::BitTiming};
+use canopen_node::{BitRate, BitRateSetting, BitRates, bit_rate::BitTiming};
 use testkit::random::Random;
 
 const MHZ: u32 = 1_000_000;

@@ -1,7 +1,7 @@
 //! Automatic bit-rate detection (CiA 305, table 0, index 9): how a node listens, and its silence until it knows the
 //! rate.
 
-use lss_slave::{BitRate, BitRateSetting, BitRates, BusEvent, Device, Settings, nmt::State};
+use canopen_node::{BitRate, BitRateSetting, BitRates, BusEvent, Device, Settings, nmt::State};
 use testkit::{
     flash::BoardFlash,
     frames::{self, SILENCE},

@@ -2,12 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use firmware::{application::Application as Firmware, describe, device};
-use lss_slave::{
+use canopen_node::{
     Application, BitRates, Device, Node,
     application::{Domain, Integer24, OctetString, Text, Unsigned56},
     object_dictionary::{Access, DataType, DefaultValue, Description, Entry, Object, Options},
     objects,
+};
+use firmware::{
+    application::Application as Firmware,
+    device::{self, DEVICE},
 };
 use testkit::{
     eds::{DataSheet, Product, Sections, parse},
@@ -26,23 +29,23 @@ objects! {
         0 "Boolean" boolean: bool = true, rw;
     }
     0x2100 "Signed numbers" {
-        1 "8 bits" i8: i8 = -8, rw, -10..=10;
+        1 "8 bits" i8: i8 = -8, rw in -10..=10;
         2 "16 bits" i16: i16 = -300, ro, mappable;
-        3 "24 bits" i24: Integer24 = -24, rw, -8_388_608..=0, mappable;
+        3 "24 bits" i24: Integer24 = -24, rw in -8_388_608..=0, mappable;
         0xB "64 bits" i64: i64 = i64::MIN, rw;
     }
     0x2101 "Percentages" {
-        1 "First" first: u8 = 50, rw, 0..=100, stored;
+        1 "First" first: u8 = 50, rw in 0..=100, stored;
         2 "Second" second: u8 = 60, rw;
     }
     0x5FFE {
         0 "Time" time: Unsigned56 = 0xFF_FFFF_FFFF_FFFF, rw;
     }
     0x5FFF {
-        0 "Large number" u64: u64 = u64::MAX, rw, 1..=0xFFFF_FFFF_FFFF_FFFF;
+        0 "Large number" u64: u64 = u64::MAX, rw in 1..=0xFFFF_FFFF_FFFF_FFFF;
     }
     0x6000 {
-        0 "Real number" f32: f32 = 0.1, rw, 0.05..=2.5, mappable;
+        0 "Real number" f32: f32 = 0.1, rw in 0.05..=2.5, mappable;
     }
     0x6001 {
         0 "Command" command: u16 = 0, wo;
@@ -68,7 +71,7 @@ fn product() -> Product<'static> {
         file_name: "lss-slave.eds",
         vendor_name: device::VENDOR_NAME,
         description: device::DESCRIPTION,
-        device: describe(0),
+        device: DEVICE,
     }
 }
 
@@ -252,8 +255,8 @@ fn pdos_are_counted_and_their_parameters_are_records() {
                 object,
             };
             let description = Description {
-                object: (sub_index == 0).then_some("PDO"),
-                name: "COB-ID",
+                object: (sub_index == 0).then_some("PDO".into()),
+                name: "COB-ID".into(),
                 default: DefaultValue::NodeIdPlus(0x4000_0180),
                 limits: None,
             };
@@ -336,7 +339,7 @@ fn the_file_keeps_to_the_form_of_cia_306() {
 #[test]
 #[should_panic = "not possible in an EDS: ProductName=Gerät"]
 fn a_name_that_is_not_ascii_is_refused() {
-    let device = describe(0).with_name("Gerät");
+    let device = DEVICE.with_name("Gerät");
     let product = Product { device, ..product() };
     DataSheet::new(product, <Node<Firmware>>::entries(&device), &Firmware::new()).eds();
 }

@@ -1,6 +1,6 @@
 //! Emergency messages (CiA 301, 7.2.7): the frames and times for each fault, and the error register 1001h.
 
-use lss_slave::{BitRate, BitRateSetting, BusEvent, emergency::Fault};
+use canopen_node::{BitRate, BitRateSetting, BusEvent, emergency::Fault};
 use testkit::{
     flash::{BoardFlash, Operation},
     frames::{Frames, SILENCE},
@@ -81,6 +81,19 @@ fn simultaneous_faults_are_each_reported_once_and_their_end_last() {
         board.report(fault);
     }
     assert_eq!(board.pass_us(0), [BUS_OFF_RECOVERED, OVERRUN, NO_ERROR]);
+}
+
+#[test]
+fn without_an_acknowledge_one_emergency_waits_for_the_bus_however_many_faults() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.is_acknowledged = false;
+    assert_eq!(board.see(BusEvent::BusOffRecovered), [BUS_OFF_RECOVERED]);
+    for _ in 0..20 {
+        assert_eq!(board.see(BusEvent::BusOffRecovered), SILENCE);
+        assert_eq!(report(&mut board, Fault::ErrorPassive), SILENCE);
+    }
+    board.is_acknowledged = true;
+    assert_eq!(board.see(BusEvent::Acknowledged), [ERROR_PASSIVE, BUS_OFF_RECOVERED]);
 }
 
 #[test]

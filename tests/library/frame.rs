@@ -1,7 +1,7 @@
 //! Frames: construction, content, equality.
 
+use canopen_node::Frame;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
-use lss_slave::Frame;
 
 #[test]
 fn a_frame_has_an_11_bit_identifier_and_up_to_eight_bytes() {

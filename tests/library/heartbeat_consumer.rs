@@ -1,6 +1,6 @@
 //! The heartbeat consumer 1016h (CiA 301, 7.2.8.3.2): when a producer is lost, and what follows.
 
-use lss_slave::{NodeId, application::Event, nmt::State};
+use canopen_node::{NodeId, application::Event, nmt::State};
 use testkit::{frames::SILENCE, sdo::Client};
 
 use crate::process_data::{

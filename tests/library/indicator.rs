@@ -1,6 +1,6 @@
 //! The indicators (CiA 303-3) over time: one character for 50 ms, `#` lit and `.` dark.
 
-use lss_slave::{
+use canopen_node::{
     indicator::{BusState, Indicators, STEP_MS},
     nmt::State,
 };

@@ -1,6 +1,6 @@
 //! Instants: microseconds of a counter that wraps.
 
-use lss_slave::Instant;
+use canopen_node::Instant;
 
 #[test]
 fn an_instant_is_the_count_that_it_was_made_of() {

@@ -1,6 +1,6 @@
 //! A board that is late with every deadline acts like a punctual one, in the same order, and misses only heartbeats.
 
-use lss_slave::Action;
+use canopen_node::Action;
 use testkit::{
     node_rig::{NodeRig, defaults},
     random::Random,

@@ -1,6 +1,6 @@
 //! The activation of a bit rate, with its two silent periods (CiA 305, activate bit timing parameters).
 
-use lss_slave::{BitRate, Frame, nmt::State};
+use canopen_node::{BitRate, Frame, nmt::State};
 use testkit::{
     flash::BoardFlash,
     frames::{Frames, SILENCE},

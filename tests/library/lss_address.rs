@@ -1,6 +1,6 @@
 //! The LSS address: its parts, and a serial number from a chip's unique id.
 
-use lss_slave::lss::{Address, AddressPart};
+use canopen_node::lss::{Address, AddressPart};
 
 #[test]
 fn a_part_has_the_number_that_fastscan_gives_it() {

@@ -1,6 +1,6 @@
 //! The bit rate, persistent, pending and active (CiA 305, configure bit timing parameters).
 
-use lss_slave::{BitRate, BitRates, Node};
+use canopen_node::{BitRate, BitRates, Node};
 use testkit::{
     flash::BoardFlash,
     frames::Frames,
@@ -50,6 +50,22 @@ fn any_other_index_or_table_is_refused_and_leaves_the_pending_rate_alone() {
         assert_eq!(board.lss(&format!("13 {table:02X} 03")), ["13 01"], "table {table:02X}");
     }
     assert_eq!(pending(&mut board), 500);
+}
+
+#[test]
+fn a_rate_that_a_product_leaves_out_is_refused_and_changes_nothing() {
+    let rates = BitRates::possible(40_000_000).with_automatic();
+    let rates = rates.without(BitRate::Kbit1000).without(BitRate::Kbit10);
+    let defaults = defaults(0x40).with_bit_rate(BitRate::Kbit125.into());
+    let device = device(ADDRESS).with_bit_rates(rates).with_defaults(defaults);
+    let mut board = with_500_pending_on(NodeRig::with_device(device, BoardFlash::blank(0), 0));
+    for (index, answer) in [(0, "13 01"), (1, "13 00"), (7, "13 00"), (8, "13 01"), (9, "13 00")] {
+        assert_eq!(board.lss(&format!("13 00 {index:02X}")), [answer], "index {index}");
+    }
+    assert_eq!(board.lss("13 00 02"), ["13 00"]);
+    assert_eq!(board.lss("13 00 00"), ["13 01"]);
+    assert_eq!(pending(&mut board), 500);
+    assert_eq!(rates.fastest(), BitRate::Kbit800);
 }
 
 #[test]

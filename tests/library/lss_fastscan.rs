@@ -1,12 +1,12 @@
 //! Fastscan (CiA 305): each rule of a step, and whole scans by a master with little prior knowledge.
 
+use canopen_node::lss::{Address, AddressPart};
 use lss_master::{Fastscan, Master, Timing};
-use lss_slave::lss::{Address, AddressPart};
 use testkit::{
     frames::{self, SILENCE, number},
     node_rig::{ADDRESS, NodeRig},
     random::Random,
-    rig_bus::RigBus,
+    rig_bus::{RigBus, neighbours},
 };
 
 const BEGIN: &str = "51 00 00 00 00 80";
@@ -203,26 +203,11 @@ fn frames_of_another_family_do_not_disturb_a_scan() {
     }
 }
 
-/// Addresses that share parts and differ in single bits, and the extremes.
-fn neighbours(random: &mut Random) -> Vec<Address> {
-    let mut all = vec![[0; 4], [u32::MAX; 4], ADDRESS.into()];
-    while all.len() < 8 {
-        let mut parts = random.pick(&all);
-        let part = random.within(0..4) as usize;
-        parts[part] =
-            if random.one_in(2) { parts[part] ^ 1 << random.within(0..32) } else { random.u32() };
-        if !all.contains(&parts) {
-            all.push(parts);
-        }
-    }
-    all.into_iter().map(Address::from).collect()
-}
-
 #[test]
 fn a_master_that_knows_nothing_finds_all_slaves_one_by_one() {
     let mut random = Random::from_environment();
     for _ in 0..5 {
-        let addresses = neighbours(&mut random);
+        let addresses = neighbours(&mut random, 8);
         let mut bus = bus(addresses.iter().copied().map(NodeRig::with_address));
         let mut found: Vec<[u32; 4]> = Vec::new();
         for node_id in 1..=addresses.len() as u8 {

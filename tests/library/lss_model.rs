@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use lss_slave::{
+use canopen_node::{
     BitRateSetting, BitRates, NodeId,
     lss::{Address, Reaction, Slave, State},
 };

@@ -1,6 +1,6 @@
 //! The node-ID, persistent, pending and active: the events that move it (CiA 305, configure node-ID).
 
-use lss_slave::{Frame, NodeId, Settings, lss::StoreError, nmt::State};
+use canopen_node::{Frame, NodeId, Settings, lss::StoreError, nmt::State};
 use testkit::{
     flash::{BoardFlash, Operation},
     frames::SILENCE,
@@ -255,7 +255,7 @@ fn store_makes_the_pending_values_persistent_and_leaves_the_active_ones() {
     board.lss("13 00 03");
     assert_eq!(board.lss("17"), ["17 00"]);
     let heartbeat_ms = 1000;
-    let bit_rate = lss_slave::BitRate::Kbit250.into();
+    let bit_rate = canopen_node::BitRate::Kbit250.into();
     assert_eq!(
         board.stored(),
         Some(Settings::new(bit_rate).with_node_id(NodeId::new(5)).with_heartbeat_ms(heartbeat_ms))

@@ -1,6 +1,6 @@
 //! Switch state selective and identify remote slave (CiA 305): all of their four and six steps must match in order.
 
-use lss_slave::lss::Address;
+use canopen_node::lss::Address;
 use testkit::{
     frames::{self, Frames, SILENCE, number},
     node_rig::{ADDRESS, NodeRig},

@@ -1,6 +1,6 @@
 //! Frames and LSS states (CiA 305): the answer to each request in each state, byte for byte.
 
-use lss_slave::{Frame, nmt::State};
+use canopen_node::{Frame, nmt::State};
 use testkit::{
     frames::{Frames, SILENCE, bytes, number},
     node_rig::{ADDRESS, NodeRig},

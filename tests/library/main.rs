@@ -1,6 +1,7 @@
 //! Tests of the library through its public surface: frames in, frames out, time passed in.
 
 mod application;
+mod application_arrays;
 mod application_events;
 mod bit_rate_solver;
 mod bus_listening;
@@ -31,8 +32,10 @@ mod parameters_log;
 mod parameters_power_cut;
 mod periodic_services;
 mod process_data;
+mod process_data_hooks;
 mod process_data_random;
 mod process_data_receive;
+mod process_data_sixteen;
 mod process_data_stored;
 mod process_data_transmit;
 mod sdo;

@@ -1,6 +1,6 @@
 //! NMT (CiA 301): boot-up, heartbeat, and the commands that change the state.
 
-use lss_slave::{Frame, nmt::State};
+use canopen_node::{Frame, nmt::State};
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,

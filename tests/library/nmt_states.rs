@@ -1,6 +1,6 @@
 //! The services of each NMT state (CiA 301, 7.3.2), and the transitions between the states.
 
-use lss_slave::{BusEvent, Frame, emergency::Fault, nmt::State};
+use canopen_node::{BusEvent, Frame, emergency::Fault, nmt::State};
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
@@ -335,7 +335,7 @@ fn a_bus_off_of_a_node_without_a_node_id_leaves_it_in_initialisation() {
 #[test]
 fn nothing_answers_a_node_guarding_request_which_needs_a_remote_frame() {
     let mut board = NodeRig::with_node_id(0x40);
-    assert!(board.node.receives().iter().all(|cob_id| cob_id != 0x740));
+    assert!(!board.node.receives().contains(0x740));
     assert_eq!(board.receive(&Frame::new(0x740, &[]).unwrap()), SILENCE);
 }
 

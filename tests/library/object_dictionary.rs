@@ -1,6 +1,6 @@
 //! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): the value of each object, and the effect of writes.
 
-use lss_slave::{
+use canopen_node::{
     BusEvent,
     lss::Address,
     object_dictionary::{Access, DataType, Entry, Object, TABLE},

@@ -1,7 +1,7 @@
 //! Stored parameters: what 1010h stores and 1011h restores of a node with an application, over power cycles, resets and
 //! another firmware.
 
-use lss_slave::{
+use canopen_node::{
     Application,
     application::{Event, Text},
     lss::StoreError,
@@ -21,7 +21,7 @@ objects! {
     pub struct Pump, values PumpValue;
 
     0x2100 {
-        0 "Speed" speed: u16 = 100, rw, 10..=1000, stored;
+        0 "Speed" speed: u16 = 100, rw in 10..=1000, stored;
     }
     0x2101 "Limits" {
         1 "Lowest" lowest: i8 = -5, rw, stored;
@@ -54,7 +54,7 @@ objects! {
     pub struct NewPump, values NewPumpValue;
 
     0x2100 {
-        0 "Speed" speed: u16 = 100, rw, 10..=300, stored;
+        0 "Speed" speed: u16 = 100, rw in 10..=300, stored;
     }
     0x2101 "Limits" {
         1 "Lowest" lowest: i16 = -50, rw, stored;
@@ -431,9 +431,9 @@ fn the_capacity_is_the_sum_of_the_longest_values() {
     let lens = [2, 1, 4, 8, 12, 1];
     let sum: usize = lens.iter().map(|len| HEADER + len).sum();
     let of_error_behaviour = HEADER + 1;
-    assert_eq!(lss_slave::Node::<Pump>::PARAMETERS, sum + of_error_behaviour);
-    assert_eq!(lss_slave::Node::<Volatile>::PARAMETERS, 0);
-    assert_eq!(<lss_slave::Node>::PARAMETERS, 0);
+    assert_eq!(canopen_node::Node::<Pump>::STORED_LEN, sum + of_error_behaviour);
+    assert_eq!(canopen_node::Node::<Volatile>::STORED_LEN, 0);
+    assert_eq!(<canopen_node::Node>::STORED_LEN, 0);
     let mut board = board();
     board.node.application_mut().label = Text::from_bytes(b"twelve bytes").unwrap();
     save(&mut board, 1).unwrap();

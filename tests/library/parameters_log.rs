@@ -1,6 +1,6 @@
 //! Parameters in the settings log, without power cuts: places written, failing flash, damaged content, older firmware.
 
-use lss_slave::settings::{Error, Found, Log, parameters};
+use canopen_node::settings::{Error, Found, Log, parameters};
 use testkit::{
     flash::{Flash, Operation},
     random::Random,

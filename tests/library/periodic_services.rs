@@ -1,7 +1,7 @@
 //! The limit of the periodic services, the heartbeat and the event timers of TPDOs: one frame waits at a time, and half
 //! of the bus is left to others.
 
-use lss_slave::{Action, BitRate, BusEvent, Frame};
+use canopen_node::{Action, BitRate, BusEvent, Frame};
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,

@@ -3,12 +3,12 @@
 
 use std::cell::RefCell;
 
-use lss_slave::{
+use canopen_node::{
     Application, Frame,
     application::Event,
     object_dictionary::DefaultValue,
     objects,
-    process_data::{Rpdo, Tpdo},
+    pdo::{Rpdo, Tpdo},
     sdo::Abort,
 };
 use testkit::{
@@ -40,7 +40,7 @@ objects! {
     }
     0x6200 "Outputs" {
         1 "Lamps" lamps: u8 = 0, rw, mappable;
-        2 "Speed" speed: u16 = 0, rw, 0..=1000, mappable;
+        2 "Speed" speed: u16 = 0, rw in 0..=1000, mappable;
         3 "Command" command: u32 = 0, wo, mappable;
     }
 }
@@ -309,12 +309,12 @@ fn a_mapping_has_up_to_8_objects_with_8_bytes() {
 fn each_object_of_process_data_has_a_name_and_its_default() {
     let mut board = board();
     let is_of_process_data = |index| matches!(index, 0x1005 | 0x1016 | 0x1019 | 0x1400..0x1C00);
-    let entries = lss_slave::Node::<Machine, 3, 2, 2>::entries(&device(ADDRESS));
+    let entries = canopen_node::Node::<Machine, 3, 2, 2>::entries(&device(ADDRESS));
     let mut count = 0;
     for (entry, description) in entries.filter(|(entry, _)| is_of_process_data(entry.index)) {
         let value = board.upload(entry.index, entry.sub_index).expect("it can be read");
         assert_eq!(value.len(), usize::from(entry.data_type.size()), "{entry:?}");
-        assert!(!description.name.is_empty());
+        assert!(!description.name.text.is_empty());
         let value = board.number(entry.index, entry.sub_index);
         match description.default {
             DefaultValue::Number(default) => assert_eq!(value, default, "{entry:?}"),

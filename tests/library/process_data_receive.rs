@@ -1,6 +1,6 @@
 //! RPDOs and SYNC (CiA 301, 7.2.2 and 7.2.5): their effect on the application, and the errors that they report.
 
-use lss_slave::{Action, application::Event};
+use canopen_node::{Action, application::Event};
 use testkit::{frames::SILENCE, sdo::Client};
 
 use crate::process_data::{
@@ -122,6 +122,7 @@ fn a_new_cob_id_of_an_rpdo_reaches_the_board() {
     set(&mut board, 0x1005, 0, 0x081, 4);
     set(&mut board, 0x1016, 2, 0x0005_0064, 4);
     assert_eq!(receives(&board), [0x7E5, 0x000, 0x640, 0x081, 0x323, 0x340, 0x7E5, 0x705]);
+    assert!(board.node.receives().contains(0x323) && !board.node.receives().contains(0x240));
     board.take_actions();
     set(&mut board, 0x1800, 2, 255, 1);
     assert!(!board.take_actions().contains(&Action::SetReceives));

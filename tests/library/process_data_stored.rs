@@ -1,13 +1,13 @@
 //! Stored parameters of process data: what 1010h stores and 1011h restores, over resets, power cycles, power cuts and
 //! another firmware.
 
-use lss_slave::{
+use canopen_node::{
     Application, Device, Node,
     lss::StoreError,
     nmt::State,
     object_dictionary::{Access, Object},
     objects,
-    process_data::{Rpdo, Tpdo},
+    pdo::{Rpdo, Tpdo},
     settings::parameters::Parameter,
 };
 use testkit::{
@@ -401,7 +401,7 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     let pdos = 3 * (HEADER + 4 * (5 + 8)) + 2 * (HEADER + 4 * (2 + 8));
     let of_error_behaviour = HEADER + 1;
     let capacity = of_sync + of_error_behaviour + pdos + 2 * (HEADER + 4);
-    assert_eq!(Node::<Machine, 3, 2, 2>::PARAMETERS, capacity);
+    assert_eq!(Node::<Machine, 3, 2, 2>::STORED_LEN, capacity);
     let mut board = board();
     for (parameter, cob_id, value) in [
         (0x1400, 0x333, 0x0005_0008),

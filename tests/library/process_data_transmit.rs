@@ -1,6 +1,6 @@
 //! TPDOs (CiA 301, 7.2.2): the frames, and the times at which they are sent.
 
-use lss_slave::{Action, BusEvent, Frame, Instant};
+use canopen_node::{Action, BusEvent, Frame, Instant};
 use testkit::frames::SILENCE;
 
 use crate::process_data::{Board, board, change, map, operational, receive, set};

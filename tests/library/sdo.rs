@@ -1,6 +1,6 @@
 //! The SDO server (CiA 301, 7.2.4) on the wire: its transfers, and the states in which it serves them.
 
-use lss_slave::Frame;
+use canopen_node::Frame;
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,

@@ -1,6 +1,6 @@
 //! Requests that the SDO server refuses, with their abort codes (CiA 301, table 22); no client blocks it.
 
-use lss_slave::{BusEvent, Frame, Instant};
+use canopen_node::{BusEvent, Frame, Instant};
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,

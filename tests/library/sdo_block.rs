@@ -1,6 +1,6 @@
 //! SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15).
 
-use lss_slave::{BusEvent, Instant, sdo::Abort};
+use canopen_node::{BusEvent, Instant, sdo::Abort};
 use testkit::{
     frames::SILENCE,
     node_rig::NodeRig,

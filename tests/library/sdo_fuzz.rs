@@ -1,6 +1,6 @@
 //! Random SDO and NMT frames, meaningful or not: no panic, at most one answer, and LSS is served after each of them.
 
-use lss_slave::{Frame, nmt::State, object_dictionary::TABLE};
+use canopen_node::{Frame, nmt::State, object_dictionary::TABLE};
 use testkit::{
     frames::{Frames, SILENCE},
     node_rig::NodeRig,

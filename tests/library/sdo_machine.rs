@@ -1,6 +1,6 @@
 //! An application with a value of every kind and domains, for the tests of the SDO services.
 
-use lss_slave::{
+use canopen_node::{
     Application,
     application::{Dictionary, Domain, OctetString, Text},
     object_dictionary::{Description, Entry},
@@ -20,7 +20,7 @@ objects! {
     pub struct Values, values MachineValue;
 
     0x2100 "Numbers" {
-        1 "8 bits" u8: u8 = 8, rw, 5..=250;
+        1 "8 bits" u8: u8 = 8, rw in 5..=250;
         2 "16 bits" u16: u16 = 16, rw;
         3 "32 bits" u32: u32 = 32, ro;
         4 "64 bits" u64: u64 = 0x1122_3344_5566_7788, rw;
@@ -55,7 +55,7 @@ pub struct Machine {
 impl Dictionary for Machine {
     type Value = MachineValue;
     type SdoBuffer = <Values as Dictionary>::SdoBuffer;
-    type Errors = <Values as Dictionary>::Errors;
+    type ErrorPlaces = <Values as Dictionary>::ErrorPlaces;
     const OBJECTS: &'static [Entry] = Values::OBJECTS;
     const STORED_LEN: usize = Values::STORED_LEN;
 

@@ -591,7 +591,7 @@ fn messages(frames: &Frames) -> Vec<Message> {
 }
 
 fn send(board: &mut NodeRig<Machine>, message: Message) -> Vec<Message> {
-    messages(&board.receive(&lss_slave::Frame::new(0x640, &message).unwrap()))
+    messages(&board.receive(&canopen_node::Frame::new(0x640, &message).unwrap()))
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Expedited and segmented transfers: values of every type and length (CiA 301, 7.2.4.3).
 
-use lss_slave::{BusEvent, sdo::Abort};
+use canopen_node::{BusEvent, sdo::Abort};
 use testkit::{frames::SILENCE, sdo::Client};
 
 use crate::sdo_machine::{CONSTANT, board, board_with_memory, bytes};

@@ -1,6 +1,6 @@
 //! Store parameters 1010h and restore default parameters 1011h (CiA 301), which share the settings log with LSS store.
 
-use lss_slave::{BitRate, lss::StoreError};
+use canopen_node::{BitRate, lss::StoreError};
 use testkit::{
     flash::Operation,
     frames::SILENCE,

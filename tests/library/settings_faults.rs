@@ -1,6 +1,6 @@
 //! The settings log in a failing flash: reads, writes and erases with errors, stuck bits.
 
-use lss_slave::{
+use canopen_node::{
     NodeId, Settings,
     settings::{Error, Found, Log},
 };

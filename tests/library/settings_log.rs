@@ -1,6 +1,6 @@
 //! The settings log in a working flash: results of open, written records, refused stores.
 
-use lss_slave::{
+use canopen_node::{
     BitRate, NodeId, Settings,
     settings::{Error, Found, Log},
 };

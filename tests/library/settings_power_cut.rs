@@ -1,7 +1,7 @@
 //! The settings log with power cuts in any program or erase step, also two in a row: nothing acknowledged is lost, and
 //! settings found once stay, although an interrupted word reads differently at each power-on.
 
-use lss_slave::settings::Log;
+use canopen_node::settings::Log;
 use testkit::{
     flash::Flash,
     power_cut::{Expected, cut_at_random, cut_twice},

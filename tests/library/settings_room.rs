@@ -1,10 +1,10 @@
 //! The room in the settings log: how many stores each start leaves at least, however full the log was before.
 
-use example_io::application as io;
-use lss_slave::{
+use canopen_node::{
     Application,
     settings::{Error, Log},
 };
+use example_io::application as io;
 use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults, device},

@@ -1,6 +1,6 @@
 //! Bit-rate supervision at home and in a search: a proven rate is never left, and an unproven one is searched from.
 
-use lss_slave::{
+use canopen_node::{
     BitRate, BitRates,
     BusEvent::{self, Acknowledged, BusOff, Error, FormError, HeldDominant, NonePending, Received},
     Frame, Instant, NodeId, lss,
@@ -259,9 +259,25 @@ fn while_errors_go_on_home_is_never_away_for_100_ms() {
             away_us = if is_away { away_us + us } else { 0 };
             assert!(away_us < 100_000, "{error:?} every {us} us");
         }
-        assert!(board.timeline().len() > 200, "it continues to search");
-        assert!(!board.timeline().iter().any(|act| act.contains("740")), "in silence");
+        let timeline = board.timeline();
+        assert!(timeline.len() > 200, "it continues to search");
+        let sent = timeline.iter().filter(|act| act.contains(" 740: ")).count();
+        assert!(sent <= 20_000 / 700, "{sent} frames: silent but once a round");
     }
+}
+
+#[test]
+fn after_eight_stays_without_a_valid_frame_the_node_takes_part_at_home_until_the_next_error() {
+    let mut board = searching();
+    for _ in 0..8 {
+        assert!(board.node.is_listening());
+        board.see(FormError);
+        board.pass_ms(40);
+        board.pass_us(TURN_US);
+    }
+    assert_eq!((board.bit_rate(), board.node.is_listening()), (BitRate::Kbit125, false));
+    board.see(Error);
+    assert_eq!((board.bit_rate(), board.node.is_listening()), (BitRate::Kbit1000, true));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Bit-rate supervision of a guest: taking part at a rate found by listening, visits home, and LSS meanwhile.
 
-use lss_slave::{
+use canopen_node::{
     BitRate, BitRateSetting,
     BusEvent::{Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
     NodeId, lss, nmt,
@@ -112,7 +112,7 @@ fn activation_without_configuration_makes_the_rate_found_a_proven_home() {
     board.lss("15 0A 00");
     board.pass_ms(20);
     let end = format!("20 ms {HOME_AGAIN}");
-    assert_eq!(board.timeline(), ["0 ms stop", "20 ms resume", &end]);
+    assert_eq!(board.timeline(), ["0 ms stop", "20 ms resume", "20 ms receives", &end]);
     assert_eq!((lss_rates(&board), objects(&mut board)), ([1000, 1000], [1000, 1000, 1]));
     board.timeline();
     for _ in 0..100 {
@@ -151,17 +151,17 @@ fn a_guest_leaves_at_the_second_error_without_a_valid_frame() {
 }
 
 #[test]
-fn a_guest_leaves_when_a_frame_finds_no_acknowledge_for_a_second() {
+fn a_guest_leaves_when_a_frame_finds_no_acknowledge_for_100_ms() {
     for request in [frames::request("5E"), testkit::sdo::request(0x40, "40 00 10 00")] {
         let mut board = guest();
         board.lss("04 01");
         board.timeline();
         board.is_acknowledged = false;
         board.receive(&request);
-        board.pass_us(999_999);
+        board.pass_us(99_999);
         board.see(Received);
         board.receive(&request);
-        board.pass_us(999_999);
+        board.pass_us(99_999);
         assert_eq!(board.timeline().len(), 2, "without a pause: {request:?}");
         board.pass_us(1);
         assert_eq!(board.timeline(), ["0.001 ms listen at 125 kbit/s"], "{request:?}");
@@ -182,6 +182,7 @@ fn a_guest_that_leaves_listens_at_home_and_then_where_it_was() {
         "1198.88 ms 125 kbit/s",
         "1198.88 ms resume",
         &format!("1198.88 ms {HOME_AGAIN}"),
+        "1198.88 ms receives",
     ];
     assert_eq!(board.timeline(), expected);
 }
@@ -201,7 +202,7 @@ fn a_request_of_a_master_keeps_a_guest_for_64_s() {
         frames::request("04 00"),
         frames::command("01 00"),
         testkit::sdo::request(0x40, "40 00 10 00"),
-        lss_slave::Frame::new(0x080, &[]).expect("SYNC"),
+        canopen_node::Frame::new(0x080, &[]).expect("SYNC"),
     ] {
         let mut board = guest();
         board.pass_ms(1_000);
@@ -212,6 +213,16 @@ fn a_request_of_a_master_keeps_a_guest_for_64_s() {
     board.pass_ms(1_000);
     board.receive(&frames::stranger());
     assert_eq!(visits(&mut board, 3_000), [1_014], "another frame does not");
+}
+
+#[test]
+fn guests_visit_home_together_2_s_after_the_last_one_has_joined() {
+    for (code, first_visit) in [("10 FF", 2_014), ("20 81", 514)] {
+        let mut board = guest();
+        board.pass_ms(1_500);
+        board.receive(&frames::of_node(&format!("0C1: {code} 11 E8 03 7D 00 00")));
+        assert_eq!(visits(&mut board, 3_000), [first_visit], "emergency {code}");
+    }
 }
 
 /// A guest with a heartbeat that has just begun a visit.

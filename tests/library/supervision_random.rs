@@ -1,6 +1,6 @@
 //! Random events and times, checked against the invariants of the bit-rate supervision.
 
-use lss_slave::{
+use canopen_node::{
     Action, BitRate, BitRates,
     BusEvent::{self, Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
 };

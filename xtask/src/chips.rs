@@ -5,6 +5,7 @@ mod choices;
 use std::{fmt, sync::Mutex, time::Instant};
 
 use anyhow::{Context, bail, ensure};
+use canopen_node::{BitRate, NodeId, Settings, bit_rate::BitTiming};
 use canopen_stm32f4::chip::{self, Chip};
 use emulator::{
     Time, board,
@@ -14,19 +15,11 @@ use emulator::{
     network::{Network, What},
 };
 use lss_master::Fastscan;
-use lss_slave::{BitRate, NodeId, Settings, bit_rate::BitTiming};
 use testkit::{
     boards, frames, image,
-    image_rig::{bit_per_s, on_the_wire},
-    product,
-};
-
-use crate::{
-    parallel,
-    readings::{
-        bus::{AWAY, Variant},
-        sessions,
-    },
+    image_rig::{ImageRig, bit_per_s, on_the_wire},
+    parallel, product,
+    sessions::{self, AWAY, Session, Variant},
 };
 
 /// Build the image of every chip, and run it on its emulated board; CAN2 and CAN3 on one chip each
@@ -34,7 +27,7 @@ use crate::{
 /// For each chip the table shows the clock of the core, the flash that the image takes, the time from power-on to the
 /// boot-up, whether all eight bit rates are exact and work with crystals that are 0.5 % off at both ends, and the
 /// outcome of the sessions: a blank board is found by Fastscan, gets a node-ID and a bit rate, stores, switches, loses
-/// its power and boots up with what was stored; then those of `cargo xtask readings --quick`, and a start by a boot
+/// its power and boots up with what was stored; then those of `cargo verify chip-variants --quick`, and a start by a boot
 /// loader that leaves the PLL, interrupts and its vector table on. A wrong choice of
 /// chips, controller or pins must not build.
 #[derive(clap::Args)]
@@ -144,15 +137,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn row(Target { part, controller }: Target, image: &Image) -> anyhow::Result<Row> {
     let settings = board::Settings { controller: controller.into(), ..Default::default() };
     let variant = Variant { image, part, settings };
-    let (core_mhz, boot) = self::boot(&variant)?;
-    let mut sessions = commission(&variant).context("commissioning");
-    for (name, session) in sessions::all(true) {
-        sessions = sessions.and_then(|()| session(&variant).context(name));
-    }
+    let (core_mhz, boot) = sessions::outcome(|| boot(&variant))?;
     let chip_readings = Readings { boot_loader: true, ..Readings::default() };
-    let settings = board::Settings { chip_readings, ..settings };
-    let after_loader = self::boot(&Variant { settings, ..variant });
-    sessions = sessions.and(after_loader.map(drop).context("a boot loader starts the program"));
+    let after_loader =
+        Variant { settings: board::Settings { chip_readings, ..settings }, ..variant };
+    let mut all: Vec<(&str, &Variant, Session)> = vec![
+        ("commissioning", &variant, commission),
+        ("a boot loader starts the program", &after_loader, |variant| _ = self::boot(variant)),
+    ];
+    all.extend(sessions::all(true).into_iter().map(|(name, session)| (name, &variant, session)));
+    let sessions = all.into_iter().try_for_each(|(name, variant, session)| {
+        sessions::outcome(|| session(variant)).context(name)
+    });
     Ok(Row { core_mhz, boot, rates: check_rates(&variant), sessions })
 }
 
@@ -161,23 +157,15 @@ fn stored(bit_rate: BitRate) -> Settings {
 }
 
 /// The clock of the core in MHz, and the time from power-on to the end of the boot-up at 1 Mbit/s.
-fn boot(variant: &Variant) -> anyhow::Result<(u32, Time)> {
-    let mut bus =
-        variant.bus(BitRate::Kbit1000, [variant.board(0, Some(stored(BitRate::Kbit1000)))]);
-    bus.hear("705: 00", AWAY)?;
-    let boot = bus.network.now();
-    bus.check()?;
-    let chip = bus.network.board(0).chip();
-    let clocks = chip.clocks();
-    ensure!(clocks.hclk.hz == core_hz(variant.part)?, "the core runs at {} Hz", clocks.hclk.hz);
-    ensure!(clocks.pclk1.hz == chip::APB1_HZ, "APB1 runs at {} Hz", clocks.pclk1.hz);
-    Ok((clocks.hclk.hz / 1_000_000, boot))
-}
-
-/// The core clock that the firmware's table gives for a part.
-fn core_hz(part: Part) -> anyhow::Result<u32> {
-    let chip = Chip::named(part.name()).context("stm32f4/src/chip.rs does not have this chip")?;
-    Ok(chip::sysclk_hz(&chip))
+fn boot(variant: &Variant) -> (u32, Time) {
+    let board = variant.board(0, Some(stored(BitRate::Kbit1000)));
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    let boot = rig.expect("705: 00", AWAY);
+    let clocks = rig.network.board(0).chip().clocks();
+    let chip = Chip::named(variant.part.name()).expect("stm32f4/src/chip.rs has this chip");
+    assert_eq!(clocks.hclk.hz, chip::sysclk_hz(&chip), "the clock of the core");
+    assert_eq!(clocks.pclk1.hz, chip::APB1_HZ, "the clock of APB1");
+    (clocks.hclk.hz / 1_000_000, boot)
 }
 
 /// The board sets each rate exactly, with a bit timing that tolerates 0.5 % at both ends, and answers a master with such
@@ -253,24 +241,21 @@ fn check_rate(variant: &Variant, rate: BitRate, ppm: i32) -> anyhow::Result<()> 
 }
 
 /// A blank board is found, gets a node-ID and a rate, stores, switches, loses its power and boots up with both.
-fn commission(variant: &Variant) -> anyhow::Result<()> {
-    let mut bus = variant.bus(BitRate::Kbit125, [variant.board(0, None)]);
-    bus.reach("4C", "50", AWAY)?;
-    let found = bus.carry_out(Fastscan::new())?.context("nobody is found")?;
-    ensure!(found.serial_number == boards::serial_number(0), "{found:X?}");
+fn commission(variant: &Variant) {
+    let mut rig = ImageRig::new(BitRate::Kbit125, [variant.board(0, None)]);
+    rig.reach("4C", "50", AWAY);
+    let found = rig.carry_out(Fastscan::new()).expect("the board is found");
+    assert_eq!(found.serial_number, boards::serial_number(0));
     for (request, answer) in [("11 05", "11 00"), ("13 00 00", "13 00"), ("17", "17 00")] {
-        bus.ask(request, answer)?;
+        rig.ask(request, answer);
     }
-    bus.send("15 32 00");
-    bus.run_ms(55);
-    bus.set_master_rate(BitRate::Kbit1000);
-    bus.run_ms(55);
-    bus.send("04 00");
-    bus.hear("705: 00", AWAY)?;
-    bus.network.power_off(0);
-    bus.run_ms(10);
-    bus.power_on(0);
-    bus.hear("705: 00", AWAY)?;
-    bus.hear("705: 7F", AWAY)?;
-    bus.check()
+    rig.send("15 32 00");
+    rig.network.run_for(Time::from_ms(55));
+    rig.set_master_bit_rate(BitRate::Kbit1000);
+    rig.network.run_for(Time::from_ms(55));
+    rig.send("04 00");
+    rig.expect("705: 00", AWAY);
+    rig.power_cycle(0);
+    rig.expect("705: 00", AWAY);
+    rig.expect("705: 7F", AWAY);
 }

@@ -2,7 +2,10 @@
 //! its example.
 
 use example_io as io;
-use firmware::{application, describe, device};
+use firmware::{
+    application,
+    device::{self, DEVICE},
+};
 use testkit::eds::{DataSheet, Product};
 
 use crate::generated::write_or_check;
@@ -20,7 +23,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let sheet = of_firmware();
     let example = DataSheet::new(
         product("io.eds", io::device::DESCRIPTION),
-        io::application::Node::entries(&io::describe(0)),
+        io::application::Node::entries(&io::device::DEVICE),
         &io::application::Application::new(),
     );
     let files = [
@@ -38,11 +41,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 pub fn of_firmware() -> DataSheet<'static> {
     DataSheet::new(
         product("lss-slave.eds", device::DESCRIPTION),
-        application::Node::entries(&describe(0)),
+        application::Node::entries(&DEVICE),
         &application::Application::new(),
     )
 }
 
 fn product(file_name: &'static str, description: &'static str) -> Product<'static> {
-    Product { file_name, vendor_name: device::VENDOR_NAME, description, device: describe(0) }
+    Product { file_name, vendor_name: device::VENDOR_NAME, description, device: DEVICE }
 }

@@ -16,13 +16,13 @@ use std::{
 };
 
 use anyhow::{Context, ensure};
+use canopen_node::{BitRate, NodeId, Settings};
 use emulator::{
     Time,
     board::Board,
     chip::Part,
     network::{Network, Recording},
 };
-use lss_slave::{BitRate, NodeId, Settings};
 use testkit::image_rig::{DEFAULT_BIT_RATE, bit_per_s};
 
 use testkit::boards::{self, FIRST_START};

@@ -1,7 +1,7 @@
 //! The examples of products, which the commands can run in place of the plain firmware.
 
 use emulator::{chip::Part, image::Image};
-use testkit::image::{self, BuildError};
+use testkit::image;
 
 /// An example of a product.
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -14,11 +14,16 @@ pub enum Example {
 
 impl Example {
     /// The name of its folder.
-    pub fn name(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::Io => "io",
             Self::Thermo => "thermo",
         }
+    }
+
+    /// The package of an example, or of the plain firmware.
+    pub fn package(example: Option<Self>) -> String {
+        example.map_or("firmware".to_owned(), |example| format!("example-{}", example.name()))
     }
 }
 
@@ -35,7 +40,7 @@ pub fn chip(chip: Option<Part>, example: Option<Example>) -> Part {
 ///
 /// # Errors
 /// It does not build for this chip.
-pub fn image(chip: Part, example: Option<Example>) -> Result<Image, BuildError> {
+pub fn image(chip: Part, example: Option<Example>) -> anyhow::Result<Image> {
     match example {
         None => image::build(chip),
         Some(example) => image::build_example(example.name(), chip),

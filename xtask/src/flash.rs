@@ -1,13 +1,14 @@
 //! `cargo flash`: writes the firmware to a real board.
 
 use std::{
-    env, io,
+    io,
     process::{Command, Stdio},
 };
 
 use anyhow::{Context, bail};
 use canopen_stm32f4::chip::Chip;
 use emulator::chip::Part;
+use testkit::cargo::cargo_for_the_chip;
 
 use crate::example::{self, Example};
 
@@ -28,14 +29,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     find_probe_rs()?;
     let part = example::chip(arguments.chip, arguments.example);
     let chip = Chip::named(part.name()).expect("a test compares the names");
-    let package = match arguments.example {
-        None => "firmware".to_owned(),
-        Some(example) => format!("example-{}", example.name()),
-    };
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let status = Command::new(cargo)
-        .args(["run", "--release", "--target", "thumbv7em-none-eabihf"])
-        .args(["--package", &package, "--bin", &package, "--features", chip.feature])
+    let package = Example::package(arguments.example);
+    let status = cargo_for_the_chip("run")
+        .args(["--release", "--package", &package, "--bin", &package, "--features", chip.feature])
         .env("PROBE_RS_CHIP", chip.probe_rs)
         .status()
         .context("cannot run cargo")?;

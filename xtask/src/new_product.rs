@@ -10,7 +10,10 @@ use anyhow::{Context, ensure};
 use canopen_stm32f4::chip;
 use emulator::chip::Part;
 
-use testkit::product::Product;
+use testkit::{
+    cargo::{cargo, workspace},
+    product::Product,
+};
 
 use crate::controller;
 
@@ -63,7 +66,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         .write()
         .with_context(|| format!("cannot write {}", folder.display()))?;
     // The lines of the product's names have other lengths. Without rustfmt they stay as they are.
-    quietly(Command::new("cargo").arg("fmt"), &folder);
+    quietly(cargo().arg("fmt"), &folder);
     println!("The product `{name}` is in {}:\n", folder.display());
     println!("    cd {}\n    cargo test\n", folder.display());
     println!("runs it on an emulated board. Its README.md says how to go on.");
@@ -85,7 +88,7 @@ fn quietly(command: &mut Command, folder: &Path) -> bool {
 }
 
 /// Names that the product cannot have: of crates and modules in its program, and of the test harness.
-const TAKEN: [&str; 19] = [
+const TAKEN: [&str; 20] = [
     "alloc",
     "app",
     "bxcan",
@@ -98,6 +101,7 @@ const TAKEN: [&str; 19] = [
     "embedded-storage",
     "emulator",
     "fugit",
+    "canopen-node",
     "lss-slave",
     "panic-probe",
     "rtic",
@@ -135,10 +139,6 @@ fn check_name(name: &str) -> anyhow::Result<()> {
         "`{name}` cannot be the name of a product, because Rust or something in its program has that name"
     );
     Ok(())
-}
-
-fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }
 
 /// `path` without `.` and `..`.

@@ -1,11 +1,12 @@
 //! `cargo xtask size`: the flash and RAM of the firmware by part, compared with the budget in `size-budget.toml`.
 
-use std::{collections::BTreeMap, env, fs, path::PathBuf};
+use std::collections::BTreeMap;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use emulator::chip::{FLASH_BASE, Part, RAM_BASE};
-use object::{
-    Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf, read::elf::ElfFile32,
+use testkit::{
+    elf::{Elf, Object, ObjectSymbol, Section, SymbolKind, sections},
+    image,
 };
 
 use crate::example::{self, Example};
@@ -23,23 +24,20 @@ pub struct Arguments {
     example: Option<Example>,
 }
 
-/// A section of the program that occupies memory.
-struct Section {
-    name: String,
-    bytes: u64,
-    in_flash: bool,
-    in_ram: bool,
+fn in_flash(section: &Section) -> bool {
+    section.is_loaded && section.address >= FLASH_BASE
+}
+
+fn in_ram(section: &Section) -> bool {
+    section.address >= RAM_BASE
 }
 
 /// Prints the sizes. Fails if they are above the budget.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let chip = example::chip(arguments.chip, arguments.example);
-    example::image(chip, arguments.example)?;
-    let path = elf_path(arguments.example)?;
-    let elf = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let elf = image::build_elf(&Example::package(arguments.example), chip)?;
     let has_budget = arguments.example.is_none();
-    let (report, flash) = report(&elf, chip, has_budget)
-        .with_context(|| format!("cannot parse {}", path.display()))?;
+    let (report, flash) = report(&elf, chip, has_budget)?;
     print!("{report}");
     let budget = budget();
     if has_budget && flash > budget {
@@ -53,23 +51,24 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// The table of the sizes of an ELF file, and the flash that it takes in bytes.
 pub fn report(elf: &[u8], chip: Part, has_budget: bool) -> anyhow::Result<(String, u64)> {
-    let sections = sections(elf)?;
-    let sum = |of: fn(&&Section) -> bool| -> u64 {
-        sections.iter().filter(of).map(|section| section.bytes).sum()
+    let file = Elf::parse(elf)?;
+    let sections = sections(&file)?;
+    let sum = |of: fn(&Section) -> bool| -> u64 {
+        sections.iter().filter(|section| of(section)).map(|section| section.bytes).sum()
     };
-    let (flash, ram) = (sum(|section| section.in_flash), sum(|section| section.in_ram));
+    let (flash, ram) = (sum(in_flash), sum(in_ram));
     let mut report = format!("{:16} {:>8} {:>8}\n", chip.name(), "flash", "RAM");
-    for Section { name, bytes, in_flash, in_ram } in &sections {
-        let column = |takes: &bool| if *takes { bytes.to_string() } else { String::new() };
-        let (in_flash, in_ram) = (column(in_flash), column(in_ram));
-        report += &format!("{name:16} {in_flash:>8} {in_ram:>8}\n");
+    for section in &sections {
+        let column = |takes: bool| if takes { section.bytes.to_string() } else { String::new() };
+        let (flash, ram) = (column(in_flash(section)), column(in_ram(section)));
+        report += &format!("{:16} {flash:>8} {ram:>8}\n", section.name);
     }
     report += &format!("{:16} {flash:>8} {ram:>8}\n", "total");
     if has_budget {
         report += &format!("{:16} {:>8}\n", "budget", budget());
     }
     report += &format!("\n{:28} {:>8}\n", "flash by part", "bytes");
-    for (part, bytes) in parts(elf, &sections)?.into_iter().filter(|(_, bytes)| *bytes > 0) {
+    for (part, bytes) in parts(&file, &sections).into_iter().filter(|(_, bytes)| *bytes > 0) {
         report += &format!("{part:28} {bytes:>8}\n");
     }
     report += &format!("{:28} {flash:>8}\n", "total");
@@ -78,31 +77,34 @@ pub fn report(elf: &[u8], chip: Part, has_budget: bool) -> anyhow::Result<(Strin
 
 /// The part that a function belongs to, by text in its name; the first match counts. Inlined code counts as its
 /// caller's.
-const PARTS: [(&str, &[&str]); 13] = [
+const PARTS: [(&str, &[&str]); 14] = [
     ("tasks", &["_RX0", "_TX", "_SCE", "TIM2", "TIM5", "USART1", "::app::idle"]),
     (
         "application",
-        &["firmware::application", "example_", "lss_slave::application", "stm32f4xx_hal::adc"],
+        &["firmware::application", "example_", "canopen_node::application", "stm32f4xx_hal::adc"],
     ),
     ("start and clocks", &["::app", "canopen_stm32f4::board", "canopen_stm32f4::clock", "::__"]),
-    ("process data", &["lss_slave::process_data", "lss_slave::node::process"]),
-    ("SDO", &["lss_slave::sdo", "lss_slave::object_dictionary", "lss_slave::node::objects"]),
+    ("process data", &["canopen_node::pdo", "canopen_node::sync", "canopen_node::node::process"]),
+    (
+        "SDO",
+        &["canopen_node::sdo", "canopen_node::object_dictionary", "canopen_node::node::objects"],
+    ),
     ("LSS", &["lss_slave::lss"]),
+    ("bit rate", &["lss_slave::bit_rate"]),
     ("settings log", &["lss_slave::settings"]),
     ("flash driver", &["canopen_stm32f4::flash"]),
     ("CAN driver", &["canopen_stm32f4::can", "bxcan"]),
-    ("node", &["lss_slave::", "canopen_stm32f4::"]),
+    ("node", &["canopen_node::", "lss_slave::", "canopen_stm32f4::"]),
     ("defmt", &["defmt"]),
     ("panic text", &["core::", "rust_begin_unwind"]),
     ("compiler's memory functions", &["mem"]),
 ];
 
 /// The parts of the flash content with their sizes in bytes, which add up to the total.
-fn parts(elf: &[u8], sections: &[Section]) -> anyhow::Result<Vec<(&'static str, u64)>> {
+fn parts(file: &Elf, sections: &[Section]) -> Vec<(&'static str, u64)> {
     let bytes_of = |name: &str| -> u64 {
         sections.iter().filter(|section| section.name == name).map(|section| section.bytes).sum()
     };
-    let file = ElfFile32::<object::Endianness>::parse(elf)?;
     // A function may have several names.
     let functions: BTreeMap<u64, (u64, String)> = file
         .symbols()
@@ -121,7 +123,7 @@ fn parts(elf: &[u8], sections: &[Section]) -> anyhow::Result<Vec<(&'static str, 
             rest -= bytes;
         }
     }
-    let of_sections = sections.iter().filter(|section| section.in_flash);
+    let of_sections = sections.iter().filter(|section| in_flash(section));
     let other_sections: u64 = of_sections
         .filter(|section| ![".vector_table", ".text", ".rodata", ".data"].contains(&&*section.name))
         .map(|section| section.bytes)
@@ -131,7 +133,7 @@ fn parts(elf: &[u8], sections: &[Section]) -> anyhow::Result<Vec<(&'static str, 
     all.push(("constants", bytes_of(".rodata")));
     all.push(("initial values of RAM", bytes_of(".data")));
     all.push(("other", rest + other_sections));
-    Ok(all)
+    all
 }
 
 /// The flash budget in bytes.
@@ -140,38 +142,6 @@ fn budget() -> u64 {
         include_str!("../size-budget.toml").parse().expect("size-budget.toml is TOML");
     let flash = budget["flash"].as_integer().expect("size-budget.toml gives flash in bytes");
     flash.try_into().expect("the budget is not negative")
-}
-
-/// The firmware's ELF file, beside this program: one cargo builds both into one directory.
-fn elf_path(example: Option<Example>) -> anyhow::Result<PathBuf> {
-    let own = env::current_exe()?;
-    let target = own.ancestors().nth(2).context("this program is not in a target directory")?;
-    let program =
-        example.map_or("firmware".to_owned(), |example| format!("example-{}", example.name()));
-    Ok(target.join("thumbv7em-none-eabihf/release").join(program))
-}
-
-/// The sections that are not empty, in the order of the file.
-fn sections(elf: &[u8]) -> object::Result<Vec<Section>> {
-    let file = ElfFile32::<object::Endianness>::parse(elf)?;
-    let is_allocated = |flags| match flags {
-        SectionFlags::Elf { sh_flags } => sh_flags & u64::from(elf::SHF_ALLOC) != 0,
-        _ => false,
-    };
-    let mut sections = Vec::new();
-    for section in file.sections() {
-        if section.size() == 0 || !is_allocated(section.flags()) {
-            continue;
-        }
-        let in_ram = section.address() >= u64::from(RAM_BASE);
-        sections.push(Section {
-            name: section.name()?.to_owned(),
-            bytes: section.size(),
-            in_flash: section.address() >= u64::from(FLASH_BASE) && section.file_range().is_some(),
-            in_ram,
-        });
-    }
-    Ok(sections)
 }
 
 #[cfg(test)]

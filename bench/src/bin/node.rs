@@ -4,13 +4,16 @@
 #![no_main]
 
 use bench::{IDENTITY, NOW, Place, Register, received_data, received_identifier, transmit};
-use lss_slave::{
-    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings, lss::Address,
+use canopen_node::{
+    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Receives, Settings,
+    lss::Address,
 };
 
 const BIT_RATES: BitRates = BitRates::possible(40_000_000);
 
 static NODE: Place<Node> = Place::empty();
+/// The filter, which the chip has in its controller.
+static RECEIVES: Place<Receives> = Place::empty();
 /// The deadline of the timer; 0: off.
 static TIMER: Register = Register::new();
 
@@ -24,16 +27,25 @@ extern "C" fn prepare() {
         .with_name("Bench")
         .with_versions("1", "1")
         .with_rescue(true);
-    NODE.fill(Node::new(device, None));
+    let node = Node::new(device, None);
+    RECEIVES.fill(node.receives());
+    NODE.fill(node);
 }
 
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn receive() {
+    let cob_id = received_identifier();
+    // SAFETY: `prepare` has filled it, and the reference ends here.
+    if unsafe { RECEIVES.get() }.contains(cob_id) {
+        receive_own(cob_id);
+    }
+}
+
+fn receive_own(cob_id: u16) {
     // SAFETY: `prepare` has filled it, and the reference ends here.
     let node = unsafe { NODE.get() };
     let now = Instant::from_micros(NOW.read());
-    let cob_id = received_identifier();
     let (length, data) = received_data();
     let Some(frame) = Frame::from_padded(cob_id, length, data) else {
         return;
@@ -62,6 +74,7 @@ fn act(node: &mut Node, action: Action) {
             // The firmware reports it in the transmit interrupt.
             node.handle_bus(BusEvent::Acknowledged, Instant::from_micros(0));
         }
+        Action::SetNodeId(_) | Action::SetReceives => RECEIVES.fill(node.receives()),
         Action::Store(_) => node.handle_stored(Ok(())),
         Action::SetBitRate(_) | Action::ResumeTransmitting => {
             node.handle_bus(BusEvent::Acknowledged, Instant::from_micros(0));

@@ -2,10 +2,14 @@
 
 mod accelerator;
 mod bus;
+mod fast;
 mod follow;
-mod watched;
 
-use std::sync::{Arc, Mutex, MutexGuard, atomic::Ordering::Relaxed};
+use std::{
+    iter,
+    ops::Range,
+    sync::{Arc, Mutex, MutexGuard, atomic::Ordering::Relaxed},
+};
 
 use rsemu::{
     core::{
@@ -14,12 +18,12 @@ use rsemu::{
     },
     cpu::arm::v7m::{
         ArmV7m, Config,
-        sys::{Exception, control},
+        sys::{Exception, Sys, control},
         xpsr,
     },
 };
 
-use super::{Engine, Halt, Lockup, Registers, Watcher, clock::CycleClock};
+use super::{Engine, Halt, Lockup, clock::CycleClock};
 use crate::{
     Time,
     chip::{Access, CCM_BASE, Chip, FLASH_BASE, Problem, RAM_BASE, Width},
@@ -27,11 +31,10 @@ use crate::{
 };
 use accelerator::Accelerator;
 use bus::{Link, Space};
+use fast::{Decoded, Fast, Memories};
 
 /// Bits of SYST_CSR: counter enabled, and its interrupt enabled.
 const SYSTICK_INTERRUPTS: u32 = 0b11;
-/// The number of instructions that may pass before a reset request is noticed.
-const RESET_POLL: u32 = 64;
 
 /// A Cortex-M4F that executes one instruction at a time.
 pub struct Rsemu {
@@ -56,9 +59,11 @@ pub struct Rsemu {
     /// Whether reads of the flash have wait states.
     flash_waits: bool,
     irqs: u128,
-    polls: u32,
+    /// Set while no exception can be taken before SysTick interrupts, the chip changes or rsemu executes an instruction:
+    /// the addresses that the MPU guards.
+    settled: Option<Range<u32>>,
+    decoded: Decoded,
     recorder: Option<Recorder>,
-    watcher: Option<Box<dyn Watcher>>,
 }
 
 impl Rsemu {
@@ -96,21 +101,79 @@ impl Rsemu {
             slowdown: readings.slowdown.max(1).into(),
             flash_waits: readings.flash_waits,
             irqs: 0,
-            polls: 0,
+            settled: None,
+            decoded: Decoded::new(),
             recorder: None,
-            watcher: None,
         }
     }
 
     /// Advances by cycles in which the core executes nothing.
     fn skip(&mut self, cycles: u64) {
-        self.cpu.with_sys(|sys| {
+        let interrupts = self.cpu.with_sys(|sys| {
             sys.tick_cyccnt(cycles);
-            if sys.tick_systick(cycles) && sys.syst_csr & SYSTICK_INTERRUPTS == SYSTICK_INTERRUPTS {
+            let interrupts =
+                sys.tick_systick(cycles) && sys.syst_csr & SYSTICK_INTERRUPTS == SYSTICK_INTERRUPTS;
+            if interrupts {
                 sys.set_pending(Exception::SYSTICK, true);
             }
+            interrupts
         });
+        if interrupts {
+            self.settled = None;
+        }
         self.cycles += cycles;
+    }
+
+    /// Whether rsemu would now execute privileged instructions, one after the other; then the addresses that the MPU
+    /// guards.
+    fn settled(&self) -> Option<Range<u32>> {
+        if self.cpu.is_asleep() || self.cpu.regs().control & control::NPRIV != 0 {
+            return None;
+        }
+        let priority = self.cpu.execution_priority();
+        self.cpu.with_sys(|sys| {
+            let has_taken_all = sys.highest_pending().is_none_or(|(_, waits)| waits >= priority)
+                && exceptions(self.irqs).all(|irq| sys.is_pending(irq) || sys.is_active(irq));
+            if has_taken_all { guarded(sys) } else { None }
+        })
+    }
+
+    /// Executes common instructions up to cycle `target`, if the next ones are; returns the cycles.
+    fn run_fast(&mut self, target: u64) -> u64 {
+        let Some(guarded) = self.settled.clone() else { return 0 };
+        let target = match self.cycles_to_systick() {
+            Some(ticks) => target.min(self.cycles + ticks),
+            None => target,
+        };
+        let memories = Memories {
+            flash: &self.flash,
+            ram: &self.ram,
+            ccm: &self.ccm,
+            chip: &self.space.chip,
+            guarded,
+        };
+        let mut fast = Fast::new(self.cpu.regs(), memories, &mut self.decoded);
+        let mut used = 0;
+        while self.cycles + used < target && !fast.has_stored && !fast.has_unmasked {
+            let (pc, xpsr) = (fast.regs.r[15], fast.regs.xpsr);
+            self.link.cycles.store(self.cycles + used, Relaxed);
+            self.link.pc.store(pc, Relaxed);
+            let Some(cycles) = fast.step() else { break };
+            used += cycles * self.slowdown;
+            if let Some(recorder) = &mut self.recorder {
+                recorder.executed(Executed { pc, next: fast.regs.r[15], xpsr });
+            }
+        }
+        if used > 0 {
+            let may_interrupt = fast.has_unmasked;
+            self.cpu.set_regs(fast.into_regs());
+            self.skip(used);
+            self.spin = None;
+            if may_interrupt {
+                self.settled = self.settled();
+            }
+        }
+        used
     }
 
     /// Cycles until SysTick interrupts, if it is enabled.
@@ -158,6 +221,17 @@ impl Rsemu {
                 self.asleep_cycles += cycles;
             }
         }
+    }
+
+    /// Follows the chip if the program has written to it.
+    fn after_step(&mut self, until: Time, target: &mut u64) -> Option<Halt> {
+        if !self.link.written.load(Relaxed) {
+            return None;
+        }
+        self.link.written.store(false, Relaxed);
+        let halt = self.after_write(until);
+        *target = self.clock.cycle_at(until);
+        halt
     }
 
     /// The address of the xPSR that an exception entry has stacked, if the step was one.
@@ -215,7 +289,7 @@ impl Rsemu {
         if let Some(range) = chip.flash_mut().take_changed() {
             let bytes = &chip.flash().bytes()[range.clone()];
             copy(&self.flash, range.start, bytes);
-            self.notify(|watcher, core| watcher.flash_changed(range.start, bytes, core));
+            self.decoded.forget(&range);
         }
     }
 
@@ -263,6 +337,7 @@ impl Engine for Rsemu {
     fn reset(&mut self, now: Time, hold: Time) {
         // A warm reset would leave NVIC and SysTick on.
         self.cpu.reset(ResetKind::Cold);
+        self.settled = None;
         self.irqs = 0;
         let (hclk, at_zero) = {
             let chip = lock(&self.chip);
@@ -307,18 +382,25 @@ impl Engine for Rsemu {
         let chip = Arc::clone(&self.chip);
         self.sync(&lock(&chip));
         let mut target = self.clock.cycle_at(until);
-        let (mut pc, mut before) = self.program_state();
         while self.cycles < target {
             if self.flash_busy {
-                self.check_stall(pc);
+                self.check_stall(self.cpu.pc());
             }
             if self.stalled_until > self.cycles {
                 self.skip(self.stalled_until.min(target) - self.cycles);
                 continue;
             }
+            let may_be_fast = !self.flash_busy && !self.flash_waits;
+            if may_be_fast && self.run_fast(target) > 0 {
+                if let Some(halt) = self.after_step(until, &mut target) {
+                    return halt;
+                }
+                continue;
+            }
+            let (pc, before) = self.program_state();
             self.link.cycles.store(self.cycles, Relaxed);
             self.link.pc.store(pc, Relaxed);
-            let step = self.observe();
+            self.settled = None;
             let used = self.cpu.step();
             self.cycles += used;
             if self.slowdown > 1 && !self.cpu.is_asleep() {
@@ -333,30 +415,19 @@ impl Engine for Rsemu {
             if before & xpsr::IT_MASK != 0 {
                 self.mend_stacked_itstate(before, pc);
             }
-            let (next, after) = self.program_state();
+            let next = self.cpu.pc();
             self.record_step(before, pc, next);
-            if let Some(step) = step {
-                self.notify_step(step);
+            if let Some(halt) = self.after_step(until, &mut target) {
+                return halt;
             }
-            if self.link.written.load(Relaxed) {
-                self.link.written.store(false, Relaxed);
-                if let Some(halt) = self.after_write(until) {
-                    return halt;
-                }
-                target = self.clock.cycle_at(until);
-            }
-            self.polls += 1;
-            if self.polls >= RESET_POLL || next == pc || self.watcher.is_some() {
-                self.polls = 0;
-                if self.cpu.reset_requested() {
-                    return Halt::ResetRequested;
-                }
+            if self.cpu.reset_requested() {
+                return Halt::ResetRequested;
             }
             self.spin = None;
+            self.settled = self.settled();
             if next == pc {
                 self.idle(used, target);
             }
-            (pc, before) = (next, after);
         }
         Halt::Deadline
     }
@@ -387,8 +458,7 @@ impl Engine for Rsemu {
             (chip.irqs(), chip.nmi())
         };
         let interrupted = self.cpu.with_sys(|sys| {
-            let enabled = |irq: u16| irqs >> irq & 1 == 1 && sys.is_enabled(Exception(16 + irq));
-            sys.highest_pending().is_some() || irqs != 0 && (0..128).any(enabled)
+            sys.highest_pending().is_some() || exceptions(irqs).any(|irq| sys.is_enabled(irq))
         });
         let idle = self.spin.is_some() || self.cpu.is_asleep();
         if interrupted || nmi || !idle {
@@ -412,11 +482,7 @@ impl Engine for Rsemu {
     }
 
     fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
-        let written = self.write_ram(address, bytes);
-        if written {
-            self.notify(|watcher, core| watcher.ram_changed(address, bytes, core));
-        }
-        written
+        self.write_ram(address, bytes)
     }
 
     fn sync_flash(&mut self) {
@@ -427,14 +493,13 @@ impl Engine for Rsemu {
     fn scramble_ram(&mut self, seed: u64) {
         let mut state = seed | 1;
         for store in [&self.ram, &self.ccm] {
-            let bytes: Vec<u8> = (0..store.len())
-                .map(|_| {
-                    state ^= state << 13;
-                    state ^= state >> 7;
-                    state ^= state << 17;
-                    state as u8
-                })
-                .collect();
+            let words = (0..store.len() / 8).flat_map(|_| {
+                state ^= state << 13;
+                state ^= state >> 7;
+                state ^= state << 17;
+                state.to_le_bytes()
+            });
+            let bytes: Vec<u8> = words.collect();
             copy(store, 0, &bytes);
         }
     }
@@ -453,23 +518,34 @@ impl Engine for Rsemu {
         self.cpu.regs().r[13]
     }
 
-    fn registers(&self) -> Registers {
-        Registers {
-            r: self.cpu.regs().r,
-            xpsr: self.cpu.xpsr(),
-            s: std::array::from_fn(|number| self.cpu.s(number as u8)),
-            fpscr: self.cpu.fpscr(),
-        }
-    }
-
     fn record(&mut self, recorder: Recorder) {
         self.recorder = Some(recorder);
     }
+}
 
-    fn watch(&mut self, watcher: Box<dyn Watcher>) {
-        self.link.watched.store(true, Relaxed);
-        self.watcher = Some(watcher);
+/// The addresses of the MPU's only region, above those of the flash and with the default map elsewhere.
+fn guarded(sys: &Sys) -> Option<Range<u32>> {
+    /// MPU_CTRL: the MPU is on, and privileged code has the default map elsewhere.
+    const ON: u32 = 0b001;
+    const DEFAULT_MAP: u32 = 0b100;
+    if sys.mpu_ctrl & ON == 0 {
+        return Some(0..0);
     }
+    let mut regions = iter::zip(sys.mpu_rbar, sys.mpu_rasr).filter(|(_, rasr)| rasr & 1 == 1);
+    let (Some((rbar, rasr)), None) = (regions.next(), regions.next()) else { return None };
+    let size = 1_u32.checked_shl((rasr >> 1 & 0x1F) + 1)?;
+    let base = rbar & !(size - 1);
+    let is_simple = sys.mpu_ctrl & DEFAULT_MAP != 0 && base >= CCM_BASE;
+    is_simple.then(|| base..base.saturating_add(size))
+}
+
+/// The exceptions of the interrupt lines that are high.
+fn exceptions(mut irqs: u128) -> impl Iterator<Item = Exception> {
+    iter::from_fn(move || {
+        let irq = irqs.trailing_zeros() as u16;
+        irqs &= irqs.wrapping_sub(1);
+        (irq < 128).then_some(Exception(16 + irq))
+    })
 }
 
 fn lock(chip: &Mutex<Chip>) -> MutexGuard<'_, Chip> {

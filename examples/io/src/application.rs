@@ -1,9 +1,9 @@
 //! The objects of the example: digital and analogue I/O after CiA 401.
 
-use lss_slave::{
+use canopen_node::{
     application::{Domain, Text},
     objects,
-    process_data::{Rpdo, Tpdo},
+    pdo::{Rpdo, Tpdo},
     sdo::Abort,
 };
 
@@ -15,17 +15,17 @@ pub const RPDOS: usize = 4;
 pub const PRODUCERS: usize = 1;
 
 /// The node with the application.
-pub type Node = lss_slave::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+pub type Node = canopen_node::Node<Application, TPDOS, RPDOS, PRODUCERS>;
 
 objects! {
     /// The objects of the I/O device, with their values.
     pub struct Application, values Value;
 
     0x2100 {
-        0 "Filter constant of the temperature" filter: u8 = 3, rw, 0..=8, stored;
+        0 "Filter constant of the temperature" filter: u8 = 3, rw in 0..=8, stored;
     }
     0x2101 "Calibration of the temperature" {
-        1 "Gain" gain: f32 = 1.0, rw, 0.5..=2.0, stored;
+        1 "Gain" gain: f32 = 1.0, rw in 0.5..=2.0, stored;
         2 "Time in milliseconds since 1970" calibrated: i64 = 0, rw, stored;
         3 "Inspector" inspector: Text<16> = Text::EMPTY, rw, stored;
     }
@@ -46,7 +46,7 @@ objects! {
     }
 }
 
-impl lss_slave::Application for Application {
+impl canopen_node::Application for Application {
     /// CiA 401, with digital inputs and outputs and analogue inputs.
     const DEVICE_TYPE: u32 = 0x0007_0191;
     const TPDOS: &'static [Tpdo] = &[

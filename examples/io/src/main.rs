@@ -15,7 +15,7 @@ mod app {
     use canopen_stm32f4::{Board, Crystal, Indicators, Storage, Watchdog, board, watchdog::Task};
     use example_io::{
         application::{Application, Node, PRODUCERS, RPDOS, TPDOS},
-        describe, device,
+        device::{self, DEVICE},
     };
     use stm32f4xx_hal::pac::Interrupt;
 
@@ -37,7 +37,7 @@ mod app {
     struct Local {
         indicators: Indicators,
         inputs: Inputs,
-        storage: Storage<{ Node::PARAMETERS }>,
+        storage: Storage<{ Node::STORED_LEN }>,
         watchdog: Watchdog,
     }
 
@@ -59,7 +59,7 @@ mod app {
         let ports = Ports { a: chip.GPIOA, b: chip.GPIOB, c: chip.GPIOC, d: chip.GPIOD };
         let pins = Pins::new(ports, &mut board.rcc);
         let inputs = Inputs::new(pins.button, pins.leds, chip.ADC1, chip.TIM5, &mut board.rcc);
-        let device = describe(board::serial_number());
+        let device = DEVICE.with_serial_number(board::serial_number());
         let (runner, storage, watchdog) =
             board.start(device, Application::new(), chip.CAN1, pins.can);
         (Shared { runner }, Local { indicators: pins.indicators, inputs, storage, watchdog })

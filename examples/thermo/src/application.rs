@@ -1,8 +1,8 @@
 //! The objects of the thermometer, and what it makes of its sensors.
 
-use lss_slave::{
+use canopen_node::{
     objects,
-    process_data::{Rpdo, Tpdo},
+    pdo::{Rpdo, Tpdo},
 };
 
 /// The temperatures.
@@ -12,7 +12,7 @@ pub const RPDOS: usize = 1;
 pub const PRODUCERS: usize = 0;
 
 /// The node with the application.
-pub type Node = lss_slave::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+pub type Node = canopen_node::Node<Application, TPDOS, RPDOS, PRODUCERS>;
 
 /// The emergency error code of the first sensor; those of the others follow.
 pub const SENSOR_FAULT: u16 = 0x5031;
@@ -27,26 +27,20 @@ objects! {
     pub struct Application, values Value;
 
     0x2100 "Gain of the sensors" {
-        1 "Gain 1" gain_1: f32 = 1.0, rw, 0.5..=2.0, stored;
-        2 "Gain 2" gain_2: f32 = 1.0, rw, 0.5..=2.0, stored;
-        3 "Gain 3" gain_3: f32 = 1.0, rw, 0.5..=2.0, stored;
-        4 "Gain 4" gain_4: f32 = 1.0, rw, 0.5..=2.0, stored;
+        1..=4 "Gain" gains: [f32; 4] = [1.0; 4], rw in 0.5..=2.0, stored;
     }
     0x2101 {
         0 "Faulty sensors, a bit for each" faults: u8 = 0, ro;
     }
     0x6200 "Write output 8-bit" {
-        1 "Relays" relays: u8 = 0, rw, 0..=3, mappable;
+        1 "Relays" relays: u8 = 0, rw in 0..=3, mappable;
     }
     0x7130 "AI input process value" {
-        1 "Temperature 1 in 0.1 degrees Celsius" temperature_1: i16 = 0, ro, mappable;
-        2 "Temperature 2 in 0.1 degrees Celsius" temperature_2: i16 = 0, ro, mappable;
-        3 "Temperature 3 in 0.1 degrees Celsius" temperature_3: i16 = 0, ro, mappable;
-        4 "Temperature 4 in 0.1 degrees Celsius" temperature_4: i16 = 0, ro, mappable;
+        1..=4 "Temperature in 0.1 degrees Celsius, sensor" temperatures: [i16; 4] = [0; 4], ro, mappable;
     }
 }
 
-impl lss_slave::Application for Application {
+impl canopen_node::Application for Application {
     /// CiA 404, with analogue inputs.
     const DEVICE_TYPE: u32 = 0x0002_0194;
     const TPDOS: &'static [Tpdo] =
@@ -65,13 +59,8 @@ impl Application {
     /// Takes the voltages of the sensors in mV. A faulty sensor keeps its last temperature.
     pub fn step(&mut self, millivolts: [u16; 4]) -> Step {
         let mut faults = 0;
-        let sensors = [
-            (&mut self.temperature_1, self.gain_1),
-            (&mut self.temperature_2, self.gain_2),
-            (&mut self.temperature_3, self.gain_3),
-            (&mut self.temperature_4, self.gain_4),
-        ];
-        for (number, ((temperature, gain), mv)) in sensors.into_iter().zip(millivolts).enumerate() {
+        let sensors = self.temperatures.iter_mut().zip(self.gains).zip(millivolts);
+        for (number, ((temperature, gain), mv)) in sensors.enumerate() {
             if ORDERLY_MV.contains(&mv) {
                 *temperature = ((f32::from(mv) - 500.0) * gain) as i16;
             } else {

@@ -15,7 +15,7 @@ mod app {
     use canopen_stm32f4::{Board, Crystal, Indicators, Storage, Watchdog, board, watchdog::Task};
     use example_thermo::{
         application::{Application, DEVICE_PROFILE, Node, PRODUCERS, RPDOS, SENSOR_FAULT, TPDOS},
-        describe, device,
+        device::{self, DEVICE},
     };
     use stm32f4xx_hal::pac::Interrupt;
 
@@ -38,7 +38,7 @@ mod app {
         indicators: Indicators,
         sensors: Sensors,
         relays: Relays,
-        storage: Storage<{ Node::PARAMETERS }>,
+        storage: Storage<{ Node::STORED_LEN }>,
         watchdog: Watchdog,
     }
 
@@ -61,7 +61,7 @@ mod app {
         let Pins { can, indicators, node_id_switches, sensors, relays } =
             Pins::new(ports, &mut board.rcc);
         let sensors = Sensors::new(sensors, chip.ADC1, chip.TIM5, &mut board.rcc);
-        let mut device = describe(board::serial_number());
+        let mut device = DEVICE.with_serial_number(board::serial_number());
         if let Some(node_id) = board::node_id(&node_id_switches) {
             device = device.with_defaults(device.defaults.with_node_id(Some(node_id)));
         }

@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     board::{Board, Settings},
@@ -10,7 +11,6 @@ use emulator::{
     image::Image,
 };
 use example_thermo::device;
-use lss_slave::BitRate;
 use testkit::{
     image,
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},

@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use lss_slave::{BitRate, Frame};
+use canopen_node::{BitRate, Frame};
 
 use super::{Adapter, Clock, Mode, Place, Received, Status};
 use crate::stop::Stop;

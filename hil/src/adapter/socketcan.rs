@@ -4,7 +4,7 @@ use super::Adapter;
 use crate::stop::Stop;
 
 #[cfg(not(target_os = "linux"))]
-pub fn connect(_: &str, _: Option<lss_slave::BitRate>) -> Result<Box<dyn Adapter>, Stop> {
+pub fn connect(_: &str, _: Option<canopen_node::BitRate>) -> Result<Box<dyn Adapter>, Stop> {
     Err(Stop::NoAdapter("socketcan: exists on Linux only; use slcan:".into()))
 }
 
@@ -20,7 +20,7 @@ mod linux {
         time::{Duration, Instant, UNIX_EPOCH},
     };
 
-    use lss_slave::{BitRate, Frame};
+    use canopen_node::{BitRate, Frame};
     use socketcan::{CanFrame, CanSocket, EmbeddedFrame, Socket, SocketOptions, StandardId};
 
     use super::{Adapter, Stop};

@@ -1,6 +1,6 @@
 //! The stored settings of the boards, learned before the sessions change them.
 
-use lss_slave::{BitRate, BitRateSetting, NodeId};
+use canopen_node::{BitRate, BitRateSetting, NodeId};
 
 use super::{BOOT, Bench, RESET_NODE, SEARCH};
 use crate::{

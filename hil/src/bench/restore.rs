@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use lss_slave::{BitRateSetting, NodeId, lss::Request};
+use canopen_node::{BitRateSetting, NodeId, lss::Request};
 
 use super::{Bench, RESET_NODE, SEARCH, START};
 use crate::{
@@ -27,17 +27,18 @@ impl Bench {
         self.report.progress("bringing the boards back");
         let wanted: Vec<_> =
             self.boards.iter().map(|board| (*board, Some(board.id), self.base.into())).collect();
-        let lost = self.store_everywhere(&wanted)?;
+        let mut lost = self.store_everywhere(&wanted)?;
         self.bus.open(self.base)?;
         self.restart()?;
-        match lost.is_empty() && self.missing()?.is_empty() {
-            true => Ok(()),
-            false => Err(Stop::Bench(format!(
-                "the boards cannot be brought back to {} kbit/s: {}",
-                self.base.kbit_per_s(),
-                lost.join("; ")
-            ))),
+        lost.extend(self.missing()?);
+        if lost.is_empty() {
+            return Ok(());
         }
+        Err(Stop::Bench(format!(
+            "the boards cannot be brought back to {} kbit/s: {}",
+            self.base.kbit_per_s(),
+            lost.join("; ")
+        )))
     }
 
     /// Finds each board at whatever rate it has, stores these settings, and resets it: a board at another rate is not

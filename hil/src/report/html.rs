@@ -1,6 +1,6 @@
 //! The report as one HTML page, with the answer times and the switches of the bit rate drawn as SVG.
 
-use lss_slave::BitRate;
+use canopen_node::BitRate;
 
 use super::{Answer, Outcome, Report, Switch, text};
 

@@ -1,7 +1,7 @@
 //! Fastscan: all boards lose their node-IDs and are found again one by one.
 
+use canopen_node::lss::Request;
 use lss_master::Fastscan;
-use lss_slave::lss::Request;
 
 use crate::{
     bench::{BOOT, Bench, RESET_NODE},

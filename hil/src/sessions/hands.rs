@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use lss_slave::{NodeId, lss::Request};
+use canopen_node::{NodeId, lss::Request};
 
 use crate::{
     bench::{BOOT, Bench, RESET_NODE},

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use firmware::device;
-use lss_slave::lss::{Address, AddressPart, Request};
+use canopen_node::lss::{Address, AddressPart, Request};
+use firmware::device::DEVICE;
 
 use crate::{bench::Bench, board, sdo, stop::Stop};
 
@@ -33,7 +33,7 @@ pub fn find(bench: &mut Bench) -> Result<(), Stop> {
             *part = sdo::read_number(&mut bench.bus, node, 0x1018, sub_index)?.unwrap_or(0);
         }
         let [vendor_id, product_code, revision_number, serial_number] = parts;
-        if (vendor_id, product_code) != (device::VENDOR_ID, device::PRODUCT_CODE)
+        if (vendor_id, product_code) != (DEVICE.address.vendor_id, DEVICE.address.product_code)
             || serial_number == 0
         {
             return Err(Stop::Bench(format!(
@@ -86,12 +86,12 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
         bench.report.equal(
             format!("{board}: revision of this firmware"),
             format!("{:08X}", address.revision_number),
-            &format!("{:08X}", device::REVISION_NUMBER),
+            &format!("{:08X}", DEVICE.address.revision_number),
         );
         for (index, expected, name) in [
-            (0x1008, device::NAME, "device name"),
-            (0x1009, device::HARDWARE_VERSION, "hardware version"),
-            (0x100A, device::SOFTWARE_VERSION, "software version"),
+            (0x1008, DEVICE.name, "device name"),
+            (0x1009, DEVICE.hardware_version, "hardware version"),
+            (0x100A, DEVICE.software_version, "software version"),
         ] {
             let text = sdo::read_text(&mut bench.bus, board.id.get(), index)?;
             let seen = text.unwrap_or_else(|failure| failure.to_string());

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use firmware::device;
-use lss_slave::{BitRate, BitRateSetting, lss::Request};
+use canopen_node::{BitRate, BitRateSetting, lss::Request};
+use firmware::device::DEVICE;
 
 use crate::{
     adapter::Received,
@@ -34,7 +34,7 @@ fn store(bench: &mut Bench, boards: &[Board], rate: BitRateSetting) -> Result<bo
 }
 
 pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
-    if !device::BIT_RATES.offers(BitRateSetting::Automatic) {
+    if !DEVICE.bit_rates.offers(BitRateSetting::Automatic) {
         bench
             .report
             .not_tried("detection", "this firmware does not offer it (BIT_RATES in src/device.rs)");
@@ -85,8 +85,10 @@ pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
 }
 
 pub fn rescue(bench: &mut Bench) -> Result<(), Stop> {
-    if !device::RESCUE {
-        bench.report.not_tried("rescue", "this firmware is without it (RESCUE in src/device.rs)");
+    if !DEVICE.rescue {
+        bench
+            .report
+            .not_tried("rescue", "this firmware is without it (`with_rescue` in src/device.rs)");
         return Ok(());
     }
     // One after the other: boards at the same wrong rate would receive each other, and stay.

@@ -1,6 +1,6 @@
 //! Every LSS service of CiA 305, with its refusals and silences.
 
-use lss_slave::{
+use canopen_node::{
     NodeId,
     lss::{AddressPart, IdentifyKey, Request},
 };

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use lss_slave::{BitRate, lss::Request};
+use canopen_node::{BitRate, lss::Request};
 
 use super::rates;
 use crate::{

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use lss_slave::{
+use canopen_node::{
     BitRate,
     lss::{AddressPart, Request},
 };

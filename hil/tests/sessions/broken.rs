@@ -7,11 +7,15 @@ use std::{
     time::Duration,
 };
 
+use canopen_node::BitRate;
 use emulator::{
     Time,
     chip::{Access, Width},
 };
-use testkit::image_rig::{ImageRig, settings};
+use testkit::{
+    image::Firmware,
+    image_rig::{ImageRig, board_with, settings},
+};
 
 use crate::{
     emulated::{Directory, Emulated},
@@ -95,7 +99,8 @@ fn a_board_that_is_silent_after_a_switch_is_named() {
 fn a_wrong_sample_point_is_named_by_the_probe() {
     let directory = Directory::new("probe");
     // The registers of an emulated board in the same state, but for the sample point.
-    let mut rig = ImageRig::with(settings(5, lss_slave::BitRate::Kbit125));
+    let rate = BitRate::Kbit125;
+    let mut rig = ImageRig::new(rate, [board_with(Firmware::Default, 0, settings(5, rate))]);
     rig.network.run_for(Time::from_ms(500));
     let mut script = "#!/bin/sh\ncase $5 in\n".to_owned();
     for address in REGISTERS {

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use lss_slave::settings::Log;
+use canopen_node::settings::Log;
 use testkit::{
     flash::BoardFlash,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
@@ -25,7 +25,7 @@ fn stored(directory: &Directory) -> (u8, u8) {
     let log = flash[SETTINGS_OFFSET as usize..][..SETTINGS_LENGTH].to_vec();
     let settings =
         Log::open(BoardFlash::with_content(log, 0)).0.settings().expect("stored settings");
-    (lss_slave::NodeId::to_lss(settings.node_id), settings.bit_rate.index())
+    (canopen_node::NodeId::to_lss(settings.node_id), settings.bit_rate.index())
 }
 
 #[test]

@@ -26,7 +26,7 @@ pub enum Reaction {
     /// Send this answer.
     Answer(Frame),
     /// Switch to the pending bit rate after the switch delay in milliseconds, without sending a frame in between: 15h.
-    /// The node does it in `node/bit_rate_control.rs`.
+    /// [`Control::switch`](crate::bit_rate::Control::switch) does it.
     ActivateBitTiming(u16),
     /// Make the pending node-ID and bit rate persistent, then answer.
     StoreConfiguration,

@@ -4,7 +4,7 @@
 //! # The promise
 //! Whenever the power fails, the next [`Log::open`] finds the settings and parameters of the last [`Log::store`] that
 //! returned `Ok`, or those of a later one that did not return; never older ones, never a mix. The result of an `open`
-//! holds until the next store. Six rules ensure this:
+//! holds until the next store. Six rules ensure this, but for the one case of two power cuts in `docs/settings.md`:
 //! - A record is valid only with its CRC and with its commit word, which is written after the rest was read back.
 //! - Parameters are written and read back before the record that refers to them.
 //! - A word whose write was interrupted by a power cut may read differently at each start. `open` therefore appends the
@@ -24,7 +24,7 @@ use super::{
     parameters::{self, HEADER, Parameter},
     record::{self, Changes, PART_LEN, Record, Reference},
 };
-use crate::application::copy;
+use crate::bytes::copy;
 
 /// The result of [`Log::open`], for the device's log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,13 +49,13 @@ pub enum Found {
 /// The flash is used as two banks of equal size, each a multiple of the erase size; a bank of 16 KB has room for 512
 /// records. A store that finds no room in one bank continues in the other, which the `open` before has erased.
 ///
-/// `PARAMETERS` is the greatest number of bytes of the parameters, see [`Node::PARAMETERS`](crate::Node::PARAMETERS).
-/// It must not exceed the [`capacity`](parameters::capacity) of a bank: then a store finds the flash full.
-pub struct Log<F, const PARAMETERS: usize = 0> {
+/// `STORED_LEN` is the greatest number of bytes of the packed parameters. It must not exceed the
+/// [`capacity`](parameters::capacity) of a bank: then a store finds the flash full.
+pub struct Log<F, const STORED_LEN: usize = 0> {
     flash: F,
     newest: Newest,
     /// The parameters of the newest record that the node has taken, or those of the last store.
-    taken: [u8; PARAMETERS],
+    taken: [u8; STORED_LEN],
     taken_len: usize,
     /// The newest record has no other parameters.
     has_taken_all: bool,
@@ -273,7 +273,7 @@ impl<F: NorFlash> Log<F> {
     }
 }
 
-impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
+impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     /// Opens the log as [`open`](Log::open) does, for a node with parameters. [`restore`](Self::restore) must follow.
     pub fn open_with_parameters(flash: F) -> (Self, Found) {
         const {
@@ -282,13 +282,13 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
                 "the commit word, 4 bytes, must be writable alone"
             );
             assert!((record::LEN as usize).is_multiple_of(F::READ_SIZE));
-            assert!(PARAMETERS < u16::MAX as usize, "the parameters take too many bytes");
+            assert!(STORED_LEN < u16::MAX as usize, "the parameters take too many bytes");
         }
         let record = Record { sequence: 0, settings: None, parameters: None };
         let mut log = Self {
             flash,
             newest: Newest { record, at: 0, bank: 0 },
-            taken: [0; PARAMETERS],
+            taken: [0; STORED_LEN],
             taken_len: 0,
             has_taken_all: false,
             is_doubtful: false,
@@ -304,8 +304,7 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
         self.newest.record.settings
     }
 
-    /// Passes the persistent parameters to [`Node::restore`](crate::Node::restore), which says whether it takes each.
-    /// Call it once, before the first store: [`parameters`](Self::parameters) are those that were taken.
+    /// Passes the persistent parameters to the node, which says whether it takes each. Call it once, before the first store: [`parameters`](Self::parameters) are those that were taken.
     ///
     /// # Errors
     /// The flash cannot be read.
@@ -361,7 +360,7 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
     ///
     /// # Errors
     /// As for [`store`](Self::store): the previous settings and parameters are still persistent. [`Error::Full`] also
-    /// if there are more bytes than `PARAMETERS`.
+    /// if there are more bytes than `STORED_LEN`.
     pub fn store_with_parameters(
         &mut self,
         settings: Settings,
@@ -370,7 +369,7 @@ impl<F: NorFlash, const PARAMETERS: usize> Log<F, PARAMETERS> {
         if parameters == self.parameters() {
             return self.store(settings);
         }
-        if parameters.len() > PARAMETERS {
+        if parameters.len() > STORED_LEN {
             return Err(Error::Full);
         }
         self.put_or_restore(settings, Some(parameters))?;

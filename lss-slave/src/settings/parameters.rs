@@ -1,7 +1,7 @@
 //! Parameters: the values that object 1010h stores, packed one after another.
 
 use super::record;
-use crate::application::copy;
+use crate::bytes::copy;
 
 /// The bytes that a parameter takes beside its value: index, sub-index, data type and length.
 #[doc(hidden)]
@@ -22,7 +22,7 @@ pub struct Parameter<'a> {
     pub index: u16,
     /// The sub-index of the object.
     pub sub_index: u8,
-    /// The CiA 301 data type at the time of the store, see [`DataType`](crate::object_dictionary::DataType).
+    /// The CiA 301 data type at the time of the store.
     pub data_type: u8,
     /// The value as in an SDO transfer.
     pub value: &'a [u8],
@@ -76,8 +76,7 @@ impl<'a> Packer<'a> {
     }
 
     /// Appends a parameter and returns the place of its value, which the caller fills in. One that does not fit is left
-    /// out, and its place is empty, which cannot happen in a buffer of the length that
-    /// [`Node::PARAMETERS`](crate::Node::PARAMETERS) gives.
+    /// out, and its place is empty.
     #[inline(never)] // It has several callers.
     pub fn reserve(&mut self, index: u16, sub_index: u8, data_type: u8, len: usize) -> &mut [u8] {
         let rest = self.to.get_mut(self.len..).unwrap_or_default();
@@ -102,17 +101,4 @@ impl<'a> Packer<'a> {
     pub const fn is_empty(&self) -> bool {
         self.len == 0
     }
-}
-
-/// A part of the node whose values are parameters.
-pub trait Parameters {
-    /// The greatest number of bytes that its parameters take.
-    const LEN: usize;
-
-    /// Packs the current values.
-    fn save(&self, to: &mut Packer<'_>);
-
-    /// Takes a stored value, if it is one of its own: index, sub-index and data type agree, and the value is legal.
-    /// Returns whether it has.
-    fn restore(&mut self, parameter: &Parameter<'_>) -> bool;
 }

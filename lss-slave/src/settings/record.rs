@@ -1,7 +1,7 @@
 //! A record of the settings log: 32 bytes that are either all valid or not valid.
 
 use super::Settings;
-use crate::{BitRateSetting, NodeId, application::copy};
+use crate::{BitRateSetting, NodeId, bytes::copy};
 
 /// The size of a record in bytes.
 pub const LEN: u32 = 32;

@@ -1,6 +1,6 @@
 //! Bit timing of the bxCAN: the register values of the bit rates.
 
-use lss_slave::{BitRate, bit_rate::BitTiming};
+use canopen_node::{BitRate, bit_rate::BitTiming};
 
 use crate::chip::APB1_HZ;
 

@@ -12,8 +12,8 @@
 
 use core::{iter, mem};
 
+use canopen_node::{BitRate, BusEvent, Frame, Instant, Receives, indicator::BusState, lss};
 use cortex_m::peripheral::SCB;
-use lss_slave::{BitRate, BusEvent, Frame, Instant, Receives, indicator::BusState, lss};
 use stm32f4xx_hal::{
     pac::can1::{RegisterBlock, TX, rfr},
     rcc::Rcc,
@@ -119,9 +119,10 @@ impl<C: Peripheral, const RPDOS: usize, const PRODUCERS: usize> Controller<C, RP
         }
     }
 
-    /// Runs at `bit_rate` from now on; pending frames are lost.
-    pub fn set_bit_rate(&mut self, bit_rate: BitRate) {
+    /// Runs at `bit_rate` and receives these frames from now on; pending frames are lost.
+    pub fn set_bit_rate(&mut self, bit_rate: BitRate, receives: Receives<RPDOS, PRODUCERS>) {
         self.queue.clear();
+        self.receives = receives;
         self.bit_rate = bit_rate;
         self.is_listening = false;
         self.start();
@@ -129,14 +130,15 @@ impl<C: Peripheral, const RPDOS: usize, const PRODUCERS: usize> Controller<C, RP
 
     /// Receives everything at `bit_rate`, but sends no dominant bit (silent mode, RM0090, 32.5.1). The controllers of
     /// some chips nevertheless drive the transmit line dominant in this mode, so the controller does not get the pin.
-    pub fn listen(&mut self, bit_rate: BitRate) {
+    pub fn listen(&mut self, bit_rate: BitRate, receives: Receives<RPDOS, PRODUCERS>) {
         self.stop_transmitting();
+        self.receives = receives;
         self.bit_rate = bit_rate;
         self.is_listening = true;
         self.start();
     }
 
-    /// Sets the COB-IDs to receive.
+    /// Sets the frames to receive.
     pub fn set_receives(&mut self, receives: Receives<RPDOS, PRODUCERS>) {
         self.receives = receives;
         self.set_filters();
@@ -177,54 +179,43 @@ impl<C: Peripheral, const RPDOS: usize, const PRODUCERS: usize> Controller<C, RP
         }
     }
 
-    /// Directs the node's frames to FIFO 0. The first three of all other frames go to FIFO 1, which has no interrupt,
-    /// to show that there is traffic.
+    /// Lets the frames that the node receives pass to FIFO 0.
     fn set_filters(&mut self) {
-        let Receives { services, rpdos, heartbeats } = &self.receives;
+        let Receives { all, services, rpdos, heartbeats } = &self.receives;
         let others = rpdos.chunks(IDS_PER_BANK).chain(heartbeats.chunks(IDS_PER_BANK));
         let lists = iter::once(services.as_slice()).chain(others);
-        let lists = lists.take(if self.is_listening { 0 } else { usize::MAX });
 
         let filters = &self.filters;
         filters.fmr().modify(|_, w| w.finit().set_bit());
-        // At most six of the controller's 14 banks.
+        // At most nine of the controller's 14 banks.
         let mut banks = filters.fb_iter().skip(C::FIRST_BANK);
-        let mut everything = 1_u32 << C::FIRST_BANK;
-        for (ids, bank) in lists.zip(&mut banks) {
-            let entry = |at| u32::from(ids.get(at).copied().unwrap_or(lss::REQUEST_COB_ID)) << 5;
-            // SAFETY: the identifiers of data frames, two in each register.
-            bank.fr1().write(|w| unsafe { w.bits(entry(1) << 16 | entry(0)) });
-            // SAFETY: as above.
-            bank.fr2().write(|w| unsafe { w.bits(entry(3) << 16 | entry(2)) });
-            everything = everything.wrapping_shl(1);
+        let mut next = 1_u32 << C::FIRST_BANK;
+        if *all {
+            // A mask of zeros.
+            banks.next().into_iter().for_each(|bank| {
+                bank.fr1().reset();
+                bank.fr2().reset();
+            });
+            next = next.wrapping_shl(1);
+        } else {
+            for (ids, bank) in lists.zip(banks) {
+                let entry =
+                    |at| u32::from(ids.get(at).copied().unwrap_or(lss::REQUEST_COB_ID)) << 5;
+                // SAFETY: the identifiers of data frames, two in each register.
+                bank.fr1().write(|w| unsafe { w.bits(entry(1) << 16 | entry(0)) });
+                // SAFETY: as above.
+                bank.fr2().write(|w| unsafe { w.bits(entry(3) << 16 | entry(2)) });
+                next = next.wrapping_shl(1);
+            }
         }
-        if let Some(bank) = banks.next() {
-            bank.fr1().reset();
-            bank.fr2().reset();
-        }
-        let lists = everything.wrapping_sub(1 << C::FIRST_BANK);
-        let fifo_1 = if self.is_listening { 0 } else { everything };
+        let used = next.wrapping_sub(1 << C::FIRST_BANK);
         // SAFETY: each register has a bit for each bank. All banks are this firmware's own.
         unsafe {
-            filters.fm1r().write(|w| w.bits(lists));
-            filters.ffa1r().write(|w| w.bits(fifo_1));
-            filters.fa1r().write(|w| w.bits(lists | everything));
+            filters.fm1r().write(|w| w.bits(if *all { 0 } else { used }));
+            filters.ffa1r().write(|w| w.bits(0));
+            filters.fa1r().write(|w| w.bits(used));
         }
         filters.fmr().modify(|_, w| w.finit().clear_bit());
-    }
-
-    /// Whether a valid frame for others has been received since the last call.
-    pub fn has_heard_others(&mut self) -> bool {
-        let frames = await_release(&self.registers, 1).fmp().bits();
-        for _ in 0..frames {
-            // Nobody reads them.
-            self.registers.rfr(1).write(|w| w.rfom().set_bit());
-            await_release(&self.registers, 1);
-        }
-        if frames > 0 {
-            self.note_understood();
-        }
-        frames > 0
     }
 
     /// Whether the controller only listens.
@@ -236,7 +227,8 @@ impl<C: Peripheral, const RPDOS: usize, const PRODUCERS: usize> Controller<C, RP
     pub fn receive(&mut self) -> Option<Received> {
         let received = read_fifo(&self.registers)?;
         self.has_heard = true;
-        self.note_understood();
+        self.has_understood = true;
+        self.samples = None;
         Some(received)
     }
 
@@ -276,11 +268,7 @@ impl<C: Peripheral, const RPDOS: usize, const PRODUCERS: usize> Controller<C, RP
         self.registers.tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
         // The others are less urgent, and wait until it is sent.
         self.queue.pop_if(|frame| put_in_mailbox(&self.registers, frame));
-        let is_sent = status & ANY_SENT != 0;
-        if is_sent {
-            self.note_understood();
-        }
-        is_sent
+        status & ANY_SENT != 0
     }
 
     /// Whether no frame waits for the bus.
@@ -339,8 +327,8 @@ impl<C: Peripheral, const RPDOS: usize, const PRODUCERS: usize> Controller<C, RP
         can.ier().modify(|_, w| {
             // Bus-off is reported once, although the interrupt persists.
             w.bofie().bit(status.boff().bit_is_clear());
-            // There may be tens of thousands of errors a second. Only a search needs each of them.
-            w.lecie().bit(self.is_listening || !is_error)
+            // There may be tens of thousands of errors a second. Only a search needs each of them, and a proven rate none.
+            w.lecie().bit(self.is_listening || self.receives.all && !is_error)
         });
         can.msr().write(|w| w.erri().set_bit());
         if is_error {
@@ -350,15 +338,12 @@ impl<C: Peripheral, const RPDOS: usize, const PRODUCERS: usize> Controller<C, RP
         error
     }
 
-    /// Records that a valid frame was received or sent.
-    fn note_understood(&mut self) {
-        self.has_understood = true;
-        self.samples = None;
-    }
-
-    /// Starts sampling the bus.
+    /// Starts sampling the bus, unless the bit rate is proven.
     #[inline(never)] // It has several callers: 36 bytes.
     fn sample(&mut self) {
+        if !self.receives.all {
+            return;
+        }
         self.samples = Some(Samples::default());
         self.watch_at.get_or_insert(clock::now().plus_micros(WATCH_MICROS));
     }
@@ -383,7 +368,7 @@ impl<C: Peripheral, const RPDOS: usize, const PRODUCERS: usize> Controller<C, RP
     ///
     /// Sampling lasts from a start, an error or a [`look`](Self::look) until a valid frame, or until the bus is idle.
     pub fn watch(&mut self, now: Instant) -> Option<BusEvent> {
-        self.watch_at.take_if(|at| at.has_come(now))?;
+        self.watch_at.take_if(|end| end.has_come(now))?;
         self.registers.ier().modify(|_, w| w.lecie().set_bit());
         let event = self.take_sample();
         self.watch_at = self.samples.is_some().then(|| now.plus_micros(WATCH_MICROS));
@@ -457,7 +442,7 @@ fn enter_initialization<C: Peripheral>(can: &C) -> bool {
 
 /// Takes the oldest frame out of FIFO 0, or reports a loss of frames.
 fn read_fifo(can: &RegisterBlock) -> Option<Received> {
-    let status = await_release(can, 0);
+    let status = await_release(can);
     if status.fmp().bits() == 0 {
         return None;
     }
@@ -480,9 +465,9 @@ fn read_fifo(can: &RegisterBlock) -> Option<Received> {
     Some(frame.map_or(Received::Other, Received::Frame))
 }
 
-/// The state of a FIFO that shows no released frame any more.
-fn await_release(can: &RegisterBlock, fifo: usize) -> rfr::R {
-    let fifo = can.rfr(fifo);
+/// The state of FIFO 0 when it shows no released frame any more.
+fn await_release(can: &RegisterBlock) -> rfr::R {
+    let fifo = can.rfr(0);
     let mut status = fifo.read();
     for _ in 0..RELEASE_READS {
         if status.rfom().bit_is_clear() {

@@ -2,7 +2,7 @@
 
 use core::{cmp::Reverse, iter};
 
-use lss_slave::{Frame, nmt};
+use canopen_node::{Frame, nmt};
 
 /// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
 /// other frames fills the queue.

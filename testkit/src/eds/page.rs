@@ -33,14 +33,17 @@ The objects of {}, in one line for each value. `cargo xtask eds` makes this page
 
 fn row(value: &Value) -> String {
     let Value { entry, description, default } = value;
-    let options =
-        [(entry.options.is_mappable(), "mappable"), (entry.options.is_stored(), "stored")];
+    let options = [
+        (entry.options.is_mappable(), "mappable"),
+        (entry.options.is_quiet(), "quiet"),
+        (entry.options.is_stored(), "stored"),
+    ];
     let options: Vec<_> =
         options.iter().filter(|(applies, _)| *applies).map(|(_, name)| *name).collect();
     let cells = [
         format!("{:04X}h", entry.index),
         entry.sub_index.to_string(),
-        description.name.to_owned(),
+        description.name.to_string(),
         data_type(value),
         access(entry).to_owned(),
         default.clone().unwrap_or_default(),

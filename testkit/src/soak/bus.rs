@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use lss_slave::{BitRate, BusEvent, Frame, NodeId, lss, nmt};
+use canopen_node::{BitRate, BusEvent, Frame, NodeId, lss, nmt};
 
 use super::{HEARTBEAT_MS, SECOND, address};
 use crate::{
@@ -17,8 +17,8 @@ const PASSIVE: u8 = 16;
 const ATTEMPTS_TO_PASSIVE: usize = 16;
 /// The attempts of the master's controller, and the pause in microseconds after each.
 const ATTEMPTS: [(usize, u64); 2] = [(20, 1_000), (24, 50_000)];
-/// A heartbeat is late after its time and this.
-const LATE: u64 = 1_000;
+/// The longest time between two heartbeats of a board that is not a guest.
+const LONGEST_GAP: u64 = HEARTBEAT_MS as u64 * 1000 + 1_000;
 /// An emergency may be this much later than the end of its cause.
 const AFTER_CAUSE: u64 = 5 * SECOND;
 
@@ -27,6 +27,8 @@ pub struct Counts {
     pub frames: u64,
     pub heartbeats: u64,
     pub emergencies: u64,
+    /// The longest time between two heartbeats of a guest in the quiet time, in microseconds.
+    pub longest_guest_gap: u64,
 }
 
 struct Slot {
@@ -36,6 +38,8 @@ struct Slot {
     /// Errors in succession, up to [`PASSIVE`].
     errors: u8,
     heartbeat_at: u64,
+    /// It has reported another rate than its home rate, and has not come home to the master since.
+    is_guest: bool,
     /// The stored node-ID, and one whose store was interrupted.
     node_id: u8,
     attempted: Option<u8>,
@@ -55,7 +59,16 @@ impl Slot {
     fn new(rig: NodeRig, serial_number: u32, now: u64) -> Self {
         let node_id = NodeId::to_lss(rig.node.node_id());
         let (is_powered, errors, attempted) = (true, 0, None);
-        Self { rig, serial_number, is_powered, errors, heartbeat_at: now, node_id, attempted }
+        Self {
+            rig,
+            serial_number,
+            is_powered,
+            errors,
+            heartbeat_at: now,
+            is_guest: false,
+            node_id,
+            attempted,
+        }
     }
 
     fn takes_part_at(&self) -> Option<BitRate> {
@@ -110,7 +123,16 @@ impl Bus {
         self.slots.iter().any(|slot| slot.node_id == node_id)
     }
 
-    /// From now on all boards send heartbeats in time, and no emergency.
+    pub fn has_guests(&self) -> bool {
+        self.slots.iter().any(|slot| slot.is_guest)
+    }
+
+    /// All boards have been commanded to their bit rate: from now on the rules hold for them as for boards at home.
+    pub fn note_all_home(&mut self) {
+        self.slots.iter_mut().for_each(|slot| slot.is_guest = false);
+    }
+
+    /// From now on all boards but guests send heartbeats in time, and no emergency.
     pub fn note_quiet(&mut self) {
         self.quiet_since = Some(self.now);
         self.slots.iter_mut().for_each(|slot| slot.heartbeat_at = self.now);
@@ -128,13 +150,17 @@ impl Bus {
             let deadline = powered.filter_map(|slot| slot.rig.us_to_deadline()).min();
             let step = deadline.unwrap_or(u64::MAX).clamp(1, end - self.now);
             self.now += step;
+            let mut sent = Vec::new();
             for number in 0..self.slots.len() {
                 self.note_company(number);
                 let slot = &mut self.slots[number];
                 if slot.is_powered {
-                    let frames = slot.rig.pass_us(step);
-                    self.carry(number, frames);
+                    sent.push((number, slot.rig.pass_us(step)));
                 }
+            }
+            // Now the clocks of all boards agree.
+            for (number, frames) in sent {
+                self.carry(number, frames);
             }
         }
         self.check_heartbeats();
@@ -145,14 +171,18 @@ impl Bus {
     }
 
     pub fn power_on(&mut self, board: usize) {
-        self.note_company(board);
         let slot = &mut self.slots[board];
         if slot.is_powered {
             return;
         }
         slot.is_powered = true;
+        slot.is_guest = false;
         slot.errors = 0;
-        let frames = slot.rig.power_cycle();
+        slot.rig.restart();
+        // At the rate that it has now.
+        self.note_company(board);
+        let slot = &mut self.slots[board];
+        let frames = slot.rig.pass_us(0);
         let found = NodeId::to_lss(slot.rig.stored().and_then(|settings| settings.node_id));
         let Slot { node_id, attempted, .. } = *slot;
         assert!(
@@ -172,7 +202,7 @@ impl Bus {
     #[cfg(test)]
     pub fn report_fault(&mut self, board: usize) {
         self.note_company(board);
-        self.slots[board].rig.node.handle_fault(lss_slave::emergency::Fault::Overrun);
+        self.slots[board].rig.node.handle_fault(canopen_node::emergency::Fault::Overrun);
         self.pass(SECOND);
     }
 
@@ -361,12 +391,24 @@ impl Bus {
                 self.counts.heartbeats += 1;
                 let gap = now - slot.heartbeat_at;
                 slot.heartbeat_at = now;
-                let is_late = gap > u64::from(HEARTBEAT_MS) * 1000 + LATE;
-                assert!(quiet_since.is_none() || !is_late, "{}: after {gap} us", name());
+                let is_quiet = quiet_since.is_some();
+                if slot.is_guest && is_quiet {
+                    self.counts.longest_guest_gap = self.counts.longest_guest_gap.max(gap);
+                }
+                let is_late = gap > LONGEST_GAP && !slot.is_guest;
+                assert!(!is_quiet || !is_late, "{}: after {gap} us", name());
             }
             0x080 => {
                 self.counts.emergencies += 1;
-                let has_cause = quiet_since.is_none_or(|since| now < since + AFTER_CAUSE);
+                let was_guest = slot.is_guest;
+                match frame.data() {
+                    [0x10, 0xFF, ..] => slot.is_guest = true,
+                    [0, 0, ..] => slot.is_guest &= slot.rig.bit_rate() != self.master_rate,
+                    _ => {}
+                }
+                // A guest may come home and leave again.
+                let has_cause =
+                    was_guest || quiet_since.is_none_or(|since| now < since + AFTER_CAUSE);
                 assert!(has_cause, "{}: without a cause", name());
             }
             _ => panic!("{}: not a frame of this life", name()),
@@ -379,7 +421,7 @@ impl Bus {
         }
         for (number, slot) in self.slots.iter().enumerate() {
             let gap = self.now - slot.heartbeat_at;
-            let is_sent = gap <= u64::from(HEARTBEAT_MS) * 1000 + LATE;
+            let is_sent = slot.is_guest || gap <= LONGEST_GAP;
             let is_configured = slot.rig.node.node_id().is_some();
             let now = self.now / SECOND;
             assert!(

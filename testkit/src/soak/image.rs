@@ -1,10 +1,11 @@
 //! The share of the long life that the release image lives on emulated boards.
 
+use canopen_node::BitRate;
 use emulator::Time;
-use lss_slave::BitRate;
 
 use super::{BOARDS, HEARTBEAT_MS, RATES};
 use crate::{
+    image::Firmware,
     image_rig::{ImageRig, board_with, settings},
     random::Random,
 };
@@ -24,7 +25,7 @@ pub fn session(random: &mut Random) -> Time {
     let mut rate = random.pick(&RATES);
     let board = |number: usize| {
         let settings = settings(number as u8 + 1, rate);
-        board_with(number as u8, settings.with_heartbeat_ms(HEARTBEAT_MS))
+        board_with(Firmware::Default, number as u8, settings.with_heartbeat_ms(HEARTBEAT_MS))
     };
     let mut rig = ImageRig::new(rate, (0..BOARDS).map(board));
     for _ in 0..QUIET_TIMES {

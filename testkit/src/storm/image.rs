@@ -3,16 +3,16 @@
 
 use std::collections::VecDeque;
 
-use emulator::{
-    Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
-};
-use example_io::application::{self as io, Filter, Sample};
-use lss_slave::{
+use canopen_node::{
     Action, BitRate, Settings,
     application::NoApplication,
     lss::{self, Address},
     nmt,
 };
+use emulator::{
+    Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
+};
+use example_io::application::{self as io, Filter, Sample};
 
 use super::{RATE, Stormed, Target, delivered, example::NODE_ID, is_pdo, lss_data, next};
 use crate::{
@@ -52,7 +52,7 @@ pub struct ImageStorm<
     first: VecDeque<Frame>,
     address: [u32; 4],
     /// The frames that the model has sent and the board still has to send.
-    expected: Vec<lss_slave::Frame>,
+    expected: Vec<canopen_node::Frame>,
     burst: Vec<Frame>,
     rate: BitRate,
     /// The number of frames so far.
@@ -225,8 +225,9 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             self.settle_before(&actions);
             self.follow_switch(frame);
         } else {
-            if actions.iter().any(|action| matches!(action, Action::SetNodeId(_))) {
-                // Answers that have not been sent by then are never sent.
+            let drops = |action: &Action| matches!(action, Action::SetNodeId(_) | Action::DropPdos);
+            if actions.iter().any(drops) {
+                // Frames that have not been sent by then are never sent.
                 self.settle_before(&actions);
             }
             self.send(frame);
@@ -321,7 +322,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     fn follow_reset(&mut self, frame: Frame) {
         let since = self.rig.network.now();
-        self.rig.expect_reset(0, ResetCause::Software);
+        self.rig.network.allow_reset(0, ResetCause::Software);
         self.send(frame);
         self.wait_until_sent();
         self.boot(since);
@@ -361,9 +362,11 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         let actions = self.take_actions();
         if actions.contains(&Action::ResetDevice) {
             // The frame waited until the end of the silence.
-            self.rig.expect_reset(0, ResetCause::Software);
-            self.rig.network.run_until(t0 + Time::from_us(2 * us + 500));
-            return self.boot(t0);
+            self.rig.network.allow_reset(0, ResetCause::Software);
+            let end = t0 + Time::from_us(2 * us);
+            self.rig.network.run_until(end + Time::from_us(500));
+            // The board has joined the bus at the new rate before.
+            return self.boot(end);
         }
         self.rig.network.run_until(t0 + Time::from_us(2 * us + 1_000));
         self.settle();
@@ -391,11 +394,11 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 #[derive(Debug)]
 struct Sent {
     answers: Frames,
-    pdos: Vec<lss_slave::Frame>,
+    pdos: Vec<canopen_node::Frame>,
 }
 
 impl Sent {
-    fn of(mut frames: Vec<lss_slave::Frame>) -> Self {
+    fn of(mut frames: Vec<canopen_node::Frame>) -> Self {
         frames.sort_by_key(|frame| frame.cob_id());
         let (pdos, answers) = frames.into_iter().partition(is_pdo);
         Self { answers: Frames(answers), pdos }
@@ -420,7 +423,7 @@ impl Sent {
 /// Returns `frame` if the model predicts its content and order. Excluded are heartbeats and emergencies, which depend
 /// on time; boot-ups, since two that wait for a full bus become one; and the controller's observations in the error
 /// register 1001h, the error history 1003h and 2000h.
-fn compared(frame: &lss_slave::Frame) -> Option<lss_slave::Frame> {
+fn compared(frame: &canopen_node::Frame) -> Option<canopen_node::Frame> {
     let is_sdo = frame.cob_id() & !0x7F == 0x580;
     let is_of_controller = matches!(frame.data(), [_, 0x01 | 0x03, 0x10, ..] | [_, 0x00, 0x20, ..]);
     let is_compared = frame.cob_id() == lss::RESPONSE_COB_ID || is_sdo && !is_of_controller;

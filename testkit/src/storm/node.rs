@@ -2,14 +2,14 @@
 
 use std::collections::VecDeque;
 
-use emulator::can::Frame;
-use example_io::application as io;
-use lss_slave::{
+use canopen_node::{
     Action, Settings,
     application::NoApplication,
     lss::{self, Address, State},
     sdo,
 };
+use emulator::can::Frame;
+use example_io::application as io;
 
 use super::{RATE, Stormed, Target, delivered, is_pdo, lss_data, next};
 use crate::{
@@ -134,7 +134,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     /// Takes the actions after the given frame, or in the time without one; checks that each answer and each store was
     /// asked for. Of itself an SDO server may only end a transfer, or confirm the part of a block that it has.
-    fn check_actions(&mut self, request: Option<&lss_slave::Frame>) -> Vec<Action> {
+    fn check_actions(&mut self, request: Option<&canopen_node::Frame>) -> Vec<Action> {
         let actions = self.board.take_actions();
         let cob_id = request.map(|request| request.cob_id());
         let is_lss = cob_id == Some(lss::REQUEST_COB_ID);

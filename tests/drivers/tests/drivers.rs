@@ -2,6 +2,11 @@
 
 use std::{panic::catch_unwind, sync::atomic::Ordering::Relaxed};
 
+use canopen_node::{
+    BitRate, BusEvent, Frame, Instant, NodeId, Receives,
+    indicator::BusState,
+    settings::{Found, Log},
+};
 use drivers::{
     can::{CanPins, Controller, Received},
     clock::{self, Alarm},
@@ -16,12 +21,7 @@ use drivers::{
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 use firmware::{
     application::{Application, Node},
-    describe, device,
-};
-use lss_slave::{
-    BitRate, BusEvent, Frame, Instant, NodeId,
-    indicator::BusState,
-    settings::{Found, Log},
+    device::{self, DEVICE},
 };
 
 /// CAN_TSR: three empty mailboxes.
@@ -112,41 +112,45 @@ fn settings_outlast_a_damaged_flash_and_restarts() {
     }
 }
 
+/// The frames of a node, and those of others before its bit rate is proven.
+fn receives(all: bool) -> Receives {
+    let node = Node::with_application(DEVICE.with_serial_number(1), None, Application::new());
+    Receives { all, ..node.receives() }
+}
+
 /// A controller that is in initialisation mode, as its driver waits for it, with empty mailboxes.
 fn controller() -> Controller<CAN1, 0, 0> {
     const INITIALISATION: u32 = 1 << 0;
     set(CAN1.msr(), INITIALISATION);
     set(CAN1.tsr(), ALL_EMPTY);
     let pins = CanPins::new(Pin::<'B', 9>::new(), Pin::<'B', 8>::new(), &mut Rcc);
-    let node = Node::with_application(describe(1), None, Application::new());
-    Controller::new(CAN1, pins, &mut Rcc, node.receives())
+    Controller::new(CAN1, pins, &mut Rcc, receives(true))
 }
 
 fn frame(cob_id: u16) -> Frame {
     Frame::new(cob_id, &[1, 2, 3, 4, 5]).unwrap()
 }
 
-/// A frame in a receive FIFO.
-fn deliver(fifo: usize, cob_id: u16, length_code: u32) {
-    set(CAN1.rfr(fifo), 1);
-    set(CAN1.rx(fifo).rir(), u32::from(cob_id) << 21);
-    set(CAN1.rx(fifo).rdtr(), length_code);
-    set(CAN1.rx(fifo).rdlr(), 0x0403_0201);
-    set(CAN1.rx(fifo).rdhr(), 5);
+/// A frame in the receive FIFO.
+fn deliver(cob_id: u16, length_code: u32) {
+    set(CAN1.rfr(0), 1);
+    set(CAN1.rx(0).rir(), u32::from(cob_id) << 21);
+    set(CAN1.rx(0).rdtr(), length_code);
+    set(CAN1.rx(0).rdlr(), 0x0403_0201);
+    set(CAN1.rx(0).rdhr(), 5);
 }
 
 #[test]
 fn each_filter_bank_gets_the_identifiers_of_its_list() {
     let _chip = memory::take();
     let mut can = controller();
-    can.set_bit_rate(BitRate::Kbit125);
-    let bank = |number| CAN1.fb(number).fr1().read().bits();
-    let lists = CAN1.fm1r().read().bits();
-    assert_eq!((lists, CAN1.fa1r().read().bits(), CAN1.ffa1r().read().bits()), (1, 0b11, 0b10));
-    assert_eq!((bank(0) & 0xFFFF, bank(1)), (u32::from(lss_slave::lss::REQUEST_COB_ID) << 5, 0));
-    can.listen(BitRate::Kbit250);
-    assert_eq!((CAN1.fm1r().read().bits(), CAN1.fa1r().read().bits()), (0, 1));
-    assert_eq!(bank(0), 0);
+    let first_bank = || CAN1.fb(0).fr1().read().bits() & 0xFFFF;
+    can.set_receives(receives(false));
+    assert_eq!((CAN1.fm1r().read().bits(), CAN1.fa1r().read().bits()), (1, 1), "a list");
+    assert_eq!(first_bank(), u32::from(canopen_node::lss::REQUEST_COB_ID) << 5);
+    can.set_bit_rate(BitRate::Kbit125, receives(true));
+    assert_eq!((CAN1.fm1r().read().bits(), CAN1.fa1r().read().bits()), (0, 1), "a mask");
+    assert_eq!(first_bank(), 0);
 }
 
 #[test]
@@ -161,10 +165,10 @@ fn the_transmit_pin_belongs_to_the_controller_unless_it_listens() {
     assert_eq!(mode(), 0b01);
     for _ in 0..2 {
         // It is at rest while the controller is reset: `drivers::rcc`.
-        can.set_bit_rate(BitRate::Kbit125);
+        can.set_bit_rate(BitRate::Kbit125, receives(true));
         assert_eq!(mode(), 0b10);
     }
-    can.listen(BitRate::Kbit250);
+    can.listen(BitRate::Kbit250, receives(true));
     assert!(can.is_listening());
     assert_eq!(mode(), 0b01);
 }
@@ -174,13 +178,10 @@ fn a_received_frame_has_its_identifier_and_data() {
     let _chip = memory::take();
     let mut can = controller();
     assert!(can.receive().is_none());
-    deliver(0, 0x123, 5);
+    deliver(0x123, 5);
     assert!(matches!(can.receive(), Some(Received::Frame(received)) if received == frame(0x123)));
-    deliver(0, 0x123, 9);
+    deliver(0x123, 9);
     assert!(matches!(can.receive(), Some(Received::Other)));
-    deliver(1, 0x123, 5);
-    assert!(can.has_heard_others());
-    assert!(!can.has_heard_others());
 }
 
 #[test]
@@ -225,7 +226,7 @@ fn errors_of_the_bus_are_reported_and_counted() {
     const BUS_OFF: u32 = 1 << 2;
     let _chip = memory::take();
     let mut can = controller();
-    can.set_bit_rate(BitRate::Kbit125);
+    can.set_bit_rate(BitRate::Kbit125, receives(true));
     set(CAN1.esr(), 130 << 24 | 7 << 16 | FORM | BUS_OFF);
     assert_eq!(can.error_counters(), (7, 130));
     assert_eq!(can.bus_state(), BusState::BusOff);
@@ -239,7 +240,7 @@ fn errors_of_the_bus_are_reported_and_counted() {
 fn a_bus_that_stays_dominant_is_reported() {
     let _chip = memory::take();
     let mut can = controller();
-    can.set_bit_rate(BitRate::Kbit125);
+    can.set_bit_rate(BitRate::Kbit125, receives(true));
     let mut events = (1..30).filter_map(|ms| can.watch(Instant::from_micros(ms * 1000)));
     assert_eq!(events.next(), Some(BusEvent::HeldDominant));
     assert!(can.watch_at().is_some());

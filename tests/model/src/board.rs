@@ -2,7 +2,7 @@
 
 use std::hash::{Hash, Hasher};
 
-use lss_slave::{
+use canopen_node::{
     Action, BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
     Settings,
     lss::{self, Address, State, StoreError},

@@ -5,7 +5,7 @@ use std::{
     hash::{DefaultHasher, Hasher},
 };
 
-use lss_slave::{Instant, Node};
+use canopen_node::{Instant, Node};
 
 /// No rule of the node looks back further than this many microseconds.
 const PAST: i32 = 3_000_000;
@@ -13,17 +13,19 @@ const PAST: i32 = 3_000_000;
 /// second. The checker goes on from one of two states that differ less.
 const ROUNDED: [(i32, i32); 2] = [(3_000_000, 10_000_000), (150_000, 500_000)];
 /// What has no effect on the behaviour, from a text to the next of a character: counters and the error history 1003h,
-/// which only objects of the dictionary show, and the times of no errors and of no heartbeat.
+/// which only objects of the dictionary show, the time of no heartbeat, and that of no SDO transfer: the model has none.
 const WITHOUT_EFFECT: [(&str, char); 6] = [
     ("rescues: ", ','),
     ("history: [", ']'),
     ("bus_offs: ", ','),
     ("overruns: ", ','),
-    ("Errors { count: 0, ", '}'),
     ("period_ms: 0, ", ','),
+    ("since: ", ','),
 ];
-/// More errors than this in succession have no other effect.
-const MANY_ERRORS: u32 = 3;
+/// What has an effect only away from home: leaving home sets it anew.
+const AWAY: [&str; 5] = [" errors: ", "found: ", "has_moved: ", "visit_at: ", "visit_seconds: "];
+/// More errors than this in succession have no other effect on the supervision.
+const MANY_ERRORS: u32 = 2;
 
 /// The digest of a node at `now`: of its state as `Debug` shows it, with instants relative to `now`.
 pub fn digest(node: &Node, now: Instant) -> u64 {
@@ -53,7 +55,12 @@ pub fn relative(text: &str, now: Instant) -> String {
     for (name, end) in WITHOUT_EFFECT {
         replace(&mut relative, name, end, |_| String::new());
     }
-    replace(&mut relative, "Errors { count: ", ',', |count| match count.parse() {
+    if relative.contains("place: Home") {
+        for name in AWAY {
+            replace(&mut relative, name, ',', |_| String::new());
+        }
+    }
+    replace(&mut relative, " errors: ", ',', |count| match count.parse() {
         Ok(count) => MANY_ERRORS.min(count).to_string(),
         Err(_) => count.to_string(),
     });

@@ -11,7 +11,7 @@ pub mod recovery;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use lss_slave::{
+use canopen_node::{
     BitRate, BusEvent,
     lss::{State, StoreError},
 };
@@ -34,7 +34,7 @@ pub struct Scenario {
     /// The greatest number of procedures of masters in a run, and of faults.
     pub procedures: u8,
     pub faults: u8,
-    /// Bit-rate supervision, `RESCUE` of the product.
+    /// The boards have bit-rate supervision.
     pub is_supervised: bool,
     /// The master switches the bit rate.
     pub has_switches: bool,

@@ -1,6 +1,6 @@
 //! The LSS master of the model, which follows CiA 305: it gives each LSS address its own node-ID.
 
-use lss_slave::{BitRate, Frame, nmt};
+use canopen_node::{BitRate, Frame, nmt};
 use testkit::frames::{number, request};
 
 use crate::board::address;

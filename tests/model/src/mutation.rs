@@ -1,6 +1,6 @@
 //! Defects that a test gives to the boards: the checker must find each of them.
 
-use lss_slave::{Frame, lss};
+use canopen_node::{Frame, lss};
 use testkit::frames::request;
 
 use crate::board::address;

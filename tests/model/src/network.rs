@@ -1,6 +1,6 @@
 //! The network of the model: boards, the bus between them, and a master.
 
-use lss_slave::{BitRate, BusEvent, Frame, lss};
+use canopen_node::{BitRate, BusEvent, Frame, lss};
 
 use crate::{board::Board, master::Master};
 

@@ -59,7 +59,7 @@ fn the_properties_hold_in_all_states_of_three_boards_at_one_bit_rate() {
 
 /// Checks that the checker finds a violation, and no other first.
 fn is_violated(property: &str, scenario: Scenario) {
-    let report = check(scenario, 10 * STATES);
+    let report = check(scenario, 20 * STATES);
     println!("{report}");
     assert!(report.violations.iter().any(|(violated, _)| *violated == property), "{report}");
 }

@@ -13,7 +13,7 @@ use core::{
 };
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use lss_slave::{
+use canopen_node::{
     Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
     application::{Domain, Event, Integer24, OctetString, Text, Unsigned56},
     bit_rate::BitRateSetting,
@@ -21,7 +21,7 @@ use lss_slave::{
     indicator::{BusState, Indicators},
     lss::{Address, StoreError},
     nmt, objects,
-    process_data::{Rpdo, Tpdo},
+    pdo::{Rpdo, Tpdo},
     sdo::Abort,
     settings::{Log, parameters::Parameter},
 };
@@ -171,12 +171,13 @@ objects! {
 
     0x2100 "Numbers" {
         1 "Boolean" boolean: bool = true, rw;
-        2 "8 bits" byte: u8 = 8, rw, 5..=250, mappable, stored;
+        2 "8 bits" byte: u8 = 8, rw in 5..=250, mappable, stored;
         3 "16 bits" word: i16 = 16, ro;
         4 "64 bits" long: u64 = 64, rw, stored;
-        5 "Real" real: f64 = 0.5, wo, 0.0..=1.0;
-        6 "24 bits" short: Integer24 = -24, rw, -100..=100, mappable;
+        5 "Real" real: f64 = 0.5, wo in 0.0..=1.0;
+        6 "24 bits" short: Integer24 = -24, rw in -100..=100, mappable;
         7 "56 bits" large: Unsigned56 = 56, rw, stored;
+        8..=10 "16 bits" words: [u16; 3] = [1; 3], rw in 1..=1000, mappable, stored;
     }
     0x2200 "Strings" {
         1 "Constant" constant: &'static str = "constant", constant;

@@ -6,7 +6,7 @@ use lss_master::{
     Assign, Configure, Fastscan, Find, Identify, InquireAddress, InquireNodeId, Master, Member,
     Procedure, Select, SwitchBitRate, Timing,
 };
-use lss_slave::{
+use canopen_node::{
     BitRate, Frame, NodeId,
     lss::{Address, AddressPart, Request},
 };

@@ -2,7 +2,7 @@
 
 use core::hint::black_box;
 
-use lss_slave::{
+use canopen_node::{
     Application, Frame, Node,
     application::{OctetString, Text},
     lss::StoreError,
@@ -20,7 +20,7 @@ objects! {
     pub struct Objects, values ObjectValue;
 
     0x2100 {
-        0 "Number" number: u8 = 50, rw, 0..=100, stored;
+        0 "Number" number: u8 = 50, rw in 0..=100, stored;
     }
     0x2101 "Others" {
         1 "Boolean" boolean: bool = false, rw, stored;
@@ -33,8 +33,8 @@ objects! {
 
 impl Application for Objects {}
 
-const PARAMETERS: usize = <Node<Objects>>::PARAMETERS;
-type ParametersLog = Log<Flash, PARAMETERS>;
+const STORED_LEN: usize = <Node<Objects>>::STORED_LEN;
+type ParametersLog = Log<Flash, STORED_LEN>;
 
 fn any_bytes() -> &'static [u8] {
     any(&[])
@@ -57,7 +57,7 @@ pub fn keep() {
         black_box(black_box(&mut node).handle_frame(&any(frame), any_instant()));
     }
     black_box(black_box(&mut node).poll(any_instant()));
-    let mut packed = [0; PARAMETERS];
+    let mut packed = [0; STORED_LEN];
     black_box(black_box(&node).write_parameters(any_bytes(), any(&mut packed)));
     black_box(&mut node).handle_stored(any(Err(StoreError::MediumAccess)));
 

@@ -1,13 +1,14 @@
 //! Choices of chip and pins: the legal ones build, and the others are refused with a remedy.
 
 use std::{
-    env, fs,
+    fs,
     path::Path,
-    process::{Command, Output, Stdio},
+    process::{Output, Stdio},
 };
 
 use anyhow::{Context, ensure};
 use emulator::chip::{Part, Pin};
+use testkit::cargo::{cargo_for_the_chip, workspace};
 
 /// Checks all of them.
 pub fn check() -> anyhow::Result<()> {
@@ -76,8 +77,8 @@ fn check_pairs(part: Part, controller: usize, pairs: &[[(Pin, u32); 2]]) -> anyh
 }
 
 fn cargo_check(folder: &Path, arguments: &[&str]) -> anyhow::Result<Output> {
-    Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-        .args(["check", "--keep-going", "--release", "--target", "thumbv7em-none-eabihf"])
+    cargo_for_the_chip("check")
+        .args(["--keep-going", "--release"])
         .args(arguments)
         .current_dir(folder)
         .stdin(Stdio::null())
@@ -87,8 +88,4 @@ fn cargo_check(folder: &Path, arguments: &[&str]) -> anyhow::Result<Output> {
 
 fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace member")
 }

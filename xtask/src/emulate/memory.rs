@@ -6,8 +6,8 @@ use std::{
 };
 
 use anyhow::{Context, ensure};
+use canopen_node::Settings;
 use emulator::{board::Board, chip::FLASH_BASE, image::Image, network::Network};
-use lss_slave::Settings;
 
 use testkit::boards;
 
@@ -98,8 +98,8 @@ fn replace(path: &Path, content: &[u8]) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use canopen_node::{BitRate, NodeId};
     use emulator::chip::Part;
-    use lss_slave::{BitRate, NodeId};
 
     use super::*;
 

@@ -8,8 +8,10 @@ use std::{
 
 use anyhow::{Context, ensure};
 use emulator::{chip::Part, image::Image};
-use object::{Object, ObjectSection, read::elf::ElfFile32};
-use testkit::cargo::workspace;
+use testkit::{
+    cargo::workspace,
+    elf::{Elf, Object, ObjectSection},
+};
 
 /// Where the copy and its registry are. The names have other lengths than the usual ones.
 const ELSEWHERE: &str = "target/release-elsewhere";
@@ -88,10 +90,7 @@ fn link(from: &Path, to: &Path) -> anyhow::Result<()> {
 
 /// The names of the sections that differ.
 fn differences(one: &[u8], other: &[u8]) -> anyhow::Result<String> {
-    let (one, other) = (
-        ElfFile32::<object::Endianness>::parse(one)?,
-        ElfFile32::<object::Endianness>::parse(other)?,
-    );
+    let (one, other) = (Elf::parse(one)?, Elf::parse(other)?);
     let mut names = Vec::new();
     for section in one.sections() {
         let name = section.name()?;

@@ -8,15 +8,14 @@ use std::sync::{
 use rsemu::core::{
     error::BusError,
     space::{
-        AddressSpace, DispatchPolicy, Mapping, MappingId, MemAttrs, MemOps, MemResult, Perms,
-        RamStore, Region,
+        AddressSpace, Mapping, MappingId, MemAttrs, MemOps, MemResult, Perms, RamStore, Region,
     },
 };
 
 use super::accelerator::Accelerator;
 use crate::{
     chip::{Access, AtZero, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Readings, Width},
-    engine::{Transfer, clock::CycleClock},
+    engine::clock::CycleClock,
 };
 
 /// The system memory and the option bytes.
@@ -32,9 +31,6 @@ pub struct Link {
     pub pc: AtomicU32,
     /// Whether the instruction stored to the chip.
     pub written: AtomicBool,
-    /// Whether transfers are to be recorded.
-    pub watched: AtomicBool,
-    transfers: Mutex<Vec<Transfer>>,
     clock: Mutex<CycleClock>,
     accelerator: Mutex<Accelerator>,
 }
@@ -45,8 +41,6 @@ impl Link {
             cycles: AtomicU64::new(0),
             pc: AtomicU32::new(0),
             written: AtomicBool::new(false),
-            watched: AtomicBool::new(false),
-            transfers: Mutex::default(),
             clock: Mutex::new(clock),
             accelerator: Mutex::new(Accelerator::new()),
         }
@@ -61,29 +55,18 @@ impl Link {
     pub fn set_clock(&self, clock: CycleClock) {
         *self.clock.lock().expect("nothing panics while it holds the clock") = clock;
     }
-
-    fn note(&self, transfer: Transfer) {
-        if self.watched.load(Relaxed) {
-            self.transfers.lock().expect("nothing panics while it holds them").push(transfer);
-        }
-    }
-
-    /// The transfers of the instruction that was last executed, if watched.
-    pub fn take_transfers(&self) -> Vec<Transfer> {
-        std::mem::take(&mut self.transfers.lock().expect("nothing panics while it holds them"))
-    }
 }
 
 /// A range of addresses handled by the chip.
 #[derive(Debug)]
-struct Aperture {
+pub struct Aperture {
     base: u32,
     chip: Arc<Mutex<Chip>>,
     link: Arc<Link>,
 }
 
 impl Aperture {
-    fn access(&self, offset: u64, length: usize) -> Result<Access, BusError> {
+    fn access(&self, offset: u32, length: usize) -> Result<Access, BusError> {
         let width = match length {
             1 => Width::Byte,
             2 => Width::Half,
@@ -92,30 +75,36 @@ impl Aperture {
         };
         let cycles = self.link.cycles.load(Relaxed);
         let now = self.link.clock.lock().map_err(|_| BusError::BadAccess)?.time_at(cycles);
-        let address = self.base + offset as u32;
+        let address = self.base + offset;
         Ok(Access { address, width, now, pc: self.link.pc.load(Relaxed) })
+    }
+
+    pub fn load(&self, offset: u32, length: usize) -> MemResult<u32> {
+        let access = self.access(offset, length)?;
+        let mut chip = self.chip.lock().map_err(|_| BusError::BadAccess)?;
+        let value = chip.read(access).map_err(|BusFault| BusError::Unassigned)?;
+        Ok(value)
+    }
+
+    pub fn store(&self, offset: u32, length: usize, value: u32) -> MemResult {
+        let access = self.access(offset, length)?;
+        self.link.written.store(true, Relaxed);
+        let mut chip = self.chip.lock().map_err(|_| BusError::BadAccess)?;
+        chip.write(access, value).map_err(|BusFault| BusError::Unassigned)
     }
 }
 
 impl MemOps for Aperture {
     fn read(&self, offset: u64, dst: &mut [u8], _: MemAttrs) -> MemResult {
-        let access = self.access(offset, dst.len())?;
-        let mut chip = self.chip.lock().map_err(|_| BusError::BadAccess)?;
-        let value = chip.read(access).map_err(|BusFault| BusError::Unassigned)?;
-        self.link.note(Transfer { access, is_store: false, value });
+        let value = self.load(offset as u32, dst.len())?;
         dst.copy_from_slice(&value.to_le_bytes()[..dst.len()]);
         Ok(())
     }
 
     fn write(&self, offset: u64, src: &[u8], _: MemAttrs) -> MemResult {
-        let access = self.access(offset, src.len())?;
         let mut bytes = [0; 4];
-        bytes[..src.len()].copy_from_slice(src);
-        let value = u32::from_le_bytes(bytes);
-        self.link.note(Transfer { access, is_store: true, value });
-        self.link.written.store(true, Relaxed);
-        let mut chip = self.chip.lock().map_err(|_| BusError::BadAccess)?;
-        chip.write(access, value).map_err(|BusFault| BusError::Unassigned)
+        bytes.get_mut(..src.len()).ok_or(BusError::BadAccess)?.copy_from_slice(src);
+        self.store(offset as u32, src.len(), u32::from_le_bytes(bytes))
     }
 }
 
@@ -164,8 +153,8 @@ impl MemOps for Nothing {
 /// The address map (RM0090 2.3). An address outside of it causes a BusFault.
 pub struct Space {
     shared: Arc<AddressSpace>,
-    chip: Arc<Mutex<Chip>>,
-    link: Arc<Link>,
+    /// All that the chip handles, by address.
+    pub chip: Aperture,
     flash: Arc<RamStore>,
     ram: Arc<RamStore>,
     flash_waits: bool,
@@ -182,9 +171,7 @@ impl Space {
         ccm: &Arc<RamStore>,
         readings: Readings,
     ) -> Self {
-        // A table of pages up to the end of AHB2 is faster than a search among the mappings.
-        let pages = DispatchPolicy::Dense { page_bits: 16, cover: 0x5100_0000 };
-        let shared = Arc::new(AddressSpace::new("cortex-m4", 32).with_dispatch(pages));
+        let shared = Arc::new(AddressSpace::new("cortex-m4", 32));
         let map = |mapping| {
             shared.topology().map_with(mapping).expect("every range lies in the 32-bit space")
         };
@@ -217,8 +204,7 @@ impl Space {
         }
         Self {
             shared,
-            chip: Arc::clone(chip),
-            link: Arc::clone(link),
+            chip: Aperture { base: 0, chip: Arc::clone(chip), link: Arc::clone(link) },
             flash: Arc::clone(flash),
             ram: Arc::clone(ram),
             flash_waits,
@@ -238,10 +224,10 @@ impl Space {
         }
         self.at_zero.0 = what;
         let mapping = match what {
-            AtZero::Flash => code("flash at 0", &self.flash, &self.link, self.flash_waits, 0),
+            AtZero::Flash => code("flash at 0", &self.flash, &self.chip.link, self.flash_waits, 0),
             AtZero::Sram => memory("sram at 0", &self.ram, 0, Perms::RWX),
             AtZero::System => {
-                let (chip, link) = (Arc::clone(&self.chip), Arc::clone(&self.link));
+                let (chip, link) = (Arc::clone(&self.chip.chip), Arc::clone(&self.chip.link));
                 let aperture = Arc::new(Aperture { base: SYSTEM_BASE, chip, link });
                 let region = Region::io("system memory at 0", SYSTEM_LENGTH, aperture);
                 Mapping::new(region, 0).with_perms(Perms::RWX)

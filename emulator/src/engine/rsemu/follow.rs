@@ -19,6 +19,9 @@ impl Rsemu {
             });
         }
         let mut changed = self.irqs ^ chip_irqs;
+        if changed != 0 || chip.nmi() {
+            self.settled = None;
+        }
         while changed != 0 {
             let irq = changed.trailing_zeros();
             changed &= changed - 1;

@@ -1,0 +1,226 @@
+//! The application beside the node: a product's own objects (2000h to 9FFFh) as typed Rust values.
+//!
+//! [`objects!`](crate::objects) declares the objects; their values are the fields of a struct. The product implements
+//! [`Application`] for it and gives it to [`Node::with_application`](crate::Node::with_application).
+//!
+//! ```
+//! use canopen_node::{Application, objects, sdo::Abort};
+//!
+//! objects! {
+//!     /// The objects of a dimmer.
+//!     pub struct Dimmer, values DimmerValue;
+//!
+//!     0x2100 {
+//!         0 "Brightness in percent" brightness: u8 = 50, rw in 0..=100, stored;
+//!     }
+//!     0x6000 "Inputs" {
+//!         1 "Buttons" buttons: u8 = 0, ro, mappable;
+//!     }
+//! }
+//!
+//! impl Application for Dimmer {
+//!     fn accept(&mut self, value: &DimmerValue) -> Result<(), Abort> {
+//!         match value {
+//!             DimmerValue::brightness(1..=4) => Err(Abort::InvalidValue), // It would flicker.
+//!             _ => Ok(()),
+//!         }
+//!     }
+//! }
+//!
+//! assert_eq!(Dimmer::new().brightness, 50);
+//! ```
+
+mod declaration;
+mod field;
+mod text;
+mod value;
+
+pub use declaration::{Row, check, check_count, count, fail, firsts, longest, table};
+pub use field::{FieldType, Plain, ValueOf, check_limits, len, read};
+pub use text::{OctetString, Text};
+pub use value::{
+    Domain, Integer24, Integer40, Integer48, Integer56, Unsigned24, Unsigned40, Unsigned48,
+    Unsigned56, ValueType,
+};
+
+use core::iter;
+
+use crate::{
+    BitRate, NodeId, emergency, nmt,
+    object_dictionary::{Description, Entry},
+    pdo::{Rpdo, Tpdo},
+    sdo::{self, Abort},
+};
+
+/// The objects of a product: what [`objects!`](crate::objects) implements.
+pub trait Dictionary {
+    /// A value on its way into the dictionary, with the name of its field.
+    type Value;
+    /// The memory of the SDO server, with room for the longest value that a client can write.
+    #[doc(hidden)]
+    type SdoBuffer: sdo::Buffer;
+    /// The places for the application's errors.
+    #[doc(hidden)]
+    type ErrorPlaces: emergency::Places;
+    /// The objects, by index and sub-index.
+    const OBJECTS: &'static [Entry];
+
+    /// The descriptions of [`OBJECTS`](Self::OBJECTS), in the same order.
+    fn descriptions() -> impl Iterator<Item = Description>;
+
+    /// The greatest number of bytes that the stored values take, with
+    /// [`HEADER`](crate::settings::parameters::HEADER) bytes for each.
+    const STORED_LEN: usize;
+
+    /// The length of the value of a field in bytes.
+    fn len(&self, field: u8) -> usize;
+
+    /// Copies the bytes of the value of a field from `offset` to `to`; returns their number.
+    fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize;
+
+    /// The value of a field in these bytes.
+    ///
+    /// # Errors
+    /// The length is wrong, or the value is out of its limits.
+    fn parse(field: u8, bytes: &[u8]) -> Result<Self::Value, Abort>;
+
+    /// Replaces the value of a field.
+    fn set(&mut self, value: Self::Value);
+}
+
+/// A product's behaviour beside the node. Each method does nothing by default.
+pub trait Application: Dictionary {
+    /// Device type 1000h: the number of a device profile of CiA and what the profile adds; 0 without a profile.
+    const DEVICE_TYPE: u32 = 0;
+    /// The TPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
+    const TPDOS: &'static [Tpdo] = &[];
+    /// The RPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
+    const RPDOS: &'static [Rpdo] = &[];
+    /// The time without a message of the client after which the SDO server ends a transfer, in milliseconds.
+    ///
+    /// CiA 301 gives no value. Usual clients wait 0.3 to 1 s for an answer, so a client that is silent for longer has
+    /// given up. A client that makes longer pauses within a transfer needs a longer time.
+    const SDO_TIMEOUT_MS: u16 = 1000;
+
+    /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
+    /// the start.
+    ///
+    /// # Errors
+    /// The abort code for the client, such as [`Abort::InvalidValue`], [`Abort::DeviceState`] or [`Abort::Hardware`].
+    fn accept(&mut self, value: &Self::Value) -> Result<(), Abort> {
+        let _ = value;
+        Ok(())
+    }
+
+    /// Brings a value up to date that is about to be read: by a client, or for a TPDO. It is called before each look for
+    /// news in a TPDO, which follows every frame and change, so it must be short. A [`Domain`] and a store do without.
+    fn before_read(&mut self, index: u16, sub_index: u8) {
+        let _ = (index, sub_index);
+    }
+
+    /// Handles an event of the node.
+    fn handle(&mut self, event: Event) {
+        let _ = event;
+    }
+
+    /// The length of a [`Domain`] in bytes, at the beginning of an upload. The domain should not change until its end:
+    /// a client that reads it by block transfer detects that by the CRC, others do not.
+    ///
+    /// # Errors
+    /// The abort code for the client, such as [`Abort::NoData`].
+    fn domain_len(&self, index: u16, sub_index: u8) -> Result<u32, Abort> {
+        let _ = (index, sub_index);
+        Err(Abort::NoData)
+    }
+
+    /// Copies a part of a [`Domain`], from `offset` to `to`; returns the number of bytes, which is that of `to` unless
+    /// the domain ends.
+    fn read_domain(&self, index: u16, sub_index: u8, offset: u32, to: &mut [u8]) -> usize {
+        let _ = (index, sub_index, offset, to);
+        0
+    }
+
+    /// Accepts the next part of a [`Domain`] from a client. The first part has offset 0; after the last one
+    /// [`end_domain`](Self::end_domain) is called.
+    ///
+    /// # Errors
+    /// The abort code for the client, such as [`Abort::Memory`].
+    fn write_domain(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        offset: u32,
+        bytes: &[u8],
+    ) -> Result<(), Abort> {
+        let _ = (index, sub_index, offset, bytes);
+        Err(Abort::Hardware)
+    }
+
+    /// Completes a [`Domain`] that a client has written: `len` bytes, whose CRC was right if the client sent one. A
+    /// transfer that is cut short does not get here.
+    ///
+    /// # Errors
+    /// The abort code for the client.
+    fn end_domain(&mut self, index: u16, sub_index: u8, len: u32) -> Result<(), Abort> {
+        let _ = (index, sub_index, len);
+        Ok(())
+    }
+
+    /// Discards what a client has written of a [`Domain`]: the transfer was cut short, its CRC or length was wrong, or
+    /// [`write_domain`](Self::write_domain) or [`end_domain`](Self::end_domain) refused it. Nothing may have been
+    /// written yet.
+    fn abort_domain(&mut self, index: u16, sub_index: u8) {
+        let _ = (index, sub_index);
+    }
+}
+
+/// An event of the node that an application may need.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Event {
+    /// The node has entered another NMT state.
+    Nmt(nmt::State),
+    /// The node runs or listens at another bit rate.
+    BitRate(BitRate),
+    /// The values of the RPDO with this number, from 1, have taken effect.
+    Received(u8),
+    /// A SYNC was received in NMT operational. TPDOs that it asks for carry the values as they are after this event.
+    Sync,
+    /// A node that the heartbeat consumer watches has booted.
+    BootUp(NodeId),
+    /// The heartbeat of a node that the heartbeat consumer watches is missing.
+    HeartbeatLost(NodeId),
+}
+
+/// The application of a node without one.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoApplication;
+
+impl Dictionary for NoApplication {
+    type Value = ();
+    type SdoBuffer = [u8; longest(&[])];
+    type ErrorPlaces = [emergency::Report; 0];
+    const OBJECTS: &'static [Entry] = &[];
+    const STORED_LEN: usize = 0;
+
+    fn descriptions() -> impl Iterator<Item = Description> {
+        iter::empty()
+    }
+
+    fn len(&self, _: u8) -> usize {
+        0
+    }
+
+    fn read(&self, _: u8, _: usize, _: &mut [u8]) -> usize {
+        0
+    }
+
+    fn parse(_: u8, _: &[u8]) -> Result<(), Abort> {
+        Err(Abort::NoObject)
+    }
+
+    fn set(&mut self, (): ()) {}
+}
+
+impl Application for NoApplication {}

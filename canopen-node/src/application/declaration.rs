@@ -1,0 +1,568 @@
+//! The macro that declares the objects of a product, and the checks of a declaration at compile time.
+
+use crate::{
+    declaration_error::DeclarationError,
+    object_dictionary::{Access, DataType, Entry, Object, row},
+};
+
+/// Checks the table of a product; panics, at compile time, with what is wrong.
+#[doc(hidden)]
+pub const fn check(objects: &[Entry]) {
+    if objects.len() > 256 {
+        DeclarationError::new("there are more than 256 objects").raise();
+    }
+    let mut before = None;
+    let mut rest = objects;
+    while let [entry, others @ ..] = rest {
+        if let Some(fault) = fault(entry, before) {
+            fail(entry.index, entry.sub_index, fault);
+        }
+        before = Some(entry);
+        rest = others;
+    }
+}
+
+/// What is wrong with an entry that follows another.
+const fn fault(entry: &Entry, before: Option<&Entry>) -> Option<&'static str> {
+    if entry.index < 0x2001 || entry.index > 0x9FFF {
+        return Some("its index must be 2001h to 9FFFh");
+    }
+    if entry.data_type.size() == 0 && entry.options.is_mappable() {
+        return Some("only numbers can be mapped into a PDO");
+    }
+    if entry.options.is_quiet() && !entry.options.is_mappable() {
+        return Some("only a mappable object can be quiet");
+    }
+    if entry.options.is_stored() {
+        if matches!(entry.data_type, DataType::Domain) {
+            return Some("a DOMAIN is not stored: its application keeps it");
+        }
+        if matches!(entry.access, Access::Const) {
+            return Some("a constant is not stored");
+        }
+    }
+    let mut is_part = false;
+    if let Some(before) = before {
+        if before.index == entry.index && before.sub_index == entry.sub_index {
+            return Some("it is declared twice");
+        }
+        if before.index > entry.index
+            || before.index == entry.index && before.sub_index > entry.sub_index
+        {
+            return Some("objects must be sorted by index and sub-index");
+        }
+        let is_whole =
+            before.sub_index == 0 && !matches!(before.object, Object::HighestSubIndex(_));
+        is_part = before.index == entry.index && !is_whole;
+    }
+    if entry.sub_index != 0 && !is_part {
+        return Some("an object with sub-indices needs a name");
+    }
+    None
+}
+
+/// Ends the build with what is wrong with an object.
+#[doc(hidden)]
+pub const fn fail(index: u16, sub_index: u8, fault: &str) -> ! {
+    DeclarationError::of_object(index, sub_index).text(fault).raise()
+}
+
+/// The row of a field of the declaration, and the number of its values.
+#[doc(hidden)]
+pub type Row = (Entry, u8);
+
+/// The number of values in these rows.
+#[doc(hidden)]
+pub const fn count(mut rows: &[Row]) -> usize {
+    let mut number = 0;
+    while let [(_, count), others @ ..] = rows {
+        number += *count as usize;
+        rows = others;
+    }
+    number
+}
+
+/// The number of the first value of each field, of these numbers of values.
+#[doc(hidden)]
+pub const fn firsts<const N: usize>(counts: [u8; N]) -> [u8; N] {
+    let mut firsts = [0; N];
+    let mut at = 1;
+    while at < N {
+        firsts[at] = counts[at - 1].wrapping_add(firsts[at - 1]);
+        at += 1;
+    }
+    firsts
+}
+
+/// The table of these rows: an entry for each value, numbered, and the highest sub-index of each object that has one.
+#[doc(hidden)]
+pub const fn table<const N: usize>(mut rows: &[Row]) -> [Entry; N] {
+    let none = row(0, 0, DataType::Unsigned8, Access::Const, Object::HighestSubIndex(0));
+    let mut table = [none; N];
+    let (mut at, mut whole, mut number) = (0, 0, 0_u8);
+    while let [(first, count), others @ ..] = rows {
+        let mut position = 0;
+        while position < *count {
+            let mut entry = *first;
+            entry.sub_index += position;
+            if let Object::Application(place) = &mut entry.object {
+                *place = number;
+                number = number.wrapping_add(1);
+            } else {
+                whole = at;
+            }
+            table[at] = entry;
+            if let Object::HighestSubIndex(highest) = &mut table[whole].object
+                && table[whole].index == entry.index
+            {
+                *highest = entry.sub_index;
+            }
+            position += 1;
+            at += 1;
+        }
+        rows = others;
+    }
+    table
+}
+
+/// Checks that a field has a value for each of its sub-indices: one, or the first and the last.
+#[doc(hidden)]
+pub const fn check_count(index: u16, sub_indices: &[u8], count: u8) {
+    let (first, last) = match *sub_indices {
+        [first] => (first, first),
+        [first, last, ..] => (first, last),
+        [] => return,
+    };
+    if last < first || last - first + 1 != count {
+        fail(
+            index,
+            first,
+            "an array has a value for each of its sub-indices, such as 1..=4 and [f32; 4]",
+        );
+    }
+}
+
+/// The largest of these capacities, and at least that for the longest number, in bytes.
+#[doc(hidden)]
+pub const fn longest(capacities: &[usize]) -> usize {
+    let mut longest = 8;
+    let mut at = 0;
+    while at < capacities.len() {
+        if capacities[at] > longest {
+            longest = capacities[at];
+        }
+        at += 1;
+    }
+    longest
+}
+
+/// Declares the objects of a product: a struct whose fields are the values, and its
+/// [`Dictionary`](crate::application::Dictionary).
+///
+/// A variable has one value with sub-index 0. An object with a name has values with sub-indices from 1; sub-index 0,
+/// the highest sub-index, is added. A value is declared by its sub-index, its name in the EDS, its field, its type and
+/// default, its access (`constant`, `ro`, `rw`, `wo`), optional limits of a number, and options: `mappable` into a PDO,
+/// `quiet` if a change of a mapped value alone shall not send an event-driven TPDO, `stored` by 1010h. The limits are a
+/// range of numbers or constants.
+///
+/// An array has a value for each of its sub-indices, with the same access, limits and options. In the EDS their names
+/// are numbered from 1; `Value` has a place in the array beside each of them:
+///
+/// ```
+/// use canopen_node::{Application, objects, sdo::Abort};
+///
+/// const HIGHEST_GAIN: f32 = 2.0;
+///
+/// objects! {
+///     /// The objects of a scale with four cells.
+///     pub struct Scale, values ScaleValue;
+///
+///     0x2100 "Gains" {
+///         1..=4 "Gain" gains: [f32; 4] = [1.0; 4], rw in 0.5..=HIGHEST_GAIN, stored;
+///     }
+/// }
+///
+/// impl Application for Scale {
+///     fn accept(&mut self, value: &ScaleValue) -> Result<(), Abort> {
+///         match *value {
+///             ScaleValue::gains((0, gain)) if gain != 1.0 => Err(Abort::InvalidValue), // Cell 1 is the reference.
+///             _ => Ok(()),
+///         }
+///     }
+/// }
+///
+/// assert_eq!(Scale::new().gains[3], 1.0);
+/// ```
+///
+/// | type | of CiA 301 |
+/// |---|---|
+/// | `bool` | BOOLEAN |
+/// | `i8`, `i16`, `i32`, `i64`, `u8`, `u16`, `u32`, `u64` | INTEGER8 to INTEGER64, UNSIGNED8 to UNSIGNED64 |
+/// | [`Integer24`] to [`Integer56`], [`Unsigned24`] to [`Unsigned56`] | the same; fields of 32 or 64 bits hold them |
+/// | `f32`, `f64` | REAL32, REAL64 |
+/// | `&'static str`, [`Text`] | VISIBLE_STRING |
+/// | [`OctetString`] | OCTET_STRING |
+/// | [`Domain`] | DOMAIN |
+///
+/// [`Integer24`]: crate::application::Integer24
+/// [`Integer56`]: crate::application::Integer56
+/// [`Unsigned24`]: crate::application::Unsigned24
+/// [`Unsigned56`]: crate::application::Unsigned56
+/// [`Text`]: crate::application::Text
+/// [`OctetString`]: crate::application::OctetString
+/// [`Domain`]: crate::application::Domain
+///
+/// # What does not compile
+/// Each of these declarations is wrong in one place; its twin differs from it in that place only.
+///
+/// An object that occurs twice:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; }
+/// 0x2100 { 0 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; }
+/// 0x2101 { 0 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A sub-index that occurs twice:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// Objects that are not sorted:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2101 { 0 "Speed" speed: u16 = 0, rw; }
+/// 0x2100 { 0 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2101 { 0 "Speed" speed: u16 = 0, rw; }
+/// 0x2102 { 0 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// An index of the node (2000h and below) or of nobody (above 9FFFh):
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2000 { 0 "Speed" speed: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2001 { 0 "Speed" speed: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A sub-index beside 0 of an object without a name:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 1 "Speed" speed: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A value with sub-index 0 and another beside it:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
+/// # }
+/// ```
+///
+/// A default out of its limits:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 101, rw in 0..=100; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: u16 = 100, rw in 0..=100; }
+/// # }
+/// ```
+///
+/// An array with another number of sub-indices:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 "Speeds" { 1..=3 "Speed" speeds: [u16; 2] = [0; 2], rw; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0; 2], rw; }
+/// # }
+/// ```
+///
+/// A default of an array out of its limits:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0, 101], rw in 0..=100; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0, 100], rw in 0..=100; }
+/// # }
+/// ```
+///
+/// A limit out of the range of the type:
+/// ```compile_fail,E0080
+/// # use canopen_node::application::Unsigned24;
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: Unsigned24 = 0, rw in 0..=16_777_216; }
+/// # }
+/// ```
+/// ```
+/// # use canopen_node::application::Unsigned24;
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Speed" speed: Unsigned24 = 0, rw in 0..=16_777_215; }
+/// # }
+/// ```
+///
+/// A text that is mapped into a PDO:
+/// ```compile_fail,E0080
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Label" label: &'static str = "", ro, mappable; }
+/// # }
+/// ```
+/// ```
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Label" label: &'static str = "", ro; }
+/// # }
+/// ```
+///
+/// A stored domain:
+/// ```compile_fail,E0080
+/// # use canopen_node::application::Domain;
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Log" log: Domain = Domain, ro, stored; }
+/// # }
+/// ```
+/// ```
+/// # use canopen_node::application::Domain;
+/// # canopen_node::objects! { struct Objects, values Value;
+/// 0x2100 { 0 "Log" log: Domain = Domain, ro; }
+/// # }
+/// ```
+#[macro_export]
+macro_rules! objects {
+    (
+        $(#[$attribute:meta])*
+        $visibility:vis struct $name:ident, values $value:ident;
+        $($index:literal $($object:literal)? {
+            $(
+                $sub_index:literal $(..= $last:literal)? $text:literal
+                $field:ident: $type:ty = $default:expr, $access:ident
+                $(in $limits:expr)? $(, $option:ident)* ;
+            )+
+        })*
+    ) => {
+        $(#[$attribute])*
+        #[derive(Clone, Copy, Debug)]
+        $visibility struct $name {
+            $($(
+                #[doc = $text]
+                pub $field: <$type as $crate::application::FieldType>::Field,
+            )+)*
+        }
+
+        /// A value for one of the objects.
+        #[allow(non_camel_case_types, reason = "the variants have the names of the fields")]
+        #[derive(Clone, Copy, Debug)]
+        $visibility enum $value {
+            $($(
+                #[doc = $text]
+                $field(<$type as $crate::application::FieldType>::Written),
+            )+)*
+        }
+
+        impl $name {
+            /// The objects with their defaults.
+            pub const fn new() -> Self {
+                Self { $($($field: $default,)+)* }
+            }
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self::new()
+            }
+        }
+
+        const _: () = {
+            use $crate::{application, emergency, object_dictionary, sdo, settings::parameters};
+
+            #[allow(non_camel_case_types)]
+            enum Field { $($($field,)+)* }
+
+            const FIRSTS: [u8; <[Field]>::len(&[$($(Field::$field,)+)*])] =
+                application::firsts([$($(<$type as application::FieldType>::COUNT,)+)*]);
+
+            /// The place of a value in its field, if it is in the field.
+            fn position<T: application::FieldType>(field: Field, value: u8) -> Option<u8> {
+                let position = value.wrapping_sub(FIRSTS[field as usize]);
+                (position < T::COUNT).then_some(position)
+            }
+
+            const ROWS: &[application::Row] = &[$(
+                $($crate::objects!(@highest $index $object),)?
+                $((
+                    object_dictionary::Entry {
+                        index: $index,
+                        sub_index: $sub_index,
+                        data_type: <application::ValueOf<$type> as application::ValueType>::DATA_TYPE,
+                        access: $crate::objects!(@access $access),
+                        options: object_dictionary::Options::NONE$(.$option())*,
+                        object: object_dictionary::Object::Application(0),
+                    },
+                    <$type as application::FieldType>::COUNT,
+                ),)+
+            )*];
+
+            #[allow(unused_variables, reason = "there may be no object yet")]
+            impl application::Dictionary for $name {
+                type Value = $value;
+                type SdoBuffer = [u8; application::longest(&[
+                    $($(<application::ValueOf<$type> as application::ValueType>::CAPACITY,)+)*
+                ])];
+                type ErrorPlaces = $crate::objects!(@errors $($index)*);
+
+                const OBJECTS: &'static [object_dictionary::Entry] =
+                    &application::table::<{ application::count(ROWS) }>(ROWS);
+
+                fn descriptions() -> impl Iterator<Item = object_dictionary::Description> {
+                    [$(
+                        $((1, object_dictionary::Description {
+                            object: Some($object.into()),
+                            name: "Highest sub-index supported".into(),
+                            default: object_dictionary::DefaultValue::Varies,
+                            limits: None,
+                        }),)?
+                        $((<$type as application::FieldType>::COUNT, object_dictionary::Description {
+                            object: None,
+                            name: $text.into(),
+                            default: object_dictionary::DefaultValue::OfApplication,
+                            limits: $crate::objects!(@limits $type $(, $limits)?),
+                        }),)+
+                    )*]
+                    .into_iter()
+                    // With its type, since there may be no object yet.
+                    .flat_map(|(count, description): (u8, object_dictionary::Description)| description.of_each(count))
+                }
+
+                const STORED_LEN: usize = {
+                    const fn len<T: application::FieldType>(options: object_dictionary::Options) -> usize {
+                        let len = parameters::HEADER + <T::Value as application::ValueType>::CAPACITY;
+                        if options.is_stored() { len * T::COUNT as usize } else { 0 }
+                    }
+                    0 $($( + len::<$type>(object_dictionary::Options::NONE$(.$option())*))+)*
+                };
+
+                fn len(&self, field: u8) -> usize {
+                    $($(if let Some(at) = position::<$type>(Field::$field, field) {
+                        return application::len::<$type>(&self.$field, at);
+                    })+)*
+                    0
+                }
+
+                fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize {
+                    $($(if let Some(at) = position::<$type>(Field::$field, field) {
+                        return application::read::<$type>(&self.$field, at, offset, to);
+                    })+)*
+                    0
+                }
+
+                fn parse(field: u8, bytes: &[u8]) -> Result<$value, sdo::Abort> {
+                    $($(if let Some(at) = position::<$type>(Field::$field, field) {
+                        let value = <application::ValueOf<$type> as application::ValueType>::parse(bytes)?;
+                        $(application::check_limits(&value, &($limits))?;)?
+                        return Ok($value::$field(<$type as application::FieldType>::written(at, value)));
+                    })+)*
+                    Err(sdo::Abort::NoObject)
+                }
+
+                fn set(&mut self, value: $value) {
+                    match value {
+                        $($($value::$field(value) => {
+                            <$type as application::FieldType>::set(&mut self.$field, value);
+                        })+)*
+                    }
+                }
+            }
+
+            application::check(<$name as application::Dictionary>::OBJECTS);
+            $($(
+                application::check_count(
+                    $index,
+                    &[$sub_index $(, $last)?],
+                    <$type as application::FieldType>::COUNT,
+                );
+                #[allow(unused_variables, reason = "there may be no limits")]
+                let defaults: &[application::Plain<$type>] =
+                    &$crate::objects!(@defaults $default $(, $last)?);
+                $(
+                    let limits: core::ops::RangeInclusive<application::Plain<$type>> = $limits;
+                    let (low, high) = (*limits.start(), *limits.end());
+                    let mut at = 0;
+                    while at < defaults.len() {
+                        if !(low <= defaults[at] && defaults[at] <= high) {
+                            application::fail($index, $sub_index + at as u8, "its default is out of its limits");
+                        }
+                        at += 1;
+                    }
+                    if !<application::ValueOf<$type> as application::ValueType>::DATA_TYPE.reaches(low as i128, high as i128) {
+                        application::fail($index, $sub_index, "a limit is out of the range of its type");
+                    }
+                )?
+            )+)*
+        };
+    };
+    (@defaults $value:expr) => { [$value] };
+    (@defaults $array:expr, $last:literal) => { $array };
+    (@errors) => { [emergency::Report; 0] };
+    (@errors $($index:literal)+) => { [emergency::Report; 8] };
+    (@highest $index:literal $object:literal) => {
+        (
+            object_dictionary::Entry {
+                index: $index,
+                sub_index: 0,
+                data_type: object_dictionary::DataType::Unsigned8,
+                access: object_dictionary::Access::Const,
+                options: object_dictionary::Options::NONE,
+                object: object_dictionary::Object::HighestSubIndex(0),
+            },
+            1,
+        )
+    };
+    (@access constant) => { object_dictionary::Access::Const };
+    (@access ro) => { object_dictionary::Access::ReadOnly };
+    (@access rw) => { object_dictionary::Access::ReadWrite };
+    (@access wo) => { object_dictionary::Access::WriteOnly };
+    (@limits $type:ty) => { None };
+    (@limits $type:ty, $limits:expr) => {{
+        let limits: core::ops::RangeInclusive<application::Plain<$type>> = $limits;
+        Some(((*limits.start()).into(), (*limits.end()).into()))
+    }};
+}

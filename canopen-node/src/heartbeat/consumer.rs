@@ -1,0 +1,277 @@
+//! The heartbeat consumer (CiA 301, 7.2.8.3.2): 1016h.
+
+use core::mem;
+
+use crate::{
+    Frame, Instant, NodeId,
+    application::Event,
+    emergency::{COMMUNICATION, Reporter},
+    nmt,
+    object_dictionary::{
+        Access::{Const, ReadWrite},
+        DataType::{Unsigned8, Unsigned32},
+        DefaultValue, Description, Entry, Object, row,
+    },
+    sdo::Abort,
+    settings::parameters::{HEADER, Packer, Parameter},
+};
+
+/// The most heartbeat producers that a node watches.
+pub const MAX_PRODUCERS: usize = 16;
+/// Consumer heartbeat time.
+pub(crate) const INDEX: u16 = 0x1016;
+
+/// Error code of a heartbeat that is missing (CiA 301, table 26).
+const LOST: u16 = 0x8130;
+
+/// The heartbeat consumer of a node, which watches up to `PRODUCERS` others.
+#[derive(Clone, Debug)]
+pub(crate) struct Consumer<const PRODUCERS: usize> {
+    producers: Producers<PRODUCERS>,
+    watches: [Watch; PRODUCERS],
+}
+
+/// The entries of 1016h.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Producers<const PRODUCERS: usize>([Producer; PRODUCERS]);
+
+impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
+    const ALL_ROWS: [Entry; MAX_PRODUCERS + 1] = {
+        let highest = Object::HighestSubIndex(PRODUCERS as u8);
+        let mut rows = [row(INDEX, 0, Unsigned8, Const, highest); MAX_PRODUCERS + 1];
+        let mut at = 1;
+        while at <= MAX_PRODUCERS {
+            let object = Object::ConsumerHeartbeatTime(at as u8);
+            rows[at] = row(INDEX, at as u8, Unsigned32, ReadWrite, object);
+            at += 1;
+        }
+        rows
+    };
+    /// The rows of 1016h in the object dictionary.
+    pub const ROWS: &'static [Entry] =
+        if PRODUCERS > 0 { Self::ALL_ROWS.split_at(PRODUCERS + 1).0 } else { &[] };
+
+    /// A consumer that watches nobody.
+    pub const fn new() -> Self {
+        const { assert!(PRODUCERS <= MAX_PRODUCERS, "a node watches at most 16 heartbeat producers") };
+        Self { producers: Producers::UNUSED, watches: [Watch::Waiting; PRODUCERS] }
+    }
+
+    /// The entries in use.
+    pub const fn producers(&self) -> &Producers<PRODUCERS> {
+        &self.producers
+    }
+
+    /// Restarts as after power-on, with these entries.
+    pub fn reset(&mut self, persistent: &Producers<PRODUCERS>) {
+        self.producers = *persistent;
+        self.watches.fill(Watch::Waiting);
+    }
+
+    /// The COB-ID of the heartbeat of an entry, if it is watched.
+    pub fn cob_id(&self, at: usize) -> Option<u16> {
+        self.producers.0.get(at)?.cob_id()
+    }
+
+    /// Grants all producers a new period, since nobody has sent heartbeats during a switch of the bit rate.
+    pub fn restart(&mut self, now: Instant) {
+        for (watch, producer) in self.watches.iter_mut().zip(&self.producers.0) {
+            watch.restart(producer, now);
+        }
+    }
+
+    /// Handles a frame that may be a heartbeat; passes the boot-ups of producers to `handle`.
+    pub fn handle_frame(&mut self, frame: &Frame, now: Instant, mut handle: impl FnMut(Event)) {
+        for (watch, producer) in self.watches.iter_mut().zip(&self.producers.0) {
+            if let Some(event) = watch.handle(producer, frame, now) {
+                handle(event);
+            }
+        }
+    }
+
+    /// The next producer whose heartbeat is missing at `now`.
+    pub fn next_lost(&mut self, errors: &mut Reporter<'_>, now: Instant) -> Option<NodeId> {
+        let at = self.watches.iter_mut().position(|watch| watch.poll(now))?;
+        let lost = self.producers.0.get(at)?.node()?;
+        errors.report(LOST, COMMUNICATION, [lost.get(), 0, 0, 0, 0]);
+        Some(lost)
+    }
+
+    /// Ends the error of a missing heartbeat, if none is missing.
+    pub fn end_errors(&self, errors: &mut Reporter<'_>) {
+        if !self.watches.iter().any(Watch::is_lost) {
+            errors.end(LOST);
+        }
+    }
+
+    /// The time at which [`next_lost`](Self::next_lost) has something to do.
+    pub fn poll_at(&self) -> Option<Instant> {
+        self.watches.iter().filter_map(Watch::poll_at).reduce(Instant::earlier)
+    }
+
+    /// The value of a sub-index of 1016h.
+    ///
+    /// # Errors
+    /// [`Abort::NoObject`] for sub-index 0 and behind the last entry.
+    pub fn read(&self, sub_index: u8) -> Result<u32, Abort> {
+        let at = usize::from(sub_index.wrapping_sub(1));
+        self.producers.0.get(at).map(Producer::value).ok_or(Abort::NoObject)
+    }
+
+    /// Sets a sub-index of 1016h.
+    ///
+    /// # Errors
+    /// Those of [`Producers::set`].
+    pub fn write(&mut self, sub_index: u8, value: u32) -> Result<(), Abort> {
+        let at = usize::from(sub_index.wrapping_sub(1));
+        self.producers.set(at, value)?;
+        if let Some(watch) = self.watches.get_mut(at) {
+            *watch = Watch::Waiting;
+        }
+        Ok(())
+    }
+}
+
+impl<const PRODUCERS: usize> Producers<PRODUCERS> {
+    pub const UNUSED: Self = Self([Producer::UNUSED; PRODUCERS]);
+    /// The greatest number of bytes that the stored entries take.
+    pub const STORED_LEN: usize = PRODUCERS * (HEADER + 4);
+
+    /// Packs the entries in use: one that is not stored is 0.
+    pub fn save(&self, to: &mut Packer<'_>) {
+        let used = (1..).zip(&self.0).filter(|(_, producer)| producer.value() != 0);
+        for (sub_index, producer) in used {
+            let value = &producer.value().to_le_bytes();
+            to.put(&Parameter { index: INDEX, sub_index, data_type: Unsigned32 as u8, value });
+        }
+    }
+
+    /// Takes a stored parameter, if it is an entry and is legal.
+    pub fn take(&mut self, parameter: &Parameter<'_>) -> Option<()> {
+        const U32: u8 = Unsigned32 as u8;
+        match (parameter.index, parameter.sub_index, parameter.data_type) {
+            (INDEX, sub_index @ 1.., U32) => {
+                let value = parameter.value.try_into().ok().map(u32::from_le_bytes)?;
+                self.set(usize::from(sub_index).wrapping_sub(1), value).ok()
+            }
+            _ => None,
+        }
+    }
+
+    /// Sets the entry with number `at`.
+    ///
+    /// # Errors
+    /// [`Abort::Incompatible`] if another entry watches the same node, [`Abort::InvalidValue`] for a reserved bit.
+    fn set(&mut self, at: usize, value: u32) -> Result<(), Abort> {
+        if value >> 24 != 0 {
+            return Err(Abort::InvalidValue);
+        }
+        let wanted = Producer { node: (value >> 16) as u8, time_ms: value as u16 };
+        let place = self.0.get_mut(at).ok_or(Abort::NoSubIndex)?;
+        let before = mem::replace(place, wanted);
+        let mut same = self.0.iter().filter(|other| other.node() == wanted.node());
+        if wanted.node().is_some() && same.nth(1).is_some() {
+            if let Some(place) = self.0.get_mut(at) {
+                *place = before;
+            }
+            return Err(Abort::Incompatible);
+        }
+        Ok(())
+    }
+}
+
+/// The description of a row of 1016h.
+pub(crate) fn describe(entry: &Entry, default: DefaultValue) -> Description {
+    const NAME: &str = "Consumer heartbeat time";
+    match entry.sub_index {
+        0 => {
+            let name = "Highest sub-index supported".into();
+            Description { object: Some(NAME.into()), name, default, limits: None }
+        }
+        _ => Description { object: None, name: NAME.into(), default, limits: None },
+    }
+}
+
+/// An entry of 1016h.
+#[derive(Clone, Copy, Debug)]
+struct Producer {
+    node: u8,
+    time_ms: u16,
+}
+
+/// The knowledge of the node of an entry.
+#[derive(Clone, Copy, Debug)]
+enum Watch {
+    /// Nothing was received yet.
+    Waiting,
+    Alive {
+        until: Instant,
+    },
+    Lost,
+}
+
+impl Watch {
+    /// Handles a frame, which may be the producer's heartbeat. A boot-up is the first one (CiA 301, 7.2.8.2.2.2).
+    pub fn handle(&mut self, producer: &Producer, frame: &Frame, now: Instant) -> Option<Event> {
+        let &[state] = frame.data() else {
+            return None;
+        };
+        let node = producer.node()?;
+        if producer.cob_id() != Some(frame.cob_id()) {
+            return None;
+        }
+        *self = producer.is_at(now);
+        (state == nmt::State::Initialisation as u8).then_some(Event::BootUp(node))
+    }
+
+    /// Whether the heartbeat begins to be missing at `now`.
+    pub fn poll(&mut self, now: Instant) -> bool {
+        let is_missing = self.poll_at().is_some_and(|end| end.has_come(now));
+        if is_missing {
+            *self = Self::Lost;
+        }
+        is_missing
+    }
+
+    /// The time at which a heartbeat is missing.
+    pub const fn poll_at(&self) -> Option<Instant> {
+        match *self {
+            Self::Alive { until } => Some(until),
+            Self::Waiting | Self::Lost => None,
+        }
+    }
+
+    /// Grants a new period.
+    pub const fn restart(&mut self, producer: &Producer, now: Instant) {
+        if let Self::Alive { .. } = self {
+            *self = producer.is_at(now);
+        }
+    }
+
+    pub const fn is_lost(&self) -> bool {
+        matches!(self, Self::Lost)
+    }
+}
+
+impl Producer {
+    pub const UNUSED: Self = Self { node: 0, time_ms: 0 };
+
+    /// The node that is watched. An entry without a time or with another node-ID is not used.
+    pub fn node(&self) -> Option<NodeId> {
+        NodeId::new(self.node).filter(|_| self.time_ms != 0)
+    }
+
+    /// The COB-ID of the heartbeat, if one is expected.
+    pub fn cob_id(&self) -> Option<u16> {
+        self.node().map(|node| nmt::ERROR_CONTROL_COB_ID + u16::from(node.get()))
+    }
+
+    const fn is_at(&self, now: Instant) -> Watch {
+        Watch::Alive { until: now.plus_micros(self.time_ms as u32 * 1000) }
+    }
+
+    /// The value of the entry.
+    pub fn value(&self) -> u32 {
+        u32::from(self.node) << 16 | u32::from(self.time_ms)
+    }
+}

@@ -1,0 +1,723 @@
+//! The node, which joins LSS, bit rate control, NMT, SDO, emergency, storing and process data. Inputs are `handle_*`
+//! and `poll`; outputs are actions.
+
+mod action;
+mod agenda;
+mod communication;
+mod objects;
+mod periodic;
+mod process;
+mod product;
+mod receives;
+mod storing;
+
+use core::array;
+
+use crate::{
+    BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
+    application::{Application, NoApplication},
+    bit_rate::{self, Step},
+    emergency::{self, Emergency, ErrorCounters, Fault},
+    lss::{self, Reaction, Response, Slave, StoreError},
+    nmt::{self, Command, slave::NmtSlave},
+    object_dictionary::{self, DefaultValue, Description, Entry, Object},
+    sdo::{self, Message},
+    settings::parameters::{Packer, Parameter},
+};
+pub use action::Action;
+use agenda::{Agenda, Task, Tasks};
+use communication::Communication;
+use objects::NodeObjects;
+use periodic::{Periodic, Sender};
+use product::Product;
+pub use receives::Receives;
+use storing::{Area, Change, Storing};
+
+/// A CANopen node that an LSS master can configure.
+///
+/// These calls drive it:
+/// - [`restore`](Self::restore) with each stored parameter, before all others, if it has an application;
+/// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
+/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the controller's other
+///   events;
+/// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
+/// - [`handle_fault`](Self::handle_fault) with a fault of the board;
+/// - [`poll`](Self::poll) at the start, after each of the others, and at [`poll_at`](Self::poll_at), repeatedly until
+///   it returns `None`. Actions that are due come before the next received frame. [`is_due`](Self::is_due) is a cheap
+///   check that saves an unnecessary call.
+///
+/// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives the node's COB-IDs. A
+/// late or unnecessary call does no harm.
+///
+/// The application `A` is that of a product. `TPDOS` and `RPDOS` are its numbers of PDOs, each 0 to 16; `PRODUCERS` is
+/// the number of nodes whose heartbeat can be watched, 0 to 16.
+#[derive(Clone, Debug)]
+pub struct Node<
+    A: Application = NoApplication,
+    const TPDOS: usize = 0,
+    const RPDOS: usize = 0,
+    const PRODUCERS: usize = 0,
+> {
+    lss: Slave,
+    bit_rate: bit_rate::Control,
+    nmt: NmtSlave,
+    emergency: Emergency<A::ErrorPlaces>,
+    sdo: sdo::Server<A::SdoBuffer>,
+    storing: Storing,
+    product: Product<A, TPDOS, RPDOS, PRODUCERS>,
+    agenda: Agenda,
+    periodic: Periodic,
+}
+
+impl Node {
+    /// A node after power-on, with the stored settings or the device's defaults.
+    pub const fn new(device: Device, stored: Option<Settings>) -> Self {
+        Self::with_application(device, stored, NoApplication)
+    }
+}
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Node<A, TPDOS, RPDOS, PRODUCERS>
+{
+    /// The greatest number of bytes that the stored parameters take.
+    pub const STORED_LEN: usize =
+        A::STORED_LEN + Communication::<TPDOS, RPDOS, PRODUCERS>::stored_len::<A>();
+
+    /// A node after power-on, as [`new`](Node::new) makes it, with an application.
+    pub const fn with_application(
+        device: Device,
+        stored: Option<Settings>,
+        application: A,
+    ) -> Self {
+        let persistent = match stored {
+            Some(settings) => settings,
+            None => device.defaults,
+        };
+        let bit_rate = device.bit_rates.or_automatic(persistent.bit_rate);
+        let mut bit_rate_control = bit_rate::Control::new(bit_rate, device.bit_rates);
+        if device.rescue {
+            bit_rate_control = bit_rate_control.with_rescue(device.address.serial_number);
+        }
+        Self {
+            lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
+            product: Product::new(device, application, bit_rate_control.in_use()),
+            bit_rate: bit_rate_control,
+            nmt: NmtSlave::new(persistent.heartbeat_ms),
+            emergency: Emergency::new(),
+            sdo: sdo::Server::NEW,
+            storing: Storing::new(persistent),
+            agenda: Agenda::new(),
+            periodic: Periodic::Free,
+        }
+    }
+
+    /// The application of the node.
+    pub const fn application(&self) -> &A {
+        &self.product.application
+    }
+
+    /// The application of the node, to be changed. [`poll`](Self::poll) must follow.
+    pub const fn application_mut(&mut self) -> &mut A {
+        self.note_values();
+        &mut self.product.application
+    }
+
+    /// Sends the TPDO with this number, from 1, though no value has changed: at once, or after its inhibit time if it is
+    /// event-driven; at the next SYNC if its transmission type is 0. One of another type, one that is not valid, and any
+    /// outside of NMT operational stay as they are. [`poll`](Self::poll) must follow.
+    pub fn send_tpdo(&mut self, number: u8) {
+        if TPDOS > 0 {
+            self.product.communication.pdos.request(number);
+            self.agenda.add(Tasks::of(&[Task::Pdos]));
+        }
+    }
+
+    /// Whether frames of the node wait until those before them have left, as in an SDO block upload or after a heartbeat.
+    /// The next of them follow [`BusEvent::NonePending`].
+    pub fn wants_to_send_more(&self) -> bool {
+        self.sdo.is_sending_block() || self.periodic.is_waiting()
+    }
+
+    /// The LSS slave of the node.
+    pub const fn lss(&self) -> &Slave {
+        &self.lss
+    }
+
+    /// The NMT state.
+    pub const fn nmt_state(&self) -> nmt::State {
+        self.nmt.state()
+    }
+
+    /// The active node-ID.
+    pub const fn node_id(&self) -> Option<NodeId> {
+        self.lss.active_node_id()
+    }
+
+    /// The bit rate at which the controller runs or listens.
+    pub const fn bit_rate(&self) -> BitRate {
+        self.bit_rate.in_use()
+    }
+
+    /// The active bit rate (CiA 305): the rate stored at power-on, activated since, or found by the supervision.
+    /// Automatic detection stays active after it has found a rate.
+    pub const fn active_bit_rate(&self) -> BitRateSetting {
+        self.bit_rate.active()
+    }
+
+    /// Whether the node only listens, in search of the bit rate.
+    pub const fn is_listening(&self) -> bool {
+        self.bit_rate.is_listening()
+    }
+
+    /// The frames that the node uses; it ignores all others. They change with [`Action::SetNodeId`],
+    /// [`Action::SetReceives`], [`Action::SetBitRate`] and [`Action::Listen`].
+    #[inline(never)] // It has two callers.
+    pub fn receives(&self) -> Receives<RPDOS, PRODUCERS> {
+        const UNUSED: u16 = lss::REQUEST_COB_ID;
+        let node = self.node_id();
+        // Without a node-ID only LSS and NMT are received.
+        let sdo = self.sdo_request_cob_id().unwrap_or(UNUSED);
+        let sync = self.product.communication.pdos.sync_cob_id().unwrap_or(UNUSED);
+        Receives {
+            all: self.bit_rate.needs_all_frames(),
+            services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
+            rpdos: array::from_fn(|at| {
+                self.product.communication.pdos.rpdo_cob_id(at, node).unwrap_or(UNUSED)
+            }),
+            heartbeats: array::from_fn(|at| {
+                self.product.communication.consumer.cob_id(at).unwrap_or(UNUSED)
+            }),
+        }
+    }
+
+    /// Whether a frame of this COB-ID that the node has sent is a PDO.
+    pub fn is_pdo(&self, cob_id: u16) -> bool {
+        let services = [emergency::COB_ID, sdo::RESPONSE_COB_ID, nmt::ERROR_CONTROL_COB_ID];
+        let is_of =
+            |base: u16| self.node_id().is_some_and(|node| cob_id == base + u16::from(node.get()));
+        TPDOS > 0 && cob_id != lss::RESPONSE_COB_ID && !services.into_iter().any(is_of)
+    }
+
+    /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
+    /// returns all other actions.
+    #[must_use = "an action that is not carried out is lost"]
+    pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
+        // A copy, so that a settled node has the frame in registers.
+        if !self.bit_rate.is_settled() && !self.admit(&{ *frame }, now) {
+            return None;
+        }
+        if frame.cob_id() == lss::REQUEST_COB_ID {
+            return self.handle_lss(frame.eight_bytes()?, now);
+        }
+        self.handle_other(frame, now);
+        None
+    }
+
+    /// Passes a frame to the bit rate control, and returns whether it is served.
+    #[inline(never)] // A settled node does not call it.
+    fn admit(&mut self, frame: &Frame, now: Instant) -> bool {
+        self.agenda.add(Tasks::of(&[Task::BitRate]));
+        let is_served = self.bit_rate.handle_frame(frame, now);
+        is_served && (!self.bit_rate.is_switching() || frame.cob_id() != lss::REQUEST_COB_ID)
+    }
+
+    fn handle_other(&mut self, frame: &Frame, now: Instant) {
+        let cob_id = frame.cob_id();
+        if cob_id == nmt::COMMAND_COB_ID {
+            if let Some(command) = Command::from_frame(frame, self.node_id()) {
+                self.nmt.handle(command);
+                self.agenda.add(Tasks::of(&[Task::Command]));
+            }
+        } else if Some(cob_id) == self.sdo_request_cob_id() {
+            if let Some(request) = frame.eight_bytes() {
+                self.sdo.handle(Message::from_bytes(*request), self.serves_sdo());
+                self.agenda.add(Tasks::of(&[Task::Sdo]));
+            }
+        } else {
+            self.handle_process_data(frame, now);
+        }
+    }
+
+    /// Records a fault of the board, such as [`Fault::SettingsLost`], in the history 1003h and queues an emergency
+    /// message.
+    pub fn handle_fault(&mut self, fault: Fault) {
+        self.emergency.faults.report(fault);
+        self.agenda.add(Tasks::of(&[Task::Messages]));
+    }
+
+    /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
+    /// [`BusEvent::BusOffRecovered`] is counted.
+    pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
+        if self.bit_rate.is_settled() {
+            if event != BusEvent::Acknowledged || self.awaits_acknowledge() {
+                self.handle_event(event, now);
+            }
+            return;
+        }
+        self.handle_event(event, now);
+        self.agenda.add(Tasks::of(&[Task::BitRate]));
+        match event {
+            BusEvent::ErrorCounters { .. }
+            | BusEvent::NonePending
+            | BusEvent::Overrun
+            | BusEvent::BusOffRecovered => {}
+            _ => self.bit_rate.handle_bus(event, now),
+        }
+    }
+
+    fn awaits_acknowledge(&self) -> bool {
+        self.nmt.awaits_acknowledge() || self.emergency.awaits_acknowledge()
+    }
+
+    /// Handles an event for all but the bit rate.
+    #[inline(never)] // It has two callers.
+    fn handle_event(&mut self, event: BusEvent, now: Instant) {
+        let tasks: &[Task] = match event {
+            BusEvent::ErrorCounters { transmit, receive } => {
+                let counters = ErrorCounters { transmit, receive };
+                self.emergency.faults.handle_error_counters(counters, self.bit_rate.is_listening());
+                &[Task::Messages]
+            }
+            BusEvent::NonePending => {
+                self.sdo.note_sent();
+                if self.periodic.note_none_pending(now) == Some(Sender::Heartbeat) {
+                    self.nmt.skip_heartbeats(now);
+                }
+                &[Task::Sdo, Task::Messages, Task::Pdos]
+            }
+            BusEvent::Overrun => {
+                self.emergency.faults.report(Fault::Overrun);
+                &[Task::Messages]
+            }
+            BusEvent::BusOffRecovered => {
+                self.emergency.faults.report(Fault::BusOffRecovered);
+                &[Task::Messages]
+            }
+            BusEvent::Acknowledged => {
+                self.nmt.note_acknowledge();
+                self.emergency.note_acknowledge();
+                &[Task::Messages]
+            }
+            BusEvent::BusOff => {
+                self.nmt.handle_communication_error();
+                self.lock_lss();
+                &[Task::State]
+            }
+            // They concern only the bit rate.
+            _ => &[],
+        };
+        self.agenda.add(Tasks::of(tasks));
+    }
+
+    /// Reports an error of the application by an emergency message (CiA 301, 7.2.7): its error code, bits of the error
+    /// register 1001h (bit 0 is added) and the manufacturer's bytes. The error stays in the error register until
+    /// [`end_report`](Self::end_report), and in the history 1003h. An error that is reported again is sent again.
+    ///
+    /// Up to eight errors may be present at a time; a further one only enters the history. The error code 0 has no
+    /// effect.
+    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
+        if code != 0 && Self::HAS_APPLICATION {
+            self.emergency.reporter().report(code, register, information);
+            self.agenda.add(Tasks::of(&[Task::Messages]));
+        }
+    }
+
+    /// Ends an error of the application; does nothing if it is not present. A message with error code 0 follows when no
+    /// error is left.
+    pub fn end_report(&mut self, code: u16) {
+        if Self::HAS_APPLICATION {
+            self.emergency.reporter().end(code);
+            self.agenda.add(Tasks::of(&[Task::Messages]));
+        }
+    }
+
+    /// Takes a stored parameter in place of the default, if the node has it with this data type and the value is within
+    /// its limits; returns whether it was taken. [`Application::accept`] is not called. Pass all parameters before the
+    /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
+    pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
+        let is_taken = self.product.restore(parameter);
+        self.nmt.set_error_behaviour(self.product.communication.error_behaviour::<A>());
+        is_taken
+    }
+
+    /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
+    /// `persistent` ones, where the request renews a part by the current values or, for 1011h, leaves it out. The
+    /// buffer must have [`STORED_LEN`](Self::STORED_LEN) bytes.
+    ///
+    /// Call it in one piece with taking the [`Action::Store`], so that all values are of the same time.
+    pub fn write_parameters(&self, persistent: &[u8], to: &mut [u8]) -> usize {
+        let mut packer = Packer::new(to);
+        if Self::STORED_LEN == 0 {
+            return 0;
+        }
+        for part in Area::ALL {
+            match (part.change(self.storing.download()), part) {
+                (Change::Keep, _) => part.keep(persistent, &mut packer),
+                (Change::Remove, _) => {}
+                // The heartbeat time is among the settings.
+                (Change::Renew, Area::Communication) => {
+                    self.product.communication.save::<A>(&mut packer);
+                }
+                (Change::Renew, Area::Application) => {
+                    storing::save(&self.product.application, &mut packer)
+                }
+            }
+        }
+        packer.len()
+    }
+
+    /// Records the outcome of the last [`Action::Store`].
+    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
+        if self.storing.handle_stored(outcome) {
+            self.product.communication.end_store::<A>(outcome.is_ok());
+            if outcome.is_ok() {
+                self.emergency.faults.end(Fault::SettingsLost);
+            }
+            self.agenda.add(Tasks::of(&[Task::Store, Task::Messages]));
+        }
+    }
+
+    /// Whether [`poll`](Self::poll) may have something to do at `now`: a cheap check.
+    pub const fn is_due(&self, now: Instant) -> bool {
+        self.agenda.is_due(now)
+    }
+
+    /// Performs the next step that is due at `now`; returns `None` when nothing is due.
+    #[must_use = "an action that is not carried out is lost"]
+    pub fn poll(&mut self, now: Instant) -> Option<Action> {
+        if !self.is_due(now) {
+            return None;
+        }
+        self.agenda.begin(now);
+        if !self.bit_rate.is_settled() {
+            self.agenda.add(Tasks::of(&[Task::BitRate]));
+        }
+        while let Some(task) = self.agenda.first() {
+            if let Some(action) = self.perform(task, now) {
+                return Some(action);
+            }
+        }
+        self.find_deadlines(now);
+        None
+    }
+
+    /// The latest time of the next [`poll`](Self::poll), if there is no other call before.
+    pub const fn poll_at(&self) -> Option<Instant> {
+        self.agenda.next_deadline()
+    }
+
+    /// The objects of the node in no certain order, with their descriptions, for an EDS or a page of documentation. The
+    /// image does not contain them.
+    pub fn entries(
+        device: &Device,
+    ) -> impl Iterator<Item = (Entry, Description)> + use<A, TPDOS, RPDOS, PRODUCERS> {
+        let own =
+            object_dictionary::TABLE.iter().copied().zip(object_dictionary::descriptions(device));
+        own.map(|(entry, description)| match entry.object {
+            Object::DeviceType => {
+                let default = DefaultValue::Number(A::DEVICE_TYPE);
+                (entry, Description { default, ..description })
+            }
+            _ => (entry, description),
+        })
+        .chain(Communication::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
+        .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
+    }
+
+    /// Performs a step of a task. Without an action the task is over.
+    fn perform(&mut self, task: Task, now: Instant) -> Option<Action> {
+        let action = match task {
+            Task::BitRate => self.next_step(now),
+            Task::State => {
+                // In NMT stopped there are neither SDO transfers nor emergency messages.
+                self.agenda.add(Tasks::SENDING);
+                self.inform()
+            }
+            Task::Command => self.nmt.take_command().and_then(|command| self.carry_out(command)),
+            Task::Producers => {
+                self.watch_producers(now);
+                None
+            }
+            Task::Sdo => self.answer_sdo(now),
+            Task::Store => self.store_or_answer(),
+            Task::Messages => self.next_message(now),
+            Task::Pdos => self.next_pdo(now),
+        };
+        match action {
+            None => self.agenda.end(task),
+            Some(Action::Transmit(_)) if !self.bit_rate.is_settled() => {
+                self.bit_rate.note_sent(now)
+            }
+            Some(_) => {}
+        }
+        action
+    }
+
+    /// The next step of a switch or of the supervision. Without one, lets those tasks wait that a later one allows.
+    fn next_step(&mut self, now: Instant) -> Option<Action> {
+        use bit_rate::Next::*;
+        loop {
+            let next = self.bit_rate.poll(now);
+            self.follow_bit_rate();
+            // The NMT state is known.
+            let _ = self.inform();
+            match next {
+                Some(StopTransmitting) => {
+                    self.periodic.note_dropped();
+                    return Some(Action::StopTransmitting);
+                }
+                Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
+                Some(EndSwitch) => {
+                    self.nmt.restart_heartbeat(now);
+                    self.product.communication.consumer.restart(now);
+                }
+                Some(Step(step)) => return Some(self.take_step(step)),
+                Some(ResumeTransmitting) => {
+                    self.nmt.note_resumed();
+                    self.product.communication.pdos.note_resumed();
+                    return Some(Action::ResumeTransmitting);
+                }
+                Some(KeepSilent) => {
+                    self.agenda.hold(Tasks::AFTER_SWITCH);
+                    return None;
+                }
+                Some(Settled) => return Some(Action::SetReceives),
+                None => break,
+            }
+        }
+        let may_send = self.bit_rate.may_send();
+        self.agenda.hold(if may_send { Tasks::NONE } else { Tasks::SENDING });
+        None
+    }
+
+    #[inline(never)] // It has two callers.
+    fn find_deadlines(&mut self, now: Instant) {
+        let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
+        let Self { agenda, bit_rate, nmt, sdo, product, periodic, .. } = self;
+        agenda.find_deadlines(|task| match task {
+            Task::BitRate => bit_rate.poll_at(),
+            Task::Producers => {
+                product.communication.consumer.poll_at().filter(|_| !bit_rate.is_switching())
+            }
+            _ if !may_report => None,
+            Task::Sdo => sdo.poll_at::<NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>>(),
+            Task::Messages => periodic.postpone(nmt.poll_at()?, now),
+            Task::Pdos => product.communication.pdos.poll_at(|due| periodic.postpone(due, now)),
+            Task::State | Task::Command | Task::Store => None,
+        });
+    }
+
+    fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
+        match self.lss.handle(data)? {
+            Reaction::Answer(answer) => {
+                if !self.bit_rate.is_settled() {
+                    self.bit_rate.note_sent(now);
+                }
+                return Some(Action::Transmit(answer));
+            }
+            Reaction::ActivateBitTiming(delay_ms) => {
+                self.bit_rate.switch(delay_ms, now);
+                self.end_sdo();
+                self.agenda.add(Tasks::of(&[Task::BitRate]));
+            }
+            Reaction::StoreConfiguration => {
+                self.storing.request_by_lss();
+                self.agenda.add(Tasks::of(&[Task::Store]));
+            }
+            Reaction::ResetCommunication => {
+                self.nmt.handle(Command::ResetCommunication);
+                self.agenda.add(Tasks::of(&[Task::Command]));
+            }
+        }
+        None
+    }
+
+    fn activate_bit_rate(&mut self, silent_until: Instant) {
+        let setting = self.lss.activate_bit_rate(self.bit_rate.active());
+        self.bit_rate.activate(setting, silent_until);
+        let rate = self.bit_rate();
+        self.emergency.faults.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
+    }
+
+    /// Reports a bit rate that the supervision has found, or a return home.
+    fn follow_bit_rate(&mut self) {
+        let Some(in_use) = self.bit_rate.take_change() else {
+            return;
+        };
+        match self.bit_rate.home() {
+            Some(home) if home != in_use => {
+                self.emergency.faults.report(Fault::AwayFromHomeRate { in_use, home });
+            }
+            _ => self.emergency.faults.end(Fault::AwayFromHomeRate { in_use, home: in_use }),
+        }
+    }
+
+    /// Carries out a step of the supervision, which drops the pending frames.
+    fn take_step(&mut self, step: Step) -> Action {
+        self.end_sdo_transfer();
+        self.emergency.note_dropped();
+        self.nmt.note_dropped();
+        self.periodic.note_dropped();
+        match step {
+            Step::TakePart(rate) => Action::SetBitRate(rate),
+            Step::Listen(rate) => {
+                // It may miss the request to leave the LSS configuration state, and must take none meant for others.
+                if !self.bit_rate.is_detecting() {
+                    self.lss.discard_session();
+                }
+                Action::Listen(rate)
+            }
+            Step::DropFrames => Action::StopTransmitting,
+        }
+    }
+
+    fn carry_out(&mut self, command: Command) -> Option<Action> {
+        let state = match command {
+            Command::ResetNode => return Some(Action::ResetDevice),
+            Command::ResetCommunication => return Some(self.reset_communication()),
+            Command::Start => nmt::State::Operational,
+            Command::Stop => nmt::State::Stopped,
+            Command::EnterPreOperational => nmt::State::PreOperational,
+        };
+        self.nmt.enter(state);
+        self.lock_lss();
+        self.agenda.add(Tasks::of(&[Task::State]));
+        None
+    }
+
+    fn reset_communication(&mut self) -> Action {
+        self.lss.reset_communication();
+        let error_behaviour = self.product.communication.error_behaviour::<A>();
+        self.nmt.reset_communication(self.storing.persistent().heartbeat_ms, error_behaviour);
+        self.product.communication.reset();
+        self.periodic.note_dropped();
+        self.end_sdo();
+        self.agenda.add(Tasks::ALL);
+        Action::SetNodeId(self.node_id())
+    }
+
+    /// Locks or releases LSS after a possible change of the NMT state.
+    #[inline(never)] // It has two callers.
+    fn lock_lss(&mut self) {
+        let is_operational = self.nmt_state() == nmt::State::Operational;
+        self.lss.set_locked(self.product.device.lss_lock && is_operational);
+    }
+
+    const fn serves_sdo(&self) -> bool {
+        !self.bit_rate.is_switching() && self.nmt.serves_sdo()
+    }
+
+    fn sdo_request_cob_id(&self) -> Option<u16> {
+        self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
+    }
+
+    fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
+        if !self.serves_sdo() {
+            self.end_sdo_transfer();
+            self.sdo.reset();
+        }
+        if self.nmt.is_boot_up_due() {
+            return None;
+        }
+        let mut objects = NodeObjects {
+            device: &self.product.device,
+            lss: &self.lss,
+            bit_rate: &self.bit_rate,
+            nmt: &mut self.nmt,
+            emergency: &mut self.emergency,
+            storing: &mut self.storing,
+            communication: &mut self.product.communication,
+            application: &mut self.product.application,
+            now,
+        };
+        let answer = self.sdo.poll(&mut objects, now);
+        // A write may concern any of them.
+        self.agenda.add(Tasks::of(&[Task::Producers, Task::Store, Task::Messages]));
+        self.note_values();
+        self.transmit_by_sdo(answer?)
+    }
+
+    fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
+        let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
+        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer.to_bytes())))
+    }
+
+    /// Discards pending SDO requests and transfers.
+    #[inline(never)] // It has two callers: 40 bytes.
+    fn end_sdo(&mut self) {
+        self.end_sdo_transfer();
+        self.sdo.reset();
+        self.storing.forget_sdo();
+    }
+
+    /// Discards the current SDO transfer without an answer to the client.
+    #[inline(never)] // It has several callers.
+    fn end_sdo_transfer(&mut self) {
+        if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
+            self.product.application.abort_domain(*index, *sub_index);
+        }
+        self.sdo.end_transfer();
+    }
+
+    fn store_or_answer(&mut self) -> Option<Action> {
+        use storing::Next::*;
+        loop {
+            let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
+            match self.storing.poll(node_id, bit_rate)? {
+                Store(settings) => {
+                    match Area::Communication.change(self.storing.download()) {
+                        Change::Keep => {}
+                        Change::Renew => {
+                            let error_behaviour = self.nmt.error_behaviour();
+                            self.product.communication.stage::<A>(error_behaviour);
+                        }
+                        Change::Remove => self.product.communication.stage_declared::<A>(),
+                    }
+                    return Some(Action::Store(settings));
+                }
+                AnswerLss(outcome) => {
+                    return Some(Action::Transmit(
+                        Response::StoreConfiguration(outcome).to_frame(),
+                    ));
+                }
+                AnswerSdo(download, outcome) if self.serves_sdo() => {
+                    return self.transmit_by_sdo(match outcome {
+                        Ok(()) => download.confirmation,
+                        Err(error) => {
+                            Message::store_failed(download.index, download.sub_index, error)
+                        }
+                    });
+                }
+                // The NMT state has changed since the request.
+                AnswerSdo(..) => {}
+            }
+        }
+    }
+
+    /// Returns the next boot-up, emergency message or heartbeat.
+    fn next_message(&mut self, now: Instant) -> Option<Action> {
+        let node = self.node_id()?;
+        if let Some(boot_up) = self.nmt.next_boot_up(node, now) {
+            self.agenda.add(Tasks::of(&[Task::State, Task::Sdo]));
+            return Some(Action::Transmit(boot_up));
+        }
+        if self.nmt.allows_emergencies()
+            && let Some(emergency) = self.emergency.next(node)
+        {
+            return Some(Action::Transmit(emergency));
+        }
+        let due_since = self.nmt.heartbeat_due_since(now)?;
+        let tpdo = self.product.communication.pdos.first_timed_out(now);
+        if !self.periodic.is_free(now) || tpdo.is_some_and(|(_, end)| !due_since.has_come(end)) {
+            return None;
+        }
+        let heartbeat = self.nmt.next_heartbeat(node, now);
+        self.note_periodic(Sender::Heartbeat, &heartbeat, now);
+        Some(Action::Transmit(heartbeat))
+    }
+
+    /// Records a frame of a periodic service.
+    fn note_periodic(&mut self, sender: Sender, frame: &Frame, now: Instant) {
+        self.periodic.note_sent(sender, frame.longest_micros(self.bit_rate()), now);
+    }
+}

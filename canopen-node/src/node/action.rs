@@ -1,0 +1,40 @@
+//! The actions that a node returns and the board carries out.
+
+use crate::{BitRate, Frame, NodeId, Settings};
+
+/// An action for the board to carry out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[must_use]
+pub enum Action {
+    /// Send this frame. Frames of equal COB-ID must leave in the order of their actions. A PDO may replace an older one
+    /// of its COB-ID that has not left.
+    Transmit(Frame),
+    /// Receive the COB-IDs that a node with this node-ID [`receives`](crate::Node::receives). Drop all pending frames except
+    /// those of COB-ID 7E4h: they carry the previous COB-IDs. A frame that is on the bus now may finish; later frames
+    /// of the node leave after it.
+    SetNodeId(Option<NodeId>),
+    /// Receive the frames that the node [`receives`](crate::Node::receives): a master has changed a COB-ID of process
+    /// data, or the bit rate is proven.
+    SetReceives,
+    /// Drop the pending PDOs, those frames whose COB-ID [`is_pdo`](crate::Node::is_pdo): the node has left NMT operational. A
+    /// frame that is on the bus now may finish.
+    DropPdos,
+    /// Start no frame from now on and drop the pending ones; keep receiving and acknowledging.
+    StopTransmitting,
+    /// Drop the pending frames and run the controller at this bit rate, leaving bus-off if necessary, with the frames
+    /// that the node [`receives`](crate::Node::receives). After [`StopTransmitting`](Self::StopTransmitting) or
+    /// [`Listen`](Self::Listen) it only receives and acknowledges.
+    SetBitRate(BitRate),
+    /// Allow frames to be sent again.
+    ResumeTransmitting,
+    /// Run the controller silently at this bit rate: drop the pending frames and send no dominant bit, not even an
+    /// acknowledge. Receive all frames, and report the first frame and the first error to
+    /// [`handle_bus`](crate::Node::handle_bus).
+    Listen(BitRate),
+    /// Make these settings persistent, then call [`handle_stored`](crate::Node::handle_stored). A node with parameters
+    /// also has [`write_parameters`](crate::Node::write_parameters).
+    Store(Settings),
+    /// Reset the device as after a power cut; the node restarts with the persistent settings.
+    ResetDevice,
+}

@@ -1,0 +1,269 @@
+//! PDOs and heartbeat consumer, and the parameters of communication that 1010h stores: 1005h, 1016h, 1019h, 1029h, and
+//! each PDO.
+
+use core::mem;
+
+use crate::{
+    Application, Frame, Instant, NodeId,
+    emergency::Reporter,
+    heartbeat::consumer::{self, Consumer, Producers},
+    nmt::ErrorBehaviour,
+    object_dictionary::{DefaultValue, Description, Entry, Object},
+    pdo::{self, Pdos},
+    sdo::Abort,
+    settings::parameters::{Packer, Parameter},
+    sync,
+};
+
+/// The services that a master parameterises. They take no code if all numbers are 0.
+#[derive(Clone, Debug)]
+pub(super) struct Communication<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
+    pub pdos: Pdos<TPDOS, RPDOS>,
+    pub consumer: Consumer<PRODUCERS>,
+    persistent: Configuration<TPDOS, RPDOS, PRODUCERS>,
+    /// What the store in progress makes persistent, if that changes.
+    staged: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
+    /// The COB-IDs to receive have changed since the board was informed.
+    has_new_receives: bool,
+}
+
+/// The parameters that 1010h stores.
+#[derive(Clone, Copy, Debug)]
+struct Configuration<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
+    pdos: pdo::Configuration<TPDOS, RPDOS>,
+    producers: Producers<PRODUCERS>,
+    error_behaviour: ErrorBehaviour,
+}
+
+impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Communication<TPDOS, RPDOS, PRODUCERS>
+{
+    /// Whether there is anything to do.
+    pub const IS_USED: bool = TPDOS + RPDOS + PRODUCERS > 0;
+
+    /// The rows of the object dictionary in ascending order, in tables that begin with a sub-index 0.
+    const TABLES: [&'static [Entry]; 7] = {
+        let [cob_id, overflow, rpdos, rpdo_mappings, tpdos, tpdo_mappings] =
+            Pdos::<TPDOS, RPDOS>::TABLES;
+        let producers = Consumer::<PRODUCERS>::ROWS;
+        [cob_id, producers, overflow, rpdos, rpdo_mappings, tpdos, tpdo_mappings]
+    };
+
+    /// The services as the application declares them. A wrong declaration does not compile.
+    pub const fn new<A: Application>() -> Self {
+        let declared = Configuration::declared::<A>();
+        Self {
+            pdos: Pdos::new(declared.pdos),
+            consumer: Consumer::new(),
+            persistent: declared,
+            staged: None,
+            has_new_receives: false,
+        }
+    }
+
+    /// The table that has the object with this index.
+    pub fn table(index: u16) -> Option<&'static [Entry]> {
+        if !Self::IS_USED {
+            return None;
+        }
+        let has_it = |table: &&[Entry]| {
+            table.first().is_some_and(|first| first.index <= index)
+                && table.last().is_some_and(|last| index <= last.index)
+        };
+        Self::TABLES.into_iter().find(has_it)
+    }
+
+    /// The rows in ascending order, with their descriptions. The defaults are those that the application declares.
+    pub fn entries<A: Application>() -> impl Iterator<Item = (Entry, Description)> {
+        let new = Self::new::<A>();
+        let default = move |entry: &Entry| {
+            let value = |node| new.read(entry.object, NodeId::new(node)).unwrap_or_default();
+            match (entry.object, value(1), value(2)) {
+                (Object::HighestSubIndex(_), ..) => DefaultValue::Varies,
+                (_, one, other) if one != other => DefaultValue::NodeIdPlus(one.wrapping_sub(1)),
+                (_, same, _) => DefaultValue::Number(same),
+            }
+        };
+        let describe = move |entry: &Entry| match entry.object {
+            Object::SyncCobId | Object::SyncCounterOverflow => {
+                sync::describe(entry, default(entry))
+            }
+            _ if entry.index == consumer::INDEX => consumer::describe(entry, default(entry)),
+            _ => pdo::describe(entry, default(entry)),
+        };
+        Self::TABLES.into_iter().flatten().map(move |entry| (*entry, describe(entry)))
+    }
+
+    /// Restarts as after power-on, with the persistent parameters.
+    pub fn reset(&mut self) {
+        if Self::IS_USED {
+            self.pdos.reset(&self.persistent.pdos);
+            self.consumer.reset(&self.persistent.producers);
+            self.has_new_receives = false;
+        }
+    }
+
+    /// Whether the COB-IDs to receive have changed since the last call.
+    pub fn take_new_receives(&mut self) -> bool {
+        Self::IS_USED && mem::take(&mut self.has_new_receives)
+    }
+
+    /// Handles a frame that may be a PDO, SYNC or a heartbeat.
+    pub fn handle_frame<A: Application>(
+        &mut self,
+        frame: &Frame,
+        application: &mut A,
+        errors: &mut Reporter<'_>,
+        now: Instant,
+    ) {
+        if !self.pdos.handle_frame(frame, application, errors) {
+            self.consumer.handle_frame(frame, now, |event| application.handle(event));
+        }
+    }
+
+    /// Ends the errors that are no longer present.
+    pub fn end_errors(&self, errors: &mut Reporter<'_>) {
+        if Self::IS_USED && !errors.is_empty() {
+            self.pdos.end_errors(errors);
+            self.consumer.end_errors(errors);
+        }
+    }
+
+    /// The value of an object.
+    ///
+    /// # Errors
+    /// [`Abort::NoObject`] for an object of another service.
+    pub fn read(&self, object: Object, node: Option<NodeId>) -> Result<u32, Abort> {
+        match object {
+            Object::ConsumerHeartbeatTime(sub_index) => self.consumer.read(sub_index),
+            _ => self.pdos.read(object, node),
+        }
+    }
+
+    /// Writes an object; `objects` are those of the application.
+    ///
+    /// # Errors
+    /// The abort code for the client.
+    pub fn write(
+        &mut self,
+        object: Object,
+        value: u32,
+        node: Option<NodeId>,
+        objects: &'static [Entry],
+    ) -> Result<(), Abort> {
+        match object {
+            Object::ConsumerHeartbeatTime(sub_index) => self.consumer.write(sub_index, value)?,
+            _ => self.pdos.write(object, value, node, objects)?,
+        }
+        self.has_new_receives |= matches!(
+            object,
+            Object::SyncCobId | Object::ConsumerHeartbeatTime(_) | Object::RpdoParameter(_)
+        );
+        Ok(())
+    }
+
+    /// Whether parameters of communication are stored beside the settings: there are PDOs or a heartbeat consumer, or
+    /// the application has stored values.
+    const fn is_stored<A: Application>() -> bool {
+        Self::IS_USED || A::STORED_LEN > 0
+    }
+
+    /// The greatest number of bytes that the stored parameters take.
+    pub const fn stored_len<A: Application>() -> usize {
+        // A product has the length in a type, so that `cargo check` finds a wrong declaration here.
+        let _ = Configuration::<TPDOS, RPDOS, PRODUCERS>::declared::<A>();
+        let of_error_behaviour =
+            if Self::is_stored::<A>() { ErrorBehaviour::STORED_LEN } else { 0 };
+        pdo::Configuration::<TPDOS, RPDOS>::STORED_LEN
+            + Producers::<PRODUCERS>::STORED_LEN
+            + of_error_behaviour
+    }
+
+    /// The error behaviour to which a reset returns.
+    pub const fn error_behaviour<A: Application>(&self) -> ErrorBehaviour {
+        if Self::is_stored::<A>() {
+            self.persistent.error_behaviour
+        } else {
+            ErrorBehaviour::DEFAULT
+        }
+    }
+
+    /// Takes a stored parameter in place of the declared one, if it belongs to communication and is legal; returns
+    /// whether it was taken.
+    pub fn restore<A: Application>(&mut self, parameter: &Parameter<'_>) -> bool {
+        if !Self::is_stored::<A>() {
+            return false;
+        }
+        let is_taken = self.persistent.take(parameter, A::OBJECTS).is_some();
+        self.reset();
+        is_taken
+    }
+
+    /// Begins a store of the current parameters.
+    pub fn stage<A: Application>(&mut self, error_behaviour: ErrorBehaviour) {
+        if Self::is_stored::<A>() {
+            let (pdos, producers) = (*self.pdos.configuration(), *self.consumer.producers());
+            self.staged = Some(Configuration { pdos, producers, error_behaviour });
+        }
+    }
+
+    /// Begins a store that removes the parameters, so that the declared ones apply.
+    pub fn stage_declared<A: Application>(&mut self) {
+        if Self::is_stored::<A>() {
+            self.staged = Some(Configuration::declared::<A>());
+        }
+    }
+
+    /// Packs the parameters of the store in progress.
+    pub fn save<A: Application>(&self, to: &mut Packer<'_>) {
+        if Self::is_stored::<A>()
+            && let Some(staged) = &self.staged
+        {
+            staged.save(to);
+        }
+    }
+
+    /// Ends the store in progress, if it concerns these parameters.
+    pub fn end_store<A: Application>(&mut self, is_done: bool) {
+        if Self::is_stored::<A>()
+            && let Some(staged) = self.staged.take()
+            && is_done
+        {
+            self.persistent = staged;
+        }
+    }
+}
+
+impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Configuration<TPDOS, RPDOS, PRODUCERS>
+{
+    /// The parameters of a new device.
+    const fn declared<A: Application>() -> Self {
+        const {
+            assert!(
+                TPDOS + RPDOS + PRODUCERS == 0 || !A::OBJECTS.is_empty(),
+                "process data and the heartbeat consumer need an application with objects"
+            );
+        }
+        Self {
+            pdos: pdo::Configuration::declared::<A>(),
+            producers: Producers::UNUSED,
+            error_behaviour: ErrorBehaviour::DEFAULT,
+        }
+    }
+
+    fn save(&self, to: &mut Packer<'_>) {
+        self.pdos.save_sync(to);
+        self.error_behaviour.save(to);
+        self.producers.save(to);
+        self.pdos.save(to);
+    }
+
+    fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
+        if let Some(behaviour) = ErrorBehaviour::from_stored(parameter) {
+            self.error_behaviour = behaviour;
+            return Some(());
+        }
+        self.producers.take(parameter).or_else(|| self.pdos.take(parameter, objects))
+    }
+}

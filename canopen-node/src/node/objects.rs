@@ -1,0 +1,209 @@
+//! The objects of the dictionary: the values that the node returns, and the effects of writes.
+
+use core::cmp::Ordering;
+
+use lss_slave::bytes::copy;
+
+use super::communication::Communication;
+use super::storing::{Busy, Download, Storing};
+use crate::{
+    Device, Instant,
+    application::Application,
+    bit_rate,
+    emergency::{self, Emergency},
+    lss::{self, AddressPart},
+    nmt::{ErrorBehaviour, slave::NmtSlave},
+    object_dictionary::{self, DataType, Entry, Object, TABLE},
+    sdo::{self, Abort, Content, Message, Objects},
+};
+
+const SAVE: u32 = u32::from_le_bytes(*b"save");
+const LOAD: u32 = u32::from_le_bytes(*b"load");
+/// The value of 1010h and 1011h: the device stores or restores on command.
+const ON_COMMAND: u32 = 1;
+
+/// The parts of the node that objects read and write, at one time.
+pub(super) struct NodeObjects<
+    'a,
+    A: Application,
+    const TPDOS: usize,
+    const RPDOS: usize,
+    const PRODUCERS: usize,
+> {
+    pub device: &'a Device,
+    pub lss: &'a lss::Slave,
+    pub bit_rate: &'a bit_rate::Control,
+    pub nmt: &'a mut NmtSlave,
+    pub emergency: &'a mut Emergency<A::ErrorPlaces>,
+    pub storing: &'a mut Storing,
+    pub communication: &'a mut Communication<TPDOS, RPDOS, PRODUCERS>,
+    pub application: &'a mut A,
+    pub now: Instant,
+}
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> Objects
+    for NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>
+{
+    const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
+
+    fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
+        let of_communication = Communication::<TPDOS, RPDOS, PRODUCERS>::table(index);
+        let table = match A::OBJECTS.first() {
+            Some(first) if first.index <= index => A::OBJECTS,
+            _ => of_communication.unwrap_or(TABLE),
+        };
+        Ok(object_dictionary::find(table, index, sub_index)?)
+    }
+
+    fn read(&mut self, entry: &Entry) -> Result<Content, Abort> {
+        let node_id = self.lss.active_node_id().map_or(0, |id| u32::from(id.get()));
+        Ok(Content::Number(match entry.object {
+            Object::Application(field) => {
+                if entry.data_type != DataType::Domain {
+                    self.application.before_read(entry.index, entry.sub_index);
+                }
+                return Ok(Content::OfApplication(field));
+            }
+            Object::DeviceName => return Ok(Content::Text(self.device.name)),
+            Object::HardwareVersion => return Ok(Content::Text(self.device.hardware_version)),
+            Object::SoftwareVersion => return Ok(Content::Text(self.device.software_version)),
+            Object::DeviceType => A::DEVICE_TYPE,
+            Object::ErrorRegister => self.emergency.error_register().into(),
+            Object::NumberOfErrors => self.emergency.faults.number_of_errors().into(),
+            // CiA 301 names this code for object 1003h, and CANopenNode sends it, although the sub-index exists.
+            Object::ErrorField(sub_index) => {
+                self.emergency.faults.error(sub_index).ok_or(Abort::NoData)?
+            }
+            Object::StoreParameters | Object::RestoreDefaultParameters => ON_COMMAND,
+            Object::CobIdEmergency => u32::from(emergency::COB_ID) + node_id,
+            Object::ProducerHeartbeatTime => self.nmt.heartbeat_ms().into(),
+            Object::CommunicationErrorBehaviour => self.nmt.error_behaviour() as u32,
+            Object::VendorId => self.lss.address_part(AddressPart::VendorId),
+            Object::ProductCode => self.lss.address_part(AddressPart::ProductCode),
+            Object::RevisionNumber => self.lss.address_part(AddressPart::RevisionNumber),
+            Object::SerialNumber => self.lss.address_part(AddressPart::SerialNumber),
+            Object::BusOffs => self.emergency.faults.bus_offs().into(),
+            Object::Overruns => self.emergency.faults.overruns().into(),
+            Object::TransmitErrorCounter => self.emergency.faults.error_counters().transmit.into(),
+            Object::ReceiveErrorCounter => self.emergency.faults.error_counters().receive.into(),
+            Object::HomeBitRate => self.bit_rate.home().map_or(0, |rate| rate.kbit_per_s().into()),
+            Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
+            Object::Rescues => self.bit_rate.rescues().into(),
+            Object::HighestSubIndex(highest) => highest.into(),
+            Object::CobIdSdoRequest => u32::from(sdo::REQUEST_COB_ID) + node_id,
+            Object::CobIdSdoResponse => u32::from(sdo::RESPONSE_COB_ID) + node_id,
+            object if Communication::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
+                self.communication.read(object, self.lss.active_node_id())?
+            }
+            _ => 0,
+        }))
+    }
+
+    fn write(
+        &mut self,
+        entry: &Entry,
+        bytes: &[u8],
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort> {
+        if let Object::Application(field) = entry.object {
+            let value = A::parse(field, bytes)?;
+            self.application.accept(&value)?;
+            self.application.set(value);
+            return Ok(Some(confirmation));
+        }
+        match bytes.len().cmp(&entry.data_type.size().into()) {
+            Ordering::Greater => return Err(Abort::TooLong),
+            Ordering::Less => return Err(Abort::TooShort),
+            Ordering::Equal => {}
+        }
+        let mut number = [0; 4];
+        copy(bytes, 0, &mut number);
+        match (entry.object, u32::from_le_bytes(number)) {
+            (Object::StoreParameters, SAVE) => {
+                self.request_store(entry, self.nmt.heartbeat_ms(), confirmation)
+            }
+            (Object::RestoreDefaultParameters, LOAD) => {
+                self.request_store(entry, self.device.defaults.heartbeat_ms, confirmation)
+            }
+            (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
+                Err(Abort::NotStored)
+            }
+            (object, value) => {
+                self.write_number(object, value)?;
+                Ok(Some(confirmation))
+            }
+        }
+    }
+
+    fn forget_store(&mut self) {
+        self.storing.forget_sdo();
+    }
+
+    fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort> {
+        match entry.data_type {
+            DataType::Domain => self.application.domain_len(entry.index, entry.sub_index),
+            _ => Ok(self.application.len(field) as u32),
+        }
+    }
+
+    fn read_part(&self, entry: &Entry, field: u8, offset: u32, to: &mut [u8]) -> usize {
+        match entry.data_type {
+            DataType::Domain => {
+                self.application.read_domain(entry.index, entry.sub_index, offset, to)
+            }
+            _ => self.application.read(field, offset as usize, to),
+        }
+    }
+
+    fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
+    }
+
+    fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort> {
+        self.application.end_domain(entry.index, entry.sub_index, len)
+    }
+
+    fn abort_domain(&mut self, entry: &Entry) {
+        self.application.abort_domain(entry.index, entry.sub_index);
+    }
+}
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>
+{
+    fn write_number(&mut self, object: Object, number: u32) -> Result<(), Abort> {
+        match object {
+            Object::NumberOfErrors if number == 0 => self.emergency.faults.clear_history(),
+            Object::NumberOfErrors => return Err(Abort::InvalidValue),
+            Object::ProducerHeartbeatTime => self.nmt.set_heartbeat_ms(number as u16, self.now),
+            Object::CommunicationErrorBehaviour => {
+                let behaviour = ErrorBehaviour::new(number as u8).ok_or(Abort::InvalidValue)?;
+                self.nmt.set_error_behaviour(behaviour);
+            }
+            object if Communication::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
+                let node = self.lss.active_node_id();
+                self.communication.write(object, number, node, A::OBJECTS)?;
+            }
+            _ => return Err(Abort::ReadOnly),
+        }
+        Ok(())
+    }
+
+    fn request_store(
+        &mut self,
+        entry: &Entry,
+        heartbeat_ms: u16,
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort> {
+        let Entry { index, sub_index, .. } = *entry;
+        let download = Download { index, sub_index, confirmation };
+        self.storing.request_by_sdo(download, heartbeat_ms)?;
+        Ok(None)
+    }
+}
+
+impl From<Busy> for Abort {
+    fn from(_: Busy) -> Self {
+        Self::Busy
+    }
+}

@@ -1,0 +1,98 @@
+//! Process data, heartbeat consumer and errors of the application, as parts of the node.
+
+use super::{
+    Action, Node,
+    agenda::{Task, Tasks},
+    communication::Communication,
+    periodic::Sender,
+};
+use crate::{Application, Frame, Instant, application::Event};
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Node<A, TPDOS, RPDOS, PRODUCERS>
+{
+    /// Whether the node has PDOs or a heartbeat consumer.
+    const HAS_PROCESS_DATA: bool = Communication::<TPDOS, RPDOS, PRODUCERS>::IS_USED;
+    /// Whether there is an application, which may have process data and report errors.
+    pub(super) const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
+
+    pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
+        let is_served = self.node_id().is_some() && !self.bit_rate.is_switching();
+        if !Self::HAS_PROCESS_DATA || !is_served {
+            return;
+        }
+        let mut errors = self.emergency.reporter();
+        self.product.communication.handle_frame(
+            frame,
+            &mut self.product.application,
+            &mut errors,
+            now,
+        );
+        if PRODUCERS > 0 || !errors.is_empty() {
+            self.agenda.add(Tasks::of(&[Task::Producers, Task::Messages]));
+        }
+        self.note_values();
+    }
+
+    /// Records that values of the application may have changed.
+    pub(super) const fn note_values(&mut self) {
+        if Self::HAS_PROCESS_DATA {
+            self.product.communication.pdos.note_values();
+            self.agenda.add(Tasks::of(&[Task::Pdos]));
+        }
+    }
+
+    /// Informs the application and process data of a new NMT state and bit rate.
+    pub(super) fn inform(&mut self) -> Option<Action> {
+        if !Self::HAS_APPLICATION {
+            return None;
+        }
+        let (state, rate, node) = (self.nmt_state(), self.bit_rate(), self.node_id());
+        let has_left_operational = self.product.inform(state, rate, node);
+        self.agenda.add(Tasks::of(&[Task::Producers]));
+        self.note_values();
+        if !has_left_operational || TPDOS == 0 {
+            return None;
+        }
+        self.periodic.note_pdos_dropped();
+        Some(Action::DropPdos)
+    }
+
+    /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
+    pub(super) fn watch_producers(&mut self, now: Instant) {
+        let mut is_any_lost = false;
+        let mut errors = self.emergency.reporter();
+        while let Some(producer) = self.product.communication.consumer.next_lost(&mut errors, now) {
+            self.nmt.handle_communication_error();
+            self.product.application.handle(Event::HeartbeatLost(producer));
+            is_any_lost = true;
+        }
+        self.product.communication.end_errors(&mut errors);
+        if !errors.is_empty() {
+            self.agenda.add(Tasks::of(&[Task::Messages]));
+        }
+        if is_any_lost {
+            self.lock_lss();
+            self.agenda.add(Tasks::of(&[Task::State, Task::Messages]));
+            self.note_values();
+        }
+    }
+
+    /// The next frame of process data, or the action for new COB-IDs.
+    pub(super) fn next_pdo(&mut self, now: Instant) -> Option<Action> {
+        if !Self::HAS_PROCESS_DATA {
+            return None;
+        }
+        let Self { product, periodic, .. } = self;
+        if product.communication.take_new_receives() {
+            return Some(Action::SetReceives);
+        }
+        let may_be_timed = periodic.is_free(now);
+        let (frame, is_timed) =
+            product.communication.pdos.next_frame(&mut product.application, may_be_timed, now)?;
+        if is_timed {
+            self.note_periodic(Sender::Tpdo, &frame, now);
+        }
+        Some(Action::Transmit(frame))
+    }
+}

@@ -1,0 +1,52 @@
+//! The product around the protocol: its description, its application and its process data.
+
+use super::{
+    communication::Communication,
+    storing::{self, Area},
+};
+use crate::{
+    Application, BitRate, Device, NodeId, application::Event, nmt, settings::parameters::Parameter,
+};
+
+#[derive(Clone, Debug)]
+pub(super) struct Product<A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
+    pub device: Device,
+    pub application: A,
+    pub communication: Communication<TPDOS, RPDOS, PRODUCERS>,
+    /// The NMT state and the bit rate that the application knows.
+    known: (nmt::State, BitRate),
+}
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Product<A, TPDOS, RPDOS, PRODUCERS>
+{
+    /// A product after power-on.
+    pub const fn new(device: Device, application: A, rate: BitRate) -> Self {
+        let known = (nmt::State::Initialisation, rate);
+        Self { device, application, communication: Communication::new::<A>(), known }
+    }
+
+    /// Informs the application and process data of the NMT state and the bit rate, if they are new. Returns whether PDOs
+    /// must no longer be sent.
+    pub fn inform(&mut self, state: nmt::State, rate: BitRate, node: Option<NodeId>) -> bool {
+        let (known_state, known_rate) = self.known;
+        self.known = (state, rate);
+        if rate != known_rate {
+            self.application.handle(Event::BitRate(rate));
+        }
+        if state == known_state {
+            return false;
+        }
+        let has_left_operational = self.communication.pdos.follow(state, node);
+        self.application.handle(Event::Nmt(state));
+        has_left_operational
+    }
+
+    /// Takes a stored parameter in place of the default; returns whether it was taken.
+    pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
+        match Area::of(parameter.index) {
+            Area::Communication => self.communication.restore::<A>(parameter),
+            Area::Application => storing::restore(&mut self.application, parameter),
+        }
+    }
+}

@@ -1,0 +1,484 @@
+//! Process data (CiA 301, 7.2.2): PDOs with the values of the application, at their events or at a SYNC.
+//!
+//! A product declares its PDOs in [`Application::TPDOS`] and [`Application::RPDOS`]; their numbers are parameters of
+//! [`Node`](crate::Node).
+
+mod cob_id;
+mod declaration;
+mod mapping;
+mod parameters;
+mod rpdo;
+mod stored;
+mod tables;
+mod tpdo;
+
+pub use declaration::{Rpdo, Tpdo};
+pub(crate) use tables::describe;
+
+use core::mem;
+
+use crate::{
+    Application, Frame, Instant, NodeId,
+    application::Event,
+    emergency::{COMMUNICATION, Reporter},
+    nmt,
+    object_dictionary::{Entry, Object},
+    sdo::Abort,
+    sync::{self, Sync},
+};
+use cob_id::PdoCobId;
+use mapping::{Direction, Mapping};
+use parameters::Pdo;
+use rpdo::Reception;
+use tpdo::Transmission;
+
+/// The most TPDOs, and the most RPDOs, of a node.
+pub const MAX_PDOS: usize = 16;
+/// The number of TPDOs, and of RPDOs, with a COB-ID in the predefined connection set (CiA 301, 7.3.5).
+const PREDEFINED: usize = 4;
+/// The sub-index of the inhibit time in the communication parameter of a TPDO (CiA 301, 7.5.2.37).
+const INHIBIT_TIME: u8 = 3;
+/// The parameters of the PDOs and of SYNC.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Configuration<const TPDOS: usize, const RPDOS: usize> {
+    tpdos: [Pdo; TPDOS],
+    rpdos: [Pdo; RPDOS],
+    sync: Sync,
+}
+
+/// The PDOs of a node. They take no code if there are none.
+#[derive(Clone, Debug)]
+pub(crate) struct Pdos<const TPDOS: usize, const RPDOS: usize> {
+    current: Configuration<TPDOS, RPDOS>,
+    tpdos: [Transmission; TPDOS],
+    /// The TPDOs in use whose type is synchronous.
+    synchronous: Tpdos,
+    /// The other TPDOs in use.
+    event_driven: Tpdos,
+    /// The synchronous TPDOs that a SYNC has asked for, and the others that may have news.
+    due: Tpdos,
+    rpdos: [Reception; RPDOS],
+    /// The latest SYNC had a wrong length.
+    is_sync_wrong: bool,
+    /// The node is NMT operational.
+    is_running: bool,
+}
+
+impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
+    /// The parameters of a new device, as the application declares them. A wrong declaration does not compile.
+    pub const fn declared<A: Application>() -> Self {
+        const {
+            assert!(
+                TPDOS <= MAX_PDOS && RPDOS <= MAX_PDOS,
+                "a node has at most 16 TPDOs and 16 RPDOs"
+            );
+            assert!(A::TPDOS.len() <= TPDOS, "more TPDOs are declared than the node has");
+            assert!(A::RPDOS.len() <= RPDOS, "more RPDOs are declared than the node has");
+            let mut tpdos = [Pdo::UNUSED; TPDOS];
+            let mut at = 0;
+            while at < A::TPDOS.len() {
+                tpdos[at] = Pdo::declared_tpdo(at + 1, &A::TPDOS[at], A::OBJECTS);
+                at += 1;
+            }
+            let mut rpdos = [Pdo::UNUSED; RPDOS];
+            let mut at = 0;
+            while at < A::RPDOS.len() {
+                rpdos[at] = Pdo::declared_rpdo(at + 1, &A::RPDOS[at], A::OBJECTS);
+                at += 1;
+            }
+            Self { tpdos, rpdos, sync: Sync::new() }
+        }
+    }
+}
+
+impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
+    /// Whether there are any.
+    pub const IS_USED: bool = TPDOS + RPDOS > 0;
+
+    /// The PDOs with these parameters.
+    pub const fn new(configuration: Configuration<TPDOS, RPDOS>) -> Self {
+        Self {
+            current: configuration,
+            tpdos: [Transmission::UNUSED; TPDOS],
+            synchronous: Tpdos::NONE,
+            event_driven: Tpdos::NONE,
+            due: Tpdos::NONE,
+            rpdos: [Reception::UNUSED; RPDOS],
+            is_sync_wrong: false,
+            is_running: false,
+        }
+    }
+
+    /// The parameters in use.
+    pub const fn configuration(&self) -> &Configuration<TPDOS, RPDOS> {
+        &self.current
+    }
+
+    /// Restarts as after power-on, with these parameters.
+    pub fn reset(&mut self, persistent: &Configuration<TPDOS, RPDOS>) {
+        if Self::IS_USED {
+            self.current = *persistent;
+            self.stop();
+            (self.is_sync_wrong, self.is_running) = (false, false);
+        }
+    }
+
+    fn stop(&mut self) {
+        (self.synchronous, self.event_driven, self.due) = (Tpdos::NONE, Tpdos::NONE, Tpdos::NONE);
+        self.tpdos.fill(Transmission::UNUSED);
+        self.rpdos.fill(Reception::UNUSED);
+    }
+
+    /// Makes the parameters of a TPDO effective, and the TPDO due.
+    fn start_tpdo(&mut self, at: usize, node: Option<NodeId>) {
+        let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at)) else {
+            return;
+        };
+        for set in [&mut self.synchronous, &mut self.event_driven, &mut self.due] {
+            set.remove(at);
+        }
+        let cob_id = pdo.cob_id.active(base(Direction::Transmit, at), node);
+        let Some(cob_id) = cob_id.filter(|_| self.is_running && !pdo.mapping.is_empty()) else {
+            return;
+        };
+        *tpdo = tpdo.renewed(cob_id);
+        if pdo.transmission_type <= 240 {
+            self.synchronous.add(at);
+        } else {
+            self.event_driven.add(at);
+            self.due.add(at);
+        }
+    }
+
+    /// Makes the parameters of an RPDO effective, and forgets what it has received.
+    fn start_rpdo(&mut self, at: usize, node: Option<NodeId>) {
+        let cob_id = self.rpdo_cob_id(at, node).filter(|_| self.is_running);
+        if let Some(rpdo) = self.rpdos.get_mut(at) {
+            *rpdo = Reception::new(cob_id);
+        }
+    }
+
+    /// The COB-ID of SYNC, if there are PDOs.
+    pub fn sync_cob_id(&self) -> Option<u16> {
+        Self::IS_USED.then(|| self.current.sync.cob_id())
+    }
+
+    /// The COB-ID of an RPDO, if it is valid.
+    pub fn rpdo_cob_id(&self, at: usize, node: Option<NodeId>) -> Option<u16> {
+        self.current.rpdos.get(at)?.cob_id.active(base(Direction::Receive, at), Some(node?))
+    }
+
+    /// Follows the NMT state: PDOs live in NMT operational. Returns whether this state has ended.
+    pub fn follow(&mut self, state: nmt::State, node: Option<NodeId>) -> bool {
+        let is_running = state == nmt::State::Operational;
+        let was_running = mem::replace(&mut self.is_running, is_running);
+        if !Self::IS_USED || is_running == was_running {
+            return false;
+        }
+        self.stop();
+        (0..TPDOS).for_each(|at| self.start_tpdo(at, node));
+        (0..RPDOS).for_each(|at| self.start_rpdo(at, node));
+        was_running
+    }
+
+    /// Makes all event-driven TPDOs due, since frames may have been dropped.
+    pub fn note_resumed(&mut self) {
+        self.tpdos.iter_mut().for_each(Transmission::restart);
+        self.due = self.event_driven;
+    }
+
+    /// Records that values of the application may have changed.
+    pub const fn note_values(&mut self) {
+        self.due.add_all(self.event_driven);
+    }
+
+    /// Makes the TPDO with this number, from 1, due without news, if it is in use. One of type 0 waits for SYNC.
+    pub fn request(&mut self, number: u8) {
+        let at = usize::from(number).wrapping_sub(1);
+        if let Some(tpdo) = self.tpdos.get_mut(at) {
+            tpdo.request();
+            if self.event_driven.has(at) {
+                self.due.add(at);
+            }
+        }
+    }
+
+    /// Handles a frame that may be a PDO or SYNC; returns whether it is SYNC.
+    pub fn handle_frame<A: Application>(
+        &mut self,
+        frame: &Frame,
+        application: &mut A,
+        errors: &mut Reporter<'_>,
+    ) -> bool {
+        if !Self::IS_USED || !self.is_running {
+            return false;
+        }
+        let is_sync = frame.cob_id() == self.current.sync.cob_id();
+        if is_sync {
+            self.handle_sync(frame, application, errors);
+        } else {
+            self.handle_pdo(frame, application, errors);
+        }
+        is_sync
+    }
+
+    fn handle_pdo<A: Application>(
+        &mut self,
+        frame: &Frame,
+        application: &mut A,
+        errors: &mut Reporter<'_>,
+    ) {
+        for (number, (rpdo, pdo)) in (1..).zip(self.rpdos.iter_mut().zip(&self.current.rpdos)) {
+            if !rpdo.receives(frame.cob_id()) {
+                continue;
+            }
+            if let Some(code) = rpdo.check_length(pdo, frame) {
+                errors.report(code, COMMUNICATION, [number, 0, 0, 0, 0]);
+            }
+            if rpdo.handle(pdo, frame, application) {
+                application.handle(Event::Received(number));
+            }
+        }
+    }
+
+    fn handle_sync<A: Application>(
+        &mut self,
+        frame: &Frame,
+        application: &mut A,
+        errors: &mut Reporter<'_>,
+    ) {
+        let counter = self.current.sync.counter(frame);
+        let was_wrong = mem::replace(&mut self.is_sync_wrong, counter.is_err());
+        let Ok(counter) = counter else {
+            if !was_wrong {
+                let len = frame.data().len() as u8;
+                errors.report(sync::WRONG_LENGTH, COMMUNICATION, [len, 0, 0, 0, 0]);
+            }
+            return;
+        };
+        for (number, (rpdo, pdo)) in (1..).zip(self.rpdos.iter_mut().zip(&self.current.rpdos)) {
+            if rpdo.handle_sync(pdo, application) {
+                application.handle(Event::Received(number));
+            }
+        }
+        application.handle(Event::Sync);
+        for at in self.synchronous {
+            if let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at))
+                && tpdo.handle_sync(pdo, counter)
+            {
+                self.due.add(at);
+            }
+        }
+    }
+
+    /// Ends the errors that are no longer present.
+    pub fn end_errors(&self, errors: &mut Reporter<'_>) {
+        let has = |code| self.rpdos.iter().any(|rpdo| rpdo.fault() == Some(code));
+        for (code, is_present) in [
+            (rpdo::TOO_SHORT, has(rpdo::TOO_SHORT)),
+            (rpdo::TOO_LONG, has(rpdo::TOO_LONG)),
+            (sync::WRONG_LENGTH, self.is_sync_wrong),
+        ] {
+            if !is_present {
+                errors.end(code);
+            }
+        }
+    }
+
+    /// The next TPDO to send at `now`, and whether only its event timer asks for it; `may_be_timed` says whether one may
+    /// be sent for that.
+    pub fn next_frame<A: Application>(
+        &mut self,
+        application: &mut A,
+        may_be_timed: bool,
+        now: Instant,
+    ) -> Option<(Frame, bool)> {
+        let mut timed_out = None;
+        if !self.event_driven.is_empty() {
+            for at in self.event_driven {
+                if self.tpdos.get_mut(at).is_some_and(|tpdo| tpdo.ends_inhibit_time(now)) {
+                    self.due.add(at);
+                }
+            }
+            timed_out = self.first_timed_out(now).filter(|_| may_be_timed).map(|(at, _)| at);
+            if let Some(at) = timed_out {
+                self.due.add(at);
+            }
+        }
+        while let Some(at) = self.due.take_first() {
+            let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at))
+            else {
+                continue;
+            };
+            let sent = if pdo.transmission_type <= 240 {
+                tpdo.answer_sync(pdo, application).map(|frame| (frame, false))
+            } else {
+                tpdo.poll(pdo, application, timed_out == Some(at), now)
+            };
+            if sent.is_some() {
+                return sent;
+            }
+        }
+        None
+    }
+
+    /// The TPDO whose event timer has been over for the longest time, with its end.
+    pub fn first_timed_out(&self, now: Instant) -> Option<(usize, Instant)> {
+        if TPDOS == 0 {
+            return None;
+        }
+        let timed_out = self.event_driven.into_iter().filter_map(|at| {
+            let end = self.tpdos.get(at)?.is_timed_out(self.current.tpdos.get(at)?, now)?;
+            Some((at, end))
+        });
+        timed_out.reduce(|first, other| if first.1.has_come(other.1) { first } else { other })
+    }
+
+    /// The time at which [`next_frame`](Self::next_frame) has something to do; `postpone` says when a TPDO may be sent
+    /// whose event timer is over.
+    pub fn poll_at(&self, postpone: impl Fn(Instant) -> Option<Instant>) -> Option<Instant> {
+        let due = |at| {
+            let tpdo: &Transmission = self.tpdos.get(at)?;
+            tpdo.inhibited_until().or_else(|| postpone(tpdo.event_at()?))
+        };
+        self.event_driven.into_iter().filter_map(due).reduce(Instant::earlier)
+    }
+
+    fn pdo(&self, direction: Direction, at: usize) -> Result<&Pdo, Abort> {
+        let pdos: &[Pdo] = match direction {
+            Direction::Transmit => &self.current.tpdos,
+            Direction::Receive => &self.current.rpdos,
+        };
+        pdos.get(at).ok_or(Abort::NoObject)
+    }
+
+    fn pdo_mut(&mut self, direction: Direction, at: usize) -> Result<&mut Pdo, Abort> {
+        let pdos: &mut [Pdo] = match direction {
+            Direction::Transmit => &mut self.current.tpdos,
+            Direction::Receive => &mut self.current.rpdos,
+        };
+        pdos.get_mut(at).ok_or(Abort::NoObject)
+    }
+
+    /// The value of an object of PDOs or SYNC.
+    ///
+    /// # Errors
+    /// [`Abort::NoObject`] for any other object.
+    pub fn read(&self, object: Object, node: Option<NodeId>) -> Result<u32, Abort> {
+        use Direction::{Receive, Transmit};
+        let (direction, part) = match object {
+            Object::SyncCobId if Self::IS_USED => return Ok(self.current.sync.cob_id().into()),
+            Object::SyncCounterOverflow if Self::IS_USED => {
+                return Ok(self.current.sync.overflow().into());
+            }
+            Object::RpdoParameter(part) | Object::RpdoMapping(part) => (Receive, part),
+            Object::TpdoParameter(part) | Object::TpdoMapping(part) => (Transmit, part),
+            _ => return Err(Abort::NoObject),
+        };
+        let (at, sub_index) = (part.at(), part.sub_index());
+        let pdo = self.pdo(direction, at)?;
+        Ok(match object {
+            Object::RpdoMapping(_) | Object::TpdoMapping(_) => pdo.mapping.value(sub_index),
+            _ => pdo.parameter(direction, sub_index, base(direction, at), node),
+        })
+    }
+
+    /// Writes an object of PDOs or SYNC; `objects` are those of the application.
+    ///
+    /// # Errors
+    /// The abort code for the client.
+    pub fn write(
+        &mut self,
+        object: Object,
+        value: u32,
+        node: Option<NodeId>,
+        objects: &'static [Entry],
+    ) -> Result<(), Abort> {
+        use Direction::{Receive, Transmit};
+        let (direction, part) = match object {
+            Object::SyncCobId if Self::IS_USED => return self.current.sync.set_cob_id(value),
+            Object::SyncCounterOverflow if Self::IS_USED => {
+                return self.current.sync.set_overflow(value as u8);
+            }
+            Object::RpdoParameter(part) | Object::RpdoMapping(part) => (Receive, part),
+            Object::TpdoParameter(part) | Object::TpdoMapping(part) => (Transmit, part),
+            _ => return Err(Abort::NoObject),
+        };
+        let (at, sub_index) = (part.at(), part.sub_index());
+        let pdo = self.pdo_mut(direction, at)?;
+        if let Object::RpdoMapping(_) | Object::TpdoMapping(_) = object {
+            return pdo.set_mapping(direction, sub_index, value, objects);
+        }
+        pdo.set_parameter(sub_index, value, base(direction, at), node)?;
+        match direction {
+            Receive => self.start_rpdo(at, node),
+            Transmit => {
+                if sub_index == INHIBIT_TIME
+                    && let Some(tpdo) = self.tpdos.get_mut(at)
+                {
+                    tpdo.end_inhibit_time();
+                }
+                self.start_tpdo(at, node);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A set of TPDOs.
+#[derive(Clone, Copy, Debug)]
+struct Tpdos(u16);
+
+impl Tpdos {
+    const NONE: Self = Self(0);
+
+    const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    const fn bit(at: usize) -> u16 {
+        1 << (at % MAX_PDOS)
+    }
+
+    const fn has(self, at: usize) -> bool {
+        self.0 & Self::bit(at) != 0
+    }
+
+    const fn add(&mut self, at: usize) {
+        self.0 |= Self::bit(at);
+    }
+
+    const fn add_all(&mut self, others: Self) {
+        self.0 |= others.0;
+    }
+
+    const fn remove(&mut self, at: usize) {
+        self.0 &= !Self::bit(at);
+    }
+
+    const fn take_first(&mut self) -> Option<usize> {
+        if self.is_empty() {
+            return None;
+        }
+        let at = self.0.trailing_zeros() as usize;
+        self.remove(at);
+        Some(at)
+    }
+}
+
+impl Iterator for Tpdos {
+    type Item = usize;
+
+    fn next(&mut self) -> Option<usize> {
+        self.take_first()
+    }
+}
+
+/// The COB-ID of a PDO in the predefined connection set, to which the node-ID is added; `None` beyond that set.
+const fn base(direction: Direction, at: usize) -> Option<u16> {
+    let of_first = match direction {
+        Direction::Transmit => 0x180,
+        Direction::Receive => 0x200,
+    };
+    if at < PREDEFINED { Some(of_first + 0x100 * at as u16) } else { None }
+}

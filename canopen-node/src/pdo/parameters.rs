@@ -1,0 +1,190 @@
+//! The parameters of a PDO: COB-ID, times (CiA 301, 7.5.2.35 and 7.5.2.37) and mapping.
+
+use super::{Direction, Mapping, PREDEFINED, PdoCobId, Rpdo, Tpdo};
+use crate::{NodeId, declaration_error::DeclarationError, object_dictionary::Entry, sdo::Abort};
+
+/// The parameters of a PDO. Those after the transmission type belong to TPDOs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pdo {
+    pub cob_id: PdoCobId,
+    pub mapping: Mapping,
+    pub transmission_type: u8,
+    /// In multiples of 100 us.
+    pub inhibit_time: u16,
+    pub event_timer_ms: u16,
+    pub sync_start_value: u8,
+}
+
+/// Whether CiA 301 defines a transmission type that does not depend on remote frames.
+const fn is_transmission_type(transmission_type: u8) -> bool {
+    matches!(transmission_type, 0..=240 | 254 | 255)
+}
+
+/// Checks what TPDOs and RPDOs have in common.
+const fn check(direction: Direction, number: usize, transmission_type: u8, is_valid: bool) {
+    let error = DeclarationError::of_pdo(direction.pdo(), number);
+    if !is_transmission_type(transmission_type) {
+        error.text("the transmission type must be 0 to 240, 254 or 255").raise();
+    }
+    if is_valid && number > PREDEFINED {
+        error
+            .text("it must be `invalid()`: only the first 4 have a COB-ID in a new device")
+            .raise();
+    }
+}
+
+impl Pdo {
+    pub const UNUSED: Self = Self {
+        cob_id: PdoCobId::new(false),
+        mapping: Mapping::EMPTY,
+        transmission_type: 255,
+        inhibit_time: 0,
+        event_timer_ms: 0,
+        sync_start_value: 0,
+    };
+
+    pub const fn event_timer_micros(&self) -> u32 {
+        self.event_timer_ms as u32 * 1000
+    }
+
+    /// The number of parameters that are stored before the mapping.
+    pub const fn stored_parameters(direction: Direction) -> usize {
+        match direction {
+            Direction::Transmit => 5,
+            Direction::Receive => 2,
+        }
+    }
+
+    /// The TPDO with this number, from 1, as it is declared; panics, at compile time, with what is wrong.
+    pub const fn declared_tpdo(
+        number: usize,
+        declaration: &Tpdo,
+        objects: &'static [Entry],
+    ) -> Self {
+        check(Direction::Transmit, number, declaration.transmission_type, declaration.is_valid);
+        if declaration.sync_start_value > 240 {
+            DeclarationError::of_pdo(Direction::Transmit.pdo(), number)
+                .text("the SYNC start value must be 0 to 240")
+                .raise();
+        }
+        Self {
+            cob_id: PdoCobId::new(declaration.is_valid),
+            mapping: Mapping::declared(objects, Direction::Transmit, number, declaration.mapping),
+            transmission_type: declaration.transmission_type,
+            inhibit_time: declaration.inhibit_time,
+            event_timer_ms: declaration.event_timer_ms,
+            sync_start_value: declaration.sync_start_value,
+        }
+    }
+
+    /// The RPDO with this number, from 1, as it is declared; panics, at compile time, with what is wrong.
+    pub const fn declared_rpdo(
+        number: usize,
+        declaration: &Rpdo,
+        objects: &'static [Entry],
+    ) -> Self {
+        check(Direction::Receive, number, declaration.transmission_type, declaration.is_valid);
+        Self {
+            cob_id: PdoCobId::new(declaration.is_valid),
+            mapping: Mapping::declared(objects, Direction::Receive, number, declaration.mapping),
+            transmission_type: declaration.transmission_type,
+            ..Self::UNUSED
+        }
+    }
+
+    /// The parameters as they are stored before the mapping.
+    pub fn stored(&self) -> [u32; 5] {
+        [
+            self.cob_id.stored(),
+            self.transmission_type.into(),
+            self.inhibit_time.into(),
+            self.event_timer_ms.into(),
+            self.sync_start_value.into(),
+        ]
+    }
+
+    /// The PDO with these stored parameters, if they are legal and all its values exist.
+    pub fn from_stored(
+        stored: &[[u8; 4]],
+        direction: Direction,
+        objects: &'static [Entry],
+    ) -> Option<Self> {
+        let (parameters, mapping) = stored.split_at_checked(Self::stored_parameters(direction))?;
+        let mut numbers = [0; 5];
+        for (number, parameter) in numbers.iter_mut().zip(parameters) {
+            *number = u32::from_le_bytes(*parameter);
+        }
+        let [cob_id, transmission_type, inhibit_time, event_timer_ms, sync_start_value] = numbers;
+        let is_legal = is_transmission_type(transmission_type.try_into().ok()?)
+            && inhibit_time.max(event_timer_ms) <= u16::MAX.into()
+            && sync_start_value <= 240;
+        Some(Self {
+            cob_id: PdoCobId::from_stored(cob_id)?,
+            mapping: Mapping::from_stored(mapping, direction, objects)?,
+            transmission_type: transmission_type as u8,
+            inhibit_time: inhibit_time as u16,
+            event_timer_ms: event_timer_ms as u16,
+            sync_start_value: sync_start_value as u8,
+        })
+        .filter(|_| is_legal)
+    }
+
+    /// The value of a sub-index of the communication parameter.
+    pub fn parameter(
+        &self,
+        direction: Direction,
+        sub_index: u8,
+        base: Option<u16>,
+        node: Option<NodeId>,
+    ) -> u32 {
+        match (sub_index, direction) {
+            (1, Direction::Transmit) => self.cob_id.transmit_value(base, node),
+            (1, Direction::Receive) => self.cob_id.value(base, node),
+            (2, _) => self.transmission_type.into(),
+            (3, _) => self.inhibit_time.into(),
+            (5, _) => self.event_timer_ms.into(),
+            _ => self.sync_start_value.into(),
+        }
+    }
+
+    /// Sets a sub-index of the communication parameter.
+    ///
+    /// # Errors
+    /// [`Abort::InvalidValue`], or [`Abort::DeviceState`] for what a valid PDO does not allow.
+    pub fn set_parameter(
+        &mut self,
+        sub_index: u8,
+        value: u32,
+        base: Option<u16>,
+        node: Option<NodeId>,
+    ) -> Result<(), Abort> {
+        match sub_index {
+            1 => self.cob_id.set(value, base, node)?,
+            2 if !is_transmission_type(value as u8) => return Err(Abort::InvalidValue),
+            2 => self.transmission_type = value as u8,
+            5 => self.event_timer_ms = value as u16,
+            _ if self.cob_id.is_valid => return Err(Abort::DeviceState),
+            3 => self.inhibit_time = value as u16,
+            _ if value > 240 => return Err(Abort::InvalidValue),
+            _ => self.sync_start_value = value as u8,
+        }
+        Ok(())
+    }
+
+    /// Sets a sub-index of the mapping.
+    ///
+    /// # Errors
+    /// [`Abort::DeviceState`] while the PDO is valid, or those of [`Mapping::set`].
+    pub fn set_mapping(
+        &mut self,
+        direction: Direction,
+        sub_index: u8,
+        value: u32,
+        objects: &'static [Entry],
+    ) -> Result<(), Abort> {
+        if self.cob_id.is_valid {
+            return Err(Abort::DeviceState);
+        }
+        self.mapping.set(direction, sub_index, value, objects)
+    }
+}

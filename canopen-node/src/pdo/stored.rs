@@ -1,0 +1,84 @@
+//! The PDOs among the parameters that 1010h stores: each as a whole, its parameters and its mapping.
+
+use super::{
+    Configuration, Pdos,
+    mapping::{Direction, MAX_MAPPED},
+    parameters::Pdo,
+    tables::{RPDO_MAPPING, RPDO_PARAMETER, TPDO_MAPPING, TPDO_PARAMETER},
+};
+use crate::{
+    object_dictionary::Entry,
+    settings::parameters::{HEADER, Packer, Parameter},
+    sync::Sync,
+};
+
+/// The data type of a stored PDO: PDO_COMMUNICATION_PARAMETER (CiA 301, 7.4.8.1), here followed by the mapping.
+const PDO: u8 = 0x20;
+
+impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
+    /// The greatest number of bytes that the stored parameters take.
+    pub const STORED_LEN: usize = {
+        let of_sync = if Pdos::<TPDOS, RPDOS>::IS_USED { Sync::STORED_LEN } else { 0 };
+        of_sync
+            + RPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Receive) + MAX_MAPPED))
+            + TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
+    };
+
+    /// Packs the parameters of SYNC.
+    pub fn save_sync(&self, to: &mut Packer<'_>) {
+        if Pdos::<TPDOS, RPDOS>::IS_USED {
+            self.sync.save(to);
+        }
+    }
+
+    /// Packs the parameters of the PDOs.
+    pub fn save(&self, to: &mut Packer<'_>) {
+        for (index, rpdo) in (RPDO_PARAMETER..).zip(&self.rpdos) {
+            put_pdo(to, index, rpdo, Direction::Receive);
+        }
+        for (index, tpdo) in (TPDO_PARAMETER..).zip(&self.tpdos) {
+            put_pdo(to, index, tpdo, Direction::Transmit);
+        }
+    }
+
+    /// Takes a stored parameter, if it is one of SYNC or a PDO and is legal. A PDO with a value that cannot be mapped
+    /// stays as it is.
+    pub fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
+        let Parameter { index, sub_index, data_type, value } = *parameter;
+        match (index, sub_index, data_type) {
+            (RPDO_PARAMETER..RPDO_MAPPING, 0, PDO) => {
+                let rpdo = self.rpdos.get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
+                *rpdo = Pdo::from_stored(words(value)?, Direction::Receive, objects)?;
+                Some(())
+            }
+            (TPDO_PARAMETER..TPDO_MAPPING, 0, PDO) => {
+                let tpdo = self.tpdos.get_mut(usize::from(index.wrapping_sub(TPDO_PARAMETER)))?;
+                *tpdo = Pdo::from_stored(words(value)?, Direction::Transmit, objects)?;
+                Some(())
+            }
+            _ if Pdos::<TPDOS, RPDOS>::IS_USED => self.sync.take(parameter),
+            _ => None,
+        }
+    }
+}
+
+#[inline(never)] // It has two callers.
+fn put_pdo(to: &mut Packer<'_>, index: u16, pdo: &Pdo, direction: Direction) {
+    let parameters = Pdo::stored_parameters(direction);
+    let len = 4 * parameters.saturating_add(pdo.mapping.number());
+    let (place, _) = to.reserve(index, 0, PDO, len).as_chunks_mut();
+    let (to_parameters, to_mapping) = place.split_at_mut(parameters.min(place.len()));
+    for (to, number) in to_parameters.iter_mut().zip(pdo.stored()) {
+        *to = number.to_le_bytes();
+    }
+    for (to, code) in to_mapping.iter_mut().zip(pdo.mapping.stored()) {
+        *to = code.to_le_bytes();
+    }
+}
+
+fn words(value: &[u8]) -> Option<&[[u8; 4]]> {
+    match value.as_chunks() {
+        (words, []) => Some(words),
+        _ => None,
+    }
+}

@@ -1,0 +1,130 @@
+//! The transmission of a TPDO: the times at which it is sent (CiA 301, 7.5.2.37).
+
+use super::Pdo;
+use crate::{Application, Frame, Instant};
+
+/// The state of a TPDO in NMT operational.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Transmission {
+    cob_id: u16,
+    /// The data last sent.
+    sent: [u8; 8],
+    /// It is sent at the next opportunity even if the data has not changed.
+    is_due: bool,
+    /// The number of SYNCs since it was last sent; `None` before the SYNC with the start value.
+    syncs: Option<u8>,
+    /// The end of the inhibit time.
+    inhibited_until: Option<Instant>,
+    /// The end of the event timer.
+    event_at: Option<Instant>,
+}
+
+impl Transmission {
+    /// A TPDO that is not in use.
+    pub const UNUSED: Self = Self {
+        cob_id: 0,
+        sent: [0; 8],
+        is_due: true,
+        syncs: None,
+        inhibited_until: None,
+        event_at: None,
+    };
+
+    /// A TPDO that is due, as in a node that enters NMT operational.
+    pub const fn new(cob_id: u16) -> Self {
+        Self { cob_id, ..Self::UNUSED }
+    }
+
+    /// The same with other parameters. The inhibit time goes on.
+    pub const fn renewed(&self, cob_id: u16) -> Self {
+        Self { inhibited_until: self.inhibited_until, ..Self::new(cob_id) }
+    }
+
+    /// Makes it due.
+    pub fn restart(&mut self) {
+        *self = Self::new(self.cob_id);
+    }
+
+    /// Makes it due without news.
+    pub const fn request(&mut self) {
+        self.is_due = true;
+    }
+
+    /// Ends the inhibit time.
+    pub const fn end_inhibit_time(&mut self) {
+        self.inhibited_until = None;
+    }
+
+    /// Counts a SYNC with this counter, if it has one; returns whether it asks for the TPDO.
+    pub fn handle_sync(&mut self, pdo: &Pdo, counter: Option<u8>) -> bool {
+        // The SYNC with the start value is regarded as the first (CiA 301, 7.5.2.37).
+        let is_awaited = self.syncs.is_none() && pdo.sync_start_value != 0;
+        if is_awaited && counter.is_some_and(|counter| counter != pdo.sync_start_value) {
+            return false;
+        }
+        let syncs = self.syncs.unwrap_or(0).saturating_add(1);
+        let is_asked_for = syncs >= pdo.transmission_type;
+        self.syncs = Some(if is_asked_for { 0 } else { syncs });
+        is_asked_for
+    }
+
+    /// The frame that a SYNC has asked for. Type 0 has none without news.
+    pub fn answer_sync<A: Application>(&mut self, pdo: &Pdo, application: &mut A) -> Option<Frame> {
+        let data = pdo.mapping.read(application);
+        let is_sent = pdo.transmission_type != 0 || self.has_news(pdo, &data);
+        is_sent.then(|| self.send(pdo, data)).flatten()
+    }
+
+    /// Ends the inhibit time if it is over; returns whether it is.
+    pub fn ends_inhibit_time(&mut self, now: Instant) -> bool {
+        self.inhibited_until.take_if(|until| until.has_come(now)).is_some()
+    }
+
+    /// The end of the event timer, if it is over and the TPDO may be sent.
+    pub fn is_timed_out(&self, pdo: &Pdo, now: Instant) -> Option<Instant> {
+        let is_over = |end: &Instant| !end.is_ahead(now, pdo.event_timer_micros());
+        self.event_at.filter(is_over).filter(|_| self.inhibited_until.is_none())
+    }
+
+    /// The frame of an event-driven TPDO with news, or whose event timer `is_timed_out`; and whether it has no news.
+    pub fn poll<A: Application>(
+        &mut self,
+        pdo: &Pdo,
+        application: &mut A,
+        is_timed_out: bool,
+        now: Instant,
+    ) -> Option<(Frame, bool)> {
+        if self.inhibited_until.is_some() {
+            return None;
+        }
+        let data = pdo.mapping.read(application);
+        let has_news = self.has_news(pdo, &data);
+        if !has_news && !is_timed_out {
+            return None;
+        }
+        let after = |micros: u32| (micros > 0).then(|| now.plus_micros(micros));
+        self.inhibited_until = after(u32::from(pdo.inhibit_time) * 100);
+        self.event_at = after(pdo.event_timer_micros());
+        Some((self.send(pdo, data)?, !has_news))
+    }
+
+    fn has_news(&self, pdo: &Pdo, data: &[u8; 8]) -> bool {
+        self.is_due || pdo.mapping.has_news(data, &self.sent)
+    }
+
+    fn send(&mut self, pdo: &Pdo, data: [u8; 8]) -> Option<Frame> {
+        self.sent = data;
+        self.is_due = false;
+        Frame::from_padded(self.cob_id, pdo.mapping.len(), data)
+    }
+
+    /// The end of the inhibit time.
+    pub const fn inhibited_until(&self) -> Option<Instant> {
+        self.inhibited_until
+    }
+
+    /// The end of the event timer.
+    pub const fn event_at(&self) -> Option<Instant> {
+        self.event_at
+    }
+}

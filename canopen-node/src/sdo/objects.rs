@@ -1,0 +1,53 @@
+//! The object dictionary and the memory behind the SDO server.
+
+use core::fmt::Debug;
+
+use super::{Abort, Message};
+use crate::object_dictionary::Entry;
+
+/// The value of an object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Content {
+    /// A number of the node, of up to four bytes.
+    Number(u32),
+    Text(&'static str),
+    /// The application has it, in this field.
+    OfApplication(u8),
+}
+
+/// The object dictionary behind the server.
+pub(crate) trait Objects {
+    /// The time after which an unfinished transfer ends, in microseconds.
+    const TIMEOUT_MICROS: u32;
+
+    fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort>;
+    fn read(&mut self, entry: &Entry) -> Result<Content, Abort>;
+    /// Writes any object but a domain. Returns the `confirmation`, or `None` if it follows when a store has ended.
+    fn write(
+        &mut self,
+        entry: &Entry,
+        bytes: &[u8],
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort>;
+    /// Withdraws the confirmation that would follow a store.
+    fn forget_store(&mut self);
+
+    /// The length of a value of the application, in bytes.
+    fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort>;
+    /// Copies a part of a value of the application; returns the number of bytes.
+    fn read_part(&self, entry: &Entry, field: u8, offset: u32, to: &mut [u8]) -> usize;
+    fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort>;
+    fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort>;
+    fn abort_domain(&mut self, entry: &Entry);
+}
+
+/// The memory of the SDO server for the value under way, with room for the longest that a client can write: an array of
+/// bytes.
+pub trait Buffer: AsRef<[u8]> + AsMut<[u8]> + Clone + Debug {
+    /// A buffer that holds nothing.
+    const EMPTY: Self;
+}
+
+impl<const N: usize> Buffer for [u8; N] {
+    const EMPTY: Self = [0; N];
+}

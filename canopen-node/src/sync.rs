@@ -1,0 +1,128 @@
+//! The SYNC consumer (CiA 301, 7.2.5): 1005h and 1019h.
+
+use lss_slave::cob_id;
+
+use crate::{
+    Frame,
+    cob_id::is_restricted,
+    object_dictionary::{
+        Access::ReadWrite,
+        DataType::{Unsigned8, Unsigned32},
+        DefaultValue, Description, Entry, Number, Object, row,
+    },
+    sdo::Abort,
+    settings::parameters::{HEADER, Packer, Parameter},
+};
+
+const COB_ID: u16 = 0x1005;
+const COUNTER_OVERFLOW: u16 = 0x1019;
+/// The highest counter that a master can choose.
+const MAX_OVERFLOW: u8 = 240;
+
+pub(crate) const COB_ID_ROW: &[Entry] = &[row(COB_ID, 0, Unsigned32, ReadWrite, Object::SyncCobId)];
+pub(crate) const COUNTER_OVERFLOW_ROW: &[Entry] =
+    &[row(COUNTER_OVERFLOW, 0, Unsigned8, ReadWrite, Object::SyncCounterOverflow)];
+
+/// Error code of a SYNC whose length does not fit 1019h (CiA 301, table 26).
+pub(crate) const WRONG_LENGTH: u16 = 0x8240;
+
+/// The parameters of the SYNC consumer.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sync {
+    cob_id: u16,
+    /// 1019h: 0, or the highest counter.
+    overflow: u8,
+}
+
+/// A SYNC with a wrong length, which is ignored.
+pub(crate) struct WrongLength;
+
+impl Sync {
+    /// The number of bytes that the stored parameters take.
+    pub const STORED_LEN: usize = HEADER + 4 + HEADER + 1;
+
+    pub const fn new() -> Self {
+        Self { cob_id: cob_id::SYNC, overflow: 0 }
+    }
+
+    pub const fn cob_id(&self) -> u16 {
+        self.cob_id
+    }
+
+    pub const fn overflow(&self) -> u8 {
+        self.overflow
+    }
+
+    /// The counter of a SYNC, if it has one.
+    ///
+    /// # Errors
+    /// [`WrongLength`].
+    pub fn counter(&self, frame: &Frame) -> Result<Option<u8>, WrongLength> {
+        match (frame.data(), self.overflow) {
+            ([], 0) => Ok(None),
+            (&[counter], 1..) => Ok(Some(counter)),
+            _ => Err(WrongLength),
+        }
+    }
+
+    /// Sets 1005h.
+    ///
+    /// # Errors
+    /// [`Abort::InvalidValue`] for a producer (bit 30), a 29-bit identifier or a restricted CAN-ID.
+    pub fn set_cob_id(&mut self, value: u32) -> Result<(), Abort> {
+        const NO_MEANING: u32 = 1 << 31;
+        let id = (value & 0x7FF) as u16;
+        if value & !(NO_MEANING | 0x7FF) != 0 || is_restricted(id) {
+            return Err(Abort::InvalidValue);
+        }
+        self.cob_id = id;
+        Ok(())
+    }
+
+    /// Sets 1019h.
+    ///
+    /// # Errors
+    /// [`Abort::InvalidValue`] unless it is 0 or 2 to 240.
+    pub fn set_overflow(&mut self, overflow: u8) -> Result<(), Abort> {
+        if !matches!(overflow, 0 | 2..=MAX_OVERFLOW) {
+            return Err(Abort::InvalidValue);
+        }
+        self.overflow = overflow;
+        Ok(())
+    }
+
+    /// Packs 1005h and 1019h.
+    pub fn save(&self, to: &mut Packer<'_>) {
+        let cob_id = u32::from(self.cob_id).to_le_bytes();
+        for (index, data_type, value) in
+            [(COB_ID, Unsigned32, &cob_id[..]), (COUNTER_OVERFLOW, Unsigned8, &[self.overflow])]
+        {
+            to.put(&Parameter { index, sub_index: 0, data_type: data_type as u8, value });
+        }
+    }
+
+    /// Takes a stored parameter, if it is one of SYNC and is legal.
+    pub fn take(&mut self, parameter: &Parameter<'_>) -> Option<()> {
+        const U8: u8 = Unsigned8 as u8;
+        const U32: u8 = Unsigned32 as u8;
+        match (parameter.index, parameter.sub_index, parameter.data_type, parameter.value) {
+            (COB_ID, 0, U32, &[b0, b1, b2, b3]) => {
+                self.set_cob_id(u32::from_le_bytes([b0, b1, b2, b3])).ok()
+            }
+            (COUNTER_OVERFLOW, 0, U8, &[overflow]) => self.set_overflow(overflow).ok(),
+            _ => None,
+        }
+    }
+}
+
+/// The description of a row of SYNC.
+pub(crate) fn describe(entry: &Entry, default: DefaultValue) -> Description {
+    let (name, limits) = match entry.index {
+        COB_ID => ("COB-ID SYNC", None),
+        _ => {
+            let limits = (Number::Integer(0), Number::Integer(MAX_OVERFLOW.into()));
+            ("Synchronous counter overflow value", Some(limits))
+        }
+    };
+    Description { object: None, name: name.into(), default, limits }
+}

@@ -1,0 +1,304 @@
+//! Control of the bit rate: the switch with its two delays, the supervision, and the permission to send frames.
+
+use core::mem;
+
+use super::{
+    BitRate, BitRateSetting, BitRates, BusEvent, GUEST_ERROR_CODE,
+    supervision::{Step, Supervision},
+};
+use crate::{Frame, Instant, cob_id, lss};
+
+/// The bit rates of the node (in use, active and home) and the switch to another.
+#[derive(Clone, Debug)]
+pub struct Control {
+    supervision: Supervision,
+    /// The active setting is automatic detection.
+    is_automatic: bool,
+    switch: Option<Switch>,
+    /// See [`is_settled`](Self::is_settled).
+    is_settled: bool,
+    /// See [`needs_all_frames`](Self::needs_all_frames).
+    needs_all_frames: bool,
+    /// Frames may be sent again, but the board has not been informed.
+    is_resume_due: bool,
+}
+
+/// An activation of bit timing in progress (CiA 305, activate bit timing parameters).
+#[derive(Clone, Copy, Debug)]
+struct Switch {
+    phase: Phase,
+    /// The end of the phase.
+    until: Instant,
+    delay_micros: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Phase {
+    /// The board has not been informed.
+    Requested,
+    OldRate,
+    NewRate,
+}
+
+/// The node's next step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Next {
+    /// A switch begins: no more frames are sent.
+    StopTransmitting,
+    /// The pending bit rate must be activated, see [`Control::activate`].
+    Activate {
+        /// The end of the switch.
+        silent_until: Instant,
+    },
+    /// A switch has ended.
+    EndSwitch,
+    /// A step of the supervision, which drops the pending frames.
+    Step(Step),
+    /// Frames may be sent again.
+    ResumeTransmitting,
+    /// Nothing happens, in the silence of a switch.
+    KeepSilent,
+    /// The home rate is proven: only the frames for the node matter from now on.
+    Settled,
+}
+
+impl Control {
+    /// The control of a node that offers these rates and was powered on with this setting.
+    pub const fn new(setting: BitRateSetting, rates: BitRates) -> Self {
+        Self {
+            supervision: Supervision::new(setting, rates),
+            is_automatic: matches!(setting, BitRateSetting::Automatic),
+            switch: None,
+            is_settled: false,
+            needs_all_frames: matches!(setting, BitRateSetting::Automatic),
+            is_resume_due: false,
+        }
+    }
+
+    /// Adds the search from an unproven home rate. The serial number keeps several nodes from acting at the same time.
+    #[must_use]
+    pub const fn with_rescue(self, serial_number: u32) -> Self {
+        let supervision = self.supervision.with_rescue(serial_number);
+        Self { supervision, needs_all_frames: true, ..self }
+    }
+
+    /// The bit rate at which the controller runs or listens.
+    pub const fn in_use(&self) -> BitRate {
+        self.supervision.bit_rate()
+    }
+
+    /// The active setting (CiA 305).
+    pub const fn active(&self) -> BitRateSetting {
+        if self.is_automatic {
+            BitRateSetting::Automatic
+        } else {
+            BitRateSetting::Fixed(self.supervision.active())
+        }
+    }
+
+    /// The bit rate that was last commanded; `None` until it has been detected.
+    pub const fn home(&self) -> Option<BitRate> {
+        self.supervision.home()
+    }
+
+    /// The number of times that the node has joined the others at another bit rate.
+    pub const fn rescues(&self) -> u16 {
+        self.supervision.rescues()
+    }
+
+    /// Whether the controller listens silently.
+    pub const fn is_listening(&self) -> bool {
+        self.supervision.is_listening()
+    }
+
+    /// Whether automatic detection has not found a rate yet.
+    pub const fn is_detecting(&self) -> bool {
+        self.supervision.is_detecting()
+    }
+
+    /// Whether a switch is in progress.
+    pub const fn is_switching(&self) -> bool {
+        self.switch.is_some()
+    }
+
+    /// Whether the supervision allows frames to be sent.
+    pub const fn may_send(&self) -> bool {
+        self.supervision.may_send()
+    }
+
+    /// Whether the home rate is proven and no switch runs. Until the next [`switch`](Self::switch) no frame, event or
+    /// time makes a difference.
+    pub const fn is_settled(&self) -> bool {
+        self.is_settled
+    }
+
+    /// Whether frames for others make a difference too, since the home rate is not proven.
+    pub const fn needs_all_frames(&self) -> bool {
+        self.needs_all_frames
+    }
+
+    /// Handles a received frame and returns whether it may be served.
+    pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> bool {
+        // The sender may be lost like this node and repeat its boot-up until someone acknowledges it.
+        if self.supervision.is_elsewhere() && is_boot_up(frame) {
+            return false;
+        }
+        // A sender repeats its frame until someone acknowledges it.
+        let is_acknowledged = !self.is_listening();
+        self.handle_bus(BusEvent::Received, now);
+        if is_request(frame) {
+            self.supervision.note_request(now);
+        } else if is_guest(frame) {
+            self.supervision.note_guest(now);
+        }
+        is_acknowledged
+    }
+
+    /// Handles an event of the controller.
+    pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
+        let is_proof = matches!(event, BusEvent::Received | BusEvent::Acknowledged);
+        // Errors are expected in the silent periods of a switch.
+        if is_proof || self.is_supervised() {
+            self.supervision.handle(event, now);
+        }
+    }
+
+    /// Records that the node has sent a frame.
+    pub fn note_sent(&mut self, now: Instant) {
+        self.supervision.note_sent(now);
+    }
+
+    /// Begins the switch to the pending bit rate, with two delays of `delay_ms` milliseconds.
+    pub fn switch(&mut self, delay_ms: u16, now: Instant) {
+        let delay_micros = u32::from(delay_ms) * 1000;
+        self.is_settled = false;
+        self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });
+    }
+
+    /// Activates `setting`, in the switch that ends at `silent_until`. A detection that continues keeps its result.
+    pub fn activate(&mut self, setting: BitRateSetting, silent_until: Instant) {
+        match setting {
+            BitRateSetting::Fixed(rate) => self.supervision.command(rate, silent_until),
+            BitRateSetting::Automatic if self.is_automatic => {}
+            BitRateSetting::Automatic => self.supervision.detect(),
+        }
+        self.is_automatic = setting == BitRateSetting::Automatic;
+    }
+
+    /// The new bit rate in use, once after a change: the node has become a guest or has returned home.
+    pub fn take_change(&mut self) -> Option<BitRate> {
+        self.supervision.take_change()
+    }
+
+    /// The next step at `now`; `None` if the bit rate requires none and the node may do other work.
+    pub fn poll(&mut self, now: Instant) -> Option<Next> {
+        // A detection that the switch has begun may complete within it.
+        if (self.is_supervised() || self.supervision.has_step())
+            && let Some(step) = self.supervision.poll(now)
+        {
+            self.is_resume_due = self.switch.is_none();
+            self.needs_all_frames = !self.supervision.is_settled();
+            return Some(Next::Step(step));
+        }
+        match self.switch {
+            Some(switch) if switch.until.has_come(now) => Some(self.advance(switch)),
+            Some(_) => Some(Next::KeepSilent),
+            None if !self.is_listening() && mem::take(&mut self.is_resume_due) => {
+                Some(Next::ResumeTransmitting)
+            }
+            None => {
+                self.is_settled = self.supervision.is_settled();
+                let is_news = self.is_settled && mem::take(&mut self.needs_all_frames);
+                is_news.then_some(Next::Settled)
+            }
+        }
+    }
+
+    /// The latest time of the next [`poll`](Self::poll), if nothing else happens before.
+    pub fn poll_at(&self) -> Option<Instant> {
+        let supervision = self.supervision.poll_at().filter(|_| self.is_supervised());
+        Instant::earliest(supervision, self.switch.map(|switch| switch.until))
+    }
+
+    /// Ends the phase of the switch that has expired.
+    fn advance(&mut self, switch: Switch) -> Next {
+        let until = switch.until.plus_micros(switch.delay_micros);
+        match switch.phase {
+            Phase::Requested => {
+                self.switch = Some(Switch { phase: Phase::OldRate, until, ..switch });
+                Next::StopTransmitting
+            }
+            Phase::OldRate => {
+                self.switch = Some(Switch { phase: Phase::NewRate, until, ..switch });
+                Next::Activate { silent_until: until }
+            }
+            Phase::NewRate => {
+                self.switch = None;
+                self.is_resume_due = true;
+                Next::EndSwitch
+            }
+        }
+    }
+
+    /// Whether the supervision may act: not during a switch, unless the switch has begun a detection.
+    const fn is_supervised(&self) -> bool {
+        self.switch.is_none() || self.supervision.is_detecting()
+    }
+}
+
+/// Whether a master has sent the frame.
+fn is_request(frame: &Frame) -> bool {
+    matches!(frame.cob_id(), lss::REQUEST_COB_ID | cob_id::NMT_COMMAND | cob_id::SYNC)
+        || frame.cob_id() & !0x7F == cob_id::SDO_REQUEST
+}
+
+/// Whether the frame is the boot-up of a node.
+fn is_boot_up(frame: &Frame) -> bool {
+    frame.cob_id() & !0x7F == cob_id::ERROR_CONTROL && matches!(frame.data(), [0])
+}
+
+/// Whether a node tells that it has become a guest, by an emergency message.
+fn is_guest(frame: &Frame) -> bool {
+    let is_emergency = frame.cob_id() & !0x7F == cob_id::EMERGENCY;
+    is_emergency && frame.data().starts_with(&GUEST_ERROR_CODE.to_le_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u32) -> Instant {
+        Instant::from_micros(ms * 1000)
+    }
+
+    #[test]
+    fn a_switch_is_silent_for_both_delays_and_activates_between_them() {
+        let rates = BitRates::possible(40_000_000);
+        let mut control = Control::new(BitRate::Kbit125.into(), rates).with_rescue(0);
+        control.handle_bus(BusEvent::Received, at(0));
+        assert_eq!((control.poll(at(0)), control.is_settled()), (Some(Next::Settled), true));
+        assert_eq!(control.poll(at(0)), None);
+        control.switch(10, at(0));
+        assert!(!control.is_settled());
+        assert_eq!(control.poll(at(0)), Some(Next::StopTransmitting));
+        for _ in 0..100 {
+            control.handle_bus(BusEvent::Error, at(1));
+        }
+        assert_eq!(
+            (control.poll(at(9)), control.poll_at()),
+            (Some(Next::KeepSilent), Some(at(10)))
+        );
+        assert_eq!(control.poll(at(10)), Some(Next::Activate { silent_until: at(20) }));
+        control.activate(BitRate::Kbit500.into(), at(20));
+        assert_eq!(control.poll(at(10)), Some(Next::Step(Step::TakePart(BitRate::Kbit500))));
+        assert_eq!(control.poll(at(19)), Some(Next::KeepSilent));
+        assert_eq!(control.poll(at(20)), Some(Next::EndSwitch));
+        assert_eq!(control.poll(at(20)), Some(Next::ResumeTransmitting));
+        assert_eq!((control.poll(at(20)), control.is_switching()), (None, false));
+        assert_eq!(
+            (control.in_use(), control.active(), control.is_settled()),
+            (BitRate::Kbit500, BitRate::Kbit500.into(), false)
+        );
+    }
+}

@@ -1,0 +1,453 @@
+//! Bit-rate supervision: the choice of the node's bit rate and the search for another (`docs/bit-rates.md`).
+//!
+//! The *home* rate is the one last commanded: stored at power-on, or activated since. It is *proven* once a valid frame
+//! was received at it, or a frame of the node acknowledged. A proven home is never left. From an unproven one the node
+//! searches at the first error: it listens silently at one rate after another. A valid frame makes it a *guest*, which
+//! takes part at the rate found and visits home from time to time.
+
+use super::{BitRate, BitRateSetting, BitRates, BusEvent};
+use crate::Instant;
+
+/// The node's next step for its bit rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Take part in the bus at this rate.
+    TakePart(BitRate),
+    /// Receive silently at this rate.
+    Listen(BitRate),
+    /// Drop the pending frames.
+    DropFrames,
+}
+
+/// The time after a switch in which only the commanded rate is used.
+const TRUST_MICROS: u32 = 30_000_000;
+/// The time for which an unacknowledged frame is repeated at an unproven home, and the least and the additional pause
+/// that follows. Without it a slower node never sees the 11 recessive bits that let it join the bus.
+const REPEAT_MICROS: u32 = 100_000;
+const PAUSE_MICROS: u32 = 400_000;
+const PAUSE_STEP_MICROS: u32 = 1_000;
+/// The longest stay at a rate: a network may have no more than one heartbeat a second.
+const STAY_MICROS: u32 = 1_100_000;
+/// The rest of a stay after the first error.
+const HEARD_MICROS: u32 = 40_000;
+/// The number of stays after which the node takes part at home again until the next error: as many as there are rates.
+const MOST_STAYS: u8 = 8;
+/// The time for which the node listens at home between two stays. A lone master is error passive after 16 attempts and
+/// can then be received in silence.
+const TURN_MICROS: u32 = 30_000;
+const TURN_FRAMES: u32 = 18;
+const FRAME_BITS: u32 = 135;
+/// The time for which a visitor takes part at home: that of two heartbeats.
+const TRIAL_BITS: u32 = 160;
+/// The number of errors without a valid frame after which the node no longer takes part as a guest or a visitor.
+const MOST_ERRORS: u8 = 2;
+/// The time for which a guest waits for an acknowledge. Its repeated frame keeps the boards at home from the bus.
+const ACKNOWLEDGE_MICROS: u32 = 100_000;
+/// The first and the longest time from joining to a visit, and the step of its shift by the serial number.
+const FIRST_VISIT_SECONDS: u8 = 2;
+const LAST_VISIT_SECONDS: u8 = 64;
+const SHIFT_MICROS: u32 = 2_000;
+
+/// The supervision, which chooses the node's bit rate.
+#[derive(Clone, Debug)]
+pub(super) struct Supervision {
+    rates: BitRates,
+    is_enabled: bool,
+    serial_number: u32,
+    home: BitRate,
+    /// The supervision has nothing to do at home until the next switch.
+    is_proven: bool,
+    /// The rate before the latest switch, until a search has begun with it.
+    previous: Option<BitRate>,
+    trusted_until: Option<Instant>,
+    place: Place,
+    /// The end of the stay at the place, or of the wait for an acknowledge there.
+    until: Option<Instant>,
+    /// Errors at the place since the latest valid frame. A turn at home counts with the stay before it.
+    errors: u8,
+    /// The rate of the stay or the next one, or of the guest.
+    found: BitRate,
+    /// An error has led from one rate to another during the stay.
+    has_moved: bool,
+    /// The stays of the search.
+    stays: u8,
+    visit_at: Instant,
+    /// The time from the next joining to the visit.
+    visit_seconds: u8,
+    /// The step that [`poll`](Self::poll) returns next.
+    step: Option<Step>,
+    /// The rate at which the node last took part, as returned by [`take_change`](Self::take_change).
+    active: BitRate,
+    rescues: u16,
+}
+
+/// The rate in use, and whether the node takes part there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    /// Takes part at home.
+    Home,
+    /// Takes part at home but sends nothing, since nobody acknowledges.
+    Pause,
+    /// Listens at the next rate of the round, home among them.
+    Stay,
+    /// Listens at home between two stays.
+    Turn,
+    /// Takes part at the rate found.
+    Guest,
+    /// Listens at home as a guest.
+    Visit,
+    /// Takes part at home as a guest.
+    Trial,
+    /// Listens to detect a home rate.
+    Detection,
+}
+
+impl Supervision {
+    /// The supervision of a node that was powered on with this setting: it only performs automatic detection, if the
+    /// setting demands it.
+    pub const fn new(setting: BitRateSetting, rates: BitRates) -> Self {
+        let (home, place, step) = match setting {
+            BitRateSetting::Fixed(rate) => (rate, Place::Home, None),
+            BitRateSetting::Automatic => {
+                (rates.fastest(), Place::Detection, Some(Step::Listen(rates.fastest())))
+            }
+        };
+        Self {
+            rates,
+            is_enabled: false,
+            serial_number: 0,
+            home,
+            is_proven: true,
+            previous: None,
+            trusted_until: None,
+            place,
+            until: None,
+            errors: 0,
+            found: home,
+            has_moved: false,
+            stays: 0,
+            visit_at: Instant::from_micros(0),
+            visit_seconds: FIRST_VISIT_SECONDS,
+            step,
+            active: home,
+            rescues: 0,
+        }
+    }
+
+    /// Adds the search from an unproven home.
+    pub const fn with_rescue(self, serial_number: u32) -> Self {
+        Self { is_enabled: true, is_proven: false, serial_number, ..self }
+    }
+
+    /// The bit rate at which the controller runs or listens.
+    pub const fn bit_rate(&self) -> BitRate {
+        match self.place {
+            Place::Home | Place::Pause | Place::Turn | Place::Visit | Place::Trial => self.home,
+            Place::Stay | Place::Guest | Place::Detection => self.found,
+        }
+    }
+
+    /// The active rate: the commanded rate, or the one at which the node has found the others.
+    pub const fn active(&self) -> BitRate {
+        self.active
+    }
+
+    /// The home rate; `None` until it has been detected.
+    pub const fn home(&self) -> Option<BitRate> {
+        if self.is_detecting() { None } else { Some(self.home) }
+    }
+
+    /// The number of times that the node has become a guest.
+    pub const fn rescues(&self) -> u16 {
+        self.rescues
+    }
+
+    /// Whether the controller listens silently.
+    pub const fn is_listening(&self) -> bool {
+        matches!(self.place, Place::Stay | Place::Turn | Place::Visit | Place::Detection)
+    }
+
+    /// Whether the node may send frames.
+    pub const fn may_send(&self) -> bool {
+        !self.is_listening() && !matches!(self.place, Place::Pause)
+    }
+
+    /// Whether automatic detection has not found a rate yet.
+    pub const fn is_detecting(&self) -> bool {
+        matches!(self.place, Place::Detection)
+    }
+
+    /// Whether an event requires a step that has not been taken.
+    pub const fn has_step(&self) -> bool {
+        self.step.is_some()
+    }
+
+    /// Whether nothing but a switch makes a difference any more.
+    pub const fn is_settled(&self) -> bool {
+        self.is_proven && matches!(self.place, Place::Home) && self.step.is_none()
+    }
+
+    /// Whether the controller listens in a search, at a rate other than home.
+    pub fn is_elsewhere(&self) -> bool {
+        self.place == Place::Stay && self.found != self.home
+    }
+
+    /// The rate at which the node takes part, if it differs from the last one returned or commanded: the node has
+    /// become a guest or has returned home.
+    pub fn take_change(&mut self) -> Option<BitRate> {
+        let rate = self.bit_rate();
+        if !matches!(self.place, Place::Home | Place::Guest) || rate == self.active {
+            return None;
+        }
+        self.active = rate;
+        if rate != self.home {
+            self.rescues = self.rescues.saturating_add(1);
+        }
+        Some(rate)
+    }
+
+    /// Switches home to `rate`, at the end of the first delay of activate bit timing. No other rate is used until 30 s
+    /// after `silent_until`.
+    pub fn command(&mut self, rate: BitRate, silent_until: Instant) {
+        let before = self.bit_rate();
+        if rate == before {
+            self.is_proven |= self.place == Place::Guest;
+        } else {
+            self.is_proven = !self.is_enabled;
+            self.previous = Some(before);
+            self.step = Some(Step::TakePart(rate));
+        }
+        self.home = rate;
+        self.active = rate;
+        self.enter(Place::Home, None);
+        self.trusted_until = Some(silent_until.plus_micros(TRUST_MICROS));
+    }
+
+    /// Begins automatic detection.
+    pub fn detect(&mut self) {
+        self.found = self.rates.fastest();
+        self.enter(Place::Detection, None);
+        self.step = Some(Step::Listen(self.found));
+        self.trusted_until = None;
+    }
+
+    /// Records that the node has sent a frame.
+    pub fn note_sent(&mut self, now: Instant) {
+        let micros = match self.place {
+            Place::Home if !self.is_proven => REPEAT_MICROS,
+            Place::Guest => ACKNOWLEDGE_MICROS,
+            _ => return,
+        };
+        self.until.get_or_insert(now.plus_micros(micros));
+    }
+
+    /// Records a request of a master: its network keeps a guest for a while.
+    pub fn note_request(&mut self, now: Instant) {
+        self.visit_seconds = LAST_VISIT_SECONDS;
+        self.plan_visit(now);
+    }
+
+    /// Records that another node has become a guest: unless both visit home at the same time, they keep each other.
+    pub fn note_guest(&mut self, now: Instant) {
+        self.visit_seconds = FIRST_VISIT_SECONDS;
+        self.plan_visit(now);
+    }
+
+    /// Handles an observation of the controller.
+    pub fn handle(&mut self, event: BusEvent, now: Instant) {
+        match event {
+            BusEvent::Received => self.handle_valid(now),
+            // The acknowledge of a frame that was sent before the node began to listen decides nothing.
+            BusEvent::Acknowledged if !self.is_listening() => self.handle_valid(now),
+            BusEvent::Error => self.handle_error(true, now),
+            BusEvent::FormError => self.handle_error(false, now),
+            // Reception cannot wait for the recovery, which takes hundreds of frames on a busy bus.
+            BusEvent::BusOff if !self.is_proven && self.place == Place::Home => {
+                self.pause(now);
+                self.step = Some(Step::TakePart(self.home));
+            }
+            // A short circuit is no evidence of another rate.
+            BusEvent::HeldDominant if self.is_listening() && !self.is_detecting() => {
+                self.stay_home();
+            }
+            _ => {}
+        }
+    }
+
+    fn handle_valid(&mut self, now: Instant) {
+        match self.place {
+            Place::Guest => (self.errors, self.until) = (0, None),
+            Place::Stay if self.found != self.home => self.join(now),
+            Place::Detection => {
+                self.home = self.found;
+                self.active = self.found;
+                self.prove();
+            }
+            _ => self.prove(),
+        }
+    }
+
+    /// Handles an error; a form error does not lead to another rate: a silent listener sees one when a frame is not
+    /// acknowledged.
+    fn handle_error(&mut self, leads_on: bool, now: Instant) {
+        self.errors = self.errors.saturating_add(1);
+        match self.place {
+            Place::Home | Place::Pause if !self.is_proven && self.trusted_until.is_none() => {
+                let fastest = self.next_rate(BitRate::Kbit10);
+                let other = if fastest == self.home { self.next_rate(fastest) } else { fastest };
+                self.found = self.previous.take().unwrap_or(other);
+                self.stays = 0;
+                self.stay(now);
+            }
+            Place::Guest if self.errors >= MOST_ERRORS => self.take_turn(now),
+            Place::Trial if self.errors >= MOST_ERRORS => self.stay(now),
+            Place::Visit if leads_on => self.stay(now),
+            Place::Stay | Place::Detection => {
+                let end = now.plus_micros(HEARD_MICROS);
+                self.until = Instant::earliest(self.until, Some(end));
+                if leads_on {
+                    self.has_moved = true;
+                    self.found = self.next_rate(self.found);
+                    self.step = Some(Step::Listen(self.found));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Returns the next step, if one is due at `now`.
+    pub fn poll(&mut self, now: Instant) -> Option<Step> {
+        if self.step.is_none() {
+            let is_over = |end: Option<Instant>| end.is_some_and(|end| end.has_come(now));
+            if is_over(self.trusted_until) {
+                self.trusted_until = None;
+            }
+            if is_over(self.until) {
+                self.end_stay(now);
+            } else if self.place == Place::Guest && self.visit_at.has_come(now) {
+                self.listen_at_home(Place::Visit, now);
+            }
+        }
+        self.step.take()
+    }
+
+    /// The latest time of the next [`poll`](Self::poll), if nothing else happens before.
+    pub fn poll_at(&self) -> Option<Instant> {
+        let visit = (self.place == Place::Guest).then_some(self.visit_at);
+        Instant::earliest(Instant::earliest(self.until, visit), self.trusted_until)
+    }
+
+    fn end_stay(&mut self, now: Instant) {
+        let has_heard = self.errors > 0;
+        match self.place {
+            Place::Home => {
+                self.pause(now);
+                self.step = Some(Step::DropFrames);
+            }
+            Place::Pause => self.enter(Place::Home, None),
+            Place::Stay => {
+                self.advance();
+                self.take_turn_after(has_heard, now);
+            }
+            Place::Turn if has_heard && self.stays < MOST_STAYS => self.stay(now),
+            Place::Turn => self.stay_home(),
+            Place::Guest => self.take_turn(now),
+            Place::Visit => {
+                let end = now.plus_micros(bits_micros(TRIAL_BITS, self.home));
+                self.enter(Place::Trial, Some(end));
+                self.step = Some(Step::TakePart(self.home));
+            }
+            Place::Trial => self.stay(now),
+            Place::Detection if has_heard => {
+                self.advance();
+                self.enter(Place::Detection, Some(now.plus_micros(STAY_MICROS)));
+                self.step = Some(Step::Listen(self.found));
+            }
+            Place::Detection => self.detect(),
+        }
+    }
+
+    fn enter(&mut self, place: Place, until: Option<Instant>) {
+        (self.place, self.until) = (place, until);
+        (self.errors, self.has_moved) = (0, false);
+    }
+
+    /// Ends the stay at a rate.
+    fn advance(&mut self) {
+        if !self.has_moved {
+            self.found = self.next_rate(self.found);
+        }
+    }
+
+    fn pause(&mut self, now: Instant) {
+        let more = PAUSE_STEP_MICROS * (self.serial_number & 0xFF);
+        self.enter(Place::Pause, Some(now.plus_micros(PAUSE_MICROS + more)));
+    }
+
+    /// Becomes a guest.
+    fn join(&mut self, now: Instant) {
+        self.enter(Place::Guest, None);
+        self.stays = 0;
+        self.step = Some(Step::TakePart(self.found));
+        if self.found != self.active {
+            self.visit_seconds = FIRST_VISIT_SECONDS;
+        }
+        self.plan_visit(now);
+        self.visit_seconds = LAST_VISIT_SECONDS.min(self.visit_seconds.saturating_mul(2));
+    }
+
+    fn plan_visit(&mut self, now: Instant) {
+        let shift = SHIFT_MICROS * (self.serial_number & 7);
+        self.visit_at = now.plus_micros(u32::from(self.visit_seconds) * 1_000_000 + shift);
+    }
+
+    /// Takes part at home for good.
+    fn prove(&mut self) {
+        self.is_proven = true;
+        self.stay_home();
+    }
+
+    /// Takes part at home until the next error.
+    fn stay_home(&mut self) {
+        if self.is_listening() {
+            self.step = Some(Step::TakePart(self.home));
+        }
+        self.enter(Place::Home, None);
+    }
+
+    /// Listens at the next rate of the round.
+    fn stay(&mut self, now: Instant) {
+        self.enter(Place::Stay, Some(now.plus_micros(STAY_MICROS)));
+        self.stays = self.stays.saturating_add(1);
+        self.step = Some(Step::Listen(self.found));
+    }
+
+    /// Listens at home, and then at the guest's rate again.
+    fn take_turn(&mut self, now: Instant) {
+        self.take_turn_after(true, now);
+    }
+
+    fn take_turn_after(&mut self, has_heard: bool, now: Instant) {
+        self.listen_at_home(Place::Turn, now);
+        self.errors = has_heard.into();
+    }
+
+    fn listen_at_home(&mut self, place: Place, now: Instant) {
+        let micros = TURN_MICROS + bits_micros(TURN_FRAMES * FRAME_BITS, self.home);
+        self.enter(place, Some(now.plus_micros(micros)));
+        self.step = Some(Step::Listen(self.home));
+    }
+
+    /// The rate after `rate` in the round: the next slower one, and after the slowest the fastest. At a rate that is
+    /// too fast each frame ends in a stuff error, since its bits last too long; at a rate that is too slow a frame may
+    /// pass unnoticed.
+    fn next_rate(&self, rate: BitRate) -> BitRate {
+        let mut offered = BitRate::ALL.into_iter().filter(|&other| self.rates.contains(other));
+        let slower = offered.find(|other| other.kbit_per_s() < rate.kbit_per_s());
+        slower.unwrap_or(self.rates.fastest())
+    }
+}
+
+const fn bits_micros(bits: u32, rate: BitRate) -> u32 {
+    bits * 1000 / rate.kbit_per_s() as u32
+}

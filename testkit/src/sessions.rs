@@ -1,0 +1,262 @@
+//! The sessions that the image must pass on every chip.
+
+use std::panic::{self, AssertUnwindSafe};
+
+use canopen_node::{BitRate, BitRateSetting, NodeId, Settings};
+use emulator::{
+    Time,
+    board::{self, Board},
+    can::{Adapter, Frame, Id},
+    chip::{Part, PowerCut, ResetCause},
+    image::Image,
+};
+use lss_master::Fastscan;
+
+use crate::{
+    boards, frames,
+    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with},
+};
+
+/// The time that a node may need to join the rig, or to change to another rate.
+pub const AWAY: Time = Time::from_s(3);
+
+/// The time for a rescue, and for a detection on a rig with a frame a second.
+const SEARCH: Time = Time::from_s(10);
+/// The time for a recovery after a foreign node has left.
+const RECOVERY: Time = Time::from_s(5);
+
+const OTHER_RATES: [BitRate; 4] =
+    [BitRate::Kbit1000, BitRate::Kbit10, BitRate::Kbit800, BitRate::Kbit250];
+
+/// The time from 17 to its answer.
+const STORE: Time = Time::from_ms(20);
+
+/// A board to be emulated: its chip and crystal, and the variant of its behaviour.
+#[derive(Clone, Copy)]
+pub struct Variant<'a> {
+    pub image: &'a Image,
+    pub part: Part,
+    pub settings: board::Settings,
+}
+
+impl Variant<'_> {
+    /// The board with this number, with the given settings stored or none.
+    pub fn board(&self, number: usize, stored: Option<Settings>) -> Board {
+        let settings = board::Settings { unique_id: boards::unique_id(number), ..self.settings };
+        let mut board = Board::new(self.part, self.image, settings);
+        if let Some(stored) = stored {
+            board.set_flash(SETTINGS_OFFSET, &flash_with(&[stored]));
+        }
+        board
+    }
+}
+
+/// A session; it panics at the first difference.
+pub type Session = fn(&Variant);
+
+/// Runs a part of a session.
+///
+/// # Errors
+/// The message of its panic.
+pub fn outcome<T>(session: impl FnOnce() -> T) -> anyhow::Result<T> {
+    panic::catch_unwind(AssertUnwindSafe(session)).map_err(|panic| {
+        let text = panic.downcast_ref::<String>().cloned();
+        let text = text.or(panic.downcast_ref::<&str>().map(ToString::to_string));
+        anyhow::Error::msg(text.unwrap_or_default())
+    })
+}
+
+/// The sessions by name.
+pub fn all(quick: bool) -> Vec<(&'static str, Session)> {
+    let mut sessions: Vec<(&'static str, Session)> = vec![
+        ("boot", boot),
+        ("configuration", |variant| configure(variant, 1)),
+        ("switch", |variant| switch(variant, &[BitRate::Kbit500, BitRate::Kbit125], 50)),
+        ("detection under load", detect_under_load),
+        ("bus-off", bus_off),
+        ("reset", reset),
+    ];
+    if !quick {
+        sessions.push(("configuration of three", |variant| configure(variant, 3)));
+        sessions.push(("switch without delay", |variant| switch(variant, &OTHER_RATES, 0)));
+        sessions.push(("detection", detect));
+        sessions.push(("rescue", rescue));
+        sessions.push(("power cuts", cut_power));
+    }
+    sessions
+}
+
+fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>, heartbeat_ms: u16) -> Settings {
+    Settings::new(bit_rate.into())
+        .with_node_id(NodeId::new(node_id))
+        .with_heartbeat_ms(heartbeat_ms)
+}
+
+/// A node with a node-ID boots up and sends heartbeats, also without answers.
+fn boot(variant: &Variant) {
+    let stored = settings(0x40, BitRate::Kbit1000, 100);
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [variant.board(0, Some(stored))]);
+    rig.expect("740: 00", AWAY);
+    rig.expect("740: 7F", Time::from_ms(110));
+
+    let mut rig = ImageRig::new(BitRate::Kbit125, [variant.board(0, None)]);
+    rig.reach("4C", "50", AWAY);
+}
+
+/// New boards are found one after the other by Fastscan, get a node-ID and store it.
+fn configure(variant: &Variant, boards: u8) {
+    let new = (0..boards).map(|number| variant.board(number.into(), None));
+    let mut rig = ImageRig::new(BitRate::Kbit125, new);
+    for _ in 0..boards {
+        rig.reach("4C", "50", AWAY);
+    }
+    for node_id in 1..=boards {
+        let found = rig.carry_out(Fastscan::new()).expect("nobody is found");
+        let mut serial_numbers = (0..boards.into()).map(boards::serial_number);
+        assert!(serial_numbers.any(|serial| serial == found.serial_number), "{found:X?}");
+        rig.ask("5E", "5E FF");
+        rig.ask(&format!("11 {node_id:02X}"), "11 00");
+        rig.ask("17", "17 00");
+        rig.send("04 00");
+        rig.expect(&format!("70{node_id}: 00"), Time::from_ms(20));
+    }
+    let answers = rig.lss("4C");
+    assert!(answers.0.is_empty(), "4C is answered by a configured node: {answers:?}");
+}
+
+/// Two nodes are switched from rate to rate and answer at each.
+fn switch(variant: &Variant, rates: &[BitRate], delay_ms: u8) {
+    let nodes = [1, 2].map(|id| variant.board(id, Some(settings(id as u8, BitRate::Kbit125, 100))));
+    let mut rig = ImageRig::new(BitRate::Kbit125, nodes);
+    for id in 1..=2 {
+        rig.expect(&format!("70{id}: 7F"), AWAY);
+    }
+    rig.send("04 01");
+    for &rate in rates {
+        rig.ask(&format!("13 00 {:02X}", rate.index()), "13 00");
+        rig.send(&format!("15 {delay_ms:02X} 00"));
+        rig.network.run_for(Time::from_ms(15 + u64::from(delay_ms)));
+        rig.set_master_bit_rate(rate);
+        rig.network.run_for(Time::from_ms(u64::from(delay_ms) + 1));
+        rig.reach("5A", "5A", AWAY);
+        for id in 1..=2 {
+            rig.expect(&format!("70{id}: 7F"), AWAY);
+        }
+    }
+}
+
+/// Detection at 90 % load.
+fn detect_under_load(variant: &Variant) {
+    for rate in [BitRate::Kbit500, BitRate::Kbit50] {
+        detect_at(variant, rate, 122 * 10 / 9);
+    }
+}
+
+/// Detection with a frame a second.
+fn detect(variant: &Variant) {
+    for rate in [BitRate::Kbit1000, BitRate::Kbit125] {
+        detect_at(variant, rate, bit_per_s(rate).into());
+    }
+}
+
+/// A node that detects the rate joins a bus where two others exchange a frame every `every_bits` bits.
+fn detect_at(variant: &Variant, rate: BitRate, every_bits: u64) {
+    let board = variant.board(0, Some(settings(5, BitRateSetting::Automatic, 0)));
+    let mut rig = ImageRig::new(rate, [board]);
+    let other = rig.network.add_adapter(Adapter::new(bit_per_s(rate)));
+    let every = Time::from_ps(every_bits * 1_000_000_000_000 / u64::from(bit_per_s(rate)));
+    let until = rig.network.now() + SEARCH;
+    let mut count = 0_u64;
+    while rig.network.now() < until {
+        count += 1;
+        let data = count.wrapping_mul(0x9E37_79B9_7F4A_7C15).to_le_bytes();
+        rig.network.send(other, Frame::data(Id::Standard(0x181), &data));
+        rig.network.run_for(every);
+        while let Some((_, frame)) = rig.network.receive(rig.master) {
+            if frame == Frame::data(Id::Standard(0x705), &[0]) {
+                return;
+            }
+        }
+    }
+    panic!("{} kbit/s is not detected", rate.kbit_per_s());
+}
+
+/// A foreign node drives a node bus-off; the node recovers soon after the other has left.
+fn bus_off(variant: &Variant) {
+    let mut rig = ImageRig::new(
+        BitRate::Kbit500,
+        [variant.board(0, Some(settings(5, BitRate::Kbit500, 20)))],
+    );
+    rig.expect("705: 00", AWAY);
+    let foreign = rig.network.add_adapter(Adapter::new(333_000));
+    rig.network.adapter_mut(rig.master).close();
+    for _ in 0..300 {
+        rig.network.send(foreign, Frame::data(Id::Standard(0x7FF), &[0xA5; 8]));
+        rig.network.run_for(Time::from_ms(1));
+    }
+    rig.network.adapter_mut(foreign).close();
+    rig.network.adapter_mut(rig.master).open();
+    rig.send("04 01");
+    rig.reach("5E", "5E 05", RECOVERY);
+    rig.expect("705: 7F", AWAY);
+}
+
+/// NMT reset node and reset communication.
+fn reset(variant: &Variant) {
+    let mut rig =
+        ImageRig::new(BitRate::Kbit500, [variant.board(0, Some(settings(5, BitRate::Kbit500, 0)))]);
+    rig.expect("705: 00", AWAY);
+    rig.send("000: 82 05");
+    rig.expect("705: 00", Time::from_ms(20));
+    rig.send("000: 81 05");
+    rig.network.allow_reset(0, ResetCause::Software);
+    rig.expect("705: 00", AWAY);
+}
+
+/// A node with another stored rate joins the bus of the master and a third node that sends.
+fn rescue(variant: &Variant) {
+    let rates = [BitRate::Kbit125, BitRate::Kbit500];
+    let boards =
+        rates.map(|rate| variant.board(rate as usize, Some(settings(rate.index(), rate, 1000))));
+    let mut rig = ImageRig::new(BitRate::Kbit500, boards);
+    rig.expect("704: 00", SEARCH);
+    rig.expect("704: 7F", SEARCH);
+}
+
+/// The power fails in each flash operation of a store; the next power-on finds the settings from before or after.
+fn cut_power(variant: &Variant) {
+    const SEEDS: u64 = 2;
+    let old = settings(4, BitRate::Kbit500, 0);
+    let mut operation = 0;
+    loop {
+        for seed in 0..SEEDS {
+            let board = variant.board(0, Some(old));
+            let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
+            rig.expect("704: 00", AWAY);
+            // The start may have programmed something.
+            let before = rig.network.board(0).chip().flash().operation_times().len() as u64;
+            let cut = PowerCut { operation: before + operation, seed };
+            rig.network.board(0).chip().flash_mut().cut_power(cut);
+            rig.send("04 01");
+            rig.ask("11 05", "11 00");
+            rig.send("17");
+            let answer = frames::of_node("17 00");
+            let is_stored = rig.wait_for(STORE, |frame| *frame == answer).is_some();
+            if rig.network.board(0).is_powered() {
+                assert!(is_stored, "17 is not answered");
+                assert!(operation > 0, "no flash operation in a store");
+                return;
+            }
+            // Twice: settings found once must be found again.
+            let found = [(); 2].map(|()| {
+                rig.power_cycle(0);
+                rig.network.run_for(Time::from_ms(20));
+                rig.lss("04 01");
+                rig.lss("5E")
+            });
+            let is_kept = found[0] == found[1] && (found[0] == ["5E 04"] || found[0] == ["5E 05"]);
+            assert!(is_kept, "cut in operation {operation}: {found:?} at two power-ons");
+        }
+        operation += 1;
+    }
+}

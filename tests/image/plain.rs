@@ -1,0 +1,34 @@
+//! The tests of plain behaviour, on the image without bit-rate supervision: all but those of the search, those of the
+//! example, and those that build images of their own.
+
+mod answer_time;
+mod bad_input;
+mod bit_rate;
+mod can_traps;
+mod chip_traps;
+mod commissioning;
+mod controllers;
+mod disturbed;
+mod errors;
+mod indicators;
+mod medium_faults;
+mod node_id;
+mod overload;
+mod power_cut;
+mod rare_moments;
+mod rare_paths;
+mod rates_bus_off;
+mod rates_detection;
+mod rates_matrix;
+mod reachable;
+mod rig;
+mod robustness;
+mod session;
+mod sleep;
+mod stack;
+mod storm;
+mod switch_delay;
+mod uptime;
+
+/// The image under test.
+const FIRMWARE: testkit::image::Firmware = testkit::image::Firmware::Plain;

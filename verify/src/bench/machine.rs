@@ -1,0 +1,176 @@
+//! A program of `bench/` on the emulated chip: takes frames in its mailbox and counts the cost of each.
+
+use std::{
+    ops::AddAssign,
+    path::Path,
+    sync::{Arc, Mutex},
+};
+
+use anyhow::{Context, bail, ensure};
+use canopen_node::Frame;
+use emulator::{
+    Time,
+    can::Clock,
+    chip::{Chip, FLASH_BASE, Part, RAM_BASE},
+    engine::{Engine, rsemu::Rsemu},
+    image::Image,
+};
+
+/// The pattern with which the harness fills the free stack.
+const UNTOUCHED: [u8; 4] = 0xC5C5_C5C5_u32.to_le_bytes();
+/// More instructions than any measured operation takes.
+const PATIENCE: u64 = 1_000_000;
+
+/// Offsets of the registers of a mailbox (`Mailbox` in `bench/src/lib.rs`).
+const IDENTIFIER: u32 = 0x0;
+const LENGTH: u32 = 0x4;
+const DATA: u32 = 0x8;
+
+/// The work of the CPU.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Cost {
+    pub instructions: u64,
+    /// Core clock cycles, with a flash without wait states.
+    pub cycles: u64,
+}
+
+impl AddAssign for Cost {
+    fn add_assign(&mut self, other: Self) {
+        self.instructions += other.instructions;
+        self.cycles += other.cycles;
+    }
+}
+
+/// The result of a received frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Reception {
+    /// The cost from the first instruction of `receive` to its return.
+    pub cost: Cost,
+    /// The first transmitted frame, and the cost until its transmission was requested.
+    pub answer: Option<(Frame, Cost)>,
+}
+
+/// A program that waits for frames.
+pub struct Machine {
+    engine: Rsemu,
+    addresses: Addresses,
+}
+
+/// Addresses of symbols of the harness.
+struct Addresses {
+    waiting: u32,
+    received: u32,
+    transmitted: u32,
+    receive: u32,
+    returned: u32,
+    idle: u32,
+    stack_bottom: u32,
+    stack_top: u32,
+}
+
+impl Machine {
+    /// Loads the program and runs its preparation.
+    pub fn start(elf: &Path) -> anyhow::Result<Self> {
+        let image = Image::load(elf)?;
+        let address = |name: &str| {
+            let address = image.symbol(name).with_context(|| format!("no symbol {name}"))?;
+            Ok::<u32, anyhow::Error>(address & !1)
+        };
+        let addresses = Addresses {
+            waiting: address("WAITING")?,
+            received: address("RECEIVED")?,
+            transmitted: address("TRANSMITTED")?,
+            receive: address("receive")?,
+            returned: address("returned")?,
+            idle: address("idle")?,
+            stack_bottom: address("stack_bottom")?,
+            stack_top: address("stack_top")?,
+        };
+
+        let crystal = Clock { hz: 8_000_000, ppm: 0 };
+        let mut chip = Chip::new(Part::Stm32f405, crystal, [0; 12]);
+        for (address, bytes) in image.segments().filter(|(address, _)| *address < RAM_BASE) {
+            chip.flash_mut().load(address - FLASH_BASE, bytes);
+        }
+        let mut engine = Rsemu::new(Arc::new(Mutex::new(chip)));
+        for (address, bytes) in image.segments().filter(|(address, _)| *address >= RAM_BASE) {
+            ensure!(engine.write_memory(address, bytes), "a segment does not fit into RAM");
+        }
+        engine.reset(Time::ZERO, Time::ZERO);
+        let mut machine = Self { engine, addresses };
+        machine.run_to(machine.addresses.idle, |_, _| {})?;
+        Ok(machine)
+    }
+
+    /// Passes a frame to the program.
+    pub fn receive(&mut self, frame: &Frame) -> anyhow::Result<Reception> {
+        let Addresses { waiting, received, transmitted, receive, returned, idle, .. } =
+            self.addresses;
+        let mut data = [0; 8];
+        data[..frame.data().len()].copy_from_slice(frame.data());
+        let [b0, b1, b2, b3, b4, b5, b6, b7] = data;
+        self.write(received + IDENTIFIER, u32::from(frame.cob_id()) << 21);
+        self.write(received + LENGTH, frame.data().len() as u32);
+        self.write(received + DATA, u32::from_le_bytes([b0, b1, b2, b3]));
+        self.write(received + DATA + 4, u32::from_le_bytes([b4, b5, b6, b7]));
+        self.write(transmitted + IDENTIFIER, 0);
+        self.write(waiting, 1);
+
+        self.run_to(receive, |_, _| {})?;
+        let mut answer = None;
+        let cost = self.run_to(returned, |machine, cost| {
+            answer = answer.or_else(|| machine.transmitted().map(|frame| (frame, cost)));
+        })?;
+        self.run_to(idle, |_, _| {})?;
+        Ok(Reception { cost, answer })
+    }
+
+    /// The largest stack use of `receive` and its callees in bytes.
+    pub fn stack_used(&self) -> u32 {
+        let Addresses { stack_bottom, stack_top, .. } = self.addresses;
+        let mut stack = vec![0; (stack_top - stack_bottom) as usize];
+        assert!(self.engine.read_memory(stack_bottom, &mut stack), "the stack is in RAM");
+        let untouched = stack.chunks(4).take_while(|word| *word == UNTOUCHED).count();
+        (stack.len() - 4 * untouched) as u32
+    }
+
+    /// Executes instructions until the next one is at `address`, and passes each step to `watch`.
+    fn run_to(&mut self, address: u32, mut watch: impl FnMut(&Self, Cost)) -> anyhow::Result<Cost> {
+        const STEP: Time = Time::from_ps(1);
+        let started = self.engine.cycles();
+        let mut cost = Cost::default();
+        while self.engine.pc() != address {
+            self.engine.run(self.engine.now() + STEP);
+            cost.instructions += 1;
+            cost.cycles = self.engine.cycles() - started;
+            if cost.instructions > PATIENCE || self.engine.lockup().is_some() {
+                bail!("the program hangs at {:#010x}", self.engine.pc());
+            }
+            watch(self, cost);
+        }
+        Ok(cost)
+    }
+
+    fn transmitted(&self) -> Option<Frame> {
+        const REQUESTED: u32 = 1;
+        let identifier = self.read(self.addresses.transmitted + IDENTIFIER);
+        if identifier & REQUESTED == 0 {
+            return None;
+        }
+        let mut data = [0; 8];
+        assert!(self.engine.read_memory(self.addresses.transmitted + DATA, &mut data));
+        let length = self.read(self.addresses.transmitted + LENGTH) as usize;
+        Frame::new((identifier >> 21) as u16, data.get(..length)?)
+    }
+
+    fn read(&self, address: u32) -> u32 {
+        let mut word = [0; 4];
+        assert!(self.engine.read_memory(address, &mut word), "a word of the harness is in RAM");
+        u32::from_le_bytes(word)
+    }
+
+    fn write(&mut self, address: u32, word: u32) {
+        let written = self.engine.write_memory(address, &word.to_le_bytes());
+        assert!(written, "a word of the harness is in RAM");
+    }
+}

@@ -1,0 +1,67 @@
+//! The variants: possible differences of a chip from the emulated board's default.
+
+use emulator::{
+    Time,
+    board::Settings,
+    can::bxcan::{Acknowledge, Readings as Can, TransmitLock},
+    chip::{Readings as Chip, StartUp, Thresholds, Timing},
+};
+
+/// The names and settings of all variants, the default first.
+pub fn variants() -> Vec<(&'static str, Settings)> {
+    let lock =
+        |every, frame| Can { transmit_lock: Some(TransmitLock { every, frame }), ..Can::default() };
+    let acknowledge = |acknowledge| Can { acknowledge, ..Can::default() };
+    let can = [
+        ("as modelled", Can::default()),
+        (
+            "ERRI again at each error while passive",
+            Can { passive_errors_interrupt: true, ..Can::default() },
+        ),
+        (
+            "BOFIE interrupts as long as bus-off lasts",
+            Can { bus_off_holds_interrupt: true, ..Can::default() },
+        ),
+        (
+            "TEC shows its lower eight bits in bus-off",
+            Can { bus_off_tec_overflows: true, ..Can::default() },
+        ),
+        ("a frame goes into both FIFOs", Can { both_fifos: true, ..Can::default() }),
+        ("the mailbox is chosen at the SOF", Can { late_choice: true, ..Can::default() }),
+        ("TX locked dominant at the first frame of each listening", lock(1, 1)),
+        ("TX locked dominant at the second frame of each listening", lock(1, 2)),
+        ("TX locked dominant in every second listening", lock(2, 1)),
+        ("INAK 3 bits late", acknowledge(Acknowledge::Late(3))),
+        ("INAK 11 bits late", acknowledge(Acknowledge::Late(11))),
+        ("INAK lost every second time", acknowledge(Acknowledge::Lost { every: 2 })),
+        ("INAK lost every third time", acknowledge(Acknowledge::Lost { every: 3 })),
+    ];
+    let usual = Chip::default();
+    let chip = [
+        ("no fault below RAM", Chip { no_fault_below_ram: true, ..usual }),
+        ("flash with wait states", Chip { flash_waits: true, ..usual }),
+        ("core twice as slow", Chip { slowdown: 2, ..usual }),
+        ("core three times as slow", Chip { slowdown: 3, ..usual }),
+        ("cut words read differently each time", Chip { cut_words_flip: true, ..usual }),
+        ("LSI at 17 kHz", Chip { lsi_hz: 17_000, ..usual }),
+        ("LSI at 47 kHz", Chip { lsi_hz: 47_000, ..usual }),
+        ("crystal starts in 0.1 ms", Chip { hse_start: Time::from_us(100), ..usual }),
+        ("crystal starts in 10 ms", Chip { hse_start: Time::from_ms(10), ..usual }),
+        ("reset, PLL and LSI as fast as allowed", Chip { start_up: StartUp::Fastest, ..usual }),
+        ("reset, PLL and LSI as slow as allowed", Chip { start_up: StartUp::Slowest, ..usual }),
+        ("a boot loader starts the program", Chip { boot_loader: true, ..usual }),
+        ("flash as slow as allowed", Chip { flash_timing: Timing::Worst, ..usual }),
+    ];
+    let settings = Settings::default();
+    let can = can.map(|(name, can_readings)| (name, Settings { can_readings, ..settings }));
+    let chip = chip.map(|(name, chip_readings)| (name, Settings { chip_readings, ..settings }));
+    let discovery = |thresholds| {
+        let chip_readings = Chip { thresholds, ..usual };
+        Settings { supply_mv: 2_930, chip_readings, ..settings }
+    };
+    let supply = [
+        ("2.93 V, voltage levels as low as allowed", discovery(Thresholds::Lowest)),
+        ("2.93 V, voltage levels as high as allowed", discovery(Thresholds::Highest)),
+    ];
+    can.into_iter().chain(chip).chain(supply).collect()
+}

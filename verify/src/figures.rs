@@ -1,0 +1,86 @@
+//! `cargo verify figures`: docs/size-and-speed.md, the page with all figures, as the commands in it print them.
+
+use std::fs;
+
+use anyhow::{Context, bail, ensure};
+
+use testkit::cargo::{cargo, workspace};
+
+const PAGE: &str = "docs/size-and-speed.md";
+
+/// Write the figures of docs/size-and-speed.md
+///
+/// Runs each command in the page and writes its output below it. Takes minutes.
+#[derive(clap::Args)]
+pub struct Arguments {}
+
+/// Replaces the output of each command in the page.
+pub fn run() -> anyhow::Result<()> {
+    let path = workspace().join(PAGE);
+    let page = fs::read_to_string(&path).context(PAGE)?;
+    fs::write(path, with_outputs(&page, output)?)?;
+    println!("{PAGE}");
+    Ok(())
+}
+
+/// The page with the output of each command between the line `$ cargo ...` and the end of its block.
+fn with_outputs(
+    page: &str,
+    output: impl Fn(&str) -> anyhow::Result<String>,
+) -> anyhow::Result<String> {
+    let mut new = String::new();
+    let mut lines = page.lines();
+    while let Some(line) = lines.next() {
+        new += &format!("{line}\n");
+        if let Some(command) = line.strip_prefix("$ ") {
+            new += &output(command)?;
+            if !lines.any(|line| line == "```") {
+                bail!("a block without an end: {command}");
+            }
+            new += "```\n";
+        }
+    }
+    Ok(new)
+}
+
+/// What a command prints, without what only the runner of tests says.
+fn output(command: &str) -> anyhow::Result<String> {
+    println!("{command}");
+    let mut words = command.split_whitespace();
+    ensure!(words.next() == Some("cargo"), "not a command of cargo: {command}");
+    let output = cargo().args(words).env("RUST_TEST_THREADS", "1").output()?;
+    ensure!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
+    Ok(figures(&String::from_utf8(output.stdout)?))
+}
+
+fn figures(output: &str) -> String {
+    let is_of_runner = |line: &&str| {
+        let starts = ["running ", "test result", "SEED="];
+        line.trim_matches(['.', 'i']).is_empty()
+            || starts.iter().any(|start| line.starts_with(start))
+    };
+    let lines = output.lines().map(|line| line.trim_end().trim_start_matches('.'));
+    lines.filter(|line| !is_of_runner(line)).map(|line| format!("{line}\n")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_output_of_each_command_is_replaced() {
+        let page =
+            "# A\n\n```console\n$ cargo a\nold\n\nold\n```\n\ntext\n\n```console\n$ cargo b\n```\n";
+        let new = with_outputs(page, |command| Ok(format!("new {command}\n"))).expect("a page");
+        let expected = "# A\n\n```console\n$ cargo a\nnew cargo a\n```\n\ntext\n\n```console\n$ cargo b\nnew cargo b\n```\n";
+        assert_eq!(new, expected);
+        assert!(with_outputs("$ cargo c\n", |_| Ok(String::new())).is_err());
+    }
+
+    #[test]
+    fn only_figures_remain_of_a_test() {
+        let output =
+            "\nrunning 2 tests\n.stack 5\nSEED=7\n  of 9\n..i\n\ntest result: ok. 2 passed\n\n";
+        assert_eq!(figures(output), "stack 5\n  of 9\n");
+    }
+}

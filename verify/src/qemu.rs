@@ -1,0 +1,195 @@
+//! `cargo verify qemu`: compares the same session on QEMU's CPU and on the emulator's.
+
+use std::{
+    io,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context, bail, ensure};
+use canopen_node::{lss, nmt};
+use emulator::{
+    Time,
+    can::{Adapter, Frame, Id},
+    chip::Part,
+    image::Image,
+    network::Network,
+};
+use testkit::{
+    boards::{self, FIRST_START},
+    cargo::{cargo, target_directory},
+    explain::explain,
+    image_rig::{DEFAULT_BIT_RATE, bit_per_s},
+};
+
+const QEMU: &str = "qemu-system-arm";
+/// The QEMU machine with an STM32F405.
+const MACHINE: &str = "netduinoplus2";
+const PART: Part = Part::Stm32f405;
+/// An instruction takes 2^3 ns, little more than a cycle at 160 MHz. Only the duration of a reset varies by some
+/// microseconds from run to run.
+const TIME: &str = "shift=3,sleep=off";
+/// The interval between requests: enough for an answer, a store and a restart.
+const INTERVAL: Time = Time::from_ms(50);
+const NODE_ID: u8 = 5;
+
+/// A frame on the bus.
+struct Seen {
+    time: Time,
+    /// `>` for a request of the master, `<` for a frame of the slave.
+    direction: char,
+    frame: Frame,
+}
+
+impl Seen {
+    /// The part that must be equal in both runs.
+    fn text(&self) -> String {
+        format!("{} {}", self.direction, self.frame)
+    }
+}
+
+/// Run a session on QEMU's CPU and on the emulator's, and check that they agree
+///
+/// QEMU runs the release image with the emulator's peripherals and bus as a plugin. Both must produce the same frames.
+/// Needs `qemu-system-arm` 7.2 to 10.0.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments;
+
+/// Prints the session. Fails if the runs differ in anything but times.
+pub fn run() -> anyhow::Result<()> {
+    let version = find_qemu()?;
+    let image = testkit::image::build(PART)?;
+    let plugin = build_plugin()?;
+    let output = run_qemu(&plugin)?;
+    let ours = run_emulator(&image)?;
+
+    println!("{:>11} {:>11}", "QEMU", "emulator");
+    let mut lines = output.lines();
+    for seen in &ours {
+        let line = lines.next().unwrap_or("the end");
+        let (time, what) = line.split_once(' ').unwrap_or(("", line));
+        let expected = seen.text();
+        ensure!(what == expected, "QEMU has `{line}` where the emulator has `{expected}`");
+        println!("{time:>11} {:>11} {expected:24} {}", seen.time, explain(&seen.frame));
+    }
+    if let Some(line) = lines.next() {
+        bail!("QEMU has `{line}` where the emulator's session has ended");
+    }
+    println!("The two agree. Times are in ms; QEMU is {version}.");
+    Ok(())
+}
+
+/// QEMU's version, if it is installed.
+fn find_qemu() -> anyhow::Result<String> {
+    match Command::new(QEMU).arg("--version").output() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => bail!(
+            "{QEMU} is missing. Install it with `apt-get install qemu-system-arm`; \
+             without it, try `cargo demo`"
+        ),
+        Err(error) => Err(error).context(format!("cannot run {QEMU}")),
+        Ok(output) => {
+            let text = String::from_utf8_lossy(&output.stdout);
+            let version = text.split_whitespace().nth(3).unwrap_or("unknown");
+            Ok(version.to_owned())
+        }
+    }
+}
+
+fn build_plugin() -> anyhow::Result<PathBuf> {
+    let target = target_directory();
+    let status = cargo()
+        .args(["build", "--package", "qemu-bridge", "--target-dir"])
+        .arg(&target)
+        .status()
+        .context("cannot run cargo")?;
+    ensure!(status.success(), "the plugin for QEMU does not build: see above");
+    Ok(target.join("debug/libqemu_bridge.so"))
+}
+
+/// The frames of the master: the complete configuration of a new slave, and a check of it after a restart.
+fn session() -> Vec<Frame> {
+    let lss = |command: &[u8]| {
+        let mut data = [0; 8];
+        data[..command.len()].copy_from_slice(command);
+        Frame::data(Id::Standard(lss::REQUEST_COB_ID), &data)
+    };
+    let read_serial_number = [0x40, 0x18, 0x10, 4, 0, 0, 0, 0];
+    vec![
+        lss(&[0x4C]),
+        lss(&[0x04, 1]),
+        lss(&[0x5A]),
+        lss(&[0x5B]),
+        lss(&[0x5C]),
+        lss(&[0x5D]),
+        lss(&[0x5E]),
+        lss(&[0x11, 0x80]),
+        lss(&[0x11, NODE_ID]),
+        lss(&[0x17]),
+        lss(&[0x04, 0]),
+        Frame::data(Id::Standard(0x600 + u16::from(NODE_ID)), &read_serial_number),
+        Frame::data(Id::Standard(nmt::COMMAND_COB_ID), &[0x81, NODE_ID]),
+        lss(&[0x04, 1]),
+        lss(&[0x5E]),
+    ]
+}
+
+/// QEMU with the release image and a plugin.
+fn qemu(plugin: &str) -> anyhow::Result<Command> {
+    let elf = target_directory().join("thumbv7em-none-eabihf/release/firmware");
+    let mut command = Command::new(QEMU);
+    command
+        .args(["-machine", MACHINE, "-display", "none", "-serial", "none", "-monitor", "none"])
+        .arg("-kernel")
+        .arg(elf)
+        .args(["-plugin", plugin]);
+    Ok(command)
+}
+
+/// Runs QEMU and returns the output of the plugin: a line for each frame and each finding.
+fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
+    let unique_id: String = boards::unique_id(0).iter().map(|byte| format!("{byte:02x}")).collect();
+    let mut argument = format!(
+        "{},bit-rate={},unique-id={unique_id},start={},interval={}",
+        plugin.display(),
+        bit_per_s(DEFAULT_BIT_RATE),
+        FIRST_START.as_ms(),
+        INTERVAL.as_ms()
+    );
+    for frame in session() {
+        argument += &format!(",send={frame}");
+    }
+    let output = qemu(&argument)?
+        .args(["-icount", TIME])
+        .stdin(Stdio::null())
+        .stderr(Stdio::inherit())
+        .output()
+        .context(format!("cannot run {QEMU}"))?;
+    ensure!(
+        output.status.success(),
+        "{QEMU} failed, see above. The plugin needs QEMU 7.2 to 10.0 with plugins and its symbols \
+         exported, as Debian builds it"
+    );
+    Ok(String::from_utf8(output.stdout)?)
+}
+
+/// Runs the same session on the emulator.
+fn run_emulator(image: &Image) -> anyhow::Result<Vec<Seen>> {
+    let mut network = Network::new();
+    let board = network.add_board(boards::board(PART, image, 0));
+    let adapter = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
+    let mut seen = Vec::new();
+    network.run_until(FIRST_START);
+    for frame in session() {
+        seen.push(Seen { time: network.now(), direction: '>', frame });
+        network.send(adapter, frame);
+        network.run_for(INTERVAL);
+        while let Some((time, frame)) = network.receive(adapter) {
+            seen.push(Seen { time, direction: '<', frame });
+        }
+    }
+    if let Some(finding) = network.board(board).findings().first() {
+        bail!("on the emulator: {finding}");
+    }
+    Ok(seen)
+}
