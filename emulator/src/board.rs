@@ -15,7 +15,9 @@ pub use log::LogLine;
 use crate::{
     Time,
     can::{Clock, bxcan},
-    chip::{Chip, FLASH_BASE, Finding, Output, Part, Pin, Readings, Request, ResetCause, StartUp},
+    chip::{
+        Chip, ChipVariant, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause, StartUp,
+    },
     coverage::Recorder,
     engine::{Engine, Halt, Lockup, rsemu::Rsemu},
     image::Image,
@@ -38,23 +40,23 @@ pub struct Settings {
     /// The chip's 96-bit unique id, as it lies in memory.
     pub unique_id: [u8; 12],
     /// The chip's deviations from the nominal chip.
-    pub chip_readings: Readings,
+    pub chip_variant: ChipVariant,
     /// The CAN controller whose transceiver is on the network's first bus: 1 for CAN1.
     pub controller: usize,
     /// The behaviour of the CAN controllers where the manual is ambiguous.
-    pub can_readings: bxcan::Readings,
+    pub can_variant: bxcan::CanVariant,
 }
 
 impl Default for Settings {
-    /// An exact 8 MHz crystal, 3.3 V, a unique id of zeros, a nominal chip, CAN1, and the usual reading of the manual.
+    /// An exact 8 MHz crystal, 3.3 V, a unique id of zeros, a nominal chip, CAN1, and the nominal CAN controllers.
     fn default() -> Self {
         Self {
             crystal: Clock { hz: 8_000_000, ppm: 0 },
             supply_mv: 3_300,
             unique_id: [0; 12],
-            chip_readings: Readings::default(),
+            chip_variant: ChipVariant::default(),
             controller: 1,
-            can_readings: bxcan::Readings::default(),
+            can_variant: bxcan::CanVariant::default(),
         }
     }
 }
@@ -99,12 +101,12 @@ impl Board {
     /// # Panics
     /// A segment of the image lies outside of the part's flash, or the part has no such controller.
     pub fn new(part: Part, image: &Image, settings: Settings) -> Self {
-        let Settings { crystal, supply_mv, unique_id, chip_readings, controller, can_readings } =
+        let Settings { crystal, supply_mv, unique_id, chip_variant, controller, can_variant } =
             settings;
-        let mut chip = Chip::with_readings(part, crystal, unique_id, chip_readings);
+        let mut chip = Chip::with_variant(part, crystal, unique_id, chip_variant);
         chip.set_supply(supply_mv);
         for can in chip.cans_mut() {
-            can.set_readings(can_readings);
+            can.set_variant(can_variant);
         }
         assert!((1..=part.cans()).contains(&controller), "{} has no CAN{controller}", part.name());
         for (address, bytes) in image.segments() {
@@ -121,8 +123,8 @@ impl Board {
             #[cfg(feature = "log")]
             log: Log::new(image.clone()),
             controller,
-            start_up: chip_readings.start_up,
-            has_loader: chip_readings.boot_loader,
+            start_up: chip_variant.start_up,
+            has_loader: chip_variant.boot_loader,
             powered: false,
             browned_out: false,
             dark: Time::ZERO,

@@ -9,7 +9,6 @@ mod iwdg;
 mod map;
 mod part;
 mod rcc;
-mod readings;
 mod rng;
 mod rtc;
 mod supply;
@@ -17,6 +16,7 @@ mod surroundings;
 mod system;
 mod timer;
 mod usart;
+mod variant;
 
 pub use adc::{Adc, Analogue};
 pub use finding::{Finding, Problem};
@@ -26,8 +26,8 @@ pub use iwdg::Iwdg;
 pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
 pub use part::{Part, UnknownPart};
 pub use rcc::{Clocks, ResetCause};
-pub use readings::{Readings, StartUp};
 pub use supply::Thresholds;
+pub use variant::{ChipVariant, StartUp};
 
 use std::ops::BitOr;
 
@@ -81,7 +81,7 @@ pub struct Chip {
     cans: Vec<Bxcan>,
     /// Their pins as they know them.
     cans_joined: Vec<Pins>,
-    readings: Readings,
+    variant: ChipVariant,
     findings: Vec<Finding>,
     request: Option<Request>,
     can_written: bool,
@@ -100,25 +100,25 @@ const BACKUP_DOMAIN_PROTECTED: &str = "the backup domain is written while DBP pr
 impl Chip {
     /// A nominal chip with erased flash at power-on, with `crystal` at HSE.
     pub fn new(part: Part, crystal: Clock, unique_id: [u8; 12]) -> Self {
-        Self::with_readings(part, crystal, unique_id, Readings::default())
+        Self::with_variant(part, crystal, unique_id, ChipVariant::default())
     }
 
     /// A chip with erased flash at power-on, with `crystal` at HSE, that differs from the nominal one.
-    pub fn with_readings(
+    pub fn with_variant(
         part: Part,
         crystal: Clock,
         unique_id: [u8; 12],
-        readings: Readings,
+        variant: ChipVariant,
     ) -> Self {
         let mut flash = Flash::new(part);
-        flash.set_timing(readings.flash_timing);
-        flash.let_cut_words_flip(readings.cut_words_flip);
+        flash.set_timing(variant.flash_timing);
+        flash.let_cut_words_flip(variant.cut_words_flip);
         let mut chip = Self {
             part,
-            rcc: Rcc::new(part, crystal, &readings),
-            pwr: Pwr::new(part, readings.thresholds),
+            rcc: Rcc::new(part, crystal, &variant),
+            pwr: Pwr::new(part, variant.thresholds),
             flash,
-            iwdg: Iwdg::new(readings.lsi_hz),
+            iwdg: Iwdg::new(variant.lsi_hz),
             timers: timer::KINDS.iter().map(Timer::new).collect(),
             usarts: usart::KINDS.iter().map(Usart::new).collect(),
             rng: Rng::new(),
@@ -131,7 +131,7 @@ impl Chip {
             adc: Adc::new(part),
             cans: ROLES[..part.cans()].iter().map(|&role| Bxcan::new(role)).collect(),
             cans_joined: vec![Pins { transmit: true, receive: true }; part.cans()],
-            readings,
+            variant,
             findings: Vec::new(),
             request: None,
             can_written: false,
@@ -147,8 +147,8 @@ impl Chip {
     }
 
     /// How it differs from the nominal one.
-    pub fn readings(&self) -> Readings {
-        self.readings
+    pub fn variant(&self) -> ChipVariant {
+        self.variant
     }
 
     /// The clocks that RCC now makes.
@@ -281,7 +281,7 @@ impl Chip {
     /// Until when the CPU stalls that fetches from `pc`.
     pub fn stalled_until(&self, pc: u32, now: Time) -> Option<Time> {
         match Block::of(pc) {
-            (Block::Flash, offset) if !self.readings.cached_code => {
+            (Block::Flash, offset) if !self.variant.cached_code => {
                 self.flash.busy_until(offset, now)
             }
             _ => None,
@@ -292,7 +292,7 @@ impl Chip {
     pub fn reset(&mut self, cause: ResetCause, now: Time) {
         self.flash.reset(now);
         self.rcc.reset(cause);
-        self.rtc.set_clock(self.rcc.rtc_clock(self.readings.lsi_hz), now);
+        self.rtc.set_clock(self.rcc.rtc_clock(self.variant.lsi_hz), now);
         self.pwr.reset();
         self.iwdg.reset();
         self.timers.iter_mut().for_each(Timer::reset);
@@ -443,7 +443,7 @@ impl Chip {
                 let before = self.clocks();
                 let result = self.rcc.write(offset, value, now);
                 self.carry_out_resets(now);
-                self.rtc.set_clock(self.rcc.rtc_clock(self.readings.lsi_hz), now);
+                self.rtc.set_clock(self.rcc.rtc_clock(self.variant.lsi_hz), now);
                 if self.clocks() != before {
                     self.follow_clocks(now);
                 }
@@ -561,7 +561,7 @@ impl Chip {
             self.pwr.reset();
         }
         if self.rcc.held_in_reset(Gate::Syscfg) {
-            let boot0_is_high = self.readings.boot_loader;
+            let boot0_is_high = self.variant.boot_loader;
             self.syscfg = Syscfg::new(if boot0_is_high { AtZero::System } else { AtZero::Flash });
         }
     }

@@ -20,7 +20,7 @@ pub enum Halt {
 
 /// A Cortex-M4F with the memories and peripherals of a [`Chip`](crate::chip::Chip).
 ///
-/// Flash wait states cost nothing unless the chip's [`Readings`](crate::chip::Readings) state otherwise. DWT_CYCCNT also
+/// Flash wait states cost nothing unless the chip's [`ChipVariant`](crate::chip::ChipVariant) state otherwise. DWT_CYCCNT also
 /// counts during sleep.
 pub trait Engine: Send {
     /// Restarts from the vector table at `now`, after the time `hold` in which nothing runs.

@@ -6,7 +6,7 @@ use emulator::{
     Time,
     board::{Board, Settings, Stop},
     can::Clock,
-    chip::{Part, Pin, PowerCut, Problem, Readings, ResetCause},
+    chip::{ChipVariant, Part, Pin, PowerCut, Problem, ResetCause},
 };
 use programs::{Program, R0, R1, R2, R3};
 
@@ -47,8 +47,8 @@ fn word(board: &Board, address: u32) -> u32 {
     u32::from_le_bytes(bytes)
 }
 
-fn board_with(program: Program, chip_readings: Readings) -> Board {
-    let settings = Settings { chip_readings, ..Settings::default() };
+fn board_with(program: Program, chip_variant: ChipVariant) -> Board {
+    let settings = Settings { chip_variant, ..Settings::default() };
     Board::new(Part::Stm32f405, &program.image(), settings)
 }
 
@@ -324,8 +324,8 @@ fn without_a_fault_below_the_ram_stores_there_are_lost() {
     program.store(COUNTER, 0).store(0x1FFF_FFFC, 1).load(R1, 0x1FFF_FFFC).add(R1, 7);
     program.store_register(COUNTER, R1).stop();
     program.handler(HARD_FAULT).store(COUNTER, 2).stop();
-    let readings = Readings { no_fault_below_ram: true, ..Readings::default() };
-    let mut board = board_with(program, readings);
+    let variant = ChipVariant { no_fault_below_ram: true, ..ChipVariant::default() };
+    let mut board = board_with(program, variant);
     run(&mut board, Time::from_ms(2));
     assert_eq!(word(&board, COUNTER), 7);
 }
@@ -340,8 +340,8 @@ fn a_slow_core_takes_two_and_three_times_as_long_and_systick_does_not() {
     program.store(GPIOD + 0x18, 1 << 12).stop();
     let image = program.image();
     let [once, twice, thrice] = [1, 2, 3].map(|slowdown| {
-        let chip_readings = Readings { slowdown, ..Readings::default() };
-        let settings = Settings { chip_readings, ..Settings::default() };
+        let chip_variant = ChipVariant { slowdown, ..ChipVariant::default() };
+        let settings = Settings { chip_variant, ..Settings::default() };
         let mut sleeper = Board::new(Part::Stm32f405, &ticker(15_999).image(), settings);
         run(&mut sleeper, START + Time::from_s(1) + Time::from_us(50));
         assert_eq!(word(&sleeper, COUNTER), 1_000);
@@ -363,8 +363,8 @@ fn flash_waits_cost_what_prefetch_and_cache_do_not_hide() {
             program.add(R1, 1);
         }
         program.store(GPIOD + 0x18, 1 << 12).stop();
-        let chip_readings = Readings { flash_waits, ..Readings::default() };
-        let settings = Settings { chip_readings, ..Settings::default() };
+        let chip_variant = ChipVariant { flash_waits, ..ChipVariant::default() };
+        let settings = Settings { chip_variant, ..Settings::default() };
         let mut board = Board::new(Part::Stm32f405, &program.image(), settings);
         run(&mut board, Time::from_ms(3));
         (board.output(Pin('D', 12)).since - START).as_ns() * 16 / 1_000
@@ -555,7 +555,8 @@ fn a_boot_loader_leaves_clock_systick_usb_and_its_own_vector_table() {
         program.load(R1, register).store_register(COUNTER + 4 * at as u32, R1);
     }
     program.sleep_forever();
-    let mut board = board_with(program, Readings { boot_loader: true, ..Readings::default() });
+    let mut board =
+        board_with(program, ChipVariant { boot_loader: true, ..ChipVariant::default() });
     run(&mut board, Time::from_ms(5));
     let words = [0, 4, 8, 12, 16, 20].map(|offset| word(&board, COUNTER + offset));
     assert_eq!(words, [0, 1, 0x100A, 7, 1 << 3, 0x1FFF_0401]);

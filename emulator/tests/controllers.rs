@@ -1,8 +1,11 @@
-//! CAN1, CAN2 and CAN3 of a chip, each with an adapter on a bus of its own.
+//! CAN1, CAN2 and CAN3 of a chip, each with an adapter on a bus of its own, and the pins that connect them.
 
 use emulator::{
     Time,
-    can::{Adapter, Bus, Clock, Frame, Id, Station},
+    can::{
+        Adapter, Bus, Clock, Frame, Id, Level, Station,
+        bxcan::{CanVariant, TransmitLock},
+    },
     chip::{Access, Chip, Part, Pin, Width},
 };
 
@@ -10,6 +13,7 @@ const RCC_APB1RSTR: u32 = 0x4002_3820;
 const RCC_AHB1ENR: u32 = 0x4002_3830;
 const RCC_APB1ENR: u32 = 0x4002_3840;
 const GPIOA: u32 = 0x4002_0000;
+const GPIOB: u32 = 0x4002_0400;
 
 /// CAN1, and the distance from each controller to the next.
 const CAN: u32 = 0x4000_6400;
@@ -52,9 +56,17 @@ impl Rig {
         let mut rig = Self::new(part);
         for can in 0..part.cans() {
             part.can_pins(can)[0].into_iter().for_each(|(pin, function)| rig.assign(pin, function));
-            rig.start(can);
+            rig.start(can, HALF_MEGABIT);
         }
-        rig.run_ms(1);
+        rig
+    }
+
+    /// A chip whose PB8 and PB9 have this alternate function and are in these modes, and whose CAN1 has started.
+    fn with_pins(part: Part, function: u32, moder: u32, btr: u32) -> Self {
+        let mut rig = Self::new(part);
+        rig.write(GPIOB + 0x24, function << 4 | function);
+        rig.write(GPIOB, moder);
+        rig.start(0, btr);
         rig
     }
 
@@ -91,14 +103,21 @@ impl Rig {
         self.set_function(pin, Some(function));
     }
 
-    fn start(&mut self, can: usize) {
+    fn start(&mut self, can: usize, btr: u32) {
         self.write(register(can, MCR), 1);
-        self.write(register(can, BTR), HALF_MEGABIT);
+        self.write(register(can, BTR), btr);
         self.write(register(can, MCR), 0);
+        self.run_us(1_000);
     }
 
-    fn run_ms(&mut self, ms: u64) {
-        let until = self.now() + Time::from_ms(ms);
+    /// Resets controllers by their bits in RCC.
+    fn reset(&mut self, bits: u32) {
+        self.write(RCC_APB1RSTR, bits);
+        self.write(RCC_APB1RSTR, 0);
+    }
+
+    fn run_us(&mut self, us: u64) {
+        let until = self.now() + Time::from_us(us);
         for ((bus, adapter), can) in self.buses.iter_mut().zip(self.chip.cans_mut()) {
             let stations: &mut [&mut dyn Station] = &mut [&mut *can, adapter];
             while bus.advance(until, stations, &mut |_, _, _| {}) < until {}
@@ -116,7 +135,7 @@ impl Rig {
 
     fn send(&mut self, can: usize, id: u16) {
         self.buses[can].1.send(Frame::data(Id::Standard(id), &[]));
-        self.run_ms(1);
+        self.run_us(1_000);
     }
 
     /// Activates only these banks of the filter registers of a controller, each for one standard identifier.
@@ -171,13 +190,12 @@ fn each_controller_has_its_own_clock_and_interrupts() {
             rig.write(register(can, IER), 1 << 15 | 1 << 11 | 0b11);
             assert_eq!(rig.chip.irqs(), 0, "{part:?}");
             rig.write(register(can, TI0R), 0x200 << 21 | 1);
-            rig.run_ms(1);
+            rig.run_us(1_000);
             assert_eq!(rig.chip.irqs(), 1 << INTERRUPTS[can][0], "{part:?} CAN{}", can + 1);
             rig.send(can, 0x100);
             let both = 1 << INTERRUPTS[can][0] | 1 << INTERRUPTS[can][1];
             assert_eq!(rig.chip.irqs(), both, "{part:?} CAN{}", can + 1);
-            rig.write(RCC_APB1RSTR, 1 << (25 + can));
-            rig.write(RCC_APB1RSTR, 0);
+            rig.reset(1 << (25 + can));
             assert_eq!(rig.chip.irqs(), 0, "{part:?} CAN{}", can + 1);
         }
         assert_eq!(rig.problems(), [""; 0]);
@@ -215,22 +233,20 @@ fn a_controller_takes_part_through_each_of_its_pins_and_no_other() {
                 for &(pin, function) in [receive, transmit] {
                     rig.assign(pin, function);
                 }
-                rig.start(can);
-                rig.run_ms(1);
+                rig.start(can, HALF_MEGABIT);
                 assert!(rig.acknowledges(can), "{part:?} CAN{} {receive:?} {transmit:?}", can + 1);
                 for pin in [receive, transmit] {
                     rig.set_function(pin.0, None);
                     assert!(!rig.acknowledges(can), "{part:?} CAN{} without {pin:?}", can + 1);
                     rig.assign(pin.0, pin.1);
-                    rig.run_ms(1);
+                    rig.run_us(1_000);
                 }
             }
             let mut rig = Rig::new(part);
             for &(pin, function) in all.iter().filter(|pin| !pins.as_flattened().contains(pin)) {
                 rig.assign(pin, function);
             }
-            rig.start(can);
-            rig.run_ms(1);
+            rig.start(can, HALF_MEGABIT);
             assert!(!rig.acknowledges(can), "{part:?} CAN{} through others' pins", can + 1);
         }
     }
@@ -291,13 +307,10 @@ fn can3_has_14_banks_of_its_own_whatever_can2sb_says() {
 fn a_reset_of_can1_takes_the_filters_of_can2_and_its_own_does_not() {
     let mut rig = Rig::running(Part::Stm32f405);
     rig.set_filters(0, 14, &[(14, 0x100)]);
-    rig.write(RCC_APB1RSTR, 1 << 26);
-    rig.write(RCC_APB1RSTR, 0);
-    rig.start(1);
-    rig.run_ms(1);
+    rig.reset(1 << 26);
+    rig.start(1, HALF_MEGABIT);
     assert_eq!(rig.passed(1, &IDS), [0x100]);
-    rig.write(RCC_APB1RSTR, 1 << 25);
-    rig.write(RCC_APB1RSTR, 0);
+    rig.reset(1 << 25);
     assert_eq!(rig.passed(1, &IDS), IDS[..0]);
 }
 
@@ -305,9 +318,75 @@ fn a_reset_of_can1_takes_the_filters_of_can2_and_its_own_does_not() {
 fn can2_that_starts_without_the_clock_of_can1_is_found() {
     let mut rig = Rig::running(Part::Stm32f405);
     rig.write(RCC_APB1ENR, 1 << 26);
-    rig.start(1);
+    rig.start(1, HALF_MEGABIT);
     assert_eq!(
         rig.problems(),
         ["CAN2 leaves initialisation while CAN1, which has its memory, has no clock"]
     );
+}
+
+/// PB9 (TX) and PB8 (RX) as alternate functions, and PB9 as output or input.
+const BOTH: u32 = 0b1010 << 16;
+const TX_IS_OUTPUT: u32 = 0b0110 << 16;
+const TX_IS_INPUT: u32 = 0b0010 << 16;
+const SILENT: u32 = 1 << 31;
+
+#[test]
+fn pb8_and_pb9_carry_can1_by_function_8_on_parts_of_100_mhz_else_by_9() {
+    for part in Part::ALL {
+        let is_slow = part.clock_limits().0 == 100_000_000;
+        for function in [8, 9] {
+            let mut rig = Rig::with_pins(part, function, BOTH, HALF_MEGABIT);
+            assert_eq!(rig.acknowledges(0), is_slow == (function == 8), "{part:?}, AF{function}");
+        }
+    }
+}
+
+#[test]
+fn a_chip_acknowledges_only_by_a_pin_in_its_alternate_function() {
+    let mut rig = Rig::with_pins(Part::Stm32f405, 9, BOTH, HALF_MEGABIT);
+    assert!(rig.acknowledges(0));
+    for moder in [TX_IS_OUTPUT, TX_IS_INPUT] {
+        rig.write(GPIOB, moder);
+        assert!(!rig.acknowledges(0));
+        rig.write(GPIOB, BOTH);
+        rig.run_us(30_000);
+        assert!(rig.acknowledges(0));
+    }
+}
+
+#[test]
+fn no_chip_joins_the_bus_without_a_receive_pin() {
+    let mut rig = Rig::with_pins(Part::Stm32f405, 9, 0b1000 << 16, HALF_MEGABIT);
+    assert!(!rig.acknowledges(0));
+    rig.write(GPIOB, BOTH);
+    rig.run_us(1_000);
+    assert!(rig.acknowledges(0));
+}
+
+#[test]
+fn a_chip_that_only_listens_needs_no_pin_to_transmit() {
+    for (silence, problems) in [(SILENT, 0), (0, 1)] {
+        let mut rig = Rig::with_pins(Part::Stm32f405, 9, TX_IS_OUTPUT, silence | HALF_MEGABIT);
+        rig.acknowledges(0);
+        assert_eq!(rig.problems().len(), problems);
+    }
+}
+
+#[test]
+fn a_locked_transmit_pin_reaches_the_bus_only_in_its_alternate_function() {
+    let mut rig = Rig::with_pins(Part::Stm32f405, 9, TX_IS_OUTPUT, HALF_MEGABIT);
+    let transmit_lock = Some(TransmitLock { every: 1, frame: 1 });
+    rig.chip.can_mut(1).set_variant(CanVariant { transmit_lock, ..CanVariant::default() });
+    rig.reset(1 << 25);
+    rig.start(0, SILENT | HALF_MEGABIT);
+    rig.send(0, 0x123);
+    rig.buses[0].1.close();
+    for (moder, level) in
+        [(TX_IS_OUTPUT, Level::Recessive), (BOTH, Level::Dominant), (TX_IS_INPUT, Level::Recessive)]
+    {
+        rig.write(GPIOB, moder);
+        rig.run_us(1_000);
+        assert_eq!(rig.buses[0].0.level(), level, "{moder:#x}");
+    }
 }

@@ -6,8 +6,8 @@ use emulator::{
     Time,
     can::Clock,
     chip::{
-        Access, BusFault, Chip, Part, PowerCut, Readings, Request, ResetCause, StuckBits, Timing,
-        Width,
+        Access, BusFault, Chip, ChipVariant, Part, PowerCut, Request, ResetCause, StuckBits,
+        Timing, Width,
     },
 };
 
@@ -392,9 +392,9 @@ fn a_power_cut_in_an_erase_leaves_any_state_but_spares_other_sectors() {
 
 #[test]
 fn a_word_that_was_cut_flips_until_it_is_programmed_again() {
-    let readings = Readings { cut_words_flip: true, ..Readings::default() };
+    let variant = ChipVariant { cut_words_flip: true, ..ChipVariant::default() };
     let crystal = Clock { hz: 8_000_000, ppm: 0 };
-    let chip = Chip::with_readings(Part::Stm32f405, crystal, [0; 12], readings);
+    let chip = Chip::with_variant(Part::Stm32f405, crystal, [0; 12], variant);
     let mut rig = FlashRig { chip, now: Time::ZERO };
     rig.unlock();
     rig.chip.flash_mut().cut_power(PowerCut { operation: 0, seed: 100 });

@@ -5,7 +5,7 @@ use emulator::{
     Time,
     board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{Readings, ResetCause, Timing},
+    chip::{ChipVariant, ResetCause, Timing},
     network::{Event, Source, What},
 };
 use testkit::{
@@ -62,8 +62,8 @@ fn every_lss_answer_but_the_one_to_store_takes_less_than_3_us() {
 
 #[test]
 fn with_wait_states_of_the_flash_each_of_them_takes_less_than_4_us() {
-    let chip_readings = Readings { flash_waits: true, ..Readings::default() };
-    let board = board::Settings { chip_readings, ..Default::default() };
+    let chip_variant = ChipVariant { flash_waits: true, ..ChipVariant::default() };
+    let board = board::Settings { chip_variant, ..Default::default() };
     let mut board = Board::new(part(), image(), board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0xFF, BitRate::Kbit1000)]));
     let rig = ImageRig::new(BitRate::Kbit1000, [board]);

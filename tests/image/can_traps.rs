@@ -6,7 +6,7 @@ use emulator::{
     board::{self, Board},
     can::{
         Adapter, Frame, Id,
-        bxcan::{Acknowledge, Readings, TransmitLock},
+        bxcan::{Acknowledge, CanVariant, TransmitLock},
     },
     chip::{Pin, ResetCause},
     network::{Event, Short, What},
@@ -18,8 +18,8 @@ use crate::rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, image, part, 
 /// The line to the transceiver, as in pins.rs.
 const TRANSMIT: Pin = Pin('B', 9);
 
-fn board(settings: Settings, can_readings: Readings) -> Board {
-    let of_board = board::Settings { can_readings, ..Default::default() };
+fn board(settings: Settings, can_variant: CanVariant) -> Board {
+    let of_board = board::Settings { can_variant, ..Default::default() };
     let mut board = Board::new(part(), image(), of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
@@ -35,8 +35,8 @@ fn answers(rig: &mut ImageRig) -> bool {
     rig.lss("5E").0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
 }
 
-fn rig_with(can_readings: Readings) -> ImageRig {
-    let board = board(settings(0x40, BitRate::Kbit500), can_readings);
+fn rig_with(can_variant: CanVariant) -> ImageRig {
+    let board = board(settings(0x40, BitRate::Kbit500), can_variant);
     let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
     rig.collect(Time::from_ms(100));
     rig
@@ -47,8 +47,8 @@ fn rig_with(can_readings: Readings) -> ImageRig {
 fn a_listener_whose_transmit_pin_is_locked_never_holds_the_bus_dominant() {
     for (every, frame) in [(1, 1), (1, 3), (2, 1), (3, 2)] {
         let transmit_lock = Some(TransmitLock { every, frame });
-        let readings = Readings { transmit_lock, ..Readings::default() };
-        let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), readings)]);
+        let variant = CanVariant { transmit_lock, ..CanVariant::default() };
+        let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), variant)]);
         let other = rig.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
         for _ in 0..150 {
             rig.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
@@ -67,8 +67,8 @@ fn a_listener_whose_transmit_pin_is_locked_never_holds_the_bus_dominant() {
 fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
     let lost = [2, 3, 4].map(|every| Acknowledge::Lost { every });
     for acknowledge in lost.into_iter().chain([1, 11].map(Acknowledge::Late)) {
-        let readings = Readings { acknowledge, ..Readings::default() };
-        let board = board(settings(0x40, BitRate::Kbit500), readings);
+        let variant = CanVariant { acknowledge, ..CanVariant::default() };
+        let board = board(settings(0x40, BitRate::Kbit500), variant);
         let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
         rig.collect(Time::from_ms(100));
         assert!(answers(&mut rig), "{acknowledge:?}");
@@ -77,17 +77,17 @@ fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
 
 #[test]
 fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
-    let dead = Readings { acknowledge: Acknowledge::Lost { every: 1 }, ..Readings::default() };
-    let mut rig = rig_with(Readings::default());
+    let dead = CanVariant { acknowledge: Acknowledge::Lost { every: 1 }, ..CanVariant::default() };
+    let mut rig = rig_with(CanVariant::default());
     for request in ["04 01", "13 00 03"] {
         rig.lss(request);
     }
-    rig.network.board(0).chip().can_mut(1).set_readings(dead);
+    rig.network.board(0).chip().can_mut(1).set_variant(dead);
     rig.transmit_request("15 0A 00");
     rig.network.run_for(Time::from_s(1));
     let text = "CAN: the controller does not enter initialisation mode";
     assert!(rig.has_logged(text));
-    rig.network.board(0).chip().can_mut(1).set_readings(Readings::default());
+    rig.network.board(0).chip().can_mut(1).set_variant(CanVariant::default());
     rig.set_master_bit_rate(BitRate::Kbit250);
     rig.network.run_for(Time::from_ms(300));
     assert!(answers(&mut rig));
@@ -95,15 +95,15 @@ fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
 
 #[test]
 fn a_chip_is_reset_until_its_controller_acknowledges() {
-    let dead = Readings { acknowledge: Acknowledge::Lost { every: 1 }, ..Readings::default() };
-    let mut rig = rig_with(Readings::default());
+    let dead = CanVariant { acknowledge: Acknowledge::Lost { every: 1 }, ..CanVariant::default() };
+    let mut rig = rig_with(CanVariant::default());
     rig.network.power_off(0);
-    rig.network.board(0).chip().can_mut(1).set_readings(dead);
+    rig.network.board(0).chip().can_mut(1).set_variant(dead);
     rig.network.run_for(Time::from_ms(10));
     rig.network.permit_misuse();
     rig.network.power_on(0);
     rig.network.run_for(Time::from_ms(100));
-    rig.network.board(0).chip().can_mut(1).set_readings(Readings::default());
+    rig.network.board(0).chip().can_mut(1).set_variant(CanVariant::default());
     let since = rig.network.now();
     rig.boot(0, since);
     rig.network.forbid_misuse();
@@ -116,7 +116,7 @@ fn a_chip_is_reset_until_its_controller_acknowledges() {
 
 #[test]
 fn each_frame_is_handled_once_though_the_fifo_shows_the_next_one_late() {
-    let mut rig = rig_with(Readings { late_release: true, ..Readings::default() });
+    let mut rig = rig_with(CanVariant { late_release: true, ..CanVariant::default() });
     rig.lss("04 01");
     for request in ["5A", "5B", "5C", "5D", "5E"] {
         rig.queue(&frames::stranger());
@@ -129,27 +129,27 @@ fn each_frame_is_handled_once_though_the_fifo_shows_the_next_one_late() {
 
 #[test]
 fn a_board_is_configured_under_each_other_reading() {
-    let off = Readings::default();
-    for readings in [
-        Readings { passive_errors_interrupt: true, ..off },
-        Readings { bus_off_tec_overflows: true, ..off },
-        Readings { both_fifos: true, ..off },
-        Readings { late_choice: true, ..off },
+    let off = CanVariant::default();
+    for variant in [
+        CanVariant { passive_errors_interrupt: true, ..off },
+        CanVariant { bus_off_tec_overflows: true, ..off },
+        CanVariant { both_fifos: true, ..off },
+        CanVariant { late_choice: true, ..off },
     ] {
-        let board = board(settings(0x40, BitRate::Kbit500), readings);
+        let board = board(settings(0x40, BitRate::Kbit500), variant);
         let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
         rig.collect(Time::from_ms(20));
-        assert!(answers(&mut rig), "{readings:?}");
-        assert_eq!(rig.lss("11 41"), ["11 00"], "{readings:?}");
-        assert_eq!(rig.lss("17"), ["17 00"], "{readings:?}");
+        assert!(answers(&mut rig), "{variant:?}");
+        assert_eq!(rig.lss("11 41"), ["11 00"], "{variant:?}");
+        assert_eq!(rig.lss("17"), ["17 00"], "{variant:?}");
         rig.power_cycle(0);
-        assert_eq!(rig.collect(Time::from_ms(20)), ["741: 00"], "{readings:?}");
+        assert_eq!(rig.collect(Time::from_ms(20)), ["741: 00"], "{variant:?}");
     }
 }
 
 #[test]
 fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
-    let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
+    let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), CanVariant::default())]);
     rig.network.set_short(Some(Short::Dominant));
     let since = rig.network.now();
     rig.network.run_for(Time::from_s(3));
@@ -170,9 +170,9 @@ fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
 /// The interrupt of bus-off lasts as long as bus-off does: it must not block everything else.
 #[test]
 fn a_board_in_bus_off_for_long_is_not_starved_by_its_interrupt() {
-    let readings = Readings { bus_off_holds_interrupt: true, ..Readings::default() };
+    let variant = CanVariant { bus_off_holds_interrupt: true, ..CanVariant::default() };
     let heartbeats = settings(0x40, BitRate::Kbit250).with_heartbeat_ms(100);
-    let mut rig = ImageRig::new(BitRate::Kbit250, [board(heartbeats, readings)]);
+    let mut rig = ImageRig::new(BitRate::Kbit250, [board(heartbeats, variant)]);
     rig.collect(Time::from_ms(100));
     assert!(answers(&mut rig));
     rig.network.set_short(Some(Short::Recessive));
@@ -193,7 +193,7 @@ fn a_board_in_bus_off_for_long_is_not_starved_by_its_interrupt() {
 /// The board's line is recessive in every mode except normal mode.
 #[test]
 fn a_listener_gives_the_line_back_to_the_controller_when_it_takes_part() {
-    let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), Readings::default())]);
+    let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), CanVariant::default())]);
     rig.network.run_for(Time::from_ms(10));
     let is_alternate =
         |rig: &ImageRig| rig.network.board(0).chip().gpio().alternate_function(TRANSMIT).is_some();

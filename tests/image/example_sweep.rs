@@ -5,7 +5,7 @@ use canopen_node::{BitRate, Frame};
 use emulator::{
     Time,
     board::{self, Board},
-    chip::{Part, Readings},
+    chip::{ChipVariant, Part},
 };
 use testkit::{
     frames::{self, Frames},
@@ -195,8 +195,8 @@ fn a_client_that_falls_silent_in_a_transfer_gets_an_abort() {
 #[test]
 fn a_client_may_confirm_a_block_while_it_is_sent() {
     // The slow core leaves the bus to the client after two segments.
-    let of_chip = Readings { slowdown: 10, ..Readings::default() };
-    let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+    let of_chip = ChipVariant { slowdown: 10, ..ChipVariant::default() };
+    let of_board = board::Settings { chip_variant: of_chip, ..Default::default() };
     let mut board = Board::new(Part::Stm32f407, example(), of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);

@@ -1,15 +1,15 @@
 //! The release image with power cuts in any flash operation of its start and of two commissionings: reachable
 //! afterwards, with the old or the new settings, although an interrupted word reads differently at each power-on. `cargo verify power-cut` cuts at other instants too.
 
-use emulator::{board, chip::Readings};
+use emulator::{board, chip::ChipVariant};
 use testkit::{power_cut::image::Session, random::Random, sessions::Variant};
 
 use crate::rig::{image, part};
 
 fn assert_nothing_is_lost(session: Session) {
     let mut random = Random::from_environment();
-    let chip_readings = Readings { cut_words_flip: true, ..Readings::default() };
-    let settings = board::Settings { chip_readings, ..board::Settings::default() };
+    let chip_variant = ChipVariant { cut_words_flip: true, ..ChipVariant::default() };
+    let settings = board::Settings { chip_variant, ..board::Settings::default() };
     let variant = Variant { image: image(), part: part(), settings };
     let outcome = session.course(&variant).and_then(|course| {
         let cuts = course.in_operations(&mut random);

@@ -6,7 +6,7 @@ use emulator::{
     Time,
     board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{Pin, Readings, Timing},
+    chip::{ChipVariant, Pin, Timing},
     network::{Short, What},
 };
 use testkit::{
@@ -19,8 +19,8 @@ use crate::rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, image, part, 
 const RATE: BitRate = BitRate::Kbit1000;
 const NODE_ID: u8 = 0x40;
 
-fn rig(of_chip: Readings, stored: Settings) -> ImageRig {
-    let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+fn rig(of_chip: ChipVariant, stored: Settings) -> ImageRig {
+    let of_board = board::Settings { chip_variant: of_chip, ..Default::default() };
     let mut board = Board::new(part(), image(), of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[stored]));
     let mut rig = ImageRig::new(RATE, [board]);
@@ -29,12 +29,12 @@ fn rig(of_chip: Readings, stored: Settings) -> ImageRig {
 }
 
 fn node_40(heartbeat_ms: u16) -> ImageRig {
-    rig(Readings::default(), settings(NODE_ID, RATE).with_heartbeat_ms(heartbeat_ms))
+    rig(ChipVariant::default(), settings(NODE_ID, RATE).with_heartbeat_ms(heartbeat_ms))
 }
 
 /// Node 40 with a core that is `slowdown` times slower.
 fn slow_node_40(slowdown: u8) -> ImageRig {
-    rig(Readings { slowdown, ..Readings::default() }, settings(NODE_ID, RATE))
+    rig(ChipVariant { slowdown, ..ChipVariant::default() }, settings(NODE_ID, RATE))
 }
 
 #[test]
@@ -53,7 +53,7 @@ fn a_store_by_lss_is_answered_after_a_reset() {
 fn a_listener_finds_the_rate_by_remote_frames_or_29_bit_frames() {
     let stored = settings(NODE_ID, RATE).with_bit_rate(BitRateSetting::Automatic);
     for id in [Id::Standard(0x181), Id::Extended(0x181)] {
-        let mut rig = rig(Readings::default(), stored);
+        let mut rig = rig(ChipVariant::default(), stored);
         let other = rig.network.add_adapter(Adapter::new(bit_per_s(RATE)));
         let frame = Frame { remote: matches!(id, Id::Standard(_)), ..Frame::data(id, &[]) };
         let since = rig.network.now();

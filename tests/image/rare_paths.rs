@@ -5,7 +5,7 @@ use canopen_node::BitRate;
 use emulator::{
     Time,
     board::{self, Board},
-    chip::{Access, Readings, ResetCause, StuckBits, Timing, Width},
+    chip::{Access, ChipVariant, ResetCause, StuckBits, Timing, Width},
     network::{Short, What},
 };
 use firmware::device::DEFAULTS;
@@ -98,8 +98,8 @@ fn the_history_keeps_the_latest_eight_of_ten_errors() {
 
 #[test]
 fn a_core_that_is_too_slow_for_the_bus_reports_lost_frames() {
-    let of_chip = Readings { slowdown: 150, ..Readings::default() };
-    let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+    let of_chip = ChipVariant { slowdown: 150, ..ChipVariant::default() };
+    let of_board = board::Settings { chip_variant: of_chip, ..Default::default() };
     let mut board = Board::new(part(), image(), of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0x40, BitRate::Kbit1000)]));
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
@@ -462,8 +462,8 @@ fn settings_are_saved_and_defaults_restored_in_operational() {
 #[test]
 fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
     for (configure, boot_up) in [("11 FF", &SILENCE[..]), ("11 41", &["741: 00"])] {
-        let of_chip = Readings { slowdown: 30, ..Readings::default() };
-        let of_board = board::Settings { chip_readings: of_chip, ..Default::default() };
+        let of_chip = ChipVariant { slowdown: 30, ..ChipVariant::default() };
+        let of_board = board::Settings { chip_variant: of_chip, ..Default::default() };
         let mut board = Board::new(part(), image(), of_board);
         board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0x40, BitRate::Kbit1000)]));
         let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);

@@ -5,7 +5,7 @@ use emulator::{
     Time,
     board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{Access, Readings, Width},
+    chip::{Access, ChipVariant, Width},
     network::{Short, What},
 };
 use testkit::frames;
@@ -23,8 +23,8 @@ const OTHER_RATE: BitRate = BitRate::Kbit250;
 
 /// A node with a core that is 40 times slower, at another rate than the master.
 fn slow_node() -> ImageRig {
-    let chip_readings = Readings { slowdown: 40, ..Readings::default() };
-    let of_board = board::Settings { chip_readings, ..Default::default() };
+    let chip_variant = ChipVariant { slowdown: 40, ..ChipVariant::default() };
+    let of_board = board::Settings { chip_variant, ..Default::default() };
     let mut board = Board::new(part(), image(), of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0x40, OTHER_RATE)]));
     let mut rig = ImageRig::new(RATE, [board]);

@@ -10,7 +10,7 @@ use canopen_stm32f4::chip::{self, Chip};
 use emulator::{
     Time, board,
     can::{Adapter, BitSegments, Clock, Frame, Id},
-    chip::{Part, Readings},
+    chip::{ChipVariant, Part},
     image::Image,
     network::{Network, What},
 };
@@ -138,9 +138,9 @@ fn row(Target { part, controller }: Target, image: &Image) -> anyhow::Result<Row
     let settings = board::Settings { controller: controller.into(), ..Default::default() };
     let variant = Variant { image, part, settings };
     let (core_mhz, boot) = sessions::outcome(|| boot(&variant))?;
-    let chip_readings = Readings { boot_loader: true, ..Readings::default() };
+    let chip_variant = ChipVariant { boot_loader: true, ..ChipVariant::default() };
     let after_loader =
-        Variant { settings: board::Settings { chip_readings, ..settings }, ..variant };
+        Variant { settings: board::Settings { chip_variant, ..settings }, ..variant };
     let mut all: Vec<(&str, &Variant, Session)> = vec![
         ("commissioning", &variant, commission),
         ("a boot loader starts the program", &after_loader, |variant| _ = self::boot(variant)),

@@ -3,20 +3,20 @@
 
 mod filters;
 mod mailbox;
-mod readings;
 mod receive;
 mod registers;
 mod station;
+mod variant;
 
-pub use readings::{Acknowledge, Readings, TransmitLock};
+pub use variant::{Acknowledge, CanVariant, TransmitLock};
 
 use super::{Clock, Controller, Event, Frame, Mode as BusMode, Pins, Station, stream::Level};
 use crate::Time;
 use filters::Filters;
 use mailbox::{Failure, Mailboxes};
-use readings::Oddities;
 use receive::Fifo;
 use registers::*;
+use variant::Behaviour;
 
 /// Levels of the four interrupt lines (RM0090 32.8).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -98,7 +98,7 @@ pub struct Bxcan {
     filters: Filters,
     notes: Vec<(Time, Note)>,
     irq: Interrupts,
-    oddities: Oddities,
+    behaviour: Behaviour,
 }
 
 impl Bxcan {
@@ -122,15 +122,15 @@ impl Bxcan {
             filters: Filters::new(role),
             notes: Vec::new(),
             irq: Interrupts::default(),
-            oddities: Oddities::default(),
+            behaviour: Behaviour::default(),
         };
         bxcan.controller.watch(true);
         bxcan
     }
 
-    /// Selects the readings of the manual.
-    pub fn set_readings(&mut self, readings: Readings) {
-        self.oddities = Oddities::new(readings);
+    /// Selects the variant, nominal at first.
+    pub fn set_variant(&mut self, variant: CanVariant) {
+        self.behaviour = Behaviour::new(variant);
     }
 
     /// Connects its pins to the transceiver, or disconnects them, from `from` on. Both are connected at first.
@@ -161,7 +161,7 @@ impl Bxcan {
             self.filters = Filters::new(self.role);
         }
         self.irq = Interrupts::default();
-        self.oddities.reset();
+        self.behaviour.reset();
     }
 
     /// Sets the APB1 clock, in which the time quanta are counted.
@@ -290,7 +290,7 @@ impl Bxcan {
 
     /// The time at which a frame that is released now leaves its FIFO.
     fn release_at(&self, now: Time) -> Time {
-        let cycles = if self.oddities.readings.late_release { 2 } else { 0 };
+        let cycles = if self.behaviour.variant.late_release { 2 } else { 0 };
         now + Time::from_ps(cycles * 1_000_000_000_000 / u64::from(self.controller.clock().hz))
     }
 
@@ -318,7 +318,7 @@ impl Bxcan {
     fn esr(&self) -> u32 {
         let counters = self.controller.counters();
         // Captured from a chip in bus-off (confidence 0.8); the counter has nine bits.
-        let in_bus_off = counters.bus_off() && !self.oddities.readings.bus_off_tec_overflows;
+        let in_bus_off = counters.bus_off() && !self.behaviour.variant.bus_off_tec_overflows;
         let tec = if in_bus_off { BUS_OFF_TEC } else { counters.transmit & 0xFF };
         self.flags() | self.lec | u32::from(tec) << 16 | u32::from(counters.receive) << 24
     }
@@ -369,7 +369,7 @@ impl Bxcan {
         };
         if requested == Mode::Normal {
             if self.mode == Mode::Initialization {
-                self.oddities.start(self.controller.mode().silent);
+                self.behaviour.start(self.controller.mode().silent);
             }
             self.controller.start(now);
         } else {
@@ -385,7 +385,7 @@ impl Bxcan {
         }
         match (self.mode, requested) {
             (_, Mode::Initialization) => {
-                self.inak_from = self.oddities.initialize(now, self.controller.bit_time());
+                self.inak_from = self.behaviour.initialize(now, self.controller.bit_time());
                 if self.inak_from < Time::MAX {
                     self.notes.push((self.inak_from, Note::InitializationEntered));
                 }

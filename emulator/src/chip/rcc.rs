@@ -1,6 +1,6 @@
 //! RCC (RM0090 chapter 7): oscillators, PLL, prescalers, peripheral clocks and resets, reset flags.
 
-use super::{Part, Problem, Readings, StartUp, timer, usart};
+use super::{ChipVariant, Part, Problem, StartUp, timer, usart};
 use crate::{Time, can::Clock};
 
 const CR: u32 = 0x00;
@@ -155,13 +155,13 @@ impl Rcc {
     pub const BDCR: u32 = 0x70;
 
     /// The state after power-on, with `crystal` as HSE.
-    pub fn new(part: Part, crystal: Clock, readings: &Readings) -> Self {
+    pub fn new(part: Part, crystal: Clock, variant: &ChipVariant) -> Self {
         let mut rcc = Self {
             part,
             crystal,
             crystal_works: crystal.hz > 0,
-            hse_start: readings.hse_start,
-            start_up: readings.start_up,
+            hse_start: variant.hse_start,
+            start_up: variant.start_up,
             regs: [0; 38],
             hse_ready: Time::MAX,
             pll_ready: [Time::MAX; 3],

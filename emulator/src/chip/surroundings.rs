@@ -13,7 +13,7 @@ impl Chip {
 
     /// Whether the supply is too low to leave the reset, if `was_low`, or to stay out of it.
     pub fn supply_is_too_low(&self, was_low: bool) -> bool {
-        self.readings.thresholds.reset(self.flash.bor_lev(), self.pwr.supply(), was_low)
+        self.variant.thresholds.reset(self.flash.bor_lev(), self.pwr.supply(), was_low)
     }
 
     /// Stops the crystal at `now`.

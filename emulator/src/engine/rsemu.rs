@@ -75,14 +75,14 @@ impl Rsemu {
         let flash = Arc::new(RamStore::new(part.flash_size().into()));
         copy(&flash, 0, guard.flash().bytes());
         guard.flash_mut().take_changed();
-        let readings = guard.readings();
+        let variant = guard.variant();
         drop(guard);
         let link = Arc::new(Link::new(clock));
         let ram = Arc::new(RamStore::new(part.ram_size().into()));
         let ccm = Arc::new(RamStore::new(part.ccm_size().into()));
         let config = Config::CORTEX_M4F.with_priority_bits(4);
         let cpu = ArmV7m::new(config);
-        let space = Space::new(&chip, &link, &flash, &ram, &ccm, readings);
+        let space = Space::new(&chip, &link, &flash, &ram, &ccm, variant);
         cpu.attach_space(space.shared());
         Self {
             cpu,
@@ -98,8 +98,8 @@ impl Rsemu {
             stalled_until: 0,
             flash_busy: false,
             spin: None,
-            slowdown: readings.slowdown.max(1).into(),
-            flash_waits: readings.flash_waits,
+            slowdown: variant.slowdown.max(1).into(),
+            flash_waits: variant.flash_waits,
             irqs: 0,
             settled: None,
             decoded: Decoded::new(),

@@ -1,6 +1,6 @@
 //! Filter banks of each kind.
 
-use emulator::can::{Frame, Id, bxcan::Readings};
+use emulator::can::{Frame, Id, bxcan::CanVariant};
 
 use crate::rig::{CanRig, F0R1, FA1R, FFA1R, FM1R, FMR, FS1R, MEGABIT, RF0R, RI0R, RI1R, standard};
 
@@ -156,9 +156,9 @@ fn banks_from_can2sb_on_belong_to_the_other_peripheral() {
 /// Renode's model stores the frame in both.
 #[test]
 fn a_frame_that_both_fifos_let_in_goes_into_one() {
-    let held = |readings| {
+    let held = |variant| {
         let mut rig = with_filters(0b0010, 0b0011);
-        rig.can.set_readings(readings);
+        rig.can.set_variant(variant);
         rig.write(FA1R, 0);
         rig.write(F0R1 + 8, 0);
         rig.write(FA1R, 0b0011);
@@ -166,6 +166,6 @@ fn a_frame_that_both_fifos_let_in_goes_into_one() {
         rig.run_us(300);
         [rig.read(RF0R) & 3, rig.read(RF0R + 4) & 3]
     };
-    assert_eq!(held(Readings::default()), [1, 0], "a list goes before a mask");
-    assert_eq!(held(Readings { both_fifos: true, ..Readings::default() }), [1, 1]);
+    assert_eq!(held(CanVariant::default()), [1, 0], "a list goes before a mask");
+    assert_eq!(held(CanVariant { both_fifos: true, ..CanVariant::default() }), [1, 1]);
 }

@@ -4,12 +4,12 @@ use emulator::{
     Time,
     can::{
         Adapter, BitSegments, Clock, Level,
-        bxcan::{Acknowledge, Note, Readings, TransmitLock},
+        bxcan::{Acknowledge, CanVariant, Note, TransmitLock},
     },
 };
 
 use crate::rig::{
-    AWUM, BTR, CanRig, IER, INAK, INRQ, MCR, MEGABIT, MSR, RF0R, SLAK, SLEEP, TSR, standard,
+    AWUM, BTR, CanRig, ESR, IER, INAK, INRQ, MCR, MEGABIT, MSR, RF0R, SLAK, SLEEP, TSR, standard,
 };
 
 #[test]
@@ -101,26 +101,29 @@ fn silent_mode_receives_without_driving_the_wire() {
 }
 
 #[test]
-fn loopback_reads_back_its_own_frame() {
+fn loopback_reads_back_its_own_frame_without_an_acknowledgement() {
     let mut rig = CanRig::new();
     rig.open_filter();
     rig.adapter.close();
-    rig.join(0, 3 << 30 | MEGABIT);
-    rig.mailbox(2, standard(0x7E5, &[5]));
+    rig.join(0, 1 << 30 | MEGABIT);
+    rig.mailbox(0, standard(0x7E5, &[1, 2, 3]));
     rig.run_us(100);
-    assert_eq!(rig.fifo(0), [[0x7E5 << 21, 1, 5]]);
-    assert_eq!(rig.read(TSR), 0x1C03_0000);
+    assert_eq!(rig.fifo(0), [[0x7E5 << 21, 3, 0x03_0201]]);
+    assert_eq!((rig.read(TSR), rig.read(ESR)), (0x1C00_0003, 0));
 }
 
 /// Both happen at the end of EOF (confidence 0.7).
 #[test]
-fn in_loopback_the_frame_is_received_when_it_is_sent() {
+fn in_silent_loopback_the_frame_is_received_when_it_is_sent_and_leaves_the_wire_alone() {
     let mut rig = CanRig::new();
     rig.open_filter();
     rig.join(0, 3 << 30 | MEGABIT);
-    rig.mailbox(0, standard(0x7E5, &[5]));
+    rig.mailbox(2, standard(0x7E5, &[5]));
     rig.step_until("a message", |rig| rig.read(RF0R) & 3 == 1);
-    assert_eq!(rig.read(TSR) & 3, 3);
+    assert_eq!(rig.read(TSR), 0x1C03_0000);
+    assert_eq!(rig.fifo(0), [[0x7E5 << 21, 1, 5]]);
+    rig.run_us(300);
+    assert_eq!((rig.adapter.errors(), rig.received()), (0, vec![]));
 }
 
 #[test]
@@ -169,7 +172,7 @@ fn listen_after_reset(rig: &mut CanRig) -> Level {
 fn the_transmit_pin_may_be_locked_dominant_while_it_listens_until_a_reset() {
     let mut rig = CanRig::new();
     let transmit_lock = Some(TransmitLock { every: 2, frame: 1 });
-    rig.can.set_readings(Readings { transmit_lock, ..Readings::default() });
+    rig.can.set_variant(CanVariant { transmit_lock, ..CanVariant::default() });
     assert_eq!(listen_after_reset(&mut rig), Level::Recessive);
     assert_eq!(listen_after_reset(&mut rig), Level::Dominant);
     rig.write(MCR, INRQ);
@@ -185,7 +188,7 @@ fn the_transmit_pin_may_be_locked_dominant_while_it_listens_until_a_reset() {
 fn silent_mode_entered_by_initialisation_does_not_lock_the_transmit_pin() {
     let mut rig = CanRig::new();
     let transmit_lock = Some(TransmitLock { every: 1, frame: 1 });
-    rig.can.set_readings(Readings { transmit_lock, ..Readings::default() });
+    rig.can.set_variant(CanVariant { transmit_lock, ..CanVariant::default() });
     rig.join(0, MEGABIT);
     for _ in 0..3 {
         rig.adapter.close();
@@ -203,7 +206,7 @@ fn silent_mode_entered_by_initialisation_does_not_lock_the_transmit_pin() {
 fn initialisation_may_be_acknowledged_late() {
     let mut rig = CanRig::new();
     let acknowledge = Acknowledge::Late(11);
-    rig.can.set_readings(Readings { acknowledge, ..Readings::default() });
+    rig.can.set_variant(CanVariant { acknowledge, ..CanVariant::default() });
     rig.write(MCR, INRQ);
     // After a reset BTR makes eight quanta of one clock period.
     let bits = |bits: u64| Time::from_ns(250) * bits;
@@ -219,7 +222,7 @@ fn initialisation_may_be_acknowledged_late() {
 fn initialisation_may_not_be_acknowledged_until_a_reset() {
     let mut rig = CanRig::new();
     let acknowledge = Acknowledge::Lost { every: 2 };
-    rig.can.set_readings(Readings { acknowledge, ..Readings::default() });
+    rig.can.set_variant(CanVariant { acknowledge, ..CanVariant::default() });
     let mut acknowledged = Vec::new();
     for _ in 0..4 {
         rig.can.reset();

@@ -2,7 +2,7 @@
 
 use emulator::{
     Time,
-    can::{Frame, Id, bxcan::Readings},
+    can::{Frame, Id, bxcan::CanVariant},
 };
 
 use crate::rig::{CanRig, IER, RF0R, RFLM, RI0R, standard};
@@ -30,8 +30,8 @@ fn a_frame_is_readable_from_the_last_but_one_bit_of_eof() {
 
 #[test]
 fn a_fifo_may_show_a_released_frame_for_two_cycles() {
-    let readings = Readings { late_release: true, ..Readings::default() };
-    let mut rig = CanRig::reading(readings, 0);
+    let variant = CanVariant { late_release: true, ..CanVariant::default() };
+    let mut rig = CanRig::of_variant(variant, 0);
     (1..=2).for_each(|n| rig.adapter.send(standard(0x100, &[n])));
     rig.run_us(200);
     let shown = |rig: &CanRig, ps| {

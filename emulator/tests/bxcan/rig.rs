@@ -4,7 +4,7 @@ use emulator::{
     Time,
     can::{
         Adapter, Bus, Bxcan, Clock, Frame, Id,
-        bxcan::{Readings, Role},
+        bxcan::{CanVariant, Role},
     },
 };
 
@@ -65,10 +65,10 @@ impl CanRig {
         rig
     }
 
-    /// Like [`running`](Self::running), with other readings of the manual.
-    pub fn reading(readings: Readings, mcr: u32) -> Self {
+    /// Like [`running`](Self::running), of another variant.
+    pub fn of_variant(variant: CanVariant, mcr: u32) -> Self {
         let mut rig = Self::new();
-        rig.can.set_readings(readings);
+        rig.can.set_variant(variant);
         rig.open_filter();
         rig.join(mcr, MEGABIT);
         rig

@@ -2,7 +2,7 @@
 
 use emulator::{
     Time,
-    can::bxcan::{Note, Readings},
+    can::bxcan::{CanVariant, Note},
 };
 
 use crate::rig::{CanRig, ESR, IER, INRQ, MCR, MSR, NART, TI0R, TSR, TXFP, standard};
@@ -75,22 +75,22 @@ fn a_higher_priority_overtakes_waiting_mailboxes_but_not_the_chosen_one() {
 /// The other reading: the mailbox is chosen at SOF.
 #[test]
 fn with_a_late_choice_a_higher_priority_overtakes_on_an_idle_bus() {
-    let readings = Readings { late_choice: true, ..Readings::default() };
-    assert_eq!(order_of_three_requests(&mut CanRig::reading(readings, 0)), [1, 2, 0]);
+    let variant = CanVariant { late_choice: true, ..CanVariant::default() };
+    assert_eq!(order_of_three_requests(&mut CanRig::of_variant(variant, 0)), [1, 2, 0]);
 }
 
 #[test]
 fn an_abort_comes_too_late_for_a_request_on_an_idle_bus() {
-    let sent = |readings| {
-        let mut rig = CanRig::reading(readings, 0);
+    let sent = |variant| {
+        let mut rig = CanRig::of_variant(variant, 0);
         rig.mailbox(0, standard(0x123, &[1]));
         rig.write(TSR, 1 << 7);
         let pending = rig.read(TSR) & 0xFF;
         rig.run_us(100);
         (pending, rig.read(TSR) & 0xF, rig.received().len())
     };
-    assert_eq!(sent(Readings::default()), (1 << 7, 0b0011, 1));
-    let late_choice = Readings { late_choice: true, ..Readings::default() };
+    assert_eq!(sent(CanVariant::default()), (1 << 7, 0b0011, 1));
+    let late_choice = CanVariant { late_choice: true, ..CanVariant::default() };
     assert_eq!(sent(late_choice), (1, 0b0001, 0));
 }
 

@@ -2,6 +2,5 @@
 
 mod errors;
 mod frames;
-mod modes;
 mod node;
 mod rates;

@@ -42,11 +42,6 @@ impl Node {
         self.controller.offer(self.queue.front().copied(), self.controller.now());
     }
 
-    pub fn withdraw(&mut self) {
-        self.queue.clear();
-        self.controller.offer(None, self.controller.now());
-    }
-
     pub fn received(&self) -> Vec<Frame> {
         self.log
             .iter()

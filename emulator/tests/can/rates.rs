@@ -1,8 +1,8 @@
-//! Bit rates and crystals that match, and those that do not.
+//! Bit rates and crystals that match, those that do not, and silent nodes.
 
 use emulator::{
     Time,
-    can::{BitSegments, Bus, Mode},
+    can::{BitSegments, Bus, Event, Mode},
 };
 
 use crate::node::{MEGABIT, Node, at, run, standard};
@@ -24,17 +24,6 @@ fn two_bit_rates_on_one_bus_raise_errors_and_pass_no_frame() {
             "{fast} and {slow}"
         );
     }
-}
-
-#[test]
-fn a_quiet_node_at_another_rate_destroys_the_frames_of_others() {
-    let (mut bus, mut a, mut b, mut odd) =
-        (Bus::new(), Node::new(0, at(250)), Node::new(0, at(250)), Node::new(0, at(125)));
-    run(&mut bus, [&mut a, &mut b, &mut odd], Time::from_ms(1));
-    a.send(standard(0x7E5, &[0x04, 1, 0, 0, 0, 0, 0, 0]));
-    run(&mut bus, [&mut a, &mut b, &mut odd], Time::from_us(400));
-    assert!(!odd.errors().is_empty() && !a.errors().is_empty());
-    assert_eq!(b.received(), []);
 }
 
 #[test]
@@ -83,4 +72,26 @@ fn crystals_that_are_three_percent_apart_do_not() {
     a.send(standard(0, &[0; 8]));
     run(&mut bus, [&mut a, &mut b], Time::from_us(150));
     assert!(!b.errors().is_empty());
+}
+
+#[test]
+fn a_silent_node_hears_all_and_never_drives_the_wire() {
+    let silent = Mode { silent: true, loopback: false };
+    let (mut bus, mut a, mut listener) =
+        (Bus::new(), Node::new(0, MEGABIT), Node::with_mode(silent));
+    listener.send(standard(1, &[]));
+    a.send(standard(0x123, &[1]));
+    run(&mut bus, [&mut a, &mut listener], Time::from_ms(5));
+    assert_eq!(a.tec(), 128, "nobody acknowledges");
+    assert!(
+        listener.transmitted().is_empty()
+            && !listener.log.iter().any(|(_, event)| *event == Event::Started)
+    );
+
+    let mut b = Node::stopped(0, MEGABIT);
+    b.controller.start(bus.now());
+    run(&mut bus, [&mut a, &mut listener, &mut b], Time::from_ms(1));
+    assert_eq!((b.received().len(), a.transmitted().len()), (1, 1));
+    assert_eq!(listener.received().last(), Some(&standard(0x123, &[1])));
+    assert_eq!(listener.controller.counters().transmit, 0);
 }

@@ -7,7 +7,7 @@ mod timer;
 use emulator::{
     Time,
     can::Clock,
-    chip::{Access, Chip, Part, Pin, Problem, Readings, Request, ResetCause, Thresholds, Width},
+    chip::{Access, Chip, ChipVariant, Part, Pin, Problem, Request, ResetCause, Thresholds, Width},
 };
 
 const RCC_CR: u32 = 0x4002_3800;
@@ -27,8 +27,8 @@ fn chip(part: Part) -> Chip {
     Chip::new(part, Clock { hz: 8_000_000, ppm: 20 }, *b"unique id 12")
 }
 
-fn chip_with(part: Part, readings: Readings) -> Chip {
-    Chip::with_readings(part, Clock { hz: 8_000_000, ppm: 20 }, *b"unique id 12", readings)
+fn chip_with(part: Part, variant: ChipVariant) -> Chip {
+    Chip::with_variant(part, Clock { hz: 8_000_000, ppm: 20 }, *b"unique id 12", variant)
 }
 
 fn access(address: u32, width: Width, now: Time) -> Access {
@@ -149,11 +149,11 @@ fn oscillators_take_their_time_to_become_ready() {
 }
 
 #[test]
-fn a_crystal_is_ready_after_the_time_of_its_reading_or_never() {
+fn a_crystal_is_ready_after_the_time_of_its_variant_or_never() {
     let ready = |hse_start: Time, after: Time| {
-        let readings = Readings { hse_start, ..Readings::default() };
+        let variant = ChipVariant { hse_start, ..ChipVariant::default() };
         let crystal = Clock { hz: 8_000_000, ppm: 0 };
-        let mut chip = Chip::with_readings(Part::Stm32f405, crystal, [0; 12], readings);
+        let mut chip = Chip::with_variant(Part::Stm32f405, crystal, [0; 12], variant);
         write(&mut chip, RCC_CR, 0x0001_0083, Time::ZERO);
         read(&mut chip, RCC_CR, after) >> 17 & 1 == 1
     };
@@ -209,8 +209,8 @@ fn the_voltage_detector_compares_the_supply_with_the_chosen_level() {
     for (place, thresholds) in
         [Thresholds::Lowest, Thresholds::Typical, Thresholds::Highest].into_iter().enumerate()
     {
-        let readings = Readings { thresholds, ..Readings::default() };
-        let mut chip = chip_with(Part::Stm32f405, readings);
+        let variant = ChipVariant { thresholds, ..ChipVariant::default() };
+        let mut chip = chip_with(Part::Stm32f405, variant);
         let low = |chip: &mut Chip| read(chip, PWR_CSR, Time::ZERO) >> 2 & 1 == 1;
         write(&mut chip, RCC_APB1ENR, 1 << 28, Time::ZERO);
         chip.set_supply(1_900);

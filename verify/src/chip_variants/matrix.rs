@@ -3,8 +3,8 @@
 use emulator::{
     Time,
     board::Settings,
-    can::bxcan::{Acknowledge, Readings as Can, TransmitLock},
-    chip::{Readings as Chip, StartUp, Thresholds, Timing},
+    can::bxcan::{Acknowledge, CanVariant as Can, TransmitLock},
+    chip::{ChipVariant as Chip, StartUp, Thresholds, Timing},
 };
 
 /// The names and settings of all variants, the default first.
@@ -53,11 +53,11 @@ pub fn variants() -> Vec<(&'static str, Settings)> {
         ("flash as slow as allowed", Chip { flash_timing: Timing::Worst, ..usual }),
     ];
     let settings = Settings::default();
-    let can = can.map(|(name, can_readings)| (name, Settings { can_readings, ..settings }));
-    let chip = chip.map(|(name, chip_readings)| (name, Settings { chip_readings, ..settings }));
+    let can = can.map(|(name, can_variant)| (name, Settings { can_variant, ..settings }));
+    let chip = chip.map(|(name, chip_variant)| (name, Settings { chip_variant, ..settings }));
     let discovery = |thresholds| {
-        let chip_readings = Chip { thresholds, ..usual };
-        Settings { supply_mv: 2_930, chip_readings, ..settings }
+        let chip_variant = Chip { thresholds, ..usual };
+        Settings { supply_mv: 2_930, chip_variant, ..settings }
     };
     let supply = [
         ("2.93 V, voltage levels as low as allowed", discovery(Thresholds::Lowest)),

@@ -7,7 +7,7 @@ impl Bxcan {
     /// Whether a mailbox was chosen on an idle bus. It is sent next, whatever is requested before its SOF (RM0090,
     /// 32.7.1 and figure 342, as read with confidence 0.85).
     pub(super) fn has_chosen(&self) -> bool {
-        self.controller.is_starting() && !self.oddities.readings.late_choice
+        self.controller.is_starting() && !self.behaviour.variant.late_choice
     }
 
     /// Offers the next mailbox's frame to the controller.
@@ -29,7 +29,7 @@ impl Bxcan {
     }
 
     fn received(&mut self, frame: &Frame) {
-        let indices = self.filters.accept(frame, self.oddities.readings.both_fifos);
+        let indices = self.filters.accept(frame, self.behaviour.variant.both_fifos);
         let stamp = self.stamp().unwrap_or(0);
         for (fifo, index) in self.fifos.iter_mut().zip(indices) {
             if let Some(index) = index {
@@ -47,7 +47,7 @@ impl Bxcan {
 
     /// Raises ERRI for rising flags of ESR and, if an error was detected, for its code.
     pub(super) fn latch_errors(&mut self, error: bool) {
-        let readings = self.oddities.readings;
+        let variant = self.behaviour.variant;
         let flags = self.flags();
         let risen = flags & !std::mem::replace(&mut self.error_flags, flags);
         let stands = |flag, enable| flags & flag != 0 && self.ier & enable != 0;
@@ -56,8 +56,8 @@ impl Bxcan {
             || asks(ESR_EPVF, IER_EPVIE)
             || asks(ESR_BOFF, IER_BOFIE)
             || (error && self.ier & IER_LECIE != 0)
-            || (error && readings.passive_errors_interrupt && stands(ESR_EPVF, IER_EPVIE))
-            || (readings.bus_off_holds_interrupt && stands(ESR_BOFF, IER_BOFIE))
+            || (error && variant.passive_errors_interrupt && stands(ESR_EPVF, IER_EPVIE))
+            || (variant.bus_off_holds_interrupt && stands(ESR_BOFF, IER_BOFIE))
         {
             self.latched |= MSR_ERRI;
         }
@@ -103,7 +103,7 @@ impl Station for Bxcan {
             Event::BusOff | Event::Recovered | Event::CounterRaised => {}
         }
         let is_frame = matches!(event, Event::Received(_) | Event::Error { .. });
-        if is_frame && self.controller.mode().silent && self.oddities.locks() {
+        if is_frame && self.controller.mode().silent && self.behaviour.locks() {
             self.controller.lock_transmit_pin(now);
         }
         self.latch_errors(matches!(event, Event::Error { .. }));

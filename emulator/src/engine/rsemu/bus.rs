@@ -14,7 +14,7 @@ use rsemu::core::{
 
 use super::accelerator::Accelerator;
 use crate::{
-    chip::{Access, AtZero, BusFault, CCM_BASE, Chip, FLASH_BASE, RAM_BASE, Readings, Width},
+    chip::{Access, AtZero, BusFault, CCM_BASE, Chip, ChipVariant, FLASH_BASE, RAM_BASE, Width},
     engine::clock::CycleClock,
 };
 
@@ -46,7 +46,7 @@ impl Link {
         }
     }
 
-    /// The flash's accelerator, which works only if the chip's readings ask for it.
+    /// The flash's accelerator, which works only if the chip's variant asks for it.
     pub fn accelerator(&self) -> MutexGuard<'_, Accelerator> {
         self.accelerator.lock().expect("nothing panics while it holds the accelerator")
     }
@@ -169,13 +169,13 @@ impl Space {
         flash: &Arc<RamStore>,
         ram: &Arc<RamStore>,
         ccm: &Arc<RamStore>,
-        readings: Readings,
+        variant: ChipVariant,
     ) -> Self {
         let shared = Arc::new(AddressSpace::new("cortex-m4", 32));
         let map = |mapping| {
             shared.topology().map_with(mapping).expect("every range lies in the 32-bit space")
         };
-        let flash_waits = readings.flash_waits;
+        let flash_waits = variant.flash_waits;
         let at_zero = map(code("flash at 0", flash, link, flash_waits, 0));
         let io = |name: &str, base: u32, length: u64| {
             let aperture = Aperture { base, chip: Arc::clone(chip), link: Arc::clone(link) };
@@ -194,7 +194,7 @@ impl Space {
         if !ccm.is_empty() {
             mappings.push(memory("ccm", ccm, CCM_BASE, Perms::RW));
         }
-        if readings.no_fault_below_ram {
+        if variant.no_fault_below_ram {
             const BASE: u32 = 0x1FFF_C010;
             let nothing = Region::io("nothing", (RAM_BASE - BASE).into(), Arc::new(Nothing));
             mappings.push(Mapping::new(nothing, BASE.into()).with_perms(Perms::RW));

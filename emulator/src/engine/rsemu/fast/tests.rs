@@ -15,7 +15,7 @@ use super::{
 use crate::{
     Time,
     can::Clock,
-    chip::{Access, Chip, Part, Readings, Width},
+    chip::{Access, Chip, ChipVariant, Part, Width},
     engine::clock::CycleClock,
 };
 
@@ -37,7 +37,8 @@ impl Machine {
         const RCC_AHB1ENR: u32 = 0x4002_3830;
         let mut random = Random(seed);
         let crystal = Clock { hz: 8_000_000, ppm: 0 };
-        let mut chip = Chip::with_readings(Part::Stm32f405, crystal, [0; 12], Readings::default());
+        let mut chip =
+            Chip::with_variant(Part::Stm32f405, crystal, [0; 12], ChipVariant::default());
         let access =
             Access { address: RCC_AHB1ENR, width: Width::Word, now: Time::ZERO, pc: FLASH_BASE };
         chip.write(access, 0x1FF).expect("a register");
@@ -51,7 +52,7 @@ impl Machine {
             store
         };
         let (flash, ram, ccm) = (store(FLASH_LENGTH), store(RAM_LENGTH), store(RAM_LENGTH));
-        let space = Space::new(&chip, &link, &flash, &ram, &ccm, Readings::default());
+        let space = Space::new(&chip, &link, &flash, &ram, &ccm, ChipVariant::default());
         Self { flash, ram, ccm, space }
     }
 

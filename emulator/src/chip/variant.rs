@@ -1,11 +1,11 @@
-//! Switches for the properties that manuals and reports leave open. A program must work under each of them.
+//! The variants of the chip that manuals and reports leave open: a program must work on each of them.
 
 use super::{Thresholds, Timing};
 use crate::Time;
 
-/// The variations between chips; the default is the nominal chip.
+/// Differences from the nominal chip, which is the default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Readings {
+pub struct ChipVariant {
     /// The 16 KB below the SRAM respond: loads read 0, stores are lost. Otherwise an access is a bus fault.
     pub no_fault_below_ram: bool,
     /// The factor for the cycles of an instruction, for flash wait states and cache misses: 1 to 3.
@@ -73,7 +73,7 @@ impl StartUp {
     }
 }
 
-impl Default for Readings {
+impl Default for ChipVariant {
     fn default() -> Self {
         Self {
             no_fault_below_ram: false,

@@ -1,12 +1,12 @@
-//! Ambiguities of the reference manual: one switch for each doubtful reading.
+//! The variants of the controller that the reference manual leaves open: one switch for each doubtful passage.
 
 use crate::Time;
 
-/// Readings of the manual that differ from the modelled default.
+/// Differences of a controller from the modelled default that the manual does not exclude.
 ///
 /// A program that must run on any chip works under each of them. All are off by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Readings {
+pub struct CanVariant {
     /// ERRI is set again at each error while the controller is error passive and EPVIE is set, not only when EPVF
     /// rises.
     pub passive_errors_interrupt: bool,
@@ -51,10 +51,10 @@ pub enum Acknowledge {
     },
 }
 
-/// The readings in force, and their state.
+/// The variant in force, and its state.
 #[derive(Debug, Default)]
-pub(super) struct Oddities {
-    pub readings: Readings,
+pub(super) struct Behaviour {
+    pub variant: CanVariant,
     /// Resets by RCC that were followed by initialisation, or by silent mode.
     initializations: u32,
     listenings: u32,
@@ -70,9 +70,9 @@ struct SinceReset {
     frames_left: Option<u32>,
 }
 
-impl Oddities {
-    pub fn new(readings: Readings) -> Self {
-        Self { readings, ..Self::default() }
+impl Behaviour {
+    pub fn new(variant: CanVariant) -> Self {
+        Self { variant, ..Self::default() }
     }
 
     /// Handles a reset by RCC.
@@ -83,7 +83,7 @@ impl Oddities {
     /// Handles a request for initialisation mode while nothing is under way; returns the time at which INAK is set.
     pub fn initialize(&mut self, now: Time, bit: Time) -> Time {
         let first = !std::mem::replace(&mut self.since_reset.initialized, true);
-        match self.readings.acknowledge {
+        match self.variant.acknowledge {
             Acknowledge::Prompt => now,
             Acknowledge::Late(bits) => now + bit * u64::from(bits),
             Acknowledge::Lost { every } => {
@@ -99,7 +99,7 @@ impl Oddities {
     /// Handles the end of initialisation mode.
     pub fn start(&mut self, silent: bool) {
         let first = !std::mem::replace(&mut self.since_reset.started, true);
-        let Some(lock) = self.readings.transmit_lock.filter(|_| first && silent) else { return };
+        let Some(lock) = self.variant.transmit_lock.filter(|_| first && silent) else { return };
         self.listenings += 1;
         if self.listenings.is_multiple_of(lock.every) {
             self.since_reset.frames_left = Some(lock.frame);
