@@ -31,8 +31,8 @@ pub use variant::{ChipVariant, StartUp};
 
 use std::ops::BitOr;
 
-use map::Block;
-use rcc::{Apb, Gate, Rcc};
+use map::{Block, Registers};
+use rcc::{Apb, Rcc};
 use rng::Rng;
 use rtc::Rtc;
 pub use system::AtZero;
@@ -94,8 +94,6 @@ const OPTION_BYTES: u32 = 0x1FFF_C000;
 const ROLES: [Role; 3] = [Role::Master, Role::Slave, Role::Single];
 /// The first interrupts of CAN1, CAN2 and CAN3 (RM0090 table 61, for CAN3 the vector table of RM0430).
 const CAN_INTERRUPTS: [usize; 3] = [19, 63, 74];
-
-const BACKUP_DOMAIN_PROTECTED: &str = "the backup domain is written while DBP protects it";
 
 impl Chip {
     /// A nominal chip with erased flash at power-on, with `crystal` at HSE.
@@ -290,29 +288,39 @@ impl Chip {
 
     /// Resets every block; flash content stays, torn where an operation was under way.
     pub fn reset(&mut self, cause: ResetCause, now: Time) {
-        self.flash.reset(now);
         self.rcc.reset(cause);
-        self.rtc.set_clock(self.rcc.rtc_clock(self.variant.lsi_hz), now);
-        self.pwr.reset();
-        self.iwdg.reset();
-        self.timers.iter_mut().for_each(Timer::reset);
-        self.usarts.iter_mut().for_each(Usart::reset);
-        self.rng.reset();
-        self.adc.reset();
-        self.gpio.reset(now);
         self.syscfg = Syscfg::default();
-        self.exti = Exti::default();
+        let others = [Block::FlashRegisters, Block::Iwdg, Block::Exti];
+        for block in self.gated().chain(others) {
+            self.reset_block(block, now);
+        }
+        self.rtc.set_clock(self.rcc.rtc_clock(self.variant.lsi_hz), now);
         if cause == ResetCause::PowerOn {
             self.flash.power_on();
             self.rtc = Rtc::new();
             self.dbgmcu = Dbgmcu::new(self.part);
         }
-        self.cans.iter_mut().for_each(Bxcan::reset);
         self.share_filters();
         self.follow_clocks(now);
         self.connect_cans(now);
         self.request = None;
         self.can_written = false;
+    }
+
+    /// The blocks that RCC can reset.
+    fn gated(&self) -> impl Iterator<Item = Block> + use<> {
+        (0..self.timers.len())
+            .map(Block::Timer)
+            .chain((0..self.usarts.len()).map(Block::Usart))
+            .chain((0..self.gpio.len()).map(Block::Gpio))
+            .chain((0..self.cans.len()).map(Block::Can))
+            .chain([Block::Pwr, Block::Rng, Block::Adc, Block::Syscfg])
+    }
+
+    fn reset_block(&mut self, block: Block, now: Time) {
+        if let Some(registers) = self.registers(block) {
+            registers.reset(now);
+        }
     }
 
     /// The memory that also lies at address 0.
@@ -334,13 +342,13 @@ impl Chip {
     pub fn read(&mut self, access: Access) -> Result<u32, BusFault> {
         let Access { address, width, now, .. } = access;
         let (block, offset) = Block::of(address);
-        if !self.clocked(block) {
+        if !self.rcc.enabled(block) {
             self.report(access, None, Problem::ClockOff);
             return Ok(0);
         }
         let word = match block {
             Block::Factory => self.factory_word(address & !3),
-            _ => self.register(block, offset & !3, now),
+            _ => self.read_register(block, offset & !3, now),
         };
         match word {
             Some(word) => Ok(word >> (8 * (address & 3)) & width.mask()),
@@ -351,24 +359,31 @@ impl Chip {
         }
     }
 
-    fn register(&mut self, block: Block, offset: u32, now: Time) -> Option<u32> {
+    fn read_register(&mut self, block: Block, offset: u32, now: Time) -> Option<u32> {
         match block {
-            Block::FlashRegisters => self.flash.read(offset, now),
             Block::Rcc => self.rcc.read(offset, now),
-            Block::Pwr => self.pwr.read(offset),
-            Block::Timer(timer) => self.timers[usize::from(timer)].read(offset, now),
-            Block::Usart(usart) => self.usarts[usize::from(usart)].read(offset),
-            Block::Rng => self.rng.read(offset),
-            Block::Rtc => self.rtc.read(offset, now),
-            Block::Iwdg => self.iwdg.read(offset, now),
-            Block::Adc => self.adc.read(offset, now),
-            Block::Can(can) => self.cans.get(usize::from(can))?.read(offset, now),
-            Block::Syscfg => self.syscfg.read(offset),
-            Block::Exti => self.exti.read(offset),
-            Block::Gpio(port) => self.gpio.read(usize::from(port), offset),
-            Block::Dbgmcu => self.dbgmcu.read(offset),
-            Block::Flash | Block::Factory | Block::Unknown => None,
+            _ => self.registers(block)?.read(offset, now),
         }
+    }
+
+    /// The registers of a block other than RCC.
+    fn registers(&mut self, block: Block) -> Option<&mut dyn Registers> {
+        Some(match block {
+            Block::FlashRegisters => &mut self.flash,
+            Block::Pwr => &mut self.pwr,
+            Block::Timer(timer) => &mut self.timers[timer],
+            Block::Usart(usart) => &mut self.usarts[usart],
+            Block::Rng => &mut self.rng,
+            Block::Rtc => &mut self.rtc,
+            Block::Iwdg => &mut self.iwdg,
+            Block::Adc => &mut self.adc,
+            Block::Can(can) => self.cans.get_mut(can)?,
+            Block::Syscfg => &mut self.syscfg,
+            Block::Exti => &mut self.exti,
+            Block::Gpio(port) => self.gpio.port(port)?,
+            Block::Dbgmcu => &mut self.dbgmcu,
+            Block::Rcc | Block::Flash | Block::Factory | Block::Unknown => return None,
+        })
     }
 
     fn factory_word(&self, address: u32) -> Option<u32> {
@@ -397,7 +412,7 @@ impl Chip {
             let why = "the data cache holds what was erased: no DCRST since";
             self.report(access, Some(value), Problem::Misuse(why));
         }
-        if !self.clocked(block) {
+        if !self.rcc.enabled(block) {
             self.report(access, Some(value), Problem::ClockOff);
             return Ok(());
         }
@@ -413,13 +428,14 @@ impl Chip {
             Width::Byte if block.on_apb() => value * 0x0101_0101,
             Width::Half if block.on_apb() => value * 0x0001_0001,
             _ => {
-                let old = self.register(block, offset & !3, now).unwrap_or(0);
+                let old = self.read_register(block, offset & !3, now).unwrap_or(0);
                 old & !(width.mask() << shift) | value << shift
             }
         };
-        let problem = self.write_register(block, offset & !3, word, now)?;
-        if let Err(problem) = problem {
-            self.report(access, Some(value), problem);
+        match self.write_register(block, offset & !3, word, now) {
+            Err(Problem::BusFault) => return Err(BusFault),
+            Err(problem) => self.report(access, Some(value), problem),
+            Ok(()) => {}
         }
         Ok(())
     }
@@ -430,68 +446,43 @@ impl Chip {
         offset: u32,
         value: u32,
         now: Time,
-    ) -> Result<Result<(), Problem>, BusFault> {
-        let modelled = match block {
-            Block::FlashRegisters => {
-                let result = self.flash.write(offset, value, now)?;
-                return Ok(result.and_then(|()| self.check_latency()));
-            }
-            Block::Rcc if offset == Rcc::BDCR && !self.pwr.backup_domain_is_writable() => {
-                return Ok(Err(Problem::Misuse(BACKUP_DOMAIN_PROTECTED)));
-            }
-            Block::Rcc => {
-                let before = self.clocks();
-                let result = self.rcc.write(offset, value, now);
-                self.carry_out_resets(now);
-                self.rtc.set_clock(self.rcc.rtc_clock(self.variant.lsi_hz), now);
-                if self.clocks() != before {
-                    self.follow_clocks(now);
-                }
-                let result = result.and_then(|()| self.check_latency());
-                return Ok(result.and_then(|()| self.check_voltage()));
-            }
-            Block::Timer(timer) => {
-                return Ok(self.timers[usize::from(timer)].write(offset, value, now));
-            }
-            Block::Adc => return Ok(self.adc.write(offset, value, now)),
-            Block::Rtc if !self.pwr.backup_domain_is_writable() => {
-                return Ok(Err(Problem::Misuse(BACKUP_DOMAIN_PROTECTED)));
-            }
-            Block::Rtc => return Ok(self.rtc.write(offset, value, now)),
-            Block::Iwdg => {
-                let accepted = self.iwdg.write(offset, value, now);
-                if self.iwdg.running() {
-                    self.rcc.force_lsi(now);
-                }
-                return Ok(if accepted {
-                    Ok(())
-                } else {
-                    Err(Problem::Misuse("IWDG register written while protected or being updated"))
-                });
-            }
-            Block::Can(can) => return Ok(self.write_can(can.into(), offset, value, now)),
-            Block::Usart(usart) => self.usarts[usize::from(usart)].write(offset, value),
-            Block::Rng => self.rng.write(offset, value),
-            Block::Pwr => self.pwr.write(offset, value),
-            Block::Syscfg => self.syscfg.write(offset, value),
-            Block::Exti => self.exti.write(offset, value),
-            Block::Gpio(port) => {
-                let modelled = self.gpio.write(usize::from(port), offset, value, now);
-                self.connect_cans(now);
-                modelled
-            }
-            Block::Dbgmcu => self.dbgmcu.write(offset, value),
-            Block::Flash | Block::Factory | Block::Unknown => false,
+    ) -> Result<(), Problem> {
+        let is_backup_domain = block == Block::Rtc || block == Block::Rcc && offset == Rcc::BDCR;
+        if is_backup_domain && !self.pwr.backup_domain_is_writable() {
+            return Err(Problem::Misuse("the backup domain is written while DBP protects it"));
+        }
+        if block == Block::Rcc {
+            return self.write_rcc(offset, value, now);
+        }
+        let written = match self.registers(block) {
+            Some(registers) => registers.write(offset, value, now),
+            None => Err(Problem::Unmodelled),
         };
-        Ok(if modelled { Ok(()) } else { Err(Problem::Unmodelled) })
+        match block {
+            Block::FlashRegisters => return written.and_then(|()| self.check_latency()),
+            Block::Can(can) => {
+                self.can_written = true;
+                return written.and_then(|()| self.check_can(can, offset, value));
+            }
+            Block::Gpio(_) => self.connect_cans(now),
+            Block::Iwdg if self.iwdg.running() => self.rcc.force_lsi(now),
+            _ => {}
+        }
+        written
     }
 
-    fn write_can(&mut self, can: usize, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
-        self.can_written = true;
-        let controller = self.cans.get_mut(can).ok_or(Problem::Unmodelled)?;
-        if !controller.write(offset, value, now) {
-            return Err(Problem::Unmodelled);
+    fn write_rcc(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        let before = self.clocks();
+        let written = self.rcc.write(offset, value, now);
+        self.carry_out_resets(now);
+        self.rtc.set_clock(self.rcc.rtc_clock(self.variant.lsi_hz), now);
+        if self.clocks() != before {
+            self.follow_clocks(now);
         }
+        written.and_then(|()| self.check_latency()).and_then(|()| self.check_voltage())
+    }
+
+    fn check_can(&mut self, can: usize, offset: u32, value: u32) -> Result<(), Problem> {
         if can == 0 {
             self.share_filters();
         }
@@ -501,7 +492,7 @@ impl Chip {
                 "a CAN controller leaves initialisation with no pins in its alternate function",
             ));
         }
-        if is_start && can == 1 && !self.rcc.enabled(Gate::Can(0)) {
+        if is_start && can == 1 && !self.rcc.enabled(Block::Can(0)) {
             return Err(Problem::Misuse(
                 "CAN2 leaves initialisation while CAN1, which has its memory, has no clock",
             ));
@@ -525,45 +516,18 @@ impl Chip {
         }
     }
 
+    /// CAN2 keeps its filters when it is reset; CAN1 loses those of both.
     fn carry_out_resets(&mut self, now: Time) {
-        for can in 0..self.cans.len() {
-            if self.rcc.held_in_reset(Gate::Can(can as u8)) {
-                self.reset_can(can);
-                self.can_written = true;
-            }
-        }
-        for (number, timer) in self.timers.iter_mut().enumerate() {
-            if self.rcc.held_in_reset(Gate::Timer(number as u8)) {
-                timer.reset();
-            }
-        }
-        for (number, usart) in self.usarts.iter_mut().enumerate() {
-            if self.rcc.held_in_reset(Gate::Usart(number as u8)) {
-                usart.reset();
-            }
-        }
-        if self.rcc.held_in_reset(Gate::Rng) {
-            self.rng.reset();
+        for block in self.gated().filter(|block| self.rcc.held_in_reset(*block)).collect::<Vec<_>>()
+        {
+            self.reset_block(block, now);
+            self.can_written |= matches!(block, Block::Can(_));
         }
         if self.rcc.backup_domain_held_in_reset() {
             self.rtc = Rtc::new();
         }
-        if self.rcc.held_in_reset(Gate::Adc) {
-            self.adc.reset();
-        }
-        for port in 0..self.gpio.ports() {
-            if self.rcc.held_in_reset(Gate::Gpio(port as u8)) {
-                self.gpio.reset_port(port, now);
-            }
-        }
+        self.share_filters();
         self.connect_cans(now);
-        if self.rcc.held_in_reset(Gate::Pwr) {
-            self.pwr.reset();
-        }
-        if self.rcc.held_in_reset(Gate::Syscfg) {
-            let boot0_is_high = self.variant.boot_loader;
-            self.syscfg = Syscfg::new(if boot0_is_high { AtZero::System } else { AtZero::Flash });
-        }
     }
 
     fn check_latency(&self) -> Result<(), Problem> {
@@ -578,9 +542,5 @@ impl Chip {
             return Err(Problem::Misuse("HCLK above the limit of the voltage scale (PWR_CR.VOS)"));
         }
         Ok(())
-    }
-
-    fn clocked(&self, block: Block) -> bool {
-        block.gate().is_none_or(|gate| self.rcc.enabled(gate))
     }
 }

@@ -1,6 +1,6 @@
 //! ADC1 (RM0090 chapter 13): single conversions by software, with the temperature sensor and the voltage reference.
 
-use super::{Part, Problem};
+use super::{Part, Problem, map::Registers};
 use crate::{Time, can::Clock};
 
 const SR: u32 = 0x00;
@@ -97,11 +97,6 @@ impl Adc {
         }
     }
 
-    /// Resets all registers; clock and surroundings remain.
-    pub fn reset(&mut self) {
-        *self = Self { clock: self.clock, analogue: self.analogue, ..Self::new(self.part) };
-    }
-
     /// Sets the clock of APB2.
     pub fn set_clock(&mut self, clock: Clock) {
         self.clock = clock;
@@ -165,8 +160,26 @@ impl Adc {
         Time::from_ps(cycles * 1_000_000_000_000 / u64::from(self.clock.hz.max(1)))
     }
 
-    /// The value of a register, or `None` if it is not modelled.
-    pub fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
+    fn start(&mut self, now: Time) -> Result<(), Problem> {
+        if self.reg(CR2) & ADON == 0 {
+            return Err(Problem::Misuse("a conversion is started while the ADC is off"));
+        }
+        self.regs[0] |= STRT;
+        self.end = Some(now + self.conversion_time());
+        if u64::from(self.clock.hz) / self.divider() > MAX_HZ {
+            return Err(Problem::Misuse("the ADC's clock is above 36 MHz"));
+        }
+        Ok(())
+    }
+}
+
+impl Registers for Adc {
+    /// Clock and surroundings remain.
+    fn reset(&mut self, _: Time) {
+        *self = Self { clock: self.clock, analogue: self.analogue, ..Self::new(self.part) };
+    }
+
+    fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
         self.advance(now);
         Some(match offset {
             DR => {
@@ -180,11 +193,7 @@ impl Adc {
         })
     }
 
-    /// Writes a register.
-    ///
-    /// # Errors
-    /// The register or setting is not modelled, or the conversion is not possible.
-    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
         self.advance(now);
         match offset {
             // Cleared by writing 0.
@@ -208,18 +217,6 @@ impl Adc {
             }
             CCR => self.common = value,
             _ => return Err(Problem::Unmodelled),
-        }
-        Ok(())
-    }
-
-    fn start(&mut self, now: Time) -> Result<(), Problem> {
-        if self.reg(CR2) & ADON == 0 {
-            return Err(Problem::Misuse("a conversion is started while the ADC is off"));
-        }
-        self.regs[0] |= STRT;
-        self.end = Some(now + self.conversion_time());
-        if u64::from(self.clock.hz) / self.divider() > MAX_HZ {
-            return Err(Problem::Misuse("the ADC's clock is above 36 MHz"));
         }
         Ok(())
     }

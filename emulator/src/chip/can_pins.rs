@@ -1,7 +1,24 @@
 //! The pins of the CAN controllers, which connect them to their transceivers according to the GPIO settings.
 
-use super::Chip;
-use crate::{Time, can::Pins};
+use super::{Chip, Problem, map::Registers};
+use crate::{
+    Time,
+    can::{Bxcan, Pins},
+};
+
+impl Registers for Bxcan {
+    fn reset(&mut self, _: Time) {
+        Bxcan::reset(self);
+    }
+
+    fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
+        Bxcan::read(self, offset, now)
+    }
+
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        if Bxcan::write(self, offset, value, now) { Ok(()) } else { Err(Problem::Unmodelled) }
+    }
+}
 
 impl Chip {
     /// The pins that are connected to a controller now, CAN1 as 0.
@@ -29,12 +46,6 @@ impl Chip {
                 self.can_written = true;
             }
         }
-    }
-
-    /// Resets a controller. CAN2 keeps its filters, which CAN1 loses.
-    pub(super) fn reset_can(&mut self, can: usize) {
-        self.cans[can].reset();
-        self.share_filters();
     }
 
     /// Lets CAN2 have the filters that CAN1 has for it.

@@ -35,6 +35,8 @@ pub enum Problem {
     ClockOff,
     /// The register does not support this access width.
     Width,
+    /// A wrong key: the bus responds with an error.
+    BusFault,
     /// Executed, but not allowed by the reference manual: the text is the reason.
     Misuse(&'static str),
 }
@@ -45,6 +47,7 @@ impl fmt::Display for Problem {
             Self::Unmodelled => "not modelled",
             Self::ClockOff => "peripheral clock is off",
             Self::Width => "access width not allowed",
+            Self::BusFault => "bus error",
             Self::Misuse(why) => why,
         })
     }

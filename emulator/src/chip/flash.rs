@@ -13,7 +13,7 @@ use options::{Options, Register};
 pub use staging::PowerCut;
 pub use timing::Timing;
 
-use super::{BusFault, Part, Problem, Width};
+use super::{Part, Problem, Width, map::Registers};
 use crate::Time;
 
 const ACR: u32 = 0x00;
@@ -39,6 +39,7 @@ const CR_MER1: u32 = 1 << 15;
 const CR_STRT: u32 = 1 << 16;
 const CR_EOPIE: u32 = 1 << 24;
 const CR_LOCK: u32 = 1 << 31;
+const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -56,6 +57,36 @@ struct Operation {
     kind: Kind,
 }
 
+/// The lock of a register, which two keys open.
+#[derive(Debug, Default)]
+struct Lock {
+    is_half_open: bool,
+    /// A wrong key has closed it until the next reset.
+    is_jammed: bool,
+}
+
+impl Lock {
+    /// Accepts a key; the second one clears the lock bit of the register.
+    fn accept(
+        &mut self,
+        key: u32,
+        keys: [u32; 2],
+        register: &mut u32,
+        bit: u32,
+    ) -> Result<(), Problem> {
+        if self.is_jammed || key != keys[usize::from(self.is_half_open)] {
+            self.is_jammed = true;
+            *register |= bit;
+            return Err(Problem::BusFault);
+        }
+        if self.is_half_open {
+            *register &= !bit;
+        }
+        self.is_half_open = !self.is_half_open;
+        Ok(())
+    }
+}
+
 /// The flash memory and its control registers.
 #[derive(Debug)]
 pub struct Flash {
@@ -68,8 +99,7 @@ pub struct Flash {
     acr: u32,
     sr: u32,
     cr: u32,
-    half_unlocked: bool,
-    locked_until_reset: bool,
+    lock: Lock,
     stale_data_cache: bool,
     operation: Option<Operation>,
     operations: Vec<Range<Time>>,
@@ -103,8 +133,7 @@ impl Flash {
             acr: 0,
             sr: 0,
             cr: CR_LOCK,
-            half_unlocked: false,
-            locked_until_reset: false,
+            lock: Lock::default(),
             stale_data_cache: false,
             operation: None,
             operations: Vec::new(),
@@ -198,36 +227,6 @@ impl Flash {
         }
     }
 
-    /// Resets every register; an interrupted operation leaves torn cells.
-    pub fn reset(&mut self, now: Time) {
-        self.advance(now);
-        if let Some(operation) = self.operation.take() {
-            let seed = self.power_cut.map_or(self.operations(), |cut| cut.seed);
-            let start = operation.range.start;
-            match operation.kind {
-                Kind::Program => {
-                    if self.cut_words_flip {
-                        self.array.add_marginal(start, &operation.before, seed);
-                    }
-                    self.array.tear_program(start, &operation.before, seed);
-                }
-                Kind::Erase => self.array.tear_erase(start, &operation.before, seed),
-                Kind::Options => {}
-            }
-            self.note_change(operation.range);
-        }
-        if self.power_cut_at.take().is_some() {
-            self.power_cut = None;
-        }
-        self.options.reset();
-        self.acr = 0;
-        self.sr = 0;
-        self.cr = CR_LOCK;
-        self.half_unlocked = false;
-        self.locked_until_reset = false;
-        self.stale_data_cache = false;
-    }
-
     /// Handles the return of the supply: interrupted cells may read differently now.
     pub(super) fn power_on(&mut self) {
         for range in self.array.flip_marginal() {
@@ -240,44 +239,6 @@ impl Flash {
             None => range,
             Some(old) => old.start.min(range.start)..old.end.max(range.end),
         });
-    }
-
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
-        self.advance(now);
-        let busy = if self.operation.is_some() { SR_BSY } else { 0 };
-        match offset {
-            ACR => Some(self.acr),
-            KEYR | OPTKEYR => Some(0),
-            Self::SR => Some(self.sr | busy),
-            CR => Some(self.cr),
-            OPTCR => Some(self.options.read(Register::Optcr)),
-            OPTCR1 if self.part.has_two_banks() => Some(self.options.read(Register::Optcr1)),
-            _ => None,
-        }
-    }
-
-    /// Writes a register. The outer error is the bus error of a wrong key.
-    pub fn write(
-        &mut self,
-        offset: u32,
-        value: u32,
-        now: Time,
-    ) -> Result<Result<(), Problem>, BusFault> {
-        self.advance(now);
-        match offset {
-            ACR => return Ok(self.write_acr(value)),
-            KEYR => return self.write_key(value).map(Ok),
-            OPTKEYR => return self.options.write_key(value).map(Ok),
-            Self::SR => self.sr &= !value,
-            CR => return Ok(self.write_cr(value, now)),
-            OPTCR => return Ok(self.write_options(Register::Optcr, value, now)),
-            OPTCR1 if self.part.has_two_banks() => {
-                return Ok(self.write_options(Register::Optcr1, value, now));
-            }
-            _ => return Ok(Err(Problem::Unmodelled)),
-        }
-        Ok(Ok(()))
     }
 
     fn write_acr(&mut self, value: u32) -> Result<(), Problem> {
@@ -294,22 +255,6 @@ impl Flash {
         Ok(())
     }
 
-    fn write_key(&mut self, value: u32) -> Result<(), BusFault> {
-        match (value, self.half_unlocked, self.locked_until_reset) {
-            (0x4567_0123, false, false) => self.half_unlocked = true,
-            (0xCDEF_89AB, true, false) => {
-                self.half_unlocked = false;
-                self.cr &= !CR_LOCK;
-            }
-            _ => {
-                self.locked_until_reset = true;
-                self.cr |= CR_LOCK;
-                return Err(BusFault);
-            }
-        }
-        Ok(())
-    }
-
     fn write_cr(&mut self, value: u32, now: Time) -> Result<(), Problem> {
         if self.cr & CR_LOCK != 0 {
             return match value {
@@ -322,7 +267,7 @@ impl Flash {
         }
         if value & CR_LOCK != 0 {
             self.cr = CR_LOCK;
-            self.half_unlocked = false;
+            self.lock.is_half_open = false;
             if value & (CR_PG | CR_SER | CR_MER | CR_STRT) != 0 {
                 return Err(Problem::Misuse(
                     "FLASH_CR locked in the write that requests an operation",
@@ -455,5 +400,67 @@ impl Flash {
         self.operations.push(now..operation.end);
         self.note_change(operation.range.clone());
         self.operation = Some(operation);
+    }
+}
+
+impl Registers for Flash {
+    /// An interrupted operation leaves torn cells.
+    fn reset(&mut self, now: Time) {
+        self.advance(now);
+        if let Some(operation) = self.operation.take() {
+            let seed = self.power_cut.map_or(self.operations(), |cut| cut.seed);
+            let start = operation.range.start;
+            match operation.kind {
+                Kind::Program => {
+                    if self.cut_words_flip {
+                        self.array.add_marginal(start, &operation.before, seed);
+                    }
+                    self.array.tear_program(start, &operation.before, seed);
+                }
+                Kind::Erase => self.array.tear_erase(start, &operation.before, seed),
+                Kind::Options => {}
+            }
+            self.note_change(operation.range);
+        }
+        if self.power_cut_at.take().is_some() {
+            self.power_cut = None;
+        }
+        self.options.reset();
+        self.acr = 0;
+        self.sr = 0;
+        self.cr = CR_LOCK;
+        self.lock = Lock::default();
+        self.stale_data_cache = false;
+    }
+
+    fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
+        self.advance(now);
+        let busy = if self.operation.is_some() { SR_BSY } else { 0 };
+        match offset {
+            ACR => Some(self.acr),
+            KEYR | OPTKEYR => Some(0),
+            Self::SR => Some(self.sr | busy),
+            CR => Some(self.cr),
+            OPTCR => Some(self.options.read(Register::Optcr)),
+            OPTCR1 if self.part.has_two_banks() => Some(self.options.read(Register::Optcr1)),
+            _ => None,
+        }
+    }
+
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        self.advance(now);
+        match offset {
+            ACR => return self.write_acr(value),
+            KEYR => return self.lock.accept(value, KEYS, &mut self.cr, CR_LOCK),
+            OPTKEYR => return self.options.write_key(value),
+            Self::SR => self.sr &= !value,
+            CR => return self.write_cr(value, now),
+            OPTCR => return self.write_options(Register::Optcr, value, now),
+            OPTCR1 if self.part.has_two_banks() => {
+                return self.write_options(Register::Optcr1, value, now);
+            }
+            _ => return Err(Problem::Unmodelled),
+        }
+        Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! GPIO ports (RM0090 chapter 8): mode, output with the time of the last change, external input.
 
-use super::Part;
+use super::{Part, Problem, map::Registers};
 use crate::Time;
 
 const MODER: u32 = 0x00;
@@ -24,8 +24,10 @@ pub struct Output {
     pub since: Time,
 }
 
+/// A port of 16 pins.
 #[derive(Debug)]
-struct Port {
+pub(super) struct Port {
+    index: usize,
     regs: [u32; 10],
     outside: [Option<bool>; 16],
     outputs: [Output; 16],
@@ -40,25 +42,13 @@ pub struct Gpio {
 impl Port {
     fn new(index: usize) -> Self {
         let mut port = Self {
+            index,
             regs: [0; 10],
             outside: [None; 16],
             outputs: [Output { level: None, since: Time::ZERO }; 16],
         };
-        port.reset(index, Time::ZERO);
+        port.reset(Time::ZERO);
         port
-    }
-
-    fn reset(&mut self, index: usize, now: Time) {
-        self.regs = [0; 10];
-        let (moder, ospeedr, pupdr) = match index {
-            0 => (0xA800_0000, 0x0C00_0000, 0x6400_0000),
-            1 => (0x0000_0280, 0x0000_00C0, 0x0000_0100),
-            _ => (0, 0, 0),
-        };
-        self.regs[0] = moder;
-        self.regs[2] = ospeedr;
-        self.regs[3] = pupdr;
-        self.note_outputs(now);
     }
 
     fn reg(&self, offset: u32) -> u32 {
@@ -87,57 +77,60 @@ impl Port {
     }
 }
 
+impl Registers for Port {
+    /// External connections remain.
+    fn reset(&mut self, now: Time) {
+        self.regs = [0; 10];
+        let (moder, ospeedr, pupdr) = match self.index {
+            0 => (0xA800_0000, 0x0C00_0000, 0x6400_0000),
+            1 => (0x0000_0280, 0x0000_00C0, 0x0000_0100),
+            _ => (0, 0, 0),
+        };
+        self.regs[0] = moder;
+        self.regs[2] = ospeedr;
+        self.regs[3] = pupdr;
+        self.note_outputs(now);
+    }
+
+    fn read(&mut self, offset: u32, _: Time) -> Option<u32> {
+        match offset {
+            IDR => Some((0..16).map(|pin| u32::from(self.input(pin)) << pin).sum()),
+            BSRR => Some(0),
+            0x00..=AFRH => Some(self.reg(offset)),
+            _ => None,
+        }
+    }
+
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        match offset {
+            IDR => {}
+            BSRR => {
+                let odr = self.reg(ODR);
+                self.regs[ODR as usize / 4] = odr & !(value >> 16) | value & 0xFFFF;
+            }
+            ODR => self.regs[ODR as usize / 4] = value & 0xFFFF,
+            0x00..=AFRH => self.regs[offset as usize / 4] = value,
+            _ => return Err(Problem::Unmodelled),
+        }
+        self.note_outputs(now);
+        Ok(())
+    }
+}
+
 impl Gpio {
     /// The ports of `part` after power-on, with nothing connected.
     pub fn new(part: Part) -> Self {
         Self { ports: (0..part.gpio_ports()).map(Port::new).collect() }
     }
 
-    /// Resets every port; external connections remain.
-    pub fn reset(&mut self, now: Time) {
-        for index in 0..self.ports.len() {
-            self.reset_port(index, now);
-        }
-    }
-
-    /// Resets port number `index` (0 = A).
-    pub fn reset_port(&mut self, index: usize, now: Time) {
-        self.ports[index].reset(index, now);
-    }
-
     /// The number of ports.
-    pub fn ports(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.ports.len()
     }
 
-    /// A register of port `index`, or `None` if it does not exist.
-    pub fn read(&self, index: usize, offset: u32) -> Option<u32> {
-        let port = self.ports.get(index)?;
-        match offset {
-            IDR => Some((0..16).map(|pin| u32::from(port.input(pin)) << pin).sum()),
-            BSRR => Some(0),
-            0x00..=AFRH => Some(port.reg(offset)),
-            _ => None,
-        }
-    }
-
-    /// Writes a register of port `index`; returns false if it does not exist.
-    pub fn write(&mut self, index: usize, offset: u32, value: u32, now: Time) -> bool {
-        let Some(port) = self.ports.get_mut(index) else {
-            return false;
-        };
-        match offset {
-            IDR => {}
-            BSRR => {
-                let odr = port.reg(ODR);
-                port.regs[ODR as usize / 4] = odr & !(value >> 16) | value & 0xFFFF;
-            }
-            ODR => port.regs[ODR as usize / 4] = value & 0xFFFF,
-            0x00..=AFRH => port.regs[offset as usize / 4] = value,
-            _ => return false,
-        }
-        port.note_outputs(now);
-        true
+    /// Port number `index` (0 = A).
+    pub(super) fn port(&mut self, index: usize) -> Option<&mut Port> {
+        self.ports.get_mut(index)
     }
 
     /// The output of the chip on `pin`. Panics if the part has no such pin.

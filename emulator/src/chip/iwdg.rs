@@ -1,5 +1,6 @@
 //! IWDG (RM0090 chapter 21): the independent watchdog, clocked by LSI through sleep and flash stalls.
 
+use super::{Problem, map::Registers};
 use crate::Time;
 
 const KR: u32 = 0x00;
@@ -33,11 +34,6 @@ impl Iwdg {
         }
     }
 
-    /// Resets all registers; the LSI remains the same.
-    pub fn reset(&mut self) {
-        *self = Self::new(self.lsi);
-    }
-
     /// Sets the frequency of LSI in Hz; takes effect at the next reload.
     pub fn set_lsi(&mut self, hz: u32) {
         self.lsi = hz;
@@ -57,21 +53,30 @@ impl Iwdg {
         self.deadline = Some(now + self.lsi_periods(divider * u64::from(from + 1)));
     }
 
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
-        match offset {
-            KR => Some(0),
-            PR => Some(self.prescaler),
-            RLR => Some(self.reload),
-            SR => {
-                Some(u32::from(now < self.prescaler_busy) | u32::from(now < self.reload_busy) << 1)
-            }
-            _ => None,
-        }
+    /// Whether `KR = 0xCCCC` was written since the reset.
+    pub fn running(&self) -> bool {
+        self.deadline.is_some()
+    }
+}
+
+impl Registers for Iwdg {
+    /// LSI remains the same.
+    fn reset(&mut self, _: Time) {
+        *self = Self::new(self.lsi);
     }
 
-    /// Writes a register; returns false if it does not exist or cannot be written now.
-    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
+    fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
+        let is_busy = |until| u32::from(now < until);
+        Some(match offset {
+            KR => 0,
+            PR => self.prescaler,
+            RLR => self.reload,
+            SR => is_busy(self.prescaler_busy) | is_busy(self.reload_busy) << 1,
+            _ => return None,
+        })
+    }
+
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
         match offset {
             KR => {
                 let key = value & 0xFFFF;
@@ -82,24 +87,20 @@ impl Iwdg {
                     0xAAAA if self.running() => self.count_down(self.reload, now),
                     _ => {}
                 }
-                true
             }
             PR if self.unlocked && now >= self.prescaler_busy => {
                 self.prescaler = value & 7;
                 self.prescaler_busy = now + self.lsi_periods(5);
-                true
             }
             RLR if self.unlocked && now >= self.reload_busy => {
                 self.reload = value & 0xFFF;
                 self.reload_busy = now + self.lsi_periods(5);
-                true
             }
-            _ => false,
+            _ => {
+                let why = "IWDG register written while protected or being updated";
+                return Err(Problem::Misuse(why));
+            }
         }
-    }
-
-    /// Whether `KR = 0xCCCC` was written since the reset.
-    pub fn running(&self) -> bool {
-        self.deadline.is_some()
+        Ok(())
     }
 }

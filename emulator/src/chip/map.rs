@@ -1,7 +1,8 @@
 //! The address map: the properties of an access and the block that each address belongs to.
 
 use super::{
-    rcc::{Apb, Gate},
+    Problem,
+    rcc::{self, Apb},
     timer, usart,
 };
 use crate::Time;
@@ -60,27 +61,36 @@ pub struct Access {
     pub pc: u32,
 }
 
-/// The block that an address belongs to.
+/// The registers of a peripheral, by their offsets from its first one.
+pub(super) trait Registers {
+    /// Resets the peripheral as RCC does.
+    fn reset(&mut self, now: Time);
+
+    /// The value of a register, or `None` if it does not exist or is not modelled.
+    fn read(&mut self, offset: u32, now: Time) -> Option<u32>;
+
+    /// Writes a register. What a problem says of the write is in its description.
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem>;
+}
+
+/// The block that an address belongs to. Those of one kind are counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Block {
     Flash,
     FlashRegisters,
     Rcc,
     Pwr,
-    /// TIM1 as 0.
-    Timer(u8),
-    /// USART1 as 0.
-    Usart(u8),
+    Timer(usize),
+    Usart(usize),
     Rtc,
     Rng,
     Iwdg,
-    /// CAN1 as 0.
-    Can(u8),
+    Can(usize),
     /// ADC1 and the common registers.
     Adc,
     Syscfg,
     Exti,
-    Gpio(u8),
+    Gpio(usize),
     Dbgmcu,
     Factory,
     Unknown,
@@ -91,12 +101,12 @@ impl Block {
         let block = match address {
             0x4000_2800..0x4000_2C00 => Self::Rtc,
             0x4000_3000..0x4000_3400 => Self::Iwdg,
-            0x4000_6400..0x4000_7000 => Self::Can((address >> 10 & 3) as u8 - 1),
+            0x4000_6400..0x4000_7000 => Self::Can((address >> 10 & 3) as usize - 1),
             0x4000_7000..0x4000_7400 => Self::Pwr,
             0x4001_2000..0x4001_2400 => Self::Adc,
             0x4001_3800..0x4001_3C00 => Self::Syscfg,
             0x4001_3C00..0x4001_4000 => Self::Exti,
-            0x4002_0000..0x4002_2C00 => Self::Gpio((address >> 10 & 0xF) as u8),
+            0x4002_0000..0x4002_2C00 => Self::Gpio((address >> 10 & 0xF) as usize),
             0x4002_3800..0x4002_3C00 => Self::Rcc,
             0x4002_3C00..0x4002_4000 => Self::FlashRegisters,
             0xE004_2000..0xE004_2400 => Self::Dbgmcu,
@@ -115,25 +125,24 @@ impl Block {
         let place = (apb, address >> 10 & 0x3F);
         let timer = timer::KINDS.iter().position(|kind| (kind.gate.0, kind.slot) == place);
         let usart = usart::KINDS.iter().position(|kind| (kind.gate.0, kind.slot) == place);
-        match (timer, usart) {
-            (Some(number), _) => Self::Timer(number as u8),
-            (_, Some(number)) => Self::Usart(number as u8),
-            _ => Self::Unknown,
-        }
+        timer.map(Self::Timer).or(usart.map(Self::Usart)).unwrap_or(Self::Unknown)
     }
 
-    pub fn gate(self) -> Option<Gate> {
-        match self {
-            Self::Timer(timer) => Some(Gate::Timer(timer)),
-            Self::Usart(usart) => Some(Gate::Usart(usart)),
-            Self::Rng => Some(Gate::Rng),
-            Self::Pwr => Some(Gate::Pwr),
-            Self::Can(can) => Some(Gate::Can(can)),
-            Self::Adc => Some(Gate::Adc),
-            Self::Syscfg => Some(Gate::Syscfg),
-            Self::Gpio(port) => Some(Gate::Gpio(port)),
-            _ => None,
-        }
+    /// RCC's register with the bit that enables the block, and the number of the bit, which is that of its reset too.
+    /// The reset of ADC1 is that of all ADCs.
+    pub fn gate(self) -> Option<(u32, u32)> {
+        let on_bus = |(apb, bit): (Apb, u32)| (rcc::enable(apb), bit);
+        Some(match self {
+            Self::Gpio(port) => (rcc::AHB1ENR, port as u32),
+            Self::Rng => (rcc::AHB2ENR, 6),
+            Self::Timer(timer) => on_bus(timer::KINDS[timer].gate),
+            Self::Usart(usart) => on_bus(usart::KINDS[usart].gate),
+            Self::Can(can) => on_bus((Apb::One, 25 + can as u32)),
+            Self::Pwr => on_bus((Apb::One, 28)),
+            Self::Adc => on_bus((Apb::Two, 8)),
+            Self::Syscfg => on_bus((Apb::Two, 14)),
+            _ => return None,
+        })
     }
 
     /// Whether the block is on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).

@@ -1,15 +1,14 @@
 //! RCC (RM0090 chapter 7): oscillators, PLL, prescalers, peripheral clocks and resets, reset flags.
 
-use super::{ChipVariant, Part, Problem, StartUp, timer, usart};
+use super::{ChipVariant, Part, Problem, StartUp, map::Block};
 use crate::{Time, can::Clock};
 
 const CR: u32 = 0x00;
 const PLLCFGR: u32 = 0x04;
 const CFGR: u32 = 0x08;
 const CIR: u32 = 0x0C;
-const APB1RSTR: u32 = 0x20;
-const AHB1ENR: u32 = 0x30;
-const AHB2ENR: u32 = 0x34;
+pub const AHB1ENR: u32 = 0x30;
+pub const AHB2ENR: u32 = 0x34;
 const APB1ENR: u32 = 0x40;
 const APB2ENR: u32 = 0x44;
 const CSR: u32 = 0x74;
@@ -89,49 +88,11 @@ pub enum Apb {
     Two,
 }
 
-impl Apb {
-    const fn enable(self) -> u32 {
-        match self {
-            Self::One => APB1ENR,
-            Self::Two => APB2ENR,
-        }
-    }
-}
-
-/// A peripheral with an enable bit in RCC.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Gate {
-    /// GPIO port 0 = A.
-    Gpio(u8),
-    /// TIM1 as 0.
-    Timer(u8),
-    /// USART1 as 0.
-    Usart(u8),
-    /// The random number generator.
-    Rng,
-    /// CAN1 as 0.
-    Can(u8),
-    /// PWR.
-    Pwr,
-    /// ADC1; its reset is that of all ADCs.
-    Adc,
-    /// SYSCFG.
-    Syscfg,
-}
-
-impl Gate {
-    fn enable(self) -> (u32, u32) {
-        let on_bus = |(apb, bit): (Apb, u32)| (apb.enable(), bit);
-        match self {
-            Self::Gpio(port) => (AHB1ENR, port.into()),
-            Self::Timer(timer) => on_bus(timer::KINDS[usize::from(timer)].gate),
-            Self::Usart(usart) => on_bus(usart::KINDS[usize::from(usart)].gate),
-            Self::Rng => (AHB2ENR, 6),
-            Self::Can(can) => (APB1ENR, 25 + u32::from(can)),
-            Self::Pwr => (APB1ENR, 28),
-            Self::Adc => (APB2ENR, 8),
-            Self::Syscfg => (APB2ENR, 14),
-        }
+/// The register with the enable bits of a bus.
+pub const fn enable(apb: Apb) -> u32 {
+    match apb {
+        Apb::One => APB1ENR,
+        Apb::Two => APB2ENR,
     }
 }
 
@@ -205,16 +166,14 @@ impl Rcc {
         self.regs[offset as usize / 4]
     }
 
-    /// Whether the peripheral's clock is on.
-    pub fn enabled(&self, gate: Gate) -> bool {
-        let (register, bit) = gate.enable();
-        self.reg(register) >> bit & 1 == 1
+    /// Whether the block has a clock.
+    pub fn enabled(&self, block: Block) -> bool {
+        block.gate().is_none_or(|(register, bit)| self.reg(register) >> bit & 1 == 1)
     }
 
-    /// Whether RCC holds the peripheral in reset.
-    pub fn held_in_reset(&self, gate: Gate) -> bool {
-        let (register, bit) = gate.enable();
-        self.reg(register - 0x20) >> bit & 1 == 1
+    /// Whether RCC holds the block in reset.
+    pub fn held_in_reset(&self, block: Block) -> bool {
+        block.gate().is_some_and(|(register, bit)| self.reg(register - 0x20) >> bit & 1 == 1)
     }
 
     /// The value of a register, or `None` if the part does not have it.
@@ -225,19 +184,18 @@ impl Rcc {
         let value = self.reg(offset);
         Some(match offset {
             CR => {
-                let mut cr = value & !(0x2 | 1 << 17 | 1 << 25 | 1 << 27 | 1 << 29);
-                cr |= (value & HSION) << 1;
-                for (on, ready) in [
+                let [pll, i2s, sai] = self.pll_ready;
+                let oscillators = [
+                    (HSION, Time::ZERO),
                     (HSEON, self.hse_ready),
-                    (PLLON, self.pll_ready[0]),
-                    (PLLI2SON, self.pll_ready[1]),
-                    (PLLSAION, self.pll_ready[2]),
-                ] {
-                    if value & on != 0 && now >= ready {
-                        cr |= on << 1;
-                    }
-                }
-                cr
+                    (PLLON, pll),
+                    (PLLI2SON, i2s),
+                    (PLLSAION, sai),
+                ];
+                oscillators.into_iter().fold(value, |cr, (on, ready)| {
+                    let is_ready = value & on != 0 && now >= ready;
+                    cr & !(on << 1) | if is_ready { on << 1 } else { 0 }
+                })
             }
             CFGR => value & !0xC | (value & 3) << 2,
             CSR if value & LSION != 0 && now >= self.lsi_ready => value | LSION << 1,
@@ -305,18 +263,15 @@ impl Rcc {
         if starts(HSEON) {
             self.start_hse(now);
         }
-        for (index, bit) in [PLLON, PLLI2SON, PLLSAION].into_iter().enumerate() {
-            if starts(bit) {
-                self.pll_ready[index] = now + self.start_up.pll();
-            }
-        }
         self.regs[CR as usize / 4] = value;
         if value & HSEON == 0 {
             self.hse_ready = Time::MAX;
         }
-        for (index, bit) in [PLLON, PLLI2SON, PLLSAION].into_iter().enumerate() {
+        for (ready, bit) in self.pll_ready.iter_mut().zip([PLLON, PLLI2SON, PLLSAION]) {
             if value & bit == 0 {
-                self.pll_ready[index] = Time::MAX;
+                *ready = Time::MAX;
+            } else if starts(bit) {
+                *ready = now + self.start_up.pll();
             }
         }
         if starts(PLLON) { self.check_pll() } else { Ok(()) }
@@ -492,5 +447,3 @@ impl Rcc {
         }
     }
 }
-
-const _: () = assert!(APB1RSTR + 0x20 == APB1ENR);

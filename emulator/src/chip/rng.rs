@@ -1,5 +1,8 @@
 //! The random number generator (RM0090 chapter 24): every run gives the same numbers, without waiting.
 
+use super::{Problem, map::Registers};
+use crate::Time;
+
 const CR: u32 = 0x00;
 const SR: u32 = 0x04;
 const DR: u32 = 0x08;
@@ -20,18 +23,18 @@ impl Rng {
         Self { cr: 0, state: 0x2545_F491 }
     }
 
-    /// Resets the registers.
-    pub fn reset(&mut self) {
-        self.cr = 0;
-    }
-
     /// The level of its interrupt.
     pub fn irq(&self) -> bool {
         self.cr == RNGEN | IE
     }
+}
 
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&mut self, offset: u32) -> Option<u32> {
+impl Registers for Rng {
+    fn reset(&mut self, _: Time) {
+        self.cr = 0;
+    }
+
+    fn read(&mut self, offset: u32, _: Time) -> Option<u32> {
         let is_on = self.cr & RNGEN != 0;
         Some(match offset {
             CR => self.cr,
@@ -47,11 +50,12 @@ impl Rng {
         })
     }
 
-    /// Writes a register; returns false if it does not exist.
-    pub fn write(&mut self, offset: u32, value: u32) -> bool {
-        if offset == CR {
-            self.cr = value & (RNGEN | IE);
+    fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
+        match offset {
+            CR => self.cr = value & (RNGEN | IE),
+            SR | DR => {}
+            _ => return Err(Problem::Unmodelled),
         }
-        offset <= DR
+        Ok(())
     }
 }

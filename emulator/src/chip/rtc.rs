@@ -1,6 +1,6 @@
 //! The real-time clock (RM0090 chapter 26): the calendar and the backup registers, without alarms and wake-up timer.
 
-use super::Problem;
+use super::{Problem, map::Registers};
 use crate::Time;
 
 const TR: u32 = 0x00;
@@ -81,9 +81,14 @@ impl Rtc {
         self.regs[DR as usize / 4] = date;
         self.since = now;
     }
+}
 
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
+impl Registers for Rtc {
+    fn reset(&mut self, _: Time) {
+        *self = Self::new();
+    }
+
+    fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
         let value = *self.regs.get(offset as usize / 4)?;
         let flag = |bit, is_set: bool| if is_set { bit } else { 0 };
         let (seconds, subseconds) = self.passed(now);
@@ -106,11 +111,8 @@ impl Rtc {
         })
     }
 
-    /// Writes a register. The backup registers need no key.
-    ///
-    /// # Errors
-    /// The register does not exist, or is protected, or the write switches on an alarm or the wake-up timer.
-    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+    /// The backup registers need no key.
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
         match offset {
             WPR => {
                 self.keys = match (value & 0xFF, self.keys) {

@@ -1,6 +1,7 @@
 //! Small blocks: PWR, SYSCFG, EXTI, DBGMCU, and the factory data (unique id, flash size).
 
-use super::{Part, Thresholds, adc};
+use super::{Part, Problem, Thresholds, adc, map::Registers};
+use crate::Time;
 
 /// PWR (RM0090 chapter 5): the voltage detector, and the voltage scale and over-drive bits that clock set-up waits for,
 /// which take effect at once.
@@ -29,11 +30,6 @@ impl Pwr {
     pub fn new(part: Part, thresholds: Thresholds) -> Self {
         let cr = part.power_after_reset();
         Self { part, thresholds, supply_mv: 3_300, is_low: true, cr, csr: 0 }
-    }
-
-    /// Resets all registers; the supply remains the same.
-    pub fn reset(&mut self) {
-        *self = Self { supply_mv: self.supply_mv, ..Self::new(self.part, self.thresholds) };
     }
 
     /// Whether DBP lets the program write to the RTC and to RCC_BDCR.
@@ -65,9 +61,15 @@ impl Pwr {
     fn pvdo(&self) -> u32 {
         if self.cr & Self::PVDE != 0 && self.is_low { Self::PVDO } else { 0 }
     }
+}
 
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&self, offset: u32) -> Option<u32> {
+impl Registers for Pwr {
+    /// The supply remains the same.
+    fn reset(&mut self, _: Time) {
+        *self = Self { supply_mv: self.supply_mv, ..Self::new(self.part, self.thresholds) };
+    }
+
+    fn read(&mut self, offset: u32, _: Time) -> Option<u32> {
         match offset {
             Self::CR => Some(self.cr),
             Self::CSR => Some(self.csr | Self::VOSRDY | self.cr & Self::OVERDRIVE | self.pvdo()),
@@ -75,8 +77,7 @@ impl Pwr {
         }
     }
 
-    /// Writes a register; returns false if it does not exist.
-    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+    fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
         match offset {
             Self::CR => {
                 // A detector that is switched on finds a supply sufficient that is above the rising level.
@@ -85,68 +86,66 @@ impl Pwr {
                 self.detect();
             }
             Self::CSR => self.csr = value & (1 << 8 | 1 << 9),
-            _ => return false,
+            _ => return Err(Problem::Unmodelled),
         }
-        true
+        Ok(())
     }
 }
 
-/// The memory that also lies at address 0 (RM0090 9.2.1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The memory that also lies at address 0 (RM0090 9.2.1), by its value in SYSCFG_MEMRMP.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AtZero {
     /// The flash, as after a reset with BOOT0 low.
-    Flash,
+    #[default]
+    Flash = 0,
     /// The system memory with the boot loader.
-    System,
+    System = 1,
     /// The SRAM.
-    Sram,
+    Sram = 3,
 }
 
 /// SYSCFG (RM0090 chapter 9): memory remap, interrupt line selection, compensation cell.
 #[derive(Debug, Default)]
 pub struct Syscfg {
+    /// The memory at address 0 after a reset.
+    boot: AtZero,
     regs: [u32; 9],
 }
 
 impl Syscfg {
-    /// Values of SYSCFG_MEMRMP.
-    const SYSTEM: u32 = 1;
-    const SRAM: u32 = 3;
-
     /// The state after a reset: the memory at address 0 is that of the boot pins.
-    pub fn new(at_zero: AtZero) -> Self {
-        let mut syscfg = Self::default();
-        syscfg.regs[0] = match at_zero {
-            AtZero::Flash => 0,
-            AtZero::System => Self::SYSTEM,
-            AtZero::Sram => Self::SRAM,
-        };
-        syscfg
-    }
-
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&self, offset: u32) -> Option<u32> {
-        let value = *self.regs.get(offset as usize / 4)?;
-        // The compensation cell is ready as soon as it is on.
-        Some(if offset == 0x20 { value | (value & 1) << 8 } else { value })
+    pub fn new(boot: AtZero) -> Self {
+        let mut regs = [0; 9];
+        regs[0] = boot as u32;
+        Self { boot, regs }
     }
 
     /// The memory at address 0.
     pub fn at_zero(&self) -> AtZero {
         match self.regs[0] & 3 {
-            Self::SYSTEM => AtZero::System,
-            Self::SRAM => AtZero::Sram,
+            1 => AtZero::System,
+            3 => AtZero::Sram,
             _ => AtZero::Flash,
         }
     }
+}
 
-    /// Writes a register; returns false if it does not exist, or for a remap other than those of [`AtZero`].
-    pub fn write(&mut self, offset: u32, value: u32) -> bool {
-        let Some(register) = self.regs.get_mut(offset as usize / 4) else {
-            return false;
-        };
-        *register = value;
-        offset != 0 || matches!(value, 0 | Self::SYSTEM | Self::SRAM)
+impl Registers for Syscfg {
+    fn reset(&mut self, _: Time) {
+        *self = Self::new(self.boot);
+    }
+
+    fn read(&mut self, offset: u32, _: Time) -> Option<u32> {
+        let value = *self.regs.get(offset as usize / 4)?;
+        // The compensation cell is ready as soon as it is on.
+        Some(if offset == 0x20 { value | (value & 1) << 8 } else { value })
+    }
+
+    /// A remap other than those of [`AtZero`] is not modelled.
+    fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
+        *self.regs.get_mut(offset as usize / 4).ok_or(Problem::Unmodelled)? = value;
+        let is_modelled = offset != 0 || matches!(value, 0 | 1 | 3);
+        if is_modelled { Ok(()) } else { Err(Problem::Unmodelled) }
     }
 }
 
@@ -160,30 +159,6 @@ impl Exti {
     const IMR: usize = 0;
     const SWIER: usize = 4;
     const PR: usize = 5;
-
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&self, offset: u32) -> Option<u32> {
-        self.regs.get(offset as usize / 4).copied()
-    }
-
-    /// Writes a register; returns false if it does not exist.
-    pub fn write(&mut self, offset: u32, value: u32) -> bool {
-        let value = value & 0x007F_FFFF;
-        match offset as usize / 4 {
-            Self::SWIER => {
-                let raised = value & !self.regs[Self::SWIER] & self.regs[Self::IMR];
-                self.regs[Self::SWIER] |= value;
-                self.regs[Self::PR] |= raised;
-            }
-            Self::PR => {
-                self.regs[Self::PR] &= !value;
-                self.regs[Self::SWIER] &= !value;
-            }
-            index @ 0..4 => self.regs[index] = value,
-            _ => return false,
-        }
-        true
-    }
 
     /// The levels of the interrupts that EXTI drives, bit n for interrupt n.
     pub fn irqs(&self) -> u128 {
@@ -211,6 +186,34 @@ impl Exti {
     }
 }
 
+impl Registers for Exti {
+    fn reset(&mut self, _: Time) {
+        *self = Self::default();
+    }
+
+    fn read(&mut self, offset: u32, _: Time) -> Option<u32> {
+        self.regs.get(offset as usize / 4).copied()
+    }
+
+    fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
+        let value = value & 0x007F_FFFF;
+        match offset as usize / 4 {
+            Self::SWIER => {
+                let raised = value & !self.regs[Self::SWIER] & self.regs[Self::IMR];
+                self.regs[Self::SWIER] |= value;
+                self.regs[Self::PR] |= raised;
+            }
+            Self::PR => {
+                self.regs[Self::PR] &= !value;
+                self.regs[Self::SWIER] &= !value;
+            }
+            index @ 0..4 => self.regs[index] = value,
+            _ => return Err(Problem::Unmodelled),
+        }
+        Ok(())
+    }
+}
+
 /// DBGMCU (RM0090 38.16): identification and the freeze bits, which have no effect without a debugger.
 #[derive(Debug)]
 pub struct Dbgmcu {
@@ -222,19 +225,22 @@ impl Dbgmcu {
     pub fn new(part: Part) -> Self {
         Self { regs: [part.id_code(), 0, 0, 0] }
     }
+}
 
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&self, offset: u32) -> Option<u32> {
+impl Registers for Dbgmcu {
+    /// Only power-on resets it.
+    fn reset(&mut self, _: Time) {}
+
+    fn read(&mut self, offset: u32, _: Time) -> Option<u32> {
         self.regs.get(offset as usize / 4).copied()
     }
 
-    /// Writes a register; returns false if it does not exist.
-    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+    fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
         match offset as usize / 4 {
             index @ 1..4 => self.regs[index] = value,
-            _ => return false,
+            _ => return Err(Problem::Unmodelled),
         }
-        true
+        Ok(())
     }
 }
 

@@ -1,6 +1,6 @@
 //! TIM1 to TIM14 (RM0090 chapters 17 to 20): up-counters with compare interrupts.
 
-use super::{Problem, rcc::Apb};
+use super::{Problem, map::Registers, rcc::Apb};
 use crate::{Time, can::Clock};
 
 const CR1: u32 = 0x00;
@@ -109,11 +109,6 @@ impl Timer {
         }
     }
 
-    /// Resets all registers; the clock remains the same.
-    pub fn reset(&mut self) {
-        *self = Self { clock: self.clock, ..Self::new(self.kind) };
-    }
-
     /// Sets the clock of the timers on its bus (RM0090 7.2).
     pub fn set_clock(&mut self, clock: Clock, now: Time) {
         if self.clock != clock {
@@ -172,24 +167,6 @@ impl Timer {
         self.plan();
     }
 
-    /// The value of a register, or `None` if it does not exist or is not modelled.
-    pub fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
-        self.advance(now);
-        if !self.exists(offset) {
-            return None;
-        }
-        Some(match offset {
-            CR1 => self.cr1,
-            DIER => self.dier,
-            SR => self.sr,
-            CNT => self.count_after(self.seen),
-            PSC => self.prescaler,
-            ARR => self.reload,
-            CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4],
-            _ => 0,
-        })
-    }
-
     fn exists(&self, offset: u32) -> bool {
         let channels = u32::from(self.kind.channels);
         match offset {
@@ -202,52 +179,6 @@ impl Timer {
             RCR | BDTR => self.kind.irqs.0 != self.kind.irqs.1,
             _ => false,
         }
-    }
-
-    /// Writes a register.
-    ///
-    /// # Errors
-    /// The register or setting is not modelled, or the timer does not count as its settings suggest. Bits that are not
-    /// modelled have no effect.
-    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
-        self.advance(now);
-        if matches!(offset, CR1 | EGR | CNT | ARR) {
-            self.settle(now);
-        }
-        if !self.exists(offset) {
-            return Err(Problem::Unmodelled);
-        }
-        if offset == ARR && self.cr1 & (CEN | ARPE) == CEN | ARPE && value != self.reload {
-            return Err(Problem::Misuse("a preloaded auto-reload value is not modelled"));
-        }
-        // A register of 16 bits ignores the upper half of the bus.
-        let value = match offset {
-            CNT | ARR | CCR1..=CCR4 => value & self.kind.max,
-            _ => value & 0xFFFF,
-        };
-        let writable = match offset {
-            CR1 => CEN | URS | OPM | ARPE,
-            DIER | EGR => self.event_bits(),
-            PSC | SR | CNT | ARR | CCR1..=CCR4 => u32::MAX,
-            _ => 0,
-        };
-        match offset {
-            CR1 => self.cr1 = value & writable,
-            DIER => self.dier = value & writable,
-            // Cleared by writing 0.
-            SR => self.sr &= value,
-            EGR => self.generate(value & writable),
-            CNT => self.origin = value,
-            PSC => self.prescaler = value,
-            ARR => self.reload = value,
-            CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4] = value,
-            _ => {}
-        }
-        self.plan();
-        if value & !writable != 0 {
-            return Err(Problem::Unmodelled);
-        }
-        self.check()
     }
 
     /// Generates events; an update event loads the prescaler and clears the counter.
@@ -329,5 +260,70 @@ impl Timer {
             }
             _ => Time::MAX,
         };
+    }
+}
+
+impl Registers for Timer {
+    fn reset(&mut self, _: Time) {
+        *self = Self { clock: self.clock, ..Self::new(self.kind) };
+    }
+
+    fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
+        self.advance(now);
+        if !self.exists(offset) {
+            return None;
+        }
+        Some(match offset {
+            CR1 => self.cr1,
+            DIER => self.dier,
+            SR => self.sr,
+            CNT => self.count_after(self.seen),
+            PSC => self.prescaler,
+            ARR => self.reload,
+            CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4],
+            _ => 0,
+        })
+    }
+
+    /// Bits that are not modelled have no effect.
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+        self.advance(now);
+        if matches!(offset, CR1 | EGR | CNT | ARR) {
+            self.settle(now);
+        }
+        if !self.exists(offset) {
+            return Err(Problem::Unmodelled);
+        }
+        if offset == ARR && self.cr1 & (CEN | ARPE) == CEN | ARPE && value != self.reload {
+            return Err(Problem::Misuse("a preloaded auto-reload value is not modelled"));
+        }
+        // A register of 16 bits ignores the upper half of the bus.
+        let value = match offset {
+            CNT | ARR | CCR1..=CCR4 => value & self.kind.max,
+            _ => value & 0xFFFF,
+        };
+        let writable = match offset {
+            CR1 => CEN | URS | OPM | ARPE,
+            DIER | EGR => self.event_bits(),
+            PSC | SR | CNT | ARR | CCR1..=CCR4 => u32::MAX,
+            _ => 0,
+        };
+        match offset {
+            CR1 => self.cr1 = value & writable,
+            DIER => self.dier = value & writable,
+            // Cleared by writing 0.
+            SR => self.sr &= value,
+            EGR => self.generate(value & writable),
+            CNT => self.origin = value,
+            PSC => self.prescaler = value,
+            ARR => self.reload = value,
+            CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4] = value,
+            _ => {}
+        }
+        self.plan();
+        if value & !writable != 0 {
+            return Err(Problem::Unmodelled);
+        }
+        self.check()
     }
 }

@@ -1,6 +1,7 @@
 //! USART1 to USART6 as outputs (RM0090 chapter 30): a byte is sent at once, and nothing is received.
 
-use super::rcc::Apb;
+use super::{Problem, map::Registers, rcc::Apb};
+use crate::Time;
 
 const SR: u32 = 0x00;
 const DR: u32 = 0x04;
@@ -49,11 +50,6 @@ impl Usart {
         Self { kind, regs: [0; 7], sent: Vec::new() }
     }
 
-    /// Resets all registers; what was sent is kept.
-    pub fn reset(&mut self) {
-        self.regs = [0; 7];
-    }
-
     /// The bytes sent since the last call.
     pub fn take_sent(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.sent)
@@ -63,22 +59,27 @@ impl Usart {
     pub fn irqs(&self) -> u128 {
         if self.regs[CR1 as usize / 4] & SENT == 0 { 0 } else { 1 << self.kind.irq }
     }
+}
 
-    /// The value of a register, or `None` if it does not exist.
-    pub fn read(&self, offset: u32) -> Option<u32> {
+impl Registers for Usart {
+    /// What was sent is kept.
+    fn reset(&mut self, _: Time) {
+        self.regs = [0; 7];
+    }
+
+    fn read(&mut self, offset: u32, _: Time) -> Option<u32> {
         let value = *self.regs.get(offset as usize / 4)?;
         Some(if offset == SR { SENT } else { value })
     }
 
-    /// Writes a register; returns false if it does not exist.
-    pub fn write(&mut self, offset: u32, value: u32) -> bool {
+    fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
         let is_on = self.regs[CR1 as usize / 4] & TRANSMITTER_ON == TRANSMITTER_ON;
-        match (offset, self.regs.get_mut(offset as usize / 4)) {
-            (_, None) => return false,
-            (SR, _) => {}
-            (DR, _) => self.sent.extend(is_on.then_some(value as u8)),
-            (_, Some(register)) => *register = value,
+        let register = self.regs.get_mut(offset as usize / 4).ok_or(Problem::Unmodelled)?;
+        match offset {
+            SR => {}
+            DR => self.sent.extend(is_on.then_some(value as u8)),
+            _ => *register = value,
         }
-        true
+        Ok(())
     }
 }

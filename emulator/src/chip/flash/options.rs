@@ -1,6 +1,7 @@
 //! The option bytes and the registers through which they are read and programmed (RM0090 3.7).
 
-use crate::chip::{BusFault, Part, Problem};
+use super::Lock;
+use crate::chip::{Part, Problem};
 
 const OPTLOCK: u32 = 1 << 0;
 const OPTSTRT: u32 = 1 << 1;
@@ -22,8 +23,7 @@ pub struct Options {
     /// The programmed content, as OPTCR and OPTCR1 show it after a reset.
     stored: [u32; 2],
     registers: [u32; 2],
-    half_unlocked: bool,
-    locked_until_reset: bool,
+    lock: Lock,
 }
 
 /// The nWRP bits of both registers without any protection.
@@ -37,14 +37,13 @@ impl Options {
     pub fn new(part: Part) -> Self {
         let [first, second] = unprotected(part);
         let stored = [first | 0xAAEC | OPTLOCK, second];
-        Self { part, stored, registers: stored, half_unlocked: false, locked_until_reset: false }
+        Self { part, stored, registers: stored, lock: Lock::default() }
     }
 
     /// Loads the registers from the programmed content.
     pub fn reset(&mut self) {
         self.registers = self.stored;
-        self.half_unlocked = false;
-        self.locked_until_reset = false;
+        self.lock = Lock::default();
     }
 
     /// Protects the sectors whose bit is 1, and no others, as a programming tool does.
@@ -108,20 +107,8 @@ impl Options {
     }
 
     /// Accepts a key.
-    pub fn write_key(&mut self, value: u32) -> Result<(), BusFault> {
-        match (value, self.half_unlocked, self.locked_until_reset) {
-            (0x0819_2A3B, false, false) => self.half_unlocked = true,
-            (0x4C5D_6E7F, true, false) => {
-                self.half_unlocked = false;
-                self.registers[0] &= !OPTLOCK;
-            }
-            _ => {
-                self.locked_until_reset = true;
-                self.registers[0] |= OPTLOCK;
-                return Err(BusFault);
-            }
-        }
-        Ok(())
+    pub fn write_key(&mut self, value: u32) -> Result<(), Problem> {
+        self.lock.accept(value, [0x0819_2A3B, 0x4C5D_6E7F], &mut self.registers[0], OPTLOCK)
     }
 
     /// Writes a register. Returns true if the option bytes must be programmed now.
