@@ -95,13 +95,13 @@ impl Program {
         let (callee, falls_through) = match &instruction.flow {
             Flow::Call(to) => (Some(*to), self.returning.contains(to)),
             Flow::Jump(to) if is_tail(to) => (Some(*to), false),
-            Flow::Branch { target, .. } if is_tail(target) => (Some(*target), true),
+            Flow::Branch(to) if is_tail(to) => (Some(*to), true),
             Flow::Jump(to) => {
                 next.push(*to);
                 (None, false)
             }
-            Flow::Branch { target, .. } => {
-                next.push(*target);
+            Flow::Branch(to) => {
+                next.push(*to);
                 (None, true)
             }
             Flow::Table(targets) => {

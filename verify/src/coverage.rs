@@ -1,8 +1,6 @@
 //! `cargo verify coverage`: the branches of the release image that its tests have taken.
 
-mod branch;
 mod lcov;
-mod program;
 mod report;
 
 use std::{fs, io, path::Path};
@@ -14,7 +12,6 @@ use testkit::{
     image::COVERAGE,
 };
 
-use program::Program;
 use report::Report;
 
 /// The records that count, each named by the package and the chip of its image, and the least share of outcomes in
@@ -63,7 +60,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let path = directory.join(image).with_extension("branches");
         if path.exists() {
             let record = Record::read(&path).with_context(|| path.display().to_string())?;
-            report.add(image, Program::load(&path.with_extension("elf"), workspace())?, &record);
+            report.add(image, &path.with_extension("elf"), &record)?;
         }
     }
     fs::write(directory.join("lcov.info"), lcov::lcov(&report)?).context("lcov.info")?;

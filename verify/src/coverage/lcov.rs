@@ -51,16 +51,12 @@ pub fn lcov(report: &Report) -> Result<String, fmt::Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::coverage::{
-        branch::Outcome,
-        program::Place,
-        report::{Judged, Line},
-    };
+    use crate::coverage::report::{Branch, Line, Outcome, Place};
 
     #[test]
     fn lines_and_branches_are_recorded_once() {
         let outcome = |was_seen| Outcome { name: String::new(), was_seen };
-        let branch = |seen: [bool; 2]| Judged {
+        let branch = |seen: [bool; 2]| Branch {
             image: "stm32f405",
             address: 0,
             mnemonic: String::new(),

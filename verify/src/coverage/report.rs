@@ -1,30 +1,72 @@
-//! The branches of the images by source line, with the outcomes that are missing.
+//! The branches of the images by source line, with the outcomes that their tests have taken.
 
-use std::{collections::BTreeMap, fmt};
+use std::{collections::BTreeMap, fmt, fs, path::Path};
 
+use addr2line::{
+    Context,
+    gimli::{Dwarf, EndianSlice, LittleEndian, SectionId},
+};
+use anyhow::Context as _;
 use emulator::coverage::Record;
-
-use super::{
-    branch::Outcome,
-    program::{Place, Program},
+use testkit::{
+    cargo::workspace,
+    elf::{self, Elf, Object, ObjectSection, codes},
+    thumb::{self, Flow, Instruction},
 };
 
-/// A branch in an image, with its outcomes.
-pub struct Judged {
+type Lines<'a> = Context<EndianSlice<'a, LittleEndian>>;
+
+/// A line of the sources, and the function that it is in.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Place {
+    /// Relative to the workspace for our code.
+    pub file: String,
+    /// From 1; 0 for code that belongs to no line.
+    pub line: u32,
+    /// Without the crate's hash.
+    pub function: String,
+    /// Whether the line is in this repository.
+    pub is_ours: bool,
+}
+
+/// An instruction after which the program may continue at more than one place.
+pub struct Branch {
     pub image: &'static str,
     pub address: u32,
     pub mnemonic: String,
     pub outcomes: Vec<Outcome>,
 }
 
-impl Judged {
+/// A way in which the program may continue after a branch.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outcome {
+    /// A verb phrase, such as "jumps".
+    pub name: String,
+    /// Whether the program has continued so.
+    pub was_seen: bool,
+}
+
+/// A line of the sources with code.
+#[derive(Default)]
+pub struct Line {
+    pub was_executed: bool,
+    pub branches: Vec<Branch>,
+}
+
+/// The lines of our code in all images.
+#[derive(Default)]
+pub struct Report {
+    pub lines: BTreeMap<Place, Line>,
+}
+
+impl Branch {
     /// Whether an outcome was not seen.
     pub fn is_incomplete(&self) -> bool {
         self.outcomes.iter().any(|outcome| !outcome.was_seen)
     }
 }
 
-impl fmt::Display for Judged {
+impl fmt::Display for Branch {
     /// The outcomes that are missing.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} {:08x} {:6}", self.image, self.address, self.mnemonic)?;
@@ -38,36 +80,35 @@ impl fmt::Display for Judged {
     }
 }
 
-/// A line of the sources with code.
-#[derive(Default)]
-pub struct Line {
-    pub was_executed: bool,
-    pub branches: Vec<Judged>,
-}
-
-/// The lines of our code in all images.
-#[derive(Default)]
-pub struct Report {
-    pub lines: BTreeMap<Place, Line>,
-}
-
 impl Report {
-    /// Adds an image and what it did.
-    pub fn add(&mut self, image: &'static str, program: Program, record: &Record) {
-        for (&address, place) in program.instructions.iter().filter(|(_, place)| place.is_ours) {
-            let line = self.lines.entry(place.clone()).or_default();
-            line.was_executed |= record.was_executed(address);
-        }
-        for branch in program.branches {
-            if let Some(line) = self.lines.get_mut(&program.instructions[&branch.address]) {
-                line.branches.push(Judged {
-                    image,
-                    address: branch.address,
-                    mnemonic: branch.mnemonic(),
-                    outcomes: branch.outcomes(record),
-                });
+    /// Adds an image, an ELF file with debug information, and what it did.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn add(&mut self, image: &'static str, elf: &Path, record: &Record) -> anyhow::Result<()> {
+        let bytes = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
+        let file = Elf::parse(&bytes)?;
+        let lines = lines(&file)?;
+        for code in codes(&file)? {
+            let mut last = None;
+            for instruction in thumb::decode(&code) {
+                let place = place(&lines, instruction.address, last.as_ref())?;
+                last = Some(place.clone());
+                if !place.is_ours {
+                    continue;
+                }
+                let line = self.lines.entry(place).or_default();
+                line.was_executed |= record.was_executed(instruction.address);
+                let outcomes = outcomes(&instruction, record);
+                if !outcomes.is_empty() {
+                    let Instruction { address, mnemonic, condition, .. } = instruction;
+                    let mnemonic =
+                        condition.map_or(mnemonic, |condition| format!("it {condition}"));
+                    line.branches.push(Branch { image, address, mnemonic, outcomes });
+                }
             }
         }
+        Ok(())
     }
 
     /// The number of the outcomes in an image, and of those that were seen.
@@ -77,4 +118,75 @@ impl Report {
             branches.filter(|of| of.image == image).flat_map(|of| &of.outcomes).collect();
         (outcomes.len(), outcomes.iter().filter(|outcome| outcome.was_seen).count())
     }
+}
+
+/// The outcomes of an instruction with those of the record; none for one that is no branch.
+fn outcomes(instruction: &Instruction, record: &Record) -> Vec<Outcome> {
+    let address = instruction.address;
+    let outcome = |name: &str, was_seen| Outcome { name: name.to_owned(), was_seen };
+    match (&instruction.condition, &instruction.flow) {
+        (Some(_), _) => {
+            let [no, yes] = record.condition(address);
+            vec![outcome("is false", no), outcome("is true", yes)]
+        }
+        (None, Flow::Branch(_)) => {
+            let [next, jump] = record.branch(address, instruction.length);
+            vec![outcome("falls through", next), outcome("jumps", jump)]
+        }
+        (None, Flow::Table(targets)) => targets
+            .iter()
+            .map(|(&to, indices)| {
+                let indices: Vec<String> = indices.iter().map(usize::to_string).collect();
+                let name = format!("jumps by index {}", indices.join(", "));
+                outcome(&name, record.has_jumped(address, to))
+            })
+            .collect(),
+        (None, Flow::Computed) => vec![outcome("runs", record.was_executed(address))],
+        _ => Vec::new(),
+    }
+}
+
+/// The source lines of an image.
+fn lines<'a>(file: &Elf<'a>) -> anyhow::Result<Lines<'a>> {
+    let section = |id: SectionId| -> elf::Result<_> {
+        let section = file.section_by_name(id.name());
+        let data = section.map(|section| section.data()).transpose()?;
+        Ok(EndianSlice::new(data.unwrap_or_default(), LittleEndian))
+    };
+    Ok(Context::from_dwarf(Dwarf::load(section)?)?)
+}
+
+/// The line of an instruction: that of the innermost call that is inlined from our code or a dependency's. Lines of the
+/// standard library, and code without a line, count as their callers'. `last` is the place of the instruction before.
+fn place(lines: &Lines, address: u32, last: Option<&Place>) -> anyhow::Result<Place> {
+    let mut frames = lines.find_frames(address.into()).skip_all_loads()?;
+    let mut innermost = None;
+    while let Some(frame) = frames.next()? {
+        let name = frame.function.as_ref().and_then(|function| function.raw_name().ok());
+        let name = name.unwrap_or_else(|| "?".into());
+        let location = frame.location.as_ref();
+        let file = location.and_then(|location| location.file).unwrap_or_default();
+        let line = location.and_then(|location| location.line).unwrap_or(0);
+        let own = Path::new(file).strip_prefix(workspace()).ok();
+        let mut place = Place {
+            file: own.map_or_else(|| file.to_owned(), |own| own.display().to_string()),
+            line,
+            function: format!("{:#}", rustc_demangle::demangle(&name)),
+            is_ours: own.is_some(),
+        };
+        // The compiler gives no line to code that it has merged.
+        if let Some(last) = last.filter(|last| line == 0 && last.function == place.function) {
+            place = last.clone();
+        }
+        if !file.contains("/library/") && place.line > 0 {
+            return Ok(place);
+        }
+        innermost.get_or_insert(place);
+    }
+    Ok(innermost.unwrap_or_else(|| Place {
+        file: String::new(),
+        line: 0,
+        function: "?".to_owned(),
+        is_ours: false,
+    }))
 }
