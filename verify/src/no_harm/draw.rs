@@ -58,7 +58,7 @@ pub fn situation(seed: u64) -> Situation {
     let kind = draft.random.pick(&Kind::ALL);
     let probe = match kind {
         Kind::LateMaster => draft.late_master(),
-        Kind::Laptop => draft.laptop(),
+        Kind::ForeignDevice => draft.foreign_device(),
         Kind::LineFault => draft.line_fault(),
         Kind::MissedSwitch => draft.missed_switch(),
         Kind::WrongRate => draft.wrong_rate(),
@@ -71,7 +71,7 @@ pub fn situation(seed: u64) -> Situation {
         Kind::BrownOut => draft.brown_out(),
         Kind::Stagger => draft.stagger(),
         Kind::TwoMasters => draft.two_masters(),
-        Kind::Contacts => draft.contacts(),
+        Kind::BadContacts => draft.bad_contacts(),
     };
     draft.events.sort_by_key(|event| event.at);
     Situation { kind, boards: draft.boards, drift_ppm: 0, events: draft.events, probe }
@@ -98,7 +98,7 @@ impl Draft {
     }
 
     /// A foreign device, from power-on or later.
-    fn laptop(&mut self) -> Probe {
+    fn foreign_device(&mut self) -> Probe {
         self.any_master_at(0, self.home);
         let begin = if self.random.one_in(2) { 0 } else { self.span(50, 1_000) };
         let end = self.foreign(begin, self.home);
@@ -130,9 +130,8 @@ impl Draft {
         }
         let t0 = self.switch(begin, to);
         let away = t0 + self.delay_of_switch() + self.span(10, 1_000);
-        let count = self.boards.len();
-        let missing = self.random.within(0..count as u64) as usize;
-        for board in 0..count {
+        let missing = self.any_board();
+        for board in 0..self.boards.len() {
             if board == missing || self.random.one_in(5) {
                 let has_power = self.random.one_in(2);
                 let what = if has_power { What::BrokenWire(board) } else { What::NoPower(board) };
@@ -149,9 +148,8 @@ impl Draft {
 
     /// Boards with a stored rate that is not the bus's.
     fn wrong_rate(&mut self) -> Probe {
-        let count = self.boards.len();
-        let wrong = self.random.within(0..count as u64) as usize;
-        for board in 0..count {
+        let wrong = self.any_board();
+        for board in 0..self.boards.len() {
             if board == wrong || self.random.one_in(4) {
                 self.boards[board].stored = self.other_rate();
             }
@@ -172,7 +170,7 @@ impl Draft {
         let mut rate = self.home;
         if self.random.one_in(2) {
             at = self.switch(at, to) + 2 * self.delay_of_switch() + 20;
-            rate = if self.is_stored() { to } else { self.home };
+            rate = if self.last_switch().1 { to } else { self.home };
             self.add(at, at, What::Master(Master::Idle(to)));
         }
         let mut end = at;
@@ -194,7 +192,7 @@ impl Draft {
         // A rescued board would obey a switch that the plain slave does not receive.
         let is_wrong = self.random.one_in(4);
         if is_wrong {
-            let board = self.random.within(0..self.boards.len() as u64) as usize;
+            let board = self.any_board();
             self.boards[board].stored = self.other_rate();
         }
         let mut rate = self.home;
@@ -235,9 +233,7 @@ impl Draft {
 
     /// Several boards with a foreign device and a silent master.
     fn herd(&mut self) -> Probe {
-        while self.boards.len() < 2 {
-            self.boards.push(Node { node_id: Some(NODE_IDS[self.boards.len()]), ..self.boards[0] });
-        }
+        self.add_second_board();
         for (board, node_id) in self.boards.iter_mut().zip(NODE_IDS) {
             board.node_id = Some(node_id);
             board.heartbeat_ms = self.random.pick(&[100, 1000]);
@@ -287,9 +283,7 @@ impl Draft {
 
     /// A switch that half of the boards miss.
     fn half_switch(&mut self) -> Probe {
-        while self.boards.len() < 2 {
-            self.boards.push(Node { node_id: Some(NODE_IDS[self.boards.len()]), ..self.boards[0] });
-        }
+        self.add_second_board();
         self.master_at(0, self.home);
         let begin = self.span(300, 1_000);
         let to = self.other_rate();
@@ -310,7 +304,7 @@ impl Draft {
         self.any_master_at(0, self.home);
         let end = self.foreign(0, self.home);
         for _ in 0..self.random.within(1..5) {
-            let board = self.random.within(0..self.boards.len() as u64) as usize;
+            let board = self.any_board();
             let at = self.span(10, end);
             let length = self.span(2, 40);
             self.add(at, at + length, What::NoPower(board));
@@ -350,16 +344,26 @@ impl Draft {
     }
 
     /// Contacts that open again and again.
-    fn contacts(&mut self) -> Probe {
+    fn bad_contacts(&mut self) -> Probe {
         self.any_master_at(0, self.home);
         let mut at = self.span(0, 500);
         for _ in 0..self.random.within(3..12) {
-            let board = self.random.within(0..self.boards.len() as u64) as usize;
+            let board = self.any_board();
             let length = self.span(1, 50);
             self.add(at, at + length, What::BrokenWire(board));
             at += length + self.span(1, 200);
         }
         self.probe(at, self.home)
+    }
+
+    fn add_second_board(&mut self) {
+        if self.boards.len() < 2 {
+            self.boards.push(Node { node_id: Some(NODE_IDS[1]), ..self.boards[0] });
+        }
+    }
+
+    fn any_board(&mut self) -> usize {
+        self.random.within(0..self.boards.len() as u64) as usize
     }
 
     fn add(&mut self, at: u32, until: u32, what: What) {
@@ -402,10 +406,7 @@ impl Draft {
         self.last_switch().0
     }
 
-    fn is_stored(&self) -> bool {
-        self.last_switch().1
-    }
-
+    /// The delay of the last switch in milliseconds, and whether it is stored.
     fn last_switch(&self) -> (u32, bool) {
         let switch = |event: &Event| match event.what {
             What::Switch { delay_ms, is_stored, .. } => Some((u32::from(delay_ms), is_stored)),
@@ -454,7 +455,7 @@ impl Draft {
 
     /// A fault of the line or the supply; returns its end.
     fn fault(&mut self, at: u32) -> u32 {
-        let board = self.random.within(0..self.boards.len() as u64) as usize;
+        let board = self.any_board();
         let span =
             self.random.pick(&[1, 20, 20, 200, 200, 200, 200, 500, 500, 1_000, 1_000, 3_000]);
         let what = match self.random.within(0..10) {

@@ -55,8 +55,8 @@ enum Talker {
 enum Step {
     Begin(usize),
     End(usize),
-    Send(&'static str, u8),
-    Activate(u16),
+    /// A request of the LSS master.
+    Send(String),
     /// Records which boards have switched to the rate.
     Switched(BitRate),
 }
@@ -131,27 +131,36 @@ impl<'a> Life<'a> {
             if event.until > event.at {
                 steps.push((ms(event.until), Step::End(index)));
             }
-            if let What::Session(configure) = event.what {
-                let (request, value) = match configure {
-                    Configure::NodeId(id) => ("11", id),
-                    Configure::Rate(rate) => ("13 00", rate.index()),
-                };
-                steps.push((at, Step::Send("04 01", 0)));
-                steps.push((at + Time::from_ms(20), Step::Send(request, value)));
-                steps.push((ms(event.until), Step::Send("17", 0)));
-                steps.push((ms(event.until) + Time::from_ms(100), Step::Send("04 00", 0)));
-            }
-            if let What::Switch { to, delay_ms, is_stored } = event.what {
-                steps.push((at, Step::Send("04 01", 0)));
-                steps.push((at + Time::from_ms(20), Step::Send("13 00", to.index())));
-                if is_stored {
-                    steps.push((at + Time::from_ms(40), Step::Send("17", 0)));
+            let mut send = |after, request: &str| {
+                steps.push((at + ms(after), Step::Send(request.to_owned())));
+            };
+            match event.what {
+                What::Session(configure) => {
+                    let span = event.until - event.at;
+                    send(0, "04 01");
+                    send(
+                        20,
+                        &match configure {
+                            Configure::NodeId(id) => format!("11 {id:02X}"),
+                            Configure::Rate(rate) => format!("13 00 {:02X}", rate.index()),
+                        },
+                    );
+                    send(span, "17");
+                    send(span + 100, "04 00");
                 }
-                let activate = at + ms(SWITCH_LEAD_MS);
-                steps.push((activate, Step::Activate(delay_ms)));
-                // The request itself takes up to 13 ms.
-                let looked = activate + Time::from_ms(2 * u64::from(delay_ms) + 15);
-                steps.push((looked, Step::Switched(to)));
+                What::Switch { to, delay_ms, is_stored } => {
+                    let [low, high] = delay_ms.to_le_bytes();
+                    send(0, "04 01");
+                    send(20, &format!("13 00 {:02X}", to.index()));
+                    if is_stored {
+                        send(40, "17");
+                    }
+                    send(SWITCH_LEAD_MS, &format!("15 {low:02X} {high:02X}"));
+                    // The request itself takes up to 13 ms.
+                    let looked = at + ms(SWITCH_LEAD_MS + 2 * u32::from(delay_ms) + 15);
+                    steps.push((looked, Step::Switched(to)));
+                }
+                _ => {}
             }
         }
         steps.retain(|(time, _)| *time <= probe);
@@ -162,11 +171,7 @@ impl<'a> Life<'a> {
         match step {
             Step::Begin(index) => self.begin(index, self.situation.events[index]),
             Step::End(index) => self.end(index, self.situation.events[index]),
-            Step::Send(request, index) => self.send_request(&format!("{request} {index:02X}")),
-            Step::Activate(delay_ms) => {
-                let [low, high] = delay_ms.to_le_bytes();
-                self.send_request(&format!("15 {low:02X} {high:02X}"));
-            }
+            Step::Send(request) => self.send_request(&request),
             Step::Switched(to) => {
                 for board in 0..self.switched.len() {
                     if self.bit_rate(board) == Some(bit_per_s(to)) {

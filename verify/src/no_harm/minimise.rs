@@ -44,12 +44,16 @@ fn candidates(situation: &Situation) -> Vec<Situation> {
             candidate.events.remove(event);
         });
     }
+    let ends = || situation.events.iter().flat_map(|event| [event.at, event.until]);
+    let before = |at: u32| (ends().filter(|end| *end < at).max().unwrap_or(0), at);
+    let events = situation.events.iter();
+    let spans: Vec<_> = events
+        .flat_map(|event| [(event.at, event.until), before(event.at)])
+        .chain([before(situation.probe.at)])
+        .collect();
     for cut in CUTS {
-        for event in 0..situation.events.len() {
-            add(&|candidate| shorten(candidate, event, cut));
-        }
-        for event in 0..=situation.events.len() {
-            add(&|candidate| move_earlier(candidate, event, cut));
+        for &(_, to) in spans.iter().filter(|(from, to)| from + cut < *to) {
+            add(&|candidate| pull(candidate, to, cut));
         }
     }
     for event in 0..situation.events.len() {
@@ -76,27 +80,6 @@ fn remove_board(situation: &mut Situation, removed: usize) {
         }
         _ => true,
     });
-}
-
-/// Ends an event earlier, and moves forward all that begins or ends after it.
-fn shorten(situation: &mut Situation, event: usize, cut: u32) {
-    let shortened = situation.events[event];
-    if shortened.until <= shortened.at + cut {
-        return;
-    }
-    pull(situation, shortened.until, cut);
-}
-
-/// Moves an event, or after the last one the probe, closer to the one before, with all that follows.
-fn move_earlier(situation: &mut Situation, event: usize, cut: u32) {
-    let before = |at: u32| {
-        let ends = situation.events.iter().flat_map(|event| [event.at, event.until]);
-        ends.filter(|end| *end < at).max().unwrap_or(0)
-    };
-    let at = situation.events.get(event).map_or(situation.probe.at, |event| event.at);
-    if before(at) + cut <= at {
-        pull(situation, at, cut);
-    }
 }
 
 /// Moves all times from `from` on forward by `cut`.

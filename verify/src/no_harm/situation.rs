@@ -23,26 +23,30 @@ pub struct Situation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     LateMaster,
-    Laptop,
+    ForeignDevice,
     LineFault,
     MissedSwitch,
     WrongRate,
     PowerCut,
     Mixture,
+    /// Several boards are led away together.
     Herd,
+    /// A session of the LSS master with single-bit pulses.
     Session,
+    /// A master that tries one bit rate after another.
     Scan,
     HalfSwitch,
     BrownOut,
+    /// Boards that come up one after another.
     Stagger,
     TwoMasters,
-    Contacts,
+    BadContacts,
 }
 
 impl Kind {
     pub const ALL: [Self; 15] = [
         Self::LateMaster,
-        Self::Laptop,
+        Self::ForeignDevice,
         Self::LineFault,
         Self::MissedSwitch,
         Self::WrongRate,
@@ -55,30 +59,8 @@ impl Kind {
         Self::BrownOut,
         Self::Stagger,
         Self::TwoMasters,
-        Self::Contacts,
+        Self::BadContacts,
     ];
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::LateMaster => "late master",
-            Self::Laptop => "foreign device",
-            Self::LineFault => "faults of the line",
-            Self::MissedSwitch => "missed switch",
-            Self::WrongRate => "wrong stored rate",
-            Self::PowerCut => "power cuts",
-            Self::Mixture => "mixture",
-            Self::Herd => "led away together",
-            Self::Session => "session and pulses",
-            Self::Scan => "scan of bit rates",
-            Self::HalfSwitch => "half of a switch",
-            Self::BrownOut => "brown-outs",
-            Self::Stagger => "one after another",
-            Self::TwoMasters => "two masters",
-            Self::Contacts => "bad contacts",
-        })
-    }
 }
 
 /// The settings stored in a board; its number in the list is that of its unique id.
@@ -264,98 +246,16 @@ impl Situation {
     }
 }
 
-/// A line of an event list.
-impl fmt::Display for Event {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.until > self.at {
-            write!(f, "{:>6} .. {:>6} ms  {}", self.at, self.until, self.what)
-        } else {
-            write!(f, "{:>6}           ms  {}", self.at, self.what)
-        }
-    }
-}
-
-impl fmt::Display for What {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::Master(master) => write!(f, "{master}"),
-            Self::Switch { to, delay_ms, is_stored } => {
-                let store = if is_stored { ", 17" } else { "" };
-                let (index, kbit_per_s) = (to.index(), to.kbit_per_s());
-                write!(
-                    f,
-                    "the master sends 04 01, 13 00 {index:02X}{store}, 15 with d = {delay_ms} ms: to {kbit_per_s} kbit/s"
-                )
-            }
-            Self::Session(Configure::NodeId(id)) => {
-                write!(f, "the master sends 04 01, 11 {id:02X}, and at the end 17, 04 00")
-            }
-            Self::Session(Configure::Rate(rate)) => {
-                let index = rate.index();
-                write!(f, "the master sends 04 01, 13 00 {index:02X}, and at the end 17, 04 00")
-            }
-            Self::NoPower(board) => write!(f, "board {board} has no power"),
-            Self::BrokenWire(board) => write!(f, "the wire of board {board} is broken"),
-            Self::BrokenWireOfMaster => write!(f, "the wire of the master is broken"),
-            Self::Short(Short::Dominant) => write!(f, "the bus is held dominant"),
-            Self::Short(Short::Recessive) => {
-                write!(f, "CANH and CANL are shorted: the bus is recessive")
-            }
-            Self::Noise { mean_interval_us, length_ns, .. } => {
-                write!(f, "noise: pulses of {length_ns} ns, {mean_interval_us} us apart on average")
-            }
-            Self::BitError(board) => write!(f, "board {board} samples one bit wrongly"),
-            Self::Foreign(foreign) => write!(f, "{foreign}"),
-        }
-    }
-}
-
-impl fmt::Display for Master {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Some(rate) = self.bit_rate() else {
-            return f.write_str("the master is away");
-        };
-        write!(f, "the master is at {} kbit/s and ", rate.kbit_per_s())?;
-        match self {
-            Self::Away | Self::Idle(_) => f.write_str("sends nothing"),
-            Self::Listens(_) => f.write_str("only listens"),
-            Self::Syncs(_, every) => write!(f, "sends SYNC every {every} ms"),
-            Self::Polls(_, every) => write!(f, "asks all boards every {every} ms"),
-        }
-    }
-}
-
-impl fmt::Display for Foreign {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "a foreign device at {} bit/s sends ", self.bit_per_s)?;
-        match self.traffic {
-            Traffic::OneASecond => f.write_str("a frame a second")?,
-            Traffic::WithoutPause => f.write_str("without a pause")?,
-            Traffic::Load(percent) => write!(f, "{percent} % load")?,
-            Traffic::Requests => f.write_str("LSS requests every 50 ms")?,
-        }
-        f.write_str(if self.has_companion { ", a second one acknowledges" } else { "" })
-    }
-}
-
-/// The whole list.
+/// The list of boards and events.
 impl fmt::Display for Situation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (number, board) in self.boards.iter().enumerate() {
-            let Node { node_id, stored, heartbeat_ms } = board;
-            let node_id = node_id.map_or("no node-ID".to_owned(), |id| format!("node-ID {id}"));
-            let kbit_per_s = stored.kbit_per_s();
-            writeln!(
-                f,
-                "  board {number}: {node_id}, {kbit_per_s} kbit/s stored, heartbeat {heartbeat_ms} ms"
-            )?;
+            writeln!(f, "  board {number}: {board:?}")?;
         }
-        for event in &self.events {
-            writeln!(f, "  {event}")?;
+        for Event { at, until, what } in &self.events {
+            writeln!(f, "  {at:>6} .. {until:>6} ms  {what:?}")?;
         }
-        let Probe { at, rate, listens } = self.probe;
-        let how = if listens { "listens for heartbeats" } else { "asks each board every 20 ms" };
-        write!(f, "  {at:>6}           ms  the master {how} at {} kbit/s", rate.kbit_per_s())
+        write!(f, "  {:?}", self.probe)
     }
 }
 
