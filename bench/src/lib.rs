@@ -59,7 +59,7 @@ unsafe impl Sync for Register {}
 
 impl Register {
     /// A register with the value 0.
-    pub const fn new() -> Self {
+    pub const fn zero() -> Self {
         Self(UnsafeCell::new(0))
     }
 
@@ -78,64 +78,42 @@ impl Register {
     }
 }
 
-impl Default for Register {
-    fn default() -> Self {
-        Self::new()
-    }
-}
+/// A mailbox of bxCAN (RM0090, 32.9.3): the 11-bit identifier in bits 31..21, and in bit 0 of a transmit mailbox the
+/// request; the data length code; bytes 0..=3; bytes 4..=7.
+type Mailbox = [Register; 4];
 
-/// A mailbox of bxCAN (RM0090, 32.9.3).
-#[repr(C)]
-struct Mailbox {
-    /// The 11-bit identifier in bits 31..21; bit 0 of a transmit mailbox: transmission requested.
-    identifier: Register,
-    /// The data length code.
-    length: Register,
-    /// Bytes 0..=3.
-    low: Register,
-    /// Bytes 4..=7.
-    high: Register,
-}
-
-impl Mailbox {
-    const fn new() -> Self {
-        Self {
-            identifier: Register::new(),
-            length: Register::new(),
-            low: Register::new(),
-            high: Register::new(),
-        }
-    }
+const fn mailbox() -> Mailbox {
+    [Register::zero(), Register::zero(), Register::zero(), Register::zero()]
 }
 
 /// Nonzero while a frame is in [`RECEIVED`].
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
-static WAITING: Register = Register::new();
+static WAITING: Register = Register::zero();
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
-static RECEIVED: Mailbox = Mailbox::new();
+static RECEIVED: Mailbox = mailbox();
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
-static TRANSMITTED: Mailbox = Mailbox::new();
+static TRANSMITTED: Mailbox = mailbox();
 
 /// The clock in microseconds.
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
-pub static NOW: Register = Register::new();
+pub static NOW: Register = Register::zero();
 
 /// The identifier of the received frame.
 #[inline(always)]
 pub fn received_identifier() -> u16 {
-    (RECEIVED.identifier.read() >> 21) as u16
+    (RECEIVED[0].read() >> 21) as u16
 }
 
 /// The data length code of the received frame, 0..=15, and its data.
 #[inline(always)]
 pub fn received_data() -> (usize, [u8; 8]) {
-    let length = RECEIVED.length.read() as usize & 0xF;
-    let [b0, b1, b2, b3] = RECEIVED.low.read().to_le_bytes();
-    let [b4, b5, b6, b7] = RECEIVED.high.read().to_le_bytes();
+    let length = RECEIVED[1].read() as usize & 0xF;
+    let [b0, b1, b2, b3] = RECEIVED[2].read().to_le_bytes();
+    let [b4, b5, b6, b7] = RECEIVED[3].read().to_le_bytes();
     (length, [b0, b1, b2, b3, b4, b5, b6, b7])
 }
 
@@ -143,10 +121,10 @@ pub fn received_data() -> (usize, [u8; 8]) {
 #[inline(always)]
 pub fn transmit(identifier: u16, length: usize, data: [u8; 8]) {
     let [b0, b1, b2, b3, b4, b5, b6, b7] = data;
-    TRANSMITTED.length.write(length as u32);
-    TRANSMITTED.low.write(u32::from_le_bytes([b0, b1, b2, b3]));
-    TRANSMITTED.high.write(u32::from_le_bytes([b4, b5, b6, b7]));
-    TRANSMITTED.identifier.write(u32::from(identifier) << 21 | 1);
+    TRANSMITTED[1].write(length as u32);
+    TRANSMITTED[2].write(u32::from_le_bytes([b0, b1, b2, b3]));
+    TRANSMITTED[3].write(u32::from_le_bytes([b4, b5, b6, b7]));
+    TRANSMITTED[0].write(u32::from(identifier) << 21 | 1);
 }
 
 /// The eight bytes of a transmit mailbox, starting with `data`.

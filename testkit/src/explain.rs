@@ -261,94 +261,85 @@ fn sdo_abort(data: &[u8; 8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        frames::{of_master, of_node},
+        image_rig::on_the_wire,
+    };
 
     fn explained(id: u16, data: &[u8]) -> String {
         explain(&Frame::data(Id::Standard(id), data))
     }
 
+    /// Frames and their sentences; LSS requests, or answers if `are_answers`, have no COB-ID and are padded with 0.
+    fn check(are_answers: bool, cases: &[(&str, &str)]) {
+        for (text, sentence) in cases {
+            let frame = if are_answers { of_node(text) } else { of_master(text) };
+            assert_eq!(explain(&on_the_wire(&frame)), *sentence);
+        }
+    }
+
     #[test]
     fn requests_of_the_lss_master_are_named_as_in_cia_305() {
-        let cases: [([u8; 8], &str); 9] = [
-            ([0x04, 0, 0, 0, 0, 0, 0, 0], "LSS switch state global: waiting"),
-            ([0x11, 5, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: 5"),
-            ([0x11, 0xFF, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: not configured (FF)"),
-            ([0x11, 0x80, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: 80, invalid"),
-            (
-                [0x13, 0, 2, 0, 0, 0, 0, 0],
-                "LSS configure bit timing: 500 kbit/s (table 0, index 2)",
-            ),
-            ([0x15, 0x10, 0x27, 0, 0, 0, 0, 0], "LSS activate bit timing: switch delay 10000 ms"),
-            (
-                [0x43, 0x78, 0x56, 0x34, 0x12, 0, 0, 0],
-                "LSS switch state selective: serial number 12345678",
-            ),
-            (
-                [0x48, 1, 0, 0, 0, 0, 0, 0],
-                "LSS identify remote slave: revision number from 00000001",
-            ),
-            ([0xAA, 0, 0, 0, 0, 0, 0, 0], "LSS command AA, unknown"),
+        let cases = [
+            ("04", "LSS switch state global: waiting"),
+            ("11 05", "LSS configure node-ID: 5"),
+            ("11 FF", "LSS configure node-ID: not configured (FF)"),
+            ("11 80", "LSS configure node-ID: 80, invalid"),
+            ("13 00 02", "LSS configure bit timing: 500 kbit/s (table 0, index 2)"),
+            ("15 10 27", "LSS activate bit timing: switch delay 10000 ms"),
+            ("43 78 56 34 12", "LSS switch state selective: serial number 12345678"),
+            ("48 01", "LSS identify remote slave: revision number from 00000001"),
+            ("AA", "LSS command AA, unknown"),
+            ("7E5: 04 01", "LSS, but 2 bytes instead of 8"),
         ];
-        for (data, sentence) in cases {
-            assert_eq!(explained(0x7E5, &data), sentence);
-        }
-        assert_eq!(explained(0x7E5, &[4, 1]), "LSS, but 2 bytes instead of 8");
+        check(false, &cases);
     }
 
     #[test]
     fn the_steps_of_a_fastscan_are_distinguished() {
-        let cases: [([u8; 3], &str); 6] = [
-            ([0x80, 0, 0], "LSS Fastscan: is anyone not configured?"),
-            ([31, 0, 0], "LSS Fastscan: vendor-ID, bit 31 of 12345678?"),
-            ([7, 3, 3], "LSS Fastscan: serial number, bits 31..7 of 12345678?"),
-            ([0, 0, 1], "LSS Fastscan: vendor-ID 12345678? Then the product code"),
-            ([0, 3, 0], "LSS Fastscan: serial number 12345678? If so, to configuration state"),
-            ([0, 9, 0], "LSS Fastscan: impossible (bit 0, part 9)"),
+        let cases = [
+            ("51 78 56 34 12 80", "LSS Fastscan: is anyone not configured?"),
+            ("51 78 56 34 12 1F", "LSS Fastscan: vendor-ID, bit 31 of 12345678?"),
+            ("51 78 56 34 12 07 03 03", "LSS Fastscan: serial number, bits 31..7 of 12345678?"),
+            ("51 78 56 34 12 00 00 01", "LSS Fastscan: vendor-ID 12345678? Then the product code"),
+            (
+                "51 78 56 34 12 00 03 00",
+                "LSS Fastscan: serial number 12345678? If so, to configuration state",
+            ),
+            ("51 78 56 34 12 00 09 00", "LSS Fastscan: impossible (bit 0, part 9)"),
         ];
-        for ([bit_check, sub, next], sentence) in cases {
-            let data = [0x51, 0x78, 0x56, 0x34, 0x12, bit_check, sub, next];
-            assert_eq!(explained(0x7E5, &data), sentence);
-        }
+        check(false, &cases);
     }
 
     #[test]
     fn refusals_give_the_reason() {
-        let cases: [([u8; 8], &str); 5] = [
-            ([0x11, 1, 0, 0, 0, 0, 0, 0], "LSS configure node-ID: refused: out of range"),
-            ([0x13, 1, 0, 0, 0, 0, 0, 0], "LSS configure bit timing: refused: not supported"),
-            (
-                [0x17, 2, 0, 0, 0, 0, 0, 0],
-                "LSS store configuration: refused: the storage medium failed",
-            ),
-            (
-                [0x17, 0xFF, 7, 0, 0, 0, 0, 0],
-                "LSS store configuration: refused, manufacturer-specific error 07",
-            ),
-            ([0x17, 9, 0, 0, 0, 0, 0, 0], "LSS store configuration: refused, error 09"),
+        let cases = [
+            ("11 01", "LSS configure node-ID: refused: out of range"),
+            ("13 01", "LSS configure bit timing: refused: not supported"),
+            ("17 02", "LSS store configuration: refused: the storage medium failed"),
+            ("17 FF 07", "LSS store configuration: refused, manufacturer-specific error 07"),
+            ("17 09", "LSS store configuration: refused, error 09"),
         ];
-        for (data, sentence) in cases {
-            assert_eq!(explained(0x7E4, &data), sentence);
-        }
+        check(true, &cases);
     }
 
     #[test]
     fn the_predefined_cob_ids_are_recognised() {
-        let cases: [(u16, &[u8], &str); 12] = [
-            (0x000, &[130, 0], "NMT reset communication: all nodes"),
-            (0x080, &[], "SYNC"),
-            (0x085, &[0x10, 0x81, 0, 0, 0, 0, 0, 0], "emergency of node 5: error code 8110"),
-            (0x185, &[1], "TPDO 1 of node 5"),
-            (0x205, &[1], "RPDO 1 of node 5"),
-            (0x285, &[1], "TPDO 2 of node 5"),
-            (0x505, &[1], "RPDO 4 of node 5"),
-            (0x605, &[0x40, 0x18, 0x10, 4, 0, 0, 0, 0], "SDO to node 5: read 1018:04"),
-            (0x585, &[0x4B, 0x17, 0x10, 0, 0xE8, 0x03, 0, 0], "SDO, node 5: 1017:00 = 03E8"),
-            (0x705, &[0], "boot-up of node 5"),
-            (0x705, &[0x7F], "heartbeat of node 5: pre-operational"),
-            (0x7E6, &[], "no CANopen service"),
+        let cases = [
+            ("000: 82 00", "NMT reset communication: all nodes"),
+            ("080: ", "SYNC"),
+            ("085: 10 81 00 00 00 00 00 00", "emergency of node 5: error code 8110"),
+            ("185: 01", "TPDO 1 of node 5"),
+            ("205: 01", "RPDO 1 of node 5"),
+            ("285: 01", "TPDO 2 of node 5"),
+            ("505: 01", "RPDO 4 of node 5"),
+            ("605: 40 18 10 04 00 00 00 00", "SDO to node 5: read 1018:04"),
+            ("585: 4B 17 10 00 E8 03 00 00", "SDO, node 5: 1017:00 = 03E8"),
+            ("705: 00", "boot-up of node 5"),
+            ("705: 7F", "heartbeat of node 5: pre-operational"),
+            ("7E6: ", "no CANopen service"),
         ];
-        for (id, data, sentence) in cases {
-            assert_eq!(explained(id, data), sentence);
-        }
+        check(false, &cases);
     }
 
     #[test]

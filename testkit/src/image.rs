@@ -9,10 +9,10 @@ use std::{
     sync::OnceLock,
 };
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use emulator::{chip::Part, coverage::Coverage, image::Image};
 
-use crate::cargo::{TARGET, cargo_for_the_chip, workspace};
+use crate::cargo::{cargo_for_the_chip, workspace};
 
 /// The package of the plain firmware.
 const FIRMWARE: &str = "firmware";
@@ -64,7 +64,7 @@ pub fn example() -> &'static Image {
 /// Builds the release firmware for `part` with the running `cargo`, and loads it.
 ///
 /// # Errors
-/// `cargo` has failed, and has said why. A missing compilation target is first installed with `rustup`.
+/// `cargo` has failed, and has said why.
 pub fn build(part: Part) -> anyhow::Result<Image> {
     build_package(FIRMWARE, part)
 }
@@ -154,7 +154,6 @@ fn build_with(
     part: Part,
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
-    add_target()?;
     let _lock = lock(directory).context("cannot wait for other builds of the firmware")?;
     let mut command = cargo_for_the_chip("build");
     command
@@ -190,23 +189,6 @@ fn lock(directory: &Path) -> io::Result<File> {
     let file = File::create(directory.join("firmware.lock"))?;
     file.lock()?;
     Ok(file)
-}
-
-/// Installs the compilation target unless it is there.
-fn add_target() -> anyhow::Result<()> {
-    let libraries =
-        Command::new("rustc").args(["--print", "target-libdir", "--target", TARGET]).output();
-    let libraries = String::from_utf8(libraries.context("cannot run rustc")?.stdout)?;
-    if Path::new(libraries.trim()).is_dir() {
-        return Ok(());
-    }
-    let status = Command::new("rustup").args(["target", "add", TARGET]).status();
-    if !status.is_ok_and(|status| status.success()) {
-        bail!(
-            "the compilation target {TARGET} is missing. Install it with `rustup target add {TARGET}`"
-        );
-    }
-    Ok(())
 }
 
 /// The path in the last `"executable":"..."` of cargo's messages.

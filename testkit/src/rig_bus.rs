@@ -1,7 +1,7 @@
 //! A bus within the process, in virtual time: boards with a node, an LSS master, and frames that are lost, delayed or
 //! doubled.
 
-use std::{cmp::Reverse, collections::BinaryHeap};
+use std::collections::BTreeMap;
 
 use canopen_node::{
     BitRate, Frame, Instant,
@@ -52,23 +52,19 @@ pub struct RigBus {
     random: Random,
     now: u64,
     free_at: u64,
-    events: BinaryHeap<Reverse<(u64, u64, Event)>>,
+    /// By time, at one time in a random order.
+    events: BTreeMap<(u64, u64), Event>,
     /// The latest frame that a board wanted to send, and when: equal frames at one time are one.
     latest: Option<(u64, Frame)>,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
     /// The end of a request.
-    Request([u8; 8]),
+    Request(Frame),
     /// A slave wants to send.
-    Answer(u16, usize, [u8; 8]),
+    Answer(Frame),
     /// The end of a slave's frame.
-    Received(u16, usize, [u8; 8]),
-}
-
-fn frame(cob_id: u16, len: usize, data: [u8; 8]) -> Frame {
-    Frame::from_padded(cob_id, len, data).expect("it was a frame")
+    Received(Frame),
 }
 
 impl RigBus {
@@ -89,7 +85,7 @@ impl RigBus {
             random,
             now: 0,
             free_at: 0,
-            events: BinaryHeap::new(),
+            events: BTreeMap::new(),
             latest: None,
         }
     }
@@ -143,28 +139,27 @@ impl RigBus {
 
     fn at(&mut self, time: u64, event: Event) {
         let order = self.random.u64();
-        self.events.push(Reverse((time, order, event)));
+        self.events.insert((time, order), event);
     }
 
     fn send(&mut self, request: &Frame) {
         assert_eq!(request.cob_id(), lss::REQUEST_COB_ID);
         self.requests += 1;
         let end = self.end_of_frame();
-        self.at(end, Event::Request(request.padded_data()));
+        self.at(end, Event::Request(*request));
     }
 
     /// The next frame that the master receives until then.
     fn receive(&mut self, until: u64) -> Option<Frame> {
-        while let Some(Reverse((time, _, event))) = self.events.peek().copied() {
-            if time > until {
-                break;
-            }
-            self.events.pop();
+        while let Some(entry) = self.events.first_entry()
+            && entry.key().0 <= until
+        {
+            let ((time, _), event) = entry.remove_entry();
             self.now = self.now.max(time);
             match event {
-                Event::Request(data) => self.deliver(&frame(lss::REQUEST_COB_ID, 8, data)),
-                Event::Answer(cob_id, len, data) => self.answer(frame(cob_id, len, data)),
-                Event::Received(cob_id, len, data) => return Some(frame(cob_id, len, data)),
+                Event::Request(request) => self.deliver(&request),
+                Event::Answer(answer) => self.answer(answer),
+                Event::Received(frame) => return Some(frame),
             }
         }
         self.now = until;
@@ -191,8 +186,7 @@ impl RigBus {
             let time = now + slave.answer_us + late_us;
             slave.ready_at = time;
             for answer in slave.rig.receive(request).0 {
-                let (cob_id, len) = (answer.cob_id(), answer.data().len());
-                self.at(time, Event::Answer(cob_id, len, answer.padded_data()));
+                self.at(time, Event::Answer(answer));
             }
         }
     }
@@ -208,13 +202,12 @@ impl RigBus {
         }
         self.latest = Some((self.now, answer));
         let end = self.end_of_frame();
-        let event = Event::Received(answer.cob_id(), answer.data().len(), answer.padded_data());
         if !self.happens(self.faults.lost) {
-            self.at(end, event);
+            self.at(end, Event::Received(answer));
         }
         if self.happens(self.faults.doubled) {
             let again = self.end_of_frame();
-            self.at(again, event);
+            self.at(again, Event::Received(answer));
         }
     }
 }

@@ -2,13 +2,11 @@
 
 mod machine;
 mod programs;
-mod report;
 mod session;
-mod sizes;
 
-use programs::Program;
-use session::Costs;
-use sizes::Sizes;
+use machine::Cost;
+use programs::{Builds, PROGRAMS, Program};
+use session::{Costs, MEASUREMENTS};
 
 /// Show the cost of the LSS slave in instructions and bytes, compared with others
 ///
@@ -17,27 +15,59 @@ use sizes::Sizes;
 #[command(verbatim_doc_comment)]
 pub struct Arguments {}
 
-/// The measurements of one slave.
-struct Measured {
-    program: Program,
-    costs: Costs,
-    sizes: Sizes,
-}
+/// The heads of the columns with sizes.
+const SIZES: [[&str; 2]; 4] =
+    [["LSS", "module B"], ["LSS", "state B"], ["node", "B"], ["stack", "B"]];
 
 /// Builds all slaves in one harness, measures them and prints the figures. The same sources give the same figures.
 ///
 /// # Errors
 /// A slave cannot be built, or does not give the measured service.
 pub fn run(Arguments {}: &Arguments) -> anyhow::Result<()> {
-    let builds = programs::build()?;
-    let measured = Program::ALL
-        .into_iter()
-        .map(|program| {
-            let costs = Costs::measure(&builds.fast(program))?;
-            let sizes = Sizes::measure(program, &builds)?;
-            Ok(Measured { program, costs, sizes })
-        })
-        .collect::<anyhow::Result<Vec<_>>>()?;
-    report::print(&measured);
+    let builds = Builds::make()?;
+    let measure = |program: &'static Program| Ok((program, Costs::measure(&builds.fast(program))?));
+    let measured: Vec<_> = PROGRAMS.iter().map(measure).collect::<anyhow::Result<_>>()?;
+    println!(
+        "Instructions from the entry of `receive` to its return (to the request to transmit), at \
+         opt-level 3; bytes at opt-level s"
+    );
+    let heads = MEASUREMENTS.map(|(head, _)| head);
+    head(&[&heads[..], &SIZES].concat());
+    for (program, costs) in &measured {
+        let [module, state, whole] = builds.sizes(program)?;
+        let sizes = [module, state, whole, Some(costs.stack.into())];
+        let sizes = sizes.map(|size| size.map_or_else(String::new, |bytes| bytes.to_string()));
+        row(program.title, &[costs.cells(|cost| cost.instructions), sizes.into()].concat());
+    }
+    println!("\nCycles of the same, with a flash without wait states");
+    head(&heads);
+    for (program, costs) in &measured {
+        row(program.title, &costs.cells(|cost| cost.cycles));
+    }
     Ok(())
+}
+
+fn head(heads: &[[&str; 2]]) {
+    for line in 0..2 {
+        row("", &heads.iter().map(|head| head[line].to_owned()).collect::<Vec<_>>());
+    }
+}
+
+fn row(title: &str, cells: &[String]) {
+    print!("{title:26}");
+    for cell in cells {
+        print!("{cell:>11}");
+    }
+    println!();
+}
+
+impl Costs {
+    /// The cells of a row.
+    fn cells(&self, unit: fn(&Cost) -> u64) -> Vec<String> {
+        let cell = |costs: &Vec<Cost>| match &costs[..] {
+            [] => "none".to_owned(),
+            costs => costs.iter().map(|cost| unit(cost).to_string()).collect::<Vec<_>>().join("/"),
+        };
+        self.costs.iter().map(cell).collect()
+    }
 }

@@ -1,6 +1,5 @@
 //! `cargo verify coverage`: the branches of the release image that its tests have taken.
 
-mod lcov;
 mod report;
 
 use std::{fs, io, path::Path};
@@ -63,7 +62,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             report.add(image, &path.with_extension("elf"), &record)?;
         }
     }
-    fs::write(directory.join("lcov.info"), lcov::lcov(&report)?).context("lcov.info")?;
+    fs::write(directory.join("lcov.info"), report.lcov()).context("lcov.info")?;
     if arguments.missing {
         for (place, line) in &report.lines {
             for branch in line.branches.iter().filter(|branch| branch.is_incomplete()) {

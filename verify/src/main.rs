@@ -12,6 +12,7 @@ mod power_cut;
 mod qemu;
 mod soak;
 mod storm;
+mod tool;
 
 use std::process::ExitCode;
 

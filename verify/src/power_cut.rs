@@ -6,11 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use emulator::{board, chip::Part};
-use testkit::{
-    power_cut::image::{Session, worst_answer_time},
-    random::Random,
-    sessions::Variant,
-};
+use testkit::{power_cut::image::Session, random::Random, sessions::Variant};
 
 use histories::Histories;
 
@@ -103,13 +99,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
         }
     }
-    let worst = worst_answer_time(&firmware).as_us() as f64 / 1000.0;
-    println!("\nFrom 17 to its answer, slowest flash, bus full at 1 Mbit/s: at most {worst:.3} ms");
-
     let stores = histories::stores_an_erase();
     let years = stores * SECTORS * ENDURANCE / HOURS_A_YEAR;
     println!(
-        "Stores per erase, with a power-on after each: {stores}; at one store an hour: {years} years"
+        "\nStores per erase, with a power-on after each: {stores}; at one store an hour: {years} years"
     );
     println!("\n{:.0} s", begin.elapsed().as_secs_f64());
     Ok(())

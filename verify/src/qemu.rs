@@ -1,16 +1,14 @@
 //! `cargo verify qemu`: compares the same session on QEMU's CPU and on the emulator's.
 
 use std::{
-    io,
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
 use anyhow::{Context, bail, ensure};
-use canopen_node::{lss, nmt};
 use emulator::{
     Time,
-    can::{Adapter, Frame, Id},
+    can::{Adapter, Frame},
     chip::Part,
     image::Image,
     network::Network,
@@ -19,8 +17,11 @@ use testkit::{
     boards::{self, FIRST_START},
     cargo::{cargo, target_directory},
     explain::explain,
-    image_rig::{DEFAULT_BIT_RATE, bit_per_s},
+    frames::of_master,
+    image_rig::{DEFAULT_BIT_RATE, bit_per_s, on_the_wire},
 };
+
+use crate::tool;
 
 const QEMU: &str = "qemu-system-arm";
 /// The QEMU machine with an STM32F405.
@@ -31,7 +32,6 @@ const PART: Part = Part::Stm32f405;
 const TIME: &str = "shift=3,sleep=off";
 /// The interval between requests: enough for an answer, a store and a restart.
 const INTERVAL: Time = Time::from_ms(50);
-const NODE_ID: u8 = 5;
 
 /// A frame on the bus.
 struct Seen {
@@ -58,7 +58,8 @@ pub struct Arguments;
 
 /// Prints the session. Fails if the runs differ in anything but times.
 pub fn run() -> anyhow::Result<()> {
-    let version = find_qemu()?;
+    let version = tool::version(QEMU, "qemu-system-arm")?;
+    let version = version.split_whitespace().nth(3).unwrap_or("unknown");
     let image = testkit::image::build(PART)?;
     let plugin = build_plugin()?;
     let output = run_qemu(&plugin)?;
@@ -80,22 +81,6 @@ pub fn run() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// QEMU's version, if it is installed.
-fn find_qemu() -> anyhow::Result<String> {
-    match Command::new(QEMU).arg("--version").output() {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => bail!(
-            "{QEMU} is missing. Install it with `apt-get install qemu-system-arm`; \
-             without it, try `cargo demo`"
-        ),
-        Err(error) => Err(error).context(format!("cannot run {QEMU}")),
-        Ok(output) => {
-            let text = String::from_utf8_lossy(&output.stdout);
-            let version = text.split_whitespace().nth(3).unwrap_or("unknown");
-            Ok(version.to_owned())
-        }
-    }
-}
-
 fn build_plugin() -> anyhow::Result<PathBuf> {
     let target = target_directory();
     let status = cargo()
@@ -107,31 +92,27 @@ fn build_plugin() -> anyhow::Result<PathBuf> {
     Ok(target.join("debug/libqemu_bridge.so"))
 }
 
-/// The frames of the master: the complete configuration of a new slave, and a check of it after a restart.
-fn session() -> Vec<Frame> {
-    let lss = |command: &[u8]| {
-        let mut data = [0; 8];
-        data[..command.len()].copy_from_slice(command);
-        Frame::data(Id::Standard(lss::REQUEST_COB_ID), &data)
-    };
-    let read_serial_number = [0x40, 0x18, 0x10, 4, 0, 0, 0, 0];
-    vec![
-        lss(&[0x4C]),
-        lss(&[0x04, 1]),
-        lss(&[0x5A]),
-        lss(&[0x5B]),
-        lss(&[0x5C]),
-        lss(&[0x5D]),
-        lss(&[0x5E]),
-        lss(&[0x11, 0x80]),
-        lss(&[0x11, NODE_ID]),
-        lss(&[0x17]),
-        lss(&[0x04, 0]),
-        Frame::data(Id::Standard(0x600 + u16::from(NODE_ID)), &read_serial_number),
-        Frame::data(Id::Standard(nmt::COMMAND_COB_ID), &[0x81, NODE_ID]),
-        lss(&[0x04, 1]),
-        lss(&[0x5E]),
-    ]
+/// The frames of the master: the complete configuration of a new slave with node-ID 5, and a check of it after a
+/// restart.
+fn session() -> impl Iterator<Item = Frame> {
+    const SESSION: [&str; 15] = [
+        "4C",
+        "04 01",
+        "5A",
+        "5B",
+        "5C",
+        "5D",
+        "5E",
+        "11 80",
+        "11 05",
+        "17",
+        "04 00",
+        "605: 40 18 10 04 00 00 00 00",
+        "000: 81 05",
+        "04 01",
+        "5E",
+    ];
+    SESSION.into_iter().map(|text| on_the_wire(&of_master(text)))
 }
 
 /// QEMU with the release image and a plugin.

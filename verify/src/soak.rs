@@ -1,14 +1,11 @@
 //! `cargo verify soak`: a month in the life of a network, in virtual time.
 
-use std::{
-    panic::{self, AssertUnwindSafe},
-    time::Instant,
-};
+use std::time::Instant;
 
-use anyhow::{bail, ensure};
-
+use anyhow::Context;
 use testkit::{
     random::Random,
+    sessions::outcome,
     soak::{BOARDS, Soak, image},
 };
 
@@ -57,7 +54,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let end = DAY_MICROS * if arguments.quick { QUICK_DAYS } else { arguments.days };
     let begin = Instant::now();
     let days = |soak: &Soak| soak.now() as f64 / DAY_MICROS;
-    let outcome = panic::catch_unwind(AssertUnwindSafe(|| {
+    let soak = outcome(|| {
         let mut soak = Soak::new(seed);
         for part in 1..=PARTS {
             while (soak.now() as f64) < end * f64::from(part) / f64::from(PARTS) {
@@ -67,9 +64,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             println!("{days:>7.2} days, {} frames, {seconds} s", soak.counts().frames);
         }
         soak
-    }));
-    ensure!(outcome.is_ok(), "a rule is broken, with --seed {seed}: see above");
-    let soak = outcome.unwrap_or_else(|_| unreachable!("it is checked above"));
+    });
+    let soak = soak.with_context(|| format!("a rule is broken, with --seed {seed}"))?;
     println!("\n{BOARDS} boards, {:.2} days: {:#?}", days(&soak), soak.counts());
     println!("{:.0} s", begin.elapsed().as_secs_f64());
 
@@ -79,10 +75,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut virtual_ms = 0;
     for _ in 0..sessions {
         let before = random.clone();
-        let outcome = panic::catch_unwind(AssertUnwindSafe(|| image::session(&mut random)));
-        let Ok(time) = outcome else {
-            bail!("the release image breaks a rule, with --seed {seed}, in session {before:?}");
-        };
+        let time = outcome(|| image::session(&mut random)).with_context(|| {
+            format!("the release image breaks a rule, with --seed {seed}, in session {before:?}")
+        })?;
         virtual_ms += time.as_ms();
     }
     let seconds = begin.elapsed().as_secs_f64();

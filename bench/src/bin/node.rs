@@ -15,7 +15,7 @@ static NODE: Place<Node> = Place::empty();
 /// The filter, which the chip has in its controller.
 static RECEIVES: Place<Receives> = Place::empty();
 /// The deadline of the timer; 0: off.
-static TIMER: Register = Register::new();
+static TIMER: Register = Register::zero();
 
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]

@@ -1,23 +1,18 @@
 //! Power cuts in the release image on an emulated board: in every flash operation of a commissioning by LSS or a store
 //! of parameters by 1010h, in every pause between two of them, and at any instant.
 
-use std::{fmt, iter, ops::Range};
+use std::{iter, ops::Range};
 
 use anyhow::{Context, ensure};
 use canopen_node::{
     BitRate, NodeId, Settings,
-    lss::{REQUEST_COB_ID, RESPONSE_COB_ID},
+    lss::RESPONSE_COB_ID,
     settings::{
         Log,
         parameters::{HEADER, Packer, Parameter},
     },
 };
-use emulator::{
-    Time,
-    can::{Frame, Id},
-    chip::{PowerCut, Timing},
-    network::{Source, What},
-};
+use emulator::{Time, chip::PowerCut};
 
 use crate::{
     flash::BoardFlash,
@@ -48,11 +43,6 @@ const PACKED: usize = PARAMETERS.len() * (HEADER + 1);
 /// The parameters of the example: index, sub-index, and value of a new device. They are the filter constant and the error
 /// behaviour.
 const PARAMETERS: [(u16, u8, u8); 2] = [(0x2100, 0, 3), (0x1029, 1, 0)];
-/// The number of requests whose answer time is measured.
-const MEASUREMENTS: u8 = 40;
-/// The number of frames behind each of them: 5 ms at 1 Mbit/s.
-const FULL_BUS_FRAMES: usize = 40;
-
 /// The image, and the content of the flash before the session.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Session {
@@ -81,18 +71,6 @@ enum Store {
 pub struct Content {
     settings: Settings,
     values: [u8; 2],
-}
-
-/// `node-ID 5, 500 kbit/s, [3, 0]` or `the defaults`.
-struct Shown(Option<Content>);
-
-impl fmt::Display for Shown {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Some(Content { settings: Settings { node_id, bit_rate, .. }, values }) = self.0 else {
-            return f.write_str("the defaults");
-        };
-        write!(f, "node-ID {}, {bit_rate}, {values:?}", NodeId::to_lss(node_id))
-    }
 }
 
 /// The content expected at the next power-on.
@@ -325,7 +303,7 @@ impl Session {
     /// Power-on and all stores. A power failure is an error.
     fn store_all(self, rig: &mut Rig, expected: &mut Expected) -> anyhow::Result<()> {
         let mut content = self.found(rig)?;
-        ensure!(expected.admits(content), "the board has {} at power-on", Shown(content));
+        ensure!(expected.admits(content), "the board has {content:?} at power-on");
         for store in self.stores().0 {
             let new = store.after(content);
             expected.attempted = Some(new);
@@ -341,16 +319,15 @@ impl Session {
         let Expected { known, attempted } = expected;
         rig.restart();
         let found = self.found(&mut rig)?;
-        let (known, attempted) = (Shown(known), Shown(attempted));
-        ensure!(expected.admits(found), "{}, not {known} or {attempted}", Shown(found));
+        ensure!(expected.admits(found), "{found:?}, not {known:?} or {attempted:?}");
         rig.restart();
         let again = self.found(&mut rig)?;
-        ensure!(again == found, "{} at one power-on, {} at the next", Shown(found), Shown(again));
+        ensure!(again == found, "{found:?} at one power-on, {again:?} at the next");
         let (_, last) = self.stores();
         rig.store(last)?;
         rig.restart();
         let found_then = self.found(&mut rig)?;
-        ensure!(found_then == Some(last.after(found)), "{} after the cut", Shown(found_then));
+        ensure!(found_then == Some(last.after(found)), "{found_then:?} after the cut");
         Ok(())
     }
 
@@ -441,39 +418,4 @@ impl Rig {
         let (_, frame) = self.rig.wait_for(PATIENCE, |frame| frame.cob_id() == cob_id)?;
         Some(frame.padded_data())
     }
-}
-
-/// The longest time from the end of a store request to the end of its answer. The flash is as slow as the data sheet
-/// allows, and the bus is full of frames that the node must examine and that have a lower priority than its answer.
-pub fn worst_answer_time(variant: &Variant) -> Time {
-    let mut rig = ImageRig::new(
-        BitRate::Kbit1000,
-        [variant.board(0, Some(settings((7, BitRate::Kbit1000))))],
-    );
-    rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-    rig.send("04 01");
-    // It looks like an answer, with the COB-ID of requests: of lower priority than answers, examined and ignored.
-    let ignored = Frame::data(Id::Standard(REQUEST_COB_ID), &[0x44; 8]);
-    for number in 1..=MEASUREMENTS {
-        rig.send(&format!("11 {number:02X}"));
-        rig.send("17");
-        (0..FULL_BUS_FRAMES).for_each(|_| rig.network.send(rig.master, ignored));
-        while rig.network.adapter_mut(rig.master).unsent() > 0 {
-            rig.network.run_for(Time::from_ms(1));
-        }
-    }
-    let (mut asked, mut worst, mut answers) = (Time::ZERO, Time::ZERO, 0);
-    for event in rig.network.trace() {
-        let What::Frame { frame, .. } = &event.what else { continue };
-        match (frame.id, event.source) {
-            (Id::Standard(REQUEST_COB_ID), _) if frame.data[0] == 0x17 => asked = event.time,
-            (Id::Standard(RESPONSE_COB_ID), Source::Board(_)) if frame.data[0] == 0x17 => {
-                worst = worst.max(event.time - asked);
-                answers += 1;
-            }
-            _ => {}
-        }
-    }
-    assert_eq!(answers, MEASUREMENTS, "an answer to each request");
-    worst
 }

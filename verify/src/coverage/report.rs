@@ -8,6 +8,7 @@ use addr2line::{
 };
 use anyhow::Context as _;
 use emulator::coverage::Record;
+use lcov::report::section::{self, branch, line};
 use testkit::{
     cargo::workspace,
     elf::{self, Elf, Object, ObjectSection, codes},
@@ -111,6 +112,32 @@ impl Report {
         Ok(())
     }
 
+    /// The lines and branches in the format of LCOV, each branch as a block of its own.
+    pub fn lcov(&self) -> String {
+        let mut lcov = lcov::Report::new();
+        let mut block = 0;
+        for (Place { file, line, .. }, found) in &self.lines {
+            if *line == 0 {
+                continue;
+            }
+            let file = section::Key { test_name: String::new(), source_file: file.into() };
+            let section = lcov.sections.entry(file).or_default();
+            // A line may belong to several functions.
+            let executed = section.lines.entry(line::Key { line: *line }).or_default();
+            executed.count |= u64::from(found.was_executed);
+            for Branch { outcomes, .. } in &found.branches {
+                let was_executed = outcomes.iter().any(|outcome| outcome.was_seen);
+                for (branch, outcome) in (0..).zip(outcomes) {
+                    let taken = was_executed.then_some(outcome.was_seen.into());
+                    let key = branch::Key { line: *line, block, branch };
+                    section.branches.insert(key, branch::Value { taken });
+                }
+                block += 1;
+            }
+        }
+        lcov.into_records().map(|record| format!("{record}\n")).collect()
+    }
+
     /// The number of the outcomes in an image, and of those that were seen.
     pub fn count(&self, image: &str) -> (usize, usize) {
         let branches = self.lines.values().flat_map(|line| &line.branches);
@@ -189,4 +216,36 @@ fn place(lines: &Lines, address: u32, last: Option<&Place>) -> anyhow::Result<Pl
         function: "?".to_owned(),
         is_ours: false,
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    #[test]
+    fn lines_and_branches_are_recorded_once() {
+        let outcome = |was_seen| Outcome { name: String::new(), was_seen };
+        let branch = |seen: [bool; 2]| Branch {
+            image: "stm32f405",
+            address: 0,
+            mnemonic: String::new(),
+            outcomes: seen.map(outcome).into(),
+        };
+        let place = |function: &str, line| Place {
+            file: "src/can.rs".to_owned(),
+            line,
+            function: function.to_owned(),
+            is_ours: true,
+        };
+        let mut report = Report::default();
+        let mut add = |function, line, was_executed, branches| {
+            report.lines.insert(place(function, line), Line { was_executed, branches });
+        };
+        add("a", 5, true, vec![branch([true, false]), branch([false, false])]);
+        add("b", 5, false, Vec::new());
+        add("b", 6, false, Vec::new());
+        add("b", 0, true, Vec::new());
+        let expected = "TN:\nSF:src/can.rs\nBRDA:5,0,0,1\nBRDA:5,0,1,0\nBRDA:5,1,0,-\nBRDA:5,1,1,-\nBRF:4\nBRH:1\n\
+                        DA:5,1\nDA:6,0\nLF:2\nLH:1\nend_of_record\n";
+        assert_eq!(report.lcov(), expected);
+    }
 }

@@ -7,8 +7,10 @@ use std::{
     process::{Command, Stdio},
 };
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use testkit::cargo::workspace;
+
+use crate::tool;
 
 pub const QEMU: &str = "qemu-system-x86_64";
 /// What Linux needs; apt adds their dependencies.
@@ -43,7 +45,7 @@ impl System {
     /// # Errors
     /// A tool or a package is missing.
     pub fn prepare() -> anyhow::Result<Self> {
-        find(QEMU, "qemu-system-x86")?;
+        tool::version(QEMU, "qemu-system-x86")?;
         let system = Self(workspace().join("target/linux"));
         let made_of = format!("{PACKAGES:?} {}", fs::read_to_string(workspace().join(VERSIONS))?);
         let stamp = system.path("made-of");
@@ -62,7 +64,7 @@ impl System {
         for (tool, package) in
             [("apt-get", "apt"), ("dpkg-deb", "dpkg"), ("tar", "tar"), ("python3", "python3-venv")]
         {
-            find(tool, package)?;
+            tool::version(tool, package)?;
         }
         println!("downloading {} and what they need ...", PACKAGES.join(", "));
         self.download()?;
@@ -215,16 +217,6 @@ impl System {
             .context("cannot run busybox")?;
         ensure!(status.success(), "cannot pack {}", directory.display());
         Ok(())
-    }
-}
-
-fn find(tool: &str, package: &str) -> anyhow::Result<()> {
-    match Command::new(tool).arg("--version").stdout(Stdio::null()).status() {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            bail!("{tool} is missing (Debian: apt-get install {package})")
-        }
-        Err(error) => Err(error).context(format!("cannot run {tool}")),
-        Ok(_) => Ok(()),
     }
 }
 
