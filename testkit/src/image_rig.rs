@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use canopen_node::{BitRate, NodeId, Settings, lss, settings::Log};
+use canopen_node::{BitRate, BitRateSetting, NodeId, Settings, lss, settings::Log};
 use emulator::{
     Time, board,
     can::{Adapter, Frame, Id},
@@ -66,25 +66,20 @@ pub fn example_board(settings: Settings) -> board::Board {
     board
 }
 
-/// The content of the settings' flash after two starts of a new board and these stores.
-pub fn flash_in_use(stores: &[Settings]) -> Vec<u8> {
+/// The content of the settings' flash after two starts of a new board, these stores, and another start: the next one
+/// writes nothing.
+pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
     let flash = BoardFlash::blank(0);
     Log::open(flash.clone());
-    let (mut log, _) = Log::open(flash);
+    let (mut log, _) = Log::open(flash.clone());
     for &settings in stores {
         log.store(settings).expect("the flash works");
     }
-    log.close().content()
-}
-
-/// The same after another start: the next one writes nothing.
-pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
-    let (log, _) = Log::open(BoardFlash::with_content(flash_in_use(stores), 0));
-    log.close().content()
+    Log::open(flash).0.close().content()
 }
 
 /// Settings without a heartbeat; node-ID FF: not configured.
-pub fn settings(node_id: u8, bit_rate: BitRate) -> Settings {
+pub fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>) -> Settings {
     let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
     Settings::new(bit_rate.into()).with_node_id(node_id)
 }
@@ -104,13 +99,19 @@ pub fn has_joined<'a>(events: impl Iterator<Item = &'a Event>) -> bool {
     events.any(|event| event.what == What::InitializationLeft)
 }
 
-fn from_the_wire(frame: &Frame) -> canopen_node::Frame {
+/// The frame of the library for a bus frame, if a driver passes it on.
+pub fn from_the_wire(frame: &Frame) -> Option<canopen_node::Frame> {
     match frame.id {
         Id::Standard(id) if !frame.remote && frame.dlc <= 8 => {
-            canopen_node::Frame::new(id, frame.payload()).expect("at most eight bytes")
+            canopen_node::Frame::new(id, frame.payload())
         }
-        _ => panic!("a node does not send {frame}"),
+        _ => None,
     }
+}
+
+/// A frame that a node has sent.
+fn of_node(frame: &Frame) -> canopen_node::Frame {
+    from_the_wire(frame).unwrap_or_else(|| panic!("a node does not send {frame}"))
 }
 
 impl ImageRig {
@@ -262,7 +263,7 @@ impl ImageRig {
         loop {
             let left = until.saturating_sub(self.network.now());
             let (time, frame) = self.network.run_until_received(self.master, left)?;
-            let frame = from_the_wire(&frame);
+            let frame = of_node(&frame);
             if is_it(&frame) {
                 return Some((time, frame));
             }
@@ -344,7 +345,7 @@ impl ImageRig {
         self.network.run_for(span);
         let mut received = Vec::new();
         while let Some((_, frame)) = self.network.receive(self.master) {
-            received.push(from_the_wire(&frame));
+            received.push(of_node(&frame));
         }
         Frames(received)
     }
@@ -352,7 +353,7 @@ impl ImageRig {
     /// The next frame that the master receives within a second, and its time.
     pub fn next_frame(&mut self) -> (Time, Frames) {
         match self.network.run_until_received(self.master, Time::from_s(1)) {
-            Some((time, frame)) => (time, Frames(vec![from_the_wire(&frame)])),
+            Some((time, frame)) => (time, Frames(vec![of_node(&frame)])),
             None => (self.network.now(), Frames(Vec::new())),
         }
     }

@@ -1,14 +1,13 @@
 //! An LSS master on the emulated bus.
 
-use canopen_node::{BitRate, Frame, Instant};
+use canopen_node::{BitRate, Instant};
 use emulator::{
     Time,
-    can::Id,
     network::{AdapterId, Network},
 };
 use lss_master::{Error, Master, Output, Procedure, Timing};
 
-use super::image_rig::{bit_per_s, on_the_wire};
+use super::image_rig::{bit_per_s, from_the_wire, on_the_wire};
 
 /// More bits than any frame, intermission included.
 const FRAME_BITS: u32 = 160;
@@ -37,8 +36,7 @@ pub fn carry_out<P: Procedure>(
             Output::Wait(until) => {
                 let wait = Time::from_us(until.micros_after(now).into());
                 if let Some((time, frame)) = network.run_until_received(adapter, wait)
-                    && let Id::Standard(id) = frame.id
-                    && let Some(frame) = Frame::new(id, frame.payload())
+                    && let Some(frame) = from_the_wire(&frame)
                 {
                     session.handle_frame(&frame, Instant::from_micros(time.as_us() as u32));
                 }

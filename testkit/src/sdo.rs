@@ -6,6 +6,7 @@ use canopen_node::{Application, Frame};
 use super::{
     frames::{Frames, bytes},
     node_rig::NodeRig,
+    sdo_messages::{download, expedited, initiate},
 };
 
 /// An SDO request to the node `node_id`: `text` is its bytes, padded with 0 to eight.
@@ -107,10 +108,7 @@ pub trait Client {
         if !(1..=4).contains(&data.len()) {
             return self.download_segments(index, sub_index, data, Some(data.len() as u32));
         }
-        let mut request = [0; 8];
-        request[0] = 0x23 | (4 - data.len() as u8) << 2;
-        request[4..][..data.len()].copy_from_slice(data);
-        let answer = self.transfer(request, index, sub_index)?;
+        let answer = self.transfer(expedited((index, sub_index), data), index, sub_index)?;
         assert_eq!((answer[0], &answer[4..]), (0x60, &[0; 4][..]));
         Ok(())
     }
@@ -126,29 +124,20 @@ pub trait Client {
         data: &[u8],
         size: Option<u32>,
     ) -> Result<(), u32> {
-        let [s0, s1, s2, s3] = size.unwrap_or(0).to_le_bytes();
+        let address = (index, sub_index);
         let command = if size.is_some() { 0x21 } else { 0x20 };
-        let answer = self.transfer([command, 0, 0, 0, s0, s1, s2, s3], index, sub_index)?;
+        let initiate = initiate(command, address, size.unwrap_or(0));
+        let answer = self.transfer(initiate, index, sub_index)?;
         assert_eq!((answer[0], &answer[4..]), (0x60, &[0; 4][..]));
-        let mut toggle = 0;
-        let mut rest = data;
-        loop {
-            let (part, others) = rest.split_at(rest.len().min(7));
-            rest = others;
-            let mut request = [0; 8];
-            let unused = 7 - part.len() as u8;
-            request[0] = toggle | unused << 1 | u8::from(rest.is_empty());
-            request[1..][..part.len()].copy_from_slice(part);
-            let answer = self.exchange(request);
+        let segments = download(address, data).into_iter().skip(1);
+        for (toggle, segment) in [0x00, 0x10].into_iter().cycle().zip(segments) {
+            let answer = self.exchange(segment);
             if answer[0] == 0x80 {
                 return Err(abort_code(&answer, index, sub_index));
             }
             assert_eq!(answer, [0x20 | toggle, 0, 0, 0, 0, 0, 0, 0]);
-            if rest.is_empty() {
-                return Ok(());
-            }
-            toggle ^= 0x10;
         }
+        Ok(())
     }
 
     /// Reads an object by block transfer with blocks of this size and a check of the CRC.

@@ -18,12 +18,14 @@ pub fn expedited(address: Address, data: &[u8]) -> [u8; 8] {
     message
 }
 
-/// A download in segments.
+/// A download in segments, at least one.
 pub fn download(address: Address, data: &[u8]) -> Vec<[u8; 8]> {
-    let last = data.chunks(7).count() - 1;
-    let segments = data.chunks(7).enumerate().map(|(number, part)| {
+    let empty = data.is_empty().then_some(&[][..]);
+    let parts: Vec<&[u8]> = data.chunks(7).chain(empty).collect();
+    let segments = parts.iter().enumerate().map(|(number, part)| {
         let toggle = (number as u8 & 1) << 4;
-        segment(toggle | (7 - part.len() as u8) << 1 | u8::from(number == last), part)
+        let is_last = number + 1 == parts.len();
+        segment(toggle | (7 - part.len() as u8) << 1 | u8::from(is_last), part)
     });
     [initiate(0x21, address, data.len() as u32)].into_iter().chain(segments).collect()
 }

@@ -2,7 +2,7 @@
 
 use std::panic::{self, AssertUnwindSafe};
 
-use canopen_node::{BitRate, BitRateSetting, NodeId, Settings};
+use canopen_node::{BitRate, BitRateSetting, Settings};
 use emulator::{
     Time,
     board::{self, Board},
@@ -14,7 +14,7 @@ use lss_master::Fastscan;
 
 use crate::{
     boards, frames,
-    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with},
+    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
 };
 
 /// The time that a node may need to join the rig, or to change to another rate.
@@ -86,15 +86,9 @@ pub fn all(quick: bool) -> Vec<(&'static str, Session)> {
     sessions
 }
 
-fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>, heartbeat_ms: u16) -> Settings {
-    Settings::new(bit_rate.into())
-        .with_node_id(NodeId::new(node_id))
-        .with_heartbeat_ms(heartbeat_ms)
-}
-
 /// A node with a node-ID boots up and sends heartbeats, also without answers.
 fn boot(variant: &Variant) {
-    let stored = settings(0x40, BitRate::Kbit1000, 100);
+    let stored = settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100);
     let mut rig = ImageRig::new(BitRate::Kbit1000, [variant.board(0, Some(stored))]);
     rig.expect("740: 00", AWAY);
     rig.expect("740: 7F", Time::from_ms(110));
@@ -126,7 +120,9 @@ fn configure(variant: &Variant, boards: u8) {
 
 /// Two nodes are switched from rate to rate and answer at each.
 fn switch(variant: &Variant, rates: &[BitRate], delay_ms: u8) {
-    let nodes = [1, 2].map(|id| variant.board(id, Some(settings(id as u8, BitRate::Kbit125, 100))));
+    let nodes = [1, 2].map(|id| {
+        variant.board(id, Some(settings(id as u8, BitRate::Kbit125).with_heartbeat_ms(100)))
+    });
     let mut rig = ImageRig::new(BitRate::Kbit125, nodes);
     for id in 1..=2 {
         rig.expect(&format!("70{id}: 7F"), AWAY);
@@ -161,7 +157,7 @@ fn detect(variant: &Variant) {
 
 /// A node that detects the rate joins a bus where two others exchange a frame every `every_bits` bits.
 fn detect_at(variant: &Variant, rate: BitRate, every_bits: u64) {
-    let board = variant.board(0, Some(settings(5, BitRateSetting::Automatic, 0)));
+    let board = variant.board(0, Some(settings(5, BitRateSetting::Automatic)));
     let mut rig = ImageRig::new(rate, [board]);
     let other = rig.network.add_adapter(Adapter::new(bit_per_s(rate)));
     let every = Time::from_ps(every_bits * 1_000_000_000_000 / u64::from(bit_per_s(rate)));
@@ -185,7 +181,7 @@ fn detect_at(variant: &Variant, rate: BitRate, every_bits: u64) {
 fn bus_off(variant: &Variant) {
     let mut rig = ImageRig::new(
         BitRate::Kbit500,
-        [variant.board(0, Some(settings(5, BitRate::Kbit500, 20)))],
+        [variant.board(0, Some(settings(5, BitRate::Kbit500).with_heartbeat_ms(20)))],
     );
     rig.expect("705: 00", AWAY);
     let foreign = rig.network.add_adapter(Adapter::new(333_000));
@@ -204,7 +200,7 @@ fn bus_off(variant: &Variant) {
 /// NMT reset node and reset communication.
 fn reset(variant: &Variant) {
     let mut rig =
-        ImageRig::new(BitRate::Kbit500, [variant.board(0, Some(settings(5, BitRate::Kbit500, 0)))]);
+        ImageRig::new(BitRate::Kbit500, [variant.board(0, Some(settings(5, BitRate::Kbit500)))]);
     rig.expect("705: 00", AWAY);
     rig.send("000: 82 05");
     rig.expect("705: 00", Time::from_ms(20));
@@ -216,8 +212,9 @@ fn reset(variant: &Variant) {
 /// A node with another stored rate joins the bus of the master and a third node that sends.
 fn rescue(variant: &Variant) {
     let rates = [BitRate::Kbit125, BitRate::Kbit500];
-    let boards =
-        rates.map(|rate| variant.board(rate as usize, Some(settings(rate.index(), rate, 1000))));
+    let boards = rates.map(|rate| {
+        variant.board(rate as usize, Some(settings(rate.index(), rate).with_heartbeat_ms(1000)))
+    });
     let mut rig = ImageRig::new(BitRate::Kbit500, boards);
     rig.expect("704: 00", SEARCH);
     rig.expect("704: 7F", SEARCH);
@@ -226,7 +223,7 @@ fn rescue(variant: &Variant) {
 /// The power fails in each flash operation of a store; the next power-on finds the settings from before or after.
 fn cut_power(variant: &Variant) {
     const SEEDS: u64 = 2;
-    let old = settings(4, BitRate::Kbit500, 0);
+    let old = settings(4, BitRate::Kbit500);
     let mut operation = 0;
     loop {
         for seed in 0..SEEDS {

@@ -54,7 +54,6 @@ pub struct Counts {
 pub struct Soak {
     bus: Bus,
     random: Random,
-    counts: Counts,
     /// The number of boards made.
     made: u32,
     /// The number of the latest kind of event.
@@ -85,7 +84,6 @@ impl Soak {
         let mut soak = Self {
             bus: Bus::new(boards, rate),
             random: Random::from_seed(seed),
-            counts: Counts::default(),
             made: BOARDS as u32,
             latest: 0,
         };
@@ -100,10 +98,8 @@ impl Soak {
         self.bus.now
     }
 
-    pub fn counts(&self) -> Counts {
-        let bus::Counts { frames, heartbeats, emergencies, longest_guest_gap } = self.bus.counts;
-        let longest_guest_gap_ms = longest_guest_gap / 1000;
-        Counts { frames, heartbeats, emergencies, longest_guest_gap_ms, ..self.counts }
+    pub const fn counts(&self) -> Counts {
+        self.bus.counts
     }
 
     /// Lets a quiet time pass, of up to an hour, and then something happens, after which a master looks for all boards.
@@ -127,7 +123,7 @@ impl Soak {
             _ => {}
         }
         self.find_all();
-        if self.bus.has_guests() && !self.random.one_in(3) {
+        if self.bus.slots.iter().any(|slot| slot.is_guest) && !self.random.one_in(3) {
             self.keep_guests();
         }
     }
@@ -139,7 +135,7 @@ impl Soak {
     fn cut_power(&mut self) {
         let board = self.any_board();
         let off = self.random.within(10_000..20 * SECOND);
-        self.counts.power_cuts += 1;
+        self.bus.counts.power_cuts += 1;
         self.bus.cut(board);
         self.bus.pass(off);
         self.bus.power_on(board);
@@ -147,7 +143,7 @@ impl Soak {
 
     fn cut_power_of_all(&mut self) {
         for board in 0..BOARDS {
-            self.counts.power_cuts += 1;
+            self.bus.counts.power_cuts += 1;
             self.bus.cut(board);
         }
         self.bus.pass(SECOND);
@@ -164,7 +160,7 @@ impl Soak {
         let delay_ms = self.random.pick(&[0, 1, 10, 50, 500]);
         let cut_at = self.random.one_in(2).then(|| self.random.within(0..6));
         let is_abandoned = self.random.one_in(4);
-        self.counts.switches += 1;
+        self.bus.counts.switches += 1;
         let select = format!("13 00 {:02X}", to.index());
         let [low, high] = (delay_ms as u16).to_le_bytes();
         let activate = format!("15 {low:02X} {high:02X}");
@@ -173,8 +169,8 @@ impl Soak {
             if cut_at == Some(step as u64) {
                 for _ in 0..self.random.within(1..4) {
                     let board = self.any_board();
-                    if self.bus.is_powered(board) {
-                        self.counts.power_cuts += 1;
+                    if self.bus.slots[board].is_powered {
+                        self.bus.counts.power_cuts += 1;
                         self.bus.cut(board);
                         cut.push(board);
                     }
@@ -184,7 +180,7 @@ impl Soak {
                 let share =
                     if is_abandoned { self.random.within(0..2 * delay_ms * 1000 + 1) } else { 0 };
                 self.bus.pass(delay_ms * 1000);
-                self.bus.set_master_rate(to);
+                self.bus.master_rate = to;
                 self.bus.pass(delay_ms * 1000 + share + 2_000);
                 continue;
             }
@@ -203,7 +199,8 @@ impl Soak {
 
     fn change_node_id(&mut self) {
         let board = self.any_board();
-        let free: Vec<u8> = (1..=100).filter(|id| !self.bus.is_used(*id)).collect();
+        let free: Vec<u8> =
+            (1..=100).filter(|id| self.bus.slots.iter().all(|slot| slot.node_id != *id)).collect();
         let node_id = self.random.pick(&free);
         self.find_all();
         self.assign(board, node_id);
@@ -215,17 +212,17 @@ impl Soak {
         let steps = self.random.within(0..9) as usize;
         self.find_all();
         self.bus.note_event();
-        let (old, new) = (self.bus.expected_node_id(board), 127 - board as u8);
+        let (old, new) = (self.bus.slots[board].node_id, 127 - board as u8);
         self.bus.select(board);
         self.bus.expect("11 00", &format!("11 {new:02X}"));
-        self.bus.flash(board).cut_power_after(steps);
-        self.counts.interrupted_stores += 1;
-        self.counts.power_cuts += 1;
+        self.bus.slots[board].rig.flash.cut_power_after(steps);
+        self.bus.counts.interrupted_stores += 1;
+        self.bus.counts.power_cuts += 1;
         let is_confirmed = self.bus.lss("17").iter().any(|answer| answer.starts_with("17 00"));
         self.bus.note_stored(board, new, is_confirmed);
         self.bus.cut(board);
         self.bus.pass(SECOND);
-        self.bus.flash(board).power_on();
+        self.bus.slots[board].rig.flash.power_on();
         self.bus.power_on(board);
         self.bus.pass(3 * SECOND);
         self.find_all();
@@ -235,9 +232,9 @@ impl Soak {
     /// A new board, without a node-ID and with the rate of the factory, in place of an old one.
     fn replace(&mut self) {
         let number = self.any_board();
-        let node_id = self.bus.expected_node_id(number);
+        let node_id = self.bus.slots[number].node_id;
         let rate = self.random.pick(&RATES);
-        self.counts.replaced += 1;
+        self.bus.counts.replaced += 1;
         self.bus.replace(number, board(self.made, 0xFF, rate), self.made);
         self.made += 1;
         self.find_all();
@@ -249,10 +246,10 @@ impl Soak {
     fn add_equal_node_id(&mut self) {
         let number = self.any_board();
         let other = (number + 1) % BOARDS;
-        let node_id = self.bus.expected_node_id(number);
-        let equal = self.bus.expected_node_id(other);
-        self.counts.equal_node_ids += 1;
-        let rate = self.bus.master_rate();
+        let node_id = self.bus.slots[number].node_id;
+        let equal = self.bus.slots[other].node_id;
+        self.bus.counts.equal_node_ids += 1;
+        let rate = self.bus.master_rate;
         self.bus.replace(number, board(self.made, equal, rate), self.made);
         self.made += 1;
         self.bus.pass(20 * SECOND);
@@ -264,14 +261,14 @@ impl Soak {
     fn stranger(&mut self) {
         let span = self.random.within(SECOND / 10..20 * SECOND);
         let every = self.random.pick(&[5_000, 50_000, 400_000]);
-        self.counts.strangers += 1;
+        self.bus.counts.strangers += 1;
         self.bus.disturb(span, every);
     }
 
     /// Selects a board, gives it a node-ID and stores it.
     fn assign(&mut self, board: usize, node_id: u8) {
         self.bus.note_event();
-        self.counts.stores += 1;
+        self.bus.counts.stores += 1;
         self.bus.select(board);
         self.bus.expect("11 00", &format!("11 {node_id:02X}"));
         self.bus.expect_stored(board, node_id);
@@ -283,8 +280,8 @@ impl Soak {
     /// Stores the bit rate that a new board has found.
     fn store_rate(&mut self, board: usize) {
         self.bus.note_event();
-        let node_id = self.bus.expected_node_id(board);
-        let rate = self.bus.master_rate();
+        let node_id = self.bus.slots[board].node_id;
+        let rate = self.bus.master_rate;
         self.bus.select(board);
         self.bus.expect("13 00", &format!("13 00 {:02X}", rate.index()));
         self.bus.expect_stored(board, node_id);
@@ -296,12 +293,13 @@ impl Soak {
     /// Makes the rate of the master the home rate of all boards.
     fn keep_guests(&mut self) {
         self.bus.note_event();
-        self.counts.kept_guests += 1;
+        self.bus.counts.kept_guests += 1;
         self.bus.lss("04 01");
         self.bus.lss("15 00 00");
         self.bus.pass(10_000);
         self.bus.lss("04 00");
-        self.bus.note_all_home();
+        // From now on the rules hold for them as for boards at home.
+        self.bus.slots.iter_mut().for_each(|slot| slot.is_guest = false);
         self.bus.note_quiet();
     }
 
@@ -309,25 +307,25 @@ impl Soak {
     fn find_all(&mut self) {
         self.bus.note_event();
         let begin = self.bus.now;
-        self.counts.inquiries += 1;
+        self.bus.counts.inquiries += 1;
         loop {
             let found = (0..BOARDS).filter(|board| self.bus.answers(*board)).count();
             if found == BOARDS {
                 break;
             }
-            self.counts.late += (BOARDS - found) as u64;
+            self.bus.counts.late += (BOARDS - found) as u64;
             assert!(
                 self.bus.now < begin + PATIENCE,
                 "{} s, event {}: {found} of {BOARDS} boards are found at {:?}\n{}",
                 self.bus.now / SECOND,
                 self.latest,
-                self.bus.master_rate(),
+                self.bus.master_rate,
                 self.bus.situation()
             );
             self.bus.pass(SECOND / 10);
         }
         let took = (self.bus.now - begin) / 1000;
-        self.counts.longest_search_ms = self.counts.longest_search_ms.max(took);
+        self.bus.counts.longest_search_ms = self.bus.counts.longest_search_ms.max(took);
         self.bus.note_quiet();
     }
 }

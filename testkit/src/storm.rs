@@ -179,16 +179,6 @@ fn clean(mut frame: Frame) -> Frame {
     frame
 }
 
-/// The frame that the driver passes to the node for `frame`, if any.
-fn delivered(frame: &Frame) -> Option<canopen_node::Frame> {
-    match frame.id {
-        Id::Standard(id) if !frame.remote && frame.dlc <= 8 => {
-            Some(canopen_node::Frame::new(id, frame.payload()).expect("at most eight bytes"))
-        }
-        _ => None,
-    }
-}
-
 /// The LSS request in `frame`, if there is one: command specifier and parameters.
 fn lss_data(frame: &Frame) -> Option<[u8; 8]> {
     (frame.id == LSS && !frame.remote && frame.dlc == 8).then_some(frame.data)

@@ -17,7 +17,7 @@ use emulator::{Time, chip::Part};
 use testkit::{parallel, random::Random};
 
 use judge::{Failure, Images, Verdict};
-use situation::{Kind, Situation};
+use situation::Situation;
 
 /// The interval between lines of progress.
 const PROGRESS: Duration = Duration::from_secs(5);
@@ -73,7 +73,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 fn replay(images: &Images, seed: u64) -> anyhow::Result<()> {
     let situation = draw::situation(seed);
-    println!("{:?}\n{situation}", situation.kind);
+    println!("{}\n{situation}", situation.kind);
     let verdict = images.judge(&situation);
     for line in &verdict.log {
         println!("  {line}");
@@ -124,7 +124,7 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
     println!("--seed {seed}");
     let begin = Instant::now();
     let mut all = Tally::default();
-    let mut kinds: BTreeMap<Kind, Tally> = BTreeMap::new();
+    let mut kinds: BTreeMap<&str, Tally> = BTreeMap::new();
     let mut failed = Vec::new();
     let mut reported = begin;
     let judge = |seed: &u64| images.judge(&draw::situation(*seed));
@@ -133,7 +133,7 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
         all.add(&verdict);
         kinds.entry(kind).or_default().add(&verdict);
         if let Some(failure) = verdict.failures.first() {
-            println!("--replay {}: {kind:?}: {failure}", seeds[index]);
+            println!("--replay {}: {kind}: {failure}", seeds[index]);
             failed.push((index, kind, failure.clone()));
         }
         if reported.elapsed() >= PROGRESS {
@@ -146,11 +146,11 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
     failed.retain(|(_, kind, failure)| kinds_of_failure.insert((*kind, failure.name())));
     failed.truncate(PRINTED);
     let smaller =
-        |(index, _, failure): &(usize, Kind, Failure)| smaller(images, seeds[*index], failure);
+        |(index, _, failure): &(usize, &str, Failure)| smaller(images, seeds[*index], failure);
     parallel::map(&failed, smaller, |_, text| println!("{text}"));
     println!();
     for (kind, tally) in kinds {
-        println!("{:14} {}", format!("{kind:?}"), tally.text());
+        println!("{kind:18} {}", tally.text());
     }
     println!("\n{}, {} s, seed {seed}", all.text(), begin.elapsed().as_secs());
     ensure!(all.worse + all.not_found == 0, "supervision does harm, or does not help");
@@ -162,10 +162,8 @@ fn smaller(images: &Images, seed: u64, failure: &Failure) -> String {
     let same = |other: &Failure| other.name() == failure.name();
     let fails = |smaller: &Situation| images.judge(smaller).failures.iter().any(same);
     let smaller = minimise::minimise(draw::situation(seed), fails);
-    let mut text = format!(
-        "\n{:?} (cargo verify no-harm --replay {seed}), minimised:\n{smaller}",
-        smaller.kind
-    );
+    let mut text =
+        format!("\n{} (cargo verify no-harm --replay {seed}), minimised:\n{smaller}", smaller.kind);
     for failure in images.judge(&smaller).failures {
         text.push_str(&format!("\n  {failure}"));
     }

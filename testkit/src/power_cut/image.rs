@@ -5,7 +5,7 @@ use std::{iter, ops::Range};
 
 use anyhow::{Context, ensure};
 use canopen_node::{
-    BitRate, NodeId, Settings,
+    BitRate, Settings,
     lss::RESPONSE_COB_ID,
     settings::{
         Log,
@@ -16,7 +16,9 @@ use emulator::{Time, chip::PowerCut};
 
 use crate::{
     flash::BoardFlash,
-    image_rig::{DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with},
+    image_rig::{
+        DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with, settings,
+    },
     random::Random,
     sdo,
     sessions::Variant,
@@ -43,6 +45,7 @@ const PACKED: usize = PARAMETERS.len() * (HEADER + 1);
 /// The parameters of the example: index, sub-index, and value of a new device. They are the filter constant and the error
 /// behaviour.
 const PARAMETERS: [(u16, u8, u8); 2] = [(0x2100, 0, 3), (0x1029, 1, 0)];
+
 /// The image, and the content of the flash before the session.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Session {
@@ -121,7 +124,8 @@ impl Store {
     fn after(self, before: Option<Content>) -> Content {
         match (self, before) {
             (Self::Settings(node_id, bit_rate), _) => Content {
-                settings: settings((node_id, bit_rate)),
+                // The heartbeat time of a blank board is stored together with the LSS settings.
+                settings: settings(node_id, bit_rate).with_heartbeat_ms(1000),
                 values: before.map_or(PARAMETERS.map(|(.., new)| new), |content| content.values),
             },
             (Self::Parameters(_, values), Some(before)) => Content { values, ..before },
@@ -178,11 +182,6 @@ struct Rig {
     since: Time,
     /// The node-ID of the board, once it is known.
     node_id: u8,
-}
-
-fn settings((node_id, bit_rate): (u8, BitRate)) -> Settings {
-    // The heartbeat time of a blank board is stored together with the LSS settings.
-    Settings::new(bit_rate.into()).with_node_id(NodeId::new(node_id)).with_heartbeat_ms(1000)
 }
 
 impl Session {

@@ -4,9 +4,8 @@ use std::fmt::Write;
 
 use canopen_node::{BitRate, BusEvent, Frame, NodeId, lss, nmt};
 
-use super::{HEARTBEAT_MS, SECOND, address};
+use super::{Counts, HEARTBEAT_MS, SECOND, address};
 use crate::{
-    flash::BoardFlash,
     frames::{self, Frames, number, request, text},
     node_rig::NodeRig,
 };
@@ -22,32 +21,24 @@ const LONGEST_GAP: u64 = HEARTBEAT_MS as u64 * 1000 + 1_000;
 /// An emergency may be this much later than the end of its cause.
 const AFTER_CAUSE: u64 = 5 * SECOND;
 
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Counts {
-    pub frames: u64,
-    pub heartbeats: u64,
-    pub emergencies: u64,
-    /// The longest time between two heartbeats of a guest in the quiet time, in microseconds.
-    pub longest_guest_gap: u64,
-}
-
-struct Slot {
-    rig: NodeRig,
+/// A place on the bus, with its board.
+pub struct Slot {
+    pub rig: NodeRig,
     serial_number: u32,
-    is_powered: bool,
+    pub is_powered: bool,
     /// Errors in succession, up to [`PASSIVE`].
     errors: u8,
     heartbeat_at: u64,
     /// It has reported another rate than its home rate, and has not come home to the master since.
-    is_guest: bool,
-    /// The stored node-ID, and one whose store was interrupted.
-    node_id: u8,
+    pub is_guest: bool,
+    /// The node-ID that the board must have after a power-on, and one whose store was interrupted.
+    pub node_id: u8,
     attempted: Option<u8>,
 }
 
 pub struct Bus {
-    slots: Vec<Slot>,
-    master_rate: BitRate,
+    pub slots: Vec<Slot>,
+    pub master_rate: BitRate,
     pub now: u64,
     pub counts: Counts,
     /// The time since which nothing has happened.
@@ -57,17 +48,15 @@ pub struct Bus {
 
 impl Slot {
     fn new(rig: NodeRig, serial_number: u32, now: u64) -> Self {
-        let node_id = NodeId::to_lss(rig.node.node_id());
-        let (is_powered, errors, attempted) = (true, 0, None);
         Self {
+            node_id: NodeId::to_lss(rig.node.node_id()),
             rig,
             serial_number,
-            is_powered,
-            errors,
+            is_powered: true,
+            errors: 0,
             heartbeat_at: now,
             is_guest: false,
-            node_id,
-            attempted,
+            attempted: None,
         }
     }
 
@@ -96,40 +85,6 @@ impl Bus {
         let slots = (0..).zip(boards).map(|(number, rig)| Slot::new(rig, number, 0)).collect();
         let counts = Counts::default();
         Self { slots, master_rate, now: 0, counts, quiet_since: None, answers: Vec::new() }
-    }
-
-    pub const fn master_rate(&self) -> BitRate {
-        self.master_rate
-    }
-
-    pub const fn set_master_rate(&mut self, rate: BitRate) {
-        self.master_rate = rate;
-    }
-
-    pub fn is_powered(&self, board: usize) -> bool {
-        self.slots[board].is_powered
-    }
-
-    pub fn flash(&self, board: usize) -> &BoardFlash {
-        &self.slots[board].rig.flash
-    }
-
-    /// The node-ID that the board must have after a power-on.
-    pub fn expected_node_id(&self, board: usize) -> u8 {
-        self.slots[board].node_id
-    }
-
-    pub fn is_used(&self, node_id: u8) -> bool {
-        self.slots.iter().any(|slot| slot.node_id == node_id)
-    }
-
-    pub fn has_guests(&self) -> bool {
-        self.slots.iter().any(|slot| slot.is_guest)
-    }
-
-    /// All boards have been commanded to their bit rate: from now on the rules hold for them as for boards at home.
-    pub fn note_all_home(&mut self) {
-        self.slots.iter_mut().for_each(|slot| slot.is_guest = false);
     }
 
     /// From now on all boards but guests send heartbeats in time, and no emergency.
@@ -393,7 +348,8 @@ impl Bus {
                 slot.heartbeat_at = now;
                 let is_quiet = quiet_since.is_some();
                 if slot.is_guest && is_quiet {
-                    self.counts.longest_guest_gap = self.counts.longest_guest_gap.max(gap);
+                    let longest_ms = &mut self.counts.longest_guest_gap_ms;
+                    *longest_ms = gap.div_ceil(1000).max(*longest_ms);
                 }
                 let is_late = gap > LONGEST_GAP && !slot.is_guest;
                 assert!(!is_quiet || !is_late, "{}: after {gap} us", name());

@@ -14,11 +14,11 @@ use emulator::{
 };
 use example_io::application::{self as io, Filter, Sample};
 
-use super::{RATE, Stormed, Target, delivered, example::NODE_ID, is_pdo, lss_data, next};
+use super::{RATE, Stormed, Target, example::NODE_ID, is_pdo, lss_data, next};
 use crate::{
     flash::BoardFlash,
     frames::{self, Frames},
-    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
+    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, from_the_wire, on_the_wire, settings},
     node_rig::{self as model, NodeRig},
     random::Random,
     sdo::Client,
@@ -242,7 +242,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     }
 
     fn feed_model(&mut self, frame: &Frame) -> Vec<Action> {
-        if let Some(delivered) = delivered(frame) {
+        if let Some(delivered) = from_the_wire(frame) {
             self.model.receive(&delivered);
         }
         self.take_actions()

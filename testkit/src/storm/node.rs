@@ -11,9 +11,10 @@ use canopen_node::{
 use emulator::can::Frame;
 use example_io::application as io;
 
-use super::{RATE, Stormed, Target, delivered, is_pdo, lss_data, next};
+use super::{RATE, Stormed, Target, is_pdo, lss_data, next};
 use crate::{
     flash::BoardFlash,
+    image_rig::from_the_wire,
     node_rig::{ADDRESS, NodeRig, defaults, device},
     random::Random,
 };
@@ -101,7 +102,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         if self.random.one_in(1_000) {
             self.board.pass_us(self.random.within(0..500_000));
         }
-        let Some(delivered) = delivered(&frame) else { return };
+        let Some(delivered) = from_the_wire(&frame) else { return };
         let before = self.persistent();
         let writes = self.board.flash.writes();
         let parameters = self.board.stored_parameters().to_vec();

@@ -5,7 +5,7 @@ use emulator::network::Short;
 
 use super::{
     life::SWITCH_LEAD_MS,
-    situation::{Configure, Event, Foreign, Kind, Master, Node, Probe, Situation, Traffic, What},
+    situation::{Configure, Event, Foreign, Master, Node, Probe, Situation, Traffic, What},
 };
 use testkit::{image_rig::bit_per_s, random::Random};
 
@@ -32,6 +32,29 @@ const RATES: [BitRate; 16] = [
 /// Node-IDs of the boards, by number.
 const NODE_IDS: [u8; 8] = [1, 2, 3, 40, 5, 64, 100, 127];
 
+type Draw = fn(&mut Draft) -> Probe;
+
+/// The kind with a session of the LSS master.
+pub const SESSION: &str = "session and pulses";
+/// The kinds of situations, and what draws each.
+const KINDS: [(&str, Draw); 15] = [
+    ("late master", Draft::late_master),
+    ("foreign device", Draft::foreign_device),
+    ("faults of the line", Draft::line_fault),
+    ("missed switch", Draft::missed_switch),
+    ("wrong stored rate", Draft::wrong_rate),
+    ("power cuts", Draft::power_cut),
+    ("mixture", Draft::mixture),
+    ("led away together", Draft::herd),
+    (SESSION, Draft::session),
+    ("scan of bit rates", Draft::scan),
+    ("half of a switch", Draft::half_switch),
+    ("brown-outs", Draft::brown_out),
+    ("one after another", Draft::stagger),
+    ("two masters", Draft::two_masters),
+    ("bad contacts", Draft::bad_contacts),
+];
+
 /// A situation under construction.
 struct Draft {
     random: Random,
@@ -55,24 +78,8 @@ pub fn situation(seed: u64) -> Situation {
     });
     let boards = boards.collect();
     let mut draft = Draft { boards, home, events: Vec::new(), random };
-    let kind = draft.random.pick(&Kind::ALL);
-    let probe = match kind {
-        Kind::LateMaster => draft.late_master(),
-        Kind::ForeignDevice => draft.foreign_device(),
-        Kind::LineFault => draft.line_fault(),
-        Kind::MissedSwitch => draft.missed_switch(),
-        Kind::WrongRate => draft.wrong_rate(),
-        Kind::PowerCut => draft.power_cut(),
-        Kind::Mixture => draft.mixture(),
-        Kind::Herd => draft.herd(),
-        Kind::Session => draft.session(),
-        Kind::Scan => draft.scan(),
-        Kind::HalfSwitch => draft.half_switch(),
-        Kind::BrownOut => draft.brown_out(),
-        Kind::Stagger => draft.stagger(),
-        Kind::TwoMasters => draft.two_masters(),
-        Kind::BadContacts => draft.bad_contacts(),
-    };
+    let (kind, draw) = draft.random.pick(&KINDS);
+    let probe = draw(&mut draft);
     draft.events.sort_by_key(|event| event.at);
     Situation { kind, boards: draft.boards, drift_ppm: 0, events: draft.events, probe }
 }

@@ -5,8 +5,9 @@ use std::fmt;
 use emulator::{Time, chip::Part, image::Image};
 
 use super::{
+    draw::SESSION,
     life::{FRAME_BITS, Life, POLL},
-    situation::{Kind, Situation, ms},
+    situation::{Situation, ms},
 };
 use testkit::image_rig::bit_per_s;
 
@@ -167,7 +168,7 @@ impl Images {
         // Somewhat longer, to report when a late board is reached.
         let limit = limits.iter().flatten().max().map_or(Time::ZERO, |limit| *limit + LATE * 10);
         let seen = ours.probe(&wanted, limit);
-        let has_session = situation.kind == Kind::Session;
+        let has_session = situation.kind == SESSION;
 
         let mut verdict = Verdict { log: ours.log().collect(), ..Verdict::default() };
         verdict.failures.extend(ours.offences().into_iter().map(Failure::Offence));

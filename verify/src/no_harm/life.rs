@@ -14,9 +14,10 @@ use super::situation::{
     Configure, Event, Foreign, Master, Node, Probe, Situation, Traffic, What, ms,
 };
 use testkit::{
-    boards, frames,
-    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, flash_with, on_the_wire},
+    frames,
+    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, on_the_wire},
     random::Random,
+    sessions::Variant,
 };
 
 /// The interval between questions to a board that is looked for.
@@ -488,14 +489,9 @@ fn pause(foreign: Foreign) -> Time {
 
 fn board(number: usize, node: Node, drift_ppm: i32, image: &Image, part: Part) -> Board {
     let crystal = Clock { hz: 8_000_000, ppm: PPM[number % PPM.len()] + drift_ppm };
-    let unique_id = boards::unique_id(number);
-    let settings = board::Settings { crystal, unique_id, ..Default::default() };
-    let mut board = Board::new(part, image, settings);
-    board.set_flash(
-        SETTINGS_OFFSET,
-        &flash_with(&[Settings::new(node.stored.into())
-            .with_node_id(node.node_id.and_then(NodeId::new))
-            .with_heartbeat_ms(node.heartbeat_ms)]),
-    );
-    board
+    let settings = board::Settings { crystal, ..Default::default() };
+    let stored = Settings::new(node.stored.into())
+        .with_node_id(node.node_id.and_then(NodeId::new))
+        .with_heartbeat_ms(node.heartbeat_ms);
+    Variant { image, part, settings }.board(number, Some(stored))
 }

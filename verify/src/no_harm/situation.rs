@@ -11,56 +11,13 @@ use super::life::SWITCH_LEAD_MS;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Situation {
     /// The main subject.
-    pub kind: Kind,
+    pub kind: &'static str,
     pub boards: Vec<Node>,
     /// A deviation of the first board's crystal; the second has twice as much, and so on.
     pub drift_ppm: i32,
     /// The events in order of their start.
     pub events: Vec<Event>,
     pub probe: Probe,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
-    LateMaster,
-    ForeignDevice,
-    LineFault,
-    MissedSwitch,
-    WrongRate,
-    PowerCut,
-    Mixture,
-    /// Several boards are led away together.
-    Herd,
-    /// A session of the LSS master with single-bit pulses.
-    Session,
-    /// A master that tries one bit rate after another.
-    Scan,
-    HalfSwitch,
-    BrownOut,
-    /// Boards that come up one after another.
-    Stagger,
-    TwoMasters,
-    BadContacts,
-}
-
-impl Kind {
-    pub const ALL: [Self; 15] = [
-        Self::LateMaster,
-        Self::ForeignDevice,
-        Self::LineFault,
-        Self::MissedSwitch,
-        Self::WrongRate,
-        Self::PowerCut,
-        Self::Mixture,
-        Self::Herd,
-        Self::Session,
-        Self::Scan,
-        Self::HalfSwitch,
-        Self::BrownOut,
-        Self::Stagger,
-        Self::TwoMasters,
-        Self::BadContacts,
-    ];
 }
 
 /// The settings stored in a board; its number in the list is that of its unique id.
