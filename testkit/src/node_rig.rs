@@ -108,11 +108,22 @@ impl NodeRig {
     pub fn with_device(device: Device, flash: BoardFlash, clock_at_start: u32) -> Self {
         Self::with_application(device, flash, clock_at_start, NoApplication)
     }
+
+    /// A new board of this device, just powered on.
+    pub fn of(device: Device) -> Self {
+        Self::with_device(device, BoardFlash::blank(0), 0)
+    }
 }
 
 impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     NodeRig<A, TPDOS, RPDOS, PRODUCERS>
 {
+    /// A new board with node-ID 40h and an application, just powered on.
+    pub fn running(application: A) -> Self {
+        let device = device(ADDRESS).with_defaults(defaults(0x40));
+        Self::with_application(device, BoardFlash::blank(0), 0, application)
+    }
+
     /// A board with an application.
     pub fn with_application(
         device: Device,
@@ -146,6 +157,13 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     /// Sends the node a request of the LSS master; returns the frames that the node sends at once.
     pub fn lss(&mut self, request: &str) -> Frames {
         self.receive(&frames::request(request))
+    }
+
+    /// Switches the node to LSS configuration state and sends it requests of the LSS master, `11 05, 17`; returns the
+    /// answers.
+    pub fn configure(&mut self, requests: &str) -> Frames {
+        self.lss("04 01");
+        Frames(requests.split(", ").flat_map(|request| self.lss(request).0).collect())
     }
 
     /// Sends the node an NMT command; returns the frames that the node sends at once.

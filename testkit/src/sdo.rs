@@ -214,6 +214,22 @@ pub trait Client {
         }
     }
 
+    /// Stores the parameters of this sub-index of 1010h; 1: all.
+    ///
+    /// # Errors
+    /// The abort code.
+    fn save(&mut self, sub_index: u8) -> Result<(), u32> {
+        self.download(0x1010, sub_index, b"save")
+    }
+
+    /// Restores the default parameters of this sub-index of 1011h; 1: all.
+    ///
+    /// # Errors
+    /// The abort code.
+    fn load(&mut self, sub_index: u8) -> Result<(), u32> {
+        self.download(0x1011, sub_index, b"load")
+    }
+
     /// The data of an upload in segments that has begun.
     fn upload_segments(&mut self) -> Vec<u8> {
         let mut data = Vec::new();

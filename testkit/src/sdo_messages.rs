@@ -64,7 +64,7 @@ pub fn block_upload(
 }
 
 /// A message without an address.
-fn segment(command: u8, data: &[u8]) -> [u8; 8] {
+pub fn segment(command: u8, data: &[u8]) -> [u8; 8] {
     let mut message = [command, 0, 0, 0, 0, 0, 0, 0];
     message[1..][..data.len()].copy_from_slice(data);
     message

@@ -3,18 +3,19 @@
 use canopen_node::{
     BitRate,
     BusEvent::{Error, Received},
+    Settings,
 };
 
-use super::{
-    flash::BoardFlash,
-    node_rig::{ADDRESS, NodeRig, defaults, device},
-};
+use super::node_rig::{ADDRESS, NodeRig, defaults, device};
+
+/// A supervised board with these factory defaults, just powered on.
+pub fn with_defaults(defaults: Settings) -> NodeRig {
+    NodeRig::of(device(ADDRESS).with_rescue(true).with_defaults(defaults))
+}
 
 /// A supervised board with node-ID 40h at `home`, just powered on.
 pub fn powered_on(home: BitRate, heartbeat_ms: u16) -> NodeRig {
-    let settings = defaults(0x40).with_bit_rate(home.into()).with_heartbeat_ms(heartbeat_ms);
-    let device = device(ADDRESS).with_rescue(true);
-    NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0)
+    with_defaults(defaults(0x40).with_bit_rate(home.into()).with_heartbeat_ms(heartbeat_ms))
 }
 
 /// A board at `home` that has received nothing and whose boot-up was not acknowledged, with an empty timeline.
@@ -41,9 +42,7 @@ pub fn proven() -> NodeRig {
 /// A board in configuration state that has switched from 250 to 50 kbit/s, with an empty timeline: `15` is 20 ms ago.
 pub fn switched() -> NodeRig {
     let mut board = powered_on(BitRate::Kbit250, 0);
-    for request in ["04 01", "13 00 06", "15 0A 00"] {
-        board.lss(request);
-    }
+    board.configure("13 00 06, 15 0A 00");
     board.pass_ms(20);
     assert_eq!(board.bit_rate(), BitRate::Kbit50);
     board.timeline();

@@ -11,8 +11,7 @@ use canopen_node::{
     sdo::Abort,
 };
 use testkit::{
-    flash::BoardFlash,
-    node_rig::{ADDRESS, NodeRig, defaults, device},
+    node_rig::{ADDRESS, NodeRig, device},
     sdo::Client,
 };
 
@@ -25,15 +24,14 @@ objects! {
     }
     0x2100 "Signed numbers" {
         1 "8 bits" i8: i8 = -8, rw in -10..=10;
-        2 "16 bits" i16: i16 = -16, rw, mappable;
+        2 "16 bits" i16: i16 = -300, rw, mappable;
         3 "32 bits" i32: i32 = -32, rw, stored;
-        5 "64 bits" i64: i64 = -64, rw in -100..=100, mappable, stored;
+        0xB "64 bits" i64: i64 = i64::MIN, rw, mappable, stored;
     }
     0x2101 "Unsigned numbers" {
         1 "8 bits" u8: u8 = 8, rw in 5..=250;
         2 "16 bits" u16: u16 = 16, rw;
-        3 "32 bits" u32: u32 = 32, ro;
-        4 "64 bits" u64: u64 = 0x1122_3344_5566_7788, rw;
+        3 "32 bits" u32: u32 = 32, ro, mappable;
     }
     0x2102 "Signed numbers of other lengths" {
         1 "24 bits" i24: Integer24 = -2, rw in -8_388_608..=8_388_606, mappable, stored;
@@ -45,28 +43,35 @@ objects! {
         1 "24 bits" u24: Unsigned24 = 0x12_3456, rw, mappable;
         2 "40 bits" u40: Unsigned40 = 40, rw, mappable;
         3 "48 bits" u48: Unsigned48 = 48, rw, mappable;
-        4 "56 bits" u56: Unsigned56 = 56, rw in 1..=72_057_594_037_927_935, mappable;
+        4 "56 bits" u56: Unsigned56 = 0xFF_FFFF_FFFF_FFFF, rw in 1..=72_057_594_037_927_935, mappable;
     }
-    0x2200 {
-        0 "Real number" f32: f32 = 1.5, rw in 0.0..=2.0;
+    0x2104 "Percentages" {
+        1 "First" first: u8 = 50, rw in 0..=100, stored;
+        2 "Second" second: u8 = 60, rw;
     }
     0x2201 {
         0 "Long real number" f64: f64 = -2.5, rw;
     }
+    0x5FFF {
+        0 "Large number" u64: u64 = u64::MAX, rw in 1..=0xFFFF_FFFF_FFFF_FFFF;
+    }
     0x6000 {
-        0 "Command" command: u16 = 0, wo;
+        0 "Real number" f32: f32 = 0.1, rw in 0.05..=2.5, mappable;
     }
     0x6001 {
-        0 "Constant text" constant: &'static str = "constant", constant;
+        0 "Command" command: u16 = 0, wo;
     }
     0x6002 {
         0 "Text" text: Text<12> = Text::EMPTY, rw;
     }
-    0x9FFE {
+    0x6003 {
+        0 "Label" label: &'static str = "A | B", constant;
+    }
+    0x6004 {
         0 "Octets" octets: OctetString<3> = OctetString::EMPTY, rw;
     }
     0x9FFF {
-        0 "Domain" domain: Domain = Domain, rw;
+        0 "Domain" domain: Domain = Domain, ro;
     }
 }
 
@@ -82,17 +87,16 @@ impl Application for Objects {
 
 /// A board with node-ID 40h and these objects.
 fn board() -> NodeRig<Objects> {
-    let device = device(ADDRESS).with_defaults(defaults(0x40));
-    NodeRig::with_application(device, BoardFlash::blank(0), 0, Objects::new())
+    NodeRig::running(Objects::new())
 }
 
 #[test]
 fn short_numbers_are_read_and_written_as_typed_values() {
     let mut board = board();
     assert_eq!(board.sdo("40 00 21 01"), ["5C0: 4F 00 21 01 F8 00 00 00"]);
-    assert_eq!(board.sdo("40 00 21 02"), ["5C0: 4B 00 21 02 F0 FF 00 00"]);
+    assert_eq!(board.sdo("40 00 21 02"), ["5C0: 4B 00 21 02 D4 FE 00 00"]);
     assert_eq!(board.sdo("40 00 21 03"), ["5C0: 43 00 21 03 E0 FF FF FF"]);
-    assert_eq!(board.sdo("40 00 22 00"), ["5C0: 43 00 22 00 00 00 C0 3F"]);
+    assert_eq!(board.sdo("40 00 60 00"), ["5C0: 43 00 60 00 CD CC CC 3D"]);
     assert_eq!(board.sdo("2B 00 21 02 34 12"), ["5C0: 60 00 21 02 00 00 00 00"]);
     assert_eq!(board.node.application().i16, 0x1234);
     board.node.application_mut().i16 = -2;
@@ -102,10 +106,10 @@ fn short_numbers_are_read_and_written_as_typed_values() {
 #[test]
 fn an_object_with_a_name_has_its_highest_sub_index() {
     let mut board = board();
-    assert_eq!(board.number(0x2100, 0), 5);
-    assert_eq!(board.number(0x2101, 0), 4);
+    assert_eq!(board.number(0x2100, 0), 11);
+    assert_eq!(board.number(0x2101, 0), 3);
     assert_eq!(board.upload(0x2100, 4), Err(0x0609_0011), "there is a gap");
-    assert_eq!(board.upload(0x2104, 0), Err(0x0602_0000));
+    assert_eq!(board.upload(0x2105, 0), Err(0x0602_0000));
     assert_eq!(board.upload(0x2001, 1), Err(0x0609_0011));
 }
 
@@ -119,14 +123,14 @@ fn a_value_out_of_its_limits_is_refused() {
     }
     assert_eq!(board.node.application().u8, 250);
     assert_eq!(board.download(0x2100, 1, &[0xF5]), Err(0x0609_0032), "-11");
-    assert_eq!(board.download(0x2200, 0, &2.5_f32.to_le_bytes()), Err(0x0609_0031));
+    assert_eq!(board.download(0x6000, 0, &2.6_f32.to_le_bytes()), Err(0x0609_0031));
     assert_eq!(board.download(0x2001, 0, &[2]), Err(0x0609_0030), "a boolean is 0 or 1");
 }
 
 #[test]
 fn a_real_number_with_limits_must_be_a_number() {
     let mut board = board();
-    assert_eq!(board.download(0x2200, 0, &f32::NAN.to_le_bytes()), Err(0x0609_0031));
+    assert_eq!(board.download(0x6000, 0, &f32::NAN.to_le_bytes()), Err(0x0609_0031));
     assert_eq!(board.download(0x2201, 0, &f64::NAN.to_le_bytes()), Ok(()), "without limits");
 }
 
@@ -177,15 +181,15 @@ fn the_application_refuses_a_value_by_its_own_reason() {
     assert_eq!(board.download(0x2101, 2, &[0xAD, 0xDE]), Err(0x0800_0022));
     assert_eq!(board.node.application().u16, 16, "the old value stays");
     board.node.application_mut().boolean = false;
-    assert_eq!(board.download(0x6000, 0, &[1, 0]), Err(0x0606_0000));
+    assert_eq!(board.download(0x6001, 0, &[1, 0]), Err(0x0606_0000));
 }
 
 #[test]
 fn the_access_of_an_object_is_respected() {
     let mut board = board();
     assert_eq!(board.download(0x2101, 3, &[1, 0, 0, 0]), Err(0x0601_0002));
-    assert_eq!(board.upload(0x6000, 0), Err(0x0601_0001));
-    assert_eq!(board.download(0x6000, 0, &[0x34, 0x12]), Ok(()));
+    assert_eq!(board.upload(0x6001, 0), Err(0x0601_0001));
+    assert_eq!(board.download(0x6001, 0, &[0x34, 0x12]), Ok(()));
     assert_eq!(board.node.application().command, 0x1234);
 }
 
@@ -202,7 +206,7 @@ fn each_object_has_a_description() {
     assert_eq!(of(0x2100, 1).name.to_string(), "8 bits");
     assert_eq!(of(0x2100, 1).limits, Some((Number::Integer(-10), Number::Integer(10))));
     assert_eq!(of(0x2101, 3).limits, None);
-    assert_eq!(of(0x2200, 0).limits, Some((Number::Real32(0.0), Number::Real32(2.0))));
+    assert_eq!(of(0x6000, 0).limits, Some((Number::Real32(0.05), Number::Real32(2.5))));
 }
 
 /// A value with sub-index 1 of an object, which an RPDO may carry.

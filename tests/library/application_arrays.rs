@@ -112,7 +112,7 @@ fn an_array_is_stored_whole() {
     for (sub_index, gain) in [(1, 0.5_f32), (4, 1.25)] {
         assert_eq!(board.download(0x2100, sub_index, &gain.to_le_bytes()), Ok(()));
     }
-    assert_eq!(board.download(0x1010, 1, b"save"), Ok(()));
+    assert_eq!(board.save(1), Ok(()));
     board.power_cycle();
     assert_eq!(board.node.application().gains, [0.5, 1.0, 1.0, 1.25]);
 }

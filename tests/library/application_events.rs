@@ -49,9 +49,7 @@ fn the_application_is_informed_of_each_nmt_state() {
 #[test]
 fn the_application_is_informed_of_each_bit_rate() {
     let mut board = board();
-    board.lss("04 01");
-    board.lss("13 00 02");
-    board.lss("15 0A");
+    board.configure("13 00 02, 15 0A");
     board.pass_ms(20);
     assert_eq!(take_events(), [Event::BitRate(BitRate::Kbit500)]);
 }

@@ -42,19 +42,16 @@ fn listening() -> NodeRig {
 #[test]
 fn index_9_is_accepted_only_by_a_device_that_offers_it() {
     let mut board = fixed();
-    board.lss("04 01");
-    assert_eq!(board.lss("13 00 09"), ["13 00"]);
+    assert_eq!(board.configure("13 00 09"), ["13 00"]);
     assert_eq!(board.lss("13 01 09"), ["13 01"], "another table");
     let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    assert_eq!(board.lss("13 00 09"), ["13 01"]);
+    assert_eq!(board.configure("13 00 09"), ["13 01"]);
 }
 
 #[test]
 fn automatic_detection_is_kept_by_17_and_begins_at_the_next_power_on() {
     let mut board = fixed();
-    board.lss("04 01");
-    board.lss("13 00 09");
+    board.configure("13 00 09");
     assert_eq!(board.lss("17"), ["17 00"]);
     assert!(!board.node.is_listening(), "it is only stored");
     board.timeline();
@@ -66,8 +63,7 @@ fn automatic_detection_is_kept_by_17_and_begins_at_the_next_power_on() {
 #[test]
 fn a_pending_index_9_that_was_not_stored_is_forgotten_at_power_off() {
     let mut board = fixed();
-    board.lss("04 01");
-    board.lss("13 00 09");
+    board.configure("13 00 09");
     assert_eq!(board.power_cycle(), ["740: 00"]);
     assert!(!board.node.is_listening());
 }
@@ -79,8 +75,7 @@ fn activation_listens_after_one_delay_and_sends_after_two_at_the_earliest() {
         (300, &["100 ms listen at 1000 kbit/s", "300 ms 1000 kbit/s", "300 ms resume"]),
     ] {
         let mut board = fixed();
-        board.lss("04 01");
-        board.lss("13 00 09");
+        board.configure("13 00 09");
         board.timeline();
         board.lss("15 64 00");
         board.pass_ms(heard_at_ms);
@@ -94,8 +89,7 @@ fn activation_listens_after_one_delay_and_sends_after_two_at_the_earliest() {
 #[test]
 fn in_the_second_delay_the_search_restarts_at_the_fastest_after_silence() {
     let mut board = fixed();
-    board.lss("04 01");
-    board.lss("13 00 09");
+    board.configure("13 00 09");
     board.timeline();
     board.lss("15 88 13");
     board.pass_ms(6_000);
@@ -128,10 +122,7 @@ fn activating_automatic_detection_again_keeps_the_rate_found() {
 fn a_fixed_rate_ends_automatic_detection() {
     let mut board = listening();
     board.receive(&frames::stranger());
-    board.lss("04 01");
-    board.lss("13 00 04");
-    board.lss("17");
-    board.lss("15 00 00");
+    board.configure("13 00 04, 17, 15 00 00");
     assert_eq!(board.bit_rate(), BitRate::Kbit125);
     assert_eq!(board.power_cycle(), ["740: 00"]);
     assert_eq!(board.bit_rate(), BitRate::Kbit125);
@@ -189,17 +180,6 @@ fn a_rate_once_found_is_kept_through_errors_and_bus_off() {
 }
 
 #[test]
-fn each_error_leads_to_the_next_slower_rate_and_at_last_to_the_fastest() {
-    let mut board = listening();
-    for kbit_per_s in KBIT_PER_S.into_iter().cycle().skip(1).take(24) {
-        board.pass_ms(1);
-        board.see(BusEvent::Error);
-        assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s);
-        assert!(board.node.is_listening());
-    }
-}
-
-#[test]
 fn form_errors_keep_the_rate_for_40_ms() {
     let mut board = listening();
     for _ in 0..40 {
@@ -252,4 +232,38 @@ fn a_node_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
     assert_eq!(board.receive(&frames::request("4C")), SILENCE, "it did not receive this one");
     assert_eq!(board.bit_rate(), BitRate::Kbit800);
     assert_eq!(board.lss("4C"), ["50"]);
+}
+
+/// A board with a heartbeat every second that detects its bit rate since an activation.
+fn activated() -> NodeRig {
+    let settings = defaults(0x40).with_heartbeat_ms(1_000);
+    let mut board = NodeRig::of(with_automatic(device(ADDRESS)).with_defaults(settings));
+    board.configure("13 00 09, 15 00 00");
+    assert!(board.node.is_listening());
+    board
+}
+
+#[test]
+fn a_node_that_detects_its_bit_rate_is_silent_then_sends_its_heartbeat() {
+    let mut board = activated();
+    board.report(BusEvent::Overrun);
+    assert_eq!(board.pass_ms(20_000), SILENCE);
+    let sent = ["0C0: 10 81 11 00 00 00 00 00", "0C0: 00 00 00 00 00 00 00 00", "740: 7F"];
+    assert_eq!(board.see(BusEvent::Received), sent);
+    assert_eq!(board.pass_us(999_999), SILENCE);
+    assert_eq!(board.pass_us(1), ["740: 7F"]);
+}
+
+#[test]
+fn a_node_that_listened_for_hours_goes_on_with_its_heartbeat_at_once() {
+    // 35.8 minutes or more after the last heartbeat, half a turn of the clock, past instants look like future ones.
+    for minutes in [30, 36, 60, 71, 120] {
+        let mut board = activated();
+        for _ in 0..3 * minutes {
+            board.see(BusEvent::Error);
+            assert_eq!(board.pass_ms(20_000), SILENCE);
+        }
+        assert_eq!(board.see(BusEvent::Received), ["740: 7F"], "after {minutes} minutes");
+        assert_eq!(board.pass_ms(1_000), ["740: 7F"]);
+    }
 }

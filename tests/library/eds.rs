@@ -3,10 +3,8 @@
 use std::collections::BTreeMap;
 
 use canopen_node::{
-    Application, BitRates, Device, Node,
-    application::{Domain, Integer24, OctetString, Text, Unsigned56},
-    object_dictionary::{Access, DataType, DefaultValue, Description, Entry, Object, Options},
-    objects,
+    BitRates, Device, Node,
+    application::{OctetString, Text},
 };
 use firmware::{
     application::Application as Firmware,
@@ -18,53 +16,10 @@ use testkit::{
     random::Random,
 };
 
+use crate::application::Objects;
+
 const COMMITTED: &str = include_str!("../../eds/lss-slave.eds");
 const PAGE: &str = include_str!("../../docs/object-dictionary.md");
-
-objects! {
-    /// One value of each kind.
-    pub struct Kinds, values KindValue;
-
-    0x2001 {
-        0 "Boolean" boolean: bool = true, rw;
-    }
-    0x2100 "Signed numbers" {
-        1 "8 bits" i8: i8 = -8, rw in -10..=10;
-        2 "16 bits" i16: i16 = -300, ro, mappable;
-        3 "24 bits" i24: Integer24 = -24, rw in -8_388_608..=0, mappable;
-        0xB "64 bits" i64: i64 = i64::MIN, rw;
-    }
-    0x2101 "Percentages" {
-        1 "First" first: u8 = 50, rw in 0..=100, stored;
-        2 "Second" second: u8 = 60, rw;
-    }
-    0x5FFE {
-        0 "Time" time: Unsigned56 = 0xFF_FFFF_FFFF_FFFF, rw;
-    }
-    0x5FFF {
-        0 "Large number" u64: u64 = u64::MAX, rw in 1..=0xFFFF_FFFF_FFFF_FFFF;
-    }
-    0x6000 {
-        0 "Real number" f32: f32 = 0.1, rw in 0.05..=2.5, mappable;
-    }
-    0x6001 {
-        0 "Command" command: u16 = 0, wo;
-    }
-    0x6002 {
-        0 "Text" text: Text<12> = Text::EMPTY, rw;
-    }
-    0x6003 {
-        0 "Label" label: &'static str = "A | B", constant;
-    }
-    0x6004 {
-        0 "Octets" octets: OctetString<3> = OctetString::EMPTY, rw;
-    }
-    0x9FFF {
-        0 "Log" log: Domain = Domain, ro;
-    }
-}
-
-impl Application for Kinds {}
 
 fn product() -> Product<'static> {
     Product {
@@ -81,12 +36,17 @@ fn firmware() -> DataSheet<'static> {
     DataSheet::new(product, <Node<Firmware>>::entries(&product.device), &Firmware::new())
 }
 
+/// The data sheet of a node with these objects.
+fn sheet_of(objects: &Objects) -> DataSheet<'static> {
+    let product = product();
+    DataSheet::new(product, <Node<Objects>>::entries(&product.device), objects)
+}
+
 /// The data sheet of a node with one value of each kind.
 fn kinds() -> DataSheet<'static> {
-    let product = product();
-    let mut kinds = Kinds::new();
-    kinds.octets = OctetString::from_bytes(&[0x00, 0xAB]).unwrap();
-    DataSheet::new(product, <Node<Kinds>>::entries(&product.device), &kinds)
+    let mut objects = Objects::new();
+    objects.octets = OctetString::from_bytes(&[0x00, 0xAB]).unwrap();
+    sheet_of(&objects)
 }
 
 /// The keys of a section as one line, sorted.
@@ -111,7 +71,8 @@ fn every_object_is_in_the_list_of_its_range() {
     );
     assert_eq!(
         section(&sections, "ManufacturerObjects"),
-        "1=0x2000 2=0x2001 3=0x2100 4=0x2101 5=0x5FFE 6=0x5FFF SupportedObjects=6"
+        "1=0x2000 2=0x2001 3=0x2100 4=0x2101 5=0x2102 6=0x2103 7=0x2104 8=0x2201 9=0x5FFF \
+         SupportedObjects=9"
     );
     let optional = &sections["OptionalObjects"];
     assert_eq!((&*optional["1"], &*optional["9"]), ("0x1003", "0x1029"));
@@ -125,7 +86,7 @@ fn every_value_has_one_section_and_no_section_is_left_over() {
     let is_object = |name: &&String| u16::from_str_radix(&name[..4], 16).is_ok();
     let objects = sections.keys().filter(is_object).count();
     assert_eq!(sections.len() - objects, 7, "FileInfo to ManufacturerObjects");
-    let all: Vec<_> = <Node<Kinds>>::entries(&product().device).collect();
+    let all: Vec<_> = <Node<Objects>>::entries(&product().device).collect();
     let with_sub_indices = all.iter().filter(|(_, description)| description.object.is_some());
     assert_eq!(objects, all.len() + with_sub_indices.count());
 }
@@ -152,25 +113,31 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
         ),
         (
             "2100sub2",
-            "AccessType=ro DataType=0x0003 DefaultValue=-300 ObjectType=0x7 PDOMapping=1 \
+            "AccessType=rw DataType=0x0003 DefaultValue=-300 ObjectType=0x7 PDOMapping=1 \
              ParameterName=16 bits",
-        ),
-        (
-            "2100sub3",
-            "AccessType=rw DataType=0x0010 DefaultValue=-24 HighLimit=0 LowLimit=-8388608 \
-             ObjectType=0x7 PDOMapping=1 ParameterName=24 bits",
         ),
         (
             "2100subB",
             "AccessType=rw DataType=0x0015 DefaultValue=-9223372036854775808 ObjectType=0x7 \
-             PDOMapping=0 ParameterName=64 bits",
+             PDOMapping=1 ParameterName=64 bits",
         ),
-        ("2101", "ObjectType=0x8 ParameterName=Percentages SubNumber=3"),
         (
-            "5FFE",
-            "AccessType=rw DataType=0x001A DefaultValue=72057594037927935 ObjectType=0x7 \
-             PDOMapping=0 ParameterName=Time",
+            "2101sub3",
+            "AccessType=ro DataType=0x0007 DefaultValue=32 ObjectType=0x7 PDOMapping=1 \
+             ParameterName=32 bits",
         ),
+        (
+            "2102sub1",
+            "AccessType=rw DataType=0x0010 DefaultValue=-2 HighLimit=8388606 LowLimit=-8388608 \
+             ObjectType=0x7 PDOMapping=1 ParameterName=24 bits",
+        ),
+        (
+            "2103sub4",
+            "AccessType=rw DataType=0x001A DefaultValue=72057594037927935 \
+             HighLimit=72057594037927935 LowLimit=1 ObjectType=0x7 PDOMapping=1 \
+             ParameterName=56 bits",
+        ),
+        ("2104", "ObjectType=0x8 ParameterName=Percentages SubNumber=3"),
         (
             "5FFF",
             "AccessType=rw DataType=0x001B DefaultValue=18446744073709551615 \
@@ -193,7 +160,7 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
             "AccessType=rw DataType=0x000A DefaultValue=00AB ObjectType=0x7 PDOMapping=0 \
              ParameterName=Octets",
         ),
-        ("9FFF", "AccessType=ro DataType=0x000F ObjectType=0x2 ParameterName=Log"),
+        ("9FFF", "AccessType=ro DataType=0x000F ObjectType=0x2 ParameterName=Domain"),
     ] {
         assert_eq!(section(&sections, name), expected, "[{name}]");
     }
@@ -208,20 +175,18 @@ fn random_values_are_in_the_file_as_they_are() {
         let text: Vec<_> =
             (0..random.within(0..13)).map(|_| random.within(0x20..0x7F) as u8).collect();
         let octets = random.bytes::<3>();
-        let mut kinds = Kinds::new();
-        kinds.i16 = random.u32() as i16;
-        kinds.i64 = random.u64() as i64;
-        kinds.u64 = random.u64();
-        kinds.text = Text::from_bytes(&text).unwrap();
-        kinds.octets = OctetString::from_bytes(&octets).unwrap();
-        let product = product();
-        let sheet = DataSheet::new(product, <Node<Kinds>>::entries(&product.device), &kinds);
-        let sections = parse(&sheet.eds());
+        let mut objects = Objects::new();
+        objects.i16 = random.u32() as i16;
+        objects.i64 = random.u64() as i64;
+        objects.u64 = random.u64();
+        objects.text = Text::from_bytes(&text).unwrap();
+        objects.octets = OctetString::from_bytes(&octets).unwrap();
+        let sections = parse(&sheet_of(&objects).eds());
         let octets: String = octets.iter().map(|octet| format!("{octet:02X}")).collect();
         for (name, value) in [
-            ("2100sub2", kinds.i16.to_string()),
-            ("2100subB", kinds.i64.to_string()),
-            ("5FFF", kinds.u64.to_string()),
+            ("2100sub2", objects.i16.to_string()),
+            ("2100subB", objects.i64.to_string()),
+            ("5FFF", objects.u64.to_string()),
             ("6002", String::from_utf8(text).unwrap()),
             ("6004", octets),
         ] {
@@ -240,41 +205,6 @@ fn objects_of_the_standard_are_arrays_and_records_as_it_says() {
             assert_eq!(sections[*name]["ObjectType"], record, "[{name}]");
         }
     }
-}
-
-#[test]
-fn pdos_are_counted_and_their_parameters_are_records() {
-    let pdo = |index| {
-        [(0, Object::HighestSubIndex(1)), (1, Object::DeviceType)].map(|(sub_index, object)| {
-            let entry = Entry {
-                index,
-                sub_index,
-                data_type: DataType::Unsigned32,
-                access: Access::ReadOnly,
-                options: Options::NONE,
-                object,
-            };
-            let description = Description {
-                object: (sub_index == 0).then_some("PDO".into()),
-                name: "COB-ID".into(),
-                default: DefaultValue::NodeIdPlus(0x4000_0180),
-                limits: None,
-            };
-            (entry, description)
-        })
-    };
-    let product = product();
-    let pdos = [0x1400, 0x1600, 0x1800, 0x1803, 0x1A00, 0x1A03].into_iter().flat_map(pdo);
-    let all = <Node<Firmware>>::entries(&product.device).chain(pdos);
-    let eds = DataSheet::new(product, all, &Firmware::new()).eds();
-    let sections = parse(&eds);
-    let info = &sections["DeviceInfo"];
-    assert_eq!((&*info["NrOfRXPDO"], &*info["NrOfTXPDO"], &*info["Granularity"]), ("1", "2", "8"));
-    assert_eq!(sections["1A03"]["ObjectType"], "0x9");
-    assert_eq!(sections["1803sub1"]["DefaultValue"], "$NODEID+0x40000180");
-    assert!(eds.find("[1A03]") < eds.find("[2000]"), "sorted");
-    let info = &parse(COMMITTED)["DeviceInfo"];
-    assert_eq!((&*info["NrOfRXPDO"], &*info["NrOfTXPDO"], &*info["Granularity"]), ("0", "0", "0"));
 }
 
 #[test]
@@ -350,13 +280,13 @@ fn the_page_has_one_line_for_each_value() {
     for line in [
         "| 2100h | | **Signed numbers** | RECORD | | | | |",
         "| 2100h | 1 | 8 bits | INTEGER8 | rw | -8 | -10 to 10 | |",
-        "| 2100h | 3 | 24 bits | INTEGER24 | rw | -24 | -8388608 to 0 | mappable |",
-        "| 2100h | 2 | 16 bits | INTEGER16 | ro | -300 | | mappable |",
-        "| 2101h | 1 | First | UNSIGNED8 | rw | 50 | 0 to 100 | stored |",
+        "| 2102h | 1 | 24 bits | INTEGER24 | rw | -2 | -8388608 to 8388606 | mappable, stored |",
+        "| 2101h | 3 | 32 bits | UNSIGNED32 | ro | 32 | | mappable |",
+        "| 2104h | 1 | First | UNSIGNED8 | rw | 50 | 0 to 100 | stored |",
         "| 6003h | 0 | Label | VISIBLE_STRING | const | A \\| B | | |",
     ] {
         assert!(page.lines().any(|found| found == line), "{line}");
     }
     let rows = page.lines().filter(|line| line.starts_with("| ") && !line.contains("**"));
-    assert_eq!(rows.count(), 1 + <Node<Kinds>>::entries(&product().device).count());
+    assert_eq!(rows.count(), 1 + <Node<Objects>>::entries(&product().device).count());
 }

@@ -2,7 +2,7 @@
 
 use canopen_node::{BitRate, BitRateSetting, BusEvent, emergency::Fault};
 use testkit::{
-    flash::{BoardFlash, Operation},
+    flash::Operation,
     frames::{Frames, SILENCE},
     node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::Client,
@@ -21,19 +21,16 @@ fn report(board: &mut NodeRig, fault: Fault) -> Frames {
 }
 
 #[test]
-fn a_bus_off_that_is_over_is_8140_and_then_no_error() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.see(BusEvent::BusOffRecovered), [BUS_OFF_RECOVERED, NO_ERROR]);
-    assert_eq!(board.number(0x1001, 0), 0);
-    assert_eq!(board.pass_ms(10_000), SILENCE, "once");
-}
-
-#[test]
-fn an_overrun_is_8110_and_then_no_error() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN, NO_ERROR]);
-    assert_eq!(board.number(0x1001, 0), 0);
-    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN, NO_ERROR], "each time");
+fn a_fault_that_is_over_is_8140_or_8110_and_then_no_error() {
+    for (fault, message) in
+        [(BusEvent::BusOffRecovered, BUS_OFF_RECOVERED), (BusEvent::Overrun, OVERRUN)]
+    {
+        let mut board = NodeRig::with_node_id(0x40);
+        assert_eq!(board.see(fault), [message, NO_ERROR]);
+        assert_eq!(board.number(0x1001, 0), 0);
+        assert_eq!(board.pass_ms(10_000), SILENCE, "once");
+        assert_eq!(board.see(fault), [message, NO_ERROR], "each time");
+    }
 }
 
 #[test]
@@ -106,6 +103,7 @@ fn the_cob_id_is_80h_plus_the_node_id() {
             format!("{cob_id:03X}: 00 00 00 00 00 00 00 00"),
         ];
         assert_eq!(board.see(BusEvent::Overrun), frames.each_ref().map(String::as_str));
+        assert_eq!(board.number(0x1014, 0), u32::from(cob_id));
     }
 }
 
@@ -121,20 +119,10 @@ fn emergencies_are_sent_in_pre_operational_and_operational_not_in_stopped() {
 }
 
 #[test]
-fn a_fault_of_a_node_without_a_node_id_is_reported_after_its_boot_up() {
-    let mut board = NodeRig::unconfigured();
-    assert_eq!(report(&mut board, Fault::SettingsLost), SILENCE);
-    board.lss("04 01");
-    board.lss("11 40");
-    assert_eq!(board.lss("04 00"), ["740: 00", SETTINGS_LOST]);
-}
-
-#[test]
 fn settings_lost_and_stored_without_a_node_id_are_reported_and_ended() {
     let mut board = NodeRig::unconfigured();
     report(&mut board, Fault::SettingsLost);
-    board.lss("04 01");
-    board.lss("11 40");
+    board.configure("11 40");
     assert_eq!(board.lss("17"), ["17 00"]);
     assert_eq!(board.lss("04 00"), ["740: 00", SETTINGS_LOST, NO_ERROR]);
 }
@@ -142,20 +130,10 @@ fn settings_lost_and_stored_without_a_node_id_are_reported_and_ended() {
 #[test]
 fn an_emergency_waits_for_the_end_of_a_switch_delay() {
     let mut board = NodeRig::with_heartbeat(0x40, 1_000);
-    board.lss("04 01");
-    board.lss("13 00 02");
-    board.lss("15 0A 00");
+    board.configure("13 00 02, 15 0A 00");
     assert_eq!(board.see(BusEvent::BusOffRecovered), SILENCE);
     assert_eq!(board.pass_us(19_999), SILENCE);
     assert_eq!(board.pass_us(1), [BUS_OFF_RECOVERED, NO_ERROR, "740: 7F"]);
-}
-
-#[test]
-fn reset_communication_keeps_a_lasting_error_and_does_not_report_it_again() {
-    let mut board = NodeRig::with_node_id(0x40);
-    report(&mut board, Fault::SettingsLost);
-    assert_eq!(board.nmt("82 00"), ["740: 00"]);
-    assert_eq!(board.number(0x1001, 0), 1);
 }
 
 #[test]
@@ -223,8 +201,7 @@ fn error_passive_that_lasts_goes_with_the_messages_of_other_faults() {
 #[test]
 fn a_node_that_only_listens_is_not_error_passive() {
     let automatic = defaults(0x40).with_bit_rate(BitRateSetting::Automatic);
-    let mut board =
-        NodeRig::with_device(device(ADDRESS).with_defaults(automatic), BoardFlash::blank(0), 0);
+    let mut board = NodeRig::of(device(ADDRESS).with_defaults(automatic));
     assert!(board.node.is_listening());
     assert_eq!(count(&mut board, 0, 200), SILENCE);
     board.see(BusEvent::Received);
@@ -264,6 +241,7 @@ fn reset_communication_keeps_the_error_history_and_adds_nothing_to_it() {
     assert_eq!(board.nmt("82 00"), ["740: 00"]);
     let errors = [1, 2].map(|sub_index| board.number(0x1003, sub_index));
     assert_eq!((board.number(0x1003, 0), errors), (2, [0x8120, 0x6310]));
+    assert_eq!(board.number(0x1001, 0), 0x11, "the errors last");
     board.nmt("81 00");
     assert_eq!(board.number(0x1003, 0), 0, "reset node clears it");
 }
@@ -272,8 +250,7 @@ fn reset_communication_keeps_the_error_history_and_adds_nothing_to_it() {
 fn a_boot_up_that_is_sent_again_does_not_enter_its_errors_again() {
     let mut board = NodeRig::unconfigured();
     report(&mut board, Fault::SettingsLost);
-    board.lss("04 01");
-    board.lss("11 40");
+    board.configure("11 40");
     assert_eq!(board.lss("04 00"), ["740: 00", SETTINGS_LOST]);
     for _ in 0..3 {
         assert_eq!(board.nmt("82 00"), ["740: 00"]);

@@ -126,9 +126,7 @@ fn a_lost_producer_that_is_no_longer_watched_is_no_error() {
 fn the_silence_of_a_switch_loses_no_producer() {
     let mut board = watching();
     receive(&mut board, "705: 05");
-    board.lss("04 01");
-    board.lss("13 00 02");
-    board.lss("15 E8 03");
+    board.configure("13 00 02, 15 E8 03");
     assert_eq!(board.pass_ms(2_000), ["1C0: 00 00 00"]);
     assert_eq!(board.pass_ms(99), SILENCE);
     assert_eq!(board.pass_ms(1), [NODE_5_LOST], "a period after it");

@@ -68,12 +68,6 @@ fn both_flicker_in_turn_while_lss_is_at_work() {
     for nmt in NMT_STATES {
         assert_shows(nmt, true, BusState::Good, FLICKERING, FLICKERING_IN_TURN);
         assert_shows(nmt, true, BusState::Warning, FLICKERING, FLICKERING_IN_TURN);
-    }
-}
-
-#[test]
-fn bus_off_is_seen_while_lss_is_at_work() {
-    for nmt in NMT_STATES {
         assert_shows(nmt, true, BusState::BusOff, FLICKERING, ON);
     }
 }

@@ -3,7 +3,7 @@
 use canopen_node::{BitRate, Frame, nmt::State};
 use testkit::{
     flash::BoardFlash,
-    frames::{Frames, SILENCE},
+    frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults},
     random::Random,
 };
@@ -14,26 +14,22 @@ fn ready_to_switch(heartbeat_ms: u16) -> NodeRig {
 }
 
 fn in_configuration(mut board: NodeRig) -> NodeRig {
-    board.lss("04 01");
-    assert_eq!(board.lss("13 00 02"), ["13 00"]);
+    assert_eq!(board.configure("13 00 02"), ["13 00"]);
     board.timeline();
     board
 }
 
 #[test]
 fn activation_is_silent_switches_after_one_delay_and_sends_after_two() {
-    let mut board = ready_to_switch(0);
-    assert_eq!(board.lss("15 64 00"), SILENCE);
-    assert_eq!(board.pass_ms(1000), SILENCE);
-    assert_eq!(board.timeline(), ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"]);
-}
-
-#[test]
-fn the_delay_is_little_endian() {
-    let mut board = ready_to_switch(0);
-    board.lss("15 01 02");
-    board.pass_ms(2000);
-    assert_eq!(board.timeline(), ["0 ms stop", "513 ms 500 kbit/s", "1026 ms resume"]);
+    for (request, timeline) in [
+        ("15 64 00", ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"]),
+        ("15 01 02", ["0 ms stop", "513 ms 500 kbit/s", "1026 ms resume"]),
+    ] {
+        let mut board = ready_to_switch(0);
+        assert_eq!(board.lss(request), SILENCE);
+        assert_eq!(board.pass_ms(2000), SILENCE);
+        assert_eq!(board.timeline(), timeline, "the delay is little endian");
+    }
 }
 
 #[test]
@@ -82,8 +78,7 @@ fn a_node_without_a_node_id_stays_silent_after_an_activation() {
 #[test]
 fn an_activation_that_changes_nothing_keeps_both_silent_periods() {
     let mut board = NodeRig::with_heartbeat(0x40, 50);
-    board.lss("04 01");
-    board.lss("15 64 00");
+    board.configure("15 64 00");
     assert_eq!(board.pass_us(199_999), SILENCE, "without a 13 before");
     assert_eq!(board.pass_us(1), ["740: 7F"]);
     assert_eq!(board.bit_rate(), BitRate::Kbit1000);
@@ -108,25 +103,9 @@ fn lss_requests_are_ignored_in_the_silent_periods_and_served_at_their_end() {
             assert_eq!(board.timeline(), timeline, "{request} after {at_us} us");
             assert_eq!(board.lss("5E"), ["5E 40"], "{request} after {at_us} us");
             assert_eq!(board.nmt("82 00"), ["740: 00"], "{request} after {at_us} us");
-            board.lss("04 01");
-            board.lss("15 00 00");
+            board.configure("15 00 00");
             assert_eq!(board.bit_rate(), BitRate::Kbit500, "{request} after {at_us} us");
         }
-    }
-}
-
-#[test]
-fn select_and_identify_do_not_see_frames_of_the_silent_periods() {
-    let mut board = ready_to_switch(0);
-    let identify =
-        ["46 44 33 22 11", "47 88 77 66 55", "48", "49 FF FF FF FF", "4A", "4B FF FF FF FF"];
-    board.lss("15 64 00");
-    for request in identify {
-        assert_eq!(board.lss(request), SILENCE);
-    }
-    board.pass_ms(200);
-    for request in &identify[1..] {
-        assert_eq!(board.lss(request), SILENCE);
     }
 }
 
@@ -183,33 +162,29 @@ fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end() {
 
 #[test]
 fn a_reset_in_the_silent_periods_wins_over_commands_before_and_after() {
-    for (commands, last) in
-        [(["82 00", "01 00"], "200 ms 740: 00"), (["01 00", "82 00"], "200 ms 740: 00")]
-    {
+    const OF_NODE: &str = "200 ms reset";
+    const OF_COMMUNICATION: &str = "200 ms node-ID 40";
+    for (commands, reset, kbit_per_s) in [
+        (&["82 00", "01 00"][..], OF_COMMUNICATION, 500),
+        (&["01 00", "82 40"], OF_COMMUNICATION, 500),
+        (&["82 00", "82 40", "80 00"], OF_COMMUNICATION, 500),
+        (&["81 00", "01 00"], OF_NODE, 1000),
+        (&["02 00", "81 00"], OF_NODE, 1000),
+        (&["82 00", "81 00"], OF_NODE, 1000),
+        (&["81 00", "82 00"], OF_NODE, 1000),
+        (&["82 40", "81 40", "82 00", "01 00"], OF_NODE, 1000),
+    ] {
         let mut board = ready_to_switch(0);
         board.lss("15 64 00");
         for command in commands {
             assert_eq!(board.nmt(command), SILENCE);
         }
         board.pass_ms(300);
-        let timeline = board.timeline();
-        assert_eq!(timeline[..3], ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"]);
-        assert_eq!(timeline.last().unwrap(), last, "{commands:?}");
-        assert!(!timeline.contains(&"200 ms reset".into()), "{commands:?}");
+        let expected = ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume", reset, "200 ms 740: 00"];
+        assert_eq!(board.timeline(), expected, "{commands:?}");
+        assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s, "{commands:?}");
         assert_eq!(board.node.nmt_state(), State::PreOperational);
         assert!(!board.is_in_configuration_state());
-    }
-    for commands in [["81 00", "01 00"], ["02 00", "81 00"], ["82 00", "81 00"], ["81 00", "82 00"]]
-    {
-        let mut board = ready_to_switch(0);
-        board.lss("15 64 00");
-        for command in commands {
-            assert_eq!(board.nmt(command), SILENCE);
-        }
-        board.pass_ms(300);
-        let last = ["200 ms reset", "200 ms 740: 00"];
-        assert_eq!(board.timeline()[3..], last, "{commands:?}");
-        assert_eq!(board.bit_rate(), BitRate::Kbit1000, "the persistent one");
     }
 }
 
@@ -249,20 +224,6 @@ fn a_late_call_runs_due_actions_in_order_and_does_not_shift_later_ones() {
     board.lss("15 64 00");
     assert_eq!(board.be_late_ms(300), ["740: 7F"]);
     assert_eq!(board.timeline(), ["0 ms stop", "300 ms resume", "300 ms 740: 7F"]);
-}
-
-#[test]
-fn sdo_requests_of_the_silent_periods_are_not_answered_late() {
-    let read_heartbeat_time =
-        Frame::new(0x640, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]).expect("a frame");
-    let mut board = ready_to_switch(10_000);
-    board.lss("15 64 00");
-    for _ in 0..20 {
-        assert_eq!(board.receive(&read_heartbeat_time), SILENCE);
-        board.pass_ms(10);
-    }
-    assert_eq!(board.timeline().last().unwrap(), "200 ms 740: 7F");
-    assert_eq!(board.receive(&read_heartbeat_time), ["5C0: 4B 17 10 00 10 27 00 00"]);
 }
 
 /// Requests, resets, activations and heartbeats, with time passing in steps of `step_us`.
@@ -325,9 +286,7 @@ fn a_long_activation_survives_the_wrap_of_the_clock() {
 fn answers_before_an_activation_are_handed_over_before_the_silence() {
     let mut board = NodeRig::with_node_id(0x40);
     board.timeline();
-    let requests = ["04 01", "5E", "13 00 02", "15 64 00"];
-    let sent = requests.iter().flat_map(|request| board.lss(request).0).collect();
-    assert_eq!(Frames(sent), ["5E 40", "13 00"]);
+    assert_eq!(board.configure("5E, 13 00 02, 15 64 00"), ["5E 40", "13 00"]);
     assert_eq!(board.timeline().last().unwrap(), "0 ms stop");
 }
 

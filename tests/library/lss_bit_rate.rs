@@ -2,7 +2,6 @@
 
 use canopen_node::{BitRate, BitRates, Node};
 use testkit::{
-    flash::BoardFlash,
     frames::Frames,
     node_rig::{ADDRESS, NodeRig, defaults, device},
 };
@@ -16,8 +15,7 @@ fn with_500_pending() -> NodeRig {
 }
 
 fn with_500_pending_on(mut board: NodeRig) -> NodeRig {
-    board.lss("04 01");
-    assert_eq!(board.lss("13 00 02"), ["13 00"]);
+    assert_eq!(board.configure("13 00 02"), ["13 00"]);
     board
 }
 
@@ -58,7 +56,7 @@ fn a_rate_that_a_product_leaves_out_is_refused_and_changes_nothing() {
     let rates = rates.without(BitRate::Kbit1000).without(BitRate::Kbit10);
     let defaults = defaults(0x40).with_bit_rate(BitRate::Kbit125.into());
     let device = device(ADDRESS).with_bit_rates(rates).with_defaults(defaults);
-    let mut board = with_500_pending_on(NodeRig::with_device(device, BoardFlash::blank(0), 0));
+    let mut board = with_500_pending_on(NodeRig::of(device));
     for (index, answer) in [(0, "13 01"), (1, "13 00"), (7, "13 00"), (8, "13 01"), (9, "13 00")] {
         assert_eq!(board.lss(&format!("13 00 {index:02X}")), [answer], "index {index}");
     }
@@ -71,7 +69,7 @@ fn a_rate_that_a_product_leaves_out_is_refused_and_changes_nothing() {
 #[test]
 fn a_rate_that_the_clock_cannot_produce_is_refused_and_changes_nothing() {
     let device = device(ADDRESS).with_bit_rates(BitRates::possible(42_000_000));
-    let board = NodeRig::with_device(device.with_defaults(defaults(0x40)), BoardFlash::blank(0), 0);
+    let board = NodeRig::of(device.with_defaults(defaults(0x40)));
     let mut board = with_500_pending_on(board);
     assert_eq!(board.lss("13 00 01"), ["13 01"], "800 kbit/s is not possible from 42 MHz");
     assert_eq!(pending(&mut board), 500);

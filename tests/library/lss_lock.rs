@@ -1,14 +1,13 @@
 //! The LSS lock, an option of the device: in NMT operational the LSS state stays waiting.
 
 use testkit::{
-    flash::BoardFlash,
     frames::{Frames, SILENCE, number},
     node_rig::{ADDRESS, NodeRig, defaults, device},
 };
 
 fn board(lss_lock: bool, node_id: u8) -> NodeRig {
     let device = device(ADDRESS).with_lss_lock(lss_lock);
-    NodeRig::with_device(device.with_defaults(defaults(node_id)), BoardFlash::blank(0), 0)
+    NodeRig::of(device.with_defaults(defaults(node_id)))
 }
 
 /// Selects the board by its address.
@@ -62,14 +61,12 @@ fn with_the_lock_a_node_in_nmt_operational_is_still_identified() {
 fn with_the_lock_configuration_ends_in_operational_and_is_free_afterwards() {
     for leave in ["02 40", "80 40"] {
         let mut board = board(true, 0x40);
-        board.lss("04 01");
-        assert_eq!(board.lss("11 05"), ["11 00"]);
+        assert_eq!(board.configure("11 05"), ["11 00"]);
         board.nmt("01 40");
         assert_eq!(board.lss("5E"), SILENCE);
         board.nmt(leave);
         assert_eq!(board.lss("5E"), SILENCE, "in waiting state");
-        board.lss("04 01");
-        assert_eq!(board.lss("5E"), ["5E 40"]);
+        assert_eq!(board.configure("5E"), ["5E 40"]);
         assert_eq!(board.lss("17"), ["17 00"], "the pending values still are");
         assert_eq!(board.stored().and_then(|s| s.node_id).map(|id| id.get()), Some(5));
     }

@@ -23,22 +23,11 @@ fn stored(board: &NodeRig) -> Option<u8> {
 fn configure_node_id_takes_01_to_7f_and_ff_and_refuses_the_rest() {
     for byte in 0..=0xFF {
         let mut board = NodeRig::with_node_id(0x40);
-        board.lss("04 01");
+        board.configure("11 05");
         let is_valid = matches!(byte, 0x01..=0x7F | 0xFF);
         let answers = board.lss(&format!("11 {byte:02X}"));
         assert_eq!(answers, if is_valid { ["11 00"] } else { ["11 01"] }, "{byte:02X}");
-        assert_eq!(pending(&mut board), Some(if is_valid { byte } else { 0x40 }));
-    }
-}
-
-#[test]
-fn a_refused_node_id_leaves_the_pending_one_alone() {
-    for byte in ["00", "80", "FE"] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.lss("04 01");
-        board.lss("11 05");
-        assert_eq!(board.lss(&format!("11 {byte}")), ["11 01"]);
-        assert_eq!(pending(&mut board), Some(0x05));
+        assert_eq!(pending(&mut board), Some(if is_valid { byte } else { 0x05 }));
     }
 }
 
@@ -60,13 +49,11 @@ fn configure_node_id_changes_nothing_but_the_pending_node_id() {
 #[test]
 fn inquire_node_id_answers_the_active_one_not_the_pending_one() {
     let mut board = NodeRig::unconfigured();
-    board.lss("04 01");
-    assert_eq!(board.lss("5E"), ["5E FF"]);
+    assert_eq!(board.configure("5E"), ["5E FF"]);
     board.lss("11 05");
     assert_eq!(board.lss("5E"), ["5E FF"]);
     board.lss("04 00");
-    board.lss("04 01");
-    assert_eq!(board.lss("5E"), ["5E 05"]);
+    assert_eq!(board.configure("5E"), ["5E 05"]);
     board.lss("11 FF");
     assert_eq!(board.lss("5E"), ["5E 05"]);
     board.lss("17");
@@ -74,40 +61,22 @@ fn inquire_node_id_answers_the_active_one_not_the_pending_one() {
 }
 
 #[test]
-fn power_on_with_nothing_stored_brings_the_default_of_the_device() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.power_cycle(), ["740: 00"]);
-    board.lss("04 01");
-    assert_eq!(board.lss("5E"), ["5E 40"]);
-    let mut board = NodeRig::unconfigured();
-    assert_eq!(board.power_cycle(), SILENCE);
-    board.lss("04 01");
-    assert_eq!(board.lss("5E"), ["5E FF"]);
-}
-
-#[test]
 fn power_on_with_nothing_usable_stored_brings_the_default_of_the_device() {
     let garbage = BoardFlash::with_content(vec![0x5A; 0x8000], 0);
-    let mut board = NodeRig::new(ADDRESS, defaults(0x40), garbage, 0);
-    assert_eq!(board.power_cycle(), ["740: 00"]);
-}
-
-#[test]
-fn power_on_brings_the_stored_node_id() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 05");
-    assert_eq!(board.lss("17"), ["17 00"]);
-    assert_eq!(board.power_cycle(), ["705: 00"]);
+    for (mut board, boot_up, inquired) in [
+        (NodeRig::with_node_id(0x40), &["740: 00"][..], "5E 40"),
+        (NodeRig::unconfigured(), &[], "5E FF"),
+        (NodeRig::new(ADDRESS, defaults(0x40), garbage, 0), &["740: 00"], "5E 40"),
+    ] {
+        assert_eq!(board.power_cycle(), boot_up);
+        assert_eq!(board.configure("5E"), [inquired]);
+    }
 }
 
 #[test]
 fn reset_node_makes_the_persistent_node_id_pending_and_active() {
     let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 05");
-    board.lss("17");
-    board.lss("11 06");
+    board.configure("11 05, 17, 11 06");
     assert_eq!(board.nmt("81 40"), ["705: 00"]);
     assert_eq!(pending(&mut board), Some(0x05));
 }
@@ -115,21 +84,20 @@ fn reset_node_makes_the_persistent_node_id_pending_and_active() {
 #[test]
 fn reset_communication_makes_the_pending_node_id_active_stored_or_not() {
     let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 05");
+    board.configure("11 05");
     assert_eq!(board.nmt("82 40"), ["705: 00"]);
     assert!(!board.is_in_configuration_state());
-    board.lss("04 01");
-    assert_eq!(board.lss("5E"), ["5E 05"]);
+    assert_eq!(board.configure("5E"), ["5E 05"]);
     assert_eq!(board.power_cycle(), ["740: 00"], "it was not stored");
 }
 
 #[test]
 fn cob_ids_follow_the_node_id() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
-    board.lss("04 01");
-    board.lss("11 04");
+    board.configure("11 04");
     board.timeline();
+    board.nmt("01 04");
+    assert_eq!(board.node.nmt_state(), State::PreOperational, "04 is only pending");
     assert_eq!(board.nmt("82 40"), ["704: 00"]);
     assert_eq!(board.timeline(), ["0 ms node-ID 04", "0 ms 704: 00"], "the board gets it first");
     assert_eq!(board.pass_ms(100), ["704: 7F"]);
@@ -155,42 +123,24 @@ fn a_node_without_a_node_id_sends_nothing_and_stays_in_initialisation() {
 }
 
 #[test]
-fn a_node_without_a_node_id_obeys_the_resets_to_all() {
-    for command in ["81 00", "82 00"] {
-        let mut board = NodeRig::unconfigured();
-        board.lss("04 01");
-        board.nmt(command);
-        assert!(!board.is_in_configuration_state(), "{command}");
-    }
-    for command in ["81 FF", "82 FF", "81 7F", "82 01"] {
-        let mut board = NodeRig::unconfigured();
-        board.lss("04 01");
-        board.nmt(command);
-        assert!(board.is_in_configuration_state(), "{command} is for another node");
-    }
-}
-
-#[test]
 fn reset_communication_with_ff_pending_ends_communication() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.nmt("01 00");
-    board.lss("04 01");
-    board.lss("11 FF");
+    board.configure("11 FF");
     board.timeline();
     assert_eq!(board.nmt("82 00"), SILENCE);
     assert_eq!(board.timeline(), ["0 ms node-ID FF"]);
     assert_eq!(board.node.nmt_state(), State::Initialisation);
     assert_eq!(board.pass_ms(1000), SILENCE);
+    assert_eq!(board.sdo("40 18 10 00"), SILENCE);
     assert_eq!(board.lss("4C"), ["50"]);
-    board.lss("04 01");
-    assert_eq!(board.lss("5E"), ["5E FF"]);
+    assert_eq!(board.configure("5E"), ["5E FF"]);
 }
 
 #[test]
 fn leaving_configuration_with_a_first_node_id_starts_communication() {
     let mut board = NodeRig::with_heartbeat(0xFF, 100);
-    board.lss("04 01");
-    assert_eq!(board.lss("11 04"), ["11 00"]);
+    assert_eq!(board.configure("11 04"), ["11 00"]);
     assert_eq!(board.pass_ms(1000), SILENCE, "not before the end of configuration");
     board.timeline();
     assert_eq!(board.lss("04 00"), ["704: 00"]);
@@ -205,16 +155,10 @@ fn leaving_configuration_with_a_first_node_id_starts_communication() {
 fn nothing_else_starts_communication_by_itself() {
     let mut board = NodeRig::unconfigured();
     board.timeline();
-    board.lss("04 01");
-    board.lss("04 00");
+    board.configure("04 00");
     assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending");
     assert_eq!(board.timeline(), SILENCE, "not even an invisible reset");
-    board.lss("04 01");
-    board.lss("11 04");
-    board.lss("04 01");
-    board.lss("04 02");
-    board.lss("17");
-    board.lss("15 0A 00");
+    board.configure("11 04, 04 01, 04 02, 17, 15 0A 00");
     assert_eq!(board.pass_ms(1000), SILENCE, "it was not 04 00");
     board.lss("11 FF");
     board.lss("04 00");
@@ -231,28 +175,15 @@ fn leaving_configuration_with_an_active_node_id_waits_for_an_nmt_reset() {
         assert_eq!(board.lss("04 00"), SILENCE);
         assert_eq!(board.pass_ms(1000), SILENCE);
         assert_eq!(board.node.nmt_state(), State::Operational);
-        board.lss("04 01");
-        assert_eq!(board.lss("5E"), ["5E 40"]);
+        assert_eq!(board.configure("5E"), ["5E 40"]);
         assert_eq!(board.nmt("82 00"), boot_up);
     }
 }
 
 #[test]
-fn a_node_id_given_to_an_unconfigured_node_is_stored_only_by_17() {
-    let mut board = NodeRig::unconfigured();
-    board.lss("04 01");
-    board.lss("11 04");
-    assert_eq!(board.lss("04 00"), ["704: 00"]);
-    assert_eq!(board.power_cycle(), SILENCE);
-    assert_eq!(board.lss("4C"), ["50"]);
-}
-
-#[test]
 fn store_makes_the_pending_values_persistent_and_leaves_the_active_ones() {
     let mut board = NodeRig::with_heartbeat(0x40, 1000);
-    board.lss("04 01");
-    board.lss("11 05");
-    board.lss("13 00 03");
+    board.configure("11 05, 13 00 03");
     assert_eq!(board.lss("17"), ["17 00"]);
     let heartbeat_ms = 1000;
     let bit_rate = canopen_node::BitRate::Kbit250.into();
@@ -270,8 +201,7 @@ fn store_makes_the_pending_values_persistent_and_leaves_the_active_ones() {
 #[test]
 fn ff_is_storable_and_unconfigures_the_node() {
     let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 FF");
+    board.configure("11 FF");
     assert_eq!(board.lss("17"), ["17 00"]);
     assert_eq!(board.lss("5E"), ["5E 40"]);
     assert_eq!(board.power_cycle(), SILENCE);
@@ -282,8 +212,7 @@ fn ff_is_storable_and_unconfigures_the_node() {
 fn store_is_answered_only_after_it_was_done() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
-    board.lss("04 01");
-    board.lss("11 05");
+    board.configure("11 05");
     assert_eq!(board.lss("17"), SILENCE);
     assert_eq!(board.pass_ms(10), SILENCE);
     assert_eq!(stored(&board), None);
@@ -296,8 +225,7 @@ fn store_is_answered_only_after_it_was_done() {
 fn a_store_that_fails_is_answered_with_its_error_code() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
-    board.lss("04 01");
-    board.lss("17");
+    board.configure("17");
     assert_eq!(board.end_store(Err(StoreError::NotSupported)), ["17 01"]);
     board.lss("17");
     assert_eq!(board.end_store(Err(StoreError::MediumAccess)), ["17 02"]);
@@ -307,10 +235,7 @@ fn a_store_that_fails_is_answered_with_its_error_code() {
 fn a_store_refused_by_the_medium_is_answered_17_02_and_changes_nothing() {
     for operation in [Operation::Write, Operation::Read] {
         let mut board = NodeRig::with_node_id(0x40);
-        board.lss("04 01");
-        board.lss("11 05");
-        board.lss("17");
-        board.lss("11 06");
+        board.configure("11 05, 17, 11 06");
         board.flash.fail(operation);
         assert_eq!(board.lss("17"), ["17 02"], "{operation:?}");
         assert_eq!(stored(&board), Some(0x05));
@@ -324,8 +249,7 @@ fn a_store_that_reads_back_differently_is_answered_17_02() {
     // The node-ID in the records of the first two stores, behind the mark and the record written by formatting.
     const NODE_ID_AT: [usize; 2] = [64 + 5, 96 + 5];
     let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 05");
+    board.configure("11 05");
     board.flash.stick(NODE_ID_AT[1], 0x01, true);
     assert_eq!(board.lss("17"), ["17 00"]);
     assert_eq!(board.flash.content()[NODE_ID_AT[0]], 0x05);
@@ -335,29 +259,10 @@ fn a_store_that_reads_back_differently_is_answered_17_02() {
 }
 
 #[test]
-fn a_store_of_values_that_are_stored_already_writes_nothing() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 05");
-    board.lss("17");
-    let writes = board.flash.writes();
-    assert_eq!(board.lss("17"), ["17 00"]);
-    assert_eq!(board.flash.writes(), writes);
-    board.power_cycle();
-    // The start has programmed the commit word again.
-    let writes = board.flash.writes();
-    board.lss("04 01");
-    assert_eq!(board.lss("17"), ["17 00"]);
-    assert_eq!(board.flash.writes(), writes);
-}
-
-#[test]
 fn a_running_store_survives_reset_communication_and_is_answered() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
-    board.lss("04 01");
-    board.lss("11 05");
-    board.lss("17");
+    board.configure("11 05, 17");
     assert_eq!(board.nmt("82 00"), ["705: 00"]);
     assert_eq!(board.finish_store(), ["17 00"]);
     assert_eq!(board.power_cycle(), ["705: 00"]);

@@ -2,105 +2,24 @@
 
 use canopen_node::{Frame, nmt::State};
 use testkit::{
-    frames::{Frames, SILENCE, bytes, number},
+    frames::{SILENCE, bytes, number},
     node_rig::{ADDRESS, NodeRig},
 };
 
-/// A request for each valid command specifier, and the answers of a new slave without a node-ID in the states waiting
-/// and configuration.
-const REQUESTS: [(&str, &[&str], &[&str]); 22] = [
-    ("04", &[], &[]),
-    ("04 01", &[], &[]),
-    ("11 04", &[], &["11 00"]),
-    ("13 00 02", &[], &["13 00"]),
-    ("15 0A 00", &[], &[]),
-    ("17", &[], &["17 00"]),
-    ("40 44 33 22 11", &[], &[]),
-    ("41 88 77 66 55", &[], &[]),
-    ("42 03 02 01 00", &[], &[]),
-    ("43 EF BE AD DE", &[], &[]),
-    ("46 44 33 22 11", &[], &[]),
-    ("47 88 77 66 55", &[], &[]),
-    ("48 03 02 01 00", &[], &[]),
-    ("49 03 02 01 00", &[], &[]),
-    ("4A EF BE AD DE", &[], &[]),
-    ("4B EF BE AD DE", &[], &[]),
-    ("4C", &["50"], &["50"]),
-    ("51 00 00 00 00 80", &["4F"], &[]),
-    ("5A", &[], &["5A 44 33 22 11"]),
-    ("5B", &[], &["5B 88 77 66 55"]),
-    ("5C", &[], &["5C 03 02 01 00"]),
-    ("5D", &[], &["5D EF BE AD DE"]),
-];
-
-#[test]
-fn the_state_after_power_on_is_waiting() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.lss("5E"), SILENCE);
-}
-
-#[test]
-fn each_request_is_answered_only_where_the_table_says_so() {
-    for (request, in_waiting, in_configuration) in REQUESTS {
-        let mut board = NodeRig::unconfigured();
-        assert_eq!(board.lss(request), in_waiting, "{request} in waiting");
-        let mut board = NodeRig::unconfigured();
-        board.lss("04 01");
-        assert_eq!(board.lss(request), in_configuration, "{request} in configuration");
-    }
-}
-
-#[test]
-fn only_04_changes_the_state_at_once() {
-    for (request, ..) in REQUESTS.iter().filter(|(request, ..)| !request.starts_with("04")) {
-        let mut board = NodeRig::unconfigured();
-        board.lss(request);
-        assert!(!board.is_in_configuration_state(), "{request} in waiting");
-        board.lss("04 01");
-        board.lss(request);
-        board.pass_ms(100);
-        assert!(board.is_in_configuration_state(), "{request} in configuration");
-    }
-}
-
-#[test]
-fn a_request_that_waiting_does_not_allow_changes_nothing() {
-    for request in ["11 04", "13 00 02", "15 00 00", "17"] {
-        let mut board = NodeRig::unconfigured();
-        board.timeline();
-        assert_eq!(board.lss(request), SILENCE, "{request}");
-        assert_eq!(board.timeline(), SILENCE, "{request}");
-        board.lss("04 01");
-        assert_eq!(board.lss("4C"), ["50"], "{request}: the pending node-ID is still FF");
-        board.lss("15 00 00");
-        assert_eq!(board.bit_rate().kbit_per_s(), 1000, "{request}: and the pending rate too");
-    }
-}
-
-#[test]
-fn switch_state_global_goes_to_configuration_and_back_without_an_answer() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.lss("04 01"), SILENCE);
-    assert_eq!(board.lss("5E"), ["5E 40"]);
-    assert_eq!(board.lss("04 01"), SILENCE);
-    assert_eq!(board.lss("5E"), ["5E 40"]);
-    assert_eq!(board.lss("04 00"), SILENCE);
-    assert_eq!(board.lss("5E"), SILENCE);
-    assert_eq!(board.lss("04 00"), SILENCE);
-    assert_eq!(board.lss("5E"), SILENCE);
-}
+/// A request for each command specifier of a master.
+const REQUESTS: &str = "04, 04 01, 11 04, 13 00 02, 15 0A 00, 17, 4C, 51 00 00 00 00 80, 5A, \
+    5B, 5C, 5D, 5E, 40 44 33 22 11, 41 88 77 66 55, 42 03 02 01 00, 43 EF BE AD DE, \
+    46 44 33 22 11, 47 88 77 66 55, 48 03 02 01 00, 49 03 02 01 00, 4A EF BE AD DE, 4B EF BE AD DE";
 
 #[test]
 fn switch_state_global_with_any_other_mode_is_ignored() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for mode in 2..=0xFF {
-        assert_eq!(board.lss(&format!("04 {mode:02X}")), SILENCE);
-        assert!(!board.is_in_configuration_state(), "mode {mode:02X}");
-    }
-    board.lss("04 01");
-    for mode in 2..=0xFF {
-        assert_eq!(board.lss(&format!("04 {mode:02X}")), SILENCE);
-        assert!(board.is_in_configuration_state(), "mode {mode:02X}");
+    for (state, is_configuration) in [("04 00", false), ("04 01", true)] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.lss(state);
+        for mode in 2..=0xFF {
+            assert_eq!(board.lss(&format!("04 {mode:02X}")), SILENCE);
+            assert_eq!(board.is_in_configuration_state(), is_configuration, "mode {mode:02X}");
+        }
     }
 }
 
@@ -122,58 +41,59 @@ fn numbers_are_little_endian_and_reserved_bytes_of_an_answer_are_0() {
 
 #[test]
 fn reserved_bytes_of_a_request_are_ignored_and_not_echoed() {
-    const X: &str = "A5 A5 A5 A5 A5 A5 A5";
     let mut board = NodeRig::unconfigured();
-    assert_eq!(board.lss(&format!("4C {X}")), ["50"]);
-    assert_eq!(board.lss("51 A5 A5 A5 A5 80 A5 A5"), ["4F"]);
-    assert_eq!(board.lss("04 01 A5 A5 A5 A5 A5 A5"), SILENCE);
-    assert_eq!(board.lss(&format!("5A {X}")), ["5A 44 33 22 11"]);
-    assert_eq!(board.lss(&format!("5B {X}")), ["5B 88 77 66 55"]);
-    assert_eq!(board.lss(&format!("5C {X}")), ["5C 03 02 01 00"]);
-    assert_eq!(board.lss(&format!("5D {X}")), ["5D EF BE AD DE"]);
-    assert_eq!(board.lss(&format!("5E {X}")), ["5E FF"]);
-    assert_eq!(board.lss("11 04 A5 A5 A5 A5 A5 A5"), ["11 00"]);
-    assert_eq!(board.lss("11 00 A5 A5 A5 A5 A5 A5"), ["11 01"]);
-    assert_eq!(board.lss("13 00 02 A5 A5 A5 A5 A5"), ["13 00"]);
-    assert_eq!(board.lss("13 00 05 A5 A5 A5 A5 A5"), ["13 01"]);
-    assert_eq!(board.lss(&format!("17 {X}")), ["17 00"]);
+    for (request, answer) in [
+        ("4C", Some("50")),
+        ("51 00 00 00 00 80", Some("4F")),
+        ("04 01", None),
+        ("5A", Some("5A 44 33 22 11")),
+        ("5B", Some("5B 88 77 66 55")),
+        ("5C", Some("5C 03 02 01 00")),
+        ("5D", Some("5D EF BE AD DE")),
+        ("5E", Some("5E FF")),
+        ("11 04", Some("11 00")),
+        ("11 00", Some("11 01")),
+        ("13 00 02", Some("13 00")),
+        ("13 00 05", Some("13 01")),
+        ("17", Some("17 00")),
+        ("04 00", Some("704: 00")),
+        ("40 44 33 22 11", None),
+        ("41 88 77 66 55", None),
+        ("42 03 02 01 00", None),
+        ("43 EF BE AD DE", Some("44")),
+        ("46 44 33 22 11", None),
+        ("47 88 77 66 55", None),
+        ("48 03 02 01 00", None),
+        ("49 03 02 01 00", None),
+        ("4A EF BE AD DE", None),
+        ("4B EF BE AD DE", Some("4F")),
+    ] {
+        let mut data = bytes(request);
+        data.resize(8, 0xA5);
+        let request = Frame::new(0x7E5, &data).expect("eight bytes");
+        assert_eq!(board.receive(&request), answer.as_slice(), "{request:?}");
+    }
     board.timeline();
     assert_eq!(board.lss("15 02 00 A5 A5 A5 A5 A5"), SILENCE);
     board.pass_ms(10);
     assert_eq!(board.timeline(), ["0 ms stop", "2 ms 500 kbit/s", "4 ms resume"]);
-    assert_eq!(board.lss("04 00 A5 A5 A5 A5 A5 A5"), ["704: 00"]);
-    for command in ["40 44 33 22 11", "41 88 77 66 55", "42 03 02 01 00"] {
-        assert_eq!(board.lss(&format!("{command} A5 A5 A5")), SILENCE);
-    }
-    assert_eq!(board.lss("43 EF BE AD DE A5 A5 A5"), ["44"]);
-    for command in ["46 44 33 22 11", "47 88 77 66 55", "48 03 02 01 00", "49 03 02 01 00"] {
-        assert_eq!(board.lss(&format!("{command} A5 A5 A5")), SILENCE);
-    }
-    assert_eq!(board.lss("4A EF BE AD DE A5 A5 A5"), SILENCE);
-    assert_eq!(board.lss("4B EF BE AD DE A5 A5 A5"), ["4F"]);
 }
 
 #[test]
 fn requests_back_to_back_are_all_answered_in_their_order() {
     let mut board = NodeRig::with_node_id(0x40);
-    let requests = ["04 01", "5A", "5B", "5C", "5D", "5E"];
-    let sent: Vec<_> = requests.iter().flat_map(|request| board.lss(request).0).collect();
     let answers = ["5A 44 33 22 11", "5B 88 77 66 55", "5C 03 02 01 00", "5D EF BE AD DE", "5E 40"];
-    assert_eq!(Frames(sent), answers);
+    assert_eq!(board.configure("5A, 5B, 5C, 5D, 5E"), answers);
 }
 
 #[test]
 fn requests_are_answered_while_a_store_is_running_and_none_is_lost() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
-    board.lss("04 01");
-    assert_eq!(board.lss("11 05"), ["11 00"]);
-    assert_eq!(board.lss("17"), SILENCE);
-    assert_eq!(board.lss("5D"), ["5D EF BE AD DE"]);
-    assert_eq!(board.lss("11 06"), ["11 00"]);
-    assert_eq!(board.lss("17"), SILENCE);
-    assert_eq!(board.lss("17"), SILENCE);
-    assert_eq!(board.lss("04 00"), SILENCE);
+    assert_eq!(
+        board.configure("11 05, 17, 5D, 11 06, 17, 17, 04 00"),
+        ["11 00", "5D EF BE AD DE", "11 00"]
+    );
     assert!(!board.is_in_configuration_state());
     assert_eq!(board.finish_store(), ["17 00"]);
     assert_eq!(board.finish_store(), ["17 00"]);
@@ -183,8 +103,7 @@ fn requests_are_answered_while_a_store_is_running_and_none_is_lost() {
 
 #[test]
 fn a_command_specifier_that_is_no_request_is_ignored_in_both_states() {
-    let is_request =
-        |command: u8| command == 0x5E || REQUESTS.iter().any(|(r, ..)| bytes(r)[0] == command);
+    let is_request = |command: u8| REQUESTS.split(", ").any(|request| bytes(request)[0] == command);
     for is_configuration in [false, true] {
         let mut board = NodeRig::unconfigured();
         board.lss(if is_configuration { "04 01" } else { "04 00" });
@@ -206,7 +125,7 @@ fn a_request_without_all_eight_bytes_is_ignored() {
         let mut board = NodeRig::unconfigured();
         board.lss(if is_configuration { "04 01" } else { "04 00" });
         board.timeline();
-        for (request, ..) in REQUESTS {
+        for request in REQUESTS.split(", ") {
             let mut data = bytes(request);
             data.resize(8, 0);
             for len in 0..8 {
@@ -246,50 +165,26 @@ fn lss_is_served_in_every_nmt_state() {
     }
     let mut board = NodeRig::unconfigured();
     assert_eq!(board.node.nmt_state(), State::Initialisation);
-    board.lss("04 01");
-    assert_eq!(board.lss("5E"), ["5E FF"]);
+    assert_eq!(board.configure("5E"), ["5E FF"]);
 }
 
 #[test]
-fn nmt_commands_other_than_resets_leave_the_lss_state_alone() {
-    for command in ["80 00", "01 00", "02 00"] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.nmt(command);
-        assert!(!board.is_in_configuration_state(), "{command}");
-        board.lss("04 01");
-        board.nmt(command);
-        assert!(board.is_in_configuration_state(), "{command}");
-    }
-}
-
-#[test]
-fn both_nmt_resets_return_to_waiting() {
-    for command in ["81 00", "82 00"] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.lss("04 01");
-        board.nmt(command);
-        assert!(!board.is_in_configuration_state(), "{command}");
-    }
-}
-
-#[test]
-fn identify_non_configured_is_answered_only_while_both_node_ids_are_ff() {
+fn identify_non_configured_and_fastscan_are_answered_only_while_both_node_ids_are_ff() {
     let mut board = NodeRig::unconfigured();
-    assert_eq!(board.lss("4C"), ["50"]);
-    board.lss("04 01");
-    assert_eq!(board.lss("4C"), ["50"]);
-    board.lss("11 05");
-    assert_eq!(board.lss("4C"), SILENCE, "active FF, pending 05");
-    board.lss("11 FF");
-    assert_eq!(board.lss("4C"), ["50"]);
-    board.lss("11 05");
-    board.lss("04 00");
-    assert_eq!(board.lss("4C"), SILENCE, "active 05, pending 05");
-    board.lss("04 01");
-    board.lss("11 FF");
-    assert_eq!(board.lss("4C"), SILENCE, "active 05, pending FF");
-    board.lss("04 00");
-    assert_eq!(board.lss("4C"), SILENCE, "active 05, pending FF, waiting");
+    for (requests, is_answered, node_ids) in [
+        ("04 00", true, "active FF, pending FF"),
+        ("11 05, 11 FF, 04 00", true, "active FF, pending FF again"),
+        ("11 05", false, "active FF, pending 05"),
+        ("04 00", false, "active 05, pending 05"),
+        ("11 FF, 04 00", false, "active 05, pending FF"),
+    ] {
+        board.configure(requests);
+        let found = board.lss("4C");
+        assert_eq!(found, if is_answered { &["50"][..] } else { &[] }, "{node_ids}");
+        let begun = board.lss("51 00 00 00 00 80");
+        assert_eq!(begun, if is_answered { &["4F"][..] } else { &[] }, "{node_ids}");
+    }
     board.nmt("82 00");
-    assert_eq!(board.lss("4C"), ["50"]);
+    assert_eq!(board.lss("4C"), ["50"], "reset communication has made FF active");
+    assert_eq!(board.lss("51 00 00 00 00 80"), ["4F"]);
 }

@@ -15,7 +15,7 @@ const IDENTIFY: &str = "46 44 33 22 11, 47 88 77 66 55, 48, 49 FF FF FF FF, 4A, 
 /// - in waiting without a node-ID, and with one;
 /// - in configuration without a node-ID, without an active one but with a pending one, and with an active one.
 #[rustfmt::skip]
-const EFFECTS: [(&str, [&str; 5]); 17] = [
+const EFFECTS: [(&str, [&str; 5]); 20] = [
     ("04 01", [TO_CONFIGURATION, TO_CONFIGURATION, CLEARED, CLEARED, CLEARED]),
     (SELECT, ["answer 44, to configuration", "answer 44, to configuration", "", "", ""]),
     (FASTSCAN, ["answer 4F, to configuration", "", "", "", ""]),
@@ -31,6 +31,9 @@ const EFFECTS: [(&str, [&str; 5]); 17] = [
     (IDENTIFY, ["answer 4F"; 5]),
     ("4C", ["answer 50", "", "answer 50", "", ""]),
     ("04 00", [CLEARED, CLEARED, TO_WAITING, "boot-up, to waiting", TO_WAITING]),
+    ("01 00", [""; 5]),
+    ("02 00", [""; 5]),
+    ("80 00", [""; 5]),
     ("81 00", [CLEARED, "boot-up", TO_WAITING, TO_WAITING, "boot-up, to waiting"]),
     ("82 00", [CLEARED, "boot-up", TO_WAITING, "boot-up, to waiting", "boot-up, to waiting"]),
 ];
@@ -78,7 +81,7 @@ fn board(kind: Kind, state: State) -> NodeRig {
 /// Sends a request and names its immediate effect.
 fn effect(board: &mut NodeRig, request: &str) -> String {
     board.timeline();
-    let is_nmt = ["81 00", "82 00"].contains(&request);
+    let is_nmt = ["01 00", "02 00", "80 00", "81 00", "82 00"].contains(&request);
     let sent = if is_nmt { board.nmt(request) } else { board.lss(request) };
     let acts = board.timeline().into_iter().filter_map(|line| match line.as_str() {
         "0 ms stop" => Some("silence, then the new bit rate".to_owned()),

@@ -2,9 +2,8 @@
 
 use canopen_node::{Frame, nmt::State};
 use testkit::{
-    flash::BoardFlash,
     frames::SILENCE,
-    node_rig::{ADDRESS, NodeRig, defaults},
+    node_rig::{NodeRig, defaults},
 };
 
 const COMMANDS: [(&str, State); 3] =
@@ -35,40 +34,25 @@ fn commands_to_all_or_the_own_node_id_work_in_every_state() {
 }
 
 #[test]
-fn commands_to_another_node_are_ignored() {
-    for command in ["01", "02", "81", "82"] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.timeline();
-        for addressee in (1..=0xFF).filter(|&addressee| addressee != 0x40) {
-            assert_eq!(board.nmt(&format!("{command} {addressee:02X}")), SILENCE);
-        }
-        assert_eq!(board.timeline(), SILENCE);
-        assert_eq!(board.node.nmt_state(), State::PreOperational);
-    }
-}
-
-#[test]
-fn unknown_commands_are_ignored() {
+fn a_command_that_is_unknown_or_of_another_node_or_length_is_ignored() {
+    let known = [0x01, 0x02, 0x80, 0x81, 0x82];
+    let unknown = (0..=0xFF).filter(|command| !known.contains(command)).map(|command| [command, 0]);
+    let of_others = (1..=0xFF)
+        .filter(|&addressee| addressee != 0x40)
+        .flat_map(|addressee| known.map(|command| [command, addressee]));
+    let of_other_length = [0, 1, 3, 4, 5, 6, 7, 8]
+        .into_iter()
+        .flat_map(|len| known.map(|command| [command, 0, 0, 0, 0, 0, 0, 0][..len].to_vec()));
+    let frames = unknown.chain(of_others).map(Vec::from).chain(of_other_length);
     let mut board = NodeRig::with_node_id(0x40);
     board.nmt("01 00");
     board.timeline();
-    for command in (0..=0xFF).filter(|command| ![0x01, 0x02, 0x80, 0x81, 0x82].contains(command)) {
-        assert_eq!(board.nmt(&format!("{command:02X} 00")), SILENCE);
+    for data in frames {
+        let frame = Frame::new(0x000, &data).expect("a frame");
+        assert_eq!(board.receive(&frame), SILENCE, "{data:02X?}");
+        assert_eq!(board.node.nmt_state(), State::Operational, "{data:02X?}");
     }
     assert_eq!(board.timeline(), SILENCE);
-    assert_eq!(board.node.nmt_state(), State::Operational);
-}
-
-#[test]
-fn a_command_that_is_not_two_bytes_long_is_ignored() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for len in [0, 1, 3, 4, 5, 6, 7, 8] {
-        for command in [0x01, 0x02, 0x81, 0x82] {
-            let frame = Frame::new(0x000, &[command, 0, 0, 0, 0, 0, 0, 0][..len]).unwrap();
-            assert_eq!(board.receive(&frame), SILENCE, "DLC {len}");
-        }
-    }
-    assert_eq!(board.node.nmt_state(), State::PreOperational);
 }
 
 #[test]
@@ -83,19 +67,13 @@ fn the_heartbeat_starts_again_with_each_boot_up() {
 }
 
 #[test]
-fn heartbeats_do_not_drift_when_calls_come_late() {
-    let mut board = NodeRig::with_heartbeat(0x40, 100);
-    assert_eq!(board.be_late_ms(130), ["740: 7F"]);
-    assert_eq!(board.pass_ms(69), SILENCE);
-    assert_eq!(board.pass_ms(1), ["740: 7F"], "at 200 ms");
-}
-
-#[test]
-fn heartbeats_that_were_missed_are_not_sent_late() {
-    let mut board = NodeRig::with_heartbeat(0x40, 100);
-    assert_eq!(board.be_late_ms(1_050), ["740: 7F"]);
-    assert_eq!(board.pass_ms(99), SILENCE);
-    assert_eq!(board.pass_ms(1), ["740: 7F"]);
+fn heartbeats_do_not_drift_when_calls_come_late_and_missed_ones_are_not_sent() {
+    for (late_ms, next_ms, time) in [(130, 70, "200 ms"), (1_050, 100, "1150 ms")] {
+        let mut board = NodeRig::with_heartbeat(0x40, 100);
+        assert_eq!(board.be_late_ms(late_ms), ["740: 7F"]);
+        assert_eq!(board.pass_ms(next_ms - 1), SILENCE);
+        assert_eq!(board.pass_ms(1), ["740: 7F"], "at {time}");
+    }
 }
 
 #[test]
@@ -119,10 +97,9 @@ fn a_node_that_was_silent_for_hours_begins_its_heartbeat_on_time() {
     // 35.8 minutes or more after the start, half a turn of the clock, past instants look like future ones.
     for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
         let settings = defaults(0xFF).with_heartbeat_ms(1_000);
-        let mut board = NodeRig::new(ADDRESS, settings, BoardFlash::blank(0), 0);
+        let mut board = NodeRig::with_defaults(settings);
         assert_eq!(board.be_late_ms(hours_ms), SILENCE);
-        board.lss("04 01");
-        board.lss("11 04");
+        board.configure("11 04");
         assert_eq!(board.lss("04 00"), ["704: 00"]);
         assert_eq!(board.pass_ms(999), SILENCE);
         assert_eq!(board.pass_ms(1), ["704: 7F"]);

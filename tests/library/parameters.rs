@@ -102,19 +102,11 @@ fn board() -> NodeRig<Pump> {
     board_with(&BoardFlash::blank(0), Pump::new())
 }
 
-fn save(board: &mut NodeRig<impl Application + Clone>, sub_index: u8) -> Result<(), u32> {
-    board.download(0x1010, sub_index, b"save")
-}
-
-fn load(board: &mut NodeRig<impl Application + Clone>, sub_index: u8) -> Result<(), u32> {
-    board.download(0x1011, sub_index, b"load")
-}
-
 /// A board whose speed is 200 and whose heartbeat time is 1000 ms, both stored, and then 300 and 2000 ms.
 fn board_with_200_stored_and_300_set() -> NodeRig<Pump> {
     let mut board = board();
     set(&mut board, 200, 1000);
-    save(&mut board, 1).unwrap();
+    board.save(1).unwrap();
     set(&mut board, 300, 2000);
     board
 }
@@ -152,7 +144,7 @@ fn stored_values_of_each_type_survive_a_power_cycle() {
     (pump.speed, pump.lowest, pump.highest) = (200, -1, -70_000);
     (pump.volatile, pump.meter, pump.enabled) = (8, 0x1122_3344_5566_7788, true);
     pump.label = Text::from_bytes(b"Main pump").unwrap();
-    assert_eq!(save(&mut board, 1), Ok(()));
+    assert_eq!(board.save(1), Ok(()));
     board.power_cycle();
     assert_eq!(board.found, Found::Complete);
     let pump = board.node.application();
@@ -183,7 +175,7 @@ fn reset_communication_leaves_the_values_of_the_application() {
 fn save_of_sub_index_1_2_or_3_stores_its_part_and_keeps_the_other() {
     for (sub_index, stored) in [(1, (300, 2000)), (2, (200, 2000)), (3, (300, 1000))] {
         let mut board = board_with_200_stored_and_300_set();
-        assert_eq!(save(&mut board, sub_index), Ok(()));
+        assert_eq!(board.save(sub_index), Ok(()));
         assert_eq!(values(&mut board), (300, 2000), "nothing in use changes");
         board.power_cycle();
         assert_eq!(values(&mut board), stored, "sub-index {sub_index}");
@@ -194,7 +186,7 @@ fn save_of_sub_index_1_2_or_3_stores_its_part_and_keeps_the_other() {
 fn load_of_sub_index_1_2_or_3_restores_its_part_at_the_next_reset() {
     for (sub_index, restored) in [(1, (100, 500)), (2, (200, 500)), (3, (100, 1000))] {
         let mut board = board_with_200_stored_and_300_set();
-        assert_eq!(load(&mut board, sub_index), Ok(()));
+        assert_eq!(board.load(sub_index), Ok(()));
         assert_eq!(values(&mut board), (300, 2000), "nothing changes before the reset");
         board.nmt("81 00");
         assert_eq!(values(&mut board), restored, "sub-index {sub_index}");
@@ -207,10 +199,7 @@ fn load_of_sub_index_1_2_or_3_restores_its_part_at_the_next_reset() {
 fn neither_save_nor_load_touches_node_id_and_bit_rate() {
     for sub_index in 1..=3 {
         let mut board = board();
-        board.lss("04 01");
-        board.lss("11 05");
-        board.lss("13 00 02");
-        board.lss("17");
+        board.configure("11 05, 13 00 02, 17");
         let stored = board.stored().unwrap();
         board.lss("11 06");
         board.lss("13 00 03");
@@ -228,8 +217,7 @@ fn a_store_by_lss_keeps_the_parameters_and_writes_one_record() {
     let mut board = board_with_200_stored_and_300_set();
     let parameters = board.stored_parameters().to_vec();
     let writes = board.flash.writes();
-    board.lss("04 01");
-    board.lss("11 41");
+    board.configure("11 41");
     assert_eq!(board.lss("17"), ["17 00"]);
     assert_eq!(board.flash.writes(), writes + 8, "one record of eight words");
     assert_eq!(board.stored_parameters(), parameters);
@@ -244,18 +232,18 @@ fn a_store_by_lss_keeps_the_parameters_and_writes_one_record() {
 #[test]
 fn unchanged_parameters_are_not_written() {
     let mut board = board_with_200_stored_and_300_set();
-    save(&mut board, 1).unwrap();
+    board.save(1).unwrap();
     for sub_index in [1, 2, 3] {
         let writes = board.flash.writes();
-        assert_eq!(save(&mut board, sub_index), Ok(()));
+        assert_eq!(board.save(sub_index), Ok(()));
         assert_eq!(board.flash.writes(), writes, "sub-index {sub_index}");
     }
     board.power_cycle();
     let writes = board.flash.writes();
-    assert_eq!(save(&mut board, 1), Ok(()));
+    assert_eq!(board.save(1), Ok(()));
     assert_eq!(board.flash.writes(), writes, "after a power cycle");
     board.download(0x1017, 0, &[1, 0]).unwrap();
-    assert_eq!(save(&mut board, 1), Ok(()));
+    assert_eq!(board.save(1), Ok(()));
     assert_eq!(board.flash.writes(), writes + 8, "the heartbeat time is in the record");
 }
 
@@ -285,24 +273,12 @@ fn a_save_of_the_application_keeps_the_heartbeat_time_of_a_save_before_it() {
 }
 
 #[test]
-fn a_save_whose_client_a_reset_has_cancelled_still_stores_the_parameters() {
-    let mut board = board();
-    board.let_stores_take_time();
-    set(&mut board, 200, 1000);
-    board.sdo("23 10 10 01 73 61 76 65");
-    board.nmt("82 00");
-    assert_eq!(board.finish_store(), SILENCE);
-    board.power_cycle();
-    assert_eq!(values(&mut board), (200, 1000));
-}
-
-#[test]
 fn a_save_that_fails_is_answered_0606_0000_and_old_values_stay() {
     for operation in [Operation::Write, Operation::Read] {
         for others in 0.. {
             let mut board = board_with_200_stored_and_300_set();
             board.flash.fail_once(operation, others);
-            let outcome = save(&mut board, 1);
+            let outcome = board.save(1);
             if board.flash.is_faulty() {
                 break;
             }
@@ -325,7 +301,7 @@ fn a_save_into_a_full_flash_is_0800_0022_and_the_next_start_makes_room() {
     let mut speed = 10;
     let full = loop {
         board.download(0x2100, 0, &u16::to_le_bytes(speed)).unwrap();
-        let outcome = save(&mut board, 3);
+        let outcome = board.save(3);
         if outcome.is_err() {
             break outcome;
         }
@@ -340,7 +316,7 @@ fn a_save_into_a_full_flash_is_0800_0022_and_the_next_start_makes_room() {
     assert_eq!((board.flash.erases(), board.found), (erases + 1, Found::Complete));
     assert_eq!(board.number(0x2100, 0), u32::from(speed) - 1);
     board.download(0x2100, 0, &speed.to_le_bytes()).unwrap();
-    assert_eq!(save(&mut board, 3), Ok(()));
+    assert_eq!(board.save(3), Ok(()));
 }
 
 #[test]
@@ -349,7 +325,7 @@ fn another_firmware_takes_the_values_whose_type_and_limits_agree() {
     let pump = old.node.application_mut();
     (pump.speed, pump.lowest, pump.highest, pump.enabled) = (500, -1, 600, true);
     pump.label = Text::from_bytes(b"Main pump").unwrap();
-    save(&mut old, 1).unwrap();
+    old.save(1).unwrap();
     let board = board_with(&old.flash, NewPump::new());
     assert_eq!(board.found, Found::Complete);
     let new = board.node.application();
@@ -368,7 +344,7 @@ fn another_firmware_takes_the_values_whose_type_and_limits_agree() {
 fn values_unknown_to_a_firmware_outlast_its_stores_by_lss() {
     let mut old = board_with_200_stored_and_300_set();
     old.node.application_mut().enabled = true;
-    save(&mut old, 1).unwrap();
+    old.save(1).unwrap();
     let mut other = board_with(&old.flash, Small::new());
     other.lss("04 01");
     // Enough to move to the other bank at the next start.
@@ -381,12 +357,10 @@ fn values_unknown_to_a_firmware_outlast_its_stores_by_lss() {
     // A store of its own parameters replaces them.
     let mut other = board_with(&old.flash, Small::new());
     other.node.application_mut().enabled = false;
-    other.lss("04 01");
-    other.lss("11 40");
-    other.lss("17");
+    other.configure("11 40, 17");
     other.power_cycle();
     other.node.application_mut().enabled = false;
-    save(&mut other, 3).unwrap();
+    other.save(3).unwrap();
     assert_eq!(board_with(&old.flash, Pump::new()).node.application().speed, 100);
 }
 
@@ -400,7 +374,7 @@ fn a_node_without_an_application_keeps_its_settings_but_no_parameters() {
     assert_eq!(values(&mut board), (200, 1000), "as long as the other stores nothing");
     let mut other = NodeRig::with_device(device, board.flash.clone(), 0);
     other.download(0x1017, 0, &[1, 0]).unwrap();
-    other.download(0x1010, 1, b"save").unwrap();
+    other.save(1).unwrap();
     board.power_cycle();
     assert_eq!(values(&mut board), (200, 1));
 }
@@ -410,7 +384,7 @@ fn the_error_behaviour_is_stored_with_the_parameters_of_communication() {
     let mut board = board();
     for (sub_index, expected) in [(3, 0), (2, 1), (1, 1)] {
         board.download(0x1029, 1, &[1]).unwrap();
-        save(&mut board, sub_index).unwrap();
+        board.save(sub_index).unwrap();
         board.nmt("82 40");
         assert_eq!(board.number(0x1029, 1), expected, "1010h sub {sub_index}");
         board.power_cycle();
@@ -420,7 +394,7 @@ fn the_error_behaviour_is_stored_with_the_parameters_of_communication() {
     board.nmt("82 40");
     assert_eq!(board.number(0x1029, 1), 1, "the stored one");
     for (sub_index, expected) in [(3, 1), (2, 0)] {
-        board.download(0x1011, sub_index, b"load").unwrap();
+        board.load(sub_index).unwrap();
         board.power_cycle();
         assert_eq!(board.number(0x1029, 1), expected, "1011h sub {sub_index}");
     }
@@ -436,7 +410,7 @@ fn the_capacity_is_the_sum_of_the_longest_values() {
     assert_eq!(<canopen_node::Node>::STORED_LEN, 0);
     let mut board = board();
     board.node.application_mut().label = Text::from_bytes(b"twelve bytes").unwrap();
-    save(&mut board, 1).unwrap();
+    board.save(1).unwrap();
     assert_eq!(board.stored_parameters().len(), sum);
 }
 
@@ -444,7 +418,7 @@ fn the_capacity_is_the_sum_of_the_longest_values() {
 fn the_parameters_are_packed_as_documented() {
     let mut board = board_with(&BoardFlash::blank(0), Small::new());
     board.node.application_mut().enabled = true;
-    save(&mut board, 3).unwrap();
+    board.save(3).unwrap();
     assert_eq!(board.stored_parameters(), [0x01, 0x60, 0, 0x01, 1, 0, 1]);
     let unpacked: Vec<_> = parameters::unpack(board.stored_parameters()).collect();
     assert_eq!((unpacked.len(), unpacked[0].index, unpacked[0].value), (1, 0x6001, &[1][..]));
@@ -459,7 +433,7 @@ fn the_parameters_are_packed_as_documented() {
     assert_eq!(content[110..114], crc.to_le_bytes());
     assert_eq!(content[114..120], [0xFF; 6]);
     board.node.application_mut().enabled = false;
-    save(&mut board, 3).unwrap();
+    board.save(3).unwrap();
     let content = board.flash.content();
     assert_eq!(content[170..174], [4, 0, 7, 0]);
     assert_eq!(content[178..182], [1, 0, 3, 0], "one part, the others with the record in place 3");
@@ -480,11 +454,11 @@ impl Application for Volatile {}
 fn a_save_of_the_part_of_an_application_that_stores_nothing_changes_nothing() {
     let mut board = board_with(&BoardFlash::blank(0), Volatile::new());
     board.download(0x1017, 0, &[1, 0]).unwrap();
-    assert_eq!(save(&mut board, 3), Ok(()));
+    assert_eq!(board.save(3), Ok(()));
     board.power_cycle();
     assert_eq!(board.number(0x1017, 0), 500);
     board.download(0x1017, 0, &[1, 0]).unwrap();
-    assert_eq!(save(&mut board, 2), Ok(()));
+    assert_eq!(board.save(2), Ok(()));
     board.power_cycle();
     assert_eq!(board.number(0x1017, 0), 1);
 }

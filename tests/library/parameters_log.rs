@@ -2,7 +2,7 @@
 
 use canopen_node::settings::{Error, Found, Log, parameters};
 use testkit::{
-    flash::{Flash, Operation},
+    flash::Flash,
     random::Random,
     settings::{Content, open, open_with_parameters, parameters as packed, settings},
 };
@@ -31,17 +31,6 @@ fn with_content_1() -> (ParametersLog, Chip) {
     let (mut log, ..) = start(&flash);
     store(&mut log, &content(1)).unwrap();
     (log, flash)
-}
-
-/// A log that moves to its other bank at the next start, or has just moved there; it holds `content(2)`.
-fn about_to_move(has_moved: bool) -> Chip {
-    let (mut log, flash) = with_content_1();
-    store(&mut log, &content(2)).unwrap();
-    // 10 of 16 places are in use.
-    for n in 0..6 + u16::from(has_moved) {
-        log.store(settings(100 + n)).unwrap();
-    }
-    flash
 }
 
 #[test]
@@ -116,86 +105,6 @@ fn parameters_that_do_not_fit_in_the_banks_are_refused_unwritten() {
     assert_eq!(flash.writes(), writes);
     assert_eq!(log.store(settings(8)), Ok(()), "there is room for a record");
     assert_eq!(start(&flash).1, (Some(settings(8)), content(6).1));
-}
-
-#[test]
-fn after_any_failed_operation_old_values_stay_and_the_next_store_works() {
-    for operation in [Operation::Write, Operation::Read] {
-        for others in 0.. {
-            let (mut log, flash) = with_content_1();
-            flash.fail_once(operation, others);
-            let outcome = store(&mut log, &content(2));
-            if flash.is_faulty() {
-                assert!(others > 4, "the parameters are read and written");
-                break;
-            }
-            let left = if outcome.is_ok() { content(2) } else { content(1) };
-            assert_eq!((log.settings(), log.parameters()), (left.0, &left.1[..]));
-            let case = format!("{operation:?} {others}: {outcome:?}");
-            assert_eq!(start(&flash.duplicate(0)).1, left, "{case}");
-            assert_eq!(store(&mut log, &content(3)), Ok(()), "{case}");
-            assert_eq!(start(&flash).1, content(3), "{case}");
-        }
-    }
-}
-
-#[test]
-fn a_flash_that_fails_for_a_while_keeps_the_old_values() {
-    for operation in [Operation::Write, Operation::Read] {
-        for others in 0..40 {
-            let (mut log, flash) = with_content_1();
-            flash.fail_after(operation, others);
-            let left = if store(&mut log, &content(2)).is_ok() { content(2) } else { content(1) };
-            flash.repair();
-            assert_eq!(store(&mut log, &left), Ok(()));
-            assert_eq!(start(&flash).1, left, "{operation:?} {others}");
-        }
-    }
-}
-
-#[test]
-fn a_move_of_parameters_that_fails_at_any_operation_loses_nothing() {
-    for has_moved in [false, true] {
-        for operation in [Operation::Read, Operation::Write, Operation::Erase] {
-            for others in 0.. {
-                let flash = about_to_move(has_moved);
-                flash.fail_once(operation, others);
-                let (mut log, _, result) = start(&flash);
-                if flash.is_faulty() {
-                    break;
-                }
-                let case = format!("{has_moved}, {operation:?} {others}: {result:?}");
-                // A store by LSS keeps the parameters in flash, even if they could not be read.
-                let is_stored = log.store(settings(8)).is_ok();
-                let before = settings(105 + u16::from(has_moved));
-                let last = (Some(if is_stored { settings(8) } else { before }), content(2).1);
-                let (mut log, found, _) = start(&flash);
-                assert_eq!(found, last, "{case}");
-                assert_eq!(store(&mut log, &content(9)), Ok(()), "{case}");
-                assert_eq!(start(&flash).1, content(9), "{case}");
-            }
-        }
-    }
-}
-
-#[test]
-fn a_stuck_bit_costs_a_store_but_no_values() {
-    for at in 5 * 32..9 * 32 {
-        for bit in 0..8 {
-            for value in [false, true] {
-                let (mut log, flash) = with_content_1();
-                flash.stick(at, 1 << bit, value);
-                let outcome = store(&mut log, &content(2));
-                let left = if outcome.is_ok() { content(2) } else { content(1) };
-                assert_eq!((log.settings(), log.parameters()), (left.0, &left.1[..]));
-                let case = format!("byte {at}, bit {bit} is {value}: {outcome:?}");
-                assert_eq!(start(&flash.duplicate(0)).1, left, "{case}");
-                let (mut log, ..) = start(&flash);
-                assert_eq!(store(&mut log, &content(3)), Ok(()), "{case}");
-                assert_eq!(start(&flash).1, content(3), "{case}");
-            }
-        }
-    }
 }
 
 #[test]

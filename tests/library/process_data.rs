@@ -6,15 +6,13 @@ use std::cell::RefCell;
 use canopen_node::{
     Application, Frame,
     application::Event,
-    object_dictionary::DefaultValue,
     objects,
     pdo::{Rpdo, Tpdo},
     sdo::Abort,
 };
 use testkit::{
-    flash::BoardFlash,
     frames::{Frames, SILENCE, bytes},
-    node_rig::{ADDRESS, NodeRig, defaults, device},
+    node_rig::NodeRig,
     sdo::Client,
 };
 
@@ -80,8 +78,7 @@ pub type Board = NodeRig<Machine, 3, 2, 2>;
 
 /// A board with node-ID 40h and a machine: TPDO 1 has the COB-ID 1C0h, RPDO 1 the COB-ID 240h.
 pub fn board() -> Board {
-    let device = device(ADDRESS).with_defaults(defaults(0x40));
-    let board = NodeRig::with_application(device, BoardFlash::blank(0), 0, Machine::new());
+    let board = NodeRig::running(Machine::new());
     take_events();
     board
 }
@@ -108,17 +105,23 @@ pub fn change(board: &mut Board, change: impl FnOnce(&mut Machine)) -> Frames {
 }
 
 /// Writes a number of this size in bytes.
-pub fn write(board: &mut Board, index: u16, sub: u8, value: u32, size: usize) -> Result<(), u32> {
+pub fn write(
+    board: &mut impl Client,
+    index: u16,
+    sub: u8,
+    value: u32,
+    size: usize,
+) -> Result<(), u32> {
     board.download(index, sub, &value.to_le_bytes()[..size])
 }
 
 /// Sets a number of this size in bytes.
-pub fn set(board: &mut Board, index: u16, sub: u8, value: u32, size: usize) {
+pub fn set(board: &mut impl Client, index: u16, sub: u8, value: u32, size: usize) {
     assert_eq!(write(board, index, sub, value, size), Ok(()), "{index:04X} sub {sub}: {value:X}");
 }
 
 /// Lets the PDO exist with this mapping, by the procedure of CiA 301.
-pub fn map(board: &mut Board, parameter: u16, cob_id: u32, entries: &[u32]) {
+pub fn map(board: &mut impl Client, parameter: u16, cob_id: u32, entries: &[u32]) {
     let mapping = parameter + 0x200;
     set(board, parameter, 1, 0x8000_0000 | cob_id, 4);
     set(board, mapping, 0, 0, 1);
@@ -169,24 +172,13 @@ fn a_node_without_pdos_has_none_of_their_objects() {
 fn cob_ids_follow_the_node_id_that_lss_gives() {
     let mut board = operational();
     board.nmt("80 40");
-    board.lss("04 01");
-    board.lss("11 05");
+    board.configure("11 05");
     board.nmt("82 40");
     board.lss("04 00");
     assert_eq!((board.number(0x1800, 1), board.number(0x1401, 1)), (0x4000_0185, 0x305));
     assert_eq!(board.nmt("01 05"), ["185: 00 00 00"]);
     assert_eq!(receive(&mut board, "205: 07 E8 03"), SILENCE);
     assert_eq!((board.node.application().lamps, board.node.application().speed), (7, 1000));
-}
-
-#[test]
-fn reset_communication_restores_the_declared_parameters() {
-    let mut board = board();
-    map(&mut board, 0x1800, 0x323, &[]);
-    set(&mut board, 0x1801, 2, 240, 1);
-    board.nmt("82 40");
-    assert_eq!((board.number(0x1800, 1), board.number(0x1A00, 0)), (0x4000_01C0, 2));
-    assert_eq!(board.number(0x1801, 2), 1);
 }
 
 #[test]
@@ -303,25 +295,4 @@ fn a_mapping_has_up_to_8_objects_with_8_bytes() {
     map(&mut board, 0x1800, 0x1C0, &eight);
     board.node.application_mut().buttons = 5;
     assert_eq!(board.nmt("01 40"), ["1C0: 05 05 05 05 05 05 05 05"]);
-}
-
-#[test]
-fn each_object_of_process_data_has_a_name_and_its_default() {
-    let mut board = board();
-    let is_of_process_data = |index| matches!(index, 0x1005 | 0x1016 | 0x1019 | 0x1400..0x1C00);
-    let entries = canopen_node::Node::<Machine, 3, 2, 2>::entries(&device(ADDRESS));
-    let mut count = 0;
-    for (entry, description) in entries.filter(|(entry, _)| is_of_process_data(entry.index)) {
-        let value = board.upload(entry.index, entry.sub_index).expect("it can be read");
-        assert_eq!(value.len(), usize::from(entry.data_type.size()), "{entry:?}");
-        assert!(!description.name.text.is_empty());
-        let value = board.number(entry.index, entry.sub_index);
-        match description.default {
-            DefaultValue::Number(default) => assert_eq!(value, default, "{entry:?}"),
-            DefaultValue::NodeIdPlus(base) => assert_eq!(value, base + 0x40, "{entry:?}"),
-            _ => assert_eq!(entry.sub_index, 0),
-        }
-        count += 1;
-    }
-    assert_eq!(count, 1 + 3 + 1 + 2 * 12 + 3 * 15);
 }

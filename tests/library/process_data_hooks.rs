@@ -3,9 +3,8 @@
 
 use canopen_node::{Application, Frame, application::Domain, objects, pdo::Tpdo, sdo::Abort};
 use testkit::{
-    flash::BoardFlash,
     frames::{Frames, SILENCE},
-    node_rig::{ADDRESS, NodeRig, defaults, device},
+    node_rig::NodeRig,
     sdo::Client,
 };
 
@@ -47,8 +46,7 @@ impl Application for Meter {
 type Board = NodeRig<Meter, 3, 0>;
 
 fn board() -> Board {
-    let device = device(ADDRESS).with_defaults(defaults(0x40));
-    NodeRig::with_application(device, BoardFlash::blank(0), 0, Meter::new())
+    NodeRig::running(Meter::new())
 }
 
 /// A board in NMT operational after its first TPDO, whose inhibit time is over.

@@ -15,14 +15,6 @@ fn outputs(board: &Board) -> (u8, u16) {
 }
 
 #[test]
-fn an_rpdo_of_type_255_takes_effect_at_once() {
-    let mut board = operational();
-    assert_eq!(receive(&mut board, "240: 05 E7 03"), SILENCE);
-    assert_eq!(outputs(&board), (5, 999));
-    assert_eq!(take_events(), [Event::Received(1)]);
-}
-
-#[test]
 fn an_rpdo_has_an_effect_in_operational_only() {
     let mut board = board();
     receive(&mut board, "240: 05 E7 03");
@@ -46,26 +38,6 @@ fn an_rpdo_of_type_0_to_240_takes_effect_at_the_next_sync() {
         receive(&mut board, "080:");
         assert_eq!(outputs(&board), (0, 999), "once");
     }
-}
-
-#[test]
-fn data_that_waits_for_a_sync_is_forgotten_outside_of_operational() {
-    let mut board = operational();
-    set(&mut board, 0x1400, 2, 0, 1);
-    receive(&mut board, "240: 05 E7 03");
-    board.nmt("80 40");
-    board.nmt("01 40");
-    receive(&mut board, "080:");
-    assert_eq!(outputs(&board), (0, 0));
-}
-
-#[test]
-fn a_value_that_is_refused_leaves_the_others() {
-    let mut board = operational();
-    receive(&mut board, "240: 05 E9 03");
-    assert_eq!(outputs(&board), (5, 0), "1001 is above the limit");
-    receive(&mut board, "240: EE E8 03");
-    assert_eq!(outputs(&board), (5, 1000), "the machine does not accept EE");
 }
 
 #[test]

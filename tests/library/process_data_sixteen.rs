@@ -3,26 +3,17 @@
 use canopen_node::{Frame, Node};
 use testkit::{
     eds::{DataSheet, Product, parse},
-    flash::BoardFlash,
     frames::{SILENCE, bytes},
-    node_rig::{ADDRESS, NodeRig, defaults, device},
+    node_rig::{ADDRESS, NodeRig, device},
     sdo::Client,
 };
 
-use crate::process_data::{DEVICE_STATE, INVALID_VALUE, Machine};
+use crate::process_data::{DEVICE_STATE, INVALID_VALUE, Machine, map};
 
 type Board = NodeRig<Machine, 16, 16, 2>;
 
 fn board() -> Board {
-    let device = device(ADDRESS).with_defaults(defaults(0x40));
-    NodeRig::with_application(device, BoardFlash::blank(0), 0, Machine::new())
-}
-
-/// Lets a PDO exist with this COB-ID and one value.
-fn map(board: &mut Board, parameter: u16, cob_id: u32, entry: u32) {
-    assert_eq!(board.download(parameter + 0x200, 1, &entry.to_le_bytes()), Ok(()));
-    assert_eq!(board.download(parameter + 0x200, 0, &[1]), Ok(()));
-    assert_eq!(board.download(parameter, 1, &cob_id.to_le_bytes()), Ok(()));
+    NodeRig::running(Machine::new())
 }
 
 /// A board whose TPDOs 5 to 16 have the COB-IDs 405h to 410h and the buttons, and RPDOs 5 to 16 the COB-IDs 505h to 510h
@@ -30,8 +21,8 @@ fn map(board: &mut Board, parameter: u16, cob_id: u32, entry: u32) {
 fn with_sixteen() -> Board {
     let mut board = board();
     for number in 5..=16 {
-        map(&mut board, 0x1800 + number - 1, 0x400 + u32::from(number), 0x6000_0108);
-        map(&mut board, 0x1400 + number - 1, 0x500 + u32::from(number), 0x6200_0108);
+        map(&mut board, 0x1800 + number - 1, 0x400 + u32::from(number), &[0x6000_0108]);
+        map(&mut board, 0x1400 + number - 1, 0x500 + u32::from(number), &[0x6200_0108]);
     }
     board
 }
@@ -92,7 +83,7 @@ fn each_of_sixteen_rpdos_takes_effect() {
 #[test]
 fn sixteen_pdos_are_stored() {
     let mut board = with_sixteen();
-    assert_eq!(board.download(0x1010, 1, b"save"), Ok(()));
+    assert_eq!(board.save(1), Ok(()));
     board.power_cycle();
     for number in 5..=16 {
         let at = number - 1;
@@ -111,7 +102,12 @@ fn the_data_sheet_has_sixteen_pdos() {
     let entries = <Node<Machine, 16, 16, 2>>::entries(&device);
     let sections = parse(&DataSheet::new(product, entries, &Machine::new()).eds());
     let info = &sections["DeviceInfo"];
-    assert_eq!([&*info["NrOfRXPDO"], &*info["NrOfTXPDO"]], ["16", "16"]);
+    let numbers = ["NrOfRXPDO", "NrOfTXPDO", "Granularity"].map(|key| &*info[key]);
+    assert_eq!(numbers, ["16", "16", "8"]);
+    assert_eq!(
+        (&*sections["180F"]["ObjectType"], &*sections["1A0F"]["ObjectType"]),
+        ("0x9", "0x9")
+    );
     assert_eq!(sections["180F"]["ParameterName"], "TPDO communication parameter 16");
     assert_eq!(sections["180Fsub1"]["DefaultValue"], "0xC0000000");
     assert_eq!(sections["1803sub1"]["DefaultValue"], "$NODEID+0xC0000480");

@@ -27,17 +27,6 @@ fn test_device() -> Device {
     device(ADDRESS).with_defaults(defaults(0x40))
 }
 
-fn save<A: Application + Clone, const T: usize, const R: usize, const P: usize>(
-    board: &mut NodeRig<A, T, R, P>,
-    sub_index: u8,
-) -> Result<(), u32> {
-    board.download(0x1010, sub_index, b"save")
-}
-
-fn load(board: &mut Board, sub_index: u8) {
-    board.download(0x1011, sub_index, b"load").expect("the defaults are restored");
-}
-
 /// The parameters of process data, without the entries of mappings that the PDO does not carry.
 fn parameters<A: Application + Clone, const T: usize, const R: usize, const P: usize>(
     board: &mut NodeRig<A, T, R, P>,
@@ -86,7 +75,7 @@ fn change_all(board: &mut Board) {
 fn board_with_stored_parameters() -> Board {
     let mut board = board();
     change_all(&mut board);
-    assert_eq!(save(&mut board, 1), Ok(()));
+    assert_eq!(board.save(1), Ok(()));
     board
 }
 
@@ -98,7 +87,7 @@ fn each_parameter_survives_a_power_cycle_and_reset_communication() {
         change_all(&mut board);
         let stored = parameters(&mut board);
         assert_ne!(stored, declared);
-        assert_eq!(save(&mut board, sub_index), Ok(()));
+        assert_eq!(board.save(sub_index), Ok(()));
         board.nmt("82 40");
         assert_eq!(parameters(&mut board), stored);
         board.power_cycle();
@@ -125,55 +114,15 @@ fn stored_pdos_and_producers_work_after_a_power_cycle() {
     assert_eq!(board.node.nmt_state(), State::Stopped, "the error behaviour");
     board.nmt("80 40");
     assert_eq!(board.number(0x1001, 0), 0x11, "the heartbeat of node 5 is missing");
-    assert_eq!(save(&mut board, 2), Ok(()));
+    assert_eq!(board.save(2), Ok(()));
     board.nmt("82 40");
     assert_eq!(board.number(0x1001, 0), 0, "that it is missing is not stored");
 }
 
 #[test]
-fn parameters_that_were_not_saved_are_lost_at_reset_communication() {
-    let mut board = board();
-    let declared = parameters(&mut board);
-    change_all(&mut board);
-    assert_eq!(save(&mut board, 3), Ok(()));
-    board.nmt("82 40");
-    assert_eq!(parameters(&mut board), declared, "sub-index 3 is the application's");
-    let mut board = board_with_stored_parameters();
-    let stored = parameters(&mut board);
-    map(&mut board, 0x1800, 0x1C0, &[]);
-    set(&mut board, 0x1005, 0, 0x80, 4);
-    board.nmt("82 40");
-    assert_eq!(parameters(&mut board), stored);
-}
-
-#[test]
-fn load_brings_the_declared_parameters_at_the_next_reset() {
-    let declared = parameters(&mut board());
-    for (sub_index, reset) in [(1, "82 40"), (2, "82 40"), (1, "81 40"), (2, "81 40")] {
-        let mut board = board_with_stored_parameters();
-        let stored = parameters(&mut board);
-        load(&mut board, sub_index);
-        assert_eq!(parameters(&mut board), stored, "nothing changes before the reset");
-        board.nmt(reset);
-        assert_eq!(parameters(&mut board), declared);
-        board.power_cycle();
-        assert_eq!(parameters(&mut board), declared);
-    }
-    let mut board = board_with_stored_parameters();
-    let stored = parameters(&mut board);
-    load(&mut board, 3);
-    board.nmt("82 40");
-    assert_eq!(parameters(&mut board), stored, "sub-index 3 is the application's");
-    board.power_cycle();
-    assert_eq!(parameters(&mut board), stored);
-}
-
-#[test]
 fn only_cob_ids_at_their_default_follow_a_new_node_id() {
     let mut board = board_with_stored_parameters();
-    board.lss("04 01");
-    board.lss("11 05");
-    board.lss("17");
+    board.configure("11 05, 17");
     let cob_ids = |board: &mut Board| {
         [(0x1400, 1), (0x1401, 1), (0x1800, 1), (0x1801, 1), (0x1802, 1)]
             .map(|(index, sub_index)| board.number(index, sub_index))
@@ -207,23 +156,6 @@ fn reset_communication_in_a_store_returns_to_the_parameters_before_it() {
         board.power_cycle();
         assert_eq!(parameters(&mut board), *stored, "after {outcome:?}");
     }
-}
-
-#[test]
-fn a_store_by_lss_or_of_the_application_keeps_the_stored_parameters() {
-    let mut board = board_with_stored_parameters();
-    let stored = parameters(&mut board);
-    set(&mut board, 0x1005, 0, 0x85, 4);
-    board.lss("04 01");
-    board.lss("11 40");
-    board.lss("13 00 02");
-    assert_eq!(board.lss("17"), ["17 00"]);
-    board.lss("04 00");
-    assert_eq!(save(&mut board, 3), Ok(()));
-    board.nmt("82 40");
-    assert_eq!(parameters(&mut board), stored);
-    board.power_cycle();
-    assert_eq!(parameters(&mut board), stored);
 }
 
 objects! {
@@ -268,7 +200,7 @@ fn a_stored_pdo_whose_objects_are_gone_stays_as_it_is_declared() {
     }
     set(&mut old, 0x1016, 1, 0x0005_0001, 4);
     set(&mut old, 0x1016, 2, 0x0006_0001, 4);
-    assert_eq!(save(&mut old, 2), Ok(()));
+    assert_eq!(old.save(2), Ok(()));
     let flash = old.flash.clone();
     let mut new: NodeRig<NewMachine, 4, 2, 1> =
         NodeRig::with_application(test_device(), flash, 0, NewMachine::new());
@@ -295,12 +227,12 @@ fn a_power_cut_leaves_all_old_parameters_or_all_new_ones() {
         let mut board = board();
         set(&mut board, 0x1005, 0, 0x85, 4);
         set(&mut board, 0x1801, 2, 9, 1);
-        assert_eq!(save(&mut board, 1), Ok(()));
+        assert_eq!(board.save(1), Ok(()));
         let old = parameters(&mut board);
         set(&mut board, 0x1801, 2, 1, 1);
         change_all(&mut board);
         board.flash.cut_power_after(step);
-        let is_saved = save(&mut board, 2).is_ok();
+        let is_saved = board.save(2).is_ok();
         let is_over = board.flash.is_powered();
         board.flash.power_on();
         board.power_cycle();
@@ -371,10 +303,10 @@ fn illegal_stored_parameters_are_not_taken() {
 fn the_parameters_of_process_data_are_packed_as_documented() {
     let mut board: NodeRig<Machine, 2, 2, 2> =
         NodeRig::with_application(test_device(), BoardFlash::blank(0), 0, Machine::new());
-    set_of(&mut board, 0x1016, 1, &[0xE8, 3, 5, 0]);
-    set_of(&mut board, 0x1801, 1, &[0xC0, 2, 0, 0x80]);
-    set_of(&mut board, 0x1801, 5, &[0x10, 0x27]);
-    assert_eq!(save(&mut board, 2), Ok(()));
+    set(&mut board, 0x1016, 1, 0x0005_03E8, 4);
+    set(&mut board, 0x1801, 1, 0x8000_02C0, 4);
+    set(&mut board, 0x1801, 5, 10_000, 2);
+    assert_eq!(board.save(2), Ok(()));
     let expected = [
         &[0x05, 0x10, 0, 0x07, 4, 0, 0x80, 0, 0, 0][..],
         &[0x19, 0x10, 0, 0x05, 1, 0, 0],
@@ -389,10 +321,6 @@ fn the_parameters_of_process_data_are_packed_as_documented() {
         &[0, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x40, 3, 0, 0x60],
     ];
     assert_eq!(board.stored_parameters(), expected.concat());
-}
-
-fn set_of(board: &mut NodeRig<Machine, 2, 2, 2>, index: u16, sub_index: u8, value: &[u8]) {
-    assert_eq!(board.download(index, sub_index, value), Ok(()));
 }
 
 #[test]
@@ -415,7 +343,7 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     set(&mut board, 0x1016, 1, 0x0005_0001, 4);
     set(&mut board, 0x1016, 2, 0x0006_0001, 4);
     set(&mut board, 0x1029, 1, 1, 1);
-    assert_eq!(save(&mut board, 1), Ok(()));
+    assert_eq!(board.save(1), Ok(()));
     assert_eq!(board.stored_parameters().len(), capacity);
 }
 
@@ -456,7 +384,7 @@ fn random_changes_stores_and_resets_agree_with_a_list_of_the_parameters() {
             match random.within(0..8) {
                 0..=1 => {
                     let sub_index = random.within(1..4) as u8;
-                    let is_saved = save(&mut board, sub_index).is_ok();
+                    let is_saved = board.save(sub_index).is_ok();
                     if is_saved && sub_index != 3 {
                         stores_that_changed += u32::from(stored != current);
                         stored = current;
@@ -464,7 +392,7 @@ fn random_changes_stores_and_resets_agree_with_a_list_of_the_parameters() {
                 }
                 2 if random.one_in(4) => {
                     let sub_index = random.within(1..4) as u8;
-                    load(&mut board, sub_index);
+                    assert_eq!(board.load(sub_index), Ok(()));
                     if sub_index != 3 {
                         stored = declared.clone();
                     }
@@ -472,6 +400,10 @@ fn random_changes_stores_and_resets_agree_with_a_list_of_the_parameters() {
                 3..=4 => {
                     board.nmt(random.pick(&["82 40", "81 40"]));
                     assert_eq!(parameters(&mut board), stored);
+                }
+                5 if random.one_in(2) => {
+                    let answers = board.configure("11 40, 13 00 02, 17, 04 00");
+                    assert!(answers.0.len() == 3, "{answers:?}");
                 }
                 5 => {
                     board.power_cycle();

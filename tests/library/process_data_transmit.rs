@@ -17,15 +17,6 @@ fn an_event_driven_tpdo_is_sent_when_the_node_becomes_operational() {
 }
 
 #[test]
-fn an_event_driven_tpdo_is_sent_when_a_mapped_value_changes() {
-    let mut board = operational();
-    assert_eq!(change(&mut board, |machine| machine.buttons = 3), ["1C0: 03 00 00"]);
-    assert_eq!(change(&mut board, |machine| machine.buttons = 3), SILENCE, "it has not changed");
-    assert_eq!(change(&mut board, |machine| machine.lamps = 3), SILENCE, "it is not mapped");
-    assert_eq!(change(&mut board, |machine| machine.level = 0x8001), ["1C0: 03 01 80"]);
-}
-
-#[test]
 fn a_value_that_a_client_writes_is_sent_after_the_answer() {
     let mut board = board();
     map(&mut board, 0x1802, 0x3C0, &[0x6200_0108]);
@@ -75,9 +66,7 @@ fn the_frames_of_all_other_services_are_no_pdos() {
 #[test]
 fn an_acknowledge_amid_the_calls_of_poll_leaves_no_tpdo_out() {
     let mut board = operational();
-    for request in ["04 01", "13 00 00", "15 0A 00"] {
-        board.lss(request);
-    }
+    board.configure("13 00 00, 15 0A 00");
     board.pass_ms(19);
     let end = Instant::from_micros(board.now() as u32).plus_micros(1_000);
     assert_eq!(board.node.poll(end), Some(Action::ResumeTransmitting));
@@ -107,14 +96,6 @@ fn a_change_within_the_inhibit_time_leaves_when_it_ends() {
     }
     assert_eq!(board.pass_us(1_999), SILENCE);
     assert_eq!(board.pass_us(1), ["1C0: 09 00 00"], "after 10 ms, with the latest value");
-    assert_eq!(board.pass_ms(1_000), SILENCE);
-}
-
-#[test]
-fn a_change_that_is_taken_back_within_the_inhibit_time_is_not_sent() {
-    let mut board = inhibited_for_10_ms();
-    assert_eq!(change(&mut board, |machine| machine.buttons = 1), SILENCE);
-    assert_eq!(change(&mut board, |machine| machine.buttons = 0), SILENCE);
     assert_eq!(board.pass_ms(1_000), SILENCE);
 }
 
@@ -185,17 +166,6 @@ fn each_nth_sync_asks_for_a_tpdo_of_type_n() {
 }
 
 #[test]
-fn type_0_sends_a_change_at_the_next_sync() {
-    let mut board = operational();
-    set(&mut board, 0x1801, 2, 0, 1);
-    assert_eq!(receive(&mut board, "080:").0.len(), 1, "once in operational");
-    assert_eq!(receive(&mut board, "080:"), SILENCE);
-    assert_eq!(change(&mut board, |machine| machine.position = 5), SILENCE);
-    assert_eq!(receive(&mut board, "080:"), ["2C0: 05 00 00 00 00 00 00 00"]);
-    assert_eq!(receive(&mut board, "080:"), SILENCE);
-}
-
-#[test]
 fn the_sync_with_the_start_value_is_regarded_as_the_first() {
     let mut board = board();
     set(&mut board, 0x1019, 0, 10, 1);
@@ -226,9 +196,7 @@ fn nothing_is_sent_in_the_delays_of_a_switch_and_the_latest_data_after() {
     let mut board = board();
     set(&mut board, 0x1800, 5, 30, 2);
     board.nmt("01 40");
-    board.lss("04 01");
-    board.lss("13 00 02");
-    board.lss("15 64");
+    board.configure("13 00 02, 15 64");
     assert_eq!(change(&mut board, |machine| machine.buttons = 1), SILENCE);
     assert_eq!(receive(&mut board, "080:"), SILENCE);
     assert_eq!(receive(&mut board, "240: 05 00 00"), SILENCE);

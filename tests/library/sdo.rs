@@ -2,7 +2,6 @@
 
 use canopen_node::Frame;
 use testkit::{
-    flash::BoardFlash,
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::{self, Client},
@@ -11,7 +10,7 @@ use testkit::{
 /// A board with node-ID 40h and these names.
 fn board_named(name: &'static str, hardware: &'static str, software: &'static str) -> NodeRig {
     let names = device(ADDRESS).with_name(name).with_versions(hardware, software);
-    NodeRig::with_device(names.with_defaults(defaults(0x40)), BoardFlash::blank(0), 0)
+    NodeRig::of(names.with_defaults(defaults(0x40)))
 }
 
 #[test]
@@ -34,28 +33,19 @@ fn reserved_bits_and_bytes_of_a_request_are_ignored() {
 
 #[test]
 fn a_text_is_uploaded_in_segments_of_seven_bytes() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
-    assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"], "Test bo");
-    assert_eq!(board.sdo("70"), ["5C0: 19 61 72 64 00 00 00 00"], "ard");
-}
-
-#[test]
-fn a_text_of_a_whole_number_of_segments_ends_with_a_full_one() {
-    let mut board = board_named("7 bytes", "", "");
-    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 07 00 00 00"]);
-    assert_eq!(board.sdo("60"), ["5C0: 01 37 20 62 79 74 65 73"]);
-    let mut board = board_named("fourteen bytes", "", "");
-    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0E 00 00 00"]);
-    assert_eq!(board.sdo("60"), ["5C0: 00 66 6F 75 72 74 65 65"]);
-    assert_eq!(board.sdo("70"), ["5C0: 11 6E 20 62 79 74 65 73"]);
-}
-
-#[test]
-fn an_empty_text_is_one_segment_without_a_byte() {
-    let mut board = board_named("", "", "");
-    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 00 00 00 00"]);
-    assert_eq!(board.sdo("60"), ["5C0: 0F 00 00 00 00 00 00 00"]);
+    for (text, size, segments) in [
+        ("", "00", &["0F 00 00 00 00 00 00 00"][..]),
+        ("7 bytes", "07", &["01 37 20 62 79 74 65 73"]),
+        ("Test board", "0A", &["00 54 65 73 74 20 62 6F", "19 61 72 64 00 00 00 00"]),
+        ("fourteen bytes", "0E", &["00 66 6F 75 72 74 65 65", "11 6E 20 62 79 74 65 73"]),
+    ] {
+        let mut board = board_named(text, "", "");
+        let announced = format!("5C0: 41 08 10 00 {size} 00 00 00");
+        assert_eq!(board.sdo("40 08 10 00"), [announced.as_str()]);
+        for (request, segment) in ["60", "70"].into_iter().zip(segments) {
+            assert_eq!(board.sdo(request), [format!("5C0: {segment}").as_str()], "{text}");
+        }
+    }
 }
 
 #[test]
@@ -66,24 +56,6 @@ fn a_text_of_any_length_is_uploaded_completely() {
         assert_eq!(board.upload(0x1008, 0).unwrap(), &TEXT.as_bytes()[..len]);
         assert_eq!(board.upload(0x1009, 0).unwrap(), &TEXT.as_bytes()[len..]);
         assert_eq!(board.upload(0x100A, 0).unwrap(), TEXT.as_bytes());
-    }
-}
-
-#[test]
-fn an_expedited_download_is_confirmed_and_read_back() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.sdo("2B 17 10 00 34 12"), ["5C0: 60 17 10 00 00 00 00 00"]);
-    assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 34 12 00 00"]);
-}
-
-#[test]
-fn an_expedited_download_without_a_size_takes_the_size_of_the_object() {
-    let mut board = NodeRig::with_node_id(0x40);
-    // The bits for the number of unused bytes have no meaning then.
-    for command in ["22", "26", "2A", "2E"] {
-        let request = format!("{command} 17 10 00 34 12 FF FF");
-        assert_eq!(board.sdo(&request), ["5C0: 60 17 10 00 00 00 00 00"]);
-        assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 34 12 00 00"]);
     }
 }
 
@@ -125,9 +97,7 @@ fn every_node_id_has_its_own_pair_of_cob_ids() {
 fn sdo_follows_the_node_id_after_reset_communication_and_not_before() {
     let (old, new) = (sdo::request(0x40, "40 18 10 00"), sdo::request(0x04, "40 18 10 00"));
     let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 04");
-    board.lss("04 00");
+    board.configure("11 04, 04 00");
     assert_eq!(board.receive(&old), ["5C0: 4F 18 10 00 04 00 00 00"]);
     assert_eq!(board.receive(&new), SILENCE);
     assert_eq!(board.nmt("82 00"), ["704: 00"]);
@@ -139,8 +109,7 @@ fn sdo_follows_the_node_id_after_reset_communication_and_not_before() {
 #[test]
 fn a_node_without_a_node_id_serves_no_sdo_until_lss_gives_it_one() {
     let mut board = NodeRig::unconfigured();
-    board.lss("04 01");
-    board.lss("11 04");
+    board.configure("11 04");
     for node_id in 0..=127 {
         assert_eq!(board.receive(&sdo::request(node_id, "40 18 10 00")), SILENCE);
     }
@@ -150,21 +119,9 @@ fn a_node_without_a_node_id_serves_no_sdo_until_lss_gives_it_one() {
 }
 
 #[test]
-fn a_node_that_loses_its_node_id_serves_no_sdo() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 FF");
-    assert_eq!(board.nmt("82 00"), SILENCE);
-    for node_id in 0..=127 {
-        assert_eq!(board.receive(&sdo::request(node_id, "40 18 10 00")), SILENCE);
-    }
-}
-
-#[test]
 fn nothing_is_served_during_a_switch_delay_and_all_after_it() {
     let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("13 00 02");
+    board.configure("13 00 02");
     assert_eq!(board.lss("15 0A 00"), SILENCE);
     for _ in 0..19 {
         assert_eq!(board.sdo("40 18 10 00"), SILENCE);
@@ -184,15 +141,4 @@ fn sdo_is_served_in_every_lss_state() {
     board.sdo("40 08 10 00");
     assert_eq!(board.lss("5E"), ["5E 40"], "LSS in the middle of a transfer");
     assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"]);
-}
-
-#[test]
-fn a_switch_of_the_bit_rate_ends_an_upload_without_an_abort() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
-    board.lss("04 01");
-    board.lss("13 00 02");
-    assert_eq!(board.lss("15 0A 00"), SILENCE);
-    assert_eq!(board.pass_ms(20), SILENCE);
-    assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"]);
 }

@@ -7,7 +7,7 @@ use testkit::{
     sdo::{Client, crc, request},
 };
 
-use crate::sdo_machine::{CONSTANT, Machine, board, board_with_memory, bytes};
+use crate::sdo_machine::{Machine, board, board_with_memory, bytes};
 
 /// The text of segment `number` of a block, which begins at byte `start` of `data`.
 fn segment(number: u8, data: &[u8], start: usize) -> String {
@@ -50,23 +50,6 @@ fn a_domain_of_any_length_is_downloaded_in_blocks() {
         assert_eq!(board.node.application().memory, bytes(len));
     }
     assert_eq!(board.node.application().aborted, 0);
-}
-
-#[test]
-fn every_other_value_goes_by_block_transfer_too() {
-    let mut board = board();
-    assert_eq!(board.block_download(0x2100, 4, &7_u64.to_le_bytes()), Ok(()));
-    assert_eq!(board.block_upload(0x2100, 4, 127).unwrap(), 7_u64.to_le_bytes());
-    assert_eq!(board.block_download(0x2100, 1, &[9]), Ok(()));
-    assert_eq!(board.block_upload(0x2100, 1, 1).unwrap(), [9]);
-    for len in 0..=20 {
-        assert_eq!(board.block_download(0x2200, 2, &bytes(len)), Ok(()));
-        assert_eq!(board.block_upload(0x2200, 2, 2).unwrap(), bytes(len));
-    }
-    assert_eq!(board.block_upload(0x2200, 1, 4).unwrap(), CONSTANT.as_bytes());
-    assert_eq!(board.block_upload(0x1008, 0, 4).unwrap(), b"Test board");
-    assert_eq!(board.block_download(0x1017, 0, &[0xE8, 3]), Ok(()));
-    assert_eq!(board.number(0x1017, 0), 1000);
 }
 
 #[test]
@@ -126,17 +109,6 @@ fn segments_lost_on_the_way_to_the_client_are_sent_again() {
         let [c0, c1] = crc(&data).to_le_bytes();
         assert_eq!(end.0[0].data()[1..3], [c0, c1], "each byte is once in the CRC");
     }
-}
-
-#[test]
-fn a_last_block_that_is_lost_is_sent_again() {
-    let mut board = board_with_memory(10);
-    board.sdo("A4 00 23 01 7F");
-    let first = board.sdo("A3");
-    assert_eq!(board.sdo("A2 00 7F"), first);
-    assert_eq!(board.sdo("A2 01 7F"), ["5C0: 81 32 39 40 00 00 00 00"]);
-    assert_eq!(board.sdo("A2 01 7F").0[0].data()[0], 0xC1 | 4 << 2);
-    assert_eq!(board.sdo("A1"), SILENCE);
 }
 
 #[test]
@@ -236,9 +208,7 @@ const ENDS: [End; 9] = [
     }),
     ("switch of the bit rate", |board| {
         assert_eq!(board.sdo("2A"), SILENCE);
-        board.lss("04 01");
-        board.lss("13 00 02");
-        board.lss("15 0A 00");
+        board.configure("13 00 02, 15 0A 00");
         board.pass_ms(20);
     }),
 ];
@@ -313,57 +283,6 @@ fn segments_behind_a_lost_one_belong_to_the_rest_of_the_block_too() {
 }
 
 #[test]
-fn an_invalid_block_size_is_0504_0002() {
-    for block_size in [0_u8, 128, 255] {
-        let mut board = board_with_memory(100);
-        let request = format!("A4 00 23 01 {block_size:02X}");
-        assert_eq!(board.sdo(&request), ["5C0: 80 00 23 01 02 00 04 05"]);
-        board.sdo("A4 00 23 01 01");
-        board.sdo("A3");
-        let confirm = format!("A2 01 {block_size:02X}");
-        assert_eq!(board.sdo(&confirm), ["5C0: 80 00 23 01 02 00 04 05"]);
-        assert_eq!(board.sdo("A2 01 7F"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
-    }
-}
-
-#[test]
-fn an_invalid_sequence_number_is_0504_0003() {
-    let mut board = board_with_memory(100);
-    board.sdo("A4 00 23 01 05");
-    board.sdo("A3");
-    assert_eq!(board.sdo("A2 06 7F"), ["5C0: 80 00 23 01 03 00 04 05"], "only five were sent");
-    board.sdo("C6 00 23 01 C8");
-    board.sdo("01 61");
-    assert_eq!(board.sdo("00 61"), ["5C0: 80 00 23 01 03 00 04 05"]);
-    assert_eq!(board.node.application().aborted, 1);
-}
-
-#[test]
-fn a_wrong_crc_is_0504_0004_and_nothing_is_written() {
-    let mut board = board();
-    board.sdo("C6 00 22 02 03");
-    board.sdo("81 61 62 63");
-    let [c0, c1] = (crc(b"abc") ^ 1).to_le_bytes();
-    let end = format!("D1 {c0:02X} {c1:02X}");
-    assert_eq!(board.sdo(&end), ["5C0: 80 00 22 02 04 00 04 05"]);
-    assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
-    board.sdo("C6 00 23 01 03");
-    board.sdo("81 61 62 63");
-    assert_eq!(board.sdo(&end), ["5C0: 80 00 23 01 04 00 04 05"]);
-    assert_eq!((board.node.application().ended, board.node.application().aborted), (0, 1));
-}
-
-#[test]
-fn a_client_without_crc_and_without_a_size_is_served() {
-    let mut board = board();
-    assert_eq!(board.sdo("C0 00 22 02"), ["5C0: A4 00 22 02 7F 00 00 00"]);
-    board.sdo("81 61 62 63");
-    assert_eq!(board.sdo("D1 FF FF"), ["5C0: A1 00 00 00 00 00 00 00"]);
-    assert_eq!(board.sdo("A0 00 22 02 7F"), ["5C0: C6 00 22 02 03 00 00 00"]);
-    assert_eq!(board.sdo("A3"), ["5C0: 81 61 62 63 00 00 00 00"]);
-}
-
-#[test]
 fn the_crc_of_an_upload_is_0_for_a_client_that_does_not_check_it() {
     let mut board = board_with_memory(15);
     for (request, [c0, c1]) in
@@ -389,41 +308,40 @@ fn short_data_goes_by_the_other_protocol_up_to_the_clients_threshold() {
 }
 
 #[test]
-fn lengths_access_and_limits_hold_for_blocks_too() {
-    let mut board = board();
-    assert_eq!(board.sdo("C6 00 21 02 03"), ["5C0: 80 00 21 02 12 00 07 06"]);
-    assert_eq!(board.sdo("C6 00 21 02 01"), ["5C0: 80 00 21 02 13 00 07 06"]);
-    assert_eq!(board.block_download(0x2100, 3, &[0; 4]), Err(0x0601_0002));
-    assert_eq!(board.block_download(0x2100, 1, &[4]), Err(0x0609_0032));
-    assert_eq!(board.block_download(0x2100, 2, &[0xAD, 0xDE]), Err(0x0800_0022));
-    assert_eq!(board.block_download(0x2200, 2, &bytes(21)), Err(0x0607_0012));
-    board.sdo("C2 00 22 02 02");
-    board.sdo("81 61 62 63");
-    assert_eq!(board.sdo("D1"), ["5C0: 80 00 22 02 12 00 07 06"], "more than announced");
-    board.sdo("C2 00 22 02 04");
-    board.sdo("81 61 62 63");
-    assert_eq!(board.sdo("D1"), ["5C0: 80 00 22 02 13 00 07 06"], "less than announced");
-    assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
-}
-
-#[test]
-fn messages_out_of_order_are_0504_0001() {
-    for (before, message) in [
-        (&["A4 00 23 01 7F"][..], "A2 00 7F"),
-        (&["A4 00 23 01 7F"], "A1"),
-        (&["A4 00 23 01 7F"], "60"),
-        (&["A4 00 23 01 7F", "A3"], "A3"),
-        (&["A4 00 23 01 7F", "A3"], "A1"),
-        (&["A4 00 23 01 7F", "A3", "A2 0F 7F"], "A2 0F 7F"),
-        (&["C0 00 23 01", "81"], "00"),
-        (&["C0 00 23 01", "81"], "A3"),
+fn messages_that_do_not_fit_are_refused_by_the_code_of_their_reason() {
+    const OUT_OF_ORDER: u8 = 1;
+    const BLOCK_SIZE: u8 = 2;
+    const SEQUENCE_NUMBER: u8 = 3;
+    const CRC: u8 = 4;
+    for (before, message, reason) in [
+        (&["A4 00 23 01 7F"][..], "A2 00 7F", OUT_OF_ORDER),
+        (&["A4 00 23 01 7F"], "A1", OUT_OF_ORDER),
+        (&["A4 00 23 01 7F"], "60", OUT_OF_ORDER),
+        (&["A4 00 23 01 7F", "A3"], "A3", OUT_OF_ORDER),
+        (&["A4 00 23 01 7F", "A3"], "A1", OUT_OF_ORDER),
+        (&["A4 00 23 01 7F", "A3", "A2 0F 7F"], "A2 0F 7F", OUT_OF_ORDER),
+        (&["C0 00 23 01", "81"], "00", OUT_OF_ORDER),
+        (&["C0 00 23 01", "81"], "A3", OUT_OF_ORDER),
+        (&[], "A4 00 23 01 00", BLOCK_SIZE),
+        (&[], "A4 00 23 01 80", BLOCK_SIZE),
+        (&["A4 00 23 01 01", "A3"], "A2 01 00", BLOCK_SIZE),
+        (&["A4 00 23 01 01", "A3"], "A2 01 80", BLOCK_SIZE),
+        (&["A4 00 23 01 05", "A3"], "A2 06 7F", SEQUENCE_NUMBER),
+        (&["C6 00 23 01 C8", "01 61"], "00 61", SEQUENCE_NUMBER),
+        (&["C6 00 23 01 03", "81 61 62 63"], "D1 FF FF", CRC),
     ] {
         let mut board = board_with_memory(100);
         for message in before {
             board.sdo(message);
         }
-        assert_eq!(board.sdo(message), ["5C0: 80 00 23 01 01 00 04 05"], "{before:?}, {message}");
-        assert_eq!(board.upload(0x2300, 1).unwrap(), bytes(100));
+        let abort = format!("5C0: 80 00 23 01 {reason:02X} 00 04 05");
+        assert_eq!(board.sdo(message), [abort.as_str()], "{before:?}, {message}");
+        if before.first().is_some_and(|first| first.starts_with('C')) {
+            assert_eq!(board.node.application().aborted, 1, "{before:?}, {message}");
+        } else {
+            assert_eq!(board.sdo("A2 01 7F"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
+        }
+        assert_eq!(board.upload(0x2300, 1).unwrap(), bytes(100), "nothing has been written");
     }
 }
 
@@ -481,8 +399,7 @@ fn lss_and_heartbeats_are_served_within_a_block_upload() {
     board.sdo("A4 00 23 01 7F");
     board.sdo("A3");
     assert_eq!(board.pass_ms(10), ["740: 7F"]);
-    board.lss("04 01");
-    assert_eq!(board.lss("5A"), ["5A 44 33 22 11"]);
+    assert_eq!(board.configure("5A"), ["5A 44 33 22 11"]);
     assert_eq!(board.see(BusEvent::NonePending).0.len(), 2);
 }
 

@@ -7,10 +7,7 @@ use canopen_node::{
     objects,
     sdo::Abort,
 };
-use testkit::{
-    flash::BoardFlash,
-    node_rig::{ADDRESS, NodeRig, defaults, device},
-};
+use testkit::node_rig::NodeRig;
 
 pub const CONSTANT: &str =
     "A constant text that is longer than every value that a client can write to this machine";
@@ -139,8 +136,7 @@ pub fn board() -> NodeRig<Machine> {
         refuse_part: None,
         refuse_end: None,
     };
-    let device = device(ADDRESS).with_defaults(defaults(0x40));
-    NodeRig::with_application(device, BoardFlash::blank(0), 0, machine)
+    NodeRig::running(machine)
 }
 
 /// The same with `len` bytes in its memory.

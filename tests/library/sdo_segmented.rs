@@ -9,15 +9,6 @@ const TOO_LONG: u32 = 0x0607_0012;
 const TOO_SHORT: u32 = 0x0607_0013;
 
 #[test]
-fn a_number_of_64_bits_is_uploaded_in_two_segments() {
-    let mut board = board();
-    assert_eq!(board.sdo("40 00 21 04"), ["5C0: 41 00 21 04 08 00 00 00"]);
-    assert_eq!(board.sdo("60"), ["5C0: 00 88 77 66 55 44 33 22"]);
-    assert_eq!(board.sdo("70"), ["5C0: 1D 11 00 00 00 00 00 00"]);
-    assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
-}
-
-#[test]
 fn a_value_that_changes_within_an_upload_is_read_as_it_was_at_the_beginning() {
     let mut board = board();
     board.download(0x2200, 2, b"The first text").unwrap();
@@ -26,18 +17,6 @@ fn a_value_that_changes_within_an_upload_is_read_as_it_was_at_the_beginning() {
     board.node.application_mut().values.text = Default::default();
     assert_eq!(board.sdo("70"), ["5C0: 11 73 74 20 74 65 78 74"]);
     assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
-}
-
-#[test]
-fn strings_and_domains_of_up_to_four_bytes_are_uploaded_expedited() {
-    let mut board = board();
-    board.download(0x2200, 2, b"abc").unwrap();
-    assert_eq!(board.sdo("40 00 22 02"), ["5C0: 47 00 22 02 61 62 63 00"]);
-    board.download(0x2200, 2, b"").unwrap();
-    assert_eq!(board.sdo("40 00 22 02"), ["5C0: 41 00 22 02 00 00 00 00"]);
-    assert_eq!(board.sdo("60"), ["5C0: 0F 00 00 00 00 00 00 00"], "an empty one");
-    board.node.application_mut().memory = bytes(4);
-    assert_eq!(board.sdo("40 00 23 02"), ["5C0: 43 00 23 02 01 08 0F 16"]);
 }
 
 #[test]
@@ -60,24 +39,6 @@ fn strings_and_domains_of_any_length_are_written_and_read_back() {
     assert_eq!(board.node.application().aborted, 0);
     assert_eq!(board.upload(0x2200, 1).unwrap(), CONSTANT.as_bytes());
     assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");
-}
-
-#[test]
-fn numbers_of_any_size_are_downloaded_in_segments() {
-    let mut board = board();
-    for announced in [None, Some(8)] {
-        let number = 0x0102_0304_0506_0708_u64;
-        board.download_segments(0x2100, 4, &number.to_le_bytes(), announced).unwrap();
-        assert_eq!(board.node.application().values.u64, number);
-        board.node.application_mut().values.u64 = 0;
-    }
-    board.download_segments(0x2100, 1, &[77], Some(1)).unwrap();
-    board.download_segments(0x2100, 2, &[1, 2], None).unwrap();
-    board.download_segments(0x2100, 5, &[1, 2, 3, 4], None).unwrap();
-    board.download_segments(0x1017, 0, &[0x10, 0x27], None).unwrap();
-    let values = board.node.application().values;
-    assert_eq!((values.u8, values.u16, values.command), (77, 0x0201, 0x0403_0201));
-    assert_eq!(board.number(0x1017, 0), 10_000, "an object of the node");
 }
 
 #[test]
@@ -105,40 +66,6 @@ fn an_expedited_download_without_a_size_takes_the_size_of_a_number_or_four_bytes
 }
 
 #[test]
-fn a_length_that_is_not_the_objects_is_0607_0012_or_0013() {
-    let mut board = board();
-    for (sub_index, data, code) in [
-        (1, &[1_u8, 2][..], TOO_LONG),
-        (2, &[1, 2, 3], TOO_LONG),
-        (2, &[1], TOO_SHORT),
-        (4, &[1, 2, 3, 4], TOO_SHORT),
-        (4, &[1, 2, 3, 4, 5, 6, 7, 8, 9], TOO_LONG),
-        (5, &[1, 2, 3], TOO_SHORT),
-    ] {
-        let len = Some(data.len() as u32);
-        for announced in [None, len] {
-            let outcome = board.download_segments(0x2100, sub_index, data, announced);
-            assert_eq!(outcome, Err(code), "{sub_index}: {data:?}");
-        }
-        assert_eq!(board.download(0x2100, sub_index, data), Err(code));
-    }
-    for announced in [None, Some(21), Some(41), Some(u32::MAX)] {
-        assert_eq!(
-            board.download_segments(0x2200, 2, &bytes(21), announced),
-            Err(match announced {
-                Some(u32::MAX) | Some(41) | Some(21) | None => TOO_LONG,
-                _ => unreachable!(),
-            })
-        );
-        assert_eq!(board.upload(0x2200, 2).unwrap(), b"", "the old value stays");
-    }
-    assert_eq!(board.download_segments(0x2200, 3, &bytes(100), None), Err(TOO_LONG));
-    assert_eq!(board.download_segments(0x1017, 0, &[1, 2, 3], None), Err(TOO_LONG));
-    assert_eq!(board.download_segments(0x1017, 0, &[1], None), Err(TOO_SHORT));
-    assert_eq!(board.number(0x1017, 0), 0);
-}
-
-#[test]
 fn data_that_is_not_as_long_as_announced_is_0607_0012_or_0013() {
     let mut board = board();
     for (len, announced) in [(9, 8), (8, 9), (14, 1), (0, 1), (1, 0)] {
@@ -151,21 +78,6 @@ fn data_that_is_not_as_long_as_announced_is_0607_0012_or_0013() {
     assert_eq!(board.upload(0x2200, 3).unwrap(), b"");
     let machine = board.node.application();
     assert_eq!((machine.ended, machine.aborted), (0, 5));
-}
-
-#[test]
-fn access_limits_and_refusals_hold_for_segments_too() {
-    let mut board = board();
-    assert_eq!(board.download_segments(0x2100, 3, &[0; 4], None), Err(0x0601_0002));
-    assert_eq!(board.download_segments(0x2300, 2, &[0; 4], None), Err(0x0601_0002));
-    assert_eq!(board.upload(0x2100, 5), Err(0x0601_0001));
-    assert_eq!(board.block_upload(0x2100, 5, 10), Err(0x0601_0001));
-    assert_eq!(board.download_segments(0x2100, 1, &[4], None), Err(0x0609_0032));
-    assert_eq!(board.download_segments(0x2100, 1, &[251], Some(1)), Err(0x0609_0031));
-    let refused = 0xDEAD_u64.to_le_bytes();
-    assert_eq!(board.download_segments(0x2100, 4, &refused, None), Err(0x0800_0022));
-    assert_eq!(board.node.application().values.u64, 0x1122_3344_5566_7788);
-    assert_eq!(board.upload(0x2300, 1), Err(0x0800_0024), "there is no data");
 }
 
 #[test]
@@ -186,34 +98,24 @@ fn the_application_refuses_a_domain_at_any_part_and_at_its_end() {
 }
 
 #[test]
-fn a_repeated_toggle_bit_in_a_download_is_0503_0000() {
-    let mut board = board();
-    board.sdo("20 00 22 02");
-    assert_eq!(board.sdo("10 61"), ["5C0: 80 00 22 02 00 00 03 05"]);
-    assert_eq!(board.sdo("00 61"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
-    board.sdo("20 00 23 01");
-    board.sdo("00 61");
-    assert_eq!(board.sdo("01 61"), ["5C0: 80 00 23 01 00 00 03 05"]);
-    assert_eq!(board.node.application().aborted, 1);
-    assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
-}
-
-#[test]
-fn a_segment_of_another_service_is_0504_0001_and_ends_the_transfer() {
-    for (begin, segment) in [
-        ("20 00 22 02", "60"),
-        ("40 00 21 04", "00"),
-        ("40 00 21 04", "A3"),
-        ("20 00 22 02", "A2 01 7F"),
-        ("40 00 21 04", "C1"),
+fn a_repeated_toggle_bit_is_0503_0000() {
+    for (messages, repeated, aborted) in [
+        (&["40 08 10 00"][..], "70", 0),
+        (&["40 08 10 00", "60"], "60", 0),
+        (&["20 00 22 02"], "10 61", 0),
+        (&["20 00 23 01", "00 61"], "01 61", 1),
     ] {
         let mut board = board();
-        board.sdo(begin);
-        let answer = format!("5C0: 80 {} 01 00 04 05", &begin[3..]);
-        assert_eq!(board.sdo(segment), [answer.as_str()], "{begin}, {segment}");
-        for late in ["60", "00", "A1", "A2", "A3", "C1"] {
-            assert_eq!(board.sdo(late), ["5C0: 80 00 00 00 01 00 04 05"]);
+        for message in messages {
+            board.sdo(message);
         }
+        let abort = format!("5C0: 80 {} 00 00 03 05", &messages[0][3..]);
+        assert_eq!(board.sdo(repeated), [abort.as_str()], "{messages:?}, {repeated}");
+        for next in ["60", "70", "00 61"] {
+            assert_eq!(board.sdo(next), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
+        }
+        assert_eq!(board.node.application().aborted, aborted);
+        assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
     }
 }
 
@@ -245,9 +147,7 @@ fn resets_stop_and_a_switch_of_the_bit_rate_end_a_download() {
             board.nmt("01 40");
         },
         |board| {
-            board.lss("04 01");
-            board.lss("13 00 02");
-            board.lss("15 0A 00");
+            board.configure("13 00 02, 15 0A 00");
             board.pass_ms(20);
         },
         |board| {
@@ -287,33 +187,12 @@ fn after_a_second_without_a_message_the_server_aborts_with_0504_0000() {
 }
 
 #[test]
-fn each_segment_gives_the_client_another_second() {
-    let mut board = board();
-    board.sdo("20 00 23 01");
-    for toggle in ["00", "10"].into_iter().cycle().take(10) {
-        assert_eq!(board.pass_ms(999), SILENCE);
-        assert_eq!(board.sdo(&format!("{toggle} 61")).0.len(), 1);
-    }
-    assert_eq!(board.pass_ms(1000), ["5C0: 80 00 23 01 00 00 04 05"]);
-}
-
-#[test]
 fn a_domain_that_becomes_shorter_while_it_is_read_is_0800_0024() {
     let mut board = board_with_memory(20);
     board.sdo("40 00 23 01");
     board.sdo("60");
     board.node.application_mut().memory.truncate(10);
     assert_eq!(board.sdo("70"), ["5C0: 80 00 23 01 24 00 00 08"]);
-}
-
-#[test]
-fn the_sdo_server_parameter_1200h_is_that_of_the_predefined_connection_set() {
-    let mut board = board();
-    assert_eq!(board.sdo("40 00 12 00"), ["5C0: 4F 00 12 00 02 00 00 00"]);
-    assert_eq!(board.sdo("40 00 12 01"), ["5C0: 43 00 12 01 40 06 00 00"]);
-    assert_eq!(board.sdo("40 00 12 02"), ["5C0: 43 00 12 02 C0 05 00 00"]);
-    assert_eq!(board.upload(0x1200, 3), Err(0x0609_0011));
-    assert_eq!(board.download(0x1200, 1, &[0; 4]), Err(0x0601_0002));
 }
 
 #[test]

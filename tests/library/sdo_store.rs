@@ -1,9 +1,9 @@
 //! Store parameters 1010h and restore default parameters 1011h (CiA 301), which share the settings log with LSS store.
 
-use canopen_node::{BitRate, lss::StoreError};
+use canopen_node::lss::StoreError;
 use testkit::{
     flash::Operation,
-    frames::SILENCE,
+    frames::{Frames, SILENCE},
     node_rig::{NodeRig, defaults},
     sdo::Client,
 };
@@ -32,90 +32,15 @@ fn a_heartbeat_time_that_was_saved_survives_a_power_cycle_and_reset_node() {
 }
 
 #[test]
-fn an_unsaved_heartbeat_time_is_lost_at_power_cycle_and_reset_node() {
-    let mut board = board_with_default_500();
-    board.sdo(HEARTBEAT_1000);
-    assert_eq!(board.power_cycle(), ["740: 00"]);
-    assert_eq!(board.number(0x1017, 0), 500);
-    board.sdo(HEARTBEAT_1000);
-    board.nmt("81 00");
-    assert_eq!(board.number(0x1017, 0), 500);
-}
-
-#[test]
-fn saving_unchanged_values_writes_nothing() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.sdo(HEARTBEAT_1000);
-    board.sdo(SAVE);
-    let writes = board.flash.writes();
-    assert_eq!(board.sdo(SAVE), [SAVED]);
-    assert_eq!(board.flash.writes(), writes);
-}
-
-#[test]
-fn save_leaves_the_pending_node_id_and_bit_rate_to_lss() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 04");
-    board.lss("13 00 02");
-    board.sdo(HEARTBEAT_1000);
-    assert_eq!(board.sdo(SAVE), [SAVED]);
-    assert_eq!(board.stored(), Some(defaults(0x40).with_heartbeat_ms(1000)));
-    assert_eq!(board.power_cycle(), ["740: 00"]);
-}
-
-#[test]
-fn lss_store_leaves_the_saved_heartbeat_time_and_does_not_save_a_new_one() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.sdo(HEARTBEAT_1000);
-    board.sdo(SAVE);
-    board.sdo("2B 17 10 00 D0 07");
-    board.lss("04 01");
-    board.lss("11 04");
-    board.lss("13 00 02");
-    assert_eq!(board.lss("17"), ["17 00"]);
-    let expected = defaults(0x04).with_bit_rate(BitRate::Kbit500.into()).with_heartbeat_ms(1000);
-    assert_eq!(board.stored(), Some(expected));
-    assert_eq!(board.power_cycle(), ["704: 00"]);
-    assert_eq!(board.number(0x1017, 0), 1000);
-}
-
-#[test]
-fn save_after_lss_store_keeps_the_values_stored_by_lss() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    board.lss("11 04");
-    board.lss("13 00 02");
-    board.lss("17");
-    board.sdo(HEARTBEAT_1000);
-    assert_eq!(board.sdo(SAVE), [SAVED]);
-    let expected = defaults(0x04).with_bit_rate(BitRate::Kbit500.into()).with_heartbeat_ms(1000);
-    assert_eq!(board.stored(), Some(expected));
-}
-
-#[test]
-fn load_restores_the_default_heartbeat_time_only_at_the_next_reset() {
-    let mut board = board_with_default_500();
-    board.sdo(HEARTBEAT_1000);
-    board.sdo(SAVE);
-    assert_eq!(board.sdo(LOAD), [LOADED]);
-    assert_eq!(board.number(0x1017, 0), 1000);
-    board.nmt("81 00");
-    assert_eq!(board.number(0x1017, 0), 500);
-    assert_eq!(board.power_cycle(), ["740: 00"]);
-    assert_eq!(board.number(0x1017, 0), 500);
-}
-
-#[test]
-fn load_keeps_the_values_stored_by_lss() {
-    let mut board = board_with_default_500();
-    board.lss("04 01");
-    board.lss("11 04");
-    board.lss("17");
-    board.sdo(HEARTBEAT_1000);
-    board.sdo(SAVE);
-    assert_eq!(board.sdo(LOAD), [LOADED]);
-    assert_eq!(board.stored(), Some(defaults(0x04).with_heartbeat_ms(500)));
+fn an_unsaved_heartbeat_time_is_lost_at_power_cycle_and_resets() {
+    let restarts: [fn(&mut NodeRig) -> Frames; 3] =
+        [NodeRig::power_cycle, |board| board.nmt("81 00"), |board| board.nmt("82 00")];
+    for restart in restarts {
+        let mut board = board_with_default_500();
+        board.sdo(HEARTBEAT_1000);
+        assert_eq!(restart(&mut board), ["740: 00"]);
+        assert_eq!(board.number(0x1017, 0), 500);
+    }
 }
 
 #[test]
@@ -130,15 +55,10 @@ fn a_store_that_fails_is_0606_0000_and_the_old_settings_stay() {
     board.flash.repair();
     assert_eq!(board.power_cycle(), ["740: 00"]);
     assert_eq!(board.number(0x1017, 0), 1000);
-}
-
-#[test]
-fn a_device_that_cannot_store_answers_0606_0000_too() {
-    let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
     board.sdo(SAVE);
     let answer = board.end_store(Err(StoreError::NotSupported));
-    assert_eq!(answer, ["5C0: 80 10 10 01 00 00 06 06"]);
+    assert_eq!(answer, ["5C0: 80 10 10 01 00 00 06 06"], "a device that cannot store");
 }
 
 #[test]
@@ -159,8 +79,7 @@ fn the_heartbeat_time_of_the_request_is_saved_not_a_later_one() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
     board.sdo(HEARTBEAT_1000);
-    board.lss("04 01");
-    assert_eq!(board.lss("17"), SILENCE);
+    assert_eq!(board.configure("17"), SILENCE);
     assert_eq!(board.sdo(SAVE), SILENCE, "it waits for the other store");
     board.sdo("2B 17 10 00 D0 07");
     board.finish_store();
@@ -176,8 +95,7 @@ fn lss_store_and_save_at_the_same_time_are_both_done_and_both_answered() {
         let mut board = NodeRig::with_node_id(0x40);
         board.let_stores_take_time();
         board.sdo(HEARTBEAT_1000);
-        board.lss("04 01");
-        board.lss("11 04");
+        board.configure("11 04");
         let answers = if lss_is_first {
             board.lss("17");
             board.sdo(SAVE);
@@ -197,8 +115,7 @@ fn lss_store_and_save_at_the_same_time_are_both_done_and_both_answered() {
 fn a_store_that_is_asked_for_while_one_waits_is_0800_0021() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
-    board.lss("04 01");
-    board.lss("17");
+    board.configure("17");
     assert_eq!(board.sdo(SAVE), SILENCE);
     assert_eq!(board.sdo(SAVE), ["5C0: 80 10 10 01 21 00 00 08"]);
     assert_eq!(board.sdo(LOAD), ["5C0: 80 11 10 01 21 00 00 08"]);
@@ -250,8 +167,7 @@ fn two_stores_one_behind_the_other_are_each_confirmed_in_their_way() {
 fn a_save_that_still_waits_is_forgotten_by_reset_communication() {
     let mut board = NodeRig::with_node_id(0x40);
     board.let_stores_take_time();
-    board.lss("04 01");
-    board.lss("17");
+    board.configure("17");
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
     assert_eq!(board.nmt("82 00"), ["740: 00"]);

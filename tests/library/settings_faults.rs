@@ -1,91 +1,147 @@
-//! The settings log in a failing flash: reads, writes and erases with errors, stuck bits.
+//! The settings log in a failing flash, with and without parameters: reads, writes and erases with errors, stuck bits.
 
 use canopen_node::{
     NodeId, Settings,
     settings::{Error, Found, Log},
 };
 use testkit::{
-    flash::{BoardFlash, Flash, Operation},
-    settings::{flash_with, open, record, settings},
+    flash::{
+        BoardFlash, Flash,
+        Operation::{Erase, Read, Write},
+    },
+    settings::{Content, flash_with, open_with_parameters, parameters, record, settings},
 };
 
-/// A log of eight records a bank that holds `settings(1)`.
-fn with_settings_1() -> (Log<Flash<4, 256>>, Flash<4, 256>) {
+/// The longest parameters, which take three places of 32 bytes.
+const LEN: usize = 66;
+/// A flash with room for 16 places a bank.
+type Chip = Flash<4, 512>;
+type ChipLog = Log<Chip, LEN>;
+
+/// The lengths of the parameter that is stored with the settings; 0: none.
+const LENS: [usize; 2] = [0, 60];
+
+fn start(flash: &Chip) -> (ChipLog, Content, Found) {
+    open_with_parameters(flash)
+}
+
+fn found(flash: &Chip) -> Content {
+    start(flash).1
+}
+
+fn content(n: u16, len: usize) -> Content {
+    (Some(settings(n)), parameters(n, len))
+}
+
+fn held(log: &ChipLog) -> Content {
+    (log.settings(), log.parameters().to_vec())
+}
+
+fn store(log: &mut ChipLog, (settings, parameters): &Content) -> Result<(), Error> {
+    log.store_with_parameters(settings.unwrap(), parameters)
+}
+
+/// A log that holds content 1, in place 2, or in the places 2 to 5.
+fn with_content_1(len: usize) -> (ChipLog, Chip) {
     let flash = Flash::blank(7);
-    let (mut log, _) = Log::open(flash.clone());
-    log.store(settings(1)).unwrap();
+    let (mut log, ..) = start(&flash);
+    store(&mut log, &content(1, len)).unwrap();
     (log, flash)
 }
 
+/// A log in whose bank `bank` there is room for `room` of 16 records, after those of an earlier version; the other bank
+/// is not known to be erased.
+fn nearly_full(bank: usize, room: u16) -> Chip {
+    let records: Vec<_> = (1..=16 - room)
+        .map(|n| {
+            let Settings { node_id, bit_rate, heartbeat_ms, .. } = settings(n);
+            let node_id = NodeId::to_lss(node_id);
+            let record = record(n.into(), 1, node_id, bit_rate.index(), heartbeat_ms);
+            (bank, usize::from(n) - 1, record)
+        })
+        .collect();
+    flash_with(&records)
+}
+
+/// A log with parameters that moves to its other bank at the next start, or has just moved there.
+fn about_to_move(has_moved: bool) -> Chip {
+    let (mut log, flash) = with_content_1(60);
+    store(&mut log, &content(2, 60)).unwrap();
+    // 10 of 16 places are in use.
+    for n in 0..6 + u16::from(has_moved) {
+        log.store(settings(100 + n)).unwrap();
+    }
+    flash
+}
+
 #[test]
-fn a_flash_that_fails_refuses_stores_and_the_old_settings_stay() {
-    for operation in [Operation::Write, Operation::Read] {
-        let (mut log, flash) = with_settings_1();
+fn a_flash_that_fails_refuses_stores_and_the_old_values_stay() {
+    for (len, operation) in LENS.into_iter().flat_map(|len| [(len, Write), (len, Read)]) {
+        let (mut log, flash) = with_content_1(len);
         flash.fail(operation);
         for n in 2..5 {
-            assert_eq!(log.store(settings(n)), Err(Error::Refused), "{operation:?}");
-            assert_eq!(log.settings(), Some(settings(1)));
+            assert_eq!(store(&mut log, &content(n, len)), Err(Error::Refused), "{operation:?}");
+            assert_eq!(held(&log), content(1, len));
         }
         flash.repair();
-        assert_eq!(open(&flash.duplicate(0)).0, Some(settings(1)), "{operation:?}");
-        assert_eq!(log.store(settings(5)), Ok(()), "the flash works again");
-        assert_eq!(open(&flash).0, Some(settings(5)));
+        assert_eq!(found(&flash.duplicate(0)), content(1, len), "{operation:?}");
+        assert_eq!(store(&mut log, &content(5, len)), Ok(()), "the flash works again");
+        assert_eq!(found(&flash), content(5, len));
     }
 }
 
 #[test]
-fn after_a_failed_operation_old_settings_stay_and_the_next_store_works() {
-    for operation in [Operation::Write, Operation::Read] {
-        for others in 0.. {
-            let (mut log, flash) = with_settings_1();
-            flash.fail_once(operation, others);
-            let outcome = log.store(settings(2));
-            if flash.is_faulty() {
-                break;
+fn after_any_failed_operation_old_values_stay_and_the_next_store_works() {
+    let beginnings = [
+        (0, with_content_1(0).1, content(1, 0)),
+        (60, with_content_1(60).1, content(1, 60)),
+        // The store goes to the other bank.
+        (0, nearly_full(0, 1), content(15, 0)),
+    ];
+    for (len, beginning, old) in beginnings {
+        for operation in [Write, Read] {
+            for others in 0.. {
+                let flash = beginning.duplicate(0);
+                let (mut log, ..) = start(&flash);
+                flash.fail_once(operation, others);
+                let outcome = store(&mut log, &content(20, len));
+                if flash.is_faulty() {
+                    assert!(others > 2, "it reads and writes");
+                    break;
+                }
+                let case = format!("{operation:?} {others}: {outcome:?}");
+                let left = if outcome.is_ok() { &content(20, len) } else { &old };
+                assert_eq!(held(&log), *left, "{case}");
+                assert_eq!(found(&flash.duplicate(0)), *left, "{case}");
+                assert_eq!(store(&mut log, &content(21, len)), Ok(()), "{case}");
+                assert_eq!(found(&flash), content(21, len), "{case}");
             }
-            let left = if outcome.is_ok() { settings(2) } else { settings(1) };
-            assert_eq!(log.settings(), Some(left));
-            let found = open(&flash.duplicate(0)).0;
-            assert_eq!(found, Some(left), "{operation:?} {others}: {outcome:?}");
-            assert_eq!(log.store(settings(3)), Ok(()));
-            assert_eq!(open(&flash).0, Some(settings(3)), "{operation:?} {others}");
         }
     }
 }
 
 #[test]
-fn settings_that_are_stored_again_after_a_store_that_failed_are_found() {
-    for operation in [Operation::Write, Operation::Read] {
-        for others in 0.. {
-            let (mut log, flash) = with_settings_1();
-            flash.fail_once(operation, others);
-            let _ = log.store(settings(2));
-            if flash.is_faulty() {
-                break;
+fn values_that_are_stored_again_after_a_failure_are_found() {
+    let faults: [fn(&Chip, _, _); 2] = [Chip::fail_once, Chip::fail_after];
+    for (len, fault) in LENS.into_iter().flat_map(|len| faults.map(|fault| (len, fault))) {
+        for operation in [Write, Read] {
+            for others in 0..40 {
+                let (mut log, flash) = with_content_1(len);
+                fault(&flash, operation, others);
+                let is_stored = store(&mut log, &content(2, len)).is_ok();
+                flash.repair();
+                for again in [content(if is_stored { 2 } else { 1 }, len), content(1, len)] {
+                    assert_eq!(store(&mut log, &again), Ok(()));
+                    assert_eq!(found(&flash.duplicate(0)), again, "{operation:?} {others}");
+                }
             }
-            assert_eq!(log.store(settings(1)), Ok(()));
-            assert_eq!(open(&flash).0, Some(settings(1)), "{operation:?} {others}");
-        }
-    }
-}
-
-#[test]
-fn settings_stored_again_after_a_temporary_flash_failure_are_found() {
-    for operation in [Operation::Write, Operation::Read] {
-        for others in 0..10 {
-            let (mut log, flash) = with_settings_1();
-            flash.fail_after(operation, others);
-            let left = if log.store(settings(2)).is_ok() { settings(2) } else { settings(1) };
-            flash.repair();
-            assert_eq!(log.store(left), Ok(()));
-            assert_eq!(open(&flash).0, Some(left), "{operation:?} {others}");
         }
     }
 }
 
 #[test]
 fn a_blank_flash_that_fails_is_reported_and_refuses() {
-    for operation in [Operation::Read, Operation::Write, Operation::Erase] {
+    for operation in [Read, Write, Erase] {
         let flash = BoardFlash::blank(0);
         flash.fail(operation);
         let (mut log, found) = Log::open(flash.clone());
@@ -97,105 +153,72 @@ fn a_blank_flash_that_fails_is_reported_and_refuses() {
 
 #[test]
 fn a_store_that_fails_gives_the_reason() {
-    let why = |fault: fn(&Flash<4, 256>)| {
-        let (mut log, flash) = with_settings_1();
+    let why = |fault: fn(&Chip)| {
+        let (mut log, flash) = with_content_1(0);
         fault(&flash);
-        let outcome = (2..20).map(|n| log.store(settings(n))).find(Result::is_err);
+        let outcome = (2..40).map(|n| log.store(settings(n))).find(Result::is_err);
         flash.repair();
-        let (mut log, _) = Log::open(flash);
-        assert_eq!(log.store(settings(30)), Ok(()));
+        let (mut log, ..) = start(&flash);
+        assert_eq!(log.store(settings(50)), Ok(()));
         outcome.expect("a failure").unwrap_err()
     };
-    assert_eq!(why(|flash| flash.fail(Operation::Write)), Error::Refused);
+    assert_eq!(why(|flash| flash.fail(Write)), Error::Refused);
     assert_eq!(why(|flash| flash.stick(96, 1, false)), Error::NotBlank);
     assert_eq!(why(|flash| flash.stick(100, 1, false)), Error::NotBlank);
     assert_eq!(why(|flash| flash.stick(100, 4, true)), Error::NotAsWritten);
     assert_eq!(why(|_| ()), Error::Full);
 }
 
-/// A flash whose bank `bank` has room for `room` of eight records, after those of an earlier version; the other is not
-/// known to be erased. It holds `settings(8 - room)`.
-fn nearly_full(bank: usize, room: u16) -> Flash<4, 256> {
-    let records: Vec<_> = (1..=8 - room)
-        .map(|n| {
-            let Settings { node_id, bit_rate, heartbeat_ms, .. } = settings(n);
-            let node_id = NodeId::to_lss(node_id);
-            let sequence = u32::from(n);
-            let at = usize::from(n) - 1;
-            (bank, at, record(sequence, 1, node_id, bit_rate.index(), heartbeat_ms))
-        })
-        .collect();
-    flash_with(&records)
-}
-
 #[test]
-fn an_open_that_fails_at_any_operation_loses_nothing() {
+fn a_start_that_fails_at_any_operation_loses_nothing() {
+    let mut beginnings = vec![about_to_move(false), about_to_move(true)];
     for bank in [0, 1] {
-        'next: for operation in [Operation::Read, Operation::Write, Operation::Erase] {
+        beginnings.extend([0, 1, 2].map(|room| nearly_full(bank, room)));
+    }
+    for (number, beginning) in beginnings.iter().enumerate() {
+        let old = found(&beginning.duplicate(0));
+        for operation in [Read, Write, Erase] {
             for others in 0.. {
-                for room in 0..3 {
-                    let flash = nearly_full(bank, room);
-                    flash.fail_once(operation, others);
-                    let (mut log, found) = Log::open(flash.clone());
-                    if flash.is_faulty() {
-                        assert_ne!(flash.erases(), 0, "it has erased the other bank");
-                        continue 'next;
-                    }
-                    let case =
-                        format!("bank {bank}, room {room}, {operation:?} {others}: {found:?}");
-                    let stored = log.store(settings(8)).is_ok();
-                    let last = settings(if stored { 8 } else { 8 - room });
-                    let (mut log, _) = Log::open(flash.clone());
-                    assert_eq!(log.settings(), Some(last), "{case}");
-                    assert_eq!(log.store(settings(9)), Ok(()), "{case}");
-                    assert_eq!(open(&flash).0, Some(settings(9)), "{case}");
+                let flash = beginning.duplicate(0);
+                flash.fail_once(operation, others);
+                let (mut log, _, result) = start(&flash);
+                if flash.is_faulty() {
+                    break;
                 }
+                let case = format!("{number}, {operation:?} {others}: {result:?}");
+                // A store by LSS keeps the parameters in flash, even if they could not be read.
+                let is_stored = log.store(settings(8)).is_ok();
+                let left = if is_stored { Some(settings(8)) } else { old.0 };
+                let (mut log, then, _) = start(&flash);
+                assert_eq!(then, (left, old.1.clone()), "{case}");
+                assert_eq!(store(&mut log, &content(9, 60)), Ok(()), "{case}");
+                assert_eq!(found(&flash), content(9, 60), "{case}");
             }
         }
     }
 }
 
 #[test]
-fn a_store_in_the_other_bank_that_fails_at_any_operation_loses_nothing() {
-    for operation in [Operation::Write, Operation::Read] {
-        for others in 0.. {
-            let flash = nearly_full(0, 1);
-            let (mut log, _) = Log::open(flash.clone());
-            flash.fail_once(operation, others);
-            let outcome = log.store(settings(8));
-            if flash.is_faulty() {
-                assert!(others > 2, "it reads and writes");
-                break;
-            }
-            let case = format!("{operation:?} {others}: {outcome:?}");
-            let last = settings(if outcome.is_ok() { 8 } else { 7 });
-            assert_eq!(log.settings(), Some(last), "{case}");
-            assert_eq!(open(&flash.duplicate(0)).0, Some(last), "{case}");
-            assert_eq!(log.store(settings(9)), Ok(()), "{case}");
-            assert_eq!(open(&flash).0, Some(settings(9)), "{case}");
-        }
-    }
-}
-
-#[test]
-fn a_stuck_bit_costs_a_record_but_no_settings() {
-    for at in 96..128 {
-        for bit in 0..8 {
-            for value in [false, true] {
-                let (mut log, flash) = with_settings_1();
+fn a_stuck_bit_costs_a_store_but_no_values() {
+    // Those of the next store, and the record before it.
+    for (len, places) in [(0, 2..4), (60, 5..10)] {
+        let commit_word = places.end * 32 - 4..places.end * 32;
+        for at in places.start * 32..places.end * 32 {
+            for (bit, value) in (0..8).flat_map(|bit| [(bit, false), (bit, true)]) {
+                let (mut log, flash) = with_content_1(len);
                 flash.stick(at, 1 << bit, value);
-                let outcome = log.store(settings(2));
-                let left = if outcome.is_ok() { settings(2) } else { settings(1) };
-                let has_commit_word = flash.content()[124..128] != [0xFF; 4];
+                let outcome = store(&mut log, &content(2, len));
+                let case = format!("byte {at}, bit {bit} is {value}: {outcome:?}");
+                let has_commit_word = flash.content()[commit_word.clone()] != [0xFF; 4];
                 assert!(
-                    outcome.is_ok() || at >= 124 || !has_commit_word,
-                    "byte {at}, bit {bit} is {value}: the commit word comes after a read-back"
+                    outcome.is_ok() || commit_word.contains(&at) || !has_commit_word,
+                    "{case}: the commit word comes after a read-back"
                 );
-                assert_eq!(log.settings(), Some(left), "byte {at}, bit {bit} is {value}");
-                let found = open(&flash.duplicate(0)).0;
-                assert_eq!(found, Some(left), "byte {at}, bit {bit} is {value}");
-                assert_eq!(log.store(settings(3)), Ok(()));
-                assert_eq!(open(&flash).0, Some(settings(3)));
+                let left = content(if outcome.is_ok() { 2 } else { 1 }, len);
+                assert_eq!(held(&log), left, "{case}");
+                assert_eq!(found(&flash.duplicate(0)), left, "{case}");
+                assert_eq!(store(&mut log, &content(3, len)), Ok(()), "{case}");
+                assert_eq!(found(&flash), content(3, len), "{case}");
             }
         }
     }
@@ -203,23 +226,21 @@ fn a_stuck_bit_costs_a_record_but_no_settings() {
 
 #[test]
 fn a_stuck_bit_in_the_other_bank_loses_nothing() {
-    for at in 256..320 {
-        for bit in 0..8 {
-            for value in [false, true] {
-                let flash = nearly_full(0, 2);
-                flash.stick(at, 1 << bit, value);
-                let case = format!("byte {at}, bit {bit} is {value}");
-                let (mut log, found) = Log::open(flash.clone());
-                assert_eq!(log.settings(), Some(settings(6)), "{case}");
-                assert_eq!(log.store(settings(7)), Ok(()), "{case}: there was still room");
-                let outcome = log.store(settings(8));
-                let last = settings(if outcome.is_ok() { 8 } else { 7 });
-                assert_eq!(open(&flash.duplicate(0)).0, Some(last), "{case}: {outcome:?}");
-                let is_marked = !matches!(found, Found::MediumFailed(_));
-                let second = log.store(settings(9));
-                assert_eq!(second.is_ok(), is_marked, "{case}: it costs one store");
-                assert_eq!(open(&flash).0, Some(if is_marked { settings(9) } else { last }));
-            }
+    for at in 512..576 {
+        for (bit, value) in (0..8).flat_map(|bit| [(bit, false), (bit, true)]) {
+            let flash = nearly_full(0, 2);
+            flash.stick(at, 1 << bit, value);
+            let case = format!("byte {at}, bit {bit} is {value}");
+            let (mut log, then, result) = start(&flash);
+            assert_eq!(then, content(14, 0), "{case}");
+            assert_eq!(log.store(settings(15)), Ok(()), "{case}: there was still room");
+            let outcome = log.store(settings(16));
+            let last = content(if outcome.is_ok() { 16 } else { 15 }, 0);
+            assert_eq!(found(&flash.duplicate(0)), last, "{case}: {outcome:?}");
+            let is_marked = !matches!(result, Found::MediumFailed(_));
+            let second = log.store(settings(17));
+            assert_eq!(second.is_ok(), is_marked, "{case}: it costs one store");
+            assert_eq!(found(&flash), if is_marked { content(17, 0) } else { last });
         }
     }
 }

@@ -1,16 +1,18 @@
-//! The settings log with power cuts in any program or erase step, also two in a row: nothing acknowledged is lost, and
-//! settings found once stay, although an interrupted word reads differently at each power-on.
+//! The settings log with power cuts in any program or erase step, also two in a row: nothing acknowledged is lost,
+//! settings and parameters are found together, and what was found once stays, although an interrupted word reads
+//! differently at each power-on.
 
-use canopen_node::settings::Log;
 use testkit::{
     flash::Flash,
-    power_cut::{Expected, cut_at_random, cut_twice},
+    power_cut::{Expected, cut_at_random, cut_twice, store},
     random::Random,
-    settings::settings,
+    settings::{open_with_parameters, parameters, settings},
 };
 
 /// No room for parameters.
 const LEN: usize = 0;
+/// The longest parameters, which take two places of 32 bytes.
+const WITH_PARAMETERS: usize = 40;
 
 #[test]
 fn two_cuts_in_any_steps_lose_nothing_written_in_words() {
@@ -31,29 +33,6 @@ fn two_cuts_in_any_steps_lose_nothing_in_the_smallest_banks() {
 fn two_cuts_in_any_steps_lose_nothing_where_garbage_is_formatted_first() {
     cut_twice::<LEN, 4, 128>(&[0xA5; 256], 4, 3);
     cut_twice::<LEN, 2, 256>(&[0x00; 512], 2, 11);
-}
-
-#[test]
-fn settings_found_after_a_cut_are_found_at_every_power_on() {
-    let mut random = Random::from_environment();
-    let mut found_new = 0;
-    for cut in 0..8 {
-        for _ in 0..200 {
-            let flash = Flash::<4, 256>::blank(random.u64());
-            let (mut log, _) = Log::open(flash.clone());
-            log.store(settings(1)).unwrap();
-            flash.cut_power_after(cut);
-            assert!(log.store(settings(2)).is_err());
-            flash.power_on();
-            let first = Log::open(flash.clone()).0.settings();
-            found_new += u32::from(first == Some(settings(2)));
-            for _ in 0..5 {
-                flash.cycle_power();
-                assert_eq!(Log::open(flash.clone()).0.settings(), first, "step {cut}");
-            }
-        }
-    }
-    assert!((20..180).contains(&found_new), "{found_new} of 200 cut commit words read valid");
 }
 
 #[test]
@@ -85,24 +64,61 @@ fn cuts_in_banks_of_16_kb_that_are_nearly_full_lose_nothing() {
 }
 
 #[test]
-fn a_cut_in_a_store_leaves_old_or_new_settings_and_at_the_end_the_new() {
+fn two_cuts_in_any_steps_lose_no_parameters_in_the_smallest_banks() {
+    cut_twice::<WITH_PARAMETERS, 4, 192>(&[0xFF; 384], 8, 3);
+}
+
+#[test]
+fn two_cuts_in_any_steps_lose_no_parameters_written_in_words() {
+    cut_twice::<WITH_PARAMETERS, 4, 512>(&[0xFF; 1024], 14, 7);
+}
+
+#[test]
+fn two_cuts_in_any_steps_lose_no_parameters_written_in_bytes() {
+    cut_twice::<WITH_PARAMETERS, 1, 256>(&[0xFF; 512], 6, 61);
+}
+
+#[test]
+fn random_histories_of_parameters_with_any_number_of_cuts_lose_nothing() {
+    cut_at_random::<WITH_PARAMETERS>(400, 150, 16);
+}
+
+/// Cuts the power in each step of a store of a record, behind parameters of these lengths if there is room for them.
+fn cut_in_each_step<const LEN: usize>(old_len: usize, new_len: usize, steps: usize) {
     let mut random = Random::from_environment();
-    for cut in 0..=8 {
+    let old = (Some(settings(1)), parameters(1, old_len));
+    let new = (Some(settings(2)), parameters(2, new_len));
+    for cut in 0..=steps {
+        let mut found_new = 0;
         for _ in 0..100 {
-            let flash = Flash::<4, 128>::blank(random.u64());
-            let (mut log, _) = Log::open(flash.clone());
-            log.store(settings(1)).unwrap();
+            let flash = Flash::<4, 512>::blank(random.u64());
+            let (mut log, ..) = open_with_parameters::<LEN, 4, 512>(&flash);
+            assert!(store(&mut log, &old));
             flash.cut_power_after(cut);
-            let outcome = log.store(settings(2));
+            assert_eq!(store(&mut log, &new), cut == steps);
             flash.power_on();
-            let read = Log::open(flash.clone()).0.settings();
-            assert_eq!(outcome.is_ok(), cut == 8);
-            match cut {
-                // Without the commit word, the last of eight, there are no new settings.
-                0..7 => assert_eq!(read, Some(settings(1)), "step {cut}"),
-                7 => assert!(read == Some(settings(1)) || read == Some(settings(2))),
-                _ => assert_eq!(read, Some(settings(2))),
+            let first = open_with_parameters::<LEN, 4, 512>(&flash).1;
+            assert!(first == old || first == new, "step {cut}: {first:?}");
+            found_new += usize::from(first == new);
+            for _ in 0..5 {
+                flash.cycle_power();
+                assert_eq!(open_with_parameters::<LEN, 4, 512>(&flash).1, first, "step {cut}");
             }
         }
+        // The commit word is the last one; if it is cut, it may read as written.
+        let expected = if cut + 1 < steps {
+            0..1
+        } else if cut < steps {
+            10..90
+        } else {
+            100..101
+        };
+        assert!(expected.contains(&found_new), "step {cut}: new in {found_new} of 100 cases");
     }
+}
+
+#[test]
+fn a_cut_store_leaves_both_old_or_both_new_at_every_power_on() {
+    cut_in_each_step::<LEN>(0, 0, 8);
+    cut_in_each_step::<WITH_PARAMETERS>(30, 34, 24);
 }

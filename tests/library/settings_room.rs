@@ -61,7 +61,7 @@ fn example(flash: &BoardFlash) -> Example {
 fn save(board: &mut Example) -> bool {
     let next = board.number(0x2100, 0) % 8 + 1;
     board.download(0x2100, 0, &[next as u8]).expect("a legal value");
-    let outcome = board.download(0x1010, 1, b"save");
+    let outcome = board.save(1);
     assert!(matches!(outcome, Ok(()) | Err(0x0800_0022)), "{outcome:X?}");
     outcome.is_ok()
 }

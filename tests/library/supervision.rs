@@ -6,10 +6,11 @@ use canopen_node::{
     Frame, Instant, NodeId, lss,
 };
 use testkit::{
-    flash::BoardFlash,
     frames::{self, SILENCE, request},
     node_rig::{ADDRESS, NodeRig, defaults, device},
-    supervised::{TURN_US, powered_on, proven, searching, switched, unproven, unproven_at},
+    supervised::{
+        TURN_US, powered_on, proven, searching, switched, unproven, unproven_at, with_defaults,
+    },
 };
 
 const EVENTS: [BusEvent; 6] = [Error, FormError, BusOff, HeldDominant, Received, Acknowledged];
@@ -20,8 +21,7 @@ fn a_proven_rate_is_never_left() {
         let mut board = unproven();
         board.see(proof);
         board.is_acknowledged = false;
-        board.lss("04 01");
-        board.lss("11 05");
+        board.configure("11 05, 13 00 02");
         board.timeline();
         for event in EVENTS.into_iter().cycle().take(6_000) {
             board.see(event);
@@ -29,35 +29,21 @@ fn a_proven_rate_is_never_left() {
         }
         assert_eq!(board.timeline(), SILENCE, "{proof:?}");
         assert_eq!(board.lss("17"), ["17 00"], "the session goes on");
+        board.lss("15 00 00");
+        assert_eq!(board.bit_rate(), BitRate::Kbit500, "and what 13 has set is activated");
     }
 }
 
 #[test]
 fn a_session_survives_three_errors_a_second_apart() {
-    let settings = defaults(0xFF).with_bit_rate(BitRate::Kbit125.into());
-    let device = device(ADDRESS).with_rescue(true).with_defaults(settings);
-    let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
-    board.lss("04 01");
-    assert_eq!(board.lss("11 05"), ["11 00"]);
+    let mut board = with_defaults(defaults(0xFF).with_bit_rate(BitRate::Kbit125.into()));
+    assert_eq!(board.configure("11 05"), ["11 00"]);
     for _ in 0..3 {
         board.see(Error);
         board.pass_ms(1_000);
     }
     assert_eq!(board.lss("17"), ["17 00"]);
     assert_eq!(board.lss("04 00"), ["705: 00"]);
-}
-
-#[test]
-fn a_configured_rate_is_activated_after_errors_between_13_and_15() {
-    let mut board = proven();
-    board.lss("04 01");
-    board.lss("13 00 02");
-    for _ in 0..20 {
-        board.see(Error);
-        board.pass_ms(900);
-    }
-    board.lss("15 00 00");
-    assert_eq!(board.bit_rate(), BitRate::Kbit500);
 }
 
 #[test]
@@ -74,9 +60,7 @@ fn nothing_is_due_after_the_acknowledge_of_an_answer_at_a_proven_rate() {
 
 #[test]
 fn a_node_without_supervision_never_looks_elsewhere_nor_pauses() {
-    let settings = defaults(0x40).with_heartbeat_ms(100);
-    let device = device(ADDRESS).with_rescue(false).with_defaults(settings);
-    let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
+    let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.is_acknowledged = false;
     board.power_cycle();
     for _ in 0..1_000 {
@@ -108,8 +92,7 @@ fn an_unproven_rate_is_searched_from_at_the_first_error() {
 fn for_30_s_after_both_switch_delays_only_the_new_rate_counts() {
     for d_ms in [0_u16, 1_000, 65_535] {
         let mut board = powered_on(BitRate::Kbit250, 0);
-        board.lss("04 01");
-        board.lss("13 00 06");
+        board.configure("13 00 06");
         let [low, high] = d_ms.to_le_bytes();
         board.lss(&format!("15 {low:02X} {high:02X}"));
         board.pass_ms(2 * u64::from(d_ms));
@@ -128,8 +111,7 @@ fn for_30_s_after_both_switch_delays_only_the_new_rate_counts() {
 #[test]
 fn a_switch_to_the_same_rate_leaves_it_proven() {
     let mut board = proven();
-    board.lss("04 01");
-    board.lss("15 00 00");
+    board.configure("15 00 00");
     board.pass_ms(40_000);
     board.timeline();
     board.see(Error);
@@ -152,8 +134,7 @@ fn the_rate_before_a_switch_is_listened_to_first_only_once() {
 fn in_the_switch_delays_no_error_counts() {
     for event in [Error, FormError, BusOff] {
         let mut board = powered_on(BitRate::Kbit1000, 0);
-        board.lss("04 01");
-        board.lss("13 00 04");
+        board.configure("13 00 04");
         board.timeline();
         board.lss("15 64 00");
         for _ in 0..19 {
@@ -219,7 +200,7 @@ fn an_error_leads_to_the_next_slower_rate_home_among_them() {
     let bit_rates = BitRates::possible(42_000_000);
     let device = device(ADDRESS).with_bit_rates(bit_rates).with_rescue(true);
     let settings = defaults(0xFF).with_bit_rate(BitRate::Kbit125.into());
-    let mut board = NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0);
+    let mut board = NodeRig::of(device.with_defaults(settings));
     board.see(Error);
     board.see(Error);
     assert_eq!(board.bit_rate(), BitRate::Kbit500, "the clock cannot make 800");
@@ -342,21 +323,13 @@ fn a_bus_that_is_held_dominant_ends_the_search() {
 #[test]
 fn a_search_ends_the_lss_session() {
     for (node_id, then) in [(0x40, Some(5)), (0xFF, None)] {
-        let settings = defaults(node_id).with_bit_rate(BitRate::Kbit250.into());
-        let device = device(ADDRESS).with_rescue(true).with_defaults(settings);
-        let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
-        for request in ["04 01", "11 05", "13 00 06", "15 00 00"] {
-            board.lss(request);
-        }
+        let mut board = with_defaults(defaults(node_id).with_bit_rate(BitRate::Kbit250.into()));
+        board.configure("11 05, 13 00 06, 15 00 00");
         board.pass_ms(30_000);
         board.see(Error);
         assert_eq!(board.node.lss().state(), lss::State::Waiting);
-        let pending = board.node.lss().pending_node_id();
-        assert_eq!(
-            pending,
-            then.and_then(NodeId::new),
-            "a node without an active node-ID has none"
-        );
+        // A node without an active node-ID has no pending one either.
+        assert_eq!(board.node.lss().pending_node_id(), then.and_then(NodeId::new));
     }
 }
 
@@ -367,7 +340,7 @@ fn an_unacknowledged_frame_pauses_after_100_ms_at_an_unproven_rate() {
         let address = lss::Address { serial_number, ..ADDRESS };
         let settings = defaults(0x40).with_bit_rate(BitRate::Kbit125.into());
         let device = device(address).with_rescue(true).with_defaults(settings);
-        let mut board = NodeRig::with_device(device, BoardFlash::blank(0), 0);
+        let mut board = NodeRig::of(device);
         board.is_acknowledged = false;
         board.power_cycle();
         board.timeline();
@@ -385,8 +358,7 @@ fn an_unacknowledged_frame_pauses_after_100_ms_at_an_unproven_rate() {
         board.pass_ms(1_000);
         board.timeline();
         board.is_acknowledged = false;
-        board.lss("04 01");
-        board.lss("5E");
+        board.configure("5E");
         board.pass_ms(1_000);
         assert_eq!(board.timeline().len(), 1, "a proven one does not pause");
     }

@@ -6,7 +6,6 @@ use canopen_node::{
     NodeId, lss, nmt,
 };
 use testkit::{
-    flash::BoardFlash,
     frames::{self, SILENCE},
     node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::Client,
@@ -79,8 +78,7 @@ fn the_first_valid_frame_elsewhere_decides_and_is_not_obeyed() {
 fn the_rate_found_is_active_and_the_stored_one_pending() {
     let mut board = guest();
     assert_eq!((lss_rates(&board), objects(&mut board)), ([1000, 125], [125, 1000, 1]));
-    board.lss("04 01");
-    board.lss("11 07");
+    board.configure("11 07");
     assert_eq!(board.lss("17"), ["17 00"]);
     let stored = board.stored().expect("settings");
     assert_eq!((stored.node_id, stored.bit_rate), (NodeId::new(7), BitRate::Kbit125.into()));
@@ -125,9 +123,7 @@ fn activation_without_configuration_makes_the_rate_found_a_proven_home() {
 #[test]
 fn a_guest_that_is_switched_home_is_home() {
     let mut board = guest();
-    for request in ["04 01", "13 00 04", "15 00 00"] {
-        board.lss(request);
-    }
+    board.configure("13 00 04, 15 00 00");
     assert_eq!(objects(&mut board), [125, 125, 1]);
     assert_eq!(board.number(0x1001, 0), 0);
 }
@@ -336,7 +332,7 @@ fn with_automatic(bit_rate: BitRateSetting) -> NodeRig {
     let bit_rates = device.bit_rates.with_automatic();
     let device = device.with_bit_rates(bit_rates).with_rescue(true);
     let settings = defaults(0x40).with_bit_rate(bit_rate);
-    let mut board = NodeRig::with_device(device.with_defaults(settings), BoardFlash::blank(0), 0);
+    let mut board = NodeRig::of(device.with_defaults(settings));
     board.is_acknowledged = false;
     board.power_cycle();
     board
@@ -348,9 +344,7 @@ fn a_guest_commanded_to_detect_its_rate_is_no_longer_a_guest() {
     board.see(Error);
     board.is_acknowledged = true;
     board.see(Received);
-    for request in ["04 01", "13 00 09", "15 00 00"] {
-        board.lss(request);
-    }
+    board.configure("13 00 09, 15 00 00");
     assert!(board.node.is_listening());
     assert_eq!(board.see(Received), [HOME_AGAIN]);
     assert_eq!(objects(&mut board), [1000, 1000, 1]);

@@ -6,7 +6,7 @@ use canopen_node::{
 };
 use testkit::{
     flash::BoardFlash,
-    frames::{self, SILENCE},
+    frames::{self},
     node_rig::{ADDRESS, NodeRig, defaults, device},
     random::Random,
     sdo::Client,
@@ -241,24 +241,4 @@ fn home_has_its_turns_and_once_proven_is_never_left() {
     }
     println!("{looks} looks, {rescues} rescues, {switches} switches");
     assert!(looks > 1_000 && rescues > 50 && switches > 50);
-}
-
-#[test]
-fn without_supervision_a_node_always_stays_at_its_rate() {
-    let mut random = Random::from_environment();
-    for rate in BitRate::ALL {
-        let settings = defaults(0x40).with_bit_rate(rate.into());
-        let clock_at_start = random.u32();
-        let mut board = NodeRig::with_device(
-            device(ADDRESS).with_defaults(settings),
-            BoardFlash::blank(0),
-            clock_at_start,
-        );
-        board.timeline();
-        for _ in 0..1_000 {
-            board.see(random.pick(MOODS[7]));
-            board.pass_us(random.within(0..2_000_000));
-        }
-        assert_eq!(board.timeline(), SILENCE);
-    }
 }
