@@ -1,5 +1,7 @@
 //! A product's own objects, declared by `objects!`: every type, access, limit and refusal, read and written by SDO.
 
+use std::panic::catch_unwind;
+
 use canopen_node::{
     Application, Node,
     application::{
@@ -228,26 +230,19 @@ const fn whole(index: u16) -> Entry {
 }
 
 #[test]
-#[should_panic(expected = "object 2100h sub-index 1: it is declared twice")]
-fn the_error_names_the_object_that_occurs_twice() {
-    let entry = part(0x2100, DataType::Unsigned8);
-    application::check(&[whole(0x2100), entry, entry]);
-}
-
-#[test]
-#[should_panic(expected = "object 2100h sub-index 0: objects must be sorted")]
-fn the_error_names_the_object_that_is_out_of_order() {
-    application::check(&[whole(0x2101), whole(0x2100)]);
-}
-
-#[test]
-#[should_panic(expected = "object 2100h sub-index 1: only numbers can be mapped into a PDO")]
-fn the_error_names_the_text_that_is_mapped() {
-    application::check(&[whole(0x2100), part(0x2100, DataType::VisibleString)]);
-}
-
-#[test]
-#[should_panic(expected = "object A000h sub-index 0: its index must be 2001h to 9FFFh")]
-fn the_error_names_the_index_that_is_out_of_range() {
-    application::check(&[whole(0xA000)]);
+fn the_error_of_a_wrong_declaration_names_the_object() {
+    let number = part(0x2100, DataType::Unsigned8);
+    for (entries, error) in [
+        (&[whole(0x2100), number, number][..], "object 2100h sub-index 1: it is declared twice"),
+        (&[whole(0x2101), whole(0x2100)], "object 2100h sub-index 0: objects must be sorted"),
+        (
+            &[whole(0x2100), part(0x2100, DataType::VisibleString)],
+            "object 2100h sub-index 1: only numbers can be mapped into a PDO",
+        ),
+        (&[whole(0xA000)], "object A000h sub-index 0: its index must be 2001h to 9FFFh"),
+    ] {
+        let panic = catch_unwind(|| application::check(entries)).expect_err(error);
+        let said = panic.downcast::<String>().expect("a text");
+        assert!(said.starts_with(error), "{said}");
+    }
 }

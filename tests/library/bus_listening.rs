@@ -61,14 +61,6 @@ fn automatic_detection_is_kept_by_17_and_begins_at_the_next_power_on() {
 }
 
 #[test]
-fn a_pending_index_9_that_was_not_stored_is_forgotten_at_power_off() {
-    let mut board = fixed();
-    board.configure("13 00 09");
-    assert_eq!(board.power_cycle(), ["740: 00"]);
-    assert!(!board.node.is_listening());
-}
-
-#[test]
 fn activation_listens_after_one_delay_and_sends_after_two_at_the_earliest() {
     for (heard_at_ms, expected) in [
         (150, &["100 ms listen at 1000 kbit/s", "150 ms 1000 kbit/s", "200 ms resume"]),
@@ -157,13 +149,6 @@ fn the_first_valid_frame_decides_and_is_not_obeyed() {
             assert_eq!(board.node.nmt_state(), State::PreOperational);
         }
     }
-}
-
-#[test]
-fn a_frame_that_no_canopen_node_wants_decides_too() {
-    let mut board = listening();
-    assert_eq!(board.see(BusEvent::Received), ["740: 00"]);
-    assert!(!board.node.is_listening());
 }
 
 #[test]

@@ -1,21 +1,6 @@
 //! The LSS address: its parts, and a serial number from a chip's unique id.
 
-use canopen_node::lss::{Address, AddressPart};
-
-#[test]
-fn a_part_has_the_number_that_fastscan_gives_it() {
-    let parts = [
-        AddressPart::VendorId,
-        AddressPart::ProductCode,
-        AddressPart::RevisionNumber,
-        AddressPart::SerialNumber,
-    ];
-    for (number, part) in (0..).zip(parts) {
-        assert_eq!(AddressPart::new(number), Some(part));
-        assert_eq!(part as u8, number);
-    }
-    assert!((4..=0xFF).all(|number| AddressPart::new(number).is_none()));
-}
+use canopen_node::lss::Address;
 
 #[test]
 fn the_serial_number_of_a_unique_id_is_its_fnv_1a_hash() {

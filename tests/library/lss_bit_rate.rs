@@ -37,20 +37,6 @@ fn each_index_of_table_0_selects_the_bit_rate_of_cia_301() {
 }
 
 #[test]
-fn any_other_index_or_table_is_refused_and_leaves_the_pending_rate_alone() {
-    for index in (0..=0xFF).filter(|index| TABLE.iter().all(|row| row.0 != *index)) {
-        let mut board = with_500_pending();
-        assert_eq!(board.lss(&format!("13 00 {index:02X}")), ["13 01"], "index {index:02X}");
-        assert_eq!(pending(&mut board), 500);
-    }
-    let mut board = with_500_pending();
-    for table in 1..=0xFF {
-        assert_eq!(board.lss(&format!("13 {table:02X} 03")), ["13 01"], "table {table:02X}");
-    }
-    assert_eq!(pending(&mut board), 500);
-}
-
-#[test]
 fn a_rate_that_a_product_leaves_out_is_refused_and_changes_nothing() {
     let rates = BitRates::possible(40_000_000).with_automatic();
     let rates = rates.without(BitRate::Kbit1000).without(BitRate::Kbit10);
@@ -64,15 +50,6 @@ fn a_rate_that_a_product_leaves_out_is_refused_and_changes_nothing() {
     assert_eq!(board.lss("13 00 00"), ["13 01"]);
     assert_eq!(pending(&mut board), 500);
     assert_eq!(rates.fastest(), BitRate::Kbit800);
-}
-
-#[test]
-fn a_rate_that_the_clock_cannot_produce_is_refused_and_changes_nothing() {
-    let device = device(ADDRESS).with_bit_rates(BitRates::possible(42_000_000));
-    let board = NodeRig::of(device.with_defaults(defaults(0x40)));
-    let mut board = with_500_pending_on(board);
-    assert_eq!(board.lss("13 00 01"), ["13 01"], "800 kbit/s is not possible from 42 MHz");
-    assert_eq!(pending(&mut board), 500);
 }
 
 #[test]

@@ -21,14 +21,6 @@ fn select(board: &mut NodeRig) -> Frames {
 }
 
 #[test]
-fn without_the_lock_configuration_is_entered_in_nmt_operational() {
-    let mut board = board(false, 0x40);
-    board.nmt("01 40");
-    assert_eq!(select(&mut board), ["44"]);
-    assert_eq!(board.lss("5E"), ["5E 40"]);
-}
-
-#[test]
 fn with_the_lock_no_switch_state_leads_to_configuration_in_operational() {
     let mut board = board(true, 0x40);
     board.nmt("01 40");

@@ -47,20 +47,6 @@ fn configure_node_id_changes_nothing_but_the_pending_node_id() {
 }
 
 #[test]
-fn inquire_node_id_answers_the_active_one_not_the_pending_one() {
-    let mut board = NodeRig::unconfigured();
-    assert_eq!(board.configure("5E"), ["5E FF"]);
-    board.lss("11 05");
-    assert_eq!(board.lss("5E"), ["5E FF"]);
-    board.lss("04 00");
-    assert_eq!(board.configure("5E"), ["5E 05"]);
-    board.lss("11 FF");
-    assert_eq!(board.lss("5E"), ["5E 05"]);
-    board.lss("17");
-    assert_eq!(board.lss("5E"), ["5E 05"]);
-}
-
-#[test]
 fn power_on_with_nothing_usable_stored_brings_the_default_of_the_device() {
     let garbage = BoardFlash::with_content(vec![0x5A; 0x8000], 0);
     for (mut board, boot_up, inquired) in [
@@ -206,19 +192,6 @@ fn ff_is_storable_and_unconfigures_the_node() {
     assert_eq!(board.lss("5E"), ["5E 40"]);
     assert_eq!(board.power_cycle(), SILENCE);
     assert_eq!(board.lss("4C"), ["50"]);
-}
-
-#[test]
-fn store_is_answered_only_after_it_was_done() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.let_stores_take_time();
-    board.configure("11 05");
-    assert_eq!(board.lss("17"), SILENCE);
-    assert_eq!(board.pass_ms(10), SILENCE);
-    assert_eq!(stored(&board), None);
-    assert_eq!(board.finish_store(), ["17 00"]);
-    assert_eq!(stored(&board), Some(0x05));
-    assert_eq!(board.pass_ms(10), SILENCE, "it is answered once");
 }
 
 #[test]

@@ -117,21 +117,6 @@ fn a_matching_identify_is_answered_4f_with_or_without_a_node_id() {
 }
 
 #[test]
-fn identify_compares_vendor_and_product_in_all_32_bits() {
-    for wrong in 0..2 {
-        for bit in 0..32 {
-            let mut board = NodeRig::unconfigured();
-            let mut parts = [ADDRESS.vendor_id, ADDRESS.product_code];
-            parts[wrong] ^= 1 << bit;
-            for (command, part) in (0x46..).zip(parts) {
-                board.lss(&format!("{command:02X} {}", number(part)));
-            }
-            send_all(&mut board, &IDENTIFY[2..]);
-        }
-    }
-}
-
-#[test]
 fn the_bounds_of_identify_are_unsigned_and_belong_to_the_range() {
     let Address { revision_number: revision, serial_number: serial, .. } = ADDRESS;
     let whole = [0, u32::MAX];

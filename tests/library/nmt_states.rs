@@ -11,19 +11,6 @@ const STATES: [(&str, State, &str); 3] = [
 ];
 
 #[test]
-fn sdo_is_served_in_pre_operational_and_operational_only() {
-    for (command, state, _) in STATES {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.nmt(command);
-        let answers = board.sdo("40 18 10 00");
-        match state {
-            State::Stopped => assert_eq!(answers, SILENCE),
-            _ => assert_eq!(answers, ["5C0: 4F 18 10 00 04 00 00 00"], "{state:?}"),
-        }
-    }
-}
-
-#[test]
 fn stopped_serves_nmt_and_lss_and_sends_only_heartbeats() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.nmt("02 00");

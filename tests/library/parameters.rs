@@ -155,20 +155,15 @@ fn stored_values_of_each_type_survive_a_power_cycle() {
 }
 
 #[test]
-fn values_that_were_not_saved_are_lost_at_power_cycle_and_reset_node() {
-    let mut board = board_with_200_stored_and_300_set();
-    board.power_cycle();
-    assert_eq!(values(&mut board), (200, 1000));
-    set(&mut board, 300, 2000);
-    board.nmt("81 00");
-    assert_eq!(values(&mut board), (200, 1000));
-}
-
-#[test]
-fn reset_communication_leaves_the_values_of_the_application() {
-    let mut board = board_with_200_stored_and_300_set();
-    board.nmt("82 00");
-    assert_eq!(values(&mut board), (300, 1000));
+fn values_that_were_not_saved_are_lost_at_the_next_reset_of_their_part() {
+    for (reset, left) in [("81 00", (200, 1000)), ("82 00", (300, 1000))] {
+        let mut board = board_with_200_stored_and_300_set();
+        board.nmt(reset);
+        assert_eq!(values(&mut board), left, "{reset}");
+        set(&mut board, 300, 2000);
+        board.power_cycle();
+        assert_eq!(values(&mut board), (200, 1000));
+    }
 }
 
 #[test]

@@ -132,13 +132,3 @@ fn nothing_is_served_during_a_switch_delay_and_all_after_it() {
     assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
     assert_eq!(board.number(0x1017, 0), 0, "the ignored request has written nothing");
 }
-
-#[test]
-fn sdo_is_served_in_every_lss_state() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
-    board.sdo("40 08 10 00");
-    assert_eq!(board.lss("5E"), ["5E 40"], "LSS in the middle of a transfer");
-    assert_eq!(board.sdo("60"), ["5C0: 00 54 65 73 74 20 62 6F"]);
-}

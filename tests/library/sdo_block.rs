@@ -402,13 +402,3 @@ fn lss_and_heartbeats_are_served_within_a_block_upload() {
     assert_eq!(board.configure("5A"), ["5A 44 33 22 11"]);
     assert_eq!(board.see(BusEvent::NonePending).0.len(), 2);
 }
-
-#[test]
-fn a_store_by_block_transfer_is_answered_at_its_end() {
-    let mut board = board();
-    board.let_stores_take_time();
-    board.sdo("C0 10 10 01");
-    assert_eq!(board.sdo("81 73 61 76 65"), ["5C0: A2 01 7F 00 00 00 00 00"]);
-    assert_eq!(board.sdo("CD"), SILENCE, "it is not stored yet");
-    assert_eq!(board.finish_store(), ["5C0: A1 00 00 00 00 00 00 00"]);
-}

@@ -196,17 +196,6 @@ fn a_domain_that_becomes_shorter_while_it_is_read_is_0800_0024() {
 }
 
 #[test]
-fn a_store_by_segments_is_answered_by_the_service_that_asked_for_it() {
-    let mut board = board();
-    board.let_stores_take_time();
-    board.sdo("20 10 10 01");
-    assert_eq!(board.sdo("07 73 61 76 65"), SILENCE, "it is not stored yet");
-    assert_eq!(board.finish_store(), ["5C0: 20 00 00 00 00 00 00 00"]);
-    assert_eq!(board.sdo("23 10 10 01 73 61 76 65"), SILENCE);
-    assert_eq!(board.finish_store(), ["5C0: 60 10 10 01 00 00 00 00"]);
-}
-
-#[test]
 fn errors_on_the_bus_that_drop_frames_do_not_disturb_the_next_transfer() {
     let mut board = board_with_memory(1000);
     board.is_acknowledged = false;
