@@ -80,13 +80,11 @@ fn rage_at_node<A: Stormed, const T: usize, const R: usize, const P: usize>(
     mut storm: NodeStorm<A, T, R, P>,
 ) {
     println!("\nThe node in the process");
-    let begin = Instant::now();
-    for part in parts(arguments.frames) {
+    in_parts(arguments.frames, |part| {
         storm.rage(part);
         let NodeStorm { frames, stores, pdos, .. } = storm;
-        let seconds = begin.elapsed().as_secs();
-        println!("{frames:>12} frames, {stores:>8} stores, {pdos} PDOs  {seconds:>5} s");
-    }
+        format!("{frames:>12} frames, {stores:>8} stores, {pdos} PDOs")
+    });
 }
 
 fn rage_at_image<A: Stormed, const T: usize, const R: usize, const P: usize>(
@@ -94,24 +92,25 @@ fn rage_at_image<A: Stormed, const T: usize, const R: usize, const P: usize>(
     image: &Image,
     mut storm: ImageStorm<A, T, R, P>,
 ) {
-    println!(
-        "\nThe release image for the {}",
-        example::chip(arguments.chip, arguments.example).name()
-    );
-    let begin = Instant::now();
-    for part in parts(arguments.image_frames) {
+    let chip = example::chip(arguments.chip, arguments.example);
+    println!("\nThe release image for the {}", chip.name());
+    in_parts(arguments.image_frames, |part| {
         storm.rage(part);
         let ImageStorm { frames, stores, resets, switches, pdos, .. } = storm;
-        let (seconds, virtual_ms) = (begin.elapsed().as_secs(), storm.now());
-        println!(
+        let virtual_ms = storm.now();
+        format!(
             "{frames:>12} frames, {stores:>8} stores, {resets} resets, {switches} switches, \
-             {pdos} PDOs, {virtual_ms} ms virtual  {seconds:>5} s"
-        );
-    }
+             {pdos} PDOs, {virtual_ms} ms virtual"
+        )
+    });
     println!("{:>12} bytes of stack at most", storm.stack_depth(image));
 }
 
-/// Divides `frames` into parts.
-fn parts(frames: u64) -> impl Iterator<Item = u64> {
-    (0..PARTS).map(move |part| frames * (part + 1) / PARTS - frames * part / PARTS)
+/// Divides `frames` into parts, and prints what `rage` says of each, with the time so far.
+fn in_parts(frames: u64, mut rage: impl FnMut(u64) -> String) {
+    let begin = Instant::now();
+    for part in 0..PARTS {
+        let counts = rage(frames * (part + 1) / PARTS - frames * part / PARTS);
+        println!("{counts}  {:>5} s", begin.elapsed().as_secs());
+    }
 }

@@ -6,7 +6,7 @@ use std::{iter, ops::Range};
 use anyhow::{Context, ensure};
 use canopen_node::{
     BitRate, Settings,
-    lss::RESPONSE_COB_ID,
+    lss::{REQUEST_COB_ID, RESPONSE_COB_ID},
     settings::{
         Log,
         parameters::{HEADER, Packer, Parameter},
@@ -16,11 +16,11 @@ use emulator::{Time, chip::PowerCut};
 
 use crate::{
     flash::BoardFlash,
+    frames::of_master,
     image_rig::{
         DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with, settings,
     },
     random::Random,
-    sdo,
     sessions::Variant,
 };
 
@@ -343,8 +343,7 @@ impl Session {
         let mut content = Store::Settings(node_id, rate).after(None);
         if self.has_parameters() {
             for (value, (index, sub_index, _)) in content.values.iter_mut().zip(PARAMETERS) {
-                let [i0, i1] = index.to_le_bytes();
-                let answer = rig.ask_sdo([0x40, i0, i1, sub_index, 0, 0, 0, 0])?;
+                let answer = rig.ask(&rig.sdo(0x40, index, sub_index, "00 00 00 00"))?;
                 ensure!(answer[0] == 0x4F, "{index:04X}h is not read: {answer:02X?}");
                 *value = answer[4];
             }
@@ -384,37 +383,36 @@ impl Rig {
             }
             Store::Parameters(save, values) => {
                 for ((index, sub_index, _), value) in PARAMETERS.into_iter().zip(values) {
-                    let [i0, i1] = index.to_le_bytes();
-                    self.write([0x2F, i0, i1, sub_index, value, 0, 0, 0])?;
+                    self.write(0x2F, index, sub_index, &format!("{value:02X} 00 00 00"))?;
                 }
-                self.write([0x23, 0x10, 0x10, save, b's', b'a', b'v', b'e'])?;
+                self.write(0x23, 0x1010, save, "73 61 76 65")?;
             }
         }
         Ok(())
     }
 
-    fn write(&mut self, request: [u8; 8]) -> anyhow::Result<()> {
-        let answer = self.ask_sdo(request)?;
-        ensure!(answer[0] == 0x60, "{request:02X?} is refused: {answer:02X?}");
+    fn write(&mut self, command: u8, index: u16, sub: u8, data: &str) -> anyhow::Result<()> {
+        let answer = self.ask(&self.sdo(command, index, sub, data))?;
+        ensure!(answer[0] == 0x60, "{index:04X}h is refused: {answer:02X?}");
         Ok(())
     }
 
-    /// Sends a request of the LSS master and returns its answer.
+    /// Sends a request of the LSS master, or of the SDO client with its COB-ID, and returns the answer.
     fn ask(&mut self, request: &str) -> anyhow::Result<[u8; 8]> {
-        self.rig.send(request);
-        self.answer(RESPONSE_COB_ID).with_context(|| format!("{request} has no answer"))
+        let frame = of_master(request);
+        self.rig.queue(&frame);
+        let cob_id = match frame.cob_id() {
+            REQUEST_COB_ID => RESPONSE_COB_ID,
+            sdo => sdo - 0x80,
+        };
+        let answer = self.rig.wait_for(PATIENCE, |frame| frame.cob_id() == cob_id);
+        let (_, answer) = answer.with_context(|| format!("{request} has no answer"))?;
+        Ok(answer.padded_data())
     }
 
-    /// Sends a request to the SDO server of the board and returns its answer.
-    fn ask_sdo(&mut self, request: [u8; 8]) -> anyhow::Result<[u8; 8]> {
-        self.rig.queue(&sdo::of_client(self.node_id, &request));
-        let cob_id = 0x580 + u16::from(self.node_id);
-        self.answer(cob_id).with_context(|| format!("{request:02X?} has no answer"))
-    }
-
-    /// The next frame with this COB-ID.
-    fn answer(&mut self, cob_id: u16) -> Option<[u8; 8]> {
-        let (_, frame) = self.rig.wait_for(PATIENCE, |frame| frame.cob_id() == cob_id)?;
-        Some(frame.padded_data())
+    /// An SDO request to the board: `command`, an index and sub-index, and four bytes.
+    fn sdo(&self, command: u8, index: u16, sub_index: u8, data: &str) -> String {
+        let ([low, high], cob_id) = (index.to_le_bytes(), 0x600 + u16::from(self.node_id));
+        format!("{cob_id:03X}: {command:02X} {low:02X} {high:02X} {sub_index:02X} {data}")
     }
 }

@@ -109,8 +109,7 @@ impl Draft {
         self.any_master_at(0, self.home);
         let begin = if self.random.one_in(2) { 0 } else { self.span(50, 1_000) };
         let end = self.foreign(begin, self.home);
-        let wait = self.wait();
-        self.probe(end + wait, self.home)
+        self.probe_after(end, self.home)
     }
 
     /// Shorts, broken wires, noise and bit errors, in sequence or at once.
@@ -132,8 +131,7 @@ impl Draft {
         if self.random.one_in(3) {
             let master = self.talking_master(to);
             self.add(begin, begin, What::Master(master));
-            let wait = self.wait();
-            return self.probe(begin + wait, to);
+            return self.probe_after(begin, to);
         }
         let t0 = self.switch(begin, to);
         let away = t0 + self.delay_of_switch() + self.span(10, 1_000);
@@ -149,8 +147,7 @@ impl Draft {
         let follows = t0 + self.delay_of_switch() + 1;
         let master = self.talking_master(to);
         self.add(follows, follows, What::Master(master));
-        let wait = self.wait();
-        self.probe(away + wait, to)
+        self.probe_after(away, to)
     }
 
     /// Boards with a stored rate that is not the bus's.
@@ -189,8 +186,7 @@ impl Draft {
         }
         let back = self.span(at, end);
         self.master_at(back, rate);
-        let wait = self.wait();
-        self.probe(end + wait, rate)
+        self.probe_after(end, rate)
     }
 
     /// A mixture of events, with a switch among them.
@@ -229,8 +225,7 @@ impl Draft {
                 until + self.span(0, 300)
             };
         }
-        let wait = self.wait();
-        self.probe(end.max(at) + wait, rate)
+        self.probe_after(end.max(at), rate)
     }
 
     /// A master that only listens or only acknowledges.
@@ -316,8 +311,7 @@ impl Draft {
             let length = self.span(2, 40);
             self.add(at, at + length, What::NoPower(board));
         }
-        let wait = self.wait();
-        self.probe(end + 50 + wait, self.home)
+        self.probe_after(end + 50, self.home)
     }
 
     /// Boards that come up one after another, with different stored rates.
@@ -332,8 +326,7 @@ impl Draft {
             self.add(0, on, What::NoPower(board));
             last = last.max(on);
         }
-        let wait = self.wait();
-        self.probe(last + wait, self.home)
+        self.probe_after(last, self.home)
     }
 
     /// A second master, at a wrong rate.
@@ -346,8 +339,7 @@ impl Draft {
         let bit_per_s = bit_per_s(other);
         let has_companion = self.random.one_in(2);
         self.add(begin, end, What::Foreign(Foreign { bit_per_s, traffic, has_companion }));
-        let wait = self.wait();
-        self.probe(end + wait, self.home)
+        self.probe_after(end, self.home)
     }
 
     /// Contacts that open again and again.
@@ -393,6 +385,12 @@ impl Draft {
                 return rate;
             }
         }
+    }
+
+    /// A probe some time after the end of the disturbance.
+    fn probe_after(&mut self, end: u32, rate: BitRate) -> Probe {
+        let wait = self.wait();
+        self.probe(end + wait, rate)
     }
 
     fn probe(&mut self, at: u32, rate: BitRate) -> Probe {
