@@ -8,8 +8,6 @@ use anyhow::Context;
 use emulator::{board, chip::Part};
 use testkit::{power_cut::image::Session, random::Random, sessions::Variant};
 
-use histories::Histories;
-
 /// Erase cycles guaranteed by the data sheet for a sector (STM32F405, table "flash memory endurance").
 const ENDURANCE: u64 = 10_000;
 const SECTORS: u64 = 2;
@@ -69,8 +67,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut random = Random::from_seed(seed);
 
     println!("\nThe settings log, cut in each step and in each pair of steps");
-    for history in Histories::all(arguments.lives()) {
-        print(&history.to_string(), history.run(&mut random));
+    for (what, run) in histories::all(arguments.lives()) {
+        print(&what, run(&mut random));
     }
 
     let settings = board::Settings::default();

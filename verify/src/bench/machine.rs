@@ -6,7 +6,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{bail, ensure};
 use canopen_node::Frame;
 use emulator::{
     Time,
@@ -53,40 +53,15 @@ pub struct Reception {
 /// A program that waits for frames.
 pub struct Machine {
     engine: Rsemu,
-    addresses: Addresses,
-}
-
-/// Addresses of symbols of the harness.
-struct Addresses {
-    waiting: u32,
-    received: u32,
+    image: Image,
+    /// The transmit mailbox.
     transmitted: u32,
-    receive: u32,
-    returned: u32,
-    idle: u32,
-    stack_bottom: u32,
-    stack_top: u32,
 }
 
 impl Machine {
     /// Loads the program and runs its preparation.
     pub fn start(elf: &Path) -> anyhow::Result<Self> {
         let image = Image::load(elf)?;
-        let address = |name: &str| {
-            let address = image.symbol(name).with_context(|| format!("no symbol {name}"))?;
-            Ok::<u32, anyhow::Error>(address & !1)
-        };
-        let addresses = Addresses {
-            waiting: address("WAITING")?,
-            received: address("RECEIVED")?,
-            transmitted: address("TRANSMITTED")?,
-            receive: address("receive")?,
-            returned: address("returned")?,
-            idle: address("idle")?,
-            stack_bottom: address("stack_bottom")?,
-            stack_top: address("stack_top")?,
-        };
-
         let crystal = Clock { hz: 8_000_000, ppm: 0 };
         let mut chip = Chip::new(Part::Stm32f405, crystal, [0; 12]);
         for (address, bytes) in image.segments().filter(|(address, _)| *address < RAM_BASE) {
@@ -97,15 +72,15 @@ impl Machine {
             ensure!(engine.write_memory(address, bytes), "a segment does not fit into RAM");
         }
         engine.reset(Time::ZERO, Time::ZERO);
-        let mut machine = Self { engine, addresses };
-        machine.run_to(machine.addresses.idle, |_, _| {})?;
+        let transmitted = address(&image, "TRANSMITTED");
+        let mut machine = Self { engine, image, transmitted };
+        machine.run_to("idle", |_, _| {})?;
         Ok(machine)
     }
 
     /// Passes a frame to the program.
     pub fn receive(&mut self, frame: &Frame) -> anyhow::Result<Reception> {
-        let Addresses { waiting, received, transmitted, receive, returned, idle, .. } =
-            self.addresses;
+        let received = address(&self.image, "RECEIVED");
         let mut data = [0; 8];
         data[..frame.data().len()].copy_from_slice(frame.data());
         let [b0, b1, b2, b3, b4, b5, b6, b7] = data;
@@ -113,30 +88,32 @@ impl Machine {
         self.write(received + LENGTH, frame.data().len() as u32);
         self.write(received + DATA, u32::from_le_bytes([b0, b1, b2, b3]));
         self.write(received + DATA + 4, u32::from_le_bytes([b4, b5, b6, b7]));
-        self.write(transmitted + IDENTIFIER, 0);
-        self.write(waiting, 1);
+        self.write(self.transmitted + IDENTIFIER, 0);
+        self.write(address(&self.image, "WAITING"), 1);
 
-        self.run_to(receive, |_, _| {})?;
+        self.run_to("receive", |_, _| {})?;
         let mut answer = None;
-        let cost = self.run_to(returned, |machine, cost| {
+        let cost = self.run_to("returned", |machine, cost| {
             answer = answer.or_else(|| machine.transmitted().map(|frame| (frame, cost)));
         })?;
-        self.run_to(idle, |_, _| {})?;
+        self.run_to("idle", |_, _| {})?;
         Ok(Reception { cost, answer })
     }
 
     /// The largest stack use of `receive` and its callees in bytes.
     pub fn stack_used(&self) -> u32 {
-        let Addresses { stack_bottom, stack_top, .. } = self.addresses;
+        let [stack_bottom, stack_top] =
+            ["stack_bottom", "stack_top"].map(|name| address(&self.image, name));
         let mut stack = vec![0; (stack_top - stack_bottom) as usize];
         assert!(self.engine.read_memory(stack_bottom, &mut stack), "the stack is in RAM");
         let untouched = stack.chunks(4).take_while(|word| *word == UNTOUCHED).count();
         (stack.len() - 4 * untouched) as u32
     }
 
-    /// Executes instructions until the next one is at `address`, and passes each step to `watch`.
-    fn run_to(&mut self, address: u32, mut watch: impl FnMut(&Self, Cost)) -> anyhow::Result<Cost> {
+    /// Executes instructions until the next one is at a symbol, and passes each step to `watch`.
+    fn run_to(&mut self, symbol: &str, mut watch: impl FnMut(&Self, Cost)) -> anyhow::Result<Cost> {
         const STEP: Time = Time::from_ps(1);
+        let address = address(&self.image, symbol);
         let started = self.engine.cycles();
         let mut cost = Cost::default();
         while self.engine.pc() != address {
@@ -153,13 +130,13 @@ impl Machine {
 
     fn transmitted(&self) -> Option<Frame> {
         const REQUESTED: u32 = 1;
-        let identifier = self.read(self.addresses.transmitted + IDENTIFIER);
+        let identifier = self.read(self.transmitted + IDENTIFIER);
         if identifier & REQUESTED == 0 {
             return None;
         }
         let mut data = [0; 8];
-        assert!(self.engine.read_memory(self.addresses.transmitted + DATA, &mut data));
-        let length = self.read(self.addresses.transmitted + LENGTH) as usize;
+        assert!(self.engine.read_memory(self.transmitted + DATA, &mut data));
+        let length = self.read(self.transmitted + LENGTH) as usize;
         Frame::new((identifier >> 21) as u16, data.get(..length)?)
     }
 
@@ -173,4 +150,9 @@ impl Machine {
         let written = self.engine.write_memory(address, &word.to_le_bytes());
         assert!(written, "a word of the harness is in RAM");
     }
+}
+
+/// The address of a symbol of the harness.
+fn address(image: &Image, name: &str) -> u32 {
+    image.symbol(name).unwrap_or_else(|| panic!("no {name} in the harness")) & !1
 }

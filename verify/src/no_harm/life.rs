@@ -10,9 +10,7 @@ use emulator::{
     network::{self, AdapterId, Network, Noise, Source},
 };
 
-use super::situation::{
-    Configure, Event, Foreign, Master, Node, Probe, Situation, Traffic, What, ms,
-};
+use super::situation::{Configure, Foreign, Master, Node, Probe, Situation, Traffic, What, ms};
 use testkit::{
     frames,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, on_the_wire},
@@ -170,8 +168,8 @@ impl<'a> Life<'a> {
 
     fn take(&mut self, step: Step) {
         match step {
-            Step::Begin(index) => self.begin(index, self.situation.events[index]),
-            Step::End(index) => self.end(index, self.situation.events[index]),
+            Step::Begin(index) => self.set(index, true),
+            Step::End(index) => self.set(index, false),
             Step::Send(request) => self.send_request(&request),
             Step::Switched(to) => {
                 for board in 0..self.switched.len() {
@@ -183,43 +181,38 @@ impl<'a> Life<'a> {
         }
     }
 
-    fn begin(&mut self, index: usize, event: Event) {
+    /// Begins or ends an event.
+    fn set(&mut self, index: usize, begins: bool) {
         let network = &mut self.network;
-        match event.what {
-            What::Master(master) => self.set_master(master),
-            What::Switch { .. } | What::Session(_) => {}
-            What::NoPower(board) => {
+        let set_wire = |network: &mut Network, of| match begins {
+            true => network.cut_wire(of),
+            false => network.mend_wire(of),
+        };
+        match self.situation.events[index].what {
+            What::Master(master) if begins => self.set_master(master),
+            What::NoPower(board) if begins => {
                 network.power_off(board);
                 self.switched[board] = None;
             }
-            What::BrokenWire(board) => network.cut_wire(Source::Board(board)),
-            What::BrokenWireOfMaster => network.cut_wire(Source::Adapter(self.master)),
-            What::Short(short) => network.set_short(Some(short)),
+            What::NoPower(board) => network.power_on(board),
+            What::BrokenWire(board) => set_wire(network, Source::Board(board)),
+            What::BrokenWireOfMaster => set_wire(network, Source::Adapter(self.master)),
+            What::Short(short) => network.set_short(begins.then_some(short)),
             What::Noise { seed, mean_interval_us, length_ns } => {
                 let mean_interval = Time::from_us(u64::from(mean_interval_us));
                 let length = Time::from_ns(u64::from(length_ns));
-                network.set_noise(Some(Noise { seed, mean_interval, length }));
+                network.set_noise(begins.then_some(Noise { seed, mean_interval, length }));
             }
-            What::BitError(board) => network.flip_bit(Source::Board(board), network.now()),
-            What::Foreign(foreign) => {
+            What::BitError(board) if begins => {
+                network.flip_bit(Source::Board(board), network.now());
+            }
+            What::Foreign(foreign) if begins => {
                 for &adapter in &self.foreign[index] {
                     network.adapter_mut(adapter).open();
                 }
                 let every = pause(foreign);
-                self.talkers.push((Talker::Foreign { event: index, every }, self.network.now()));
+                self.talkers.push((Talker::Foreign { event: index, every }, network.now()));
             }
-        }
-    }
-
-    fn end(&mut self, index: usize, event: Event) {
-        let network = &mut self.network;
-        match event.what {
-            What::Master(_) | What::Switch { .. } | What::Session(_) | What::BitError(_) => {}
-            What::NoPower(board) => network.power_on(board),
-            What::BrokenWire(board) => network.mend_wire(Source::Board(board)),
-            What::BrokenWireOfMaster => network.mend_wire(Source::Adapter(self.master)),
-            What::Short(_) => network.set_short(None),
-            What::Noise { .. } => network.set_noise(None),
             What::Foreign(_) => {
                 for &adapter in &self.foreign[index] {
                     network.adapter_mut(adapter).close();
@@ -227,6 +220,7 @@ impl<'a> Life<'a> {
                 let is_gone = |talker: &Talker| matches!(talker, Talker::Foreign { event, .. } if *event == index);
                 self.talkers.retain(|(talker, _)| !is_gone(talker));
             }
+            What::Master(_) | What::Switch { .. } | What::Session(_) | What::BitError(_) => {}
         }
     }
 

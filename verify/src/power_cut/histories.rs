@@ -1,8 +1,6 @@
 //! Power cuts in the settings log on a flash in memory: all short histories, with one or two cuts in any of their
 //! steps.
 
-use std::fmt;
-
 use canopen_node::settings::Log;
 use testkit::{
     flash::{BoardFlash, Flash},
@@ -17,71 +15,44 @@ const STORES: usize = 3;
 /// The longest parameters, which take the space of two records.
 const PACKED_LEN: usize = 40;
 
-/// All histories with a number of lives, in a flash of two banks of a number of records, initially blank or garbage.
-pub struct Histories {
-    lives: usize,
-    records: usize,
-    garbage: bool,
-    parameters: bool,
+/// The first content of a flash: erased, or left by something else.
+const BLANK: u8 = 0xFF;
+const GARBAGE: u8 = 0xA5;
+
+/// All histories of one kind: their description, and what runs them, panics if settings are lost, and returns the number
+/// of power cuts.
+pub type Histories = (String, Box<dyn Fn(&mut Random) -> u64>);
+
+/// The histories that are tried, with at most these lives: those of settings, those of parameters.
+pub fn all((lives, of_parameters): (usize, usize)) -> [Histories; 7] {
+    [
+        histories::<0, 128>(lives, BLANK),
+        histories::<0, 96>(lives, BLANK),
+        histories::<0, 128>(lives - 1, GARBAGE),
+        histories::<0, 256>(lives - 1, BLANK),
+        histories::<PACKED_LEN, 192>(of_parameters, BLANK),
+        histories::<PACKED_LEN, 256>(of_parameters, BLANK),
+        histories::<PACKED_LEN, 512>(of_parameters, BLANK),
+    ]
+}
+
+/// The histories of a device with room for `P` bytes of parameters and two banks of `E` bytes.
+fn histories<const P: usize, const E: usize>(lives: usize, first: u8) -> Histories {
+    let content = if first == BLANK { "blank" } else { "garbage" };
+    let stored = if P > 0 { ", parameters" } else { "" };
+    let records = E / 32;
+    let name = format!("{lives} power-ons, 2 banks of {records} records, {content} first{stored}");
+    let run = move |random: &mut Random| {
+        let flash = Flash::<4, E>::with_content(vec![first; 2 * E], 0);
+        Device { flash, expected: Expected::<P>::nothing() }.go_on(lives, 2, random)
+    };
+    (name, Box::new(run))
 }
 
 /// A device between two lives: its flash, and what it must find there.
 struct Device<const P: usize, const E: usize> {
     flash: Flash<4, E>,
     expected: Expected<P>,
-}
-
-impl fmt::Display for Histories {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { lives, records, garbage, parameters } = self;
-        let content = if *garbage { "garbage" } else { "blank" };
-        let stored = if *parameters { ", parameters" } else { "" };
-        write!(f, "{lives} power-ons, 2 banks of {records} records, {content} first{stored}")
-    }
-}
-
-impl Histories {
-    /// The histories that are tried, with at most these lives: those of settings, those of parameters.
-    pub fn all((lives, lives_of_parameters): (usize, usize)) -> Vec<Self> {
-        let settings =
-            |lives, records, garbage| Self { lives, records, garbage, parameters: false };
-        let parameters = |records| Self {
-            lives: lives_of_parameters,
-            records,
-            garbage: false,
-            parameters: true,
-        };
-        vec![
-            settings(lives, 4, false),
-            settings(lives, 3, false),
-            settings(lives - 1, 4, true),
-            settings(lives - 1, 8, false),
-            parameters(6),
-            parameters(8),
-            parameters(16),
-        ]
-    }
-
-    /// Runs all histories; returns the number of power cuts.
-    ///
-    /// # Panics
-    /// If settings are lost.
-    pub fn run(&self, random: &mut Random) -> u64 {
-        match (self.records, self.parameters) {
-            (3, false) => self.run_in::<0, 96>(random),
-            (4, false) => self.run_in::<0, 128>(random),
-            (_, false) => self.run_in::<0, 256>(random),
-            (6, true) => self.run_in::<PACKED_LEN, 192>(random),
-            (8, true) => self.run_in::<PACKED_LEN, 256>(random),
-            (_, true) => self.run_in::<PACKED_LEN, 512>(random),
-        }
-    }
-
-    fn run_in<const P: usize, const E: usize>(&self, random: &mut Random) -> u64 {
-        let content = if self.garbage { vec![0xA5; 2 * E] } else { vec![0xFF; 2 * E] };
-        let flash = Flash::<4, E>::with_content(content, 0);
-        Device { flash, expected: Expected::<P>::nothing() }.go_on(self.lives, 2, random)
-    }
 }
 
 impl<const P: usize, const E: usize> Device<P, E> {
