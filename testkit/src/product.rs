@@ -14,7 +14,7 @@ use crate::{cargo::workspace, image};
 const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
 
 /// The files of the product, with gaps for its name, its chip and its controller.
-const TEMPLATE: [&str; 12] = [
+const TEMPLATE: [&str; 13] = [
     ".cargo/config.toml",
     "Cargo.toml",
     "README.md",
@@ -23,6 +23,7 @@ const TEMPLATE: [&str; 12] = [
     "memory.x",
     "src/application.rs",
     "src/device.rs",
+    "src/flash.rs",
     "src/lib.rs",
     "src/main.rs",
     "src/pins.rs",

@@ -88,7 +88,7 @@ fn quietly(command: &mut Command, folder: &Path) -> bool {
 }
 
 /// Names that the product cannot have: of crates and modules in its program, and of the test harness.
-const TAKEN: [&str; 20] = [
+const TAKEN: [&str; 21] = [
     "alloc",
     "app",
     "bxcan",
@@ -100,6 +100,7 @@ const TAKEN: [&str; 20] = [
     "defmt-rtt",
     "embedded-storage",
     "emulator",
+    "flash",
     "fugit",
     "canopen-node",
     "lss-slave",
