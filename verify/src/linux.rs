@@ -27,10 +27,8 @@ use testkit::{
 
 use system::System;
 use xtask::emulate::{
-    self,
+    self, Surroundings,
     client::{self, Input},
-    memory::Memory,
-    programs::Programs,
 };
 
 const PART: Part = Part::Stm32f405;
@@ -102,14 +100,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let _ = sender.send(Input::Stop);
         outcome
     });
-    let mut programs = Programs::none(&network);
-    emulate::serve(
-        &mut network,
-        &inputs,
-        &mut Memory::open(None)?,
-        &mut programs,
-        DEFAULT_BIT_RATE,
-    )?;
+    emulate::serve(&mut network, &inputs, &mut Surroundings::default(), DEFAULT_BIT_RATE)?;
     outcome.join().expect("it does not panic")?;
     for (number, board) in network.boards().iter().enumerate() {
         if let Some(finding) = board.findings().first() {

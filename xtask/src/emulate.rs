@@ -2,9 +2,9 @@
 
 pub mod client;
 mod console;
-pub mod memory;
+mod memory;
 mod pace;
-pub mod programs;
+mod programs;
 mod slcan;
 
 use std::{
@@ -34,7 +34,7 @@ use crate::{
     example::{self, Example},
 };
 use client::{Client, ClientId, Input};
-use console::Leds;
+use console::Console;
 use memory::Memory;
 use pace::Pace;
 use programs::{Hardware, Programs};
@@ -82,7 +82,7 @@ pub struct Arguments {
     /// Run an example of a product in place of the plain firmware; implies --console
     #[arg(long)]
     example: Option<Example>,
-    /// Take commands from the standard input: switch the power, short the bus, press the button, set the temperature
+    /// Take commands from the standard input: switch the power, short the bus, set pins, voltages and the temperature
     #[arg(long)]
     console: bool,
     /// The chip on the boards [default: stm32f405, or that of the example]
@@ -174,20 +174,22 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     memory.save(&network)?;
     let hardware =
         Hardware { part: chip, controller, crystal_hz: u32::from(arguments.crystal) * 1_000_000 };
-    let mut programs = Programs::load(&arguments.elf, hardware, &mut memory, &mut network)?;
+    let programs = Programs::load(&arguments.elf, hardware, &mut memory, &mut network)?;
 
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let (stop, console_sender) = (sender.clone(), sender.clone());
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
     client::accept(listener, sender);
     println!("ready: SLCAN on {address}; {}", describe(programs.ours(&network), &programs));
+    let console = Console::new(matches!(arguments.example, Some(Example::Io)));
     if arguments.console || arguments.example.is_some() {
-        println!("commands:\n{}", console::HELP);
+        println!("commands:\n{}", console.help());
         console::read(console_sender);
     }
     let bit_rate = arguments.bit_rate.unwrap_or(DEFAULT_BIT_RATE);
-    serve(&mut network, &inputs, &mut memory, &mut programs, bit_rate)?;
-    print!("{}", programs.report(&network));
+    let mut surroundings = Surroundings { memory, programs, console };
+    serve(&mut network, &inputs, &mut surroundings, bit_rate)?;
+    print!("{}", surroundings.programs.report(&network));
     Ok(())
 }
 
@@ -205,18 +207,25 @@ fn describe(ours: &[Board], programs: &Programs) -> String {
     (0..ours.len()).map(board).chain(programs.names()).collect::<Vec<_>>().join("; ")
 }
 
+/// What is around the bus beside the clients.
+#[derive(Default)]
+pub struct Surroundings {
+    memory: Memory,
+    programs: Programs,
+    console: Console,
+}
+
 /// Runs the network in real time, each client with an adapter set to `bit_rate`, until [`Input::Stop`].
 pub fn serve(
     network: &mut Network,
     inputs: &mpsc::Receiver<Input>,
-    memory: &mut Memory,
-    programs: &mut Programs,
+    surroundings: &mut Surroundings,
     bit_rate: BitRate,
 ) -> anyhow::Result<()> {
+    let Surroundings { memory, programs, console } = surroundings;
     let bit_rate = bit_per_s(bit_rate);
     let mut clients: BTreeMap<ClientId, Client> = BTreeMap::new();
     let mut unused = Vec::new();
-    let mut leds = Leds::default();
     let mut pace = Pace::new(network.now());
     loop {
         let first = inputs.recv_timeout(TICK);
@@ -227,7 +236,9 @@ pub fn serve(
         for client in clients.values_mut() {
             client.deliver(network);
         }
-        leds.show(network.boards());
+        for line in console.changed_leds(network.boards()) {
+            println!("{line}");
+        }
         programs.print(network);
         memory.save(network)?;
         // Take all waiting inputs: on a busy computer each run takes long.
@@ -247,11 +258,10 @@ pub fn serve(
                         unused.push(client.leave(network));
                     }
                 }
-                Input::Console(line) => {
-                    if let Err(error) = console::execute(&line, network) {
-                        eprintln!("{error}");
-                    }
-                }
+                Input::Console(line) => match console.execute(&line, network) {
+                    Ok(shown) => shown.iter().for_each(|line| println!("{line}")),
+                    Err(error) => eprintln!("{error}"),
+                },
                 Input::Stop => return memory.save(network),
             }
         }
@@ -275,10 +285,8 @@ mod tests {
         thread::spawn(move || {
             let (sender, inputs) = mpsc::sync_channel(client::WAITING);
             client::accept(listener, sender);
-            let mut memory = Memory::open(None).expect("there are no files");
-            let mut network = Network::new();
-            let mut programs = Programs::none(&network);
-            serve(&mut network, &inputs, &mut memory, &mut programs, BitRate::Kbit500)
+            let mut nothing = Surroundings::default();
+            serve(&mut Network::new(), &inputs, &mut nothing, BitRate::Kbit500)
         });
         address
     }

@@ -12,6 +12,7 @@ use emulator::{board::Board, chip::FLASH_BASE, image::Image, network::Network};
 use testkit::boards;
 
 /// The flash files, if they are wanted.
+#[derive(Default)]
 pub struct Memory {
     directory: Option<PathBuf>,
     /// The number of flash operations of each board when its file was saved.

@@ -15,12 +15,9 @@ use testkit::boards;
 
 use super::memory::Memory;
 
-/// The programs, on the boards that follow ours.
-pub struct Programs {
-    /// The number of the first one's board.
-    first: usize,
-    programs: Vec<Program>,
-}
+/// The programs, each on a board of its own after ours.
+#[derive(Default)]
+pub struct Programs(Vec<Program>);
 
 /// The boards of the programs.
 #[derive(Clone, Copy)]
@@ -32,6 +29,8 @@ pub struct Hardware {
 }
 
 struct Program {
+    /// The number of its board.
+    number: usize,
     name: String,
     part: Part,
     image: Image,
@@ -42,11 +41,6 @@ struct Program {
 }
 
 impl Programs {
-    /// No programs: all boards are ours.
-    pub fn none(network: &Network) -> Self {
-        Self { first: network.boards().len(), programs: Vec::new() }
-    }
-
     /// Puts each ELF file on a board of its own.
     ///
     /// # Errors
@@ -58,7 +52,7 @@ impl Programs {
         network: &mut Network,
     ) -> anyhow::Result<Self> {
         let Hardware { part, controller, crystal_hz } = hardware;
-        let mut loaded = Self::none(network);
+        let mut loaded = Self::default();
         for path in paths {
             let image = Image::load(path)?;
             check(&image, part).with_context(|| path.display().to_string())?;
@@ -72,26 +66,25 @@ impl Programs {
             let mut board = Board::new(part, &image, settings);
             memory.restore(&mut board, &image, number, None)?;
             network.add_board(board);
-            loaded.programs.push(Program::new(path, part, image));
+            loaded.0.push(Program::new(number, path, part, image));
         }
         Ok(loaded)
     }
 
     /// The number of each program's board, with its name.
     pub fn names(&self) -> impl Iterator<Item = String> {
-        let numbered = (self.first..).zip(&self.programs);
-        numbered.map(|(number, program)| format!("board {number}: {}", program.name))
+        self.0.iter().map(|program| format!("board {}: {}", program.number, program.name))
     }
 
     /// The boards with our firmware.
     pub fn ours<'a>(&self, network: &'a Network) -> &'a [Board] {
-        &network.boards()[..self.first]
+        &network.boards()[..network.boards().len() - self.0.len()]
     }
 
     /// Prints the log and the serial lines that have come since the last call.
     pub fn print(&mut self, network: &Network) {
-        for (program, board) in self.programs.iter_mut().zip(&network.boards()[self.first..]) {
-            for line in program.new_lines(board) {
+        for program in &mut self.0 {
+            for line in program.new_lines(network.board(program.number)) {
                 println!("{line}");
             }
         }
@@ -99,8 +92,7 @@ impl Programs {
 
     /// A report on each program: its time, and every access that a chip does not tolerate or the board does not model.
     pub fn report(&self, network: &Network) -> String {
-        let boards = &network.boards()[self.first..];
-        self.programs.iter().zip(boards).map(|(program, board)| program.report(board)).collect()
+        self.0.iter().map(|program| program.report(network.board(program.number))).collect()
     }
 }
 
@@ -117,9 +109,9 @@ fn check(image: &Image, part: Part) -> anyhow::Result<()> {
 }
 
 impl Program {
-    fn new(path: &Path, part: Part, image: Image) -> Self {
+    fn new(number: usize, path: &Path, part: Part, image: Image) -> Self {
         let name = path.file_name().map_or_else(String::new, |name| name.display().to_string());
-        Self { name, part, image, printed: 0, serial: Vec::new() }
+        Self { number, name, part, image, printed: 0, serial: Vec::new() }
     }
 
     fn new_lines(&mut self, board: &Board) -> Vec<String> {
@@ -205,12 +197,8 @@ mod tests {
 
     fn report_on(image: Image) -> String {
         let mut network = Network::new();
-        let mut programs = Programs::none(&network);
-        programs.programs.push(Program::new(
-            Path::new("dir/a.elf"),
-            Part::Stm32f405,
-            image.clone(),
-        ));
+        let program = Program::new(0, Path::new("dir/a.elf"), Part::Stm32f405, image.clone());
+        let mut programs = Programs(vec![program]);
         network.add_board(boards::board(Part::Stm32f405, &image, 0));
         network.run_for(Time::from_ms(5));
         programs.print(&network);
