@@ -4,7 +4,7 @@ mod slcan;
 mod socketcan;
 
 use std::{
-    fmt,
+    fmt, io,
     str::FromStr,
     time::{Duration, Instant},
 };
@@ -32,26 +32,8 @@ pub struct Received {
     pub here: Instant,
 }
 
-/// The clock of [`Received::at`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Clock {
-    /// The adapter's own, in steps of 1 ms.
-    Adapter,
-    /// The kernel's, which stamps a frame when its driver gets it.
-    Kernel,
-    /// This program's, with the latency of the adapter and of the computer.
-    Host,
-}
-
-impl fmt::Display for Clock {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Adapter => "the adapter's time stamps, in steps of 1 ms",
-            Self::Kernel => "the kernel's time stamps",
-            Self::Host => "the computer's clock, since the adapter has no time stamps",
-        })
-    }
-}
+/// The clock of [`Received::at`] if the adapter has none: its latency and that of the computer are in the times.
+pub const HOST_CLOCK: &str = "the computer's clock, since the adapter has no time stamps";
 
 /// The adapter's view of the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -77,7 +59,8 @@ pub trait Adapter {
     fn settle(&mut self) -> Result<(), Stop> {
         Ok(())
     }
-    fn clock(&self) -> Clock;
+    /// The clock of [`Received::at`], for a person.
+    fn clock(&self) -> &'static str;
     /// The only bit rate that the adapter can be opened at.
     fn fixed_rate(&self) -> Option<BitRate> {
         None
@@ -86,6 +69,12 @@ pub trait Adapter {
     fn latency(&self) -> Option<Duration>;
     /// The adapter and its version, for a person.
     fn description(&self) -> String;
+}
+
+/// Whether a read or a write has only come to the end of its wait.
+fn is_timeout(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    [TimedOut, WouldBlock, Interrupted].contains(&error.kind())
 }
 
 /// The place of an adapter, as on the command line.

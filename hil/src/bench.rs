@@ -6,9 +6,11 @@ mod restore;
 use std::time::{Duration, Instant};
 
 use canopen_node::{
-    BitRate,
+    BitRate, BitRateSetting, NodeId,
     lss::{Address, Request},
 };
+
+use lss_master::Identify;
 
 use crate::{
     adapter::Received,
@@ -17,7 +19,7 @@ use crate::{
     person::Person,
     probe::Probe,
     report::Report,
-    sdo,
+    sdo::{self, Outcome},
     stop::Stop,
 };
 
@@ -80,27 +82,32 @@ impl Bench {
             if matches!((frame.cob_id(), frame.data()), (0x701..=0x77F, [0])) {
                 nodes.push((frame.cob_id() & 0x7F) as u8);
             }
-            if !self.boards.is_empty()
-                && self.boards.iter().all(|board| nodes.contains(&board.id.get()))
-            {
+            if !self.boards.is_empty() && self.is_each_in(&nodes) {
                 break;
             }
         }
         Ok(nodes)
     }
 
+    /// Whether these are the nodes of all boards, and perhaps others.
+    pub fn is_each_in(&self, nodes: &[u8]) -> bool {
+        self.boards.iter().all(|board| nodes.contains(&board.id.get()))
+    }
+
     /// Restarts all boards and waits for their boot-ups; returns whether all came.
     pub fn restart(&mut self) -> Result<bool, Stop> {
         self.bus.nmt(RESET_NODE, 0)?;
         let nodes = self.boot_ups(BOOT)?;
-        Ok(self.boards.iter().all(|board| nodes.contains(&board.id.get())))
+        Ok(self.is_each_in(&nodes))
     }
 
     /// Selects a board that may still look for the bit rate; false after `limit`.
     pub fn reach(&mut self, address: Address, limit: Duration) -> Result<bool, Stop> {
         let until = Instant::now() + limit;
         loop {
-            if board::is_there(&mut self.bus, address)? && board::select(&mut self.bus, address)? {
+            if board::is_anyone(&mut self.bus, Identify::address(address))?
+                && board::select(&mut self.bus, address)?
+            {
                 return Ok(true);
             }
             if Instant::now() >= until {
@@ -109,14 +116,62 @@ impl Bench {
         }
     }
 
+    /// The active node-ID of a board that may still look for the bit rate, as in the frame.
+    pub fn reached_node_id(&mut self, address: Address) -> Result<Option<u8>, Stop> {
+        if self.reach(address, SEARCH)? { board::node_id(&mut self.bus, address) } else { Ok(None) }
+    }
+
+    /// A node-ID that no board has.
+    pub fn free_id(&self) -> NodeId {
+        let is_free = |id: &NodeId| self.boards.iter().all(|board| board.id != *id);
+        let mut ids = (1..=127).filter_map(NodeId::new);
+        ids.find(is_free).expect("fewer than 127 boards")
+    }
+
     /// Reads a number by SDO.
-    pub fn number(
+    pub fn number(&mut self, board: Board, index: u16, sub_index: u8) -> Outcome<u32> {
+        sdo::read_number(&mut self.bus, board.id.get(), index, sub_index)
+    }
+
+    /// Reads a number by SDO, in words.
+    pub fn shown(
         &mut self,
         board: Board,
-        index: u16,
-        sub_index: u8,
-    ) -> Result<Result<u32, sdo::Failure>, Stop> {
-        sdo::read_number(&mut self.bus, board.id.get(), index, sub_index)
+        (index, sub_index): (u16, u8),
+        words: impl Fn(u32) -> String,
+    ) -> Result<String, Stop> {
+        Ok(self.number(board, index, sub_index)?.map_or_else(|failure| failure, words))
+    }
+
+    /// Gives all boards another heartbeat time, which is not stored.
+    pub fn set_heartbeats(&mut self, milliseconds: u16) -> Result<(), Stop> {
+        for board in self.boards.clone() {
+            let _ = self.set_heartbeat(board.id.get(), milliseconds)?;
+        }
+        Ok(())
+    }
+
+    /// The same for one node.
+    pub fn set_heartbeat(&mut self, node: u8, milliseconds: u16) -> Outcome<()> {
+        sdo::write(&mut self.bus, node, (0x1017, 0), milliseconds.into(), 2)
+    }
+
+    /// Stores a bit rate on boards; a refusal is a failed check.
+    pub fn store(
+        &mut self,
+        what: &str,
+        boards: &[Board],
+        rate: BitRateSetting,
+    ) -> Result<bool, Stop> {
+        for board in boards {
+            let stored = board::store(&mut self.bus, board.address, Some(board.id), Some(rate))?;
+            if let Err(why) = stored {
+                self.report.failed(what, format!("{board}: {why}"), "11 00, 13 00, 17 00");
+                return Ok(false);
+            }
+        }
+        self.bus.request(Request::SwitchToWaiting)?;
+        Ok(true)
     }
 
     /// Sends a request; a check of its answer. `expected` is the answer's bytes, or empty for silence.
@@ -125,36 +180,49 @@ impl Bench {
         what: &str,
         request: [u8; 8],
         expected: &[u8],
-    ) -> Result<bool, Stop> {
+    ) -> Result<(), Stop> {
         // What comes now belongs to earlier requests.
         self.bus.pass(Duration::ZERO)?;
         self.bus.send_to(0x7E5, &request)?;
         let wait = if expected.is_empty() { self.bus.short() } else { self.bus.patience() };
         let answer = self.bus.wait_for(wait, |frame| frame.cob_id() == 0x7E4)?;
-        let bytes = answer.as_ref().map(|answer| answer.frame.data());
         let mut padded = expected.to_vec();
         padded.resize(8, 0);
-        let is_good = match bytes {
+        let is_good = match &answer {
             None => expected.is_empty(),
-            Some(bytes) => !expected.is_empty() && bytes == padded,
+            Some(answer) => !expected.is_empty() && answer.frame.data() == padded,
         };
         let words = |bytes: Option<&[u8]>| bytes.map_or("no answer".to_owned(), board::text);
         let wanted = words(Some(expected).filter(|bytes| !bytes.is_empty()));
-        Ok(self.report.expect(what, is_good, words(bytes), wanted))
+        let seen = words(answer.as_ref().map(|answer| answer.frame.data()));
+        self.report.expect(what, is_good, seen, wanted);
+        Ok(())
+    }
+
+    /// Waits for the boot-up of a node; a check that it comes.
+    pub fn check_boot_up(&mut self, what: &str, id: NodeId, wait: Duration) -> Result<(), Stop> {
+        let cob_id = 0x700 + u16::from(id.get());
+        let boot_up =
+            self.bus.wait_for(wait, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
+        self.report.either(what, boot_up.is_some(), ["a boot-up", "no boot-up"]);
+        Ok(())
     }
 
     /// Asks every board for its node-ID by LSS; returns the boards that do not answer as they must.
     pub fn missing(&mut self) -> Result<Vec<String>, Stop> {
         let mut missing = Vec::new();
         for board in self.boards.clone() {
-            let is_selected = board::select(&mut self.bus, board.address)?;
-            let id = if is_selected { board::inquire_node_id(&mut self.bus)? } else { None };
+            let id = board::node_id(&mut self.bus, board.address)?;
             if id != Some(board.id.get()) {
-                let id = id.map_or("no answer".to_owned(), |id| format!("node-ID {id:02X}"));
-                missing.push(format!("{board}: {id}"));
+                missing.push(format!("{board}: {}", node_id_text(id)));
             }
         }
         self.bus.request(Request::SwitchToWaiting)?;
         Ok(missing)
     }
+}
+
+/// A node-ID as in the frame; `None`: there was no answer.
+fn node_id_text(id: Option<u8>) -> String {
+    id.map_or("no answer".to_owned(), |id| format!("node-ID {id:02X}"))
 }

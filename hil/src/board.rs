@@ -44,9 +44,14 @@ impl fmt::Display for Board {
     }
 }
 
+/// All boards of this product.
+pub fn all() -> Identify {
+    Identify::product(DEVICE.address.vendor_id, DEVICE.address.product_code)
+}
+
 /// Asks once whether any board is within these ranges. A board that looks for the bit rate needs one question soon after
 /// the other, so this does not wait as long as the LSS master that does not know the boards yet.
-fn is_anyone(bus: &mut Bus, within: Identify) -> Result<bool, Stop> {
+pub fn is_anyone(bus: &mut Bus, within: Identify) -> Result<bool, Stop> {
     use IdentifyKey as Key;
     bus.request(Request::Identify(Key::VendorId, within.vendor_id))?;
     bus.request(Request::Identify(Key::ProductCode, within.product_code))?;
@@ -57,16 +62,6 @@ fn is_anyone(bus: &mut Bus, within: Identify) -> Result<bool, Stop> {
     Ok(bus.probe(last)?.is_some_and(|answer| answer[0] == 0x4F))
 }
 
-/// Whether any board of this product is on the bus.
-pub fn is_any_there(bus: &mut Bus) -> Result<bool, Stop> {
-    is_anyone(bus, Identify::product(DEVICE.address.vendor_id, DEVICE.address.product_code))
-}
-
-/// Whether the board with this address is on the bus.
-pub fn is_there(bus: &mut Bus, address: Address) -> Result<bool, Stop> {
-    is_anyone(bus, Identify::address(address))
-}
-
 /// The addresses of all boards of this product. The revision of this repository comes first, since a single revision
 /// takes half of the time.
 pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
@@ -75,8 +70,7 @@ pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
     let below = OWN.checked_sub(1).map(|last| 0..=last);
     let above = OWN.checked_add(1).map(|first| first..=u32::MAX);
     for revision_numbers in [Some(OWN..=OWN), below, above].into_iter().flatten() {
-        let product = Identify::product(DEVICE.address.vendor_id, DEVICE.address.product_code);
-        let mut rest = Identify { revision_numbers, ..product };
+        let mut rest = Identify { revision_numbers, ..all() };
         while let Ok(Some(address)) = bus.carry_out(Find::new(rest.clone()))? {
             found.push(address);
             let Some(next) = address.serial_number.checked_add(1) else { break };
@@ -96,15 +90,30 @@ pub fn select(bus: &mut Bus, address: Address) -> Result<bool, Stop> {
     Ok(answer.is_some_and(|answer| answer[0] == 0x44))
 }
 
-/// The active node-ID of the board in LSS configuration state, as in the frame; `None` without an answer.
-pub fn inquire_node_id(bus: &mut Bus) -> Result<Option<u8>, Stop> {
+/// Selects a board; returns its active node-ID as in the frame, or `None` without an answer.
+pub fn node_id(bus: &mut Bus, address: Address) -> Result<Option<u8>, Stop> {
+    if !select(bus, address)? {
+        return Ok(None);
+    }
     let answer = bus.ask(Request::InquireNodeId)?;
     Ok(answer.filter(|answer| answer[0] == 0x5E).map(|answer| answer[1]))
 }
 
-/// Makes a node-ID and a bit rate pending and stores them, on the board in LSS configuration state. Returns the first
-/// answer that is no success, in words.
+/// Selects a board and stores a node-ID and a bit rate. Returns the first answer that is no success, in words.
 pub fn store(
+    bus: &mut Bus,
+    address: Address,
+    node_id: Option<NodeId>,
+    bit_rate: Option<BitRateSetting>,
+) -> Result<Result<(), String>, Stop> {
+    match select(bus, address)? {
+        true => configure(bus, node_id, bit_rate),
+        false => Ok(Err("43 is not answered".into())),
+    }
+}
+
+/// The same for the board in LSS configuration state.
+pub fn configure(
     bus: &mut Bus,
     node_id: Option<NodeId>,
     bit_rate: Option<BitRateSetting>,
@@ -128,6 +137,11 @@ pub fn store(
 pub fn text(bytes: &[u8]) -> String {
     let len = bytes.iter().rposition(|byte| *byte != 0).map_or(1, |last| last + 1).max(2);
     bytes.iter().take(len).map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(" ")
+}
+
+/// An answer, if there is one.
+pub fn answer_text(answer: Option<[u8; 8]>) -> String {
+    answer.map_or("no answer".to_owned(), |answer| text(&answer))
 }
 
 /// The bit rates, this one first.

@@ -17,7 +17,7 @@ use canopen_node::{
 use lss_master::{Error, Master, Output, Procedure, Timing};
 
 use crate::{
-    adapter::{Adapter, Clock, Mode, Received, Status},
+    adapter::{Adapter, Mode, Received, Status},
     stop::Stop,
 };
 
@@ -109,7 +109,7 @@ impl Bus {
         self.adapter.status()
     }
 
-    pub fn clock(&self) -> Clock {
+    pub fn clock(&self) -> &'static str {
         self.adapter.clock()
     }
 

@@ -42,13 +42,13 @@ pub fn find_rate(bus: &mut Bus, report: &mut Report) -> Result<BitRate, Stop> {
         None => board::rates_from(first).collect(),
     };
 
-    report.progress(&format!("listening at {} kbit/s", first.kbit_per_s()));
+    report.progress(&format!("listening at {first}"));
     let heard = listen(bus, first)?;
     let mut order = rates.clone();
     if heard.has_errors && heard.frames == 0 && rates.len() > 1 {
         report.bench("somebody sends at another bit rate than the default");
         for &rate in &rates[1..] {
-            report.progress(&format!("listening at {} kbit/s", rate.kbit_per_s()));
+            report.progress(&format!("listening at {rate}"));
             if listen(bus, rate)?.frames > 0 {
                 order.retain(|other| *other != rate);
                 order.insert(0, rate);
@@ -59,13 +59,13 @@ pub fn find_rate(bus: &mut Bus, report: &mut Report) -> Result<BitRate, Stop> {
 
     let mut sights = Vec::new();
     for rate in order {
-        report.progress(&format!("asking at {} kbit/s", rate.kbit_per_s()));
+        report.progress(&format!("asking at {rate}"));
         let sight = ask(bus, rate)?;
         if sight.has_boards {
             if sight.has_errors {
                 report.bench("the adapter saw errors while the boards answered");
             }
-            report.bench(&format!("boards answer at {} kbit/s", rate.kbit_per_s()));
+            report.bench(&format!("boards answer at {rate}"));
             return Ok(rate);
         }
         if let Some(words) = stranger(bus, sight)? {
@@ -93,7 +93,7 @@ fn ask(bus: &mut Bus, rate: BitRate) -> Result<Sight, Stop> {
     bus.open(rate)?;
     let mut sight = Sight::default();
     for _ in 0..ATTEMPTS {
-        sight.has_boards = board::is_any_there(bus)?;
+        sight.has_boards = board::is_anyone(bus, board::all())?;
         if sight.has_boards {
             break;
         }
@@ -107,7 +107,7 @@ fn ask(bus: &mut Bus, rate: BitRate) -> Result<Sight, Stop> {
 
 /// The words for a rate at which other nodes take part, but no board of this product; `None` if nobody takes part.
 fn stranger(bus: &mut Bus, sight: Sight) -> Result<Option<String>, Stop> {
-    let rate = bus.rate().kbit_per_s();
+    let rate = bus.rate();
     let is_acknowledged = bus.status()?.is_some() && !sight.has_errors && !sight.is_error_passive;
     if sight.frames == 0 && !is_acknowledged {
         return Ok(None);
@@ -123,11 +123,11 @@ fn stranger(bus: &mut Bus, sight: Sight) -> Result<Option<String>, Stop> {
     };
     Ok(Some(match (vendor, product) {
         (None, None) => format!(
-            "not our board: a node takes part at {rate} kbit/s, but answers no LSS request. Is the firmware flashed, \
+            "not our board: a node takes part at {rate}, but answers no LSS request. Is the firmware flashed, \
              and does it run (`cargo flash` shows its log)? Nothing was changed"
         ),
         _ => format!(
-            "not our board: the LSS slave at {rate} kbit/s has vendor-ID {} and product code {}, this firmware has \
+            "not our board: the LSS slave at {rate} has vendor-ID {} and product code {}, this firmware has \
              {:08X} and {:08X} (src/device.rs). Nothing was changed",
             number(vendor),
             number(product),
@@ -140,7 +140,7 @@ fn stranger(bus: &mut Bus, sight: Sight) -> Result<Option<String>, Stop> {
 /// The words for a bus on which nobody takes part at any rate.
 fn explain(sights: &[(BitRate, Sight)], heard: Sight, fixed: Option<BitRate>) -> String {
     let rates = match fixed {
-        Some(rate) => format!("at {} kbit/s, the adapter's only rate", rate.kbit_per_s()),
+        Some(rate) => format!("at {rate}, the adapter's only rate"),
         None => "at any bit rate".into(),
     };
     let knows_errors = sights.iter().any(|(_, sight)| sight.has_errors);

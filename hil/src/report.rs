@@ -10,46 +10,48 @@ use std::{
     time::{Duration, Instant},
 };
 
-use canopen_node::BitRate;
+use serde::Serialize;
 
 /// The outcome of a check.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Outcome {
+    #[serde(rename = "passed")]
     Passed,
-    /// What was expected instead.
-    Failed {
-        expected: String,
-    },
+    #[serde(rename = "failed")]
+    Failed,
+    #[serde(rename = "not tried")]
     NotTried,
 }
 
 /// One thing that was looked at.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Check {
     pub session: &'static str,
     pub what: String,
     pub outcome: Outcome,
     /// What was seen, or why it was not tried.
     pub seen: String,
+    /// What was expected instead, if it failed.
+    pub expected: Option<String>,
 }
 
 /// The time from a request to its answer, at the computer.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct Answer {
-    pub rate: BitRate,
-    pub time: Duration,
+    pub kbit_per_s: u16,
+    pub us: u64,
 }
 
-/// A switch of the bit rate, in ms since the request to activate it.
-#[derive(Clone, Debug)]
+/// A switch of the bit rate, with the times since the request to activate it.
+#[derive(Clone, Debug, Serialize)]
 pub struct Switch {
-    pub from: BitRate,
-    pub to: BitRate,
+    pub from_kbit_per_s: u16,
+    pub to_kbit_per_s: u16,
     pub delay_ms: u16,
     /// The last frame before the silence, at or before the request.
-    pub last_frame: f64,
+    pub last_frame_ms: f64,
     /// The first frame after it; `None`: there was none.
-    pub first_frame: Option<f64>,
+    pub first_frame_ms: Option<f64>,
     /// Frames of the master that were acknowledged or not.
     pub acknowledged: Vec<(f64, bool)>,
 }
@@ -121,7 +123,7 @@ impl Report {
     }
 
     pub fn passed(&mut self, what: impl Into<String>, seen: impl Into<String>) {
-        self.add(what.into(), Outcome::Passed, seen.into());
+        self.add(what.into(), Outcome::Passed, seen.into(), None);
     }
 
     pub fn failed(
@@ -130,11 +132,11 @@ impl Report {
         seen: impl Into<String>,
         expected: impl Into<String>,
     ) {
-        self.add(what.into(), Outcome::Failed { expected: expected.into() }, seen.into());
+        self.add(what.into(), Outcome::Failed, seen.into(), Some(expected.into()));
     }
 
     pub fn not_tried(&mut self, what: impl Into<String>, why: impl Into<String>) {
-        self.add(what.into(), Outcome::NotTried, why.into());
+        self.add(what.into(), Outcome::NotTried, why.into(), None);
     }
 
     /// Adds a check that passes if `is_good`.
@@ -144,21 +146,26 @@ impl Report {
         is_good: bool,
         seen: impl Into<String>,
         expected: impl Into<String>,
-    ) -> bool {
+    ) {
         match is_good {
             true => self.passed(what, seen),
             false => self.failed(what, seen, expected),
         }
-        is_good
     }
 
     /// Adds a check that passes if the text seen is the expected one.
-    pub fn equal(&mut self, what: impl Into<String>, seen: String, expected: &str) -> bool {
-        self.expect(what, seen == expected, seen.clone(), expected)
+    pub fn equal(&mut self, what: impl Into<String>, seen: impl Into<String>, expected: &str) {
+        let seen = seen.into();
+        self.expect(what, seen == expected, seen, expected);
     }
 
-    fn add(&mut self, what: String, outcome: Outcome, seen: String) {
-        let check = Check { session: self.session, what, outcome, seen };
+    /// Adds a check that passes if `is_good`, with the words for both cases.
+    pub fn either(&mut self, what: impl Into<String>, is_good: bool, [good, bad]: [&str; 2]) {
+        self.equal(what, if is_good { good } else { bad }, good);
+    }
+
+    fn add(&mut self, what: String, outcome: Outcome, seen: String, expected: Option<String>) {
+        let check = Check { session: self.session, what, outcome, seen, expected };
         println!("{}", text::line(&check));
         self.checks.push(check);
     }
@@ -168,13 +175,13 @@ impl Report {
         self.took = self.begin.elapsed();
     }
 
-    pub fn failures(&self) -> impl Iterator<Item = &Check> {
-        self.checks.iter().filter(|check| matches!(check.outcome, Outcome::Failed { .. }))
+    pub fn with_outcome(&self, outcome: Outcome) -> impl Iterator<Item = &Check> {
+        self.checks.iter().filter(move |check| check.outcome == outcome)
     }
 
     pub fn is_good(&self) -> bool {
         self.stopped.is_none()
-            && self.failures().next().is_none()
+            && self.with_outcome(Outcome::Failed).next().is_none()
             && !matches!(self.left, Left::Changed(_))
     }
 

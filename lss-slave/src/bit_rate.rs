@@ -75,6 +75,13 @@ impl BitRate {
     }
 }
 
+/// `125 kbit/s`.
+impl fmt::Display for BitRate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} kbit/s", self.kbit_per_s())
+    }
+}
+
 /// A selection from table 0 of configure bit timing (CiA 305): a bit rate or automatic detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -112,7 +119,7 @@ impl BitRateSetting {
 impl fmt::Display for BitRateSetting {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Fixed(rate) => write!(f, "{} kbit/s", rate.kbit_per_s()),
+            Self::Fixed(rate) => write!(f, "{rate}"),
             Self::Automatic => f.write_str("automatic"),
         }
     }

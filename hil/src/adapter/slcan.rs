@@ -9,7 +9,7 @@ use std::{
 
 use canopen_node::{BitRate, Frame};
 
-use super::{Adapter, Clock, Mode, Place, Received, Status};
+use super::{Adapter, HOST_CLOCK, Mode, Place, Received, Status, is_timeout};
 use crate::stop::Stop;
 
 /// The wait for the answer to a command; some adapters answer none.
@@ -219,11 +219,6 @@ impl Slcan {
     }
 }
 
-fn is_timeout(error: &io::Error) -> bool {
-    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
-    [TimedOut, WouldBlock, Interrupted].contains(&error.kind())
-}
-
 fn connect(place: &Place) -> Result<Box<dyn Port>, Stop> {
     let none = |why: String| Stop::NoAdapter(format!("{place}: {why}"));
     match place {
@@ -279,7 +274,7 @@ impl Adapter for Slcan {
             BitRate::Kbit20 => 1,
             BitRate::Kbit10 => 0,
         };
-        self.must(&format!("S{index}"), &format!("{} kbit/s", rate.kbit_per_s()))?;
+        self.must(&format!("S{index}"), &rate.to_string())?;
         self.must(if mode == Mode::Normal { "O" } else { "L" }, "to open its channel")?;
         // Errors before this moment do not count.
         self.status()?;
@@ -337,8 +332,11 @@ impl Adapter for Slcan {
         Ok(())
     }
 
-    fn clock(&self) -> Clock {
-        if self.stamps.is_some() { Clock::Adapter } else { Clock::Host }
+    fn clock(&self) -> &'static str {
+        match self.stamps {
+            Some(_) => "the adapter's time stamps, in steps of 1 ms",
+            None => HOST_CLOCK,
+        }
     }
 
     fn latency(&self) -> Option<Duration> {

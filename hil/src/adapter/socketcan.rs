@@ -24,7 +24,7 @@ mod linux {
     use socketcan::{CanFrame, CanSocket, EmbeddedFrame, Socket, SocketOptions, StandardId};
 
     use super::{Adapter, Stop};
-    use crate::adapter::{Clock, Mode, Received, Status};
+    use crate::adapter::{Mode, Received, Status, is_timeout};
 
     /// The wait for room in the interface's queue.
     const QUEUE: Duration = Duration::from_millis(200);
@@ -49,17 +49,13 @@ mod linux {
 
     /// Finds the interface.
     pub fn connect(interface: &str, fixed_rate: Option<BitRate>) -> Result<Box<dyn Adapter>, Stop> {
-        let is_can = fs::read_to_string(format!("/sys/class/net/{interface}/type"));
-        match is_can {
+        let none = |why: &str| Err(Stop::NoAdapter(format!("socketcan:{interface}: {why}")));
+        match fs::read_to_string(format!("/sys/class/net/{interface}/type")) {
             // ARPHRD_CAN
             Ok(kind) if kind.trim() == "280" => {}
-            Ok(_) => {
-                return Err(Stop::NoAdapter(format!("socketcan:{interface} is no CAN interface")));
-            }
+            Ok(_) => return none("it is no CAN interface"),
             Err(_) => {
-                return Err(Stop::NoAdapter(format!(
-                    "socketcan:{interface}: there is no such interface; `ip link show type can` lists them"
-                )));
+                return none("there is no such interface; `ip link show type can` lists them");
             }
         }
         Ok(Box::new(SocketCan {
@@ -102,9 +98,17 @@ mod linux {
             self.ip(&["up"])
         }
 
+        fn gone(&self, why: &str) -> Stop {
+            Stop::AdapterGone(format!("socketcan:{}: {why}", self.interface))
+        }
+
         fn lose(&mut self, error: &io::Error) -> Stop {
             self.socket = None;
-            Stop::AdapterGone(format!("socketcan:{}: {error}", self.interface))
+            self.gone(&error.to_string())
+        }
+
+        fn socket(&self) -> Result<&CanSocket, Stop> {
+            self.socket.as_ref().ok_or_else(|| self.gone("it is down"))
         }
 
         fn note(&mut self, error: &socketcan::CanErrorFrame) {
@@ -150,10 +154,7 @@ mod linux {
             let Some(frame) = CanFrame::new(id, frame.data()) else { return Ok(()) };
             let until = Instant::now() + QUEUE;
             loop {
-                let Some(socket) = &self.socket else {
-                    return Err(self.lose(&io::Error::other("it is down")));
-                };
-                match socket.write_frame(&frame) {
+                match self.socket()?.write_frame(&frame) {
                     Ok(()) => return Ok(()),
                     // The queue is full of frames that nobody acknowledges: the status shows it.
                     Err(error) if is_full(&error) && Instant::now() < until => {
@@ -169,9 +170,7 @@ mod linux {
             let until = Instant::now() + wait;
             loop {
                 let wait = until.saturating_duration_since(Instant::now());
-                let Some(socket) = &self.socket else {
-                    return Err(self.lose(&io::Error::other("it is down")));
-                };
+                let socket = self.socket()?;
                 // Zero would mean no limit.
                 let read = socket
                     .set_read_timeout(wait.max(Duration::from_millis(1)))
@@ -200,8 +199,8 @@ mod linux {
             Ok(self.reports_errors.then_some(status))
         }
 
-        fn clock(&self) -> Clock {
-            Clock::Kernel
+        fn clock(&self) -> &'static str {
+            "the kernel's time stamps"
         }
 
         fn latency(&self) -> Option<Duration> {
@@ -215,10 +214,5 @@ mod linux {
 
     fn is_full(error: &io::Error) -> bool {
         error.raw_os_error() == Some(ENOBUFS) || is_timeout(error)
-    }
-
-    fn is_timeout(error: &io::Error) -> bool {
-        use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
-        [TimedOut, WouldBlock, Interrupted].contains(&error.kind())
     }
 }

@@ -2,7 +2,7 @@
 
 use canopen_node::{BitRate, BitRateSetting, NodeId};
 
-use super::{BOOT, Bench, RESET_NODE, SEARCH};
+use super::{BOOT, Bench, RESET_NODE, SEARCH, node_id_text};
 use crate::{
     board::{self, Board, Original},
     stop::Stop,
@@ -20,16 +20,11 @@ impl Bench {
         self.boot_ups(BOOT)?;
         let mut boards = Vec::new();
         for address in self.addresses.clone() {
-            let stored = match self.reach(address, SEARCH)? {
-                true => board::inquire_node_id(&mut self.bus)?,
-                false => None,
-            };
-            let Some(stored) = stored else {
+            let Some(stored) = self.reached_node_id(address)? else {
                 return Err(Stop::Bench(format!(
-                    "board {:08X} answered before a reset, but not after it, at {} kbit/s. It may have stored another \
-                     bit rate: run `cargo hil` again",
-                    address.serial_number,
-                    self.base.kbit_per_s()
+                    "board {:08X} answered before a reset, but not after it, at {}. It may have stored another bit \
+                     rate: run `cargo hil` again",
+                    address.serial_number, self.base
                 )));
             };
             let node_id = NodeId::from_lss(stored).unwrap_or(None);
@@ -39,7 +34,8 @@ impl Bench {
                 heartbeat_ms: 0,
                 was_operational: node_id.is_some_and(|id| states.get(&id.get()) == Some(&5)),
             };
-            boards.push(Board { address, id: node_id.unwrap_or(self.free_id(&boards)), original });
+            let id = node_id.unwrap_or_else(|| self.unheard_id(&boards));
+            boards.push(Board { address, id, original });
         }
 
         // Only a node-ID is stored: the stored bit rate shows at a boot-up.
@@ -47,22 +43,18 @@ impl Bench {
         self.is_changed = true;
         for board in self.boards.clone() {
             if board.original.node_id.is_none() {
-                self.select_or_stop(&board)?;
-                self.store_or_stop(&board, Some(board.id), None)?;
+                self.store_or_stop(&board, None)?;
             }
         }
         let detecting = self.detecting()?;
         for at in 0..self.boards.len() {
             let board = self.boards[at];
-            let id = match self.reach(board.address, SEARCH)? {
-                true => board::inquire_node_id(&mut self.bus)?,
-                false => None,
-            };
+            let id = self.reached_node_id(board.address)?;
             if id != Some(board.id.get()) {
-                let id = id.map_or("unknown".to_owned(), |id| format!("{id:02X}"));
                 return Err(Stop::Bench(format!(
-                    "{board} does not store: node-ID {:02X} was acknowledged by 17 00, and after a reset it is {id}",
-                    board.id.get()
+                    "{board} does not store: node-ID {:02X} was acknowledged by 17 00, and after a reset there is {}",
+                    board.id.get(),
+                    node_id_text(id)
                 )));
             }
             let home = self.number(board, 0x2000, 5)?.ok();
@@ -80,13 +72,10 @@ impl Bench {
             if let Ok(heartbeat) = self.number(board, 0x1017, 0)? {
                 self.boards[at].original.heartbeat_ms = heartbeat as u16;
             }
-            self.select_or_stop(&board)?;
-            self.store_or_stop(&board, Some(board.id), Some(self.base.into()))?;
-            let Board { original, .. } = self.boards[at];
-            self.report.board(format!(
-                "{board}: {original} stored, heartbeat {} ms",
-                original.heartbeat_ms
-            ));
+            self.store_or_stop(&board, Some(self.base.into()))?;
+            let original = self.boards[at].original;
+            let heartbeat_ms = original.heartbeat_ms;
+            self.report.board(format!("{board}: {original} stored, heartbeat {heartbeat_ms} ms"));
         }
         self.restart()?;
         Ok(())
@@ -110,7 +99,8 @@ impl Bench {
         Ok(silent)
     }
 
-    fn free_id(&self, taken: &[Board]) -> NodeId {
+    /// A node-ID that was not heard on the bus, and that no board has.
+    fn unheard_id(&self, taken: &[Board]) -> NodeId {
         let is_free = |id: &NodeId| {
             !self.bus.states.contains_key(&id.get()) && taken.iter().all(|board| board.id != *id)
         };
@@ -118,20 +108,8 @@ impl Bench {
         ids.find(is_free).unwrap_or(NodeId::new(FIRST_FREE_ID).expect("1..=127"))
     }
 
-    fn select_or_stop(&mut self, board: &Board) -> Result<(), Stop> {
-        match board::select(&mut self.bus, board.address)? {
-            true => Ok(()),
-            false => Err(Stop::Bench(format!("{board} does not answer 43"))),
-        }
-    }
-
-    fn store_or_stop(
-        &mut self,
-        board: &Board,
-        node_id: Option<NodeId>,
-        rate: Option<BitRateSetting>,
-    ) -> Result<(), Stop> {
-        let stored = board::store(&mut self.bus, node_id, rate)?;
+    fn store_or_stop(&mut self, board: &Board, rate: Option<BitRateSetting>) -> Result<(), Stop> {
+        let stored = board::store(&mut self.bus, board.address, Some(board.id), rate)?;
         stored.map_err(|why| Stop::Bench(format!("{board} does not store its settings: {why}")))
     }
 }

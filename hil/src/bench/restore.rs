@@ -7,11 +7,11 @@ use std::{
 
 use canopen_node::{BitRateSetting, NodeId, lss::Request};
 
-use super::{Bench, RESET_NODE, SEARCH, START};
+use super::{Bench, RESET_NODE, START, node_id_text};
 use crate::{
     board::{self, Board, Original},
     report::Left,
-    sdo,
+    sdo::{self, Outcome},
     stop::Stop,
 };
 
@@ -34,11 +34,8 @@ impl Bench {
         if lost.is_empty() {
             return Ok(());
         }
-        Err(Stop::Bench(format!(
-            "the boards cannot be brought back to {} kbit/s: {}",
-            self.base.kbit_per_s(),
-            lost.join("; ")
-        )))
+        let why = lost.join("; ");
+        Err(Stop::Bench(format!("the boards cannot be brought back to {}: {why}", self.base)))
     }
 
     /// Finds each board at whatever rate it has, stores these settings, and resets it: a board at another rate is not
@@ -60,13 +57,11 @@ impl Bench {
                 self.bus.open(rate)?;
                 let (mut still, count) = (Vec::new(), rest.len());
                 for (board, node_id, setting) in rest {
-                    let is_found = board::is_there(&mut self.bus, board.address)?
-                        && board::select(&mut self.bus, board.address)?;
-                    if !is_found {
+                    if !self.reach(board.address, Duration::ZERO)? {
                         still.push((board, node_id, setting));
                         continue;
                     }
-                    if let Err(why) = board::store(&mut self.bus, node_id, Some(setting))? {
+                    if let Err(why) = board::configure(&mut self.bus, node_id, Some(setting))? {
                         refusals.push(format!("{board}: {why}"));
                     }
                 }
@@ -120,12 +115,10 @@ impl Bench {
             {
                 self.bus.open(rate)?;
             }
-            let is_there = self.reach(board.address, SEARCH)?;
-            let id = if is_there { board::inquire_node_id(&mut self.bus)? } else { None };
+            let id = self.reached_node_id(board.address)?;
             self.bus.request(Request::SwitchToWaiting)?;
             if id != Some(NodeId::to_lss(node_id)) {
-                let id = id.map_or("no answer".to_owned(), |id| format!("node-ID {id:02X}"));
-                faults.push(format!("{board} after its restart: {id}"));
+                faults.push(format!("{board} after its restart: {}", node_id_text(id)));
                 continue;
             }
             let Some(node_id) = node_id else { continue };
@@ -141,9 +134,9 @@ impl Bench {
     }
 
     /// Writes the heartbeat time and stores it by 1010h.
-    fn store_heartbeat(&mut self, node: u8, milliseconds: u16) -> Result<Result<(), String>, Stop> {
+    fn store_heartbeat(&mut self, node: u8, milliseconds: u16) -> Outcome<()> {
         const SAVE: u32 = u32::from_le_bytes(*b"save");
-        let written = sdo::write(&mut self.bus, node, (0x1017, 0), milliseconds.into(), 2)?;
+        let written = self.set_heartbeat(node, milliseconds)?;
         let saved = sdo::write(&mut self.bus, node, (0x1010, 1), SAVE, 4)?;
         Ok(written.and(saved).map_err(|failure| format!("heartbeat time: {failure}")))
     }

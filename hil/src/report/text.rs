@@ -4,36 +4,34 @@ use super::{Check, Left, Outcome, Report};
 
 /// One line for a check.
 pub fn line(check: &Check) -> String {
-    let Check { what, seen, .. } = check;
-    match &check.outcome {
-        Outcome::Passed => format!("  passed  {what}: {seen}"),
-        Outcome::Failed { expected } => format!("  FAILED  {what}: {seen}, expected {expected}"),
-        Outcome::NotTried => format!("  not tried  {what}: {seen}"),
-    }
+    let outcome = match check.outcome {
+        Outcome::Passed => "passed",
+        Outcome::Failed => "FAILED",
+        Outcome::NotTried => "not tried",
+    };
+    format!("  {outcome}  {}: {}", check.what, seen(check))
+}
+
+/// What was seen, and what was expected instead.
+pub fn seen(check: &Check) -> String {
+    let expected = check.expected.as_ref().map(|expected| format!(", expected {expected}"));
+    check.seen.clone() + &expected.unwrap_or_default()
 }
 
 /// The result, what differs, and what was not tried.
 pub fn summary(report: &Report) -> String {
-    let count = |wanted: fn(&Outcome) -> bool| {
-        report.checks.iter().filter(|check| wanted(&check.outcome)).count()
-    };
-    let passed = count(|outcome| *outcome == Outcome::Passed);
-    let not_tried = count(|outcome| *outcome == Outcome::NotTried);
-    let failed = report.failures().count();
     let mut text = String::new();
-    let mut list = |heading: &str, checks: Vec<&Check>| {
-        if !checks.is_empty() {
+    for (heading, outcome) in
+        [("Not tried", Outcome::NotTried), ("Different from the emulated board", Outcome::Failed)]
+    {
+        let mut checks = report.with_outcome(outcome).peekable();
+        if checks.peek().is_some() {
             text += &format!("\n{heading}:\n");
-            for check in checks {
-                text += &format!("{}  ({})\n", line(check), check.session);
-            }
         }
-    };
-    list(
-        "Not tried",
-        report.checks.iter().filter(|check| check.outcome == Outcome::NotTried).collect(),
-    );
-    list("Different from the emulated board", report.failures().collect());
+        for check in checks {
+            text += &format!("{}  ({})\n", line(check), check.session);
+        }
+    }
     if let Some(reason) = &report.stopped {
         text += &format!("\nEnded early: {reason}\n");
     }
@@ -42,9 +40,13 @@ pub fn summary(report: &Report) -> String {
         Left::Restored => "\nThe boards are as they were found.\n".to_owned(),
         Left::Changed(words) => format!("\nNOT RESTORED: {words}\n"),
     };
-    let verdict = if report.is_good() { "Good" } else { "Not good" };
+    let count = |outcome| report.with_outcome(outcome).count();
     text + &format!(
-        "{verdict}: {passed} passed, {failed} failed, {not_tried} not tried, in {} s.\n",
+        "{}: {} passed, {} failed, {} not tried, in {} s.\n",
+        if report.is_good() { "Good" } else { "Not good" },
+        count(Outcome::Passed),
+        count(Outcome::Failed),
+        count(Outcome::NotTried),
         report.took.as_secs()
     )
 }
@@ -56,13 +58,11 @@ pub fn whole(report: &Report) -> String {
     for line in report.bench.iter().chain(&report.boards) {
         text += &format!("{line}\n");
     }
-    let mut session = "";
-    for check in &report.checks {
-        if check.session != session {
-            session = check.session;
-            text += &format!("\n{session}\n");
+    for checks in report.checks.chunk_by(|a, b| a.session == b.session) {
+        text += &format!("\n{}\n", checks[0].session);
+        for check in checks {
+            text += &format!("{}\n", line(check));
         }
-        text += &format!("{}\n", line(check));
     }
     text + &summary(report)
 }

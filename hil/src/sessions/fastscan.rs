@@ -11,12 +11,7 @@ use crate::{
 
 pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     for board in bench.boards.clone() {
-        let is_selected = board::select(&mut bench.bus, board.address)?;
-        let stored = match is_selected {
-            true => board::store(&mut bench.bus, None, None)?,
-            false => Err("it is not selected".into()),
-        };
-        if let Err(why) = stored {
+        if let Err(why) = board::store(&mut bench.bus, board.address, None, None)? {
             bench.report.failed(format!("{board}: un-configure and store"), why, "11 00, 17 00");
             return Ok(());
         }
@@ -26,8 +21,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     bench.bus.pass(BOOT)?;
     let mut rest = bench.boards.clone();
     while !rest.is_empty() {
-        let non_configured = bench.bus.ask(Request::IdentifyNonConfigured)?;
-        let seen = non_configured.map_or("no answer".to_owned(), |answer| board::text(&answer));
+        let seen = board::answer_text(bench.bus.ask(Request::IdentifyNonConfigured)?);
         bench.report.equal(format!("4C, {} without a node-ID", rest.len()), seen, "50 00");
         let found = match bench.bus.carry_out(Fastscan::new())? {
             Ok(Some(address)) => address,
@@ -44,22 +38,13 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         };
         let board = rest.remove(at);
         bench.report.passed("Fastscan", format!("finds {board}"));
-        let id = board.id.get();
-        let stored = board::store(&mut bench.bus, Some(board.id), None)?;
-        bench.report.equal(
-            "11 and 17 after it",
-            stored.err().unwrap_or_else(|| "stored".into()),
-            "stored",
-        );
+        let stored = board::configure(&mut bench.bus, Some(board.id), None)?;
+        let seen = stored.map_or_else(|why| why, |()| "stored".into());
+        bench.report.equal("11 and 17 after it", seen, "stored");
         bench.bus.request(Request::SwitchToWaiting)?;
-        let boot_up = bench.bus.wait_for(BOOT, |frame| {
-            frame.cob_id() == 0x700 + u16::from(id) && frame.data() == [0]
-        })?;
-        let seen = if boot_up.is_some() { "a boot-up" } else { "no boot-up" };
-        bench.report.equal("04 00 makes the node-ID active", seen.into(), "a boot-up");
+        bench.check_boot_up("04 00 makes the node-ID active", board.id, BOOT)?;
     }
-    let answer = bench.bus.probe(Request::IdentifyNonConfigured)?;
-    let seen = answer.map_or("no answer".to_owned(), |answer| board::text(&answer));
+    let seen = board::answer_text(bench.bus.probe(Request::IdentifyNonConfigured)?);
     bench.report.equal("4C, all have a node-ID", seen, "no answer");
     Ok(())
 }

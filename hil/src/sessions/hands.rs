@@ -2,13 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use canopen_node::{NodeId, lss::Request};
-
-use crate::{
-    bench::{BOOT, Bench, RESET_NODE},
-    board, sdo,
-    stop::Stop,
-};
+use crate::{bench::Bench, board, stop::Stop};
 
 /// The wait for the person's hands.
 const HANDS: Duration = Duration::from_secs(60);
@@ -34,16 +28,8 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
         );
         return Ok(());
     }
-    let board = bench.boards[0];
-    let is_taken = |id: &NodeId| bench.boards.iter().any(|board| board.id == *id);
-    let Some(other) = (1..=127).filter_map(NodeId::new).find(|id| !is_taken(id)) else {
-        return Ok(());
-    };
-    let stored = match board::select(&mut bench.bus, board.address)? {
-        true => board::store(&mut bench.bus, Some(other), None)?,
-        false => Err("43 is not answered".into()),
-    };
-    if let Err(why) = stored {
+    let (board, other) = (bench.boards[0], bench.free_id());
+    if let Err(why) = board::store(&mut bench.bus, board.address, Some(other), None)? {
         bench.report.failed("a node-ID is stored", why, "11 00, 17 00");
         return Ok(());
     }
@@ -60,15 +46,7 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
             "settings through a power cut"
         }
     };
-    let cob_id = 0x700 + u16::from(other.get());
-    let boot_up =
-        bench.bus.wait_for(HANDS, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
-    let seen = if boot_up.is_some() {
-        "a boot-up with the stored node-ID"
-    } else {
-        "no boot-up with it in 60 s"
-    };
-    bench.report.equal(what, seen.into(), "a boot-up with the stored node-ID");
+    bench.check_boot_up(what, other, HANDS)?;
     bench.bus.states.remove(&other.get());
     Ok(())
 }
@@ -85,9 +63,7 @@ fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
         return Ok(());
     }
     // With a short heartbeat the boards are bus-off soon.
-    for board in bench.boards.clone() {
-        let _ = sdo::write(&mut bench.bus, board.id.get(), (0x1017, 0), 20, 2)?;
-    }
+    bench.set_heartbeats(20)?;
     bench.report.progress("now: connect CANH and CANL for 2 s");
     let until = Instant::now() + HANDS;
     // An adapter that sends nothing may see a quiet bus instead of errors.
@@ -112,14 +88,8 @@ fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
     while !missing.is_empty() && Instant::now() < until {
         missing = bench.missing()?;
     }
-    let seen =
-        if missing.is_empty() { "all boards answer again".to_owned() } else { missing.join("; ") };
-    bench.report.expect(
-        "after a short circuit",
-        missing.is_empty(),
-        seen,
-        "all boards answer again",
-    );
+    let words = ["all boards answer again", &missing.join("; ")];
+    bench.report.either("after a short circuit", missing.is_empty(), words);
     for board in bench.boards.clone() {
         if let Ok(count) = bench.number(board, 0x2000, 1)? {
             bench.report.expect(
@@ -130,8 +100,6 @@ fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
             );
         }
     }
-    bench.bus.request(Request::SwitchToWaiting)?;
-    bench.bus.nmt(RESET_NODE, 0)?;
-    bench.boot_ups(BOOT)?;
+    bench.restart()?;
     Ok(())
 }

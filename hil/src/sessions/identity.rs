@@ -18,9 +18,7 @@ pub fn find(bench: &mut Bench) -> Result<(), Stop> {
     }
     let mut own = Vec::new();
     for address in bench.addresses.clone() {
-        if board::select(&mut bench.bus, address)? {
-            own.extend(board::inquire_node_id(&mut bench.bus)?);
-        }
+        own.extend(board::node_id(&mut bench.bus, address)?);
     }
     bench.bus.request(Request::SwitchToWaiting)?;
     // Heartbeats come once a second by default.
@@ -58,30 +56,20 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
             (AddressPart::SerialNumber, address.serial_number, "serial number"),
         ];
         let is_selected = board::select(&mut bench.bus, address)?;
-        bench.report.expect(
-            format!("{board}: switch state selective"),
-            is_selected,
-            yes(is_selected),
-            "44",
-        );
+        let what = format!("{board}: switch state selective");
+        bench.report.either(what, is_selected, ["44", "no answer"]);
         for (at, (part, number, name)) in parts.into_iter().enumerate() {
             let answer = bench.bus.ask(Request::Inquire(part))?;
             let by_lss = answer.filter(|answer| answer[0] == 0x5A + at as u8);
             let by_lss =
                 by_lss.map(|bytes| u32::from_le_bytes([bytes[1], bytes[2], bytes[3], bytes[4]]));
             let by_sdo = bench.number(board, 0x1018, at as u8 + 1)?;
-            let seen = format!(
-                "{} by LSS, {} by SDO",
-                by_lss.map_or("no answer".into(), |number| format!("{number:08X}")),
-                by_sdo.map_or_else(|failure| failure.to_string(), |number| format!("{number:08X}"))
-            );
+            let hex = |number: u32| format!("{number:08X}");
             let is_equal = by_lss == Some(number) && by_sdo == Ok(number);
-            bench.report.expect(
-                format!("{board}: {name}"),
-                is_equal,
-                seen,
-                format!("{number:08X}"),
-            );
+            let by_lss = by_lss.map_or("no answer".into(), hex);
+            let by_sdo = by_sdo.map_or_else(|failure| failure, hex);
+            let seen = format!("{by_lss} by LSS, {by_sdo} by SDO");
+            bench.report.expect(format!("{board}: {name}"), is_equal, seen, hex(number));
         }
         bench.report.equal(
             format!("{board}: revision of this firmware"),
@@ -93,14 +81,11 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
             (0x1009, DEVICE.hardware_version, "hardware version"),
             (0x100A, DEVICE.software_version, "software version"),
         ] {
-            let text = sdo::read_text(&mut bench.bus, board.id.get(), index)?;
-            let seen = text.unwrap_or_else(|failure| failure.to_string());
+            let text = sdo::read(&mut bench.bus, board.id.get(), index, 0)?;
+            let seen = text.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+            let seen = seen.unwrap_or_else(|failure| failure);
             bench.report.equal(format!("{board}: {name}"), seen, expected);
         }
     }
     bench.bus.request(Request::SwitchToWaiting)
-}
-
-fn yes(is_selected: bool) -> &'static str {
-    if is_selected { "44" } else { "no answer" }
 }

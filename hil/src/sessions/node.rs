@@ -20,10 +20,7 @@ pub fn sdo(bench: &mut Bench) -> Result<(), Stop> {
             (0x5FFF, 0, "abort 06020000"),
             (0x1018, 9, "abort 06090011"),
         ] {
-            let seen = match bench.number(board, index, sub_index)? {
-                Ok(number) => format!("{number:08X}"),
-                Err(failure) => failure.to_string(),
-            };
+            let seen = bench.shown(board, (index, sub_index), |number| format!("{number:08X}"))?;
             bench.report.equal(format!("{board}: {index:04X}h sub {sub_index}"), seen, expected);
         }
         for (what, object, value, len, expected) in [
@@ -31,10 +28,8 @@ pub fn sdo(bench: &mut Bench) -> Result<(), Stop> {
             ("write of another length", (0x1017, 0), 1, 4, "abort 06070012"),
             ("write out of range", (0x1029, 1), 3, 1, "abort 06090030"),
         ] {
-            let seen = match sdo::write(&mut bench.bus, id, object, value, len)? {
-                Ok(()) => "written".to_owned(),
-                Err(failure) => failure.to_string(),
-            };
+            let written = sdo::write(&mut bench.bus, id, object, value, len)?;
+            let seen = written.map_or_else(|failure| failure, |()| "written".to_owned());
             bench.report.equal(format!("{board}: {what}"), seen, expected);
         }
         heartbeat(bench, id)?;
@@ -46,9 +41,8 @@ pub fn sdo(bench: &mut Bench) -> Result<(), Stop> {
 fn heartbeat(bench: &mut Bench, id: u8) -> Result<(), Stop> {
     const PERIOD_MS: u16 = 100;
     const COUNT: u32 = 10;
-    let written = sdo::write(&mut bench.bus, id, (0x1017, 0), PERIOD_MS.into(), 2)?;
-    if let Err(failure) = written {
-        bench.report.failed(format!("node {id}: write 1017h"), failure.to_string(), "written");
+    if let Err(failure) = bench.set_heartbeat(id, PERIOD_MS)? {
+        bench.report.failed(format!("node {id}: write 1017h"), failure, "written");
         return Ok(());
     }
     let frames = bench.bus.collect(Duration::from_millis(u64::from(PERIOD_MS)) * (COUNT + 2))?;
@@ -79,10 +73,10 @@ fn heartbeat(bench: &mut Bench, id: u8) -> Result<(), Stop> {
 }
 
 pub fn nmt(bench: &mut Bench) -> Result<(), Stop> {
+    // A heartbeat that comes soon shows the state.
+    bench.set_heartbeats(50)?;
     for board in bench.boards.clone() {
         let id = board.id.get();
-        // A heartbeat that comes soon shows the state.
-        let _ = sdo::write(&mut bench.bus, id, (0x1017, 0), 50, 2)?;
         for (command, name, state) in [
             (START, "start", 0x05),
             (PRE_OPERATIONAL, "enter pre-operational", 0x7F),
@@ -100,26 +94,16 @@ pub fn nmt(bench: &mut Bench) -> Result<(), Stop> {
             bench.report.equal(format!("{board}: NMT {name}"), seen, &format!("state {state:02X}"));
         }
         bench.bus.nmt(RESET_COMMUNICATION, id)?;
-        let boot_up = bench.bus.wait_for(BOOT, |frame| {
-            frame.cob_id() == 0x700 + u16::from(id) && frame.data() == [0]
-        })?;
-        let seen = if boot_up.is_some() { "a boot-up" } else { "no boot-up" };
-        bench.report.equal(format!("{board}: NMT reset communication"), seen.into(), "a boot-up");
+        bench.check_boot_up(&format!("{board}: NMT reset communication"), board.id, BOOT)?;
     }
+    let words = ["a boot-up of each board", "a boot-up is missing"];
     let all = bench.restart()?;
-    let seen = if all { "a boot-up of each board" } else { "a boot-up is missing" };
-    bench.report.equal("NMT reset node to all", seen.into(), "a boot-up of each board");
+    bench.report.either("NMT reset node to all", all, words);
     for board in bench.boards.clone() {
-        let seen = match bench.number(board, 0x1017, 0)? {
-            Ok(milliseconds) => format!("{milliseconds} ms"),
-            Err(failure) => failure.to_string(),
-        };
-        let expected = format!("{} ms", board.original.heartbeat_ms);
-        bench.report.equal(
-            format!("{board}: the stored heartbeat time after the reset"),
-            seen,
-            &expected,
-        );
+        let ms = |number| format!("{number} ms");
+        let seen = bench.shown(board, (0x1017, 0), ms)?;
+        let what = format!("{board}: the stored heartbeat time after the reset");
+        bench.report.equal(what, seen, &ms(board.original.heartbeat_ms.into()));
     }
     Ok(())
 }

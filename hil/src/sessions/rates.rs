@@ -49,8 +49,7 @@ pub fn by_activation(bench: &mut Bench) -> Result<(), Stop> {
         let accepted =
             bench.bus.ask(Request::ConfigureBitTiming { table: 0, index: rate.index() })?;
         if !matches!(accepted, Some([0x13, 0, ..])) {
-            let seen = accepted.map_or("no answer".to_owned(), |answer| board::text(&answer));
-            bench.report.failed(format!("13, {} kbit/s", rate.kbit_per_s()), seen, "13 00");
+            bench.report.failed(format!("13, {rate}"), board::answer_text(accepted), "13 00");
             continue;
         }
         bench.bus.request(Request::ActivateBitTiming(DELAY_MS))?;
@@ -61,7 +60,7 @@ pub fn by_activation(bench: &mut Bench) -> Result<(), Stop> {
         bench
             .bus
             .pass((2 * delay + Duration::from_millis(30)).saturating_sub(requested.elapsed()))?;
-        let what = format!("{} to {} kbit/s by activation", from.kbit_per_s(), rate.kbit_per_s());
+        let what = format!("{} to {rate} by activation", from.kbit_per_s());
         if !check(bench, rate, &what)? {
             bad.push(rate);
             bench.settle()?;
@@ -76,18 +75,8 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
         return Ok(());
     }
     for rate in rates(bench) {
-        let what = format!("{} kbit/s by store and reset", rate.kbit_per_s());
-        let mut refusal = None;
-        for board in bench.boards.clone() {
-            let is_selected = board::select(&mut bench.bus, board.address)?;
-            let stored = match is_selected {
-                true => board::store(&mut bench.bus, Some(board.id), Some(rate.into()))?,
-                false => Err("43 is not answered".into()),
-            };
-            refusal = refusal.or(stored.err());
-        }
-        if let Some(why) = refusal {
-            bench.report.failed(&what, why, "11 00, 13 00, 17 00");
+        let what = format!("{rate} by store and reset");
+        if !bench.store(&what, &bench.boards.clone(), rate.into())? {
             bench.settle()?;
             continue;
         }
@@ -105,8 +94,8 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
             if bench.missing()?.is_empty() {
                 bench.report.failed(
                     format!("{what}: the value of 17 is lost"),
-                    format!("the boards are at {} kbit/s after the reset", before.kbit_per_s()),
-                    format!("{} kbit/s, which 17 00 said was stored", rate.kbit_per_s()),
+                    format!("the boards are at {before} after the reset"),
+                    format!("{rate}, which 17 00 said was stored"),
                 );
             }
         }
@@ -119,26 +108,16 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
 fn check(bench: &mut Bench, rate: BitRate, what: &str) -> Result<bool, Stop> {
     let missing = bench.missing()?;
     if !missing.is_empty() {
-        bench.report.failed(
-            what,
-            format!("silent after the switch: {}", missing.join("; ")),
-            "an answer of each board",
-        );
+        let seen = format!("silent after the switch: {}", missing.join("; "));
+        bench.report.failed(what, seen, "an answer of each board");
         return Ok(false);
     }
     bench.bus.status()?;
     for board in bench.boards.clone() {
         let _ = board::select(&mut bench.bus, board.address)?;
         timing::measure(bench, what, ANSWERS)?;
-        let seen = match bench.number(board, 0x2000, 6)? {
-            Ok(kbit) => format!("{kbit} kbit/s"),
-            Err(failure) => failure.to_string(),
-        };
-        bench.report.equal(
-            format!("{board}: rate in use, 2000h sub 6"),
-            seen,
-            &format!("{} kbit/s", rate.kbit_per_s()),
-        );
+        let seen = bench.shown(board, (0x2000, 6), |kbit| format!("{kbit} kbit/s"))?;
+        bench.report.equal(format!("{board}: rate in use, 2000h sub 6"), seen, &rate.to_string());
     }
     let has_errors = bench.bus.status()?.is_some_and(|status| status.has_errors);
     if has_errors {

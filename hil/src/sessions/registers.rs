@@ -16,15 +16,13 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
                 bench.report.not_tried("registers", why);
                 return Ok(());
             }
-            Ok(value) => {
-                bench.report.expect(
-                    register.name,
-                    value & register.mask == register.value,
-                    register.explain(value),
-                    register.explain(register.value),
-                );
-            }
-        }
+            Ok(value) => bench.report.expect(
+                register.name,
+                value & register.mask == register.value,
+                register.explain(value),
+                register.explain(register.value),
+            ),
+        };
     }
     Ok(())
 }

@@ -8,7 +8,7 @@ use firmware::device::DEVICE;
 use crate::{
     adapter::Received,
     bench::{Bench, RESET_NODE, SEARCH},
-    board::{self, Board},
+    board::Board,
     stop::Stop,
 };
 
@@ -16,22 +16,6 @@ use crate::{
 const UNUSED: u16 = 0x7FE;
 /// The interval of the frames by which boards detect the rate.
 const INTERVAL: Duration = Duration::from_millis(100);
-
-/// Stores a bit rate on boards; a refusal is a failed check.
-fn store(bench: &mut Bench, boards: &[Board], rate: BitRateSetting) -> Result<bool, Stop> {
-    for board in boards {
-        let stored = match board::select(&mut bench.bus, board.address)? {
-            true => board::store(&mut bench.bus, Some(board.id), Some(rate))?,
-            false => Err("43 is not answered".into()),
-        };
-        if let Err(why) = stored {
-            bench.report.failed(format!("{board}: store {rate}"), why, "11 00, 13 00, 17 00");
-            return Ok(false);
-        }
-    }
-    bench.bus.request(Request::SwitchToWaiting)?;
-    Ok(true)
-}
 
 pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
     if !DEVICE.bit_rates.offers(BitRateSetting::Automatic) {
@@ -41,7 +25,7 @@ pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
         return Ok(());
     }
     let boards = bench.boards.clone();
-    if !store(bench, &boards, BitRateSetting::Automatic)? {
+    if !bench.store("store automatic", &boards, BitRateSetting::Automatic)? {
         return Ok(());
     }
     let others: &[BitRate] = match (bench.is_quick, bench.bus.fixed_rate()) {
@@ -57,29 +41,21 @@ pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
         bench.bus.open(rate)?;
         let begin = Instant::now();
         let mut nodes = Vec::new();
-        let is_complete = |nodes: &[u8], bench: &Bench| {
-            bench.boards.iter().all(|board| nodes.contains(&board.id.get()))
-        };
-        while begin.elapsed() < SEARCH && !is_complete(&nodes, bench) {
+        while begin.elapsed() < SEARCH && !bench.is_each_in(&nodes) {
             bench.bus.send_to(UNUSED, &[])?;
             nodes.extend(bench.boot_ups(INTERVAL)?);
         }
-        let seen = match is_complete(&nodes, bench) {
+        let is_good = bench.is_each_in(&nodes);
+        let seen = match is_good {
             true => format!("detected in {:.1} s", begin.elapsed().as_secs_f64()),
             false => format!("boot-ups of {nodes:?} in {} s", SEARCH.as_secs()),
         };
-        let is_good = is_complete(&nodes, bench);
-        bench.report.expect(
-            format!("{} kbit/s", rate.kbit_per_s()),
-            is_good,
-            seen,
-            "a boot-up of each board",
-        );
+        bench.report.expect(rate.to_string(), is_good, seen, "a boot-up of each board");
         if !is_good {
             return Ok(());
         }
     }
-    store(bench, &boards, base.into())?;
+    bench.store("store the base rate", &boards, base.into())?;
     bench.restart()?;
     Ok(())
 }
@@ -106,7 +82,8 @@ fn rescue_of(bench: &mut Bench, board: Board) -> Result<bool, Stop> {
     const GUEST: u16 = 0xFF10;
     let base = bench.base;
     let wrong = if base == BitRate::Kbit250 { BitRate::Kbit500 } else { BitRate::Kbit250 };
-    if !store(bench, &[board], wrong.into())? {
+    let what = format!("{board} with {wrong} stored");
+    if !bench.store(&what, &[board], wrong.into())? {
         return Ok(false);
     }
     let id = board.id.get();
@@ -115,14 +92,9 @@ fn rescue_of(bench: &mut Bench, board: Board) -> Result<bool, Stop> {
     bench.bus.take_unasked();
     let is_there = bench.reach(board.address, SEARCH)?;
     let seen = match is_there {
-        true => format!(
-            "answers at {} kbit/s after {:.1} s",
-            base.kbit_per_s(),
-            begin.elapsed().as_secs_f64()
-        ),
+        true => format!("answers at {base} after {:.1} s", begin.elapsed().as_secs_f64()),
         false => format!("no answer in {} s", SEARCH.as_secs()),
     };
-    let what = format!("{board} with {} kbit/s stored", wrong.kbit_per_s());
     bench.report.expect(what, is_there, seen, "an answer at the rate of the bus");
     if !is_there {
         return Ok(false);
@@ -145,26 +117,18 @@ fn rescue_of(bench: &mut Bench, board: Board) -> Result<bool, Stop> {
         }
         (false, false) => "neither received nor in the history 1003h",
     };
-    bench.report.expect(
-        format!("{board}: emergency FF10h"),
-        is_received || is_recorded,
-        seen,
-        "received",
-    );
+    let what = format!("{board}: emergency FF10h");
+    bench.report.expect(what, is_received || is_recorded, seen, "received");
     for (sub_index, expected, name) in [
         (5, wrong.kbit_per_s(), "home rate"),
         (6, base.kbit_per_s(), "rate in use"),
         (7, 1, "rescues"),
     ] {
-        let seen = bench.number(board, 0x2000, sub_index)?;
-        let seen = seen.map_or_else(|failure| failure.to_string(), |number| number.to_string());
-        bench.report.equal(
-            format!("{board}: {name}, 2000h sub {sub_index}"),
-            seen,
-            &expected.to_string(),
-        );
+        let seen = bench.shown(board, (0x2000, sub_index), |number| number.to_string())?;
+        let what = format!("{board}: {name}, 2000h sub {sub_index}");
+        bench.report.equal(what, seen, &expected.to_string());
     }
-    let is_stored = store(bench, &[board], base.into())?;
+    let is_stored = bench.store("store the base rate", &[board], base.into())?;
     bench.restart()?;
     Ok(is_stored)
 }

@@ -1,9 +1,6 @@
 //! Every LSS service of CiA 305, with its refusals and silences.
 
-use canopen_node::{
-    NodeId,
-    lss::{AddressPart, IdentifyKey, Request},
-};
+use canopen_node::lss::{AddressPart, IdentifyKey, Request};
 
 use crate::{
     bench::{BOOT, Bench, RESET_COMMUNICATION, RESET_NODE},
@@ -27,21 +24,17 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     bench.bus.request(Request::SwitchToWaiting)?;
     bench.check_answer("5E in waiting state", bytes(&[0x5E]), &[])?;
     bench.check_answer("11 in waiting state", bytes(&[0x11, id]), &[])?;
-    for part in [AddressPart::VendorId, AddressPart::ProductCode, AddressPart::SerialNumber] {
-        let number = match part {
-            AddressPart::VendorId => address.vendor_id,
-            AddressPart::ProductCode => address.product_code,
-            _ => address.serial_number,
-        };
+    for (part, number) in [
+        (AddressPart::VendorId, address.vendor_id),
+        (AddressPart::ProductCode, address.product_code),
+        (AddressPart::SerialNumber, address.serial_number),
+    ] {
         bench.bus.request(Request::Select(part, number))?;
     }
     bench.check_answer("5E after a selection without the revision number", bytes(&[0x5E]), &[])?;
     bench.check_answer("4C, all boards have a node-ID", bytes(&[0x4C]), &[])?;
-    bench.check_answer(
-        "51 80, all boards have a node-ID",
-        bytes(&[0x51, 0, 0, 0, 0, 0x80]),
-        &[],
-    )?;
+    let reset = bytes(&[0x51, 0, 0, 0, 0, 0x80]);
+    bench.check_answer("51 80, all boards have a node-ID", reset, &[])?;
 
     use IdentifyKey as Key;
     for (what, serial, expected) in [
@@ -58,12 +51,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     }
 
     let is_selected = board::select(&mut bench.bus, address)?;
-    bench.report.expect(
-        "switch state selective",
-        is_selected,
-        if is_selected { "44" } else { "no answer" },
-        "44",
-    );
+    bench.report.either("switch state selective", is_selected, ["44", "no answer"]);
     bench.check_answer("5E", bytes(&[0x5E]), &[0x5E, id])?;
     for (what, request, expected) in [
         ("04 with mode 2 is ignored", bytes(&[0x04, 2]), &[][..]),
@@ -82,8 +70,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     }
     bench.bus.send_to(0x7E5, &[0x5E])?;
     let answer = bench.bus.wait_for(bench.bus.short(), |frame| frame.cob_id() == 0x7E4)?;
-    let seen = if answer.is_some() { "an answer" } else { "no answer" };
-    bench.report.equal("a request of one byte", seen.into(), "no answer");
+    bench.report.either("a request of one byte", answer.is_none(), ["no answer", "an answer"]);
 
     node_id(bench)?;
     bench.bus.request(Request::SwitchToWaiting)?;
@@ -93,21 +80,13 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
 
 /// A new node-ID takes effect at NMT reset communication, and is gone after NMT reset node if it was not stored.
 fn node_id(bench: &mut Bench) -> Result<(), Stop> {
-    let board = bench.boards[0];
-    let is_taken = |id: &NodeId| bench.boards.iter().any(|board| board.id == *id);
-    let Some(other) = (1..=127).filter_map(NodeId::new).find(|id| !is_taken(id)) else {
-        return Ok(());
-    };
-    let (id, other) = (board.id.get(), other.get());
-    bench.check_answer("11, another node-ID", bytes(&[0x11, other]), &[0x11, 0])?;
+    let (board, other) = (bench.boards[0], bench.free_id());
+    let id = board.id.get();
+    bench.check_answer("11, another node-ID", bytes(&[0x11, other.get()]), &[0x11, 0])?;
     bench.check_answer("5E answers the active node-ID", bytes(&[0x5E]), &[0x5E, id])?;
     bench.bus.nmt(RESET_COMMUNICATION, id)?;
-    let cob_id = 0x700 + u16::from(other);
-    let boot_up =
-        bench.bus.wait_for(BOOT, |frame| frame.cob_id() == cob_id && frame.data() == [0])?;
-    let seen = if boot_up.is_some() { "a boot-up" } else { "no boot-up" };
-    bench.report.equal("the new node-ID after NMT reset communication", seen.into(), "a boot-up");
-    bench.bus.nmt(RESET_NODE, other)?;
+    bench.check_boot_up("the new node-ID after NMT reset communication", other, BOOT)?;
+    bench.bus.nmt(RESET_NODE, other.get())?;
     let nodes = bench.boot_ups(BOOT)?;
     bench.report.expect(
         "the stored node-ID after NMT reset node",
@@ -115,7 +94,7 @@ fn node_id(bench: &mut Bench) -> Result<(), Stop> {
         format!("boot-ups of {nodes:?}"),
         format!("[{id}]"),
     );
-    bench.bus.states.remove(&other);
+    bench.bus.states.remove(&other.get());
     let _ = board::select(&mut bench.bus, board.address)?;
     Ok(())
 }

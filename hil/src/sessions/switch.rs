@@ -6,10 +6,9 @@ use canopen_node::{BitRate, lss::Request};
 
 use super::rates;
 use crate::{
-    adapter::{Clock, Received},
+    adapter::{HOST_CLOCK, Received},
     bench::Bench,
     report::Switch,
-    sdo,
     stop::Stop,
 };
 
@@ -40,13 +39,10 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
 
 /// Switches to `to`. A short heartbeat shows when the boards are silent.
 fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
-    const HEARTBEAT_MS: u32 = 20;
+    const HEARTBEAT_MS: u16 = 20;
     let from = bench.bus.rate();
-    let what =
-        format!("{} to {} kbit/s, switch delay {delay_ms} ms", from.kbit_per_s(), to.kbit_per_s());
-    for board in bench.boards.clone() {
-        let _ = sdo::write(&mut bench.bus, board.id.get(), (0x1017, 0), HEARTBEAT_MS, 2)?;
-    }
+    let what = format!("{} to {to}, switch delay {delay_ms} ms", from.kbit_per_s());
+    bench.set_heartbeats(HEARTBEAT_MS)?;
     bench.bus.request(Request::SwitchToConfiguration)?;
     let accepted = bench.bus.ask(Request::ConfigureBitTiming { table: 0, index: to.index() })?;
     if accepted.is_none() {
@@ -79,7 +75,7 @@ fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
         .filter(|at| *at < UNDER_WAY_MS + latency)
         .fold(f64::NEG_INFINITY, f64::max);
     let first_frame = times.iter().copied().find(|at| *at >= UNDER_WAY_MS + latency);
-    let clock = if line.has_stamps(&received) { bench.bus.clock() } else { Clock::Host };
+    let clock = if line.has_stamps(&received) { bench.bus.clock() } else { HOST_CLOCK };
     let expected = 2.0 * f64::from(delay_ms);
     let seen = match first_frame {
         None => "silent after the switch".to_owned(),
@@ -90,29 +86,20 @@ fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
     bench.report.expect(format!("{what}: silence"), is_good, seen, format!("{expected:.0} ms"));
     for (at, is_acknowledged) in &acknowledged {
         let rate = if *at < f64::from(delay_ms) { from } else { to };
-        bench.report.expect(
-            format!(
-                "{what}: a frame at {at:.0} ms is acknowledged at {} kbit/s",
-                rate.kbit_per_s()
-            ),
-            *is_acknowledged,
-            if *is_acknowledged { "acknowledged" } else { "errors on the bus" },
-            "acknowledged",
-        );
+        let what = format!("{what}: a frame at {at:.0} ms is acknowledged at {rate}");
+        let words = ["acknowledged", "errors on the bus"];
+        bench.report.either(what, *is_acknowledged, words);
     }
     if acknowledged.is_empty() {
-        bench.report.not_tried(
-            format!("{what}: acknowledge in the silence"),
-            "the adapter reports no errors",
-        );
+        let what = format!("{what}: acknowledge in the silence");
+        bench.report.not_tried(what, "the adapter reports no errors");
     }
-    let last_frame = last_frame.max(-100.0);
     bench.report.switches.push(Switch {
-        from,
-        to,
+        from_kbit_per_s: from.kbit_per_s(),
+        to_kbit_per_s: to.kbit_per_s(),
         delay_ms,
-        last_frame,
-        first_frame,
+        last_frame_ms: last_frame.max(-100.0),
+        first_frame_ms: first_frame,
         acknowledged,
     });
     if first_frame.is_none() {

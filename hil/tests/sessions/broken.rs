@@ -3,6 +3,7 @@
 use std::{
     fs,
     io::{BufRead, BufReader},
+    ops::RangeInclusive,
     process::{Command, Stdio},
     time::Duration,
 };
@@ -18,34 +19,20 @@ use testkit::{
 };
 
 use crate::{
-    emulated::{Directory, Emulated},
+    emulated::{Emulated, new_folder},
     lone::Program,
     proxy::{self, Fault},
     run::{self, Run},
 };
 
-/// RCC_CR, PLLCFGR, CFGR, APB1ENR; FLASH_ACR; CAN_MCR, IER, ESR, BTR; CAN's filters.
-const REGISTERS: [u32; 20] = [
-    0xE004_2000,
-    0x1FFF_7A20,
-    0x4002_3C14,
-    0x4000_7004,
-    0x4002_3800,
-    0x4002_3804,
-    0x4002_3808,
-    0x4002_3840,
-    0x4002_3C00,
-    0x4000_6400,
-    0x4000_6414,
-    0x4000_6418,
-    CAN_BTR,
-    0x4000_6600,
-    0x4000_6604,
-    0x4000_660C,
-    0x4000_6614,
-    0x4000_661C,
-    0x4000_6640,
-    0x4000_6644,
+/// CAN1 with its filters, PWR_CSR, RCC, FLASH, the size of the flash and DBGMCU_IDCODE.
+const REGISTERS: [RangeInclusive<u32>; 6] = [
+    0x4000_6400..=0x4000_6644,
+    0x4000_7004..=0x4000_7004,
+    0x4002_3800..=0x4002_3840,
+    0x4002_3C00..=0x4002_3C14,
+    0x1FFF_7A20..=0x1FFF_7A20,
+    0xE004_2000..=0xE004_2000,
 ];
 const CAN_BTR: u32 = 0x4000_641C;
 
@@ -96,37 +83,40 @@ fn a_board_that_is_silent_after_a_switch_is_named() {
 }
 
 #[test]
+fn a_board_that_cannot_be_brought_back_is_named_with_the_reason() {
+    let run = run_with(Fault::SilentForEver, "activate");
+    run.assert_named("the boards cannot be brought back to 125 kbit/s: board 515884C7");
+    run.assert_named("board 515884C7 answers at no bit rate");
+    run.assert_left("changed: board 515884C7 answers at no bit rate");
+}
+
+#[test]
 fn a_wrong_sample_point_is_named_by_the_probe() {
-    let directory = Directory::new("probe");
+    let folder = new_folder("probe");
     // The registers of an emulated board in the same state, but for the sample point.
     let rate = BitRate::Kbit125;
     let mut rig = ImageRig::new(rate, [board_with(Firmware::Default, 0, settings(5, rate))]);
     rig.network.run_for(Time::from_ms(500));
     let mut script = "#!/bin/sh\ncase $5 in\n".to_owned();
-    for address in REGISTERS {
+    for address in REGISTERS.into_iter().flat_map(|range| range.step_by(4)) {
         let board = rig.network.board(0);
         let access = Access { address, width: Width::Word, now: board.now(), pc: 0 };
-        let value = board.chip().read(access).expect("a register");
+        let Ok(value) = board.chip().read(access) else { continue };
         let value = if address == CAN_BTR { 0x0067_000F } else { value };
         script += &format!("{address:#X}) echo {value:08x};;\n");
     }
-    let program = directory.0.join("probe-rs");
+    let program = folder.join("probe-rs");
     fs::write(&program, script + "*) echo no such register >&2; exit 1;;\nesac\n")
         .expect("it can be written");
     let status = Command::new("chmod").arg("+x").arg(&program).status();
     assert!(status.is_ok_and(|status| status.success()));
 
     let boards = Emulated::start(&["--node-id", "5"]);
-    let report = Directory::new("probe-report");
-    let mut command = run::command(
-        &report,
-        &boards.adapter(),
-        &["--session", "registers", "--probe", "stm32f405"],
-    );
+    let arguments = ["--session", "registers", "--probe", "stm32f405", "--quick"];
+    let mut command = run::command(&folder, &boards.adapter(), &arguments);
     let path = std::env::var("PATH").unwrap_or_default();
-    let output =
-        command.env("PATH", format!("{}:{path}", directory.path())).output().expect("it runs");
-    let run = Run::new(report, output, Duration::ZERO);
+    command.env("PATH", format!("{}:{path}", folder.display()));
+    let run = Run::new(&folder, command.output().expect("it runs"), Duration::ZERO);
     assert_eq!(run.failures(), ["CAN_BTR: 0067000F (156 kbit/s, sample point 56 %)"]);
     run.assert_left("restored");
 }
@@ -177,8 +167,9 @@ fn an_adapter_that_vanishes_for_ever_ends_the_run() {
 #[test]
 fn ctrl_c_restores_the_board() {
     let boards = Emulated::start(&[]);
-    let directory = Directory::new("ctrl-c");
-    let mut command = run::command(&directory, &boards.adapter(), &["--session", "activate"]);
+    let folder = new_folder("ctrl-c");
+    let mut command =
+        run::command(&folder, &boards.adapter(), &["--session", "activate", "--quick"]);
     let mut child = command.stdout(Stdio::piped()).spawn().expect("it runs");
     let mut lines =
         BufReader::new(child.stdout.take().expect("it is piped")).lines().map_while(Result::ok);
@@ -186,7 +177,7 @@ fn ctrl_c_restores_the_board() {
     let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(killed.is_ok_and(|status| status.success()));
     lines.for_each(drop);
-    let run = Run::new(directory, child.wait_with_output().expect("it ends"), Duration::ZERO);
+    let run = Run::new(&folder, child.wait_with_output().expect("it ends"), Duration::ZERO);
     run.assert_named("interrupted");
     run.assert_left("restored");
 }

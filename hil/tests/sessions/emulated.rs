@@ -1,10 +1,10 @@
 //! `cargo emulate` as a child process.
 
 use std::{
-    env,
+    fs,
     io::{BufRead, BufReader, Write},
     net::SocketAddr,
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::{Child, Stdio},
     sync::mpsc,
     thread,
@@ -12,6 +12,7 @@ use std::{
 };
 
 use testkit::cargo::cargo;
+
 /// The wait for the first line: the emulator and the firmware may have to be built.
 const BUILD: Duration = Duration::from_secs(1200);
 
@@ -64,24 +65,11 @@ impl Drop for Emulated {
     }
 }
 
-/// A new directory for a test, removed by [`Drop`].
-pub struct Directory(pub PathBuf);
-
-impl Directory {
-    pub fn new(name: &str) -> Self {
-        let path = env::temp_dir().join(format!("hil-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&path).expect("the directory can be made");
-        Self(path)
-    }
-
-    pub fn path(&self) -> &str {
-        self.0.to_str().expect("UTF-8")
-    }
-}
-
-impl Drop for Directory {
-    fn drop(&mut self) {
-        // What is left is temporary anyway.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+/// A new folder for a test.
+pub fn new_folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    // It exists if the test ran before.
+    let _ = fs::remove_dir_all(&path);
+    fs::create_dir_all(&path).expect("the folder can be made");
+    path
 }

@@ -3,10 +3,7 @@
 use std::{
     io::{BufReader, Read, Write},
     net::{Shutdown, SocketAddr, TcpListener, TcpStream},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicUsize, Ordering},
-    },
+    sync::{Arc, Mutex},
     thread,
     time::Duration,
 };
@@ -23,6 +20,8 @@ pub enum Fault {
     NoStore,
     /// Nothing is heard of the board from a 15 to a reset.
     SilentAfterSwitch,
+    /// Nothing is heard of the board from a 15 on.
+    SilentForEver,
     /// The board has the vendor-ID 000001A0h.
     OtherVendor,
     /// The board restarts a second after node-ID 1 was stored, as by a power cut.
@@ -36,9 +35,21 @@ pub enum Fault {
 /// The state of a fault, shared by both directions and all connections.
 #[derive(Default)]
 struct State {
-    requests_due: AtomicUsize,
-    is_silent: AtomicBool,
-    has_vanished: AtomicBool,
+    requests_due: usize,
+    is_silent: bool,
+    has_vanished: bool,
+}
+
+/// What becomes of a line.
+enum Fate {
+    Forward,
+    /// Another one arrives.
+    Change(String),
+    /// Nothing arrives, but this is answered.
+    Answer(&'static str),
+    Lose,
+    /// The connection ends.
+    Vanish,
 }
 
 /// Starts the faulty line to `boards`; returns the adapter of `cargo hil`.
@@ -46,117 +57,117 @@ pub fn start(boards: SocketAddr, fault: Fault) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("it is bound");
     thread::spawn(move || {
-        let state = Arc::new(State::default());
+        let state = Arc::new(Mutex::new(State::default()));
         for master in listener.incoming().flatten() {
             let Ok(bus) = TcpStream::connect(boards) else { return };
             for stream in [&master, &bus] {
                 stream.set_nodelay(true).expect("it is connected");
             }
-            let (to_master, to_bus) =
-                (master.try_clone().expect("a socket"), bus.try_clone().expect("a socket"));
-            let (requests, answers) = (Arc::clone(&state), Arc::clone(&state));
-            thread::spawn(move || requests_to(to_bus, master, fault, &requests));
-            thread::spawn(move || answers_to(to_master, bus, fault, &answers));
+            let clone = |stream: &TcpStream| stream.try_clone().expect("a socket");
+            for (fate, from, to) in [
+                (of_request as FateOf, clone(&master), clone(&bus)),
+                (of_answer, clone(&bus), clone(&master)),
+            ] {
+                let state = Arc::clone(&state);
+                thread::spawn(move || carry(from, to, |line, to| fate(line, fault, &state, to)));
+            }
         }
     });
     format!("slcan:tcp:{address}")
 }
 
+/// Says what becomes of a line, given the connection that it is on its way to.
+type FateOf = fn(&str, Fault, &Mutex<State>, &TcpStream) -> Fate;
+
+/// Carries SLCAN's lines from one connection to the other, until one of them ends; then both do.
+fn carry(mut from: TcpStream, mut to: TcpStream, fate: impl Fn(&str, &TcpStream) -> Fate) {
+    for line in lines(from.try_clone().expect("a socket")) {
+        let carried = match fate(&line, &to) {
+            Fate::Forward => to.write_all(line.as_bytes()),
+            Fate::Change(line) => to.write_all(line.as_bytes()),
+            Fate::Answer(answer) => from.write_all(answer.as_bytes()),
+            Fate::Lose => Ok(()),
+            Fate::Vanish => break,
+        };
+        if carried.is_err() {
+            break;
+        }
+    }
+    for stream in [from, to] {
+        // It may have ended before.
+        let _ = stream.shutdown(Shutdown::Both);
+    }
+}
+
 /// Splits the bytes of a connection at the ends of SLCAN's lines, which stay.
 fn lines(stream: TcpStream) -> impl Iterator<Item = String> {
-    let mut reader = BufReader::new(stream);
+    let mut bytes = BufReader::new(stream).bytes().map_while(Result::ok);
     std::iter::from_fn(move || {
-        let mut line = Vec::new();
-        let mut byte = [0];
-        while reader.read_exact(&mut byte).is_ok() {
-            line.push(byte[0]);
-            if [b'\r', 0x07].contains(&byte[0]) {
-                return Some(String::from_utf8_lossy(&line).into_owned());
-            }
+        let mut line = String::new();
+        while !line.ends_with(['\r', '\x07']) {
+            line.push(char::from(bytes.next()?));
         }
-        None
+        Some(line)
     })
 }
 
-fn requests_to(mut bus: TcpStream, master: TcpStream, fault: Fault, state: &State) {
-    let mut to_master = master.try_clone().expect("a socket");
-    for line in lines(master) {
-        let is = |prefix: &str| line.starts_with(prefix);
-        let mut forwarded = line.clone();
-        match fault {
-            Fault::LostRequest if is("t7E585") => {
-                let due = state.requests_due.fetch_add(1, Ordering::SeqCst);
-                if due > 0 && is("t7E585C") {
-                    state.requests_due.fetch_sub(1, Ordering::SeqCst);
-                    let _ = to_master.write_all(b"z\r");
-                    continue;
-                }
-            }
-            Fault::NoStore if is("t7E5817") => {
-                let _ = to_master.write_all(b"z\rt7E481700000000000000\r");
-                continue;
-            }
-            Fault::PowerCut if is("t7E581101") => {
-                let mut bus = bus.try_clone().expect("a socket");
-                thread::spawn(move || {
-                    thread::sleep(Duration::from_secs(1));
-                    let _ = bus.write_all(b"t00028100\r");
-                });
-            }
-            Fault::SilentAfterSwitch if is("t7E5815") => {
-                state.is_silent.store(true, Ordering::SeqCst)
-            }
-            Fault::SilentAfterSwitch if is("t000281") => {
-                state.is_silent.store(false, Ordering::SeqCst)
-            }
-            Fault::OtherVendor if is("t7E5840") || is("t7E5846") => {
-                let vendor =
-                    if line[7..].starts_with("A0010000") { "00000000" } else { "FFFFFFFF" };
-                forwarded.replace_range(7..15, vendor);
-            }
-            Fault::Vanishes | Fault::VanishesOnce if is("t7E5817") => {
-                let is_first = !state.has_vanished.swap(true, Ordering::SeqCst);
-                if is_first || fault == Fault::Vanishes {
-                    for stream in [&bus, &to_master] {
-                        let _ = stream.shutdown(Shutdown::Both);
-                    }
-                    return;
-                }
-            }
-            _ => {}
+fn of_request(line: &str, fault: Fault, state: &Mutex<State>, bus: &TcpStream) -> Fate {
+    let mut state = state.lock().expect("nobody panics");
+    let is = |prefix: &str| line.starts_with(prefix);
+    match fault {
+        Fault::LostRequest if is("t7E585C") && state.requests_due > 0 => Fate::Answer("z\r"),
+        Fault::LostRequest if is("t7E585") => {
+            state.requests_due += 1;
+            Fate::Forward
         }
-        if bus.write_all(forwarded.as_bytes()).is_err() {
-            return;
+        Fault::NoStore if is("t7E5817") => Fate::Answer("z\rt7E481700000000000000\r"),
+        Fault::PowerCut if is("t7E581101") => {
+            let mut bus = bus.try_clone().expect("a socket");
+            thread::spawn(move || {
+                thread::sleep(Duration::from_secs(1));
+                let _ = bus.write_all(b"t00028100\r");
+            });
+            Fate::Forward
         }
+        Fault::SilentAfterSwitch | Fault::SilentForEver if is("t7E5815") => {
+            state.is_silent = true;
+            Fate::Forward
+        }
+        Fault::SilentAfterSwitch if is("t000281") => {
+            state.is_silent = false;
+            Fate::Forward
+        }
+        Fault::OtherVendor if is("t7E5840") || is("t7E5846") => {
+            let is_known = line[7..].starts_with("A0010000");
+            Fate::Change(with_vendor(line, if is_known { "00000000" } else { "FFFFFFFF" }))
+        }
+        Fault::Vanishes if is("t7E5817") => Fate::Vanish,
+        Fault::VanishesOnce if is("t7E5817") && !state.has_vanished => {
+            state.has_vanished = true;
+            Fate::Vanish
+        }
+        _ => Fate::Forward,
     }
-    let _ = bus.shutdown(Shutdown::Both);
 }
 
-fn answers_to(mut master: TcpStream, bus: TcpStream, fault: Fault, state: &State) {
-    for line in lines(bus) {
-        let mut line = line;
-        match fault {
-            Fault::LateAnswers if line.starts_with("t7E4") => {
-                thread::sleep(Duration::from_millis(40))
-            }
-            Fault::LostRequest if line.starts_with("t7E485") => {
-                let due = &state.requests_due;
-                let _ =
-                    due.try_update(Ordering::SeqCst, Ordering::SeqCst, |due| due.checked_sub(1));
-            }
-            Fault::SilentAfterSwitch
-                if line.starts_with('t') && state.is_silent.load(Ordering::SeqCst) =>
-            {
-                continue;
-            }
-            Fault::OtherVendor if line.starts_with("t7E485A") => {
-                line.replace_range(7..15, "A0010000")
-            }
-            _ => {}
-        }
-        if master.write_all(line.as_bytes()).is_err() {
-            return;
-        }
+fn of_answer(line: &str, fault: Fault, state: &Mutex<State>, _: &TcpStream) -> Fate {
+    if fault == Fault::LateAnswers && line.starts_with("t7E4") {
+        thread::sleep(Duration::from_millis(40));
     }
-    let _ = master.shutdown(Shutdown::Both);
+    let mut state = state.lock().expect("nobody panics");
+    if line.starts_with("t7E485") {
+        state.requests_due = state.requests_due.saturating_sub(1);
+    }
+    match fault {
+        _ if state.is_silent && line.starts_with('t') => Fate::Lose,
+        Fault::OtherVendor if line.starts_with("t7E485A") => {
+            Fate::Change(with_vendor(line, "A0010000"))
+        }
+        _ => Fate::Forward,
+    }
+}
+
+/// A frame of LSS with another number.
+fn with_vendor(line: &str, number: &str) -> String {
+    format!("{}{number}{}", &line[..7], &line[15..])
 }

@@ -1,13 +1,15 @@
 //! A run of `cargo hil`, and its report.
 
 use std::{
+    fs,
+    path::Path,
     process::{Command, Output, Stdio},
     time::{Duration, Instant},
 };
 
 use serde_json::Value;
 
-use crate::emulated::Directory;
+use crate::emulated::new_folder;
 
 /// The outcome of a run.
 pub struct Run {
@@ -16,38 +18,33 @@ pub struct Run {
     pub took: Duration,
     /// The report as JSON.
     pub report: Value,
-    pub directory: Directory,
 }
 
-/// The command, with a report in `directory`.
-pub fn command(directory: &Directory, adapter: &str, arguments: &[&str]) -> Command {
+/// The command, with a report in `folder`.
+pub fn command(folder: &Path, adapter: &str, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_hil"));
-    command
-        .args(["--adapter", adapter, "--quick", "--report"])
-        .arg(directory.0.join("report"))
-        .args(arguments)
-        .stdin(Stdio::null());
+    command.args(["--adapter", adapter, "--report"]).arg(folder.join("report")).args(arguments);
+    command.stdin(Stdio::null());
     command
 }
 
-/// Runs to the end.
+/// Runs to the end, with few repetitions.
 pub fn run(name: &str, adapter: &str, arguments: &[&str]) -> Run {
-    let directory = Directory::new(name);
+    let folder = new_folder(name);
     let begin = Instant::now();
-    let output = command(&directory, adapter, arguments).output().expect("it runs");
-    Run::new(directory, output, begin.elapsed())
+    let output = command(&folder, adapter, arguments).arg("--quick").output().expect("it runs");
+    Run::new(&folder, output, begin.elapsed())
 }
 
 impl Run {
-    pub fn new(directory: Directory, output: Output, took: Duration) -> Self {
-        let json = std::fs::read_to_string(directory.0.join("report.json")).unwrap_or_default();
+    pub fn new(folder: &Path, output: Output, took: Duration) -> Self {
+        let json = fs::read_to_string(folder.join("report.json")).unwrap_or_default();
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         let run = Self {
             output: text(&output.stdout) + &text(&output.stderr),
             is_success: output.status.success(),
             took,
             report: serde_json::from_str(&json).unwrap_or_default(),
-            directory,
         };
         println!("{}", run.output);
         run

@@ -1,8 +1,10 @@
 //! Whole boards: everything passes, and they are left as they were found.
 
 use std::{
+    fs,
     io::{BufRead, BufReader, Write},
-    process::{Command, Output, Stdio},
+    path::Path,
+    process::{Output, Stdio},
     time::{Duration, Instant},
 };
 
@@ -13,15 +15,18 @@ use testkit::{
 };
 
 use crate::{
-    emulated::{Directory, Emulated},
+    emulated::{Emulated, new_folder},
     lone::Program,
     proxy::{self, Fault},
     run::{self, Run},
 };
 
+/// The session with a person who is there.
+const HANDS: [&str; 5] = ["--session", "hands", "--ask", "always", "--quick"];
+
 /// The settings in the flash file of the first board: node-ID or FF, and the index of the bit rate.
-fn stored(directory: &Directory) -> (u8, u8) {
-    let flash = std::fs::read(directory.0.join("board-0.bin")).expect("a flash file");
+fn stored(folder: &Path) -> (u8, u8) {
+    let flash = fs::read(folder.join("board-0.bin")).expect("a flash file");
     let log = flash[SETTINGS_OFFSET as usize..][..SETTINGS_LENGTH].to_vec();
     let settings =
         Log::open(BoardFlash::with_content(log, 0)).0.settings().expect("stored settings");
@@ -30,19 +35,17 @@ fn stored(directory: &Directory) -> (u8, u8) {
 
 #[test]
 fn a_blank_board_passes_the_whole_session_and_stays_as_it_was() {
-    let flash = Directory::new("blank");
-    let boards = Emulated::start(&["--flash", flash.path()]);
-    let directory = Directory::new("whole");
+    let flash = new_folder("blank");
+    let boards = Emulated::start(&["--flash", &flash.to_string_lossy()]);
+    let folder = new_folder("whole");
     let begin = Instant::now();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_hil"));
-    command.args(["--adapter", &boards.adapter(), "--report"]).arg(directory.0.join("report"));
-    let output = command.stdin(Stdio::null()).output().expect("it runs");
-    let run = Run::new(directory, output, begin.elapsed());
+    let output = run::command(&folder, &boards.adapter(), &[]).output().expect("it runs");
+    let run = Run::new(&folder, output, begin.elapsed());
     run.assert_good();
     assert!(run.took < Duration::from_secs(300), "{:?}", run.took);
     assert_eq!(stored(&flash), (0xFF, 4));
 
-    let file = |name: &str| std::fs::read_to_string(run.directory.0.join(name)).expect(name);
+    let file = |name: &str| fs::read_to_string(folder.join(name)).expect(name);
     let page = file("report.html");
     assert_eq!(page.matches("<svg").count(), 2, "answer times and switches");
     assert!(file("report.txt").contains("The boards are as they were found."));
@@ -52,22 +55,11 @@ fn a_blank_board_passes_the_whole_session_and_stays_as_it_was() {
 
 #[test]
 fn three_boards_at_another_rate_keep_their_settings() {
-    let flash = Directory::new("three");
-    let boards = Emulated::start(&[
-        "--boards",
-        "3",
-        "--node-id",
-        "5",
-        "--bit-rate",
-        "500",
-        "--flash",
-        flash.path(),
-    ]);
-    let run = run::run(
-        "three-run",
-        &boards.adapter(),
-        &["--session", "bursts", "--session", "fastscan", "--session", "rescue"],
-    );
+    let flash = new_folder("three");
+    let arguments = ["--boards", "3", "--node-id", "5", "--bit-rate", "500", "--flash"];
+    let boards = Emulated::start(&[&arguments[..], &[&flash.to_string_lossy()]].concat());
+    let sessions = ["--session", "bursts", "--session", "fastscan", "--session", "rescue"];
+    let run = run::run("three-run", &boards.adapter(), &sessions);
     run.assert_good();
     assert_eq!(run.report["boards"].as_array().map(Vec::len), Some(3));
     assert_eq!(stored(&flash), (5, 2));
@@ -75,10 +67,11 @@ fn three_boards_at_another_rate_keep_their_settings() {
 
 #[test]
 fn a_board_that_detects_the_bit_rate_still_does_afterwards() {
-    let flash = Directory::new("automatic");
+    let flash = new_folder("automatic");
+    let path = &flash.to_string_lossy();
     {
         // Index 9 and a node-ID, stored by a run that is cut off before it restores.
-        let boards = Emulated::start(&["--node-id", "9", "--flash", flash.path()]);
+        let boards = Emulated::start(&["--node-id", "9", "--flash", path]);
         let mut master = Program::connect(boards.address);
         for line in
             ["S4", "O", "t7E580401000000000000", "t7E581300090000000000", "t7E581700000000000000"]
@@ -88,7 +81,7 @@ fn a_board_that_detects_the_bit_rate_still_does_afterwards() {
         std::thread::sleep(Duration::from_millis(500));
     }
     assert_eq!(stored(&flash), (9, 9));
-    let boards = Emulated::start(&["--flash", flash.path()]);
+    let boards = Emulated::start(&["--flash", path]);
     let run = run::run("automatic-run", &boards.adapter(), &["--session", "sdo"]);
     run.assert_good();
     assert!(
@@ -103,13 +96,12 @@ fn a_board_that_detects_the_bit_rate_still_does_afterwards() {
 fn a_person_is_asked_to_cut_the_power() {
     let boards = Emulated::start(&["--node-id", "5"]);
     let adapter = proxy::start(boards.address, Fault::PowerCut);
-    let directory = Directory::new("person");
-    let mut command =
-        run::command(&directory, &adapter, &["--session", "hands", "--ask", "always"]);
+    let folder = new_folder("person");
+    let mut command = run::command(&folder, &adapter, &HANDS);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
     // Yes to the power cut, no to the short circuit.
     child.stdin.take().expect("it is piped").write_all(b"y\n\n").expect("it reads");
-    let run = Run::new(directory, child.wait_with_output().expect("it ends"), Duration::ZERO);
+    let run = Run::new(&folder, child.wait_with_output().expect("it ends"), Duration::ZERO);
     run.assert_good();
     assert!(run.output.contains("passed  settings through a power cut"));
     assert!(run.output.contains("not tried  bus-off by a short circuit: nobody has agreed to it"));
@@ -118,9 +110,8 @@ fn a_person_is_asked_to_cut_the_power() {
 #[test]
 fn a_short_circuit_makes_the_boards_go_bus_off_and_come_back() {
     let mut boards = Emulated::start(&["--node-id", "5", "--console"]);
-    let directory = Directory::new("short");
-    let arguments = ["--session", "hands", "--ask", "always"];
-    let mut command = run::command(&directory, &boards.adapter(), &arguments);
+    let folder = new_folder("short");
+    let mut command = run::command(&folder, &boards.adapter(), &HANDS);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
     // No to the power cut, yes to the short circuit.
     child.stdin.as_mut().expect("it is piped").write_all(b"\ny\n").expect("it reads");
@@ -136,7 +127,7 @@ fn a_short_circuit_makes_the_boards_go_bus_off_and_come_back() {
     }
     let status = child.wait().expect("it ends");
     let output = Output { status, stdout, stderr: Vec::new() };
-    let run = Run::new(directory, output, Duration::ZERO);
+    let run = Run::new(&folder, output, Duration::ZERO);
     run.assert_good();
     assert!(run.output.contains("passed  after a short circuit"));
     assert!(run.output.contains("recoveries from bus-off, 2000h sub 1"));
