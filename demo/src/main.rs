@@ -1,7 +1,6 @@
 //! `cargo demo`: an LSS master configures emulated boards with the release firmware.
 
 mod diagram;
-mod master;
 mod record;
 mod screen;
 
@@ -18,36 +17,31 @@ use anyhow::{Context, bail, ensure};
 use clap::Parser;
 use emulator::{
     Time,
-    board::Board,
-    can::{Frame, Id},
     chip::Part,
-    network::{Event, Source, What},
+    network::{Event, What},
 };
 use lss_master::Fastscan;
 use lss_slave::{
-    BitRate, BitRateSetting, NodeId, Settings,
+    BitRate,
     lss::{Address, Request},
 };
 use testkit::{
     boards::{self, FIRST_START},
-    image_rig::{DEFAULT_BIT_RATE, SETTINGS_OFFSET, flash_with},
+    frames,
+    image_rig::{DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, flash_with, settings},
+    sessions,
 };
 
-use master::Master;
 use screen::Screen;
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 const OLD_RATE: BitRate = DEFAULT_BIT_RATE;
 const NEW_RATE: BitRate = BitRate::Kbit500;
-const NODE_ID: u8 = 5;
 const SWITCH_DELAY_MS: u16 = 100;
 /// The time after the second switch delay until every slave's clock has reached it too.
 const TOLERANCE: Time = Time::from_ms(10);
-const OLD_BOARD_ID: u8 = 9;
-/// The settings stored in the second board before the demo.
-const OLD_BOARD: Settings =
-    Settings::new(BitRateSetting::Fixed(OLD_RATE)).with_node_id(NodeId::new(OLD_BOARD_ID));
-const PRE_OPERATIONAL: u8 = 0x7F;
+/// The time from the reception of a frame to its record.
+const TO_THE_END: Time = Time::from_us(100);
 
 /// Show how a board is found, configured and power-cycled, frame by frame, on an emulated CAN bus
 ///
@@ -124,35 +118,34 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
     let mut screen = Screen::new(arguments.all);
     let [blank, mut old] = [0, 1].map(|number| boards::board(arguments.chip, &image, number));
-    old.set_flash(SETTINGS_OFFSET, &flash_with(&[OLD_BOARD]));
-    let mut master = Master::new([blank, old], OLD_RATE);
-    let outcome = session(&mut master, &mut screen);
-    let network = &master.network;
+    old.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(9, OLD_RATE)]));
+    let mut rig = ImageRig::new(OLD_RATE, [blank, old]);
+    let outcome = sessions::outcome(|| session(&mut rig, &mut screen));
     // Show the events up to the failure.
-    screen.show(network.trace())?;
-    outcome?;
-    arguments.write_records(network.trace())?;
+    let events = rig.network.trace();
+    screen.show(events)?;
+    outcome??;
+    arguments.write_records(events)?;
     screen.chapter(&format!(
         "As expected: {:.1} s on the board, {:.1} s here.",
-        network.now().as_ms() as f64 / 1000.0,
+        rig.network.now().as_ms() as f64 / 1000.0,
         begin.elapsed().as_secs_f64()
     ))
 }
 
-fn session(master: &mut Master, screen: &mut Screen) -> anyhow::Result<()> {
+fn session(rig: &mut ImageRig, screen: &mut Screen) -> anyhow::Result<()> {
     screen.chapter(
         "Two boards are switched on at 125 kbit/s: node 9, and a blank one, which is silent",
     )?;
-    master.pass(FIRST_START);
-    let sent = master.network.trace().iter().filter(|event| is_frame_of_blank_board(event)).count();
-    ensure!(sent == 0, "a board without a node-ID sent {sent} frames unasked");
-    expect(master, error_control(OLD_BOARD_ID, 0), FIRST_START)?;
-    screen.show(master.network.trace())?;
+    rig.network.run_until(FIRST_START);
+    expect(rig, screen, &["709: 00"])?;
+    let sent = rig.did(0, Time::ZERO).filter(|event| matches!(event.what, What::Frame { .. }));
+    ensure!(sent.count() == 0, "a board without a node-ID sent a frame unasked");
 
     screen.chapter("The master finds it by Fastscan: 128 bits of LSS address, one by one")?;
-    let found = master.carry_out(Fastscan::new())?.context("all nodes have a node-ID")?;
+    let found = rig.carry_out(Fastscan::new()).context("all nodes have a node-ID")?;
     let Address { vendor_id, product_code, revision_number, serial_number } = found;
-    screen.show(master.network.trace())?;
+    expect(rig, screen, &[])?;
     screen.remark(&format!(
         "found: vendor-ID {vendor_id:08X}, product code {product_code:08X}, revision number \
          {revision_number:08X}, serial number {serial_number:08X}"
@@ -161,63 +154,47 @@ fn session(master: &mut Master, screen: &mut Screen) -> anyhow::Result<()> {
     ensure!(serial_number == expected, "the serial number of the chip is {expected:08X}");
 
     screen.chapter("It gets a node-ID; both boards get a bit rate, and store")?;
-    master.carry_out(Request::ConfigureNodeId(NODE_ID))?;
-    master.carry_out(Request::SwitchToConfiguration)?;
-    master.carry_out(Request::ConfigureBitTiming { table: 0, index: NEW_RATE.index() })?;
-    master.carry_out(Request::StoreConfiguration)?;
-    screen.show(master.network.trace())?;
+    for request in [
+        Request::ConfigureNodeId(5),
+        Request::SwitchToConfiguration,
+        Request::ConfigureBitTiming { table: 0, index: NEW_RATE.index() },
+        Request::StoreConfiguration,
+    ] {
+        rig.carry_out(request);
+    }
+    expect(rig, screen, &[])?;
 
     screen
         .chapter("All switch to 500 kbit/s, after the switch delay and in silence for another")?;
-    master.carry_out(Request::ActivateBitTiming(SWITCH_DELAY_MS))?;
+    rig.carry_out(Request::ActivateBitTiming(SWITCH_DELAY_MS));
     let delay = Time::from_ms(SWITCH_DELAY_MS.into());
-    master.pass(delay);
-    master.set_bit_rate(NEW_RATE);
-    master.pass(delay + TOLERANCE);
-    screen.show(master.network.trace())?;
+    rig.network.run_for(delay);
+    rig.set_master_bit_rate(NEW_RATE);
+    rig.network.run_for(delay + TOLERANCE);
+    expect(rig, screen, &[])?;
 
     screen.chapter("Back to LSS waiting state: the new board takes its node-ID and boots up")?;
-    master.carry_out(Request::SwitchToWaiting)?;
-    expect(master, error_control(NODE_ID, 0), FIRST_START)?;
-    screen.show(master.network.trace())?;
+    rig.carry_out(Request::SwitchToWaiting);
+    expect(rig, screen, &["705: 00"])?;
 
     screen.chapter("The power fails for half a second: node-ID and bit rate were stored")?;
-    master.network.power_off(0);
-    master.pass(Time::from_ms(500));
-    master.network.power_on(0);
-    expect(master, error_control(NODE_ID, 0), FIRST_START)?;
-    expect(master, error_control(NODE_ID, PRE_OPERATIONAL), Time::from_s(2))?;
-    screen.show(master.network.trace())?;
-    check_conduct(master)
+    rig.network.power_off(0);
+    rig.network.run_for(Time::from_ms(500));
+    rig.network.power_on(0);
+    expect(rig, screen, &["705: 00", "705: 7F"])?;
+    let errors = rig.network.trace().iter().find(|event| matches!(event.what, What::Error { .. }));
+    errors.map_or(Ok(()), |event| bail!("{event}"))
 }
 
-fn expect(master: &mut Master, expected: Frame, timeout: Time) -> anyhow::Result<()> {
-    let frame = master.receive(timeout).with_context(|| format!("{expected} is missing"))?;
-    ensure!(frame == expected, "{frame} came instead of {expected}");
-    Ok(())
-}
-
-fn error_control(node_id: u8, state: u8) -> Frame {
-    Frame::data(Id::Standard(0x700 + u16::from(node_id)), &[state])
-}
-
-/// Checks that nothing unexpected happened.
-fn check_conduct(master: &Master) -> anyhow::Result<()> {
-    for event in master.network.trace() {
-        if let What::Error { kind, .. } = event.what {
-            bail!("an error frame, {kind:?}, at {} ms", event.time);
-        }
+/// Expects these frames and no others, and shows what has happened.
+fn expect(rig: &mut ImageRig, screen: &mut Screen, expected: &[&str]) -> anyhow::Result<()> {
+    for expected in expected {
+        let received = rig.wait_for(FIRST_START, |_| true);
+        let (_, frame) = received.with_context(|| format!("{expected} is missing"))?;
+        ensure!(frame == frames::of_node(expected), "{frame:?} came instead of {expected}");
     }
-    match master.network.boards().iter().flat_map(Board::findings).next() {
-        Some(finding) => {
-            bail!("the firmware did something that a real chip does not tolerate: {finding}")
-        }
-        None => Ok(()),
-    }
-}
-
-fn is_frame_of_blank_board(event: &Event) -> bool {
-    matches!((event.source, &event.what), (Source::Board(0), What::Frame { .. }))
+    rig.network.run_for(TO_THE_END);
+    screen.show(rig.network.trace())
 }
 
 /// Whether the reader of the output, such as `head`, has closed it.

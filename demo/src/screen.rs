@@ -74,21 +74,14 @@ impl Screen {
         for part in lines.chunk_by(|a, b| a.scanned == b.scanned) {
             let is_folded =
                 part[0].scanned.is_some() && part.len() > 2 * SHOWN + 1 && !self.shows_all;
-            let (head, rest) = part.split_at(if is_folded { SHOWN } else { part.len() });
-            let (middle, tail) = rest.split_at(rest.len().saturating_sub(SHOWN));
-            for Line { style, text, .. } in head {
-                writeln!(out, "{style}{text}{style:#}")?;
-            }
-            if is_folded {
-                writeln!(
-                    out,
-                    "{DIM}{:>12}   {} more frames, bit by bit{DIM:#}",
-                    "...",
-                    middle.len()
-                )?;
-            }
-            for Line { style, text, .. } in tail {
-                writeln!(out, "{style}{text}{style:#}")?;
+            let folded = if is_folded { SHOWN..part.len() - SHOWN } else { 0..0 };
+            for (at, Line { style, text, .. }) in part.iter().enumerate() {
+                if !folded.contains(&at) {
+                    writeln!(out, "{style}{text}{style:#}")?;
+                } else if at == folded.start {
+                    let count = folded.len();
+                    writeln!(out, "{DIM}{:>12}   {count} more frames, bit by bit{DIM:#}", "...")?;
+                }
             }
         }
         out.flush()
