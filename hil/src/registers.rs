@@ -70,8 +70,8 @@ pub fn expected(rate: BitRate, id: NodeId, controller: u8, chip: &Chip) -> Vec<R
         register("CAN_FMR", filters + 0x200, 1, 0),
         register("CAN_FM1R", filters + 0x204, 0x0FFF_FFFF, 0b01 << first),
         register("CAN_FS1R", filters + 0x20C, 0x0FFF_FFFF, 0),
-        register("CAN_FFA1R", filters + 0x214, 0x0FFF_FFFF, 0b10 << first),
-        register("CAN_FA1R", filters + 0x21C, 0x0FFF_FFFF, 0b11 << first),
+        register("CAN_FFA1R", filters + 0x214, 0x0FFF_FFFF, 0),
+        register("CAN_FA1R", filters + 0x21C, 0x0FFF_FFFF, 0b01 << first),
         register("first bank, R1", bank, ALL, pair(lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID)),
         register("first bank, R2", bank + 4, ALL, pair(sdo, lss::REQUEST_COB_ID)),
     ]
