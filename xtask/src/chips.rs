@@ -2,7 +2,7 @@
 
 mod choices;
 
-use std::{fmt, sync::Mutex, time::Instant};
+use std::{fmt, time::Instant};
 
 use anyhow::{Context, bail, ensure};
 use canopen_node::{BitRate, NodeId, Settings, bit_rate::BitTiming};
@@ -87,15 +87,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     println!("| chip | manual | core | flash | boot-up | all rates exact | sessions |");
     println!("|---|---|---|---|---|---|---|");
     let boards: Vec<_> = targets.iter().zip(&images).collect();
-    let rows = Mutex::new(Vec::new());
-    parallel::map(
-        &boards,
-        |&(&target, image)| row(target, image),
-        |at, row| {
-            rows.lock().expect("nobody panics").push((at, row));
-        },
-    );
-    let mut rows = rows.into_inner().expect("nobody panics");
+    let mut rows = Vec::new();
+    let run = |&(&target, image): &(&Target, &Image)| row(target, image);
+    parallel::map(&boards, run, |at, row| rows.push((at, row)));
     rows.sort_by_key(|(at, _)| *at);
     let mut failures = Vec::new();
     for (at, row) in rows {

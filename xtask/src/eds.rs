@@ -1,14 +1,18 @@
 //! `cargo xtask eds`: the electronic data sheets and the page of the objects, from the tables of the firmware and of
 //! its example.
 
+use std::fs;
+
+use anyhow::{Context, ensure};
 use example_io as io;
 use firmware::{
     application,
     device::{self, DEVICE},
 };
-use testkit::eds::{DataSheet, Product};
-
-use crate::generated::write_or_check;
+use testkit::{
+    cargo::workspace,
+    eds::{DataSheet, Product},
+};
 
 /// Write the electronic data sheets and docs/object-dictionary.md from the tables of the firmware
 #[derive(clap::Args)]
@@ -32,7 +36,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ("eds/io.eds", example.eds()),
     ];
     for (name, content) in files {
-        write_or_check(name, &content, arguments.check, "cargo xtask eds")?;
+        let path = workspace().join(name);
+        if arguments.check {
+            let found = fs::read_to_string(&path).with_context(|| format!("cannot read {name}"))?;
+            let pairs = found.lines().zip(content.lines());
+            let line = 1 + pairs.take_while(|(found, expected)| found == expected).count();
+            ensure!(
+                found == content,
+                "{name} is not what the tables give, first in line {line}. Run `cargo xtask eds`"
+            );
+        } else {
+            fs::write(&path, content).with_context(|| format!("cannot write {name}"))?;
+            println!("{name}");
+        }
     }
     Ok(())
 }

@@ -6,7 +6,6 @@ pub mod eds;
 pub mod emulate;
 pub mod example;
 pub mod flash;
-mod generated;
 pub mod new_product;
 pub mod release;
 pub mod size;
