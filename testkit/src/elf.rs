@@ -5,8 +5,6 @@ use std::collections::{BTreeMap, BTreeSet};
 pub use object::{Object, ObjectSection, ObjectSymbol, Result, SectionKind, SymbolKind};
 use object::{SectionFlags, elf, read::elf::ElfFile32};
 
-use crate::thumb::Code;
-
 /// A parsed ELF file.
 pub type Elf<'a> = ElfFile32<'a>;
 
@@ -17,6 +15,15 @@ pub struct Section {
     pub bytes: u64,
     /// Whether its content is loaded into flash: code, constants, and the initial values of RAM.
     pub is_loaded: bool,
+}
+
+/// Code in the flash, without the constants between the functions.
+pub struct Code<'a> {
+    /// The address of the first byte.
+    pub base: u32,
+    pub bytes: &'a [u8],
+    /// The constants that follow, in which the entries of a table branch are.
+    pub data: &'a [u8],
 }
 
 /// The sections that are not empty, in the order of the file.

@@ -35,10 +35,10 @@ pub mod settings;
 pub mod soak;
 #[cfg(feature = "image")]
 pub mod stack;
-#[cfg(feature = "image")]
+#[cfg(feature = "code")]
 pub mod stack_bound;
 #[cfg(feature = "image")]
 pub mod storm;
 pub mod supervised;
-#[cfg(feature = "image")]
+#[cfg(feature = "code")]
 pub mod thumb;

@@ -183,7 +183,7 @@ impl Program {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::thumb::Code;
+    use crate::elf::Code;
 
     const BASE: u32 = 0x0800_C000;
 

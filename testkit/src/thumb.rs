@@ -7,6 +7,8 @@ use yaxpeax_arm::armv7::{
     ConditionCode, InstDecoder, Instruction as Decoded, Opcode, Operand, Reg,
 };
 
+use crate::elf::Code;
+
 /// An instruction in the flash.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Instruction {
@@ -41,15 +43,6 @@ pub enum Flow {
     Return,
     /// `UDF` or `BKPT`: a fault.
     Fault,
-}
-
-/// Code in the flash, without the constants between the functions.
-pub struct Code<'a> {
-    /// The address of the first byte.
-    pub base: u32,
-    pub bytes: &'a [u8],
-    /// The constants that follow, in which the entries of a table branch are.
-    pub data: &'a [u8],
 }
 
 impl Instruction {
