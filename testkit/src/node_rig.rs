@@ -83,6 +83,13 @@ impl NodeRig {
         Self::with_defaults(defaults(node_id))
     }
 
+    /// A new board with node-ID 40h, just powered on, whose stores last until [`finish_store`](Self::finish_store).
+    pub fn with_slow_stores() -> Self {
+        let mut board = Self::with_node_id(0x40);
+        board.let_stores_take_time();
+        board
+    }
+
     pub fn with_heartbeat(node_id: u8, heartbeat_ms: u16) -> Self {
         Self::with_defaults(defaults(node_id).with_heartbeat_ms(heartbeat_ms))
     }

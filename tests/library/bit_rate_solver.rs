@@ -104,7 +104,8 @@ fn a_solution_is_allowed_by_cia_301_and_by_the_registers() {
     let mut random = Random::from_environment();
     let any = (0..5_000).map(|_| random.within(1..MAX_APB1.into()) as u32);
     let mut solutions = 0;
-    for clock_hz in whole_mhz().chain(reachable_clocks()).chain(any) {
+    let extremes = [0, 1, 999, 79_999, 80_000, u32::MAX];
+    for clock_hz in whole_mhz().chain(reachable_clocks()).chain(any).chain(extremes) {
         for rate in BitRate::ALL {
             if let Some(timing) = BitTiming::solve(rate, clock_hz) {
                 assert!(is_allowed(timing, rate, clock_hz), "{rate:?} {clock_hz} Hz: {timing:?}");
@@ -115,6 +116,7 @@ fn a_solution_is_allowed_by_cia_301_and_by_the_registers() {
         }
     }
     assert!(solutions > 10_000, "{solutions}");
+    assert!(BitTiming::solve(BitRate::Kbit10, 80_000).is_some(), "8 quanta, prescaler 1");
 }
 
 #[test]
@@ -187,14 +189,6 @@ fn crystals_are_limited_by_the_jump_width_or_by_the_shorter_segment() {
 }
 
 #[test]
-fn the_sample_point_limits_are_those_of_cia_301() {
-    for rate in BitRate::ALL {
-        let from = if rate.kbit_per_s() >= 800 { 750 } else { 850 };
-        assert_eq!(BitTiming::sample_point_range(rate), from..=900);
-    }
-}
-
-#[test]
 fn the_rates_that_are_possible_are_those_with_a_solution() {
     for clock_hz in whole_mhz() {
         let possible = BitRates::possible(clock_hz);
@@ -213,18 +207,6 @@ fn automatic_detection_is_offered_only_on_request_and_twice_is_once() {
     assert!(!rates.offers(BitRateSetting::Automatic));
     assert!(rates.with_automatic().offers(BitRateSetting::Automatic));
     assert_eq!(rates.with_automatic().with_automatic(), rates.with_automatic());
-}
-
-#[test]
-fn no_clock_is_too_slow_too_fast_or_too_odd_to_get_an_answer() {
-    for clock_hz in [0, 1, 999, 79_999, 80_000, u32::MAX] {
-        for rate in BitRate::ALL {
-            if let Some(timing) = BitTiming::solve(rate, clock_hz) {
-                assert!(is_allowed(timing, rate, clock_hz), "{rate:?} {clock_hz} Hz");
-            }
-        }
-    }
-    assert!(BitTiming::solve(BitRate::Kbit10, 80_000).is_some(), "8 quanta, prescaler 1");
 }
 
 #[test]

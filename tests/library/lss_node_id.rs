@@ -196,8 +196,7 @@ fn ff_is_storable_and_unconfigures_the_node() {
 
 #[test]
 fn a_store_that_fails_is_answered_with_its_error_code() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.let_stores_take_time();
+    let mut board = NodeRig::with_slow_stores();
     board.configure("17");
     assert_eq!(board.end_store(Err(StoreError::NotSupported)), ["17 01"]);
     board.lss("17");
@@ -233,8 +232,7 @@ fn a_store_that_reads_back_differently_is_answered_17_02() {
 
 #[test]
 fn a_running_store_survives_reset_communication_and_is_answered() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.let_stores_take_time();
+    let mut board = NodeRig::with_slow_stores();
     board.configure("11 05, 17");
     assert_eq!(board.nmt("82 00"), ["705: 00"]);
     assert_eq!(board.finish_store(), ["17 00"]);

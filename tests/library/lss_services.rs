@@ -88,8 +88,7 @@ fn requests_back_to_back_are_all_answered_in_their_order() {
 
 #[test]
 fn requests_are_answered_while_a_store_is_running_and_none_is_lost() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.let_stores_take_time();
+    let mut board = NodeRig::with_slow_stores();
     assert_eq!(
         board.configure("11 05, 17, 5D, 11 06, 17, 17, 04 00"),
         ["11 00", "5D EF BE AD DE", "11 00"]

@@ -64,8 +64,7 @@ fn save_is_confirmed_only_when_done_and_others_are_served_meanwhile() {
 
 #[test]
 fn the_heartbeat_time_of_the_request_is_saved_not_a_later_one() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.let_stores_take_time();
+    let mut board = NodeRig::with_slow_stores();
     board.sdo(HEARTBEAT_1000);
     assert_eq!(board.configure("17"), SILENCE);
     assert_eq!(board.sdo(SAVE), SILENCE, "it waits for the other store");
@@ -80,8 +79,7 @@ fn the_heartbeat_time_of_the_request_is_saved_not_a_later_one() {
 fn lss_store_and_save_at_the_same_time_are_both_done_and_both_answered() {
     let expected = defaults(0x04).with_heartbeat_ms(1000);
     for lss_is_first in [true, false] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.let_stores_take_time();
+        let mut board = NodeRig::with_slow_stores();
         board.sdo(HEARTBEAT_1000);
         board.configure("11 04");
         let answers = if lss_is_first {
@@ -101,8 +99,7 @@ fn lss_store_and_save_at_the_same_time_are_both_done_and_both_answered() {
 
 #[test]
 fn a_store_that_is_asked_for_while_one_waits_is_0800_0021() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.let_stores_take_time();
+    let mut board = NodeRig::with_slow_stores();
     board.configure("17");
     assert_eq!(board.sdo(SAVE), SILENCE);
     assert_eq!(board.sdo(SAVE), ["5C0: 80 10 10 01 21 00 00 08"]);
@@ -113,8 +110,7 @@ fn a_store_that_is_asked_for_while_one_waits_is_0800_0021() {
 
 #[test]
 fn after_reset_communication_a_store_ends_without_an_answer() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.let_stores_take_time();
+    let mut board = NodeRig::with_slow_stores();
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);
     assert_eq!(board.nmt("82 00"), ["740: 00"]);
@@ -127,8 +123,7 @@ fn after_reset_communication_a_store_ends_without_an_answer() {
 #[test]
 fn after_an_abort_of_the_client_a_store_ends_without_an_answer() {
     for (request, answer) in [(SAVE, SAVED), (LOAD, LOADED)] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.let_stores_take_time();
+        let mut board = NodeRig::with_slow_stores();
         board.sdo(HEARTBEAT_1000);
         board.sdo(request);
         assert_eq!(board.sdo("80 10 10 01 00 00 04 05"), SILENCE);
@@ -144,8 +139,7 @@ fn stores_one_behind_the_other_are_each_confirmed_in_their_way() {
         (&["20 10 10 01", "07 73 61 76 65"][..], "5C0: 20 00 00 00 00 00 00 00"),
         (&["C0 10 10 01", "81 73 61 76 65", "CD"], "5C0: A1 00 00 00 00 00 00 00"),
     ] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.let_stores_take_time();
+        let mut board = NodeRig::with_slow_stores();
         let answers: Vec<_> = messages.iter().map(|message| board.sdo(message)).collect();
         assert_eq!(answers[messages.len() - 1], SILENCE, "it is not stored yet");
         assert_eq!(board.sdo(LOAD), SILENCE);
@@ -157,8 +151,7 @@ fn stores_one_behind_the_other_are_each_confirmed_in_their_way() {
 
 #[test]
 fn a_save_that_still_waits_is_forgotten_by_reset_communication() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.let_stores_take_time();
+    let mut board = NodeRig::with_slow_stores();
     board.configure("17");
     board.sdo(HEARTBEAT_1000);
     board.sdo(SAVE);

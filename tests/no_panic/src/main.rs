@@ -12,7 +12,6 @@ use core::{
     panic::PanicInfo,
 };
 
-use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use canopen_node::{
     Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings,
     application::{Domain, Event, Integer24, OctetString, Text, Unsigned56},
@@ -25,6 +24,7 @@ use canopen_node::{
     sdo::Abort,
     settings::{Log, parameters::Parameter},
 };
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 
 // SAFETY: a program that would call it cannot be linked.
 unsafe extern "C" {
@@ -134,9 +134,7 @@ fn run_node() {
     black_box(Frame::new(any(0), any(&[])));
     drive(&mut Node::new(device, any(Some(any_settings()))));
     let objects = any(Objects::new());
-    let mut node: Node<Objects, 4, 4, 16> =
-        Node::with_application(device, any(Some(any_settings())), objects);
-    drive(&mut node);
+    drive(&mut ObjectsNode::with_application(device, any(Some(any_settings())), objects));
 }
 
 /// Calls all of a node. Between the calls it is in any state that its types allow.
@@ -165,16 +163,18 @@ fn drive<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS
     black_box((node.active_bit_rate(), node.wants_to_send_more(), node.application()));
 }
 
+type ObjectsNode = Node<Objects, 4, 4, 16>;
+
 objects! {
     /// An object of each kind.
     struct Objects, values ObjectValue;
 
     0x2100 "Numbers" {
-        1 "Boolean" boolean: bool = true, rw;
+        1 "Boolean" boolean: bool = true, rw, stored;
         2 "8 bits" byte: u8 = 8, rw in 5..=250, mappable, stored;
-        3 "16 bits" word: i16 = 16, ro;
+        3 "16 bits" word: i16 = 16, ro, stored;
         4 "64 bits" long: u64 = 64, rw, stored;
-        5 "Real" real: f64 = 0.5, wo in 0.0..=1.0;
+        5 "Real" real: f64 = 0.5, rw in 0.0..=1.0, stored;
         6 "24 bits" short: Integer24 = -24, rw in -100..=100, mappable;
         7 "56 bits" large: Unsigned56 = 56, rw, stored;
         8..=10 "16 bits" words: [u16; 3] = [1; 3], rw in 1..=1000, mappable, stored;
@@ -182,7 +182,8 @@ objects! {
     0x2200 "Strings" {
         1 "Constant" constant: &'static str = "constant", constant;
         2 "Text" text: Text<20> = Text::EMPTY, rw, stored;
-        3 "Octets" octets: OctetString<40> = OctetString::EMPTY, rw;
+        3 "Octets" octets: OctetString<40> = OctetString::EMPTY, rw, stored;
+        4 "Command" command: u16 = 0, wo;
     }
     0x2300 {
         0 "Domain" domain: Domain = Domain, rw;

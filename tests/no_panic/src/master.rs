@@ -2,13 +2,13 @@
 
 use core::hint::black_box;
 
-use lss_master::{
-    Assign, Configure, Fastscan, Find, Identify, InquireAddress, InquireNodeId, Master, Member,
-    Procedure, Select, SwitchBitRate, Timing,
-};
 use canopen_node::{
     BitRate, Frame, NodeId,
     lss::{Address, AddressPart, Request},
+};
+use lss_master::{
+    Assign, Configure, Fastscan, Find, Identify, InquireAddress, InquireNodeId, Master, Member,
+    Procedure, Select, SwitchBitRate, Timing,
 };
 
 use super::{any, any_instant, any_number};

@@ -1,39 +1,19 @@
-//! An application and its stored parameters, with unknown values.
+//! The stored parameters of a node with an application, with unknown values.
 
 use core::hint::black_box;
 
 use canopen_node::{
-    Application, Frame, Node,
-    application::{OctetString, Text},
+    Frame,
     lss::StoreError,
-    objects,
     settings::{
         Log,
         parameters::{Packer, Parameter, unpack},
     },
 };
 
-use super::{Flash, any, any_device, any_instant, any_settings};
+use super::{Flash, Objects, ObjectsNode, any, any_device, any_instant, any_settings};
 
-objects! {
-    /// One object of each kind of type.
-    pub struct Objects, values ObjectValue;
-
-    0x2100 {
-        0 "Number" number: u8 = 50, rw in 0..=100, stored;
-    }
-    0x2101 "Others" {
-        1 "Boolean" boolean: bool = false, rw, stored;
-        2 "Real number" real: f32 = 0.0, rw, stored;
-        3 "Long number" long: u64 = 0, ro, stored;
-        4 "Text" text: Text<8> = Text::EMPTY, rw, stored;
-        5 "Octets" octets: OctetString<8> = OctetString::EMPTY, rw, stored;
-    }
-}
-
-impl Application for Objects {}
-
-const STORED_LEN: usize = <Node<Objects>>::STORED_LEN;
+const STORED_LEN: usize = ObjectsNode::STORED_LEN;
 type ParametersLog = Log<Flash, STORED_LEN>;
 
 fn any_bytes() -> &'static [u8] {
@@ -43,8 +23,7 @@ fn any_bytes() -> &'static [u8] {
 pub fn keep() {
     let (mut log, found) = any(ParametersLog::open_with_parameters(Flash));
     black_box(found);
-    let mut node: Node<Objects> =
-        Node::with_application(any_device(), any(None), any(Objects::new()));
+    let mut node = ObjectsNode::with_application(any_device(), any(None), any(Objects::new()));
     black_box(black_box(&mut log).restore(|parameter| node.restore(parameter))).ok();
     black_box(log.parameters());
     black_box(black_box(&mut log).store(any_settings())).ok();
