@@ -122,24 +122,13 @@ impl Arguments {
         if self.node_id.is_none() && self.bit_rate.is_none() {
             return Ok(None);
         }
-        let node_id = match self.node_id.flatten() {
-            None => None,
-            Some(first) => {
-                let id = NodeId::new(first.get().saturating_add(number as u8));
-                ensure!(
-                    id.is_some(),
-                    "--node-id {}: no node-ID is left for board {number}",
-                    first.get()
-                );
-                id
-            }
-        };
-        let bit_rate = self.bit_rate.unwrap_or(DEFAULT_BIT_RATE);
-        Ok(Some(
-            Settings::new(bit_rate.into())
-                .with_node_id(node_id)
-                .with_heartbeat_ms(DEFAULT_HEARTBEAT_MS),
-        ))
+        let settings = Settings::new(self.bit_rate.unwrap_or(DEFAULT_BIT_RATE).into())
+            .with_heartbeat_ms(DEFAULT_HEARTBEAT_MS);
+        let Some(first) = self.node_id.flatten() else { return Ok(Some(settings)) };
+        let id = NodeId::new(first.get().saturating_add(number as u8)).with_context(|| {
+            format!("--node-id {}: no node-ID is left for board {number}", first.get())
+        })?;
+        Ok(Some(settings.with_node_id(Some(id))))
     }
 }
 

@@ -143,11 +143,3 @@ fn budget() -> u64 {
     let flash = budget["flash"].as_integer().expect("size-budget.toml gives flash in bytes");
     flash.try_into().expect("the budget is not negative")
 }
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn the_budget_is_readable() {
-        assert!(super::budget() > 0);
-    }
-}

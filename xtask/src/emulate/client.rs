@@ -12,7 +12,7 @@ use emulator::{
     network::{AdapterId, Network},
 };
 
-use super::slcan::{self, Command, Status};
+use super::slcan::{self, Command};
 
 /// The longest line that is read; every command is shorter.
 const LINE: u64 = 64;
@@ -170,14 +170,9 @@ impl Client {
             Command::Version => return Some(b"V1013\r".to_vec()),
             Command::SerialNumber => return Some(b"NEMUL\r".to_vec()),
             Command::Status => {
-                let counters = adapter.controller().counters();
-                let status = Status {
-                    error_warning: counters.warning(),
-                    error_passive: counters.passive(),
-                    bus_error: adapter.errors() > self.known_errors,
-                };
+                let has_errors = adapter.errors() > self.known_errors;
                 self.known_errors = adapter.errors();
-                return Some(status.to_line().into());
+                return Some(slcan::status(adapter.controller().counters(), has_errors).into());
             }
         }
         Some(vec![slcan::END])

@@ -1,6 +1,6 @@
 //! The SLCAN protocol of serial CAN adapters (LAWICEL CANUSB): commands and answers as lines of ASCII.
 
-use emulator::can::{Frame, Id};
+use emulator::can::{Frame, Id, fault::ErrorCounters};
 
 /// The end of a command, and of a positive answer.
 pub const END: u8 = b'\r';
@@ -32,23 +32,12 @@ pub enum Command {
     Version,
     /// `N`.
     SerialNumber,
-    /// `F`: the flags of [`Status`].
+    /// `F`: the flags of [`status`].
     Status,
     /// `Z`: whether received frames carry a timestamp.
     Timestamps(bool),
     /// `M`, `m`: acceptance filter of the SJA1000.
     Filter,
-}
-
-/// The answer to `F`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Status {
-    /// An error counter has reached 96.
-    pub error_warning: bool,
-    /// An error counter is above 127.
-    pub error_passive: bool,
-    /// Errors were found on the bus since `F` was asked last.
-    pub bus_error: bool,
 }
 
 impl Command {
@@ -135,14 +124,11 @@ pub const fn queued(frame: &Frame) -> &'static [u8] {
     }
 }
 
-impl Status {
-    /// The answer to [`Command::Status`].
-    pub fn to_line(self) -> String {
-        let flags = u8::from(self.error_warning) << 2
-            | u8::from(self.error_passive) << 5
-            | u8::from(self.bus_error) << 7;
-        format!("F{flags:02X}\r")
-    }
+/// The answer to [`Command::Status`]: flags of the error counters, and whether errors were found since it was asked last.
+pub fn status(counters: ErrorCounters, has_errors: bool) -> String {
+    let (warning, passive) = (counters.warning(), counters.passive());
+    let flags = u8::from(warning) << 2 | u8::from(passive) << 5 | u8::from(has_errors) << 7;
+    format!("F{flags:02X}\r")
 }
 
 #[cfg(test)]
@@ -240,8 +226,7 @@ mod tests {
 
     #[test]
     fn the_status_has_the_flags_of_the_canusb() {
-        assert_eq!(Status::default().to_line(), "F00\r");
-        let all = Status { error_warning: true, error_passive: true, bus_error: true };
-        assert_eq!(all.to_line(), "FA4\r");
+        assert_eq!(status(ErrorCounters::default(), false), "F00\r");
+        assert_eq!(status(ErrorCounters { transmit: 128, receive: 0 }, true), "FA4\r");
     }
 }
