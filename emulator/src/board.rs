@@ -3,11 +3,7 @@
 #[cfg(feature = "log")]
 mod log;
 
-use std::{
-    fs, io,
-    path::Path,
-    sync::{Arc, Mutex, MutexGuard},
-};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 #[cfg(feature = "log")]
 pub use log::LogLine;
@@ -19,7 +15,7 @@ use crate::{
         Chip, ChipVariant, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause, StartUp,
     },
     coverage::Recorder,
-    engine::{Engine, Halt, Lockup, rsemu::Rsemu},
+    engine::{Halt, Lockup, rsemu::Rsemu},
     image::Image,
 };
 #[cfg(feature = "log")]
@@ -77,7 +73,7 @@ pub enum Stop {
 /// A microcontroller with its surroundings.
 pub struct Board {
     chip: Arc<Mutex<Chip>>,
-    engine: Box<dyn Engine>,
+    engine: Rsemu,
     #[cfg(feature = "log")]
     log: Log,
     controller: usize,
@@ -116,7 +112,7 @@ impl Board {
             chip.flash_mut().load(offset, bytes);
         }
         let chip = Arc::new(Mutex::new(chip));
-        let engine = Box::new(Rsemu::new(Arc::clone(&chip)));
+        let engine = Rsemu::new(Arc::clone(&chip));
         let mut board = Self {
             chip,
             engine,
@@ -191,7 +187,7 @@ impl Board {
             let halt = self.engine.run(until.min(event).min(poll));
             let now = self.engine.now();
             #[cfg(feature = "log")]
-            self.log.poll(self.engine.as_mut());
+            self.log.poll(&self.engine);
             if halt == Halt::ResetRequested {
                 self.reset(ResetCause::Software);
                 return Stop::Reset(ResetCause::Software);
@@ -329,24 +325,6 @@ impl Board {
     pub fn set_flash(&mut self, offset: u32, bytes: &[u8]) {
         self.chip().flash_mut().load(offset, bytes);
         self.engine.sync_flash();
-    }
-
-    /// Writes the flash content to a file.
-    pub fn save_flash(&self, path: impl AsRef<Path>) -> io::Result<()> {
-        fs::write(path, self.flash())
-    }
-
-    /// Reads the flash content from a file that [`save_flash`](Self::save_flash) wrote.
-    ///
-    /// # Errors
-    /// The file cannot be read, or is longer than the flash.
-    pub fn load_flash(&mut self, path: impl AsRef<Path>) -> io::Result<()> {
-        let bytes = fs::read(path)?;
-        if bytes.len() > self.chip().part().flash_size() as usize {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "longer than the flash"));
-        }
-        self.set_flash(0, &bytes);
-        Ok(())
     }
 
     /// All accesses that a real chip would not tolerate, or that the emulator does not model.

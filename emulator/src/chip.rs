@@ -22,7 +22,6 @@ pub use adc::{Adc, Analogue};
 pub use finding::{Finding, Problem};
 pub use flash::{Flash, PowerCut, StuckBits, Timing};
 pub use gpio::{Gpio, Output, Pin};
-pub use iwdg::Iwdg;
 pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
 pub use part::{Part, UnknownPart};
 pub use rcc::{Clocks, ResetCause};
@@ -31,6 +30,7 @@ pub use variant::{ChipVariant, StartUp};
 
 use std::ops::BitOr;
 
+use iwdg::Iwdg;
 use map::{Block, Registers};
 use rcc::{Apb, Rcc};
 use rng::Rng;
@@ -182,11 +182,6 @@ impl Chip {
     /// The bytes that the USARTs have sent since the last call, those of USART1 first.
     pub fn take_sent(&mut self) -> Vec<Vec<u8>> {
         self.usarts.iter_mut().map(Usart::take_sent).collect()
-    }
-
-    /// The independent watchdog, to detune LSI.
-    pub fn iwdg_mut(&mut self) -> &mut Iwdg {
-        &mut self.iwdg
     }
 
     /// A CAN controller: 1 for CAN1.

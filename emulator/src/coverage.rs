@@ -9,6 +9,8 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+use rsemu::cpu::arm::v7m::{isa::Cond, xpsr};
+
 use crate::chip::FLASH_BASE;
 
 /// The next instruction was two bytes further.
@@ -200,23 +202,8 @@ fn index(address: u32) -> usize {
 
 /// The condition of an instruction in an IT block with these flags (ARM DDI 0403, A7.3).
 fn condition(xpsr: u32) -> Option<bool> {
-    const IT_LOW: u32 = 0b11 << 25;
-    const IT_HIGH: u32 = 0b11_1111 << 10;
-    if xpsr & (IT_LOW | IT_HIGH) == 0 {
-        return None;
-    }
-    let [n, z, c, v] = [31, 30, 29, 28].map(|bit| xpsr >> bit & 1 == 1);
-    let first = match xpsr >> 13 & 0b111 {
-        0 => z,
-        1 => c,
-        2 => n,
-        3 => v,
-        4 => c && !z,
-        5 => n == v,
-        6 => n == v && !z,
-        _ => return Some(true),
-    };
-    Some(first != (xpsr >> 12 & 1 == 1))
+    let cond = Cond((xpsr >> 12 & 0xF) as u8);
+    (xpsr & xpsr::IT_MASK != 0).then(|| cond.passes(xpsr))
 }
 
 #[cfg(test)]
@@ -260,40 +247,16 @@ mod tests {
     }
 
     #[test]
-    fn each_condition_has_the_value_of_its_definition() {
-        const N: u32 = 1 << 31;
-        const Z: u32 = 1 << 30;
-        const C: u32 = 1 << 29;
-        const V: u32 = 1 << 28;
-        type Holds = fn(u32) -> bool;
-        let holds: [(u32, Holds); 15] = [
-            (0, |flags| flags & Z != 0),
-            (1, |flags| flags & Z == 0),
-            (2, |flags| flags & C != 0),
-            (3, |flags| flags & C == 0),
-            (4, |flags| flags & N != 0),
-            (5, |flags| flags & N == 0),
-            (6, |flags| flags & V != 0),
-            (7, |flags| flags & V == 0),
-            (8, |flags| flags & (C | Z) == C),
-            (9, |flags| flags & (C | Z) != C),
-            (10, |flags| matches!(flags & (N | V), 0 | 0x9000_0000)),
-            (11, |flags| matches!(flags & (N | V), N | V)),
-            (12, |flags| matches!(flags & (N | V | Z), 0 | 0x9000_0000)),
-            (13, |flags| !matches!(flags & (N | V | Z), 0 | 0x9000_0000)),
-            (14, |_| true),
-        ];
-        for (code, holds) in holds {
-            for flags in (0..16).map(|nzcv| nzcv << 28) {
-                let xpsr = flags | code << 12 | 1 << 11;
-                assert_eq!(
-                    condition(xpsr),
-                    Some(holds(flags)),
-                    "condition {code}, xPSR {xpsr:08X}"
-                );
-                assert_eq!(condition(flags), None);
-            }
+    fn an_instruction_in_an_it_block_has_the_condition_of_its_flags() {
+        // ADDEQ in ITETE EQ, then ADDNE in its second place.
+        const Z: u32 = xpsr::Z;
+        for (state, flags, expected) in
+            [(0x0B, 0, false), (0x0B, Z, true), (0x16, 0, true), (0x16, Z, false)]
+        {
+            let it = (state >> 2) << 10 | (state & 0b11) << 25;
+            assert_eq!(condition(it | flags), Some(expected), "{state:#x}, {flags:#x}");
         }
+        assert_eq!(condition(Z), None);
     }
 
     #[test]

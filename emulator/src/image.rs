@@ -121,12 +121,6 @@ impl Image {
         self.0.symbols.get(name).copied()
     }
 
-    /// The address of the one symbol whose mangled name contains `part`; `None` if there are several.
-    pub fn symbol_containing(&self, part: &str) -> Option<u32> {
-        let mut found = self.0.symbols.iter().filter(|(name, _)| name.contains(part));
-        found.next().filter(|_| found.next().is_none()).map(|(_, address)| *address)
-    }
-
     /// The last symbol of the program at or before an address, and its distance.
     pub fn symbol_at(&self, address: u32) -> Option<(&str, u32)> {
         let symbols = self.0.symbols.iter().filter(|(name, _)| !name.starts_with('$'));

@@ -2,7 +2,7 @@
 
 mod trace;
 
-use std::{collections::BTreeMap, iter, sync::MutexGuard};
+use std::sync::MutexGuard;
 
 pub use crate::can::{Noise, Short};
 pub use trace::{Event, Recording, Source, What};
@@ -37,19 +37,15 @@ pub struct BusId(usize);
 /// bus, it advances first, until it writes to its CAN controller. Otherwise the CPUs run ahead of the bus by at most a
 /// microsecond, in the order of the boards. A write to a CAN controller takes effect at its own time; a bus event
 /// reaches an awake CPU up to a microsecond late.
-#[derive(Default)]
 pub struct Network {
     now: Time,
-    /// The first, and those that were added.
-    bus: Bus,
-    more_buses: Vec<Bus>,
+    /// The first, those that were added, and those of controllers that are in use and on none of the others.
+    buses: Vec<Bus>,
     /// A station may act earlier than the bus expects.
     touched: bool,
     boards: Vec<Board>,
     /// The bus of each controller of each board.
     plugs: Vec<[Option<BusId>; CANS]>,
-    /// The buses of controllers that are in use and on none of the others, by board and controller.
-    own_buses: BTreeMap<(usize, usize), Bus>,
     /// The time of each board's next event; a board that sleeps longer stays behind in time.
     wake: Vec<Time>,
     adapters: Vec<Adapter>,
@@ -58,6 +54,23 @@ pub struct Network {
     trace: Trace,
     /// The causes of the resets that are allowed, by board; `None`: anything is.
     allowed: Option<Vec<Vec<ResetCause>>>,
+}
+
+impl Default for Network {
+    fn default() -> Self {
+        Self {
+            now: Time::ZERO,
+            buses: vec![Bus::new()],
+            touched: false,
+            boards: Vec::new(),
+            plugs: Vec::new(),
+            wake: Vec::new(),
+            adapters: Vec::new(),
+            adapter_buses: Vec::new(),
+            trace: Trace::default(),
+            allowed: None,
+        }
+    }
 }
 
 impl Network {
@@ -73,17 +86,13 @@ impl Network {
 
     /// Adds a bus without stations.
     pub fn add_bus(&mut self) -> BusId {
-        self.more_buses.push(Bus::new());
-        BusId(self.more_buses.len())
+        self.buses.push(Bus::at(self.now));
+        BusId(self.buses.len() - 1)
     }
 
     /// Puts another controller of a board, 2 for CAN2, on a bus.
     pub fn connect(&mut self, board: usize, controller: usize, bus: BusId) {
         self.plugs[board][controller - 1] = Some(bus);
-    }
-
-    fn bus(&self, bus: BusId) -> &Bus {
-        bus.0.checked_sub(1).map_or(&self.bus, |at| &self.more_buses[at])
     }
 
     /// Connects a board's controller to the first bus and returns the board's number. If the network has already run,
@@ -110,7 +119,7 @@ impl Network {
 
     /// Connects an adapter to a bus.
     pub fn add_adapter_to(&mut self, bus: BusId, mut adapter: Adapter) -> AdapterId {
-        adapter.plug_in(self.now, self.bus(bus).level());
+        adapter.plug_in(self.now, self.buses[bus.0].level());
         self.adapters.push(adapter);
         self.adapter_buses.push(bus);
         AdapterId(self.adapters.len() - 1)
@@ -133,7 +142,7 @@ impl Network {
 
     /// An adapter, to change its bit rate or to close it.
     pub fn adapter_mut(&mut self, adapter: AdapterId) -> &mut Adapter {
-        let level = self.bus(self.adapter_buses[adapter.0]).level();
+        let level = self.buses[self.adapter_buses[adapter.0].0].level();
         let adapter = &mut self.adapters[adapter.0];
         adapter.controller().settle(self.now, level);
         adapter
@@ -167,12 +176,12 @@ impl Network {
 
     /// Short-circuits the bus from now on, or repairs it.
     pub fn set_short(&mut self, short: Option<Short>) {
-        self.bus.set_short(short, self.now);
+        self.buses[0].set_short(short, self.now);
     }
 
     /// Starts or stops noise on the bus.
     pub fn set_noise(&mut self, noise: Option<Noise>) {
-        self.bus.set_noise(noise, self.now);
+        self.buses[0].set_noise(noise, self.now);
     }
 
     /// Disconnects a station from the bus: it then receives only its own output.
@@ -192,8 +201,7 @@ impl Network {
 
     /// Applies `act` to a station's controller when the bus has reached the current time.
     fn with_controller(&mut self, station: Source, act: impl FnOnce(&mut Controller)) {
-        self.bus.settle(self.now);
-        self.more_buses.iter_mut().for_each(|bus| bus.settle(self.now));
+        self.buses.iter_mut().for_each(|bus| bus.settle(self.now));
         match station {
             Source::Board(number) => {
                 let board = &self.boards[number];
@@ -346,8 +354,7 @@ impl Network {
 
     /// The time of the next action on any bus.
     fn next_action(&self) -> Time {
-        let others = self.more_buses.iter().chain(self.own_buses.values());
-        others.map(Bus::next_action).fold(self.bus.next_action(), Time::min)
+        self.buses.iter().map(Bus::next_action).fold(Time::MAX, Time::min)
     }
 
     /// Runs the buses until `until`, or to an event that concerns a CPU or an adapter's user; returns which.
@@ -357,29 +364,19 @@ impl Network {
             self.boards.iter().enumerate().filter(powered).map(|(number, _)| number).collect();
         let mut chips: Vec<MutexGuard<'_, Chip>> =
             numbers.iter().map(|&number| self.boards[number].chip()).collect();
-        let mut own_buses = BTreeMap::new();
         for (&number, chip) in numbers.iter().zip(&chips) {
-            for (at, can) in chip.cans().iter().enumerate() {
-                if self.plugs[number][at].is_none() && can.is_in_use() {
-                    let place = (number, at);
-                    let bus = self.own_buses.remove(&place).unwrap_or_else(|| Bus::at(self.now));
-                    own_buses.insert(place, bus);
+            for (can, plug) in chip.cans().iter().zip(&mut self.plugs[number]) {
+                if plug.is_none() && can.is_in_use() {
+                    *plug = Some(BusId(self.buses.len()));
+                    self.buses.push(Bus::at(self.now));
                 }
             }
         }
-        self.own_buses = own_buses;
-        let buses = iter::once(&mut self.bus).chain(&mut self.more_buses);
-        let mut buses: Vec<Connected<'_>> = buses.map(Connected::new).collect();
-        let mut own_buses: BTreeMap<_, _> = self.own_buses.iter_mut().collect();
+        let mut buses: Vec<Connected<'_>> = self.buses.iter_mut().map(Connected::new).collect();
         for (&number, chip) in numbers.iter().zip(&mut chips) {
-            for (at, can) in chip.cans_mut().iter_mut().enumerate() {
-                let source = Source::Board(number);
-                if let Some(BusId(bus)) = self.plugs[number][at] {
-                    buses[bus].add(source, can);
-                } else if let Some(bus) = own_buses.remove(&(number, at)) {
-                    let mut own = Connected::new(bus);
-                    own.add(source, can);
-                    buses.push(own);
+            for (can, plug) in chip.cans_mut().iter_mut().zip(self.plugs[number]) {
+                if let Some(BusId(bus)) = plug {
+                    buses[bus].add(Source::Board(number), can);
                 }
             }
         }

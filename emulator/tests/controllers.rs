@@ -366,10 +366,12 @@ fn no_chip_joins_the_bus_without_a_receive_pin() {
 
 #[test]
 fn a_chip_that_only_listens_needs_no_pin_to_transmit() {
-    for (silence, problems) in [(SILENT, 0), (0, 1)] {
+    const NO_PINS: &str =
+        "a CAN controller leaves initialisation with no pins in its alternate function";
+    for (silence, problems) in [(SILENT, vec![]), (0, vec![NO_PINS])] {
         let mut rig = Rig::with_pins(Part::Stm32f405, 9, TX_IS_OUTPUT, silence | HALF_MEGABIT);
         rig.acknowledges(0);
-        assert_eq!(rig.problems().len(), problems);
+        assert_eq!(rig.problems(), problems);
     }
 }
 

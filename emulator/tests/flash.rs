@@ -111,9 +111,11 @@ fn programming_clears_bits_and_never_sets_them() {
 
 #[test]
 fn an_erase_sets_its_sector_and_no_other() {
-    for (part, number, range) in [
-        (Part::Stm32f405, 0, 0..0x4000),
-        (Part::Stm32f405, 3, 0xC000..0x1_0000),
+    let first_four = |part| {
+        [0, 1, 2, 3]
+            .map(|sector| (part, sector, 0x4000 * sector as usize..0x4000 * (sector as usize + 1)))
+    };
+    let others = [
         (Part::Stm32f405, 4, 0x1_0000..0x2_0000),
         (Part::Stm32f405, 11, 0xE_0000..0x10_0000),
         (Part::Stm32f413, 12, 0x10_0000..0x12_0000),
@@ -122,31 +124,15 @@ fn an_erase_sets_its_sector_and_no_other() {
         (Part::Stm32f427, 16, 0x10_0000..0x10_4000),
         (Part::Stm32f427, 27, 0x1E_0000..0x20_0000),
         (Part::Stm32f469, 27, 0x1E_0000..0x20_0000),
-    ] {
+    ];
+    for (part, number, range) in Part::ALL.into_iter().flat_map(first_four).chain(others) {
         let mut rig = FlashRig::unlocked(part);
         rig.chip.flash_mut().load(0, &vec![0; part.flash_size() as usize]);
         rig.erase(number);
         rig.wait();
-        let bytes = rig.chip.flash().bytes();
-        for (offset, &byte) in bytes.iter().enumerate() {
-            assert_eq!(byte == 0xFF, range.contains(&offset), "{part:?} {number} {offset:#x}");
-        }
-    }
-}
-
-#[test]
-fn sectors_0_to_3_of_every_part_have_16_kb() {
-    for part in Part::ALL {
-        for sector in 0..4 {
-            let mut rig = FlashRig::unlocked(part);
-            rig.chip.flash_mut().load(0, &[0; 0x1_0000]);
-            rig.erase(sector);
-            rig.wait();
-            let bytes = &rig.chip.flash().bytes()[..0x1_0000];
-            let erased = bytes.iter().enumerate().filter(|(_, byte)| **byte == 0xFF);
-            let erased = erased.map(|(offset, _)| offset as u32);
-            assert!(erased.eq(sector * 0x4000..(sector + 1) * 0x4000), "{part:?}, {sector}");
-        }
+        let mut expected = vec![0; part.flash_size() as usize];
+        expected[range].fill(0xFF);
+        assert!(rig.chip.flash().bytes() == expected, "{part:?}, sector {number}");
     }
 }
 
@@ -168,27 +154,20 @@ fn a_sector_that_the_part_lacks_is_a_sequence_error() {
 
 #[test]
 fn times_follow_the_data_sheet() {
-    for (timing, size, ms) in [
-        (Timing::Typical, 2, 250),
-        (Timing::Typical, 0, 400),
-        (Timing::Worst, 1, 600),
-        (Timing::Worst, 0, 800),
+    for (part, timing, size, sector, ms) in [
+        (Part::Stm32f405, Timing::Typical, 2, 1, 250),
+        (Part::Stm32f405, Timing::Typical, 0, 1, 400),
+        (Part::Stm32f405, Timing::Worst, 1, 1, 600),
+        (Part::Stm32f405, Timing::Worst, 0, 1, 800),
+        (Part::Stm32f413, Timing::Typical, 2, 5, 1_000),
+        (Part::Stm32f413, Timing::Typical, 2, 12, 1_000),
+        (Part::Stm32f413, Timing::Typical, 2, 15, 1_000),
     ] {
-        let mut rig = FlashRig::unlocked(Part::Stm32f405);
+        let mut rig = FlashRig::unlocked(part);
         rig.chip.flash_mut().set_timing(timing);
-        rig.set(CR, size << 8 | SER | 1 << 3 | STRT);
-        assert_eq!(rig.wait().as_ms(), ms, "{timing:?}");
+        rig.set(CR, size << 8 | SER | sector << 3 | STRT);
+        assert_eq!(rig.wait().as_ms(), ms, "{part:?}, {timing:?}, sector {sector}");
     }
-}
-
-#[test]
-fn sectors_12_to_15_of_an_f413_take_as_long_as_others_of_their_size() {
-    let times = [5, 12, 15].map(|number| {
-        let mut rig = FlashRig::unlocked(Part::Stm32f413);
-        rig.erase(number);
-        rig.wait().as_ms()
-    });
-    assert_eq!(times, [1_000; 3]);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use emulator::{
     Time,
     board::{self, Board},
     can::Clock,
-    chip::{FLASH_BASE, ResetCause, Timing},
+    chip::{ChipVariant, FLASH_BASE, ResetCause, Timing},
     network::{Event, What},
 };
 use testkit::{frames::SILENCE, random::Random};
@@ -108,10 +108,11 @@ fn a_panic_ends_in_a_logged_hard_fault_and_a_reset_at_once() {
 #[test]
 fn the_fastest_watchdog_clock_bears_the_slowest_flash() {
     // LSI may run at 47 kHz instead of 32, and an erase may take 500 ms.
-    let mut board = blank_board(0);
+    let chip_variant =
+        ChipVariant { lsi_hz: 47_000, flash_timing: Timing::Worst, ..ChipVariant::default() };
+    let settings = board::Settings { chip_variant, ..board::Settings::default() };
+    let mut board = Board::new(part(), image(), settings);
     board.set_flash(SETTINGS_OFFSET, &[0; 0x8000]);
-    board.chip().iwdg_mut().set_lsi(47_000);
-    board.chip().flash_mut().set_timing(Timing::Worst);
     let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
     assert_eq!(rig.collect(Time::from_s(30)), SILENCE);
     assert_eq!(rig.lss("4C"), ["50"]);

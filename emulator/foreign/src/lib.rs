@@ -59,21 +59,6 @@ impl Frame {
     }
 }
 
-/// A frame was queued.
-pub struct Queued {
-    pub mailbox: usize,
-    /// The frame that had to make room.
-    pub replaced: Option<Frame>,
-}
-
-/// The outcome of an attempt to receive.
-pub enum Received {
-    Empty,
-    Frame(Frame),
-    Overrun,
-    BusError,
-}
-
 /// A CAN driver under remote control.
 #[allow(async_fn_in_trait)]
 pub trait Driver {
@@ -81,8 +66,10 @@ pub trait Driver {
     async fn enable(&mut self);
     fn set_filter(&mut self, bank: u8, fifo: u32, kind: u32, words: [u32; 4]);
     fn clear_filters(&mut self);
-    fn transmit(&mut self, frame: Frame) -> Option<Queued>;
-    fn receive(&mut self) -> Received;
+    /// The number of the mailbox, and the frame that had to make room.
+    fn transmit(&mut self, frame: Frame) -> Option<(usize, Option<Frame>)>;
+    /// A frame if there is one; the error is [`OVERRUN`] or [`BUS_ERROR`].
+    fn receive(&mut self) -> Result<Option<Frame>, u32>;
     fn abort(&mut self, mailbox: u32) -> bool;
     fn is_idle(&mut self) -> bool;
     async fn sleep(&mut self);
@@ -117,20 +104,19 @@ async fn execute(driver: &mut impl Driver, command: Command, words: [u32; WORDS]
         Command::Filter => driver.set_filter(a as u8, b, c, [d, e, f, g]),
         Command::ClearFilters => driver.clear_filters(),
         Command::Transmit => {
-            if let Some(queued) = driver.transmit(Frame::from_words([a, b, c, d])) {
+            if let Some((mailbox, replaced)) = driver.transmit(Frame::from_words([a, b, c, d])) {
                 answer[0] = QUEUED;
-                answer[1] = queued.mailbox as u32;
-                if let Some(frame) = queued.replaced {
+                answer[1] = mailbox as u32;
+                if let Some(frame) = replaced {
                     answer[0] = REPLACED;
                     answer[2..6].copy_from_slice(&frame.into_words());
                 }
             }
         }
         Command::Receive => match driver.receive() {
-            Received::Empty => answer[0] = EMPTY,
-            Received::Overrun => answer[0] = OVERRUN,
-            Received::BusError => answer[0] = BUS_ERROR,
-            Received::Frame(frame) => {
+            Ok(None) => answer[0] = EMPTY,
+            Err(error) => answer[0] = error,
+            Ok(Some(frame)) => {
                 answer[0] = FRAME;
                 answer[1..5].copy_from_slice(&frame.into_words());
             }

@@ -145,22 +145,16 @@ impl Bxcan {
 
     /// Resets every register. The clock stays, and a frame under way is cut off.
     pub fn reset(&mut self) {
+        let old = std::mem::replace(self, Self::new(self.role));
+        self.controller = old.controller;
         self.controller.reset();
         self.controller.configure(bit_timing(BTR_RESET_VALUE), BusMode::default());
         self.controller.watch(true);
-        self.mode = Mode::Sleep;
-        self.mcr = MCR_RESET_VALUE;
-        self.latched = 0;
-        self.ier = 0;
-        self.lec = 0;
-        self.error_flags = 0;
-        self.btr = BTR_RESET_VALUE;
-        self.mailboxes = Mailboxes::default();
-        self.fifos = Default::default();
-        if self.role != Role::Slave {
-            self.filters = Filters::new(self.role);
+        if self.role == Role::Slave {
+            self.filters = old.filters;
         }
-        self.irq = Interrupts::default();
+        self.notes = old.notes;
+        self.behaviour = old.behaviour;
         self.behaviour.reset();
     }
 

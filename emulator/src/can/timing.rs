@@ -11,6 +11,16 @@ pub struct Clock {
     pub ppm: i32,
 }
 
+/// Picoseconds in a second, times the million of "parts per million".
+pub(crate) const SCALE: u128 = 1_000_000_000_000_000_000;
+
+impl Clock {
+    /// The frequency in millionths of a hertz.
+    pub(crate) fn rate(self) -> u128 {
+        u128::from(self.hz) * (1_000_000 + i128::from(self.ppm)) as u128
+    }
+}
+
 /// The parts of a bit (ISO 11898-1, bit timing), besides the synchronisation segment of one quantum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BitSegments {
@@ -60,10 +70,9 @@ pub(super) struct Spans {
 
 impl Spans {
     pub fn new(clock: Clock, timing: BitSegments) -> Self {
-        let hertz_millionths = u128::from(clock.hz) * (1_000_000 + i128::from(clock.ppm)) as u128;
         let span = |quanta: u32| {
             let periods = u128::from(u32::from(timing.prescaler) * quanta);
-            ((periods * 1_000_000_000_000_000_000 + hertz_millionths / 2) / hertz_millionths) as u64
+            ((periods * SCALE + clock.rate() / 2) / clock.rate()) as u64
         };
         Self {
             quantum: span(1),

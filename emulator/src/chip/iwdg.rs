@@ -34,11 +34,6 @@ impl Iwdg {
         }
     }
 
-    /// Sets the frequency of LSI in Hz; takes effect at the next reload.
-    pub fn set_lsi(&mut self, hz: u32) {
-        self.lsi = hz;
-    }
-
     /// The time of the watchdog reset, if the watchdog runs.
     pub fn deadline(&self) -> Option<Time> {
         self.deadline

@@ -30,6 +30,16 @@ pub enum Width {
 }
 
 impl Width {
+    /// The width of an access of this many bytes, if there is one.
+    pub const fn of(bytes: usize) -> Option<Self> {
+        match bytes {
+            1 => Some(Self::Byte),
+            2 => Some(Self::Half),
+            4 => Some(Self::Word),
+            _ => None,
+        }
+    }
+
     /// The number of bytes.
     pub const fn bytes(self) -> u32 {
         match self {

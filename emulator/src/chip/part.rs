@@ -60,7 +60,7 @@ impl FromStr for Part {
 const KB: u32 = 1024;
 const MHZ: u32 = 1_000_000;
 
-/// Parts that differ in nothing that is modelled, except their number of interrupts.
+/// Parts that differ in nothing that is modelled.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Line {
     /// F405, F407, F415, F417 (RM0090).
@@ -193,17 +193,6 @@ impl Part {
             Line::F427 => 0x2003_0419,
             Line::F446 => 0x1000_0421,
             Line::F469 => 0x1000_0434,
-        }
-    }
-
-    /// The number of interrupt lines of the NVIC.
-    pub const fn irq_count(self) -> u16 {
-        match self.line() {
-            Line::F405 => 82,
-            Line::F412 | Line::F446 => 97,
-            Line::F413 => 102,
-            Line::F427 => 91,
-            Line::F469 => 93,
         }
     }
 

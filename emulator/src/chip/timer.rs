@@ -1,7 +1,10 @@
 //! TIM1 to TIM14 (RM0090 chapters 17 to 20): up-counters with compare interrupts.
 
 use super::{Problem, map::Registers, rcc::Apb};
-use crate::{Time, can::Clock};
+use crate::{
+    Time,
+    can::{Clock, timing::SCALE},
+};
 
 const CR1: u32 = 0x00;
 const CR2: u32 = 0x04;
@@ -26,9 +29,6 @@ const OPM: u32 = 1 << 3;
 const ARPE: u32 = 1 << 7;
 /// The bits of SR, EGR and DIER: the update, followed by the channels.
 const UPDATE: u32 = 1 << 0;
-
-/// Picoseconds in a second, times the million of "parts per million".
-const SCALE: u128 = 1_000_000_000_000_000_000;
 
 /// The properties in which the timers differ.
 #[derive(Debug)]
@@ -208,8 +208,7 @@ impl Timer {
 
     /// The number of timer clock periods per second, in millionths, and per count.
     fn rate(&self) -> (u128, u128) {
-        let rate = u128::from(self.clock.hz) * (1_000_000 + i128::from(self.clock.ppm)) as u128;
-        (rate, SCALE * u128::from(self.divider + 1))
+        (self.clock.rate(), SCALE * u128::from(self.divider + 1))
     }
 
     fn counts_until(&self, now: Time) -> u64 {

@@ -47,29 +47,26 @@ pub enum StartUp {
 }
 
 impl StartUp {
+    /// The times of the reset circuit, the PLL and LSI in microseconds.
+    const fn us(self) -> [u64; 3] {
+        match self {
+            Self::Fastest => [500, 75, 15],
+            Self::Typical => [1_500, 100, 20],
+            Self::Slowest => [3_000, 300, 40],
+        }
+    }
+
     /// The time for which NRST stays low after the supply has come up (tRSTTEMPO).
     pub const fn reset(self) -> Time {
-        Time::from_us(match self {
-            Self::Fastest => 500,
-            Self::Typical => 1_500,
-            Self::Slowest => 3_000,
-        })
+        Time::from_us(self.us()[0])
     }
 
     pub(super) const fn pll(self) -> Time {
-        Time::from_us(match self {
-            Self::Fastest => 75,
-            Self::Typical => 100,
-            Self::Slowest => 300,
-        })
+        Time::from_us(self.us()[1])
     }
 
     pub(super) const fn lsi(self) -> Time {
-        Time::from_us(match self {
-            Self::Fastest => 15,
-            Self::Typical => 20,
-            Self::Slowest => 40,
-        })
+        Time::from_us(self.us()[2])
     }
 }
 

@@ -1,9 +1,9 @@
 //! Conversion between core clock cycles and time, exact across every change of the clock.
 
-use crate::{Time, can::Clock};
-
-/// Picoseconds in a second, times the million of "parts per million".
-const SCALE: u128 = 1_000_000_000_000_000_000;
+use crate::{
+    Time,
+    can::{Clock, timing::SCALE},
+};
 
 /// A clock and one known point on it. All other points follow from it, so errors do not accumulate.
 #[derive(Clone, Copy, Debug)]
@@ -24,20 +24,15 @@ impl CycleClock {
         self.clock
     }
 
-    /// The frequency in millionths of a hertz.
-    fn rate(&self) -> u128 {
-        u128::from(self.clock.hz) * (1_000_000 + i128::from(self.clock.ppm)) as u128
-    }
-
     /// The time at the start of cycle `cycles`, rounded down to the picosecond.
     pub fn time_at(&self, cycles: u64) -> Time {
-        let elapsed = u128::from(cycles - self.cycles) * SCALE / self.rate();
+        let elapsed = u128::from(cycles - self.cycles) * SCALE / self.clock.rate();
         self.time + Time::from_ps(elapsed as u64)
     }
 
     /// The first cycle that starts at `time` or later.
     pub fn cycle_at(&self, time: Time) -> u64 {
-        let elapsed = u128::from(time.saturating_sub(self.time).as_ps()) * self.rate();
+        let elapsed = u128::from(time.saturating_sub(self.time).as_ps()) * self.clock.rate();
         self.cycles.saturating_add(u64::try_from(elapsed.div_ceil(SCALE)).unwrap_or(u64::MAX))
     }
 

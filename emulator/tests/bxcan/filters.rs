@@ -58,53 +58,32 @@ fn asked() -> [Frame; 9] {
 
 #[test]
 fn each_kind_of_filter_accepts_its_identifiers() {
-    // Alone in FIFO 0, with the numbers that inactive banks still occupy.
-    let all = |rig: &mut CanRig| match_indices(rig, 0, &asked());
-    assert_eq!(
-        all(&mut with_filters(0, 0b0001)),
-        [Some(0), Some(1), Some(2), Some(3), None, None, None, None, None],
-        "16-bit list"
-    );
-    assert_eq!(
-        all(&mut with_filters(0, 0b0010)),
-        [None, None, None, None, Some(4), Some(5), None, None, None],
-        "16-bit mask"
-    );
-    assert_eq!(
-        all(&mut with_filters(0, 0b0100)),
-        [Some(7), None, None, None, None, None, Some(6), None, None],
-        "32-bit list"
-    );
-    assert_eq!(
-        all(&mut with_filters(0, 0b1000)),
-        [None, None, None, None, None, None, Some(8), Some(8), None],
-        "32-bit mask"
-    );
+    // The active bank, alone in FIFO 0, and the match indices: inactive banks still occupy numbers.
+    for (active, expected) in [
+        (0b0001, [Some(0), Some(1), Some(2), Some(3), None, None, None, None, None]),
+        (0b0010, [None, None, None, None, Some(4), Some(5), None, None, None]),
+        (0b0100, [Some(7), None, None, None, None, None, Some(6), None, None]),
+        (0b1000, [None, None, None, None, None, None, Some(8), Some(8), None]),
+    ] {
+        let indices = match_indices(&mut with_filters(0, active), 0, &asked());
+        assert_eq!(indices, expected, "{active:04b}");
+    }
 }
 
 #[test]
-fn of_several_matches_the_wider_wins_and_then_the_list() {
-    let all = with_filters(0, 0b1111);
-    assert_eq!(
-        match_indices(&mut { all }, 0, &asked()),
-        [Some(7), Some(1), Some(2), Some(3), Some(4), Some(5), Some(6), Some(8), None]
-    );
-}
-
-#[test]
-fn each_fifo_numbers_its_own_filters() {
-    let frames = asked();
-    let mut rig = with_filters(0b0110, 0b1111);
-    assert_eq!(
-        match_indices(&mut rig, 1, &frames),
-        [Some(3), None, None, None, Some(0), Some(1), Some(2), None, None]
-    );
-    assert!(rig.read(RI1R) != 0, "the output mailbox keeps what was released");
-    let mut rig = with_filters(0b0110, 0b1111);
-    assert_eq!(
-        match_indices(&mut rig, 0, &frames),
-        [None, Some(1), Some(2), Some(3), None, None, None, Some(4), None]
-    );
+fn of_several_matches_the_wider_wins_and_then_the_list_and_each_fifo_numbers_its_own() {
+    // The banks in FIFO 1, the FIFO, and the match indices.
+    for (fifo_1, fifo, expected) in [
+        (0, 0, [Some(7), Some(1), Some(2), Some(3), Some(4), Some(5), Some(6), Some(8), None]),
+        (0b0110, 1, [Some(3), None, None, None, Some(0), Some(1), Some(2), None, None]),
+        (0b0110, 0, [None, Some(1), Some(2), Some(3), None, None, None, Some(4), None]),
+    ] {
+        let mut rig = with_filters(fifo_1, 0b1111);
+        assert_eq!(match_indices(&mut rig, fifo, &asked()), expected, "{fifo_1:04b}, FIFO {fifo}");
+        if fifo == 1 {
+            assert!(rig.read(RI1R) != 0, "the output mailbox keeps what was released");
+        }
+    }
 }
 
 #[test]

@@ -29,54 +29,42 @@ fn a_transmission_sets_its_bits_at_the_end_of_the_frame_and_interrupts() {
 }
 
 #[test]
-fn mailboxes_go_by_identifier_then_by_number() {
-    let mut rig = CanRig::running(0);
-    rig.write(MCR, INRQ);
-    rig.mailbox(0, standard(0x300, &[0]));
-    rig.mailbox(1, standard(0x100, &[1]));
-    rig.mailbox(2, standard(0x300, &[2]));
-    assert_eq!(rig.read(TSR) >> 24, 0b1000_0010, "mailbox 2 has the lowest priority");
-    rig.write(MCR, 0);
-    rig.run_us(500);
-    let order: Vec<u8> = rig.received().iter().map(|frame| frame.data[0]).collect();
-    assert_eq!(order, [1, 0, 2]);
+fn mailboxes_go_by_identifier_then_by_number_or_with_txfp_by_order_of_request() {
+    // The mode, the identifiers of the mailboxes in the order of request, the upper byte of TSR, the order on the bus.
+    for (mcr, requests, tsr, order) in [
+        // Mailbox 2 has the lowest priority.
+        (0, [(0, 0x300), (1, 0x100), (2, 0x300)], 0b1000_0010, [1, 0, 2]),
+        // Mailbox 0 was last.
+        (TXFP, [(1, 0x300), (2, 0x100), (0, 0x200)], 0b0010_0000, [1, 2, 0]),
+    ] {
+        let mut rig = CanRig::running(mcr);
+        rig.write(MCR, mcr | INRQ);
+        for (mailbox, id) in requests {
+            rig.mailbox(mailbox, standard(id, &[mailbox as u8]));
+        }
+        assert_eq!(rig.read(TSR) >> 24, tsr);
+        rig.write(MCR, mcr);
+        rig.run_us(500);
+        let sent: Vec<u8> = rig.received().iter().map(|frame| frame.data[0]).collect();
+        assert_eq!(sent, order);
+    }
 }
 
+/// The modelled reading of RM0090, 32.7.1: an idle bus makes a mailbox "transmit" at once (confidence 0.85). The other
+/// one: the mailbox is chosen at SOF.
 #[test]
-fn mailboxes_go_by_order_of_request_with_txfp() {
-    let mut rig = CanRig::running(TXFP);
-    rig.write(MCR, TXFP | INRQ);
-    rig.mailbox(1, standard(0x300, &[1]));
-    rig.mailbox(2, standard(0x100, &[2]));
-    rig.mailbox(0, standard(0x200, &[0]));
-    assert_eq!(rig.read(TSR) >> 24, 0b0010_0000, "mailbox 0 was last");
-    rig.write(MCR, TXFP);
-    rig.run_us(500);
-    let order: Vec<u8> = rig.received().iter().map(|frame| frame.data[0]).collect();
-    assert_eq!(order, [1, 2, 0]);
-}
-
-/// Two requests on an idle bus, a third while the first of them is sent.
-fn order_of_three_requests(rig: &mut CanRig) -> Vec<u8> {
-    rig.mailbox(0, standard(0x300, &[0]));
-    rig.mailbox(1, standard(0x200, &[1]));
-    rig.run_us(10);
-    rig.mailbox(2, standard(0x100, &[2]));
-    rig.run_us(500);
-    rig.received().iter().map(|frame| frame.data[0]).collect()
-}
-
-/// The modelled reading of RM0090, 32.7.1: an idle bus makes a mailbox "transmit" at once (confidence 0.85).
-#[test]
-fn a_higher_priority_overtakes_waiting_mailboxes_but_not_the_chosen_one() {
-    assert_eq!(order_of_three_requests(&mut CanRig::running(0)), [0, 2, 1]);
-}
-
-/// The other reading: the mailbox is chosen at SOF.
-#[test]
-fn with_a_late_choice_a_higher_priority_overtakes_on_an_idle_bus() {
-    let variant = CanVariant { late_choice: true, ..CanVariant::default() };
-    assert_eq!(order_of_three_requests(&mut CanRig::of_variant(variant, 0)), [1, 2, 0]);
+fn a_higher_priority_overtakes_waiting_mailboxes_and_the_chosen_one_only_with_a_late_choice() {
+    for (late_choice, order) in [(false, [0, 2, 1]), (true, [1, 2, 0])] {
+        let mut rig = CanRig::of_variant(CanVariant { late_choice, ..CanVariant::default() }, 0);
+        // Two requests on an idle bus, a third while the first of them is sent.
+        rig.mailbox(0, standard(0x300, &[0]));
+        rig.mailbox(1, standard(0x200, &[1]));
+        rig.run_us(10);
+        rig.mailbox(2, standard(0x100, &[2]));
+        rig.run_us(500);
+        let sent: Vec<u8> = rig.received().iter().map(|frame| frame.data[0]).collect();
+        assert_eq!(sent, order);
+    }
 }
 
 #[test]

@@ -141,19 +141,10 @@ fn a_part_of_100_mhz_starts_at_voltage_scale_2() {
 }
 
 #[test]
-fn oscillators_take_their_time_to_become_ready() {
-    let mut chip = chip(Part::Stm32f405);
-    write(&mut chip, RCC_CR, 0x0001_0083, Time::ZERO);
-    assert_eq!(read(&mut chip, RCC_CR, Time::from_us(10)) >> 17 & 1, 0);
-    assert_eq!(read(&mut chip, RCC_CR, Time::from_ms(3)) >> 17 & 1, 1);
-}
-
-#[test]
 fn a_crystal_is_ready_after_the_time_of_its_variant_or_never() {
     let ready = |hse_start: Time, after: Time| {
         let variant = ChipVariant { hse_start, ..ChipVariant::default() };
-        let crystal = Clock { hz: 8_000_000, ppm: 0 };
-        let mut chip = Chip::with_variant(Part::Stm32f405, crystal, [0; 12], variant);
+        let mut chip = chip_with(Part::Stm32f405, variant);
         write(&mut chip, RCC_CR, 0x0001_0083, Time::ZERO);
         read(&mut chip, RCC_CR, after) >> 17 & 1 == 1
     };
@@ -349,8 +340,8 @@ fn the_watchdog_runs_out_after_its_periods_of_lsi() {
 
 #[test]
 fn a_fast_lsi_shortens_the_watchdog() {
-    let mut chip = chip(Part::Stm32f405);
-    chip.iwdg_mut().set_lsi(47_000);
+    let variant = ChipVariant { lsi_hz: 47_000, ..ChipVariant::default() };
+    let mut chip = chip_with(Part::Stm32f405, variant);
     write(&mut chip, IWDG, 0xCCCC, Time::ZERO);
     assert_eq!(chip.next_event().as_us(), 4 * 4096 * 1_000_000 / 47_000);
 }
@@ -377,18 +368,6 @@ fn the_factory_data_is_readable_in_any_width() {
         assert_eq!(read(&mut chip, 0xE004_2000, Time::ZERO), part.id_code());
         assert_eq!(chip.findings(), []);
     }
-}
-
-#[test]
-fn can_that_starts_without_pins_is_found() {
-    let mut chip = chip(Part::Stm32f405);
-    write(&mut chip, RCC_APB1ENR, 1 << 25, Time::ZERO);
-    write(&mut chip, 0x4000_6400, 0, Time::ZERO);
-    let problem = chip.findings()[0].problem;
-    assert_eq!(
-        problem.to_string(),
-        "a CAN controller leaves initialisation with no pins in its alternate function"
-    );
 }
 
 #[test]

@@ -33,19 +33,13 @@ macro_rules! shown_by {
 }
 
 shown_by! { embassy Embassy, bxcan Bxcan: {
-    rates: frames_go_both_ways_at_1000_kbit,
-        frames_go_both_ways_at_500_kbit,
-        frames_go_both_ways_at_250_kbit,
-        frames_go_both_ways_at_125_kbit,
-        frames_go_both_ways_at_50_kbit,
+    rates: frames_go_both_ways_at_each_bit_rate,
         a_new_bit_rate_takes_effect_on_a_running_controller,
         frames_of_each_kind_and_length_go_both_ways,
         a_node_joins_the_bus_only_when_it_is_quiet;
     programs: its_log_is_read_and_its_led_blinks_every_millisecond;
     modes: loopback_receives_its_own_frames_without_another_node,
-        loopback_shows_its_frames_on_the_bus,
-        loopback_ignores_the_bus,
-        without_loopback_a_node_does_not_receive_its_own_frames,
+        loopback_shows_its_frames_on_the_bus_and_ignores_those_of_others,
         a_silent_node_receives,
         a_silent_node_does_not_acknowledge,
         silent_loopback_is_a_self_test_apart_from_the_bus,
@@ -55,24 +49,15 @@ shown_by! { embassy Embassy, bxcan Bxcan: {
         a_node_that_its_program_wakes_up_joins_the_bus_again,
         a_frame_on_the_bus_wakes_up_a_node_that_is_set_to;
     filters: without_a_filter_nothing_is_received_but_all_is_acknowledged,
-        a_mask_of_32_bits_sorts_into_fifo_0,
-        a_mask_of_32_bits_sorts_into_fifo_1,
+        masks_of_32_and_of_16_bits_sort_into_either_fifo,
         a_mask_of_32_bits_covers_extended_identifiers,
-        two_masks_of_16_bits_share_a_bank_of_fifo_0,
-        two_masks_of_16_bits_share_a_bank_of_fifo_1,
-        a_list_of_16_bits_has_four_identifiers_for_fifo_0,
-        a_list_of_16_bits_has_four_identifiers_for_fifo_1,
+        a_list_of_16_bits_has_four_identifiers_for_either_fifo,
         a_list_of_32_bits_has_two_identifiers_of_either_kind,
         a_list_tells_remote_frames_from_data_frames,
-        a_filter_of_32_bits_precedes_one_of_16_bits,
-        a_list_precedes_a_mask_of_the_same_width,
-        of_equal_filters_the_lower_number_takes_the_frame,
+        of_several_filters_the_wider_then_the_list_then_the_lower_number_takes_the_frame,
         filters_can_change_while_the_bus_runs,
         the_last_bank_works_like_the_first;
-    transmit: three_mailboxes_go_by_identifier,
-        mailboxes_of_rising_urgency_overtake_the_one_that_waits,
-        a_standard_frame_precedes_an_extended_one_of_the_same_base,
-        a_data_frame_precedes_a_remote_frame_of_the_same_identifier,
+    transmit: mailboxes_go_by_identifier_then_standard_then_data,
         three_frames_leave_without_a_gap,
         an_identifier_that_waits_is_refused_a_second_time,
         a_fourth_frame_takes_the_place_of_the_least_urgent,
@@ -82,18 +67,13 @@ shown_by! { embassy Embassy, bxcan Bxcan: {
         the_end_of_a_transmission_interrupts,
         a_frame_that_loses_the_arbitration_is_sent_afterwards,
         one_shot_gives_up_after_a_lost_arbitration,
-        one_shot_sends_once_when_nobody_acknowledges,
-        one_shot_delivers_on_a_good_bus;
-    receive: a_fifo_keeps_three_frames_in_their_order,
-        a_fourth_frame_replaces_the_newest,
+        one_shot_sends_once_whether_or_not_somebody_acknowledges;
+    receive: a_fifo_keeps_three_frames_in_their_order_and_a_fourth_replaces_the_newest,
         after_an_overrun_frames_are_received_as_before,
         a_full_fifo_leaves_the_other_one_room,
         a_burst_of_fifty_frames_arrives_without_loss,
-        a_frame_in_fifo_0_interrupts,
-        a_frame_in_fifo_1_interrupts;
-    errors: a_node_alone_becomes_error_passive_and_stays_on_the_bus,
-        a_frame_that_nobody_acknowledged_arrives_once_somebody_does,
-        a_node_whose_dominant_bits_are_lost_goes_bus_off,
+        a_frame_interrupts_on_the_line_of_its_fifo;
+    errors: a_node_alone_becomes_error_passive_and_repeats_until_somebody_acknowledges,
         bus_off_ends_after_128_times_11_recessive_bits,
         a_frame_survives_bus_off_in_its_mailbox,
         bus_off_lasts_as_long_as_the_bus_is_dominant,

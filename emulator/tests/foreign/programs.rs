@@ -8,7 +8,7 @@ use emulator::{
     network::{AdapterId, Network, Recording},
 };
 
-use crate::rig::{Driver, Rig, adapter, explained, gateway_image, standard, start_image};
+use crate::rig::{Driver, Rig, adapter, explained, image, standard};
 
 /// The number of times that a pin changes in 20 ms.
 fn changes(network: &mut Network, pin: Pin) -> u32 {
@@ -40,7 +40,8 @@ pub fn its_log_is_read_and_its_led_blinks_every_millisecond(driver: Driver) {
 fn a_program_starts_that_uses_what_a_hal_offers() {
     let mut network = Network::new();
     network.record(Recording::Off);
-    network.add_board(Board::new(Part::Stm32f405, start_image(), Settings::default()));
+    let image = image("start", "embassy");
+    network.add_board(Board::new(Part::Stm32f405, image, Settings::default()));
     let adapter = network.add_adapter(adapter(500_000));
     network.run_for(Time::from_ms(10));
     let blinks = changes(&mut network, Pin('C', 13));
@@ -65,8 +66,11 @@ fn a_program_starts_that_uses_what_a_hal_offers() {
 fn a_gateway_passes_frames_by_its_filters_between_can1_and_can2() {
     let mut network = Network::new();
     network.record(Recording::Off);
-    let board =
-        network.add_board(Board::new(Part::Stm32f405, gateway_image(), Settings::default()));
+    let board = network.add_board(Board::new(
+        Part::Stm32f405,
+        image("gateway", "bxcan"),
+        Settings::default(),
+    ));
     let second = network.add_bus();
     network.connect(board, 2, second);
     let sides =

@@ -7,36 +7,19 @@ use crate::{
     rig::{Driver, Queued, Received, Rig, extended, standard},
 };
 
-fn frames_go_both_ways(driver: Driver, bit_rate: u32) {
-    let mut rig = Rig::joined(driver, bit_rate, 0);
-    let (from_node, from_adapter) = (standard(0x123, &[0x55, 0, 0xFF]), standard(0x456, &[7; 8]));
-    assert_eq!(rig.transmit(from_node), Queued::In(0));
-    rig.send(from_adapter);
-    rig.run_us(300_000_000 / u64::from(bit_rate));
-    assert_eq!(rig.heard(), [from_node]);
-    assert_eq!(rig.receive(), Received::Frame(from_adapter));
-    assert_eq!(rig.receive(), Received::Empty);
-    assert_eq!(rig.error_counters(), (0, 0));
-}
-
-pub fn frames_go_both_ways_at_1000_kbit(driver: Driver) {
-    frames_go_both_ways(driver, 1_000_000);
-}
-
-pub fn frames_go_both_ways_at_500_kbit(driver: Driver) {
-    frames_go_both_ways(driver, 500_000);
-}
-
-pub fn frames_go_both_ways_at_250_kbit(driver: Driver) {
-    frames_go_both_ways(driver, 250_000);
-}
-
-pub fn frames_go_both_ways_at_125_kbit(driver: Driver) {
-    frames_go_both_ways(driver, 125_000);
-}
-
-pub fn frames_go_both_ways_at_50_kbit(driver: Driver) {
-    frames_go_both_ways(driver, 50_000);
+pub fn frames_go_both_ways_at_each_bit_rate(driver: Driver) {
+    for bit_rate in [1_000_000, 500_000, 250_000, 125_000, 50_000] {
+        let mut rig = Rig::joined(driver, bit_rate, 0);
+        let from_node = standard(0x123, &[0x55, 0, 0xFF]);
+        let from_adapter = standard(0x456, &[7; 8]);
+        assert_eq!(rig.transmit(from_node), Queued::In(0), "{bit_rate}");
+        rig.send(from_adapter);
+        rig.run_us(300_000_000 / u64::from(bit_rate));
+        assert_eq!(rig.heard(), [from_node], "{bit_rate}");
+        assert_eq!(rig.receive(), Received::Frame(from_adapter), "{bit_rate}");
+        assert_eq!(rig.receive(), Received::Empty, "{bit_rate}");
+        assert_eq!(rig.error_counters(), (0, 0), "{bit_rate}");
+    }
 }
 
 pub fn a_new_bit_rate_takes_effect_on_a_running_controller(driver: Driver) {

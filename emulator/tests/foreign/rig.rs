@@ -1,6 +1,6 @@
 //! A board whose program has a CAN driver of others, remotely controlled through its RAM, and an adapter on its bus.
 
-use std::{env, path::Path, process::Command as Process, sync::LazyLock};
+use std::{collections::BTreeMap, env, path::Path, process::Command as Process, sync::Mutex};
 
 use emulator::{
     Time,
@@ -28,7 +28,7 @@ const PATIENCE: Time = Time::from_ms(50);
 /// The time between two looks at the program's answer.
 const LOOK: Time = Time::from_us(2);
 
-/// A program of `emulator/foreign/`.
+/// The driver of a program of `emulator/foreign/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Driver {
     /// The driver of embassy-stm32.
@@ -37,27 +37,11 @@ pub enum Driver {
     Bxcan,
 }
 
-impl Driver {
-    pub fn image(self) -> &'static Image {
-        static EMBASSY: LazyLock<Image> = LazyLock::new(|| build("embassy", "embassy"));
-        static BXCAN: LazyLock<Image> = LazyLock::new(|| build("bxcan", "bxcan"));
-        match self {
-            Self::Embassy => &EMBASSY,
-            Self::Bxcan => &BXCAN,
-        }
-    }
-}
-
-/// The program that does at its start what many do.
-pub fn start_image() -> &'static Image {
-    static START: LazyLock<Image> = LazyLock::new(|| build("start", "embassy"));
-    &START
-}
-
-/// The program that passes frames between CAN1 at 500 kbit/s and CAN2 at 250 kbit/s.
-pub fn gateway_image() -> &'static Image {
-    static GATEWAY: LazyLock<Image> = LazyLock::new(|| build("gateway", "bxcan"));
-    &GATEWAY
+/// A program of `emulator/foreign/`, which is built once.
+pub fn image(program: &'static str, feature: &str) -> &'static Image {
+    static IMAGES: Mutex<BTreeMap<&str, &Image>> = Mutex::new(BTreeMap::new());
+    let mut images = IMAGES.lock().expect("the programs build");
+    images.entry(program).or_insert_with(|| Box::leak(Box::new(build(program, feature))))
 }
 
 fn build(program: &str, feature: &str) -> Image {
@@ -119,7 +103,10 @@ pub struct Rig {
 impl Rig {
     /// A board that has started; its controller and the adapter are off the bus.
     pub fn new(driver: Driver) -> Self {
-        let image = driver.image();
+        let image = match driver {
+            Driver::Embassy => image("embassy", "embassy"),
+            Driver::Bxcan => image("bxcan", "bxcan"),
+        };
         let mut network = Network::new();
         network.record(Recording::Off);
         let board = network.add_board(Board::new(Part::Stm32f405, image, Settings::default()));

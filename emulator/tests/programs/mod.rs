@@ -10,8 +10,9 @@ pub const R0: Register = Register(0);
 pub const R1: Register = Register(1);
 pub const R2: Register = Register(2);
 pub const R3: Register = Register(3);
+pub const R4: Register = Register(4);
 /// Holds addresses.
-const R7: Register = Register(7);
+pub const R7: Register = Register(7);
 /// Holds values to be stored.
 const R6: Register = Register(6);
 
@@ -47,13 +48,14 @@ impl Program {
         self
     }
 
-    fn emit(&mut self, instructions: &[u16]) -> &mut Self {
+    /// Appends instructions.
+    pub fn emit(&mut self, instructions: &[u16]) -> &mut Self {
         self.code.extend(instructions);
         self
     }
 
     /// MOVW and MOVT.
-    fn set(&mut self, register: Register, value: u32) -> &mut Self {
+    pub fn set(&mut self, register: Register, value: u32) -> &mut Self {
         for (opcode, half) in [(0xF240, value as u16), (0xF2C0, (value >> 16) as u16)] {
             let first = opcode | half >> 12 | (half >> 11 & 1) << 10;
             let second = (half >> 8 & 7) << 12 | register.0 << 8 | half & 0xFF;

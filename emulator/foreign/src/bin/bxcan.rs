@@ -11,7 +11,7 @@ use bxcan::{
 };
 use cortex_m::{interrupt::Mutex, peripheral::syst::SystClkSource};
 use defmt_rtt as _;
-use foreign::{Driver, Frame, Queued, Received, command::*, count_interrupt};
+use foreign::{Driver, Frame, command::*, count_interrupt};
 use panic_probe as _;
 use stm32f4xx_hal::{
     can::Can as HalCan,
@@ -120,17 +120,16 @@ impl Driver for Bxcan {
         self.0.modify_filters().clear();
     }
 
-    fn transmit(&mut self, frame: Frame) -> Option<Queued> {
+    fn transmit(&mut self, frame: Frame) -> Option<(usize, Option<Frame>)> {
         let status = self.0.transmit(&to_driver(&frame)).ok()?;
-        let replaced = status.dequeued_frame().map(from_driver);
-        Some(Queued { mailbox: status.mailbox() as usize, replaced })
+        Some((status.mailbox() as usize, status.dequeued_frame().map(from_driver)))
     }
 
-    fn receive(&mut self) -> Received {
+    fn receive(&mut self) -> Result<Option<Frame>, u32> {
         let received = match self.0.receive() {
-            Ok(frame) => Received::Frame(from_driver(&frame)),
-            Err(nb::Error::WouldBlock) => Received::Empty,
-            Err(nb::Error::Other(_)) => Received::Overrun,
+            Ok(frame) => Ok(Some(from_driver(&frame))),
+            Err(nb::Error::WouldBlock) => Ok(None),
+            Err(nb::Error::Other(_)) => Err(OVERRUN),
         };
         self.listen();
         received

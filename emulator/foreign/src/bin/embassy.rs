@@ -19,7 +19,7 @@ use embassy_stm32::{
     peripherals::CAN1,
 };
 use embassy_time::{Duration, Ticker, Timer};
-use foreign::{Driver, Frame, Queued, Received, command::*, count_interrupt};
+use foreign::{Driver, Frame, command::*, count_interrupt};
 use panic_probe as _;
 
 bind_interrupts!(struct Interrupts {
@@ -82,17 +82,16 @@ impl Driver for Embassy<'_> {
         self.0.modify_filters().clear();
     }
 
-    fn transmit(&mut self, frame: Frame) -> Option<Queued> {
+    fn transmit(&mut self, frame: Frame) -> Option<(usize, Option<Frame>)> {
         let status = self.0.try_write(&to_driver(&frame)).ok()?;
-        let replaced = status.dequeued_frame().map(from_driver);
-        Some(Queued { mailbox: status.mailbox() as usize, replaced })
+        Some((status.mailbox() as usize, status.dequeued_frame().map(from_driver)))
     }
 
-    fn receive(&mut self) -> Received {
+    fn receive(&mut self) -> Result<Option<Frame>, u32> {
         match self.0.try_read() {
-            Ok(envelope) => Received::Frame(from_driver(&envelope.frame)),
-            Err(TryReadError::Empty) => Received::Empty,
-            Err(TryReadError::BusError(_)) => Received::BusError,
+            Ok(envelope) => Ok(Some(from_driver(&envelope.frame))),
+            Err(TryReadError::Empty) => Ok(None),
+            Err(TryReadError::BusError(_)) => Err(BUS_ERROR),
         }
     }
 

@@ -129,19 +129,13 @@ fn six_equal_bits_are_a_stuff_error() {
 }
 
 #[test]
-fn a_dominant_crc_delimiter_is_a_form_error() {
-    let mut line = Line::idle();
-    line.stuffed(&frame());
-    line.bits("0");
-    assert_eq!(line.take(), [error(ErrorKind::Form, false)]);
-}
-
-#[test]
-fn a_dominant_bit_before_the_last_two_of_eof_drops_the_frame() {
-    let mut line = Line::idle();
-    line.stuffed(&frame());
-    line.bits("1 0 1 11111 0");
-    assert_eq!(line.take(), [error(ErrorKind::Form, false)]);
+fn a_dominant_bit_in_a_delimiter_or_before_the_last_two_of_eof_is_a_form_error() {
+    for bits in ["0", "1 0 0", "1 0 1 11111 0"] {
+        let mut line = Line::idle();
+        line.stuffed(&frame());
+        line.bits(bits);
+        assert_eq!(line.take(), [error(ErrorKind::Form, false)], "{bits}");
+    }
 }
 
 #[test]

@@ -21,7 +21,7 @@ impl Flash {
         self.note_change(offset as usize..offset as usize + bytes.len());
     }
 
-    /// Selects typical, guaranteed or longest times.
+    /// Selects typical or guaranteed times.
     pub fn set_timing(&mut self, timing: Timing) {
         self.timing = timing;
     }

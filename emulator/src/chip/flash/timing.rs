@@ -10,8 +10,6 @@ pub enum Timing {
     Typical,
     /// The guaranteed times: 100 us per word; 500, 600 or 800 ms per 16 KB sector.
     Worst,
-    /// The longest times: 100 us per word; 800 ms per 16 KB sector at any width.
-    Slowest,
 }
 
 impl Timing {
@@ -19,13 +17,12 @@ impl Timing {
     pub const fn program(self) -> Time {
         match self {
             Self::Typical => Time::from_us(16),
-            Self::Worst | Self::Slowest => Time::from_us(100),
+            Self::Worst => Time::from_us(100),
         }
     }
 
     /// The erase time of a sector, by its number in its bank and PSIZE (0 = x8, 1 = x16, 2 = x32).
     pub const fn erase(self, sector: u32, psize: u32) -> Time {
-        let psize = if matches!(self, Self::Slowest) { 0 } else { psize };
         let typical = match (sector, psize) {
             (0..4, 0) => 400,
             (0..4, 1) => 300,
@@ -39,7 +36,7 @@ impl Timing {
         };
         match self {
             Self::Typical => Time::from_ms(typical),
-            Self::Worst | Self::Slowest => Time::from_ms(2 * typical),
+            Self::Worst => Time::from_ms(2 * typical),
         }
     }
 }

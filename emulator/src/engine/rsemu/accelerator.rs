@@ -195,24 +195,23 @@ mod tests {
         accelerator
     }
 
-    #[test]
-    fn without_the_accelerator_each_line_costs_the_wait_states() {
-        let straight = || (0..10 * 16).step_by(2);
-        assert_eq!(run(&mut with(0), 0, straight()), 80);
-        assert_eq!(run(&mut with(FIVE), 0, straight()), 80 + 10 * 5);
-        assert_eq!(run(&mut with(2), 0, straight()), 80 + 10 * 2);
+    /// Ten lines of instructions of this length.
+    fn straight(length: usize) -> impl Iterator<Item = u32> {
+        (0..10 * 16).step_by(length)
     }
 
     #[test]
-    fn prefetch_hides_the_wait_states_of_short_instructions() {
-        let straight = (0..10 * 16).step_by(2);
-        assert_eq!(run(&mut with(FIVE | PRFTEN), 0, straight), 80 + 5);
-    }
-
-    #[test]
-    fn four_long_instructions_last_as_long_as_the_next_lines_read() {
-        let straight = (0..10 * 16).step_by(4);
-        assert_eq!(run(&mut with(FIVE | PRFTEN), 0, straight), 5 + 4 + 9 * 6);
+    fn each_line_costs_the_wait_states_unless_prefetch_hides_them() {
+        for (acr, length, cycles) in [
+            (0, 2, 80),
+            (FIVE, 2, 80 + 10 * 5),
+            (2, 2, 80 + 10 * 2),
+            (FIVE | PRFTEN, 2, 80 + 5),
+            // Four long instructions last as long as the read of the next line.
+            (FIVE | PRFTEN, 4, 5 + 4 + 9 * 6),
+        ] {
+            assert_eq!(run(&mut with(acr), 0, straight(length)), cycles, "{acr:#x}, {length}");
+        }
     }
 
     /// Jumps from line to line, each to the one after the next.
@@ -223,24 +222,18 @@ mod tests {
     #[test]
     fn prefetched_lines_are_cached_too() {
         let mut accelerator = with(FIVE | ICEN | PRFTEN);
-        let straight = || (0..10 * 16).step_by(4);
-        assert_eq!(run(&mut accelerator, 0, straight()), 5 + 4 + 9 * 6);
-        assert_eq!(run(&mut accelerator, 100, straight()), 40);
+        assert_eq!(run(&mut accelerator, 0, straight(4)), 5 + 4 + 9 * 6);
+        assert_eq!(run(&mut accelerator, 100, straight(4)), 40);
     }
 
     #[test]
-    fn a_loop_of_64_lines_waits_in_its_first_turn_only() {
-        let mut accelerator = with(FIVE | ICEN);
-        let first = run(&mut accelerator, 0, jumps(64));
-        assert_eq!(first, 64 * 6);
-        assert_eq!(run(&mut accelerator, first, jumps(64)), 64);
-    }
-
-    #[test]
-    fn a_loop_of_65_lines_always_waits() {
-        let mut accelerator = with(FIVE | ICEN);
-        for turn in 0..3 {
-            assert_eq!(run(&mut accelerator, turn * 65 * 6, jumps(65)), 65 * 6);
+    fn a_loop_of_64_lines_waits_in_its_first_turn_only_and_one_of_65_always() {
+        for (lines, later) in [(64, 64), (65, 65 * 6)] {
+            let mut accelerator = with(FIVE | ICEN);
+            let first = run(&mut accelerator, 0, jumps(lines));
+            assert_eq!(first, u64::from(lines) * 6);
+            assert_eq!(run(&mut accelerator, first, jumps(lines)), later);
+            assert_eq!(run(&mut accelerator, 2 * first, jumps(lines)), later);
         }
     }
 

@@ -67,12 +67,7 @@ pub struct Aperture {
 
 impl Aperture {
     fn access(&self, offset: u32, length: usize) -> Result<Access, BusError> {
-        let width = match length {
-            1 => Width::Byte,
-            2 => Width::Half,
-            4 => Width::Word,
-            _ => return Err(BusError::BadAccess),
-        };
+        let width = Width::of(length).ok_or(BusError::BadAccess)?;
         let cycles = self.link.cycles.load(Relaxed);
         let now = self.link.clock.lock().map_err(|_| BusError::BadAccess)?.time_at(cycles);
         let address = self.base + offset;

@@ -1,6 +1,0 @@
-//! Controllers on a wire.
-
-mod errors;
-mod frames;
-mod node;
-mod rates;
