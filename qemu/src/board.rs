@@ -5,18 +5,15 @@ use std::{collections::VecDeque, io::Write};
 use emulator::{
     Time,
     can::{Adapter, Bus, Clock, Frame, Station},
-    chip::{Access, BusFault, Chip, FLASH_BASE, Part, Request, ResetCause, Width},
+    chip::{Access, BusFault, Chip, FLASH_BASE, Part, ResetCause, Width},
 };
 
-use crate::{
-    arguments::Arguments,
-    sys::{self, Machine},
-};
+use crate::sys::{self, Machine};
 
-const CAN1: std::ops::Range<u32> = 0x4000_6400..0x4000_6800;
-
-/// The time for which an internal reset pulls NRST low (RM0090 7.1.1).
-const RESET_HOLD: Time = Time::from_us(20);
+/// The time at which the first frame is queued.
+const START: Time = Time::from_s(1);
+/// The time from one frame to the next, and from the last to the end.
+const INTERVAL: Time = Time::from_ms(50);
 
 /// Everything around QEMU's CPU.
 pub struct Board {
@@ -24,66 +21,53 @@ pub struct Board {
     bus: Bus,
     adapter: Adapter,
     to_send: VecDeque<Frame>,
-    interval: Time,
     /// The time at which the next frame is queued, or of the end.
     next_frame: Time,
     machine: Machine,
     irqs: u128,
-    core_clock: u32,
-    /// The cause of the next reset.
+    /// The cause of the next reset: after the first one, only the program asks for any.
     reset_cause: ResetCause,
-    /// Whether the chip has requested a reset.
-    is_resetting: bool,
 }
 
 impl Board {
     /// A board with an 8 MHz crystal and erased settings.
-    pub fn new(arguments: &Arguments, machine: Machine) -> Self {
-        let crystal = Clock { hz: 8_000_000, ppm: 0 };
+    pub fn new(frames: &[Frame], machine: Machine) -> Self {
         Self {
-            chip: Chip::new(Part::Stm32f405, crystal, arguments.unique_id),
+            chip: Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]),
             bus: Bus::new(),
-            adapter: Adapter::new(arguments.bit_rate),
-            to_send: arguments.frames.iter().copied().collect(),
-            interval: arguments.interval,
-            next_frame: arguments.start,
+            adapter: Adapter::new(125_000),
+            to_send: frames.iter().copied().collect(),
+            next_frame: START,
             machine,
             irqs: 0,
-            core_clock: 0,
             reset_cause: ResetCause::PowerOn,
-            is_resetting: false,
         }
     }
 
     /// Handles a reset of the machine.
     pub fn reset(&mut self) {
-        // If the chip did not request it, the program did.
         let cause = std::mem::replace(&mut self.reset_cause, ResetCause::Software);
-        self.is_resetting = false;
         self.chip.reset(cause, self.machine.now());
         self.update();
     }
 
     /// Handles the expiry of the timer.
     pub fn advance(&mut self) {
-        self.machine.timer_expired();
         let now = self.machine.now();
-        if !self.is_resetting && now >= self.chip.next_event() {
+        if now >= self.chip.next_event() {
             self.chip.advance(now);
         }
-        if let Some(Request::Reset(cause)) = self.chip.take_request() {
-            self.reset_cause = cause;
-            self.is_resetting = true;
-            sys::request_reset();
-        }
+        assert_eq!(self.chip.take_request(), None, "only the program resets the chip");
         self.run_bus(now);
         if now >= self.next_frame {
-            self.next_frame += self.interval;
+            self.next_frame += INTERVAL;
             match self.to_send.pop_front() {
-                Some(frame) => self.send(frame, now),
+                Some(frame) => {
+                    print(now, '>', frame);
+                    self.adapter.send(frame);
+                }
                 None => self.end(),
             }
-            self.run_bus(now);
         }
         self.update();
     }
@@ -102,33 +86,20 @@ impl Board {
         value
     }
 
-    /// Handles a store of the CPU. If it makes the flash busy, the CPU stalls, as at its next fetch.
+    /// Handles a store of the CPU, which does not stall while the flash is busy.
     pub fn write(&mut self, address: u32, width: Width, value: u32) -> Result<(), BusFault> {
         let access = self.access(address, width);
         let result = self.chip.write(access, value);
-        if self.chip.take_can_written() {
-            self.run_bus(access.now);
-        }
-        if let Some(end) = self.chip.stalled_until(FLASH_BASE, access.now) {
-            self.machine.stall(end - access.now);
-        }
         self.update();
         result
     }
 
-    /// An access at the current time; for the CAN controller the bus is brought up to date first.
+    /// An access at the current time, to which the bus is brought first.
     fn access(&mut self, address: u32, width: Width) -> Access {
         let now = self.machine.now();
-        if CAN1.contains(&address) {
-            self.run_bus(now);
-        }
+        self.run_bus(now);
         // QEMU does not report the program counter to a device.
         Access { address, width, now, pc: 0 }
-    }
-
-    fn send(&mut self, frame: Frame, now: Time) {
-        print(now, '>', frame);
-        self.adapter.send(frame);
     }
 
     fn end(&mut self) {
@@ -155,26 +126,17 @@ impl Board {
         self.chip.can_mut(1).take_notes();
     }
 
-    /// Reports the chip's outputs and its next event to QEMU.
+    /// Brings the bus up to date and reports the chip's outputs and its next event to QEMU.
     fn update(&mut self) {
+        self.run_bus(self.machine.now());
         let irqs = self.chip.irqs();
-        let mut changed = irqs ^ self.irqs;
-        self.irqs = irqs;
-        while changed != 0 {
-            let number = changed.trailing_zeros();
-            changed &= changed - 1;
+        let changed = std::mem::replace(&mut self.irqs, irqs) ^ irqs;
+        for number in (0..128).filter(|number| changed >> number & 1 == 1) {
             self.machine.set_irq(number, irqs >> number & 1 == 1);
         }
-        let hz = self.chip.clocks().hclk.hz;
-        if std::mem::replace(&mut self.core_clock, hz) != hz {
-            self.machine.set_clock(hz);
-        }
-        // A reset is carried out late, and QEMU's time may jump to the timer meanwhile.
-        let event = match self.is_resetting {
-            true => self.machine.now() + RESET_HOLD,
-            false => self.chip.next_event(),
-        };
-        self.machine.set_timer(event.min(self.bus.next_action()).min(self.next_frame));
+        self.machine.set_clock(self.chip.clocks().hclk.hz);
+        let event = self.chip.next_event().min(self.bus.next_action());
+        self.machine.set_timer(event.min(self.next_frame));
     }
 }
 

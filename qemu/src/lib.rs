@@ -1,19 +1,14 @@
 //! A plugin for `qemu-system-arm -M netduinoplus2`: the emulated chip, on a CAN bus, around QEMU's CPU.
 //!
 //! QEMU provides the Cortex-M4F with NVIC, SysTick, RAM and flash; the [`emulator`]'s models replace all other
-//! peripherals, and the flash sectors that hold the firmware's settings. An adapter on the bus sends the frames given
-//! as arguments, prints those that it receives, and ends QEMU. Arguments:
-//!
-//! - `bit-rate=125000`: the adapter's bit rate in bit/s;
-//! - `unique-id=000102030405060708090a0b`: the chip's unique id;
-//! - `start=1000`, `interval=50`: the time of the first frame, and the interval to the next, in ms;
-//! - `send=7E5#0401`, once for each frame: identifier and data.
+//! peripherals, and the flash sectors that hold the firmware's settings. An adapter on the bus, at 125 kbit/s, sends the
+//! frames given as arguments, prints those that it receives, and ends QEMU. An argument is `send=7E5#0401`: identifier
+//! and data.
 //!
 //! Works with QEMU 7.2 to 10.0 if it exports its symbols, as Debian's build does; the dynamic linker names a missing
 //! one.
 #![cfg(target_os = "linux")]
 
-mod arguments;
 mod board;
 mod sys;
 
@@ -25,9 +20,11 @@ use std::{
     },
 };
 
-use emulator::chip::{BusFault, FLASH_BASE, Width};
+use emulator::{
+    can::{Frame, Id},
+    chip::{BusFault, FLASH_BASE, Width},
+};
 
-use arguments::Arguments;
 use board::Board;
 use sys::{MEMTX_ERROR, MEMTX_OK, Machine, MemoryRegionOps};
 
@@ -49,12 +46,10 @@ extern "C" fn choose_version() {
     }
 }
 
-/// Sectors 1 and 2 of the flash, which are never executed: the rest of the flash is QEMU's.
-const SETTINGS: (&CStr, u32, u64) = (c"settings", FLASH_BASE + 0x4000, 0x8000);
-
-/// The name, start and length in bytes of each range of addresses.
+/// The name, start and length in bytes of each range of addresses. Sectors 1 and 2 of the flash are never executed; the
+/// rest of it is QEMU's.
 const RANGES: [(&CStr, u32, u64); 4] = [
-    SETTINGS,
+    (c"settings", FLASH_BASE + 0x4000, 0x8000),
     (c"system memory", 0x1FFF_0000, 0xC000),
     (c"apb and ahb1", 0x4000_0000, 0x8_0000),
     (c"ahb2", 0x5000_0000, 0x6_1000),
@@ -63,7 +58,7 @@ const RANGES: [(&CStr, u32, u64); 4] = [
 static OPS: MemoryRegionOps = MemoryRegionOps::little_endian(read, write);
 
 /// Set at the start, for use once there is a machine.
-static ARGUMENTS: OnceLock<Arguments> = OnceLock::new();
+static FRAMES: OnceLock<Vec<Frame>> = OnceLock::new();
 static BOARD: OnceLock<Mutex<Board>> = OnceLock::new();
 
 /// QEMU's entry point. It is called early, before there is a machine.
@@ -79,23 +74,26 @@ pub unsafe extern "C" fn qemu_plugin_install(
 ) -> c_int {
     // SAFETY: the caller's promise.
     let arguments = unsafe { sys::strings(argc, argv) };
-    match Arguments::parse(arguments.iter().map(String::as_str)) {
-        Ok(arguments) => {
-            ARGUMENTS.get_or_init(|| arguments);
-            sys::on_machine_ready(machine_ready);
-            0
-        }
-        Err(why) => {
-            eprintln!("qemu-bridge: {why}");
-            1
-        }
-    }
+    let Some(frames) = arguments.iter().map(|argument| frame(argument)).collect() else {
+        eprintln!("qemu-bridge: an argument is like `send=7E5#0401`");
+        return 1;
+    };
+    FRAMES.get_or_init(|| frames);
+    sys::on_machine_ready(machine_ready);
+    0
+}
+
+/// The frame of an argument, in the notation of candump.
+fn frame(argument: &str) -> Option<Frame> {
+    let (id, data) = argument.strip_prefix("send=")?.split_once('#')?;
+    let byte = |pair: &[u8]| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok();
+    let data: Option<Vec<u8>> = data.as_bytes().chunks(2).map(byte).collect();
+    Some(Frame::data(Id::Standard(u16::from_str_radix(id, 16).ok()?), &data?))
 }
 
 extern "C" fn machine_ready(_: *mut c_void, _: *mut c_void) {
-    let arguments = ARGUMENTS.get().expect("the plugin is installed before the machine is made");
-    let machine = Machine::find(tick);
-    BOARD.get_or_init(|| Mutex::new(Board::new(arguments, machine)));
+    let frames = FRAMES.get().expect("the plugin is installed before the machine is made");
+    BOARD.get_or_init(|| Mutex::new(Board::new(frames, Machine::find(tick))));
     for (name, base, length) in RANGES {
         sys::map(name, base, length, &OPS);
     }
@@ -137,9 +135,5 @@ fn address(base: *mut c_void, offset: u64) -> u32 {
 }
 
 fn width(size: c_uint) -> Width {
-    match size {
-        1 => Width::Byte,
-        2 => Width::Half,
-        _ => Width::Word,
-    }
+    Width::of(size as usize).expect("QEMU has no other accesses")
 }

@@ -18,19 +18,12 @@ const QEMU_CLOCK_VIRTUAL: c_int = 1;
 const DEVICE_LITTLE_ENDIAN: c_int = 2;
 /// `enum ShutdownCause`.
 const SHUTDOWN_CAUSE_GUEST_SHUTDOWN: c_int = 6;
-const SHUTDOWN_CAUSE_GUEST_RESET: c_int = 7;
 /// `CLOCK_PERIOD_1SEC`: clocks have periods in units of 2^-32 ns.
 const PERIOD_OF_1_HZ: u64 = 1_000_000_000 << 32;
 
-/// Far more room than QEMU's opaque structures need: a `MemoryRegion`, a `QEMUTimer`.
-#[repr(C, align(16))]
-struct Opaque([u8; 4096]);
-
-impl Opaque {
-    /// Allocates zeroed memory that is never freed: QEMU keeps pointers to it.
-    fn leak() -> *mut c_void {
-        ptr::from_mut(Box::leak(Box::new(Self([0; 4096])))).cast()
-    }
+/// Zeroed memory that is never freed, as QEMU keeps pointers to it: far more than a `MemoryRegion` or a `QEMUTimer` needs.
+fn leak_opaque() -> *mut c_void {
+    ptr::from_mut(Box::leak(Box::new([0_u128; 256]))).cast()
 }
 
 type Callback = extern "C" fn(opaque: *mut c_void);
@@ -87,7 +80,6 @@ unsafe extern "C" {
     fn dlsym(library: *mut c_void, name: *const c_char) -> *mut c_void;
     fn qemu_add_machine_init_done_notifier(notifier: *mut Notifier);
     fn qemu_register_reset(callback: Callback, opaque: *mut c_void);
-    fn qemu_system_reset_request(cause: c_int);
     fn qemu_system_shutdown_request(cause: c_int);
     fn qemu_clock_get_ns(clock: c_int) -> i64;
     fn timer_init_full(
@@ -160,12 +152,6 @@ pub fn on_reset(callback: Callback) {
     unsafe { qemu_register_reset(callback, ptr::null_mut()) }
 }
 
-/// Requests a reset of the machine.
-pub fn request_reset() {
-    // SAFETY: may be called by any thread at any time.
-    unsafe { qemu_system_reset_request(SHUTDOWN_CAUSE_GUEST_RESET) }
-}
-
 /// Requests QEMU's successful end.
 pub fn request_shutdown() {
     // SAFETY: may be called by any thread at any time.
@@ -176,7 +162,7 @@ pub fn request_shutdown() {
 pub fn map(name: &CStr, base: u32, length: u64, ops: &'static MemoryRegionOps) {
     // SAFETY: there is a machine whenever a region is mapped.
     let memory = unsafe { get_system_memory() };
-    let region = Opaque::leak();
+    let region = leak_opaque();
     let opaque = ptr::without_provenance_mut(base as usize);
     // SAFETY: region and operations live forever, the name is copied, and the region is larger than a MemoryRegion.
     unsafe {
@@ -190,9 +176,6 @@ pub struct Machine {
     core: *mut c_void,
     clock: *mut c_void,
     timer: *mut c_void,
-    timer_at: Time,
-    /// The lead of the board's time over QEMU's, in which the core never stalls.
-    stalled: Time,
 }
 
 // SAFETY: QEMU's threads use its objects in turn, under the big lock, which every callback holds.
@@ -204,7 +187,7 @@ impl Machine {
     /// # Panics
     /// The machine does not have one Cortex-M and a clock called SYSCLK, as netduinoplus2 has.
     pub fn find(tick: Callback) -> Self {
-        let timer = Opaque::leak();
+        let timer = leak_opaque();
         let null = ptr::null_mut();
         // SAFETY: the paths and names are strings, the timer lives forever and is larger than a QEMUTimer.
         let (clock, core) = unsafe {
@@ -215,19 +198,14 @@ impl Machine {
             )
         };
         assert!(!clock.is_null() && !core.is_null(), "the machine must be netduinoplus2");
-        Self { core, clock, timer, timer_at: Time::MAX, stalled: Time::ZERO }
+        Self { core, clock, timer }
     }
 
     /// The current time of the board.
     pub fn now(&self) -> Time {
         // SAFETY: every caller is a device's or a timer's callback, where instructions are counted exactly.
         let ns = unsafe { qemu_clock_get_ns(QEMU_CLOCK_VIRTUAL) };
-        Time::from_ns(ns as u64) + self.stalled
-    }
-
-    /// Lets time pass in which the core does nothing. SysTick misses it, as well as its interrupts.
-    pub fn stall(&mut self, span: Time) {
-        self.stalled += span;
+        Time::from_ns(ns as u64)
     }
 
     /// Sets interrupt line `number`.
@@ -247,18 +225,9 @@ impl Machine {
     }
 
     /// Lets the timer expire at the first nanosecond at or after `at`.
-    pub fn set_timer(&mut self, at: Time) {
-        let at = at.saturating_sub(self.stalled);
-        if std::mem::replace(&mut self.timer_at, at) == at {
-            return;
-        }
+    pub fn set_timer(&self, at: Time) {
         let ns = at.as_ps().div_ceil(1000);
         // SAFETY: the timer is initialised; the number of nanoseconds is far below the limit.
         unsafe { timer_mod(self.timer, ns as i64) }
-    }
-
-    /// Notes that the timer has expired and must be set again even for the same time.
-    pub fn timer_expired(&mut self) {
-        self.timer_at = Time::MAX;
     }
 }

@@ -8,13 +8,14 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use emulator::{
     Time,
+    board::{Board, Settings},
     can::{Adapter, Frame},
     chip::Part,
     image::Image,
     network::Network,
 };
 use testkit::{
-    boards::{self, FIRST_START},
+    boards::FIRST_START,
     cargo::{cargo, target_directory},
     explain::explain,
     frames::of_master,
@@ -129,14 +130,7 @@ fn qemu(plugin: &str) -> anyhow::Result<Command> {
 
 /// Runs QEMU and returns the output of the plugin: a line for each frame and each finding.
 fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
-    let unique_id: String = boards::unique_id(0).iter().map(|byte| format!("{byte:02x}")).collect();
-    let mut argument = format!(
-        "{},bit-rate={},unique-id={unique_id},start={},interval={}",
-        plugin.display(),
-        bit_per_s(DEFAULT_BIT_RATE),
-        FIRST_START.as_ms(),
-        INTERVAL.as_ms()
-    );
+    let mut argument = plugin.display().to_string();
     for frame in session() {
         argument += &format!(",send={frame}");
     }
@@ -157,7 +151,7 @@ fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
 /// Runs the same session on the emulator.
 fn run_emulator(image: &Image) -> anyhow::Result<Vec<Seen>> {
     let mut network = Network::new();
-    let board = network.add_board(boards::board(PART, image, 0));
+    let board = network.add_board(Board::new(PART, image, Settings::default()));
     let adapter = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
     let mut seen = Vec::new();
     network.run_until(FIRST_START);
