@@ -2,9 +2,13 @@
 
 mod bit_timing;
 mod controller;
+#[cfg(target_os = "none")]
 mod peripheral;
 mod pins;
 mod queue;
+
+#[cfg(test)]
+use crate::tests::peripheral;
 
 pub use controller::{Controller, Received};
 pub use peripheral::Peripheral;

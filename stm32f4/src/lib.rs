@@ -1,21 +1,31 @@
 //! An STM32F4 board for a CANopen node with LSS: clocks, CAN controller, settings in flash, and the calls that a
-//! product's tasks make. On a computer there are only the [chips](chip).
+//! product's tasks make. On a computer there are only the [chips](chip), and for tests the drivers,
+//! over a chip in plain memory.
 
 #![no_std]
+// The tests use the drivers without the runner and the board, which call the rest of them.
+#![cfg_attr(test, allow(dead_code))]
+
+#[cfg(test)]
+extern crate plain_chip as cortex_m;
+#[cfg(test)]
+extern crate plain_chip as defmt;
+#[cfg(test)]
+extern crate plain_chip as stm32f4xx_hal;
 
 pub mod chip;
 
 #[cfg(target_os = "none")]
 pub mod board;
-#[cfg(target_os = "none")]
+#[cfg(any(target_os = "none", test))]
 pub mod can;
-#[cfg(target_os = "none")]
+#[cfg(any(target_os = "none", test))]
 mod clock;
-#[cfg(target_os = "none")]
+#[cfg(any(target_os = "none", test))]
 mod crystal;
 #[cfg(target_os = "none")]
 mod fault;
-#[cfg(target_os = "none")]
+#[cfg(any(target_os = "none", test))]
 mod flash;
 #[cfg(target_os = "none")]
 mod led;
@@ -27,8 +37,10 @@ mod runner;
 mod start;
 #[cfg(target_os = "none")]
 mod storage;
-#[cfg(target_os = "none")]
+#[cfg(any(target_os = "none", test))]
 mod supply;
+#[cfg(test)]
+mod tests;
 #[cfg(target_os = "none")]
 pub mod watchdog;
 
@@ -41,3 +53,5 @@ pub use crate::{
     storage::Storage,
     watchdog::Watchdog,
 };
+#[cfg(test)]
+use tests::board;

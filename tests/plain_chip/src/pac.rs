@@ -13,7 +13,7 @@ use stm32f4::{
 
 pub use stm32f4::stm32f405::{Interrupt, can1};
 
-use crate::{board, memory::Memory};
+use crate::memory::{self, Memory, SETTINGS_LEN};
 
 /// The registers of a port, up to those of the next.
 #[repr(C)]
@@ -88,8 +88,8 @@ pub static FLASH_STATUS: AtomicU32 = AtomicU32::new(0);
 fn react(flash: &flash::RegisterBlock) {
     let control = flash.cr().read();
     if control.strt().bit_is_set() && control.ser().bit_is_set() {
-        let from = board::SETTINGS_LEN / 2 * (usize::from(control.snb().bits()) - 1);
-        board::erase(from..from + board::SETTINGS_LEN / 2);
+        let from = SETTINGS_LEN / 2 * (usize::from(control.snb().bits()) - 1);
+        memory::erase(from..from + SETTINGS_LEN / 2);
         flash.cr().modify(|_, w| w.strt().clear_bit());
     }
     set(flash.sr(), FLASH_STATUS.load(Relaxed));

@@ -1,8 +1,8 @@
-//! The part of `stm32f4/src/can/peripheral.rs` that the CAN driver uses, for CAN1 in plain memory.
+//! What the CAN driver uses of `can::peripheral`, for CAN1 in plain memory.
 
-use std::ops::Deref;
+use core::ops::Deref;
 
-use crate::{
+use stm32f4xx_hal::{
     gpio::{Input, Output, Pin, PinPull, PinSpeed},
     pac::{CAN1, can1::RegisterBlock},
     rcc::{Rcc, Reset},
@@ -42,7 +42,7 @@ impl Peripheral for CAN1 {
     /// memory do not change meanwhile.
     fn driver(can: Connected) -> bxcan::Can<Connected> {
         // SAFETY: the driver is a structure of which the controller is the only field; neither has a size.
-        unsafe { std::mem::transmute::<Connected, bxcan::Can<Connected>>(can) }
+        unsafe { core::mem::transmute::<Connected, bxcan::Can<Connected>>(can) }
     }
 
     // SAFETY: as of the trait.

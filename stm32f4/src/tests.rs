@@ -1,27 +1,37 @@
-//! Tests that take the drivers through their unsafe code. What the chip makes of it is tested with the release image.
+//! Tests that take the drivers through their unsafe code, over a chip in plain memory. What a real one makes of it is
+//! tested with the release image.
 
-use std::{panic::catch_unwind, sync::atomic::Ordering::Relaxed};
+extern crate std;
+
+pub mod board;
+pub mod peripheral;
+
+use core::sync::atomic::Ordering::Relaxed;
+use std::panic::catch_unwind;
 
 use canopen_node::{
     BitRate, BusEvent, Frame, Instant, NodeId, Receives,
     indicator::BusState,
     settings::{Found, Log},
 };
-use drivers::{
-    can::{CanPins, Controller, Received},
-    clock::{self, Alarm},
-    crystal::{self, Crystal},
-    flash::{FlashError, SettingsFlash},
-    gpio::Pin,
-    memory,
-    pac::{CAN1, FLASH, FLASH_STATUS, GPIOA, PWR, RCC, TIM2, set},
-    rcc::Rcc,
-    supply::Supply,
-};
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 use firmware::{
     application::{Application, Node},
     device::{self, DEVICE},
+};
+use stm32f4xx_hal::{
+    gpio::Pin,
+    memory,
+    pac::{CAN1, FLASH, FLASH_STATUS, GPIOA, PWR, RCC, TIM2, set},
+    rcc::Rcc,
+};
+
+use crate::{
+    can::{CanPins, Controller, Received},
+    clock::{self, Alarm},
+    crystal::{self, Crystal},
+    flash::{FlashError, SettingsFlash},
+    supply::Supply,
 };
 
 /// CAN_TSR: three empty mailboxes.
@@ -164,7 +174,7 @@ fn the_transmit_pin_belongs_to_the_controller_unless_it_listens() {
     let mut can = controller();
     assert_eq!(mode(), 0b01);
     for _ in 0..2 {
-        // It is at rest while the controller is reset: `drivers::rcc`.
+        // It is at rest while the controller is reset: `plain_chip::rcc`.
         can.set_bit_rate(BitRate::Kbit125, receives(true));
         assert_eq!(mode(), 0b10);
     }

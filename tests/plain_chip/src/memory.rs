@@ -3,10 +3,24 @@
 use std::{
     cell::UnsafeCell,
     mem::MaybeUninit,
+    ops::Range,
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
-use crate::{board, pac};
+use crate::pac;
+
+/// The length of both flash sectors of the settings in bytes.
+pub const SETTINGS_LEN: usize = 2 * 16 * 1024;
+
+static SECTORS: Memory<[u32; SETTINGS_LEN / 4]> = Memory::zeroed();
+/// The sectors of the settings.
+pub const SETTINGS: *mut u32 = SECTORS.get().cast();
+
+/// Erases a part of the sectors.
+pub(crate) fn erase(bytes: Range<usize>) {
+    // SAFETY: the callers stay within the memory, to which nobody has a reference.
+    unsafe { SETTINGS.cast::<u8>().add(bytes.start).write_bytes(0xFF, bytes.len()) };
+}
 
 /// The memory of a `T` for which zeros are a valid value.
 pub struct Memory<T>(UnsafeCell<MaybeUninit<T>>);
@@ -29,6 +43,6 @@ pub fn take() -> MutexGuard<'static, ()> {
     static CHIP: Mutex<()> = Mutex::new(());
     let guard = CHIP.lock().unwrap_or_else(PoisonError::into_inner);
     pac::reset();
-    board::erase(0..board::SETTINGS_LEN);
+    erase(0..SETTINGS_LEN);
     guard
 }
