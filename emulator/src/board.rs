@@ -15,7 +15,7 @@ use crate::{
         Chip, ChipVariant, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause, StartUp,
     },
     coverage::Recorder,
-    engine::{Halt, Lockup, rsemu::Rsemu},
+    engine::{Engine, Halt, Lockup, rsemu::Rsemu},
     image::Image,
 };
 #[cfg(feature = "log")]
@@ -73,7 +73,7 @@ pub enum Stop {
 /// A microcontroller with its surroundings.
 pub struct Board {
     chip: Arc<Mutex<Chip>>,
-    engine: Rsemu,
+    engine: Box<dyn Engine>,
     #[cfg(feature = "log")]
     log: Log,
     controller: usize,
@@ -112,7 +112,7 @@ impl Board {
             chip.flash_mut().load(offset, bytes);
         }
         let chip = Arc::new(Mutex::new(chip));
-        let engine = Rsemu::new(Arc::clone(&chip));
+        let engine = Box::new(Rsemu::new(Arc::clone(&chip)));
         let mut board = Self {
             chip,
             engine,
@@ -187,7 +187,7 @@ impl Board {
             let halt = self.engine.run(until.min(event).min(poll));
             let now = self.engine.now();
             #[cfg(feature = "log")]
-            self.log.poll(&self.engine);
+            self.log.poll(self.engine.as_mut());
             if halt == Halt::ResetRequested {
                 self.reset(ResetCause::Software);
                 return Stop::Reset(ResetCause::Software);

@@ -2,7 +2,7 @@
 
 use defmt_decoder::DecodeError;
 
-use crate::{Time, engine::rsemu::Rsemu, image::Image};
+use crate::{Time, engine::Engine, image::Image};
 
 /// A decoded log message.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,7 +38,7 @@ impl Log {
     }
 
     /// Fetches the data written since the last poll and frees the buffer.
-    pub fn poll(&mut self, engine: &Rsemu) {
+    pub fn poll(&mut self, engine: &mut dyn Engine) {
         let Some(block) = self.control_block else {
             return;
         };

@@ -23,7 +23,7 @@ use rsemu::{
     },
 };
 
-use super::{Halt, Lockup, clock::CycleClock};
+use super::{Engine, Halt, Lockup, clock::CycleClock};
 use crate::{
     Time,
     chip::{Access, CCM_BASE, Chip, FLASH_BASE, Problem, RAM_BASE, Width},
@@ -36,10 +36,7 @@ use fast::{Decoded, Fast, Memories};
 /// Bits of SYST_CSR: counter enabled, and its interrupt enabled.
 const SYSTICK_INTERRUPTS: u32 = 0b11;
 
-/// A Cortex-M4F with the memories and peripherals of a [`Chip`].
-///
-/// Flash wait states cost nothing unless the chip's [`ChipVariant`](crate::chip::ChipVariant) states otherwise.
-/// DWT_CYCCNT also counts during sleep.
+/// A Cortex-M4F that executes one instruction at a time.
 pub struct Rsemu {
     cpu: ArmV7m,
     space: Space,
@@ -266,7 +263,7 @@ impl Rsemu {
             && self.read_memory(address, &mut stacked)
         {
             let mended = u32::from_le_bytes(stacked) | before & xpsr::IT_MASK;
-            self.write_memory(address, &mended.to_le_bytes());
+            self.write_ram(address, &mended.to_le_bytes());
         }
     }
 
@@ -280,8 +277,7 @@ impl Rsemu {
         }
     }
 
-    /// Copies into RAM; outside of it, returns false and copies nothing.
-    pub fn write_memory(&self, address: u32, bytes: &[u8]) -> bool {
+    fn write_ram(&self, address: u32, bytes: &[u8]) -> bool {
         address >= CCM_BASE
             && self
                 .store(address, bytes.len())
@@ -337,9 +333,8 @@ impl Rsemu {
     }
 }
 
-impl Rsemu {
-    /// Restarts from the vector table at `now`, after the time `hold` in which nothing runs.
-    pub fn reset(&mut self, now: Time, hold: Time) {
+impl Engine for Rsemu {
+    fn reset(&mut self, now: Time, hold: Time) {
         // A warm reset would leave NVIC and SysTick on.
         self.cpu.reset(ResetKind::Cold);
         self.settled = None;
@@ -360,10 +355,7 @@ impl Rsemu {
         self.sync_flash();
     }
 
-    /// Restarts as [`reset`](Self::reset) does, but as a program that the boot loader in ROM starts: interrupts are
-    /// enabled, SysTick runs, an interrupt of USB is pending, and the vector table is the one at address 0. The process
-    /// stack is in use, as after a loader with an operating system.
-    pub fn start_from_loader(&mut self, now: Time, hold: Time) {
+    fn start_from_loader(&mut self, now: Time, hold: Time) {
         /// OTG_FS.
         const USB: Exception = Exception(16 + 67);
         self.reset(now, hold);
@@ -386,8 +378,7 @@ impl Rsemu {
         });
     }
 
-    /// Runs until [`now`](Self::now) is at or past `until`, overshooting by less than one instruction, or until a halt.
-    pub fn run(&mut self, until: Time) -> Halt {
+    fn run(&mut self, until: Time) -> Halt {
         let chip = Arc::clone(&self.chip);
         self.sync(&lock(&chip));
         let mut target = self.clock.cycle_at(until);
@@ -441,8 +432,7 @@ impl Rsemu {
         Halt::Deadline
     }
 
-    /// Advances to `until`, earlier than [`wake_time`](Self::wake_time), if the CPU sleeps; returns whether it does.
-    pub fn sleep(&mut self, until: Time) -> bool {
+    fn sleep(&mut self, until: Time) -> bool {
         let is_asleep = self.cpu.is_asleep() && self.stalled_until <= self.cycles;
         if is_asleep {
             let cycles = self.clock.cycle_at(until).saturating_sub(self.cycles);
@@ -452,13 +442,11 @@ impl Rsemu {
         is_asleep
     }
 
-    /// The CPU's current time.
-    pub fn now(&self) -> Time {
+    fn now(&self) -> Time {
         self.clock.time_at(self.cycles)
     }
 
-    /// The time of the CPU's next action without interrupts: now, or the end of its sleep or stall.
-    pub fn wake_time(&self) -> Time {
+    fn wake_time(&self) -> Time {
         if self.stalled_until == u64::MAX {
             return Time::MAX;
         }
@@ -480,30 +468,29 @@ impl Rsemu {
             .map_or(Time::MAX, |cycles| self.clock.time_at(self.cycles + cycles))
     }
 
-    /// Core clock cycles since the engine was created, sleep and stalls included.
-    pub fn cycles(&self) -> u64 {
+    fn cycles(&self) -> u64 {
         self.cycles
     }
 
-    /// Core clock cycles since the engine was created in which the CPU was not asleep.
-    pub fn busy_cycles(&self) -> u64 {
+    fn busy_cycles(&self) -> u64 {
         self.cycles - self.asleep_cycles
     }
 
-    /// Copies out of RAM or flash; outside of them, returns false and copies nothing.
-    pub fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool {
+    fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool {
         self.store(address, bytes.len())
             .is_some_and(|(store, offset)| store.read_at(offset, bytes).is_ok())
     }
 
-    /// Takes over changes of the chip's flash from outside of a run.
-    pub fn sync_flash(&mut self) {
+    fn write_memory(&mut self, address: u32, bytes: &[u8]) -> bool {
+        self.write_ram(address, bytes)
+    }
+
+    fn sync_flash(&mut self) {
         let chip = Arc::clone(&self.chip);
         self.take_flash(&mut lock(&chip));
     }
 
-    /// Fills RAM and core-coupled memory with random content from `seed`, as after a power-on.
-    pub fn scramble_ram(&mut self, seed: u64) {
+    fn scramble_ram(&mut self, seed: u64) {
         let mut state = seed | 1;
         for store in [&self.ram, &self.ccm] {
             let words = (0..store.len() / 8).flat_map(|_| {
@@ -517,25 +504,21 @@ impl Rsemu {
         }
     }
 
-    /// The fault registers, if the core is locked up.
-    pub fn lockup(&self) -> Option<Lockup> {
+    fn lockup(&self) -> Option<Lockup> {
         self.cpu.is_locked_up().then(|| {
             self.cpu.with_sys(|sys| Lockup { cfsr: sys.cfsr, hfsr: sys.hfsr, bfar: sys.bfar })
         })
     }
 
-    /// Address of the next instruction.
-    pub fn pc(&self) -> u32 {
+    fn pc(&self) -> u32 {
         self.cpu.pc()
     }
 
-    /// The stack pointer in use.
-    pub fn sp(&self) -> u32 {
+    fn sp(&self) -> u32 {
         self.cpu.regs().r[13]
     }
 
-    /// Records the branches of the program from now on.
-    pub fn record(&mut self, recorder: Recorder) {
+    fn record(&mut self, recorder: Recorder) {
         self.recorder = Some(recorder);
     }
 }
