@@ -16,7 +16,7 @@ use emulator::{
 };
 use testkit::{
     boards::FIRST_START,
-    cargo::{cargo, target_directory},
+    cargo::{TARGET, cargo, target_directory},
     explain::explain,
     frames::of_master,
     image_rig::{DEFAULT_BIT_RATE, bit_per_s, on_the_wire},
@@ -34,20 +34,8 @@ const TIME: &str = "shift=3,sleep=off";
 /// The interval between requests: enough for an answer, a store and a restart.
 const INTERVAL: Time = Time::from_ms(50);
 
-/// A frame on the bus.
-struct Seen {
-    time: Time,
-    /// `>` for a request of the master, `<` for a frame of the slave.
-    direction: char,
-    frame: Frame,
-}
-
-impl Seen {
-    /// The part that must be equal in both runs.
-    fn text(&self) -> String {
-        format!("{} {}", self.direction, self.frame)
-    }
-}
+/// A frame on the bus: its time, `>` for a request of the master or `<` for a frame of the slave, and the frame.
+type Seen = (Time, char, Frame);
 
 /// Run a session on QEMU's CPU and on the emulator's, and check that they agree
 ///
@@ -68,12 +56,12 @@ pub fn run() -> anyhow::Result<()> {
 
     println!("{:>11} {:>11}", "QEMU", "emulator");
     let mut lines = output.lines();
-    for seen in &ours {
+    for (our_time, direction, frame) in &ours {
         let line = lines.next().unwrap_or("the end");
         let (time, what) = line.split_once(' ').unwrap_or(("", line));
-        let expected = seen.text();
+        let expected = format!("{direction} {frame}");
         ensure!(what == expected, "QEMU has `{line}` where the emulator has `{expected}`");
-        println!("{time:>11} {:>11} {expected:24} {}", seen.time, explain(&seen.frame));
+        println!("{time:>11} {our_time:>11} {expected:24} {}", explain(frame));
     }
     if let Some(line) = lines.next() {
         bail!("QEMU has `{line}` where the emulator's session has ended");
@@ -116,26 +104,17 @@ fn session() -> impl Iterator<Item = Frame> {
     SESSION.into_iter().map(|text| on_the_wire(&of_master(text)))
 }
 
-/// QEMU with the release image and a plugin.
-fn qemu(plugin: &str) -> anyhow::Result<Command> {
-    let elf = target_directory().join("thumbv7em-none-eabihf/release/firmware");
-    let mut command = Command::new(QEMU);
-    command
-        .args(["-machine", MACHINE, "-display", "none", "-serial", "none", "-monitor", "none"])
-        .arg("-kernel")
-        .arg(elf)
-        .args(["-plugin", plugin]);
-    Ok(command)
-}
-
 /// Runs QEMU and returns the output of the plugin: a line for each frame and each finding.
 fn run_qemu(plugin: &Path) -> anyhow::Result<String> {
     let mut argument = plugin.display().to_string();
     for frame in session() {
         argument += &format!(",send={frame}");
     }
-    let output = qemu(&argument)?
-        .args(["-icount", TIME])
+    let output = Command::new(QEMU)
+        .args(["-machine", MACHINE, "-display", "none", "-serial", "none", "-monitor", "none"])
+        .arg("-kernel")
+        .arg(target_directory().join(TARGET).join("release/firmware"))
+        .args(["-plugin", &argument, "-icount", TIME])
         .stdin(Stdio::null())
         .stderr(Stdio::inherit())
         .output()
@@ -156,11 +135,11 @@ fn run_emulator(image: &Image) -> anyhow::Result<Vec<Seen>> {
     let mut seen = Vec::new();
     network.run_until(FIRST_START);
     for frame in session() {
-        seen.push(Seen { time: network.now(), direction: '>', frame });
+        seen.push((network.now(), '>', frame));
         network.send(adapter, frame);
         network.run_for(INTERVAL);
         while let Some((time, frame)) = network.receive(adapter) {
-            seen.push(Seen { time, direction: '<', frame });
+            seen.push((time, '<', frame));
         }
     }
     if let Some(finding) = network.board(board).findings().first() {
