@@ -8,7 +8,7 @@ use emulator::{
     Time, board,
     can::{Adapter, Frame, Id},
     chip::Part,
-    network::{AdapterId, Event, Network, Source, What},
+    network::{AdapterId, Event, Network, Short, Source, What},
 };
 use lss_master::{Master, Procedure};
 
@@ -315,14 +315,29 @@ impl ImageRig {
         self.network.send(self.master, on_the_wire(frame));
     }
 
-    /// Selects the boards and inquires their node-ID every 50 ms; returns whether one answers within 15 s.
-    pub fn is_reached(&mut self) -> bool {
-        (0..300).any(|_| {
-            self.queue(&frames::request("04 01"));
-            self.queue(&frames::request("5E"));
-            let frames = self.collect(Time::from_ms(50));
-            frames.0.iter().any(|frame| frame.cob_id() == 0x7E4)
-        })
+    /// Waits until the master has sent all that is queued.
+    pub fn send_all(&mut self) {
+        while self.network.adapter_mut(self.master).unsent() > 0 {
+            self.network.run_for(Time::from_us(200));
+        }
+    }
+
+    /// Short-circuits the bus for `span`.
+    pub fn short_circuit(&mut self, short: Short, span: Time) {
+        self.network.set_short(Some(short));
+        self.network.run_for(span);
+        self.network.set_short(None);
+    }
+
+    /// The errors that the nodes have detected.
+    pub fn errors(&self) -> Vec<&Event> {
+        let is_error = |event: &&Event| matches!(event.what, What::Error { .. });
+        self.network.trace().iter().filter(is_error).collect()
+    }
+
+    /// Adds two nodes that acknowledge each other's frames.
+    pub fn add_others(&mut self, bit_rate: BitRate) -> [AdapterId; 2] {
+        [(); 2].map(|()| self.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
     }
 
     /// Whether a line of the first board's log begins with `text`.

@@ -3,7 +3,6 @@
 use canopen_node::{BitRate, Frame as NodeFrame};
 use emulator::{
     Time,
-    board::{self, Board},
     can::{Adapter, Frame, Id},
     chip::{ChipVariant, ResetCause, Timing},
     network::{Event, Source, What},
@@ -11,11 +10,12 @@ use emulator::{
 use testkit::{
     frames::{self, Frames, SILENCE},
     random::Random,
+    sdo,
 };
 
 use crate::rig::{
-    CORE_MHZ, ImageRig, SETTINGS_OFFSET, blank_board, board_with, flash_with, image, on_the_wire,
-    part, rig_with, settings,
+    CORE_MHZ, ImageRig, board_with, board_with_flash, chip, flash_with, node_40, on_the_wire,
+    rig_of, rig_with, settings,
 };
 
 /// The limit for an answer, except to store configuration, in core cycles.
@@ -33,25 +33,33 @@ const MOST_LOAD_PERCENT: u64 = 10;
 /// The time-out of a fast master.
 const MASTER_TIMEOUT: Time = Time::from_ms(20);
 
+/// The time at which a frame that ends at `end` is valid for a receiver: the sample of its last bit but one, at 7/8 of it.
+pub fn valid(rig: &ImageRig, end: Time) -> Time {
+    end.saturating_sub(Time::from_ps(rig.bit_time().as_ps() * 9 / 8))
+}
+
+/// Core cycles between two times.
+pub fn cycles(from: Time, to: Time) -> u64 {
+    to.saturating_sub(from).as_ps() * CORE_MHZ / 1_000_000
+}
+
 /// Core cycles from the time at which `request` is valid to the board's request to transmit the answer.
 fn cycles_to_answer(rig: &mut ImageRig, request: &NodeFrame) -> u64 {
-    // A frame is valid for a receiver when the last bit but one of its end is sampled, at 7/8 of the bit.
-    let valid_before_end = Time::from_ps(rig.bit_time().as_ps() * 9 / 8);
     let end = rig.transmit(on_the_wire(request));
     rig.collect(MASTER_TIMEOUT);
-    let valid = end.saturating_sub(valid_before_end);
+    let valid = valid(rig, end);
     let (time, _) = rig.requested(0, valid).next().expect("an answer");
-    (time - valid).as_ps() * CORE_MHZ / 1_000_000
+    cycles(valid, time)
 }
 
 /// The same for the answer that begins with `command`, regardless of other frames.
 fn cycles_to(rig: &mut ImageRig, request: &str, command: u8) -> u64 {
-    let valid_before_end = Time::from_ps(rig.bit_time().as_ps() * 9 / 8);
-    let valid = rig.transmit_request(request).saturating_sub(valid_before_end);
+    let end = rig.transmit_request(request);
     rig.collect(Time::from_ms(3));
+    let valid = valid(rig, end);
     let is_answer = |frame: &Frame| frame.id == Id::Standard(0x7E4) && frame.data[0] == command;
     let (time, _) = rig.requested(0, valid).find(|(_, frame)| is_answer(frame)).expect("an answer");
-    (time - valid).as_ps() * CORE_MHZ / 1_000_000
+    cycles(valid, time)
 }
 
 #[test]
@@ -62,16 +70,12 @@ fn every_lss_answer_but_the_one_to_store_takes_less_than_3_us() {
 
 #[test]
 fn with_wait_states_of_the_flash_each_of_them_takes_less_than_4_us() {
-    let chip_variant = ChipVariant { flash_waits: true, ..ChipVariant::default() };
-    let board = board::Settings { chip_variant, ..Default::default() };
-    let mut board = Board::new(part(), image(), board);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(0xFF, BitRate::Kbit1000)]));
-    let rig = ImageRig::new(BitRate::Kbit1000, [board]);
-    check_answers(rig, WITH_WAITS);
+    let waits = chip(ChipVariant { flash_waits: true, ..ChipVariant::default() });
+    check_answers(rig_of(waits, settings(0xFF, BitRate::Kbit1000)), WITH_WAITS);
 }
 
 /// Prints the time of each answer and compares it with the limits for an LSS answer, a boot-up and an SDO upload.
-fn check_answers(mut rig: ImageRig, [answer, boot_up, sdo]: [u64; 3]) {
+fn check_answers(mut rig: ImageRig, [answer, boot_up, upload]: [u64; 3]) {
     let waiting = [
         ("identify non-configured", "4C"),
         ("Fastscan, begin", "51 00 00 00 00 80"),
@@ -118,16 +122,15 @@ fn check_answers(mut rig: ImageRig, [answer, boot_up, sdo]: [u64; 3]) {
     rig.lss("11 04");
     measure(&mut rig, "waiting, first boot-up", frames::request("04 00"), boot_up);
     measure(&mut rig, "NMT reset communication", frames::command("82 00"), boot_up);
-    let read = NodeFrame::new(0x604, &[0x40, 0x18, 0x10, 0x01, 0, 0, 0, 0]).expect("a frame");
-    measure(&mut rig, "SDO upload of the vendor-ID", read, sdo);
+    let read = sdo::request(4, "40 18 10 01");
+    measure(&mut rig, "SDO upload of the vendor-ID", read, upload);
 }
 
 #[test]
 fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
     for (timing, most) in [(Timing::Typical, Time::from_ms(1)), (Timing::Worst, Time::from_ms(2))] {
-        let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
+        let mut rig = node_40(0);
         rig.network.board(0).chip().flash_mut().set_timing(timing);
-        rig.network.run_for(Time::from_ms(20));
         rig.lss("04 01");
         rig.lss("11 04");
         let cycles = cycles_to_answer(&mut rig, &frames::request("17"));
@@ -142,8 +145,7 @@ fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
 
 #[test]
 fn an_answer_takes_as_long_in_every_nmt_state() {
-    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
-    rig.collect(MASTER_TIMEOUT);
+    let mut rig = node_40(0);
     rig.lss("04 01");
     for (state, command) in
         [("pre-operational", "80 40"), ("operational", "01 40"), ("stopped", "02 40")]
@@ -162,7 +164,7 @@ fn a_store_delays_an_answer_by_at_most_two_words_of_the_slowest_flash() {
     const WORD_US: u64 = 100;
     let mut worst = 0;
     for node_id in 1..=20 {
-        let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
+        let mut rig = node_40(0);
         rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
         rig.lss("04 01");
         rig.lss(&format!("11 {node_id:02X}"));
@@ -187,8 +189,7 @@ fn command_specifiers(answers: &Frames) -> Vec<u8> {
 
 #[test]
 fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
-    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
-    rig.collect(MASTER_TIMEOUT);
+    let mut rig = node_40(0);
     for _ in 0..20 {
         for request in REQUESTS {
             rig.queue(&frames::request(request));
@@ -202,9 +203,8 @@ fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
 #[test]
 fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
     let mut random = Random::from_environment();
-    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(7));
+    let mut rig = node_40(7);
     let other = rig.network.add_adapter(Adapter::new(1_000_000));
-    rig.collect(MASTER_TIMEOUT);
     let (mut sent, mut sdo_requests, mut sdo_answers) = (0, 0, 0);
     for _ in 0..50 {
         for request in REQUESTS.into_iter().chain(["04 00"]) {
@@ -264,12 +264,8 @@ fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
     let from = rig.network.now();
     let (cycles_before, busy_before) = rig.network.board(0).cycles();
     const REQUESTS: usize = 500;
-    (0..REQUESTS).for_each(|_| {
-        rig.queue(&frames::request("11 80"));
-    });
-    while rig.network.adapter_mut(rig.master).unsent() > 0 {
-        rig.network.run_for(Time::from_ms(1));
-    }
+    (0..REQUESTS).for_each(|_| rig.queue(&frames::request("11 80")));
+    rig.send_all();
     let (cycles, busy) = rig.network.board(0).cycles();
     let load = (busy - busy_before) * 100 / (cycles - cycles_before);
     println!("{:30} {load:5} % of the CPU", "a full bus, all to be answered");
@@ -285,9 +281,7 @@ fn a_node_boots_up_within_5_ms_even_with_a_full_bank_of_settings() {
     // A mark, the defaults twice, these, and the last of them once more.
     let stores: Vec<_> =
         (0..508_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();
-    let mut board = blank_board(0);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&stores));
-    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board_with_flash(&flash_with(&stores))]);
     rig.collect(Time::from_ms(20));
     rig.network.allow_reset(0, ResetCause::Software);
     let from = rig.transmit_command("81 00");

@@ -10,10 +10,11 @@ use emulator::{
 use testkit::{
     frames::{self, SILENCE},
     random::Random,
+    sdo::Client,
 };
 
 use crate::rig::{
-    DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, blank_board, flash_with, rig_with, settings,
+    DEFAULT_BIT_RATE, ImageRig, answers, board_with_flash, flash_with, node_40, rig_with, settings,
 };
 
 const LSS: Id = Id::Standard(0x7E5);
@@ -25,8 +26,7 @@ fn inquiry(id: Id) -> Frame {
 
 /// Node 40 in configuration state, on which the frames sent must have no effect.
 fn configured() -> ImageRig {
-    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
-    rig.collect(Time::from_ms(20));
+    let mut rig = node_40(0);
     rig.lss("04 01");
     rig
 }
@@ -35,9 +35,7 @@ fn configured() -> ImageRig {
 fn assert_ignored(rig: &mut ImageRig, frames: &[Frame]) {
     let from = rig.network.now();
     frames.iter().for_each(|&frame| rig.network.send(rig.master, frame));
-    while rig.network.adapter_mut(rig.master).unsent() > 0 {
-        rig.network.run_for(Time::from_ms(1));
-    }
+    rig.send_all();
     assert_eq!(rig.collect(Time::from_ms(10)), SILENCE);
     assert_eq!(rig.did(0, from).next(), None);
     assert_eq!(rig.lss("5E"), ["5E 40"], "still in configuration state");
@@ -78,10 +76,8 @@ fn an_nmt_command_of_another_form_or_for_another_node_is_ignored() {
 fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
     let mut random = Random::from_environment();
     for fill in [0x00, 0x55, 0xA5] {
-        let mut board = blank_board(0);
         let garbage: Vec<u8> = (0..0x8000).map(|_| random.byte() ^ fill).collect();
-        board.set_flash(SETTINGS_OFFSET, &garbage);
-        let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board]);
+        let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&garbage)]);
         let log = rig.network.board(0).log();
         let why = "the settings in the flash are damaged; using the defaults";
         assert!(log.iter().any(|line| line.level == "error" && line.text == why), "{log:#?}");
@@ -93,9 +89,15 @@ fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
             ["704: 00", "084: 10 63 01 00 00 00 00 00"],
             "an emergency message once there is a node-ID"
         );
+        let errors = |rig: &mut ImageRig| {
+            [(0x1001, 0), (0x1003, 1)]
+                .map(|(index, sub_index)| rig.sdo_client(4).number(index, sub_index))
+        };
+        assert_eq!(errors(&mut rig), [1, 0x6310]);
         rig.lss("04 01");
-        let stored = rig.lss("17");
-        assert!(stored.0.iter().any(|frame| frame.cob_id() == 0x7E4 && frame.data()[1] == 0));
+        rig.ask("17", "17 00");
+        rig.collect(Time::from_ms(50));
+        assert_eq!(errors(&mut rig)[0], 0);
         rig.power_cycle(0);
         assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
     }
@@ -110,9 +112,7 @@ fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
     // Its copy by the last start has not been written.
     flash[32 * last..][..32].fill(0xFF);
     flash[32 * last - 4..][..4].fill(0xFF);
-    let mut board = blank_board(0);
-    board.set_flash(SETTINGS_OFFSET, &flash);
-    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board_with_flash(&flash)]);
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
     let log = rig.network.board(0).log();
     let why = "a store was interrupted or its record is unknown; using the settings before it";
@@ -120,38 +120,46 @@ fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
 }
 
 #[test]
-fn a_board_alone_on_the_bus_waits_and_answers_a_master_that_joins() {
-    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(500));
-    let from = rig.network.now();
-    rig.network.adapter_mut(rig.master).close();
-    rig.network.run_for(Time::from_s(6));
-    assert!(rig.did(0, from).any(|event| matches!(event.what, What::Error { .. })));
-    assert!(!rig.did(0, from).any(|event| event.what == What::BusOff), "only error passive");
-    rig.network.adapter_mut(rig.master).open();
-    let waiting = rig.collect(Time::from_ms(20));
-    assert!(waiting.0.len() < 20, "only the waiting frames: {waiting:?}");
-    rig.lss("04 01");
-    assert_eq!(rig.lss("5E"), ["5E 40"]);
+fn a_board_alone_on_the_bus_keeps_its_rate_and_answers_a_late_master() {
+    let just_switched_on = (0..12).map(|step| (true, 50, Time::from_ms(50 + 60 * step)));
+    for (is_new, heartbeat_ms, span) in just_switched_on.chain([(false, 500, Time::from_s(60))]) {
+        let mut rig = node_40(heartbeat_ms);
+        let from = rig.network.now();
+        if is_new {
+            rig.restart_unattended();
+        }
+        rig.network.adapter_mut(rig.master).close();
+        rig.network.run_for(span);
+        assert!(rig.did(0, from).any(|event| matches!(event.what, What::Error { .. })));
+        assert!(!rig.did(0, from).any(|event| event.what == What::BusOff), "only error passive");
+        rig.network.adapter_mut(rig.master).open();
+        for request in ["04 01", "5E"] {
+            rig.queue(&frames::request(request));
+        }
+        let sent = rig.collect(Time::from_ms(20));
+        assert!(sent.texts().iter().any(|text| text.starts_with("7E4: 5E 40")), "{sent:?}");
+        assert!(sent.0.len() < 20, "only the waiting frames: {sent:?}");
+        assert_eq!(rig.bit_rates(0, from).len(), usize::from(is_new), "set at the start only");
+    }
 }
 
 #[test]
 fn a_board_that_is_driven_bus_off_recovers_and_reports_it() {
-    let settings = settings(0x40, BitRate::Kbit500).with_heartbeat_ms(20);
-    let mut rig = rig_with(settings);
-    rig.lss("04 01");
-    let from = rig.network.now();
-    rig.network.set_short(Some(Short::Recessive));
-    rig.network.run_for(Time::from_ms(100));
-    assert!(rig.did(0, from).any(|event| event.what == What::BusOff));
-    rig.network.set_short(None);
-    let frames = rig.collect(Time::from_s(1));
-    let reported = |text: &str| frames.0.iter().any(|frame| frames::text(frame).starts_with(text));
-    assert!(reported("740: 7F"), "{frames:?}");
-    assert!(reported("0C0: 40 81 11"), "{frames:?}");
-    assert!(reported("0C0: 00 00 00"), "{frames:?}");
-    let answers = rig.lss("5E");
-    assert!(answers.0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40")));
-    let log = rig.network.board(0).log();
-    let mut errors = log.iter().filter(|line| line.level == "error");
-    assert!(errors.any(|line| line.text.starts_with("CAN: bus-off")));
+    for (bit_rate, short, recovery) in [
+        (BitRate::Kbit500, Time::from_ms(100), Time::from_s(1)),
+        (BitRate::Kbit20, Time::from_s(8), Time::from_s(4)),
+    ] {
+        let mut rig = rig_with(settings(0x40, bit_rate).with_heartbeat_ms(100));
+        rig.lss("04 01");
+        let from = rig.network.now();
+        rig.short_circuit(Short::Recessive, short);
+        assert!(rig.did(0, from).any(|event| event.what == What::BusOff));
+        let sent = rig.collect(recovery).texts();
+        for expected in ["740: 7F", "0C0: 40 81 11", "0C0: 00 00 00"] {
+            assert!(sent.iter().any(|text| text.starts_with(expected)), "{expected}: {sent:?}");
+        }
+        assert!(answers(&mut rig));
+        assert!(rig.has_logged("CAN: bus-off"));
+        assert!(rig.has_logged("CAN: recovered from bus-off"));
+    }
 }

@@ -9,37 +9,41 @@ use emulator::{
         bxcan::{Acknowledge, CanVariant, TransmitLock},
     },
     chip::{Pin, ResetCause},
-    network::{Event, Short, What},
+    network::{Short, What},
 };
 use testkit::frames;
 
-use crate::rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, image, part, settings};
+use crate::rig::{ImageRig, answers, bit_per_s, board_of, settings};
 
 /// The line to the transceiver, as in pins.rs.
 const TRANSMIT: Pin = Pin('B', 9);
 
 fn board(settings: Settings, can_variant: CanVariant) -> Board {
-    let of_board = board::Settings { can_variant, ..Default::default() };
-    let mut board = Board::new(part(), image(), of_board);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
-    board
+    board_of(board::Settings { can_variant, ..Default::default() }, settings)
 }
 
 fn listener() -> Settings {
     settings(0x40, BitRate::Kbit125).with_bit_rate(BitRateSetting::Automatic)
 }
 
-/// Whether node 40 answers the master, once it is in configuration state.
-fn answers(rig: &mut ImageRig) -> bool {
-    rig.lss("04 01");
-    rig.lss("5E").0.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40"))
-}
-
-fn rig_with(can_variant: CanVariant) -> ImageRig {
+/// Node 40 at 500 kbit/s with such a controller.
+fn node_40_on(can_variant: CanVariant) -> ImageRig {
     let board = board(settings(0x40, BitRate::Kbit500), can_variant);
     let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
     rig.collect(Time::from_ms(100));
     rig
+}
+
+/// Lets another node send for 3 s, and checks that the listener has found its rate.
+fn let_it_listen(rig: &mut ImageRig) {
+    let other = rig.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
+    for _ in 0..150 {
+        rig.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
+        rig.network.run_for(Time::from_ms(20));
+    }
+    assert_eq!(rig.network.adapter_mut(other).unsent(), 0);
+    rig.collect(Time::from_ms(200));
+    assert!(answers(rig));
 }
 
 /// Checks that other nodes detect no error with the board if they detect none without it.
@@ -49,17 +53,8 @@ fn a_listener_whose_transmit_pin_is_locked_never_holds_the_bus_dominant() {
         let transmit_lock = Some(TransmitLock { every, frame });
         let variant = CanVariant { transmit_lock, ..CanVariant::default() };
         let mut rig = ImageRig::new(BitRate::Kbit250, [board(listener(), variant)]);
-        let other = rig.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
-        for _ in 0..150 {
-            rig.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
-            rig.network.run_for(Time::from_ms(20));
-        }
-        assert_eq!(rig.network.adapter_mut(other).unsent(), 0);
-        rig.collect(Time::from_ms(200));
-        assert!(answers(&mut rig), "{every} {frame}");
-        let is_error = |event: &&Event| matches!(event.what, What::Error { .. });
-        let errors: Vec<_> = rig.network.trace().iter().filter(is_error).collect();
-        assert!(errors.is_empty(), "{every} {frame}: {errors:#?}");
+        let_it_listen(&mut rig);
+        assert!(rig.errors().is_empty(), "{every} {frame}: {:#?}", rig.errors());
     }
 }
 
@@ -67,10 +62,7 @@ fn a_listener_whose_transmit_pin_is_locked_never_holds_the_bus_dominant() {
 fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
     let lost = [2, 3, 4].map(|every| Acknowledge::Lost { every });
     for acknowledge in lost.into_iter().chain([1, 11].map(Acknowledge::Late)) {
-        let variant = CanVariant { acknowledge, ..CanVariant::default() };
-        let board = board(settings(0x40, BitRate::Kbit500), variant);
-        let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
-        rig.collect(Time::from_ms(100));
+        let mut rig = node_40_on(CanVariant { acknowledge, ..CanVariant::default() });
         assert!(answers(&mut rig), "{acknowledge:?}");
     }
 }
@@ -78,7 +70,7 @@ fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
 #[test]
 fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
     let dead = CanVariant { acknowledge: Acknowledge::Lost { every: 1 }, ..CanVariant::default() };
-    let mut rig = rig_with(CanVariant::default());
+    let mut rig = node_40_on(CanVariant::default());
     for request in ["04 01", "13 00 03"] {
         rig.lss(request);
     }
@@ -96,7 +88,7 @@ fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
 #[test]
 fn a_chip_is_reset_until_its_controller_acknowledges() {
     let dead = CanVariant { acknowledge: Acknowledge::Lost { every: 1 }, ..CanVariant::default() };
-    let mut rig = rig_with(CanVariant::default());
+    let mut rig = node_40_on(CanVariant::default());
     rig.network.power_off(0);
     rig.network.board(0).chip().can_mut(1).set_variant(dead);
     rig.network.run_for(Time::from_ms(10));
@@ -116,7 +108,7 @@ fn a_chip_is_reset_until_its_controller_acknowledges() {
 
 #[test]
 fn each_frame_is_handled_once_though_the_fifo_shows_the_next_one_late() {
-    let mut rig = rig_with(CanVariant { late_release: true, ..CanVariant::default() });
+    let mut rig = node_40_on(CanVariant { late_release: true, ..CanVariant::default() });
     rig.lss("04 01");
     for request in ["5A", "5B", "5C", "5D", "5E"] {
         rig.queue(&frames::stranger());
@@ -136,9 +128,7 @@ fn a_board_is_configured_under_each_other_reading() {
         CanVariant { both_fifos: true, ..off },
         CanVariant { late_choice: true, ..off },
     ] {
-        let board = board(settings(0x40, BitRate::Kbit500), variant);
-        let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
-        rig.collect(Time::from_ms(20));
+        let mut rig = node_40_on(variant);
         assert!(answers(&mut rig), "{variant:?}");
         assert_eq!(rig.lss("11 41"), ["11 00"], "{variant:?}");
         assert_eq!(rig.lss("17"), ["17 00"], "{variant:?}");
@@ -158,13 +148,7 @@ fn a_listener_that_hears_nothing_of_a_dominant_bus_is_reset_now_and_then() {
     // Four times a second, and at both new rounds of the detection.
     assert!((12..=14).contains(&count), "{count} in 3 s");
     rig.network.set_short(None);
-    let other = rig.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
-    for _ in 0..150 {
-        rig.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
-        rig.network.run_for(Time::from_ms(20));
-    }
-    rig.collect(Time::from_ms(200));
-    assert!(answers(&mut rig));
+    let_it_listen(&mut rig);
 }
 
 /// The interrupt of bus-off lasts as long as bus-off does: it must not block everything else.
@@ -199,10 +183,6 @@ fn a_listener_gives_the_line_back_to_the_controller_when_it_takes_part() {
         |rig: &ImageRig| rig.network.board(0).chip().gpio().alternate_function(TRANSMIT).is_some();
     assert!(!is_alternate(&rig));
     assert_eq!(rig.network.board(0).output(TRANSMIT).level, Some(true));
-    let other = rig.network.add_adapter(Adapter::new(bit_per_s(BitRate::Kbit250)));
-    for _ in 0..150 {
-        rig.network.send(other, Frame::data(Id::Standard(0x181), &[0x5A; 8]));
-        rig.network.run_for(Time::from_ms(20));
-    }
+    let_it_listen(&mut rig);
     assert!(is_alternate(&rig));
 }

@@ -1,34 +1,19 @@
-//! The release image on difficult hardware: a low supply, a crystal that does not start or stops, no fault below the
-//! stack, commit words that read differently each time, a slow core, a brown-out.
+//! The release image on difficult hardware: a low supply, a crystal that does not start or stops, a slow core, a
+//! brown-out, a boot loader, a probe.
 
-use canopen_node::{BitRate, Settings};
+use canopen_node::BitRate;
 use emulator::{
     Time,
     board::{self, Board},
-    chip::{Access, ChipVariant, FLASH_BASE, RAM_BASE, ResetCause, StartUp, Thresholds, Width},
+    chip::{Access, ChipVariant, RAM_BASE, ResetCause, StartUp, Thresholds, Width},
     network::{Event, Source, What},
 };
 use testkit::frames::{Frames, SILENCE};
 
-use crate::rig::{ImageRig, SETTINGS_OFFSET, blank_rig, flash_with, image, part, settings};
-
-const RATE: BitRate = BitRate::Kbit1000;
-
-fn board_with(chip_variant: ChipVariant, stored: &[Settings]) -> Board {
-    let settings = board::Settings { chip_variant, ..Default::default() };
-    let mut board = Board::new(part(), image(), settings);
-    if !stored.is_empty() {
-        board.set_flash(SETTINGS_OFFSET, &flash_with(stored));
-    }
-    board
-}
-
-/// Node 40 on such a chip.
-fn node_40(chip_variant: ChipVariant) -> ImageRig {
-    let mut rig = ImageRig::new(RATE, [board_with(chip_variant, &[settings(0x40, RATE)])]);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
-    rig
-}
+use crate::rig::{
+    DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, answers, assert_stores, blank_board, blank_rig,
+    chip, image, node_40_on, part, rig_of, settings, slow_node_40,
+};
 
 fn says(board: &Board, text: &str) -> usize {
     board.log().iter().filter(|line| line.text.starts_with(text)).count()
@@ -54,7 +39,7 @@ fn store(rig: &mut ImageRig, node_id: u8) -> (Frames, u64) {
 #[test]
 fn a_store_programs_words_if_the_supply_is_safely_above_2_7_v_or_else_bytes() {
     for thresholds in [Thresholds::Lowest, Thresholds::Typical, Thresholds::Highest] {
-        let mut rig = node_40(ChipVariant { thresholds, ..ChipVariant::default() });
+        let mut rig = node_40_on(ChipVariant { thresholds, ..ChipVariant::default() });
         let (answers, words) = store(&mut rig, 4);
         assert_eq!(answers, ["17 00"]);
         let lower = [2_900, 2_800, 2_749, 2_700, 2_500, 2_000];
@@ -93,31 +78,28 @@ fn a_supply_that_rises_slowly_is_waited_for_before_the_flash_is_erased() {
 
 #[test]
 fn a_node_whose_supply_stays_low_is_on_the_bus_and_formats_and_stores() {
-    let mut board = board_with(ChipVariant::default(), &[]);
-    board.set_supply(2_000);
-    let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
-    let low = "the supply is below 2.7 V, which the clock needs";
-    assert_eq!(says(rig.network.board(0), low), 1);
-    assert_eq!(store(&mut rig, 4).0, ["17 00"]);
-    rig.power_cycle(0);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
+    for mv in [2_000, 2_500] {
+        let mut board = blank_board(0);
+        board.set_supply(mv);
+        let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board]);
+        let low = "the supply is below 2.7 V, which the clock needs";
+        assert_eq!(says(rig.network.board(0), low), 1);
+        assert_eq!(rig.lss("4C"), ["50"]);
+        assert_stores(&mut rig);
+    }
 }
 
 #[test]
 fn a_core_that_runs_on_while_the_flash_is_busy_waits_for_its_end() {
-    let mut rig = node_40(ChipVariant { cached_code: true, ..ChipVariant::default() });
-    rig.lss("04 01");
-    rig.lss("11 04");
-    assert_eq!(rig.lss("17"), ["17 00"]);
-    rig.power_cycle(0);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
+    let mut rig = node_40_on(ChipVariant { cached_code: true, ..ChipVariant::default() });
+    assert_stores(&mut rig);
 }
 
 /// After the failure the board must not send; a frame under way ends as an error.
 #[test]
 fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
     for under_way in [false, true] {
-        let mut rig = node_40(ChipVariant::default());
+        let mut rig = node_40_on(ChipVariant::default());
         if under_way {
             rig.transmit_command("82 40");
             rig.network.run_for(Time::from_us(30));
@@ -150,7 +132,11 @@ fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
 
 #[test]
 fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_each_100_ms() {
-    let mut board = board_with(ChipVariant { hse_start: Time::MAX, ..ChipVariant::default() }, &[]);
+    let mut board = Board::new(
+        part(),
+        image(),
+        chip(ChipVariant { hse_start: Time::MAX, ..ChipVariant::default() }),
+    );
     run(&mut board, Time::from_ms(1_000));
     let resets = board.resets();
     assert!(resets[1..].iter().all(|&(_, cause)| cause == ResetCause::Software), "{resets:?}");
@@ -165,51 +151,17 @@ fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_each_100_ms() {
 #[test]
 fn a_crystal_may_take_from_0_1_to_90_ms_to_start() {
     for hse_start in [100, 10_000, 90_000].map(Time::from_us) {
-        let mut rig = node_40(ChipVariant { hse_start, ..ChipVariant::default() });
-        rig.lss("04 01");
-        assert_eq!(rig.lss("5E"), ["5E 40"]);
-    }
-}
-
-/// `push {r0-r7}` and a jump back to it.
-const PUSH_FOR_EVER: [u8; 4] = [0xFF, 0xB4, 0xFD, 0xE7];
-
-#[test]
-fn a_stack_overflow_is_a_fault_even_where_nothing_faults_below_the_ram() {
-    for no_fault_below_ram in [false, true] {
-        let mut rig = node_40(ChipVariant { no_fault_below_ram, ..ChipVariant::default() });
-        let handler = image().symbol("TIM2").expect("a handler") & !1;
-        let offset = handler - FLASH_BASE;
-        let code = rig.network.board(0).flash()[offset as usize..][..4].to_vec();
-        let mut guard = [0; 1024];
-        assert!(rig.network.board(0).read_memory(RAM_BASE, &mut guard));
-        rig.network.allow_reset(0, ResetCause::Software);
-        let from = rig.network.now();
-        rig.network.board_mut(0).set_flash(offset, &PUSH_FOR_EVER);
-        while rig.network.board(0).resets().len() == 1 {
-            assert!(rig.network.now() < from + Time::from_ms(60), "no reset");
-            rig.network.run_for(Time::from_us(20));
-        }
-        rig.network.board_mut(0).set_flash(offset, &code);
-        let mut after = [0; 1024];
-        assert!(rig.network.board(0).read_memory(RAM_BASE, &mut after));
-        assert!(guard == after, "nothing writes to the guard");
-        rig.boot(0, from);
-        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
-        assert_eq!(says(rig.network.board(0), "stack overflow, resetting"), 1);
+        let mut rig = node_40_on(ChipVariant { hse_start, ..ChipVariant::default() });
+        assert!(answers(&mut rig));
     }
 }
 
 #[test]
 fn a_core_that_is_two_or_three_times_slower_answers_and_stores() {
     for slowdown in [2, 3] {
-        let mut rig = node_40(ChipVariant { slowdown, ..ChipVariant::default() });
-        rig.lss("04 01");
-        assert_eq!(rig.lss("5E"), ["5E 40"]);
-        rig.lss("11 04");
-        assert_eq!(rig.lss("17"), ["17 00"]);
-        rig.power_cycle(0);
-        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
+        let mut rig = slow_node_40(slowdown);
+        assert!(answers(&mut rig));
+        assert_stores(&mut rig);
     }
 }
 
@@ -218,7 +170,7 @@ fn a_core_that_is_two_or_three_times_slower_answers_and_stores() {
 fn a_brown_out_while_settings_are_written_loses_none() {
     let mut found_new = 0;
     for us in (0..=220).step_by(5) {
-        let mut rig = node_40(ChipVariant::default());
+        let mut rig = node_40_on(ChipVariant::default());
         rig.network.board(0).chip().flash_mut().set_brown_out_level(3);
         rig.lss("04 01");
         rig.lss("11 04");
@@ -243,12 +195,8 @@ fn a_board_that_starts_as_slowly_or_as_quickly_as_allowed_stores() {
     for (start_up, hse_start) in
         [(StartUp::Fastest, Time::from_us(100)), (StartUp::Slowest, Time::from_ms(10))]
     {
-        let mut rig = node_40(ChipVariant { start_up, hse_start, ..ChipVariant::default() });
-        rig.lss("04 01");
-        rig.lss("11 04");
-        assert_eq!(rig.lss("17"), ["17 00"]);
-        rig.power_cycle(0);
-        assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
+        let mut rig = node_40_on(ChipVariant { start_up, hse_start, ..ChipVariant::default() });
+        assert_stores(&mut rig);
     }
 }
 
@@ -256,10 +204,8 @@ fn a_board_that_starts_as_slowly_or_as_quickly_as_allowed_stores() {
 #[test]
 fn a_store_at_the_2_93_v_of_a_discovery_works_on_every_chip() {
     for thresholds in [Thresholds::Lowest, Thresholds::Typical, Thresholds::Highest] {
-        let chip_variant = ChipVariant { thresholds, ..ChipVariant::default() };
-        let settings =
-            board::Settings { supply_mv: 2_930, chip_variant, ..board::Settings::default() };
-        let board = Board::new(part(), image(), settings);
+        let of_chip = chip(ChipVariant { thresholds, ..ChipVariant::default() });
+        let board = Board::new(part(), image(), board::Settings { supply_mv: 2_930, ..of_chip });
         let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
         let joined = rig.network.now();
         // A new board erases two sectors by words.
@@ -278,8 +224,7 @@ fn a_store_at_the_2_93_v_of_a_discovery_works_on_every_chip() {
 #[test]
 fn a_board_that_a_boot_loader_starts_is_on_the_bus_within_10_ms() {
     let variant = ChipVariant { boot_loader: true, ..ChipVariant::default() };
-    let mut rig =
-        ImageRig::new(BitRate::Kbit125, [board_with(variant, &[settings(0x40, BitRate::Kbit125)])]);
+    let mut rig = rig_of(chip(variant), settings(0x40, BitRate::Kbit125));
     let (boot_up, frames) = rig.next_frame();
     assert_eq!(frames, ["740: 00"]);
     let stack = RAM_BASE..RAM_BASE + 0x4000;
@@ -299,7 +244,7 @@ fn a_board_that_a_boot_loader_starts_is_on_the_bus_within_10_ms() {
 #[test]
 fn the_debug_port_stays_on_in_sleep_when_a_probe_has_switched_that_off() {
     const DBGMCU_CR: u32 = 0xE004_2004;
-    let mut rig = node_40(ChipVariant::default());
+    let mut rig = node_40_on(ChipVariant::default());
     let dbg_sleep = |rig: &ImageRig| {
         let board = rig.network.board(0);
         let now = board.now();

@@ -4,7 +4,7 @@ use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
-    network::{AdapterId, Event, Recording, What},
+    network::{Event, Recording, What},
 };
 use testkit::frames;
 
@@ -12,7 +12,7 @@ use crate::{
     reachable::{
         LONG_FRAME_BITS, assert_answers_a_late_master, boards, is_answered, pairs, patience, read,
     },
-    rig::{ImageRig, bit_per_s, board_with, settings},
+    rig::{DEFAULT_BIT_RATE, ImageRig, bit_per_s, blank_board, board_with, settings},
 };
 
 /// The silent bit of CAN_BTR (RM0090, 32.9.2).
@@ -40,11 +40,6 @@ fn a_master_that_follows_a_switch_without_delay_50_ms_late_is_answered() {
     }
 }
 
-/// A laptop at another rate, which repeats a frame or sends one from time to time.
-fn plug_in_laptop(rig: &mut ImageRig, bit_rate: BitRate) -> AdapterId {
-    rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate)))
-}
-
 #[test]
 fn a_laptop_at_a_wrong_rate_at_power_on_leaves_the_stored_rate() {
     for (number, (home, wrong)) in pairs().enumerate() {
@@ -52,7 +47,7 @@ fn a_laptop_at_a_wrong_rate_at_power_on_leaves_the_stored_rate() {
         let mut rig = boards(1, heartbeat_ms, home);
         rig.network.adapter_mut(rig.master).close();
         rig.network.power_off(0);
-        let laptop = plug_in_laptop(&mut rig, wrong);
+        let laptop = rig.network.add_adapter(Adapter::new(bit_per_s(wrong)));
         rig.network.run_for(Time::from_ms(10));
         rig.network.power_on(0);
         for _ in 0..30 {
@@ -88,6 +83,22 @@ fn a_wrong_stored_rate_is_found_by_a_polling_master_within_1500_ms() {
 }
 
 #[test]
+fn a_board_without_a_node_id_is_found_at_any_rate_within_1500_ms() {
+    for (stored, found) in pairs() {
+        let board = match stored {
+            DEFAULT_BIT_RATE => blank_board(0),
+            _ => board_with(0, settings(0xFF, stored)),
+        };
+        let mut rig = ImageRig::new(found, [board]);
+        rig.network.record(Recording::Off);
+        let time = reach(&mut rig, &frames::request("4C"), 0x7E4, Time::from_s(10));
+        let what = format!("{stored:?} stored, {found:?}: {time:?}");
+        println!("{what}");
+        assert!(time.is_some_and(|time| time <= Time::from_ms(1500)), "{what}");
+    }
+}
+
+#[test]
 fn a_board_that_missed_a_switch_is_found_after_its_power_was_switched() {
     let mut rig = boards(1, 1000, BitRate::Kbit125);
     assert!(reach(&mut rig, &read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
@@ -100,25 +111,6 @@ fn a_board_that_missed_a_switch_is_found_after_its_power_was_switched() {
     assert!(reach(&mut rig, &read(1), 0x581, Time::from_ms(1500)).is_some());
 }
 
-/// A board whose stored rate no other node uses, found by a polling master at another one.
-fn rescued(home: BitRate, found: BitRate) -> ImageRig {
-    let mut rig = alone(0, home, found);
-    assert!(reach(&mut rig, &read(1), 0x581, Time::from_ms(1500)).is_some());
-    rig
-}
-
-#[test]
-fn activation_without_configuration_after_a_rescue_keeps_the_rate_in_use() {
-    let mut rig = rescued(BitRate::Kbit500, BitRate::Kbit125);
-    for request in ["04 01", "15 0A 00"] {
-        rig.queue(&frames::request(request));
-        rig.network.run_for(Time::from_ms(100));
-    }
-    let is_answered =
-        is_answered(&mut rig, &frames::request("5E"), 0x7E4, patience(BitRate::Kbit125));
-    assert!(is_answered);
-}
-
 #[test]
 fn a_guest_stores_its_stored_rate_unless_13_or_15_has_set_another() {
     let found = BitRate::Kbit125;
@@ -126,7 +118,8 @@ fn a_guest_stores_its_stored_rate_unless_13_or_15_has_set_another() {
         (&["04 01", "11 07", "17"][..], BitRate::Kbit500),
         (&["04 01", "11 07", "15 00 00", "17"], found),
     ] {
-        let mut rig = rescued(BitRate::Kbit500, found);
+        let mut rig = alone(0, BitRate::Kbit500, found);
+        assert!(reach(&mut rig, &read(1), 0x581, Time::from_ms(1500)).is_some());
         for request in requests {
             rig.queue(&frames::request(request));
             rig.network.run_for(Time::from_ms(50));
@@ -137,14 +130,8 @@ fn a_guest_stores_its_stored_rate_unless_13_or_15_has_set_another() {
         rig.network.run_for(Time::from_ms(50));
         let rate = rig.network.board(0).chip().can(1).bit_rate();
         assert_eq!(rate, bit_per_s(stored), "{requests:?}");
-        let is_answered = is_answered(&mut rig, &read(7), 0x587, patience(stored));
-        assert!(is_answered, "{requests:?}");
+        assert!(is_answered(&mut rig, &read(7), 0x587, patience(stored)), "{requests:?}");
     }
-}
-
-/// Two other nodes at `bit_rate`, which send once a second or without pause.
-fn others(rig: &mut ImageRig, bit_rate: BitRate) -> [AdapterId; 2] {
-    [(); 2].map(|()| rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
 }
 
 /// The time from joining the bus until a board at a wrong stored rate takes part at `found`, with a frame every
@@ -158,7 +145,7 @@ fn time_until_found(
     let mut rig = ImageRig::new(found, [board_with(0, settings(node_id, stored))]);
     rig.network.power_off(0);
     rig.network.adapter_mut(rig.master).close();
-    let others = others(&mut rig, found);
+    let others = rig.add_others(found);
     rig.network.run_for(Time::from_ms(10));
     rig.network.power_on(0);
     let on = rig.network.now();

@@ -52,36 +52,27 @@ fn a_board_that_boots_alone_sends_its_boot_up_before_it_reports_that() {
     assert_eq!(emergencies(&sent), [ERROR_PASSIVE, NO_ERROR], "{sent:?}");
 }
 
-/// Drives the board, which is operational, bus-off; returns the last heartbeat of the four seconds after.
-fn last_heartbeat_after_bus_off(rig: &mut ImageRig) -> String {
-    rig.transmit_command("01 00");
-    let from = rig.network.now();
-    rig.network.set_short(Some(Short::Recessive));
-    rig.network.run_for(Time::from_s(1));
-    rig.network.set_short(None);
-    assert!(rig.did(0, from).any(|event| event.what == What::BusOff));
-    let sent = rig.collect(Time::from_s(4)).texts();
-    sent.into_iter().rfind(|text| text.starts_with("740")).expect("a heartbeat")
-}
-
 #[test]
-fn a_board_that_was_bus_off_in_operational_is_pre_operational() {
-    let mut rig = node_40();
-    assert_eq!(last_heartbeat_after_bus_off(&mut rig), "740: 7F");
-    let mut history = Vec::new();
-    for sub_index in 1..=8 {
-        let request = sdo::request(0x40, &format!("40 03 10 {sub_index:02X}"));
-        rig.queue(&request);
-        history.extend(rig.collect(Time::from_ms(5)).texts());
+fn bus_off_has_the_effect_on_the_nmt_state_that_1029h_demands() {
+    for (behaviour, command, after) in [
+        (0, "01 00", "740: 7F"),
+        (1, "01 00", "740: 05"),
+        (2, "01 00", "740: 04"),
+        (2, "80 00", "740: 04"),
+    ] {
+        let mut rig = node_40();
+        rig.transmit(on_the_wire(&sdo::request(0x40, &format!("2F 29 10 01 {behaviour:02X}"))));
+        rig.transmit_command(command);
+        let from = rig.network.now();
+        rig.short_circuit(Short::Recessive, Time::from_s(1));
+        assert!(rig.did(0, from).any(|event| event.what == What::BusOff));
+        let sent = rig.collect(Time::from_s(4)).texts();
+        let heartbeat = sent.iter().rfind(|text| text.starts_with("740")).expect("a heartbeat");
+        assert_eq!(heartbeat, after, "behaviour {behaviour} after {command}");
+        if behaviour < 2 {
+            rig.transmit(on_the_wire(&sdo::request(0x40, "40 03 10 01")));
+            let latest = rig.collect(Time::from_ms(5)).texts();
+            assert!(latest.contains(&"5C0: 43 03 10 01 40 81 00 00".into()), "{latest:?}");
+        }
     }
-    let is_bus_off =
-        |text: &String| text.starts_with("5C0: 43 03 10") && text.ends_with("40 81 00 00");
-    assert!(history.iter().any(is_bus_off), "{history:?}");
-}
-
-#[test]
-fn a_board_with_error_behaviour_1_stays_operational_through_bus_off() {
-    let mut rig = node_40();
-    rig.transmit(on_the_wire(&sdo::request(0x40, "2F 29 10 01 01")));
-    assert_eq!(last_heartbeat_after_bus_off(&mut rig), "740: 05");
 }

@@ -9,22 +9,27 @@ use emulator::{
     Time,
     board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{Part, Pin},
+    chip::Part,
     network::{AdapterId, Event, Source, What},
 };
 use testkit::{
     frames::{self, Frames, SILENCE},
     image::{self, example},
-    image_rig::{
-        CORE_MHZ, ImageRig, SETTINGS_OFFSET, example_board, flash_with, on_the_wire, settings,
-    },
     io_board,
     random::Random,
-    sdo, stack,
+    sdo::{self, Client},
+    stack,
+};
+
+use crate::{
+    answer_time::{cycles, valid},
+    rig::{CORE_MHZ, ImageRig, SETTINGS_OFFSET, example_board, flash_with, on_the_wire, settings},
 };
 
 /// The limit for a TPDO after the change of its value, or after its SYNC, in core cycles: 20 us.
 const TPDO_CYCLES: u64 = 20 * CORE_MHZ;
+/// The limit for the work of a SYNC with its four TPDOs, in core cycles.
+const ROUND_CYCLES: u64 = 5_000;
 /// The limit for the value of an RPDO in the application, in core cycles: 10 us.
 const RPDO_CYCLES: u64 = 10 * CORE_MHZ;
 /// The limit for an LSS answer of this image, in core cycles, if no other interrupt is served before.
@@ -77,35 +82,43 @@ fn data(cob_id: u16, data: &[u8]) -> Frame {
     Frame::data(Id::Standard(cob_id), data)
 }
 
-/// The answer of `node` to an SDO request.
-fn ask(rig: &mut ImageRig, node: u8, request: &str) -> [u8; 8] {
-    rig.transmit(on_the_wire(&sdo::request(node, request)));
-    let answers = of(0x580 + u16::from(node), &rig.collect(Time::from_ms(20)));
-    let [answer] = answers.0[..] else { panic!("one answer to {request}, not {answers:?}") };
-    answer.data().try_into().expect("eight bytes")
-}
-
 /// Writes objects of node 1.
 fn write(rig: &mut ImageRig, requests: &[&str]) {
     for request in requests {
-        assert_eq!(ask(rig, 1, request)[0], 0x60, "{request}");
+        rig.transmit(on_the_wire(&sdo::request(1, request)));
+        let answers = of(0x581, &rig.collect(Time::from_ms(20)));
+        assert!(matches!(answers.0[..], [answer] if answer.data()[0] == 0x60), "{request}");
     }
 }
 
-fn read(rig: &mut ImageRig, request: &str) -> u32 {
-    let [command, _, _, _, value @ ..] = ask(rig, 1, request);
-    assert!(matches!(command, 0x43 | 0x4B | 0x4F), "{request}: {command:02X}");
-    u32::from_le_bytes(value)
+fn read(rig: &mut ImageRig, index: u16, sub_index: u8) -> u32 {
+    rig.sdo_client(1).number(index, sub_index)
 }
 
-/// TPDO 1 carries the LEDs 6200h in place of the button 6000h, so that the node echoes an RPDO.
-const ECHO: [&str; 5] = [
-    "23 00 18 01 81 01 00 80",
-    "2F 00 1A 00 00",
-    "23 00 1A 01 08 01 00 62",
-    "2F 00 1A 00 01",
-    "23 00 18 01 81 01 00 00",
-];
+/// Lets node 1 send, or receive, these values in a PDO, whose parameters are at `index`.
+fn map_pdo(rig: &mut ImageRig, index: u16, cob_id: u32, mapped: &[u32]) {
+    let mut client = rig.sdo_client(1);
+    let mut write = |index: u16, sub_index, data: &[u8]| {
+        client.download(index, sub_index, data).expect("it is written");
+    };
+    write(index, 1, &(1 << 31 | cob_id).to_le_bytes());
+    write(index + 0x200, 0, &[0]);
+    for (sub_index, entry) in (1..).zip(mapped) {
+        write(index + 0x200, sub_index, &entry.to_le_bytes());
+    }
+    write(index + 0x200, 0, &[mapped.len() as u8]);
+    write(index, 1, &cob_id.to_le_bytes());
+}
+
+/// The LEDs and the temperature as entries of a mapping, and four bytes without effect.
+const LEDS: u32 = 0x6200_0108;
+const TEMPERATURE: u32 = 0x6401_0110;
+const DUMMY_32: u32 = 0x0007_0020;
+
+/// Makes node 1 echo an RPDO: TPDO 1 carries the LEDs 6200h in place of the button 6000h.
+fn echo(rig: &mut ImageRig) {
+    map_pdo(rig, 0x1800, 0x181, &[LEDS]);
+}
 
 #[test]
 fn the_button_is_sent_and_the_leds_are_received() {
@@ -115,18 +128,20 @@ fn the_button_is_sent_and_the_leds_are_received() {
         assert_eq!(of(0x181, &rig.collect(SOON)), [pdo]);
         assert_eq!(of(0x181, &rig.collect(Time::from_ms(100))), SILENCE);
     }
-    for (outputs, expected) in
-        [(1, [true, false]), (2, [false, true]), (3, [true; 2]), (0, [false; 2])]
-    {
-        rig.transmit(data(0x201, &[outputs]));
+    // There are two LEDs. One PDO is too short and has no effect; of one that is too long the first byte counts.
+    for (outputs, expected) in [
+        (&[1][..], [true, false]),
+        (&[], [true, false]),
+        (&[2, 9], [false, true]),
+        (&[4], [false, true]),
+        (&[3], [true; 2]),
+        (&[0], [false; 2]),
+    ] {
+        rig.transmit(data(0x201, outputs));
         rig.network.run_for(SOON);
-        assert_eq!(leds(&rig), expected);
+        assert_eq!(leds(&rig), expected, "{outputs:?}");
     }
-    // There are two LEDs.
-    rig.transmit(data(0x201, &[4]));
-    rig.network.run_for(SOON);
-    assert_eq!(leds(&rig), [false; 2]);
-    assert_eq!(ask(&mut rig, 1, "2F 00 62 01 04"), [0x80, 0x00, 0x62, 1, 0x30, 0, 0x09, 0x06]);
+    assert_eq!(rig.sdo_client(1).download(0x6200, 1, &[4]), Err(0x0609_0030));
     rig.nmt("80 01");
     press(&rig, true);
     rig.transmit(data(0x201, &[3]));
@@ -168,7 +183,7 @@ fn a_larger_filter_constant_slows_the_temperature() {
         write(&mut rig, &[request]);
         set_temperature(&rig, 45);
         let from = rig.network.now();
-        while read(&mut rig, "40 01 64 01") < 400 {
+        while read(&mut rig, 0x6401, 1) < 400 {
             assert!(rig.network.now() < from + Time::from_s(10));
         }
         rig.network.now() - from
@@ -178,32 +193,19 @@ fn a_larger_filter_constant_slows_the_temperature() {
 
 #[test]
 fn the_filter_constant_is_stored_and_restored() {
-    const SAVE: &str = "73 61 76 65";
     let mut rig = node_1();
-    let filter = |rig: &mut ImageRig| read(rig, "40 00 21 00");
     let after_power_cycle = |rig: &mut ImageRig| {
         rig.power_cycle(0);
         assert_eq!(rig.collect(Time::from_ms(50)), ["701: 00"]);
-        filter(rig)
+        read(rig, 0x2100, 0)
     };
-    assert_eq!(filter(&mut rig), 3);
     write(&mut rig, &["2F 00 21 00 05"]);
-    assert_eq!(filter(&mut rig), 5);
     assert_eq!(after_power_cycle(&mut rig), 3);
-    // 2 stores the parameters of communication, 3 those of the application, 1 both.
-    for (value, sub_index, expected) in [(6, 2, 3), (5, 3, 5), (7, 1, 7)] {
-        write(&mut rig, &[&format!("2F 00 21 00 {value:02X}")]);
-        write(&mut rig, &[&format!("23 10 10 {sub_index:02X} {SAVE}")]);
-        assert_eq!(after_power_cycle(&mut rig), expected, "1010h sub {sub_index}");
-    }
-    for sub_index in [3, 1] {
-        write(&mut rig, &["2F 00 21 00 07", &format!("23 10 10 03 {SAVE}")]);
-        write(&mut rig, &[&format!("23 11 10 {sub_index:02X} 6C 6F 61 64")]);
-        assert_eq!(filter(&mut rig), 7);
-        assert_eq!(after_power_cycle(&mut rig), 3, "1011h sub {sub_index}");
-    }
-    // Values beyond the limit are refused.
-    assert_eq!(ask(&mut rig, 1, "2F 00 21 00 09")[0], 0x80);
+    write(&mut rig, &["2F 00 21 00 07", "23 10 10 01 73 61 76 65"]);
+    assert_eq!(after_power_cycle(&mut rig), 7);
+    write(&mut rig, &["23 11 10 01 6C 6F 61 64"]);
+    assert_eq!(read(&mut rig, 0x2100, 0), 7);
+    assert_eq!(after_power_cycle(&mut rig), 3);
 }
 
 #[test]
@@ -222,7 +224,26 @@ fn the_pdos_follow_a_node_id_that_lss_sets() {
     rig.transmit(data(0x205, &[2]));
     rig.network.run_for(SOON);
     assert_eq!(leds(&rig), [false, true]);
-    assert_eq!(ask(&mut rig, 5, "40 00 14 01")[4..], [0x05, 0x02, 0, 0]);
+    assert_eq!(rig.sdo_client(5).number(0x1400, 1), 0x205);
+}
+
+#[test]
+fn a_wrong_length_that_repeats_before_its_message_is_sent_is_one_error() {
+    let mut rig = node_1();
+    let without_tpdos =
+        ["23 00 18 01 00 00 00 80", "23 01 18 01 00 00 00 80", "23 10 10 01 73 61 76 65"];
+    write(&mut rig, &without_tpdos);
+    // The boot-up, which comes before the error messages, has to wait for these.
+    for command in ["82 01", "01 01"] {
+        rig.queue(&frames::command(command));
+    }
+    for len in [0, 1, 0, 1, 2] {
+        rig.network.send(rig.master, data(0x201, &[1; 2][..len]));
+    }
+    let errors = of(0x081, &rig.collect(Time::from_ms(20))).texts();
+    let too_short = errors.iter().filter(|text| text.starts_with("081: 10 82"));
+    assert_eq!(too_short.count(), 1, "{errors:?}");
+    assert_eq!(read(&mut rig, 0x1003, 0), 2, "too short, and too long");
 }
 
 /// The cycles in which the core is awake during 200 ms with a bus full of frames of these COB-IDs.
@@ -272,6 +293,31 @@ fn moved_cob_ids_are_received_and_all_others_cost_no_interrupt() {
 }
 
 #[test]
+fn each_of_four_tpdos_has_its_event_timer_and_inhibit_time() {
+    // In ms: the event timer, the inhibit time, and the period that follows from both.
+    for tpdos in [
+        [(300, 0, 300), (100, 0, 100), (200, 0, 200), (50, 100, 100)],
+        [(0, 0, 0), (0, 100, 0), (0, 0, 0), (50, 0, 50)],
+    ] {
+        let mut rig = node_1();
+        for ((index, cob_id), (event_ms, inhibit_ms, _)) in (0x1800..).zip(0x181_u32..).zip(tpdos) {
+            map_pdo(&mut rig, index, 1 << 31 | cob_id, &[LEDS]);
+            let mut client = rig.sdo_client(1);
+            for (sub_index, value) in [(3, 10 * inhibit_ms), (5, event_ms)] {
+                assert_eq!(client.download(index, sub_index, &u16::to_le_bytes(value)), Ok(()));
+            }
+            assert_eq!(client.download(index, 1, &cob_id.to_le_bytes()), Ok(()));
+        }
+        rig.transmit_command("01 01");
+        let sent = rig.collect(Time::from_ms(3_030));
+        for (cob_id, (_, _, period_ms)) in (0x181..).zip(tpdos) {
+            let count = 1 + 3_000_usize.checked_div(period_ms).unwrap_or(0);
+            assert_eq!(of(cob_id, &sent).0.len(), count, "{period_ms} ms");
+        }
+    }
+}
+
+#[test]
 fn no_pdo_begins_after_the_end_of_operational() {
     // The node reads the command in the three bits after it, in which another frame of its may begin.
     const READ: Time = Time::from_us(10);
@@ -301,36 +347,27 @@ fn no_pdo_begins_after_the_end_of_operational() {
 }
 
 #[test]
-fn a_heartbeat_that_is_lost_is_reported_and_ends_operational() {
-    let watch = "23 16 10 01 64 00 0A 00";
+fn a_heartbeat_that_is_lost_is_reported_and_has_the_effect_of_1029h() {
     const LOST: &[&str] = &["081: 30 81 11 0A 00 00 00 00"];
     // A node that stops sends no emergency message.
-    for (behaviour, emergency, state) in
-        [("00", LOST, "701: 7F"), ("01", LOST, "701: 05"), ("02", &SILENCE[..], "701: 04")]
-    {
+    for (behaviour, command, emergency, state) in [
+        (0, "01 01", LOST, "701: 7F"),
+        (0, "80 01", LOST, "701: 7F"),
+        (1, "01 01", LOST, "701: 05"),
+        (2, "01 01", &SILENCE[..], "701: 04"),
+        (2, "80 01", &SILENCE[..], "701: 04"),
+    ] {
         let mut rig = node_1();
-        write(&mut rig, &[watch, &format!("2F 29 10 01 {behaviour}"), "2B 17 10 00 0A 00"]);
-        rig.nmt("01 01");
+        let behaviour = format!("2F 29 10 01 {behaviour:02X}");
+        write(&mut rig, &["23 16 10 01 64 00 0A 00", &behaviour, "2B 17 10 00 0A 00"]);
+        rig.nmt(command);
         for _ in 0..5 {
             rig.transmit(data(0x70A, &[5]));
-            let emergencies = of(0x081, &rig.collect(Time::from_ms(90)));
-            assert_eq!(emergencies, SILENCE);
+            assert_eq!(of(0x081, &rig.collect(Time::from_ms(90))), SILENCE);
         }
-        let sent = rig.collect(Time::from_ms(30));
-        assert_eq!(of(0x081, &sent), emergency);
-        let sent = of(0x701, &rig.collect(Time::from_ms(10)));
-        assert_eq!(sent, [state]);
+        assert_eq!(of(0x081, &rig.collect(Time::from_ms(30))), emergency);
+        assert_eq!(of(0x701, &rig.collect(Time::from_ms(10))), [state]);
     }
-}
-
-/// Core cycles between two times.
-fn cycles(from: Time, to: Time) -> u64 {
-    to.saturating_sub(from).as_ps() * CORE_MHZ / 1_000_000
-}
-
-/// The time at which a frame that ends at `end` is valid for a receiver: the sample of its last bit but one.
-fn valid(rig: &ImageRig, end: Time) -> Time {
-    end.saturating_sub(Time::from_ps(rig.bit_time().as_ps() * 9 / 8))
 }
 
 fn note(what: &str, spans: &[u64], most: u64) {
@@ -434,6 +471,36 @@ fn a_tpdo_follows_its_sync_within_20_us() {
 }
 
 #[test]
+fn a_sync_and_its_four_tpdos_cost_few_cycles() {
+    const ROUNDS: u64 = 200;
+    let mut rig = node_1();
+    // TPDOs 3 and 4 carry the LEDs and the temperature, 1 and 2 the button and the temperature.
+    for (index, cob_id) in [(0x1802, 0x381), (0x1803, 0x481)] {
+        map_pdo(&mut rig, index, cob_id, &[LEDS, TEMPERATURE]);
+    }
+    for index in 0x1800..0x1804 {
+        rig.sdo_client(1).download(index, 2, &[1]).expect("it is written");
+    }
+    rig.nmt("01 01");
+    let [without, with] = [false, true].map(|has_sync| {
+        let from = rig.network.now();
+        let (_, before) = rig.network.board(0).cycles();
+        for _ in 0..ROUNDS {
+            if has_sync {
+                rig.network.send(rig.master, data(0x080, &[]));
+            }
+            rig.network.run_for(Time::from_ms(1));
+        }
+        let sent = if has_sync { 4 * ROUNDS } else { 0 };
+        assert_eq!(rig.requested(0, from).count() as u64, sent);
+        rig.network.board(0).cycles().1 - before
+    });
+    let cycles = (with - without) / ROUNDS;
+    println!("{:40} {cycles:5} cycles", "SYNC and four TPDOs");
+    assert!(cycles < ROUND_CYCLES, "{cycles}");
+}
+
+#[test]
 fn an_rpdo_reaches_the_application_within_10_us() {
     let mut rig = operational();
     let places = find(&mut rig, &[1, 2, 0, 3, 1, 0, 2, 3, 0, 1], |rig, value| {
@@ -444,10 +511,10 @@ fn an_rpdo_reaches_the_application_within_10_us() {
         rig.network.send(rig.master, data(0x201, &[value]));
         let changed = first_change(&mut rig, &places, value, Time::from_us(200));
         rig.network.run_for(Time::from_us(20));
-        let of_master = |event: &&emulator::network::Event| {
+        let of_master = |event: &&Event| {
             event.source == Source::Adapter(rig.master) && matches!(event.what, What::Frame { .. })
         };
-        let end = rig.network.trace().iter().rev().find(of_master).expect("the RPDO").time;
+        let end = rig.network.trace().iter().rfind(of_master).expect("the RPDO").time;
         spans.push(cycles(valid(&rig, end), changed));
         rig.network.run_for(Time::from_us(311));
     }
@@ -455,7 +522,7 @@ fn an_rpdo_reaches_the_application_within_10_us() {
 
     // A TPDO that echoes the value is requested only after the value is in the application.
     rig.nmt("80 01");
-    write(&mut rig, &ECHO);
+    echo(&mut rig);
     rig.nmt("01 01");
     let mut spans = Vec::new();
     for value in [2, 0, 3, 1].into_iter().cycle().take(50) {
@@ -497,7 +564,7 @@ fn lss_answers_of_the_example_take_less_than_4_us() {
 /// Node 1 is operational, echoes its RPDO by TPDO 1, sends TPDO 2 at each SYNC, and a heartbeat every 7 ms.
 fn busy_node() -> ImageRig {
     let mut rig = node_1();
-    write(&mut rig, &ECHO);
+    echo(&mut rig);
     write(&mut rig, &["2F 01 18 02 01", "2B 17 10 00 07 00"]);
     rig.nmt("01 01");
     rig.collect(SAMPLE);
@@ -508,26 +575,11 @@ fn busy_node() -> ImageRig {
 fn busier_node() -> ImageRig {
     let mut rig = busy_node();
     rig.nmt("80 01");
-    let mut map = |parameter: u8, high: u8, cob_id: u16, mapped: &[&str]| {
-        let [low_id, high_id] = cob_id.to_le_bytes();
-        let cob_id = |valid: &str| {
-            format!("23 {parameter:02X} {high:02X} 01 {low_id:02X} {high_id:02X} 00 {valid}")
-        };
-        let number = |n: usize| format!("2F {parameter:02X} {:02X} 00 {n:02X}", high + 2);
-        write(&mut rig, &[&cob_id("80"), &number(0)]);
-        for (at, code) in (1..).zip(mapped) {
-            write(&mut rig, &[&format!("23 {parameter:02X} {:02X} {at:02X} {code}", high + 2)]);
-        }
-        write(&mut rig, &[&number(mapped.len()), &cob_id("00")]);
-    };
-    const LEDS: &str = "08 01 00 62";
-    const TEMPERATURE: &str = "10 01 01 64";
-    const DUMMY_32: &str = "20 00 07 00";
-    for (parameter, cob_id) in [(1, 0x301), (2, 0x401), (3, 0x501)] {
-        map(parameter, 0x14, cob_id, &[LEDS, DUMMY_32]);
+    for (index, cob_id) in [(0x1401, 0x301), (0x1402, 0x401), (0x1403, 0x501)] {
+        map_pdo(&mut rig, index, cob_id, &[LEDS, DUMMY_32]);
     }
-    for (parameter, cob_id) in [(2, 0x381), (3, 0x481)] {
-        map(parameter, 0x18, cob_id, &[LEDS, TEMPERATURE]);
+    for (index, cob_id) in [(0x1802, 0x381), (0x1803, 0x481)] {
+        map_pdo(&mut rig, index, cob_id, &[LEDS, TEMPERATURE]);
     }
     rig.nmt("01 01");
     rig.collect(SAMPLE);
@@ -677,10 +729,6 @@ fn the_example_works_on_an_stm32f446() {
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(1, BitRate::Kbit1000)]));
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
     assert_eq!(rig.collect(Time::from_ms(50)), ["701: 00"]);
-    // The button connects its pin to ground.
-    let press = |rig: &ImageRig, is_pressed: bool| {
-        rig.network.board(0).chip().gpio_mut().set_input(Pin('C', 13), Some(!is_pressed));
-    };
     press(&rig, true);
     rig.network.run_for(SOON);
     let sent = rig.nmt("01 01");
@@ -691,6 +739,5 @@ fn the_example_works_on_an_stm32f446() {
     assert_eq!(of(0x181, &rig.collect(SOON)), ["181: 00"]);
     rig.transmit(data(0x201, &[1]));
     rig.network.run_for(SOON);
-    assert_eq!(rig.network.board(0).output(Pin('A', 5)).level, Some(true));
-    assert_eq!(rig.network.board(0).output(Pin('D', 15)).level, Some(false));
+    assert_eq!(leds(&rig), [true, false]);
 }

@@ -2,7 +2,6 @@
 
 mod answer_time;
 mod bad_input;
-mod bit_rate;
 mod block_transfer;
 mod can_traps;
 mod chip_traps;
@@ -13,9 +12,6 @@ mod disturbed;
 mod do_no_harm;
 mod eds;
 mod errors;
-mod example_pair;
-mod example_parameters;
-mod example_pdos;
 mod example_sweep;
 mod indicators;
 mod io;
@@ -24,7 +20,6 @@ mod node_id;
 mod overload;
 mod power_cut;
 mod rare_moments;
-mod rare_paths;
 mod rare_searches;
 mod rates_bus_off;
 mod rates_detection;

@@ -4,27 +4,18 @@ use canopen_node::{BitRate, BitRateSetting};
 use emulator::{
     Time,
     can::{Frame, Id},
-    chip::{FLASH_BASE, ResetCause, Timing},
+    chip::Timing,
     network::{Event, Source, What},
 };
-use testkit::{
-    frames::{self, SILENCE},
-    sdo,
-};
+use testkit::{frames, sdo};
 
-use crate::rig::{ImageRig, board_with, image, on_the_wire, rig_with, settings};
+use crate::rig::{ImageRig, answers, board_with, node_40, on_the_wire, rig_with, settings};
 
 /// Longer than the time-out of the watchdog.
 const LONG: Time = Time::from_s(4);
 /// The longest time from the end of a frame to the start of the next waiting one: three bits at 1 Mbit/s, and the bits
 /// of two nodes are not in step.
 const INTERMISSION: Time = Time::from_us(4);
-
-fn node_40(heartbeat_ms: u16) -> ImageRig {
-    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms));
-    rig.collect(Time::from_ms(20));
-    rig
-}
 
 fn send(rig: &mut ImageRig, request: &str) {
     rig.queue(&frames::request(request));
@@ -80,9 +71,7 @@ fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
         let frame = if number == 5 { read } else { urgent };
         rig.network.send(rig.master, frame);
     }
-    while rig.network.adapter_mut(rig.master).unsent() > 0 {
-        rig.network.run_for(Time::from_ms(10));
-    }
+    rig.send_all();
     rig.collect(Time::from_ms(5));
     let frames = frames_on_the_bus(&rig, since);
     for pair in frames.windows(2) {
@@ -117,9 +106,7 @@ fn a_full_bus_of_the_shortest_frames_loses_none_during_a_slow_flash_write() {
         send(&mut rig, "17");
         (0..40).for_each(|_| rig.network.send(rig.master, shortest));
     }
-    while rig.network.adapter_mut(rig.master).unsent() > 0 {
-        rig.network.run_for(Time::from_ms(1));
-    }
+    rig.send_all();
     let answers = rig.collect(Time::from_ms(5)).0;
     let count = |text: &str| {
         let is_one = |frame: &&canopen_node::Frame| frames::text(frame).starts_with(text);
@@ -135,25 +122,16 @@ fn disturb(rig: &mut ImageRig) {
     rig.disturb(disturber, Id::Standard(0), Time::from_us(300), LONG);
 }
 
-fn errors(rig: &ImageRig, since: Time) -> usize {
-    rig.did(0, since).filter(|event| matches!(event.what, What::Error { .. })).count()
-}
-
 #[test]
 fn after_a_bus_of_error_frames_only_the_board_answers_again() {
     let mut rig = node_40(20);
     rig.lss("04 01");
-    let since = rig.network.now();
     disturb(&mut rig);
-    assert!(errors(&rig, since) > 1_000, "{} errors", errors(&rig, since));
+    let errors = rig.errors();
+    let of_board = errors.iter().filter(|error| error.source == Source::Board(0)).count();
+    assert!(of_board > 1_000, "{of_board} errors");
     rig.collect(Time::from_s(1));
-    // It has looked for another bit rate, and thereby left the LSS configuration state.
-    rig.lss("04 01");
-    let answers = rig.lss("5E").0;
-    assert!(
-        answers.iter().any(|frame| frames::text(frame).starts_with("7E4: 5E 40")),
-        "{answers:?}"
-    );
+    assert!(answers(&mut rig));
 }
 
 #[test]
@@ -208,29 +186,4 @@ fn an_interrupt_every_50_us_without_end_starves_no_task() {
         count("740: 7F")
     );
     assert!(!rig.has_logged("CAN: overrun"));
-}
-
-/// `bx lr`: returns at once.
-const RETURN: [u8; 2] = [0x70, 0x47];
-
-#[test]
-fn the_watchdog_resets_a_board_whose_tasks_run_but_do_nothing() {
-    // The last is the task that stores.
-    for handler in ["CAN1_TX", "CAN1_SCE", "TIM2", "USART1"] {
-        let mut rig = node_40(0);
-        let code = (image().symbol(handler).expect("a handler") & !1) - FLASH_BASE;
-        let before = rig.network.board(0).flash()[code as usize..][..2].to_vec();
-        rig.network.allow_reset(0, ResetCause::Watchdog);
-        let from = rig.network.now();
-        rig.network.board_mut(0).set_flash(code, &RETURN);
-        while rig.network.board(0).resets().len() == 1 {
-            assert!(rig.network.now() < from + Time::from_ms(2_600), "{handler}: no reset");
-            rig.network.run_for(Time::from_us(20));
-        }
-        rig.network.board_mut(0).set_flash(code, &before);
-        let (reset_at, _) = rig.network.board(0).resets()[1];
-        rig.boot(0, reset_at);
-        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
-        assert_eq!(rig.lss("5E"), SILENCE, "in waiting state");
-    }
 }

@@ -3,7 +3,6 @@
 
 mod answer_time;
 mod bad_input;
-mod bit_rate;
 mod can_traps;
 mod chip_traps;
 mod commissioning;
@@ -16,7 +15,6 @@ mod node_id;
 mod overload;
 mod power_cut;
 mod rare_moments;
-mod rare_paths;
 mod rates_bus_off;
 mod rates_detection;
 mod rates_matrix;

@@ -1,59 +1,29 @@
 //! The release image at moments that are rare: a deadline, a reset, a wrap of the time or a dominant bus in the middle
 //! of something else. `cargo verify coverage` shows the branches that only they take.
 
-use canopen_node::{BitRate, BitRateSetting, Settings};
+use canopen_node::{BitRate, BitRateSetting};
 use emulator::{
     Time,
-    board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{ChipVariant, Pin, Timing},
+    chip::Pin,
     network::{Short, What},
 };
 use testkit::{
-    frames::{self},
+    frames::{self, SILENCE},
     sdo,
 };
 
-use crate::rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, image, part, settings};
+use crate::rig::{ImageRig, answers, bit_per_s, board_with, settings, slow_node_40};
 
 const RATE: BitRate = BitRate::Kbit1000;
 const NODE_ID: u8 = 0x40;
-
-fn rig(of_chip: ChipVariant, stored: Settings) -> ImageRig {
-    let of_board = board::Settings { chip_variant: of_chip, ..Default::default() };
-    let mut board = Board::new(part(), image(), of_board);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&[stored]));
-    let mut rig = ImageRig::new(RATE, [board]);
-    rig.collect(Time::from_ms(100));
-    rig
-}
-
-fn node_40(heartbeat_ms: u16) -> ImageRig {
-    rig(ChipVariant::default(), settings(NODE_ID, RATE).with_heartbeat_ms(heartbeat_ms))
-}
-
-/// Node 40 with a core that is `slowdown` times slower.
-fn slow_node_40(slowdown: u8) -> ImageRig {
-    rig(ChipVariant { slowdown, ..ChipVariant::default() }, settings(NODE_ID, RATE))
-}
-
-#[test]
-fn a_store_by_lss_is_answered_after_a_reset() {
-    let mut rig = node_40(0);
-    rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-    for request in ["04 01", "11 41"] {
-        rig.lss(request);
-    }
-    rig.queue(&frames::request("17"));
-    rig.queue(&frames::command("82 40"));
-    assert_eq!(rig.collect(Time::from_ms(20)).texts(), ["741: 00", "7E4: 17 00 00 00 00 00 00 00"]);
-}
 
 #[test]
 fn a_listener_finds_the_rate_by_remote_frames_or_29_bit_frames() {
     let stored = settings(NODE_ID, RATE).with_bit_rate(BitRateSetting::Automatic);
     for id in [Id::Standard(0x181), Id::Extended(0x181)] {
-        let mut rig = rig(ChipVariant::default(), stored);
+        let mut rig = ImageRig::new(RATE, [board_with(0, stored)]);
+        rig.collect(Time::from_ms(100));
         let other = rig.network.add_adapter(Adapter::new(bit_per_s(RATE)));
         let frame = Frame { remote: matches!(id, Id::Standard(_)), ..Frame::data(id, &[]) };
         let since = rig.network.now();
@@ -91,7 +61,7 @@ fn messages_of_frames_lost_in_succession_leave_room_in_the_queue() {
     assert!(rig.has_logged("CAN: overrun, a received frame was lost"));
     let is_full = rig.has_logged("CAN: the transmit queue is full");
     assert!(!is_full, "{:#?}", rig.network.board(0).log());
-    assert!(rig.is_reached());
+    assert!(answers(&mut rig));
 }
 
 #[test]
@@ -115,9 +85,7 @@ fn bus_off_may_begin_while_the_indicators_are_set() {
         let since = rig.network.now();
         rig.queue(&sdo::request(NODE_ID, "40 00 10 00"));
         rig.network.run_for(Time::from_us(140));
-        rig.network.set_short(Some(Short::Recessive));
-        rig.network.run_for(Time::from_ms(5));
-        rig.network.set_short(None);
+        rig.short_circuit(Short::Recessive, Time::from_ms(5));
         let bus_off = rig.did(0, since).find(|event| event.what == What::BusOff);
         to_bus_off = bus_off.expect("it goes bus-off").time - since;
         rig.network.run_for(Time::from_ms(300));
@@ -125,4 +93,29 @@ fn bus_off_may_begin_while_the_indicators_are_set() {
     assert!(rig.bit_rates(0, begin).iter().all(|(_, rate)| *rate == bit_per_s(RATE)));
     rig.lss("04 01");
     assert_eq!(rig.lss("5E"), ["5E 40"]);
+}
+
+#[test]
+fn a_core_that_is_too_slow_for_the_bus_reports_lost_frames() {
+    let mut rig = slow_node_40(150);
+    for _ in 0..40 {
+        rig.queue(&canopen_node::Frame::new(0x7E5, &[]).expect("a frame"));
+    }
+    let sent = rig.collect(Time::from_ms(200)).texts();
+    assert!(rig.has_logged("CAN: overrun, a received frame was lost"));
+    assert!(sent.iter().any(|text| text.starts_with("0C0: 10 81 11")), "{sent:?}");
+    assert!(sent.iter().any(|text| text.starts_with("0C0: 00 00 00")), "{sent:?}");
+}
+
+#[test]
+fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
+    for (configure, boot_up) in [("11 FF", &SILENCE[..]), ("11 41", &["741: 00"])] {
+        let mut rig = slow_node_40(30);
+        for request in ["04 01", configure] {
+            rig.lss(request);
+        }
+        rig.queue(&frames::command("82 40"));
+        rig.queue(&sdo::request(0x40, "40 17 10 00"));
+        assert_eq!(rig.collect(Time::from_ms(50)).texts(), *boot_up, "{configure}");
+    }
 }

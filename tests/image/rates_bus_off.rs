@@ -3,7 +3,7 @@
 use canopen_node::BitRate;
 use emulator::{
     Time,
-    can::{Frame, Id},
+    can::Id,
     network::{AdapterId, Short, What},
 };
 
@@ -31,19 +31,7 @@ fn went_bus_off(rig: &ImageRig, since: Time) -> bool {
 
 /// The master asks until node 40 answers at its bit rate, for five seconds.
 fn assert_is_reached(rig: &mut ImageRig) {
-    let until = rig.network.now() + Time::from_s(5);
-    let answer = Frame::data(Id::Standard(0x7E4), &[0x5E, 0x40, 0, 0, 0, 0, 0, 0]);
-    while rig.network.now() < until {
-        rig.network
-            .send(rig.master, Frame::data(Id::Standard(0x7E5), &[0x5E, 0, 0, 0, 0, 0, 0, 0]));
-        rig.network.run_for(Time::from_ms(100));
-        while let Some((_, frame)) = rig.network.receive(rig.master) {
-            if frame == answer {
-                return;
-            }
-        }
-    }
-    panic!("node 40 is lost");
+    rig.reach("5E", "5E 40", Time::from_s(5));
 }
 
 fn switch(rig: &mut ImageRig) {
@@ -56,9 +44,7 @@ fn switch(rig: &mut ImageRig) {
 #[test]
 fn a_board_that_was_bus_off_before_the_switch_switches_like_others() {
     let (mut rig, _) = about_to_switch();
-    rig.network.set_short(Some(Short::Recessive));
-    rig.network.run_for(Time::from_s(1));
-    rig.network.set_short(None);
+    rig.short_circuit(Short::Recessive, Time::from_s(1));
     assert!(went_bus_off(&rig, Time::ZERO));
     assert_is_reached(&mut rig);
     switch(&mut rig);

@@ -3,12 +3,12 @@
 use canopen_node::{BitRate, BitRateSetting};
 use emulator::{
     Time,
-    can::{Adapter, Frame, Id},
+    can::{Frame, Id},
     network::{AdapterId, Event, Source, What},
 };
-use testkit::frames;
+use testkit::frames::{self, SILENCE};
 
-use crate::rig::{ImageRig, bit_per_s, board_with, settings};
+use crate::rig::{ImageRig, answers, bit_per_s, board_with, rig_with, settings};
 
 /// The silent bit of CAN_BTR (RM0090, 32.9.2).
 const SILM: u32 = 1 << 31;
@@ -42,7 +42,7 @@ impl Traffic {
     }
 
     fn new(rig: &mut ImageRig, bit_rate: BitRate, frame: fn(usize) -> Frame, period: Time) -> Self {
-        let others = [(); 2].map(|()| rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate))));
+        let others = rig.add_others(bit_rate);
         Self { others, frame, period, next: rig.network.now(), count: 0 }
     }
 
@@ -165,6 +165,8 @@ fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
         let sent = rig.network.trace().iter().find(is_frame).expect("it was sent").time;
         assert!(sent > time, "acknowledged at {sent}, known at {time}");
         println!("{:>7} kbit/s  {:>6}", bit_rate.kbit_per_s(), (sent - on).as_ms());
+        rig.collect(Time::from_ms(200));
+        assert!(answers(&mut rig), "{bit_rate:?}");
     }
 }
 
@@ -193,5 +195,29 @@ fn a_board_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
         assert_silent(&rig, on, time);
         rig.collect(Time::from_ms(50));
         assert_eq!(rig.lss("4C"), ["50"], "{bit_rate:?}");
+        assert!(rig.errors().is_empty(), "{bit_rate:?}: {:#?}", rig.errors());
     }
+}
+
+#[test]
+fn automatic_detection_can_be_configured_stored_and_taken_back() {
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
+    rig.collect(Time::from_ms(20));
+    rig.lss("04 01");
+    rig.ask("13 00 09", "13 00");
+    rig.ask("17", "17 00");
+    rig.network.power_off(0);
+    rig.set_master_bit_rate(BitRate::Kbit250);
+    rig.power_on(0);
+    assert_eq!(rig.collect(Time::from_s(2)), SILENCE, "the bus is silent");
+    let mut traffic = Traffic::dense(&mut rig, BitRate::Kbit250);
+    traffic.run_for(&mut rig, Time::from_s(1));
+    rig.collect(Time::from_ms(100));
+    assert!(answers(&mut rig));
+    rig.ask("13 00 02", "13 00");
+    rig.ask("17", "17 00");
+    traffic.others.iter().for_each(|&other| rig.network.adapter_mut(other).close());
+    rig.set_master_bit_rate(BitRate::Kbit500);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
 }

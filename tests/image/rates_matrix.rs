@@ -6,11 +6,11 @@ use emulator::{
     can::{Adapter, BitSegments, Clock, Frame, Id},
     network::{AdapterId, Network, What},
 };
-use testkit::frames;
+use testkit::{frames, sdo};
 
-use crate::rig::{
-    ImageRig, SETTINGS_OFFSET, bit_per_s, board_with, flash_with, image, on_the_wire, part,
-    rig_with, settings,
+use crate::{
+    rig::{ImageRig, bit_per_s, board_of, board_with, on_the_wire, rig_with, settings},
+    switch_delay::assert_switched,
 };
 
 /// The accuracy of the boards' switch delay.
@@ -59,9 +59,7 @@ impl Site {
                 self.rig.network.run_for(period);
             }
         }
-        while self.rig.network.adapter_mut(self.rig.master).unsent() > 0 {
-            self.rig.network.run_for(self.rig.bit_time() * 10);
-        }
+        self.rig.send_all();
     }
 
     /// Switches all nodes to another rate; the load pauses from the request to the end of the delays.
@@ -79,6 +77,10 @@ impl Site {
         self.rig.network.adapter_mut(self.load).set_bit_rate(bit_per_s(to));
         self.bit_rate = to;
         self.rig.network.run_until(end + delay * 2 + ACCURACY);
+        // Without a delay the boards switch in the last bit of the request.
+        if delay_ms > 0 {
+            assert_switched(&self.rig, end, delay, to);
+        }
 
         self.load_while(None);
         self.answers(patience);
@@ -94,8 +96,7 @@ impl Site {
     /// Each node answers the master.
     fn assert_all_reached(&mut self, what: &str) {
         for (id, address) in [(1, 0x581), (2, 0x582)] {
-            let request = Frame::data(Id::Standard(0x600 + id), &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
-            self.rig.transmit(request);
+            self.rig.transmit(on_the_wire(&sdo::request(id, "40 00 10 00")));
             let answers = self.answers(ACCURACY);
             let is_there = answers.0.iter().any(|frame| frame.cob_id() == address);
             assert!(is_there, "node {id} is lost, {what}");
@@ -103,17 +104,7 @@ impl Site {
     }
 }
 
-fn assert_no_error_frame(network: &Network, what: &str) {
-    let errors: Vec<_> = network
-        .trace()
-        .iter()
-        .filter(|event| matches!(event.what, What::Error { .. }))
-        .map(ToString::to_string)
-        .collect();
-    assert!(errors.is_empty(), "{what}: {errors:#?}");
-}
-
-/// A closed walk through all ordered pairs.
+/// A closed walk through all ordered pairs of rates.
 fn walk() -> Vec<BitRate> {
     let mut walk = vec![BitRate::ALL[0]];
     for (index, &from) in BitRate::ALL.iter().enumerate() {
@@ -131,55 +122,37 @@ fn the_walk_goes_through_all_56_pairs() {
     assert_eq!(pairs.iter().filter(|(from, to)| from != to).count(), 56);
 }
 
-fn all_pairs(delay_ms: u16, is_loaded: bool) {
+fn all_pairs(delay_ms: u16) {
     let walk = walk();
-    let mut site = Site::new(walk[0], is_loaded);
-    for pair in walk.windows(2) {
-        let what = format!("{} to {} kbit/s", pair[0].kbit_per_s(), pair[1].kbit_per_s());
-        site.switch(pair[1], delay_ms);
-        site.assert_all_reached(&what);
-        assert_no_error_frame(&site.rig.network, &what);
+    for is_loaded in [false, true] {
+        let mut site = Site::new(walk[0], is_loaded);
+        for pair in walk.windows(2) {
+            let what = format!("{:?} to {:?}, under load: {is_loaded}", pair[0], pair[1]);
+            site.switch(pair[1], delay_ms);
+            site.assert_all_reached(&what);
+            assert!(site.rig.errors().is_empty(), "{what}: {:#?}", site.rig.errors());
+        }
     }
 }
 
 #[test]
-fn all_pairs_without_delay_on_an_idle_bus() {
-    all_pairs(0, false);
+fn all_pairs_without_delay_on_an_idle_bus_and_under_load() {
+    all_pairs(0);
 }
 
 #[test]
-fn all_pairs_without_delay_under_load() {
-    all_pairs(0, true);
+fn all_pairs_with_a_delay_of_1_ms_on_an_idle_bus_and_under_load() {
+    all_pairs(1);
 }
 
 #[test]
-fn all_pairs_with_a_delay_of_1_ms_on_an_idle_bus() {
-    all_pairs(1, false);
+fn all_pairs_with_a_delay_of_50_ms_on_an_idle_bus_and_under_load() {
+    all_pairs(50);
 }
 
 #[test]
-fn all_pairs_with_a_delay_of_1_ms_under_load() {
-    all_pairs(1, true);
-}
-
-#[test]
-fn all_pairs_with_a_delay_of_50_ms_on_an_idle_bus() {
-    all_pairs(50, false);
-}
-
-#[test]
-fn all_pairs_with_a_delay_of_50_ms_under_load() {
-    all_pairs(50, true);
-}
-
-#[test]
-fn all_pairs_with_a_delay_of_1000_ms_on_an_idle_bus() {
-    all_pairs(1000, false);
-}
-
-#[test]
-fn all_pairs_with_a_delay_of_1000_ms_under_load() {
-    all_pairs(1000, true);
+fn all_pairs_with_a_delay_of_1000_ms_on_an_idle_bus_and_under_load() {
+    all_pairs(1000);
 }
 
 #[test]
@@ -216,7 +189,7 @@ fn a_delay_of_50_ms_does_not_disturb_a_neighbour_that_needs_40_ms() {
         }
         rig.network.run_for(Time::from_ms(20));
         assert_eq!(rig.network.adapter_mut(slow).unsent(), 0, "it is acknowledged");
-        assert_no_error_frame(&rig.network, "a slow neighbour");
+        assert!(rig.errors().is_empty(), "{:#?}", rig.errors());
         rig.collect(Time::ZERO);
         let heartbeats = rig.collect(Time::from_ms(12));
         for cob_id in [0x701, 0x702] {
@@ -255,11 +228,9 @@ fn each_bit_rate_has_its_value_in_can_btr() {
 /// frame.
 fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> bool {
     let crystal = Clock { hz: 8_000_000, ppm: board_ppm };
-    let settings_of_board = board::Settings { crystal, unique_id: [1; 12], ..Default::default() };
-    let mut board = board::Board::new(part(), image(), settings_of_board);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(1, bit_rate)]));
+    let variant = board::Settings { crystal, unique_id: [1; 12], ..Default::default() };
     let mut network = Network::new();
-    network.add_board(board);
+    network.add_board(board_of(variant, settings(1, bit_rate)));
     let timing = bit_timing(bit_rate);
     let master = network.add_adapter(Adapter::with_timing(
         Clock { hz: APB1_HZ, ppm: master_ppm },
@@ -275,9 +246,11 @@ fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> 
     // The longest runs of equal bits, and stuff bits everywhere.
     for data in [[0x00; 8], [0xFF; 8], [0x0F; 8], [0x5A; 8]] {
         network.send(master, Frame::data(Id::Standard(0x400), &data));
-        network.send(master, Frame::data(Id::Standard(0x601), &[0x40, 0, 0x10, 0, 0, 0, 0, 0]));
-        network.send(master, on_the_wire(&frames::request("04 01")));
-        network.send(master, on_the_wire(&frames::request("5A")));
+        for request in
+            [sdo::request(1, "40 00 10 00"), frames::request("04 01"), frames::request("5A")]
+        {
+            network.send(master, on_the_wire(&request));
+        }
         network.run_for(Time::from_ms(2) + frame_time * 7);
     }
     let received = core::iter::from_fn(|| network.receive(master)).count();

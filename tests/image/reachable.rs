@@ -40,7 +40,7 @@ pub fn is_answered(
     id: u16,
     limit: Time,
 ) -> bool {
-    while rig.network.receive(rig.master).is_some() {}
+    rig.collect(Time::ZERO);
     rig.queue(request);
     rig.wait_for(limit, |frame| frame.cob_id() == id).is_some()
 }
@@ -129,7 +129,7 @@ fn a_master_that_continues_at_the_old_rate_loses_no_board() {
 
 /// The time until the master, which only listens, receives a heartbeat of node 1, if within `limit`.
 fn heartbeat_time(rig: &mut ImageRig, limit: Time) -> Option<Time> {
-    while rig.network.receive(rig.master).is_some() {}
+    rig.collect(Time::ZERO);
     let from = rig.network.now();
     rig.wait_for(limit, |frame| frame.cob_id() == 0x701).map(|(time, _)| time - from)
 }
@@ -141,9 +141,7 @@ fn a_short_circuit_costs_at_most_100_ms_more_than_it_lasts() {
             for span_ms in [200, 1_000, 10_000] {
                 let mut rig = boards(1, 100, bit_rate);
                 rig.network.run_for(Time::from_ms(300));
-                rig.network.set_short(Some(short));
-                rig.network.run_for(Time::from_ms(span_ms));
-                rig.network.set_short(None);
+                rig.short_circuit(short, Time::from_ms(span_ms));
                 let time = heartbeat_time(&mut rig, Time::from_s(2));
                 // A plain slave needs the time of a recovery, 1408 bits.
                 let plain = rig.bit_time() * 1408 + rig.bit_time() * LONG_FRAME_BITS;
@@ -159,7 +157,7 @@ fn a_short_circuit_costs_at_most_100_ms_more_than_it_lasts() {
 fn proven_board() -> ImageRig {
     let mut rig = boards(1, 100, BitRate::Kbit125);
     rig.network.run_for(Time::from_ms(1_500));
-    while rig.network.receive(rig.master).is_some() {}
+    rig.collect(Time::ZERO);
     rig
 }
 
@@ -187,9 +185,7 @@ fn gaps(mut rig: ImageRig, disturb: impl Fn(&mut ImageRig)) -> Vec<Time> {
 fn a_flapping_short_circuit_does_not_silence_a_proven_board() {
     for (short_ms, free_ms) in [(20, 40), (20, 200), (40, 40)] {
         let gaps = gaps(proven_board(), |rig| {
-            rig.network.set_short(Some(Short::Dominant));
-            rig.network.run_for(Time::from_ms(short_ms));
-            rig.network.set_short(None);
+            rig.short_circuit(Short::Dominant, Time::from_ms(short_ms));
             rig.network.run_for(Time::from_ms(free_ms));
         });
         assert!(gaps.is_empty(), "{short_ms} ms every {} ms: {gaps:?}", short_ms + free_ms);

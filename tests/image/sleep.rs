@@ -5,12 +5,8 @@ use emulator::{
     Time,
     can::{Adapter, Frame, Id},
 };
-use testkit::{frames, sdo::Client};
 
-use crate::rig::{ImageRig, bit_per_s, blank_rig, example_board, on_the_wire, rig_with, settings};
-
-/// The limit for a SYNC with its four TPDOs, in core cycles.
-const ROUND_CYCLES: u64 = 5_000;
+use crate::rig::{ImageRig, bit_per_s, blank_rig, rig_with, settings};
 
 /// The share of time asleep while `act` lasts, in thousandths of a percent.
 fn share_asleep(rig: &mut ImageRig, what: &str, act: impl FnOnce(&mut ImageRig)) -> u64 {
@@ -59,60 +55,4 @@ fn a_bus_full_of_foreign_frames_wakes_the_core_no_more_often() {
         });
         assert!(share > 99_950, "{share}");
     }
-}
-
-#[test]
-fn a_bus_full_of_requests_leaves_the_core_asleep_for_most_of_the_time() {
-    let mut rig = node_40(BitRate::Kbit1000);
-    rig.lss("04 01");
-    let share = share_asleep(&mut rig, "a full bus, all to be answered", |rig| {
-        let request = on_the_wire(&frames::request("11 80"));
-        (0..2000).for_each(|_| rig.network.send(rig.master, request));
-        while rig.network.adapter_mut(rig.master).unsent() > 0 {
-            rig.network.run_for(Time::from_ms(1));
-        }
-    });
-    assert!(share > 90_000, "{share}");
-}
-
-#[test]
-fn a_sync_and_its_four_tpdos_cost_few_cycles() {
-    const ROUNDS: u64 = 200;
-    let mut rig = ImageRig::new(BitRate::Kbit1000, [example_board(settings(1, BitRate::Kbit1000))]);
-    rig.collect(Time::from_ms(50));
-    let mut client = rig.sdo_client(1);
-    // TPDOs 3 and 4 carry the LEDs and the temperature, 1 and 2 the button and the temperature.
-    for (at, cob_id) in [(2, 0x381_u32), (3, 0x481)] {
-        let mapped = [0x6200_0108_u32, 0x6401_0110];
-        let mut write = |index: u16, sub_index, data: &[u8]| {
-            client.download(index + at, sub_index, data).expect("it is written");
-        };
-        write(0x1800, 1, &(1 << 31 | cob_id).to_le_bytes());
-        write(0x1A00, 0, &[0]);
-        write(0x1A00, 1, &mapped[0].to_le_bytes());
-        write(0x1A00, 2, &mapped[1].to_le_bytes());
-        write(0x1A00, 0, &[2]);
-        write(0x1800, 1, &cob_id.to_le_bytes());
-    }
-    for index in 0x1800..0x1804 {
-        client.download(index, 2, &[1]).expect("it is written");
-    }
-    rig.nmt("01 01");
-    let sync = Frame::data(Id::Standard(0x080), &[]);
-    let [without, with] = [false, true].map(|has_sync| {
-        let from = rig.network.now();
-        let (_, before) = rig.network.board(0).cycles();
-        for _ in 0..ROUNDS {
-            if has_sync {
-                rig.network.send(rig.master, sync);
-            }
-            rig.network.run_for(Time::from_ms(1));
-        }
-        let sent = if has_sync { 4 * ROUNDS } else { 0 };
-        assert_eq!(rig.requested(0, from).count() as u64, sent);
-        rig.network.board(0).cycles().1 - before
-    });
-    let cycles = (with - without) / ROUNDS;
-    println!("{:40} {cycles:5} cycles", "SYNC and four TPDOs");
-    assert!(cycles < ROUND_CYCLES, "{cycles}");
 }

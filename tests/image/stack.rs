@@ -6,13 +6,14 @@ use canopen_node::BitRate;
 use emulator::{
     Time,
     can::{Adapter, Frame, Id},
-    chip::{FLASH_BASE, Part, RAM_BASE, ResetCause, Timing},
+    chip::{ChipVariant, FLASH_BASE, Part, RAM_BASE, ResetCause, Timing},
     image::Image,
 };
 use testkit::{image::build_elf, random::Random, sdo, stack, stack_bound::Bound};
 
 use crate::rig::{
-    ImageRig, SETTINGS_OFFSET, blank_board, flash_with, image, on_the_wire, rig_with, settings,
+    ImageRig, board_with_flash, code, flash_with, image, node_40_on, on_the_wire, reset_by,
+    settings,
 };
 
 /// The limit for the use of the stack: a quarter of it.
@@ -60,34 +61,26 @@ fn the_stack_suffices_for_every_path_through_the_program() {
 const PUSH_FOR_EVER: [u8; 4] = [0xFF, 0xB4, 0xFD, 0xE7];
 
 #[test]
-fn a_stack_that_overflows_is_logged_and_ends_in_a_reset_at_once() {
-    // By priority, the highest first.
-    for handler in ["TIM2", "CAN1_RX0", "USART1"] {
-        let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
-        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
-        let offset = (symbol(handler) & !1) - FLASH_BASE;
-        let code = rig.network.board(0).flash()[offset as usize..][..4].to_vec();
-        let log_control = |rig: &ImageRig| {
-            let mut bytes = [0; 16];
-            assert!(rig.network.board(0).read_memory(symbol("_SEGGER_RTT"), &mut bytes));
-            bytes
+fn a_stack_overflow_is_logged_reaches_no_variable_and_ends_in_a_reset() {
+    // By priority, the highest first; and a chip on which nothing faults below the RAM.
+    for (handler, most_ms, no_fault_below_ram) in
+        [("TIM2", 60, false), ("CAN1_RX0", 600, false), ("USART1", 600, false), ("TIM2", 60, true)]
+    {
+        let mut rig = node_40_on(ChipVariant { no_fault_below_ram, ..ChipVariant::default() });
+        // The control block of the log above the stack, and the guard at its end.
+        let memory = |rig: &ImageRig| {
+            let (mut above, mut guard) = ([0; 16], [0; 1024]);
+            assert!(rig.network.board(0).read_memory(symbol("_SEGGER_RTT"), &mut above));
+            assert!(rig.network.board(0).read_memory(RAM_BASE, &mut guard));
+            (above, guard)
         };
-        let before = log_control(&rig);
-        let from = rig.network.now();
-        rig.network.allow_reset(0, ResetCause::Software);
-        rig.network.board_mut(0).set_flash(offset, &PUSH_FOR_EVER);
-        while rig.network.board(0).resets().len() == 1 {
-            assert!(rig.network.now() < from + Time::from_ms(600), "{handler}: no reset");
-            rig.network.run_for(Time::from_us(20));
-        }
-        assert_eq!(log_control(&rig), before, "{handler}: a variable above the stack");
-        rig.network.board_mut(0).set_flash(offset, &code);
-        let (reset_at, _) = rig.network.board(0).resets()[1];
+        let (before, from) = (memory(&rig), rig.network.now());
+        let reset_at = reset_by(&mut rig, code(handler), &PUSH_FOR_EVER, ResetCause::Software);
+        assert!(reset_at < from + Time::from_ms(most_ms), "{handler}: {}", reset_at - from);
+        assert!(memory(&rig) == before, "{handler}");
         rig.boot(0, reset_at);
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
-        let log = rig.network.board(0).log();
-        let says = log.iter().any(|line| line.text == "stack overflow, resetting");
-        assert!(says, "{handler}: {log:#?}");
+        assert!(rig.has_logged("stack overflow, resetting"), "{handler}");
     }
 }
 
@@ -136,8 +129,7 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
     // Nearly full: the boot moves to the other sector.
     let stores: Vec<_> = (0..385).map(|n| settings(n as u8 % 100 + 1, rate)).collect();
     let last = settings(0x40, rate).with_heartbeat_ms(5);
-    let mut board = blank_board(0);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&[&stores[..], &[last]].concat()));
+    let mut board = board_with_flash(&flash_with(&[&stores[..], &[last]].concat()));
     stack::paint(&mut board, image());
     let mut rig = ImageRig::new(rate, [board]);
     note(&mut rig, bound, "a boot that erases");

@@ -64,7 +64,7 @@ fn valid(rig: &ImageRig, t0: Time) -> Time {
 }
 
 /// Checks the silence after the request that ends at `t0`, and the switch of all boards.
-fn assert_switched(rig: &ImageRig, t0: Time, delay: Time, to: BitRate) {
+pub fn assert_switched(rig: &ImageRig, t0: Time, delay: Time, to: BitRate) {
     let valid = valid(rig, t0);
     let silence = frames_of_boards(rig, t0 + PROCESSING, valid + delay * 2);
     assert!(silence.is_empty(), "{silence:#?}");
@@ -115,32 +115,6 @@ fn boards_are_silent_at_once_switch_after_one_delay_and_send_after_two() {
 }
 
 #[test]
-fn every_bit_rate_is_reached_from_every_other() {
-    let mut rig = two_boards(BitRate::ALL[0], 0);
-    const DELAY_MS: u16 = 10;
-    let delay = Time::from_ms(DELAY_MS.into());
-    let mut go_to = |to| {
-        configure(&mut rig, to);
-        let t0 = activate(&mut rig, DELAY_MS);
-        switch_master(&mut rig, t0 + delay, to);
-        rig.network.run_until(t0 + delay * 2 + ACCURACY);
-        assert_switched(&rig, t0, delay, to);
-        rig.collect(Time::ZERO);
-        assert_both_answer(&mut rig);
-    };
-    for (index, &from) in BitRate::ALL.iter().enumerate() {
-        if index > 0 {
-            go_to(from);
-        }
-        for &to in &BitRate::ALL[index + 1..] {
-            go_to(to);
-            go_to(from);
-        }
-    }
-    assert!(rig.network.trace().iter().all(|event| !matches!(event.what, What::Error { .. })));
-}
-
-#[test]
 fn without_a_delay_boards_switch_and_send_at_once() {
     let mut rig = two_boards(BitRate::Kbit1000, 20);
     for to in [BitRate::Kbit250, BitRate::Kbit1000, BitRate::Kbit500] {
@@ -178,31 +152,17 @@ fn the_longest_delay_is_kept_to_20_us_and_the_watchdog_is_quiet() {
 }
 
 #[test]
-fn both_silent_periods_are_kept_though_the_rate_stays() {
-    let mut rig = two_boards(BitRate::Kbit250, 5);
-    let t0 = activate(&mut rig, 30);
-    let delay = Time::from_ms(30);
-    rig.network.run_until(t0 + delay * 3);
-    assert!(frames_of_boards(&rig, t0 + PROCESSING, t0 + delay * 2).is_empty());
-    assert!(!frames_of_boards(&rig, t0 + delay * 2, t0 + delay * 2 + ACCURACY * 2).is_empty());
-    assert_eq!(rig.bit_rates(0, t0), []);
-}
-
-#[test]
 fn requests_within_the_silence_are_never_answered_and_change_nothing() {
     let mut rig = two_boards(BitRate::Kbit250, 0);
     configure(&mut rig, BitRate::Kbit1000);
     rig.collect(Time::ZERO);
     let t0 = activate(&mut rig, 30);
     let delay = Time::from_ms(30);
-    for request in ["11 05", "5A", "17", "13 00 00", "04 00", "15 00 00"] {
-        rig.transmit_request(request);
-    }
+    let ignored = ["11 05", "5A", "17", "13 00 02", "04 00", "15 00 00"];
+    ignored.iter().for_each(|request| _ = rig.transmit_request(request));
     switch_master(&mut rig, t0 + delay, BitRate::Kbit1000);
     rig.network.run_for(ACCURACY);
-    for request in ["11 05", "5A", "17", "13 00 02", "04 00", "15 00 00"] {
-        rig.transmit_request(request);
-    }
+    ignored.iter().for_each(|request| _ = rig.transmit_request(request));
     assert!(rig.network.now() < t0 + delay * 2);
     rig.network.run_until(t0 + delay * 4);
     assert_switched(&rig, t0, delay, BitRate::Kbit1000);
@@ -212,34 +172,6 @@ fn requests_within_the_silence_are_never_answered_and_change_nothing() {
     assert_eq!(rig.lss("5E"), ["5E 01"]);
     rig.lss("04 00");
     assert_eq!(rig.nmt("82 00"), ["701: 00"], "11 05 was ignored");
-}
-
-#[test]
-fn an_nmt_command_within_the_silence_is_carried_out_at_its_end() {
-    for (commands, at_the_end) in [
-        (&["01 00"][..], "701: 05"),
-        (&["01 00", "02 01"], "701: 04"),
-        (&["82 00", "01 00"], "701: 00"),
-        (&["01 00", "02 00", "82 01"], "701: 00"),
-    ] {
-        let mut rig = two_boards(BitRate::Kbit250, 10);
-        configure(&mut rig, BitRate::Kbit1000);
-        let t0 = activate(&mut rig, 20);
-        let delay = Time::from_ms(20);
-        rig.transmit_command(commands[0]);
-        switch_master(&mut rig, t0 + delay, BitRate::Kbit1000);
-        rig.network.run_for(ACCURACY);
-        rig.collect(Time::ZERO);
-        for command in &commands[1..] {
-            rig.transmit_command(command);
-        }
-        assert_eq!(rig.collect(t0 + delay * 2 - rig.network.now()), SILENCE);
-        let first = rig.collect(Time::from_ms(2)).0;
-        let of_board_0 = first.into_iter().find(|frame| frame.cob_id() == 0x701);
-        let expected = frames::text(&of_board_0.expect("a frame of node 1"));
-        assert_eq!(expected, at_the_end, "after {commands:?}");
-        assert_switched(&rig, t0, delay, BitRate::Kbit1000);
-    }
 }
 
 #[test]

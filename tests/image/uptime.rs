@@ -9,7 +9,9 @@ use emulator::{
     network::{Event, What},
 };
 
-use crate::rig::{ImageRig, board_with, settings};
+use testkit::sdo;
+
+use crate::rig::{ImageRig, board_with, node_40, settings};
 
 /// TIM2's control register and its counter (RM0090, 18.4).
 const TIM2_CR1: u32 = 0x4000_0000;
@@ -85,5 +87,25 @@ fn same(a: &What, b: &What) -> bool {
     match (a, b) {
         (What::Frame { frame: a, .. }, What::Frame { frame: b, .. }) => a == b,
         _ => a == b,
+    }
+}
+
+/// Passes time that the board does not notice but in its count, and sends a request, whose interrupt sets the next
+/// deadline.
+pub fn skip_40_minutes(rig: &mut ImageRig, request: &canopen_node::Frame) {
+    let board = rig.network.board(0);
+    let count = read(board, TIM2_CNT).wrapping_add(40 * 60_000_000);
+    board.chip().write(access(board, TIM2_CNT), count).expect("a register");
+    rig.queue(request);
+}
+
+#[test]
+fn heartbeats_go_on_after_more_than_half_an_hour_without_one() {
+    let mut rig = node_40(0);
+    skip_40_minutes(&mut rig, &sdo::request(0x40, "2B 17 10 00 14"));
+    for _ in 0..2 {
+        rig.collect(Time::from_ms(25));
+        assert_eq!(rig.collect(Time::from_ms(60)).texts(), ["740: 7F"; 3]);
+        skip_40_minutes(&mut rig, &sdo::request(0x40, "40 17 10 00"));
     }
 }

@@ -1,6 +1,5 @@
 //! The tests of what the example `io` has in common with the firmware as it is, but times and sizes, on its image.
 
-mod bit_rate;
 mod can_traps;
 mod chip_traps;
 mod commissioning;
@@ -10,7 +9,6 @@ mod node_id;
 mod overload;
 mod power_cut;
 mod rare_moments;
-mod rare_paths;
 mod rare_searches;
 mod rates_bus_off;
 mod rates_detection;

@@ -285,7 +285,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     }
 
     fn settle_with(&mut self, content: Option<Vec<u8>>) {
-        self.wait_until_sent();
+        self.rig.send_all();
         let frame_time = self.rig.bit_time() * 160;
         let until =
             self.rig.network.now() + PATIENCE + frame_time * (self.expected.len() as u64 + 4);
@@ -314,17 +314,11 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         self.burst.clear();
     }
 
-    fn wait_until_sent(&mut self) {
-        while self.rig.network.adapter_mut(self.rig.master).unsent() > 0 {
-            self.rig.network.run_for(Time::from_us(200));
-        }
-    }
-
     fn follow_reset(&mut self, frame: Frame) {
         let since = self.rig.network.now();
         self.rig.network.allow_reset(0, ResetCause::Software);
         self.send(frame);
-        self.wait_until_sent();
+        self.rig.send_all();
         self.boot(since);
     }
 
@@ -344,7 +338,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         self.switches += 1;
         let delay = Time::from_ms(u64::from(u16::from_le_bytes([frame.data[1], frame.data[2]])));
         self.send(frame);
-        self.wait_until_sent();
+        self.rig.send_all();
         let t0 = self.rig.network.now();
         if delay > Time::ZERO && self.rate == RATE {
             for _ in 0..self.random.within(0..FRAMES_IN_SILENCE) {
@@ -352,7 +346,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
                 self.feed_model(&frame);
                 self.send(frame);
             }
-            self.wait_until_sent();
+            self.rig.send_all();
         }
         let us = delay.as_ps() / 1_000_000;
         self.model.pass_us(us + us / 2);
