@@ -9,7 +9,10 @@ pub mod mutation;
 pub mod network;
 pub mod recovery;
 
-use std::hash::{DefaultHasher, Hash, Hasher};
+use std::{
+    fmt,
+    hash::{DefaultHasher, Hash, Hasher},
+};
 
 use canopen_node::{
     BitRate, BusEvent,
@@ -66,60 +69,35 @@ impl Scenario {
         }
     }
 
-    /// The scenarios of the full check, with their names.
-    pub fn all() -> Vec<(&'static str, Self)> {
+    /// The scenarios of the full check.
+    pub fn all() -> Vec<Self> {
+        let sampled = |boards, procedures, faults, recover_every| Self {
+            recover_every,
+            ..Self::new(boards, procedures, faults)
+        };
         let plain = |scenario| Self { is_supervised: false, ..scenario };
         let constant = |scenario| Self { has_switches: false, ..scenario };
-        let sampled = |scenario, recover_every| Self { recover_every, ..scenario };
         let overruns = |scenario| Self { has_overruns: true, ..scenario };
-        let in_order =
-            |scenario| Self { is_in_order: true, recover_every: 50, ..constant(scenario) };
+        let in_order = |scenario| Self { is_in_order: true, ..constant(scenario) };
         vec![
-            ("1 board, 3 procedures, 3 faults", sampled(Self::new(1, 3, 3), 50)),
-            (
-                "1 board, overruns, 2 procedures, 2 faults",
-                overruns(sampled(Self::new(1, 2, 2), 10)),
-            ),
-            (
-                "1 board without supervision, 3 procedures, 3 faults",
-                plain(sampled(Self::new(1, 3, 3), 20)),
-            ),
-            ("2 boards, 3 procedures, no fault", sampled(Self::new(2, 3, 0), 20)),
-            (
-                "2 boards, node-IDs in the order of finding, 4 procedures",
-                in_order(Self::new(2, 4, 0)),
-            ),
-            (
-                "3 boards, node-IDs in the order of finding, 3 procedures",
-                in_order(Self::new(3, 3, 0)),
-            ),
-            ("2 boards, 1 procedure, 1 fault", sampled(Self::new(2, 1, 1), 20)),
-            ("2 boards, 1 procedure, 2 faults", sampled(Self::new(2, 1, 2), 100)),
-            ("2 boards, 2 procedures, 1 fault", sampled(Self::new(2, 2, 1), 100)),
-            ("2 boards, 2 procedures, 2 faults", sampled(Self::new(2, 2, 2), 100)),
-            (
-                "2 boards, no switch, 3 procedures, 3 faults",
-                constant(sampled(Self::new(2, 3, 3), 50)),
-            ),
-            (
-                "2 boards without supervision, 2 procedures, 1 fault",
-                plain(sampled(Self::new(2, 2, 1), 50)),
-            ),
-            (
-                "2 boards without supervision, 2 procedures, 2 faults",
-                plain(sampled(Self::new(2, 2, 2), 100)),
-            ),
-            (
-                "3 boards, no switch, 3 procedures, 1 fault",
-                constant(sampled(Self::new(3, 3, 1), 20)),
-            ),
-            (
-                "3 boards, no switch, 2 procedures, 2 faults",
-                constant(sampled(Self::new(3, 2, 2), 50)),
-            ),
-            ("3 boards, 1 procedure, no fault", sampled(Self::new(3, 1, 0), 10)),
-            ("3 boards, 1 procedure, 1 fault", sampled(Self::new(3, 1, 1), 100)),
-            ("3 boards, 2 procedures, 1 fault", sampled(Self::new(3, 2, 1), 100)),
+            sampled(1, 3, 3, 50),
+            overruns(sampled(1, 2, 2, 10)),
+            plain(sampled(1, 3, 3, 20)),
+            sampled(2, 3, 0, 20),
+            in_order(sampled(2, 4, 0, 50)),
+            in_order(sampled(3, 3, 0, 50)),
+            sampled(2, 1, 1, 20),
+            sampled(2, 1, 2, 100),
+            sampled(2, 2, 1, 100),
+            sampled(2, 2, 2, 100),
+            constant(sampled(2, 3, 3, 50)),
+            plain(sampled(2, 2, 1, 50)),
+            plain(sampled(2, 2, 2, 100)),
+            constant(sampled(3, 3, 1, 20)),
+            constant(sampled(3, 2, 2, 50)),
+            sampled(3, 1, 0, 10),
+            sampled(3, 1, 1, 100),
+            sampled(3, 2, 1, 100),
         ]
     }
 
@@ -127,6 +105,24 @@ impl Scenario {
         let mut hasher = DefaultHasher::new();
         network.hash(&mut hasher);
         self.recover_every > 0 && hasher.finish().is_multiple_of(self.recover_every)
+    }
+}
+
+impl fmt::Display for Scenario {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { boards, procedures, faults, .. } = self;
+        write!(f, "boards: {boards}, procedures: {procedures}, faults: {faults}")?;
+        for (has_it, what) in [
+            (!self.is_supervised, "without supervision"),
+            (!self.has_switches, "no switch"),
+            (self.is_in_order, "node-IDs in the order of finding"),
+            (self.has_overruns, "overruns"),
+        ] {
+            if has_it {
+                write!(f, ", {what}")?;
+            }
+        }
+        Ok(())
     }
 }
 

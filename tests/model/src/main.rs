@@ -17,7 +17,8 @@ fn main() -> ExitCode {
         }
     };
     let mut violations = 0;
-    for (name, scenario) in Scenario::all() {
+    for scenario in Scenario::all() {
+        let name = scenario.to_string();
         let report = check(scenario, states);
         println!("{name}: {report}");
         violations += report.violations.len();
