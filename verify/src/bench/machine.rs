@@ -12,7 +12,7 @@ use emulator::{
     Time,
     can::Clock,
     chip::{Chip, FLASH_BASE, Part, RAM_BASE},
-    engine::rsemu::Rsemu,
+    engine::{Engine, rsemu::Rsemu},
     image::Image,
 };
 
