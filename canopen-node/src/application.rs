@@ -46,7 +46,7 @@ pub use value::{
 use core::iter;
 
 use crate::{
-    BitRate, NodeId, emergency, nmt,
+    BitRate, NodeId, nmt,
     object_dictionary::{Description, Entry},
     pdo::{Rpdo, Tpdo},
     sdo::{self, Abort},
@@ -59,9 +59,6 @@ pub trait Dictionary {
     /// The memory of the SDO server, with room for the longest value that a client can write.
     #[doc(hidden)]
     type SdoBuffer: sdo::Buffer;
-    /// The places for the application's errors.
-    #[doc(hidden)]
-    type ErrorPlaces: emergency::Places;
     /// The objects, by index and sub-index.
     const OBJECTS: &'static [Entry];
 
@@ -200,7 +197,6 @@ pub struct NoApplication;
 impl Dictionary for NoApplication {
     type Value = ();
     type SdoBuffer = [u8; longest(&[])];
-    type ErrorPlaces = [emergency::Report; 0];
     const OBJECTS: &'static [Entry] = &[];
     const STORED_LEN: usize = 0;
 

@@ -1,13 +1,11 @@
-//! Emergency messages (CiA 301, 7.2.7): the faults that the node reports and its error history 1003h.
+//! Emergency messages (CiA 301, 7.2.7): the errors of the node, of process data and of the application, in one queue, and
+//! the error history 1003h.
 
-mod faults;
-mod reports;
+use core::mem;
+
+use lss_slave::bit_rate::GUEST_ERROR_CODE;
 
 use crate::{BitRate, Frame, NodeId};
-pub(crate) use faults::{ErrorCounters, Faults};
-#[doc(hidden)]
-pub use reports::{Places, Report};
-pub(crate) use reports::{Reporter, Reports};
 
 pub use lss_slave::cob_id::EMERGENCY as COB_ID;
 
@@ -46,59 +44,308 @@ const GENERIC: u8 = 1 << 0;
 /// Bit 4 of the error register 1001h: an error of communication.
 pub(crate) const COMMUNICATION: u8 = 1 << 4;
 
-/// The errors of the node: its own faults, and the reports of its application and process data.
-#[derive(Clone, Debug)]
-pub(crate) struct Emergency<L> {
-    pub faults: Faults,
-    reports: Reports<L>,
-    /// A message was sent, and no frame of the node has been acknowledged since. The next one waits: on a bus that
-    /// fails again and again they would take the places of answers.
-    is_in_flight: bool,
+// The queue has a place for each error, and messages leave in this order. The first places are those of process data and
+// of the application, which have error codes of their own.
+const REPORTS: usize = 8;
+const SETTINGS_LOST: usize = 8;
+const ERROR_PASSIVE: usize = 9;
+const BUS_OFF_RECOVERED: usize = 10;
+const OVERRUN: usize = 11;
+const AWAY_FROM_HOME_RATE: usize = 12;
+/// The place of the message with error code 0.
+const END: usize = 13;
+const PLACES: usize = 14;
+
+/// The content of a message.
+#[derive(Clone, Copy, Debug)]
+struct Message {
+    code: u16,
+    /// The bits of the error register 1001h for this error.
+    register: u8,
+    information: [u8; 5],
 }
 
-impl<L: Places> Emergency<L> {
-    pub const fn new() -> Self {
-        Self { faults: Faults::new(), reports: Reports::new(), is_in_flight: false }
+/// A set of places, a bit for each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Places(u16);
+
+impl Places {
+    const NONE: Self = Self(0);
+
+    const fn of(at: usize) -> Self {
+        Self(1_u16.wrapping_shl(at as u32))
     }
 
-    /// The reports, to be added to and ended.
-    pub fn reporter(&mut self) -> Reporter<'_> {
-        self.reports.reporter(&mut self.faults)
+    const fn and(self, others: Self) -> Self {
+        Self(self.0 | others.0)
+    }
+
+    const fn without(self, others: Self) -> Self {
+        Self(self.0 & !others.0)
+    }
+
+    const fn has(self, at: usize) -> bool {
+        self.0 & Self::of(at).0 != 0
+    }
+}
+
+impl Fault {
+    const fn place(self) -> usize {
+        match self {
+            Self::SettingsLost => SETTINGS_LOST,
+            Self::ErrorPassive => ERROR_PASSIVE,
+            Self::BusOffRecovered => BUS_OFF_RECOVERED,
+            Self::Overrun => OVERRUN,
+            Self::AwayFromHomeRate { .. } => AWAY_FROM_HOME_RATE,
+        }
+    }
+
+    /// Whether the fault lasts until its end is reported. The others are over when they are reported.
+    const fn lasts(self) -> bool {
+        !matches!(self, Self::BusOffRecovered | Self::Overrun)
+    }
+
+    fn message(self) -> Message {
+        let mut information = [0; 5];
+        let (code, register) = match self {
+            Self::SettingsLost => (0x6310, GENERIC),
+            Self::ErrorPassive => (0x8120, GENERIC | COMMUNICATION),
+            Self::BusOffRecovered => (0x8140, GENERIC | COMMUNICATION),
+            Self::Overrun => (0x8110, GENERIC | COMMUNICATION),
+            Self::AwayFromHomeRate { in_use, home } => {
+                let [u0, u1] = in_use.kbit_per_s().to_le_bytes();
+                let [h0, h1] = home.kbit_per_s().to_le_bytes();
+                information = [u0, u1, h0, h1, 0];
+                (GUEST_ERROR_CODE, GENERIC | COMMUNICATION)
+            }
+        };
+        Message { code, register, information }
+    }
+}
+
+/// The lowest error counter of an error passive controller (ISO 11898-1).
+const ERROR_PASSIVE_LIMIT: u8 = 128;
+/// The error warning limit (ISO 11898-1).
+const WARNING_LIMIT: u8 = 96;
+
+/// The controller's error counters (ISO 11898-1).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ErrorCounters {
+    /// TEC.
+    pub transmit: u8,
+    /// REC.
+    pub receive: u8,
+}
+
+/// The errors that are present, the messages about them, and the history.
+#[derive(Clone, Debug)]
+pub(crate) struct Emergency {
+    messages: [Message; PLACES],
+    /// The errors that are present.
+    present: Places,
+    /// The messages that have not been sent.
+    unsent: Places,
+    /// The message that was sent, while no frame of the node has been acknowledged since. The next one waits: on a bus
+    /// that fails again and again they would take the places of answers.
+    in_flight: Places,
+    /// 1003h, newest first; 0 marks a free entry.
+    history: [u32; HISTORY_LEN as usize],
+    bus_offs: u16,
+    overruns: u16,
+    error_counters: ErrorCounters,
+}
+
+impl Emergency {
+    pub const fn new() -> Self {
+        Self {
+            messages: [Message { code: 0, register: 0, information: [0; 5] }; PLACES],
+            present: Places::NONE,
+            unsent: Places::NONE,
+            in_flight: Places::NONE,
+            history: [0; HISTORY_LEN as usize],
+            bus_offs: 0,
+            overruns: 0,
+            error_counters: ErrorCounters { transmit: 0, receive: 0 },
+        }
+    }
+
+    /// Reports a fault of the node.
+    pub fn report_fault(&mut self, fault: Fault) {
+        match fault {
+            Fault::BusOffRecovered => self.bus_offs = self.bus_offs.saturating_add(1),
+            Fault::Overrun => self.overruns = self.overruns.saturating_add(1),
+            _ => {}
+        }
+        self.put(fault.place(), fault.message());
+        if !fault.lasts() {
+            self.end_at(fault.place());
+        }
+    }
+
+    /// Ends a lasting fault; does nothing if the fault is not present.
+    pub fn end_fault(&mut self, fault: Fault) {
+        self.end_at(fault.place());
+    }
+
+    /// Reports an error of process data or of the application, with bits of the error register and the manufacturer's
+    /// bytes. Without a free place the error is only kept in the history.
+    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
+        let message = Message { code, register: register | GENERIC, information };
+        let free = || (0..REPORTS).find(|at| !self.used().has(*at));
+        match self.place_of(code).or_else(free) {
+            Some(at) => self.put(at, message),
+            None => self.enter(&message),
+        }
+    }
+
+    /// Ends an error that [`report`](Self::report) has reported; does nothing if it is not present.
+    pub fn end(&mut self, code: u16) {
+        if let Some(at) = self.place_of(code) {
+            self.end_at(at);
+        }
+    }
+
+    /// Whether there are errors, or messages about them, that [`report`](Self::report) has reported.
+    pub const fn has_reports(&self) -> bool {
+        const EACH: u16 = (1 << REPORTS) - 1;
+        self.used().0 & EACH != 0
+    }
+
+    /// The places that an error or an unacknowledged message takes.
+    const fn used(&self) -> Places {
+        self.present.and(self.unsent).and(self.in_flight)
+    }
+
+    /// The place of a reported error.
+    fn place_of(&self, code: u16) -> Option<usize> {
+        let mut reports = self.messages.iter().take(REPORTS).enumerate();
+        let used = self.used();
+        reports.find(|(at, message)| used.has(*at) && message.code == code).map(|(at, _)| at)
+    }
+
+    /// Makes an error present, and its message due. The history has one entry per message.
+    fn put(&mut self, at: usize, message: Message) {
+        if !self.unsent.has(at) {
+            self.enter(&message);
+        }
+        if let Some(place) = self.messages.get_mut(at) {
+            *place = message;
+        }
+        self.present = self.present.and(Places::of(at));
+        self.unsent = self.unsent.and(Places::of(at));
+    }
+
+    fn end_at(&mut self, at: usize) {
+        if !self.present.has(at) {
+            return;
+        }
+        self.present = self.present.without(Places::of(at));
+        self.unsent = self.unsent.and(Places::of(END));
+        if at == AWAY_FROM_HOME_RATE {
+            self.messages[END].information = self.messages[AWAY_FROM_HOME_RATE].information;
+        }
+    }
+
+    /// Adds an error to the history 1003h.
+    fn enter(&mut self, message: &Message) {
+        let [i0, i1, ..] = message.information;
+        let mut newer = u32::from(message.code) | u32::from(i0) << 16 | u32::from(i1) << 24;
+        for place in &mut self.history {
+            newer = mem::replace(place, newer);
+        }
+    }
+
+    /// Records the controller's error counters. A controller that only listens takes no part in the bus and is not
+    /// reported.
+    pub fn handle_error_counters(&mut self, counters: ErrorCounters, is_listening: bool) {
+        let ErrorCounters { transmit, receive } = counters;
+        self.error_counters = counters;
+        let is_passive = transmit >= ERROR_PASSIVE_LIMIT || receive >= ERROR_PASSIVE_LIMIT;
+        // After one valid frame an error passive receiver counts 119..=127, and the next error makes it error passive
+        // again. That is not the end of the fault.
+        if !is_passive && receive < WARNING_LIMIT {
+            self.end_fault(Fault::ErrorPassive);
+        } else if is_passive && !self.present.has(ERROR_PASSIVE) && !is_listening {
+            self.report_fault(Fault::ErrorPassive);
+        }
+    }
+
+    /// The controller's latest error counters.
+    pub const fn error_counters(&self) -> ErrorCounters {
+        self.error_counters
+    }
+
+    /// The number of [`Fault::BusOffRecovered`] reports.
+    pub const fn bus_offs(&self) -> u16 {
+        self.bus_offs
+    }
+
+    /// The number of [`Fault::Overrun`] reports.
+    pub const fn overruns(&self) -> u16 {
+        self.overruns
     }
 
     /// The error register 1001h.
     pub fn error_register(&self) -> u8 {
-        self.faults.error_register() | self.reports.error_register()
+        let present = self.messages.iter().enumerate().filter(|(at, _)| self.present.has(*at));
+        present.fold(0, |register, (_, message)| register | message.register)
     }
 
-    /// Whether an acknowledge may make a difference.
-    pub fn awaits_acknowledge(&self) -> bool {
-        self.is_in_flight || !self.reports.is_empty()
+    /// Sub-index 1..=8 of the history 1003h: the error code, and the first two bytes of the information in the upper
+    /// half.
+    pub fn error(&self, sub_index: u8) -> Option<u32> {
+        let error = self.history.get(usize::from(sub_index.checked_sub(1)?))?;
+        (*error != 0).then_some(*error)
+    }
+
+    /// Sub-index 0 of the history 1003h.
+    pub fn number_of_errors(&self) -> u8 {
+        let first_place_free = self.history.iter().position(|error| *error == 0);
+        first_place_free.map_or(HISTORY_LEN, |number| number as u8)
+    }
+
+    pub const fn clear_history(&mut self) {
+        self.history = [0; HISTORY_LEN as usize];
+    }
+
+    /// Whether an acknowledge makes a difference.
+    pub const fn awaits_acknowledge(&self) -> bool {
+        self.in_flight.0 != 0
     }
 
     /// Records that a frame of the node was acknowledged. Emergency messages are sent before all periodic frames.
-    pub fn note_acknowledge(&mut self) {
-        self.is_in_flight = false;
-        self.faults.note_acknowledge();
-        self.reports.note_acknowledge();
+    pub const fn note_acknowledge(&mut self) {
+        if self.in_flight.has(END) && !self.unsent.has(END) {
+            self.messages[END].information = [0; 5];
+        }
+        self.in_flight = Places::NONE;
     }
 
-    /// Records that the pending frames were dropped: messages that were not acknowledged are sent again.
-    pub fn note_dropped(&mut self) {
-        self.is_in_flight = false;
-        self.faults.note_dropped();
-        self.reports.note_dropped();
+    /// Records that the pending frames were dropped: a message that was not acknowledged is sent again.
+    pub const fn note_dropped(&mut self) {
+        self.unsent = self.unsent.and(self.in_flight);
+        self.in_flight = Places::NONE;
     }
 
     /// The next message, if there is one to send. While the node hears nothing but errors it sends none: a message
     /// would disturb nodes that may run at another bit rate.
+    ///
+    /// Error code 0 is sent when no error is left. CiA 301 allows it at the end of each error, but some masters take it
+    /// for the end of all.
     pub fn next(&mut self, node: NodeId) -> Option<Frame> {
-        if self.is_in_flight || self.faults.must_wait() {
+        if self.awaits_acknowledge() || self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
             return None;
         }
-        let report = self.reports.next(node, self.faults.error_register());
-        let message = report.or_else(|| self.faults.next(node, self.reports.error_register()));
-        self.is_in_flight = message.is_some();
-        message
+        if self.present != Places::NONE {
+            self.unsent = self.unsent.without(Places::of(END));
+        }
+        let at = self.unsent.0.trailing_zeros() as usize;
+        let Message { code, register, information } = *self.messages.get(at)?;
+        self.unsent = self.unsent.without(Places::of(at));
+        self.in_flight = Places::of(at);
+        let [c0, c1] = code.to_le_bytes();
+        let [i0, i1, i2, i3, i4] = information;
+        let data = [c0, c1, register | self.error_register(), i0, i1, i2, i3, i4];
+        Some(Frame::with_eight_bytes(COB_ID + u16::from(node.get()), data))
     }
 }

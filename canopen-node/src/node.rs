@@ -61,7 +61,7 @@ pub struct Node<
     lss: Slave,
     bit_rate: bit_rate::Control,
     nmt: NmtSlave,
-    emergency: Emergency<A::ErrorPlaces>,
+    emergency: Emergency,
     sdo: sdo::Server<A::SdoBuffer>,
     storing: Storing,
     product: Product<A, TPDOS, RPDOS, PRODUCERS>,
@@ -241,7 +241,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Records a fault of the board, such as [`Fault::SettingsLost`], in the history 1003h and queues an emergency
     /// message.
     pub fn handle_fault(&mut self, fault: Fault) {
-        self.emergency.faults.report(fault);
+        self.emergency.report_fault(fault);
         self.agenda.add(Tasks::of(&[Task::Messages]));
     }
 
@@ -275,7 +275,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let tasks: &[Task] = match event {
             BusEvent::ErrorCounters { transmit, receive } => {
                 let counters = ErrorCounters { transmit, receive };
-                self.emergency.faults.handle_error_counters(counters, self.bit_rate.is_listening());
+                self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
                 &[Task::Messages]
             }
             BusEvent::NonePending => {
@@ -286,11 +286,11 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 &[Task::Sdo, Task::Messages, Task::Pdos]
             }
             BusEvent::Overrun => {
-                self.emergency.faults.report(Fault::Overrun);
+                self.emergency.report_fault(Fault::Overrun);
                 &[Task::Messages]
             }
             BusEvent::BusOffRecovered => {
-                self.emergency.faults.report(Fault::BusOffRecovered);
+                self.emergency.report_fault(Fault::BusOffRecovered);
                 &[Task::Messages]
             }
             BusEvent::Acknowledged => {
@@ -317,7 +317,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// effect.
     pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
         if code != 0 && Self::HAS_APPLICATION {
-            self.emergency.reporter().report(code, register, information);
+            self.emergency.report(code, register, information);
             self.agenda.add(Tasks::of(&[Task::Messages]));
         }
     }
@@ -326,7 +326,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// error is left.
     pub fn end_report(&mut self, code: u16) {
         if Self::HAS_APPLICATION {
-            self.emergency.reporter().end(code);
+            self.emergency.end(code);
             self.agenda.add(Tasks::of(&[Task::Messages]));
         }
     }
@@ -371,7 +371,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if self.storing.handle_stored(outcome) {
             self.product.communication.end_store::<A>(outcome.is_ok());
             if outcome.is_ok() {
-                self.emergency.faults.end(Fault::SettingsLost);
+                self.emergency.end_fault(Fault::SettingsLost);
             }
             self.agenda.add(Tasks::of(&[Task::Store, Task::Messages]));
         }
@@ -536,7 +536,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let setting = self.lss.activate_bit_rate(self.bit_rate.active());
         self.bit_rate.activate(setting, silent_until);
         let rate = self.bit_rate();
-        self.emergency.faults.end(Fault::AwayFromHomeRate { in_use: rate, home: rate });
+        self.emergency.end_fault(Fault::AwayFromHomeRate { in_use: rate, home: rate });
     }
 
     /// Reports a bit rate that the supervision has found, or a return home.
@@ -546,9 +546,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         };
         match self.bit_rate.home() {
             Some(home) if home != in_use => {
-                self.emergency.faults.report(Fault::AwayFromHomeRate { in_use, home });
+                self.emergency.report_fault(Fault::AwayFromHomeRate { in_use, home });
             }
-            _ => self.emergency.faults.end(Fault::AwayFromHomeRate { in_use, home: in_use }),
+            _ => self.emergency.end_fault(Fault::AwayFromHomeRate { in_use, home: in_use }),
         }
     }
 

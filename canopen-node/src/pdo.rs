@@ -20,7 +20,7 @@ use core::mem;
 use crate::{
     Application, Frame, Instant, NodeId,
     application::Event,
-    emergency::{COMMUNICATION, Reporter},
+    emergency::{COMMUNICATION, Emergency},
     nmt,
     object_dictionary::{Entry, Object},
     sdo::Abort,
@@ -208,7 +208,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         &mut self,
         frame: &Frame,
         application: &mut A,
-        errors: &mut Reporter<'_>,
+        errors: &mut Emergency,
     ) -> bool {
         if !Self::IS_USED || !self.is_running {
             return false;
@@ -226,7 +226,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         &mut self,
         frame: &Frame,
         application: &mut A,
-        errors: &mut Reporter<'_>,
+        errors: &mut Emergency,
     ) {
         for (number, (rpdo, pdo)) in (1..).zip(self.rpdos.iter_mut().zip(&self.current.rpdos)) {
             if !rpdo.receives(frame.cob_id()) {
@@ -245,7 +245,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         &mut self,
         frame: &Frame,
         application: &mut A,
-        errors: &mut Reporter<'_>,
+        errors: &mut Emergency,
     ) {
         let counter = self.current.sync.counter(frame);
         let was_wrong = mem::replace(&mut self.is_sync_wrong, counter.is_err());
@@ -272,7 +272,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
     }
 
     /// Ends the errors that are no longer present.
-    pub fn end_errors(&self, errors: &mut Reporter<'_>) {
+    pub fn end_errors(&self, errors: &mut Emergency) {
         let has = |code| self.rpdos.iter().any(|rpdo| rpdo.fault() == Some(code));
         for (code, is_present) in [
             (rpdo::TOO_SHORT, has(rpdo::TOO_SHORT)),

@@ -52,7 +52,6 @@ pub struct Machine {
 impl Dictionary for Machine {
     type Value = MachineValue;
     type SdoBuffer = <Values as Dictionary>::SdoBuffer;
-    type ErrorPlaces = <Values as Dictionary>::ErrorPlaces;
     const OBJECTS: &'static [Entry] = Values::OBJECTS;
     const STORED_LEN: usize = Values::STORED_LEN;
 

@@ -412,7 +412,7 @@ macro_rules! objects {
         }
 
         const _: () = {
-            use $crate::{application, emergency, object_dictionary, sdo, settings::parameters};
+            use $crate::{application, object_dictionary, sdo, settings::parameters};
 
             #[allow(non_camel_case_types)]
             enum Field { $($($field,)+)* }
@@ -447,7 +447,6 @@ macro_rules! objects {
                 type SdoBuffer = [u8; application::longest(&[
                     $($(<application::ValueOf<$type> as application::ValueType>::CAPACITY,)+)*
                 ])];
-                type ErrorPlaces = $crate::objects!(@errors $($index)*);
 
                 const OBJECTS: &'static [object_dictionary::Entry] =
                     &application::table::<{ application::count(ROWS) }>(ROWS);
@@ -541,8 +540,6 @@ macro_rules! objects {
     };
     (@defaults $value:expr) => { [$value] };
     (@defaults $array:expr, $last:literal) => { $array };
-    (@errors) => { [emergency::Report; 0] };
-    (@errors $($index:literal)+) => { [emergency::Report; 8] };
     (@highest $index:literal $object:literal) => {
         (
             object_dictionary::Entry {

@@ -5,7 +5,7 @@ use core::mem;
 use crate::{
     Frame, Instant, NodeId,
     application::Event,
-    emergency::{COMMUNICATION, Reporter},
+    emergency::{COMMUNICATION, Emergency},
     nmt,
     object_dictionary::{
         Access::{Const, ReadWrite},
@@ -90,7 +90,7 @@ impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
     }
 
     /// The next producer whose heartbeat is missing at `now`.
-    pub fn next_lost(&mut self, errors: &mut Reporter<'_>, now: Instant) -> Option<NodeId> {
+    pub fn next_lost(&mut self, errors: &mut Emergency, now: Instant) -> Option<NodeId> {
         let at = self.watches.iter_mut().position(|watch| watch.poll(now))?;
         let lost = self.producers.0.get(at)?.node()?;
         errors.report(LOST, COMMUNICATION, [lost.get(), 0, 0, 0, 0]);
@@ -98,7 +98,7 @@ impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
     }
 
     /// Ends the error of a missing heartbeat, if none is missing.
-    pub fn end_errors(&self, errors: &mut Reporter<'_>) {
+    pub fn end_errors(&self, errors: &mut Emergency) {
         if !self.watches.iter().any(Watch::is_lost) {
             errors.end(LOST);
         }

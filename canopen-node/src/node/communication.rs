@@ -5,7 +5,7 @@ use core::mem;
 
 use crate::{
     Application, Frame, Instant, NodeId,
-    emergency::Reporter,
+    emergency::Emergency,
     heartbeat::consumer::{self, Consumer, Producers},
     nmt::ErrorBehaviour,
     object_dictionary::{DefaultValue, Description, Entry, Object},
@@ -113,7 +113,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         &mut self,
         frame: &Frame,
         application: &mut A,
-        errors: &mut Reporter<'_>,
+        errors: &mut Emergency,
         now: Instant,
     ) {
         if !self.pdos.handle_frame(frame, application, errors) {
@@ -122,8 +122,8 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     }
 
     /// Ends the errors that are no longer present.
-    pub fn end_errors(&self, errors: &mut Reporter<'_>) {
-        if Self::IS_USED && !errors.is_empty() {
+    pub fn end_errors(&self, errors: &mut Emergency) {
+        if Self::IS_USED && errors.has_reports() {
             self.pdos.end_errors(errors);
             self.consumer.end_errors(errors);
         }

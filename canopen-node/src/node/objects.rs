@@ -34,7 +34,7 @@ pub(super) struct NodeObjects<
     pub lss: &'a lss::Slave,
     pub bit_rate: &'a bit_rate::Control,
     pub nmt: &'a mut NmtSlave,
-    pub emergency: &'a mut Emergency<A::ErrorPlaces>,
+    pub emergency: &'a mut Emergency,
     pub storing: &'a mut Storing,
     pub communication: &'a mut Communication<TPDOS, RPDOS, PRODUCERS>,
     pub application: &'a mut A,
@@ -69,10 +69,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::SoftwareVersion => return Ok(Content::Text(self.device.software_version)),
             Object::DeviceType => A::DEVICE_TYPE,
             Object::ErrorRegister => self.emergency.error_register().into(),
-            Object::NumberOfErrors => self.emergency.faults.number_of_errors().into(),
+            Object::NumberOfErrors => self.emergency.number_of_errors().into(),
             // CiA 301 names this code for object 1003h, and CANopenNode sends it, although the sub-index exists.
             Object::ErrorField(sub_index) => {
-                self.emergency.faults.error(sub_index).ok_or(Abort::NoData)?
+                self.emergency.error(sub_index).ok_or(Abort::NoData)?
             }
             Object::StoreParameters | Object::RestoreDefaultParameters => ON_COMMAND,
             Object::CobIdEmergency => u32::from(emergency::COB_ID) + node_id,
@@ -82,10 +82,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::ProductCode => self.lss.address_part(AddressPart::ProductCode),
             Object::RevisionNumber => self.lss.address_part(AddressPart::RevisionNumber),
             Object::SerialNumber => self.lss.address_part(AddressPart::SerialNumber),
-            Object::BusOffs => self.emergency.faults.bus_offs().into(),
-            Object::Overruns => self.emergency.faults.overruns().into(),
-            Object::TransmitErrorCounter => self.emergency.faults.error_counters().transmit.into(),
-            Object::ReceiveErrorCounter => self.emergency.faults.error_counters().receive.into(),
+            Object::BusOffs => self.emergency.bus_offs().into(),
+            Object::Overruns => self.emergency.overruns().into(),
+            Object::TransmitErrorCounter => self.emergency.error_counters().transmit.into(),
+            Object::ReceiveErrorCounter => self.emergency.error_counters().receive.into(),
             Object::HomeBitRate => self.bit_rate.home().map_or(0, |rate| rate.kbit_per_s().into()),
             Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
             Object::Rescues => self.bit_rate.rescues().into(),
@@ -173,7 +173,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 {
     fn write_number(&mut self, object: Object, number: u32) -> Result<(), Abort> {
         match object {
-            Object::NumberOfErrors if number == 0 => self.emergency.faults.clear_history(),
+            Object::NumberOfErrors if number == 0 => self.emergency.clear_history(),
             Object::NumberOfErrors => return Err(Abort::InvalidValue),
             Object::ProducerHeartbeatTime => self.nmt.set_heartbeat_ms(number as u16, self.now),
             Object::CommunicationErrorBehaviour => {

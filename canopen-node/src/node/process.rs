@@ -21,14 +21,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if !Self::HAS_PROCESS_DATA || !is_served {
             return;
         }
-        let mut errors = self.emergency.reporter();
-        self.product.communication.handle_frame(
-            frame,
-            &mut self.product.application,
-            &mut errors,
-            now,
-        );
-        if PRODUCERS > 0 || !errors.is_empty() {
+        let Self { product, emergency, .. } = self;
+        product.communication.handle_frame(frame, &mut product.application, emergency, now);
+        if PRODUCERS > 0 || self.emergency.has_reports() {
             self.agenda.add(Tasks::of(&[Task::Producers, Task::Messages]));
         }
         self.note_values();
@@ -61,14 +56,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
     pub(super) fn watch_producers(&mut self, now: Instant) {
         let mut is_any_lost = false;
-        let mut errors = self.emergency.reporter();
-        while let Some(producer) = self.product.communication.consumer.next_lost(&mut errors, now) {
-            self.nmt.handle_communication_error();
-            self.product.application.handle(Event::HeartbeatLost(producer));
+        let Self { product, emergency, nmt, .. } = self;
+        while let Some(producer) = product.communication.consumer.next_lost(emergency, now) {
+            nmt.handle_communication_error();
+            product.application.handle(Event::HeartbeatLost(producer));
             is_any_lost = true;
         }
-        self.product.communication.end_errors(&mut errors);
-        if !errors.is_empty() {
+        product.communication.end_errors(emergency);
+        if emergency.has_reports() {
             self.agenda.add(Tasks::of(&[Task::Messages]));
         }
         if is_any_lost {
