@@ -146,3 +146,76 @@ fn power_on_leads_to_waiting_with_a_boot_up_of_a_node_with_a_node_id() {
         assert_eq!(board.node.lss().state(), State::Waiting);
     }
 }
+
+/// A label of the picture `docs/lss-states.svg`: where it stands, and the effect below it.
+struct Label<'a> {
+    /// The left end of the text, or the middle of one at an arrow.
+    x: &'a str,
+    /// The service, with its command specifiers.
+    service: String,
+    effect: String,
+    /// The line below the two, if there is one.
+    arrow: Option<&'a str>,
+}
+
+/// The labels in the picture, in which each text and each arrow is a line.
+fn labels(picture: &str) -> Vec<Label<'_>> {
+    let without_tags = |line: &str| {
+        let parts = line.split('<').filter_map(|part| part.split_once('>'));
+        parts.map(|(_, text)| text).collect::<String>()
+    };
+    let lines: Vec<_> = picture.lines().collect();
+    let labels = lines.windows(3).filter(|window| window[0].starts_with("<text x="));
+    labels
+        .map(|window| Label {
+            x: window[0].split('"').nth(1).expect("a place"),
+            service: without_tags(window[0]),
+            effect: without_tags(window[1]),
+            arrow: Some(window[2]).filter(|line| line.starts_with("<line ")),
+        })
+        .collect()
+}
+
+/// What has no effect in any state is not in the picture.
+#[test]
+fn the_picture_of_the_states_shows_the_effect_of_each_service() {
+    const WAITING_X: &str = "34";
+    const CONFIGURATION_X: &str = "759";
+    let labels = labels(include_str!("../../docs/lss-states.svg"));
+    let label_of = |requests: &str| match requests {
+        SELECT => "40 41 42 43".to_owned(),
+        IDENTIFY => "46 .. 4B".to_owned(),
+        "5A" | "5B" | "5C" | "5D" => "5A 5B 5C 5D".to_owned(),
+        "04 00" | "04 01" => requests.to_owned(),
+        "81 00" | "82 00" => format!("NMT {}", &requests[..2]),
+        _ => requests[..2].to_owned(),
+    };
+    let shown = EFFECTS.iter().filter(|(_, effects)| effects.iter().any(|it| !it.is_empty()));
+    for (requests, effects) in shown {
+        let service = label_of(requests);
+        for (x, effects, arrow) in [
+            (WAITING_X, &effects[..2], "<line x1=\"365\""),
+            (CONFIGURATION_X, &effects[2..], "<line x1=\"745\""),
+        ] {
+            let stands_at = |label: &&Label<'_>| label.service.starts_with(&format!("{service} "));
+            let mut found = labels.iter().filter(stands_at).filter(|label| {
+                label.x == x || label.arrow.is_some_and(|line| line.starts_with(arrow))
+            });
+            if effects.iter().all(|effect| effect.is_empty()) {
+                let ignored =
+                    labels.iter().find(|l| l.x == x && l.service == "without any effect:");
+                let ignored = &ignored.expect("a list").effect;
+                assert!(ignored.split(", ").any(|one| one == service), "{service}: {ignored}");
+                assert!(found.next().is_none(), "{service} has no effect");
+                continue;
+            }
+            let label = found.next().unwrap_or_else(|| panic!("{service} is in the picture"));
+            let leaves = effects.iter().any(|effect| effect.contains("to "));
+            assert_eq!(label.arrow.is_some(), leaves, "{service}: an arrow");
+            for effect in effects.iter().flat_map(|effect| effect.split(", ")) {
+                let is_arrow = effect.starts_with("to ");
+                assert!(is_arrow || label.effect.contains(effect), "{service}: {effect}");
+            }
+        }
+    }
+}
