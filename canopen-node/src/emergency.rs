@@ -65,6 +65,11 @@ struct Message {
     information: [u8; 5],
 }
 
+impl Message {
+    /// The one with error code 0.
+    const NONE: Self = Self { code: 0, register: 0, information: [0; 5] };
+}
+
 /// A set of places, a bit for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Places(u16);
@@ -158,7 +163,7 @@ pub(crate) struct Emergency {
 impl Emergency {
     pub const fn new() -> Self {
         Self {
-            messages: [Message { code: 0, register: 0, information: [0; 5] }; PLACES],
+            messages: [Message::NONE; PLACES],
             present: Places::NONE,
             unsent: Places::NONE,
             in_flight: Places::NONE,
@@ -244,6 +249,15 @@ impl Emergency {
         if at == AWAY_FROM_HOME_RATE {
             self.messages[END].information = self.messages[AWAY_FROM_HOME_RATE].information;
         }
+        self.clear_unused(at);
+    }
+
+    /// Clears a place that no error takes any more.
+    fn clear_unused(&mut self, at: usize) {
+        let is_used = self.used().has(at);
+        if let Some(place) = self.messages.get_mut(at).filter(|_| !is_used) {
+            *place = Message::NONE;
+        }
     }
 
     /// Adds an error to the history 1003h.
@@ -314,11 +328,10 @@ impl Emergency {
     }
 
     /// Records that a frame of the node was acknowledged. Emergency messages are sent before all periodic frames.
-    pub const fn note_acknowledge(&mut self) {
-        if self.in_flight.has(END) && !self.unsent.has(END) {
-            self.messages[END].information = [0; 5];
-        }
+    pub fn note_acknowledge(&mut self) {
+        let acknowledged = self.in_flight.0.trailing_zeros() as usize;
         self.in_flight = Places::NONE;
+        self.clear_unused(acknowledged);
     }
 
     /// Records that the pending frames were dropped: a message that was not acknowledged is sent again.

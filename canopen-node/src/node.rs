@@ -2,22 +2,23 @@
 //! and `poll`; outputs are actions.
 
 mod action;
-mod agenda;
+mod areas;
+mod bit_rate;
 mod communication;
+mod messages;
 mod objects;
 mod periodic;
 mod process;
 mod product;
 mod receives;
-mod storing;
 
 use core::array;
 
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
-    bit_rate::{self, Step},
-    emergency::{self, Emergency, ErrorCounters, Fault},
+    bit_rate::Control,
+    emergency::{self, Emergency, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command, slave::NmtSlave},
     object_dictionary::{self, DefaultValue, Description, Entry, Object},
@@ -25,13 +26,12 @@ use crate::{
     settings::parameters::{Packer, Parameter},
 };
 pub use action::Action;
-use agenda::{Agenda, Task, Tasks};
+use areas::{Area, Change, Download};
 use communication::Communication;
 use objects::NodeObjects;
-use periodic::{Periodic, Sender};
+use periodic::Periodic;
 use product::Product;
 pub use receives::Receives;
-use storing::{Area, Change, Storing};
 
 /// A CANopen node that an LSS master can configure.
 ///
@@ -59,7 +59,7 @@ pub struct Node<
     const PRODUCERS: usize = 0,
 > {
     lss: Slave,
-    bit_rate: bit_rate::Control,
+    bit_rate: Control,
     nmt: NmtSlave,
     emergency: Emergency,
     sdo: sdo::Server<A::SdoBuffer>,
@@ -67,6 +67,62 @@ pub struct Node<
     product: Product<A, TPDOS, RPDOS, PRODUCERS>,
     agenda: Agenda,
     periodic: Periodic,
+}
+
+/// The persistent settings, and the requests to change them: one store at a time, for LSS before an SDO client.
+#[derive(Clone, Debug)]
+struct Storing {
+    persistent: Settings,
+    store: Store,
+    /// LSS store configuration requests that have not been answered.
+    lss_requests: u8,
+    /// An SDO request whose store has not begun.
+    sdo_request: Option<SdoRequest>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Store {
+    Idle,
+    Running(Settings, Requester),
+    Done(Result<(), StoreError>, Requester),
+}
+
+/// The requester that waits for the outcome of a store.
+#[derive(Clone, Copy, Debug)]
+enum Requester {
+    Lss,
+    Sdo(Download),
+    /// An SDO client that a reset or its abort has cancelled.
+    Nobody(Download),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct SdoRequest {
+    download: Download,
+    /// The heartbeat time to store, if the download concerns it. Node-ID and bit rate belong to LSS and stay unchanged.
+    heartbeat_ms: u16,
+}
+
+impl Storing {
+    /// The SDO download that the store in progress carries out; `None` for one for LSS.
+    const fn download(&self) -> Option<Download> {
+        match self.store {
+            Store::Running(_, Requester::Sdo(download) | Requester::Nobody(download)) => {
+                Some(download)
+            }
+            _ => None,
+        }
+    }
+
+    /// Cancels the SDO client's request; a store in progress continues.
+    const fn forget_sdo(&mut self) {
+        self.sdo_request = None;
+        if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
+            && let Requester::Sdo(download) = *requester
+        {
+            *requester = Requester::Nobody(download);
+        }
+    }
 }
 
 impl Node {
@@ -94,7 +150,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             None => device.defaults,
         };
         let bit_rate = device.bit_rates.or_automatic(persistent.bit_rate);
-        let mut bit_rate_control = bit_rate::Control::new(bit_rate, device.bit_rates);
+        let mut bit_rate_control = Control::new(bit_rate, device.bit_rates);
         if device.rescue {
             bit_rate_control = bit_rate_control.with_rescue(device.address.serial_number);
         }
@@ -105,7 +161,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
             sdo: sdo::Server::NEW,
-            storing: Storing::new(persistent),
+            storing: Storing { persistent, store: Store::Idle, lss_requests: 0, sdo_request: None },
             agenda: Agenda::new(),
             periodic: Periodic::Free,
         }
@@ -265,50 +321,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
     }
 
-    fn awaits_acknowledge(&self) -> bool {
-        self.nmt.awaits_acknowledge() || self.emergency.awaits_acknowledge()
-    }
-
-    /// Handles an event for all but the bit rate.
-    #[inline(never)] // It has two callers.
-    fn handle_event(&mut self, event: BusEvent, now: Instant) {
-        let tasks: &[Task] = match event {
-            BusEvent::ErrorCounters { transmit, receive } => {
-                let counters = ErrorCounters { transmit, receive };
-                self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
-                &[Task::Messages]
-            }
-            BusEvent::NonePending => {
-                self.sdo.note_sent();
-                if self.periodic.note_none_pending(now) == Some(Sender::Heartbeat) {
-                    self.nmt.skip_heartbeats(now);
-                }
-                &[Task::Sdo, Task::Messages, Task::Pdos]
-            }
-            BusEvent::Overrun => {
-                self.emergency.report_fault(Fault::Overrun);
-                &[Task::Messages]
-            }
-            BusEvent::BusOffRecovered => {
-                self.emergency.report_fault(Fault::BusOffRecovered);
-                &[Task::Messages]
-            }
-            BusEvent::Acknowledged => {
-                self.nmt.note_acknowledge();
-                self.emergency.note_acknowledge();
-                &[Task::Messages]
-            }
-            BusEvent::BusOff => {
-                self.nmt.handle_communication_error();
-                self.lock_lss();
-                &[Task::State]
-            }
-            // They concern only the bit rate.
-            _ => &[],
-        };
-        self.agenda.add(Tasks::of(tasks));
-    }
-
     /// Reports an error of the application by an emergency message (CiA 301, 7.2.7): its error code, bits of the error
     /// register 1001h (bit 0 is added) and the manufacturer's bytes. The error stays in the error register until
     /// [`end_report`](Self::end_report), and in the history 1003h. An error that is reported again is sent again.
@@ -359,7 +371,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                     self.product.communication.save::<A>(&mut packer);
                 }
                 (Change::Renew, Area::Application) => {
-                    storing::save(&self.product.application, &mut packer)
+                    areas::save(&self.product.application, &mut packer)
                 }
             }
         }
@@ -368,13 +380,16 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Records the outcome of the last [`Action::Store`].
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
-        if self.storing.handle_stored(outcome) {
-            self.product.communication.end_store::<A>(outcome.is_ok());
-            if outcome.is_ok() {
-                self.emergency.end_fault(Fault::SettingsLost);
-            }
-            self.agenda.add(Tasks::of(&[Task::Store, Task::Messages]));
+        let Store::Running(settings, requester) = self.storing.store else {
+            return;
+        };
+        self.storing.store = Store::Done(outcome, requester);
+        self.product.communication.end_store::<A>(outcome.is_ok());
+        if outcome.is_ok() {
+            self.storing.persistent = settings;
+            self.emergency.end_fault(Fault::SettingsLost);
         }
+        self.agenda.add(Tasks::of(&[Task::Store, Task::Messages]));
     }
 
     /// Whether [`poll`](Self::poll) may have something to do at `now`: a cheap check.
@@ -439,7 +454,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 None
             }
             Task::Sdo => self.answer_sdo(now),
-            Task::Store => self.store_or_answer(),
+            Task::Store => self.answer_or_store(),
             Task::Messages => self.next_message(now),
             Task::Pdos => self.next_pdo(now),
         };
@@ -451,43 +466,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Some(_) => {}
         }
         action
-    }
-
-    /// The next step of a switch or of the supervision. Without one, lets those tasks wait that a later one allows.
-    fn next_step(&mut self, now: Instant) -> Option<Action> {
-        use bit_rate::Next::*;
-        loop {
-            let next = self.bit_rate.poll(now);
-            self.follow_bit_rate();
-            // The NMT state is known.
-            let _ = self.inform();
-            match next {
-                Some(StopTransmitting) => {
-                    self.periodic.note_dropped();
-                    return Some(Action::StopTransmitting);
-                }
-                Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
-                Some(EndSwitch) => {
-                    self.nmt.restart_heartbeat(now);
-                    self.product.communication.consumer.restart(now);
-                }
-                Some(Step(step)) => return Some(self.take_step(step)),
-                Some(ResumeTransmitting) => {
-                    self.nmt.note_resumed();
-                    self.product.communication.pdos.note_resumed();
-                    return Some(Action::ResumeTransmitting);
-                }
-                Some(KeepSilent) => {
-                    self.agenda.hold(Tasks::AFTER_SWITCH);
-                    return None;
-                }
-                Some(Settled) => return Some(Action::SetReceives),
-                None => break,
-            }
-        }
-        let may_send = self.bit_rate.may_send();
-        self.agenda.hold(if may_send { Tasks::NONE } else { Tasks::SENDING });
-        None
     }
 
     #[inline(never)] // It has two callers.
@@ -521,7 +499,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 self.agenda.add(Tasks::of(&[Task::BitRate]));
             }
             Reaction::StoreConfiguration => {
-                self.storing.request_by_lss();
+                self.storing.lss_requests = self.storing.lss_requests.saturating_add(1);
                 self.agenda.add(Tasks::of(&[Task::Store]));
             }
             Reaction::ResetCommunication => {
@@ -532,155 +510,46 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         None
     }
 
-    fn activate_bit_rate(&mut self, silent_until: Instant) {
-        let setting = self.lss.activate_bit_rate(self.bit_rate.active());
-        self.bit_rate.activate(setting, silent_until);
-        let rate = self.bit_rate();
-        self.emergency.end_fault(Fault::AwayFromHomeRate { in_use: rate, home: rate });
-    }
-
-    /// Reports a bit rate that the supervision has found, or a return home.
-    fn follow_bit_rate(&mut self) {
-        let Some(in_use) = self.bit_rate.take_change() else {
-            return;
-        };
-        match self.bit_rate.home() {
-            Some(home) if home != in_use => {
-                self.emergency.report_fault(Fault::AwayFromHomeRate { in_use, home });
-            }
-            _ => self.emergency.end_fault(Fault::AwayFromHomeRate { in_use, home: in_use }),
-        }
-    }
-
-    /// Carries out a step of the supervision, which drops the pending frames.
-    fn take_step(&mut self, step: Step) -> Action {
-        self.end_sdo_transfer();
-        self.emergency.note_dropped();
-        self.nmt.note_dropped();
-        self.periodic.note_dropped();
-        match step {
-            Step::TakePart(rate) => Action::SetBitRate(rate),
-            Step::Listen(rate) => {
-                // It may miss the request to leave the LSS configuration state, and must take none meant for others.
-                if !self.bit_rate.is_detecting() {
-                    self.lss.discard_session();
-                }
-                Action::Listen(rate)
-            }
-            Step::DropFrames => Action::StopTransmitting,
-        }
-    }
-
-    fn carry_out(&mut self, command: Command) -> Option<Action> {
-        let state = match command {
-            Command::ResetNode => return Some(Action::ResetDevice),
-            Command::ResetCommunication => return Some(self.reset_communication()),
-            Command::Start => nmt::State::Operational,
-            Command::Stop => nmt::State::Stopped,
-            Command::EnterPreOperational => nmt::State::PreOperational,
-        };
-        self.nmt.enter(state);
-        self.lock_lss();
-        self.agenda.add(Tasks::of(&[Task::State]));
-        None
-    }
-
-    fn reset_communication(&mut self) -> Action {
-        self.lss.reset_communication();
-        let error_behaviour = self.product.communication.error_behaviour::<A>();
-        self.nmt.reset_communication(self.storing.persistent().heartbeat_ms, error_behaviour);
-        self.product.communication.reset();
-        self.periodic.note_dropped();
-        self.end_sdo();
-        self.agenda.add(Tasks::ALL);
-        Action::SetNodeId(self.node_id())
-    }
-
-    /// Locks or releases LSS after a possible change of the NMT state.
-    #[inline(never)] // It has two callers.
-    fn lock_lss(&mut self) {
-        let is_operational = self.nmt_state() == nmt::State::Operational;
-        self.lss.set_locked(self.product.device.lss_lock && is_operational);
-    }
-
-    const fn serves_sdo(&self) -> bool {
-        !self.bit_rate.is_switching() && self.nmt.serves_sdo()
-    }
-
-    fn sdo_request_cob_id(&self) -> Option<u16> {
-        self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
-    }
-
-    fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
-        if !self.serves_sdo() {
-            self.end_sdo_transfer();
-            self.sdo.reset();
-        }
-        if self.nmt.is_boot_up_due() {
+    /// Begins the store that LSS, or else an SDO client, has asked for, unless one is in progress.
+    fn begin_store(&mut self) -> Option<Action> {
+        let Storing { persistent, store: Store::Idle, lss_requests, sdo_request } = self.storing
+        else {
             return None;
-        }
-        let mut objects = NodeObjects {
-            device: &self.product.device,
-            lss: &self.lss,
-            bit_rate: &self.bit_rate,
-            nmt: &mut self.nmt,
-            emergency: &mut self.emergency,
-            storing: &mut self.storing,
-            communication: &mut self.product.communication,
-            application: &mut self.product.application,
-            now,
         };
-        let answer = self.sdo.poll(&mut objects, now);
-        // A write may concern any of them.
-        self.agenda.add(Tasks::of(&[Task::Producers, Task::Store, Task::Messages]));
-        self.note_values();
-        self.transmit_by_sdo(answer?)
-    }
-
-    fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
-        let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
-        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer.to_bytes())))
-    }
-
-    /// Discards pending SDO requests and transfers.
-    #[inline(never)] // It has two callers: 40 bytes.
-    fn end_sdo(&mut self) {
-        self.end_sdo_transfer();
-        self.sdo.reset();
-        self.storing.forget_sdo();
-    }
-
-    /// Discards the current SDO transfer without an answer to the client.
-    #[inline(never)] // It has several callers.
-    fn end_sdo_transfer(&mut self) {
-        if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
-            self.product.application.abort_domain(*index, *sub_index);
-        }
-        self.sdo.end_transfer();
-    }
-
-    fn store_or_answer(&mut self) -> Option<Action> {
-        use storing::Next::*;
-        loop {
+        let (settings, requester) = if lss_requests > 0 {
             let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
-            match self.storing.poll(node_id, bit_rate)? {
-                Store(settings) => {
-                    match Area::Communication.change(self.storing.download()) {
-                        Change::Keep => {}
-                        Change::Renew => {
-                            let error_behaviour = self.nmt.error_behaviour();
-                            self.product.communication.stage::<A>(error_behaviour);
-                        }
-                        Change::Remove => self.product.communication.stage_declared::<A>(),
-                    }
-                    return Some(Action::Store(settings));
+            (persistent.with_node_id(node_id).with_bit_rate(bit_rate), Requester::Lss)
+        } else {
+            let SdoRequest { download, heartbeat_ms } = sdo_request?;
+            self.storing.sdo_request = None;
+            let communication = &mut self.product.communication;
+            match Area::Communication.change(Some(download)) {
+                Change::Keep => {}
+                Change::Renew => communication.stage::<A>(self.nmt.error_behaviour()),
+                Change::Remove => communication.stage_declared::<A>(),
+            }
+            let settings = match Area::Communication.is_concerned(download.sub_index) {
+                true => persistent.with_heartbeat_ms(heartbeat_ms),
+                false => persistent,
+            };
+            (settings, Requester::Sdo(download))
+        };
+        self.storing.store = Store::Running(settings, requester);
+        Some(Action::Store(settings))
+    }
+
+    /// Answers the store that has ended, or begins the next.
+    fn answer_or_store(&mut self) -> Option<Action> {
+        if let Store::Done(outcome, requester) = self.storing.store {
+            self.storing.store = Store::Idle;
+            match requester {
+                Requester::Lss => {
+                    self.storing.lss_requests = self.storing.lss_requests.saturating_sub(1);
+                    let answer = Response::StoreConfiguration(outcome);
+                    return Some(Action::Transmit(answer.to_frame()));
                 }
-                AnswerLss(outcome) => {
-                    return Some(Action::Transmit(
-                        Response::StoreConfiguration(outcome).to_frame(),
-                    ));
-                }
-                AnswerSdo(download, outcome) if self.serves_sdo() => {
+                // Unless the NMT state has changed since the request.
+                Requester::Sdo(download) if self.serves_sdo() => {
                     return self.transmit_by_sdo(match outcome {
                         Ok(()) => download.confirmation,
                         Err(error) => {
@@ -688,36 +557,168 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                         }
                     });
                 }
-                // The NMT state has changed since the request.
-                AnswerSdo(..) => {}
+                Requester::Sdo(_) | Requester::Nobody(_) => {}
             }
         }
+        self.begin_store()
+    }
+}
+
+/// A part of the node's work. Those that are due are done in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+enum Task {
+    /// A new NMT state, for the application and process data.
+    State,
+    /// The steps of a switch and of the supervision, which decide whether the others may be done.
+    BitRate,
+    /// An NMT command.
+    Command,
+    /// Heartbeats that are missing, and errors of process data that are over.
+    Producers,
+    Sdo,
+    Store,
+    /// Boot-up, emergency messages and heartbeat.
+    Messages,
+    Pdos,
+}
+
+/// A set of tasks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Tasks(u8);
+
+impl Tasks {
+    pub const NONE: Self = Self(0);
+    pub const ALL: Self = Self(u8::MAX);
+    /// Those that send frames or store settings.
+    pub const SENDING: Self = Self::of(&[Task::Sdo, Task::Store, Task::Messages, Task::Pdos]);
+    /// Those that wait for the end of a switch.
+    pub const AFTER_SWITCH: Self = Self(Self::ALL.0 & !Self::of(&[Task::State, Task::BitRate]).0);
+
+    pub const fn of(tasks: &[Task]) -> Self {
+        let (mut set, mut rest) = (Self::NONE, tasks);
+        while let [task, others @ ..] = rest {
+            set.0 |= task.bit();
+            rest = others;
+        }
+        set
     }
 
-    /// Returns the next boot-up, emergency message or heartbeat.
-    fn next_message(&mut self, now: Instant) -> Option<Action> {
-        let node = self.node_id()?;
-        if let Some(boot_up) = self.nmt.next_boot_up(node, now) {
-            self.agenda.add(Tasks::of(&[Task::State, Task::Sdo]));
-            return Some(Action::Transmit(boot_up));
+    const fn has(self, task: Task) -> bool {
+        self.0 & task.bit() != 0
+    }
+}
+
+impl Task {
+    const EACH: [Self; 8] = [
+        Self::State,
+        Self::BitRate,
+        Self::Command,
+        Self::Producers,
+        Self::Sdo,
+        Self::Store,
+        Self::Messages,
+        Self::Pdos,
+    ];
+    /// Those that have deadlines.
+    const TIMED: [Self; 5] =
+        [Self::BitRate, Self::Producers, Self::Sdo, Self::Messages, Self::Pdos];
+
+    const fn bit(self) -> u8 {
+        1 << self as u8
+    }
+}
+
+/// The tasks that are due, and the deadlines of the others.
+#[derive(Clone, Debug)]
+struct Agenda {
+    due: Tasks,
+    /// The tasks that must not be done now.
+    held: Tasks,
+    /// The tasks whose deadline may have changed.
+    changed: Tasks,
+    /// The deadlines of [`Task::TIMED`], in that order.
+    deadlines: [Option<Instant>; Task::TIMED.len()],
+    /// The earliest deadline.
+    next: Option<Instant>,
+}
+
+impl Agenda {
+    /// All tasks are due.
+    pub const fn new() -> Self {
+        Self {
+            due: Tasks::ALL,
+            held: Tasks::NONE,
+            changed: Tasks::ALL,
+            deadlines: [None; Task::TIMED.len()],
+            next: None,
         }
-        if self.nmt.allows_emergencies()
-            && let Some(emergency) = self.emergency.next(node)
-        {
-            return Some(Action::Transmit(emergency));
-        }
-        let due_since = self.nmt.heartbeat_due_since(now)?;
-        let tpdo = self.product.communication.pdos.first_timed_out(now);
-        if !self.periodic.is_free(now) || tpdo.is_some_and(|(_, end)| !due_since.has_come(end)) {
-            return None;
-        }
-        let heartbeat = self.nmt.next_heartbeat(node, now);
-        self.note_periodic(Sender::Heartbeat, &heartbeat, now);
-        Some(Action::Transmit(heartbeat))
     }
 
-    /// Records a frame of a periodic service.
-    fn note_periodic(&mut self, sender: Sender, frame: &Frame, now: Instant) {
-        self.periodic.note_sent(sender, frame.longest_micros(self.bit_rate()), now);
+    /// Makes these tasks due, except those that are held.
+    pub const fn add(&mut self, tasks: Tasks) {
+        self.due.0 |= tasks.0 & !self.held.0;
+    }
+
+    /// Ends a task until it is added again.
+    pub const fn end(&mut self, task: Task) {
+        self.due.0 &= !task.bit();
+        self.changed.0 |= task.bit();
+    }
+
+    /// Holds these tasks until the next call, and makes all others due.
+    pub const fn hold(&mut self, tasks: Tasks) {
+        self.held = tasks;
+        self.due = Tasks(!tasks.0);
+        self.changed = Tasks::ALL;
+    }
+
+    /// Whether anything is due at `now`.
+    pub const fn is_due(&self, now: Instant) -> bool {
+        self.due.0 != 0
+            || match self.next {
+                Some(next) => next.has_come(now),
+                None => false,
+            }
+    }
+
+    /// The earliest deadline.
+    pub const fn next_deadline(&self) -> Option<Instant> {
+        self.next
+    }
+
+    /// Makes the tasks due whose deadline has come.
+    pub fn begin(&mut self, now: Instant) {
+        if !self.next.is_some_and(|next| next.has_come(now)) {
+            return;
+        }
+        let mut come = Tasks::NONE;
+        for (task, deadline) in Task::TIMED.into_iter().zip(&mut self.deadlines) {
+            if deadline.take_if(|deadline| deadline.has_come(now)).is_some() {
+                come.0 |= task.bit();
+            }
+        }
+        self.add(come);
+        self.find_next();
+    }
+
+    /// The first task that is due.
+    pub fn first(&self) -> Option<Task> {
+        Task::EACH.get(self.due.0.trailing_zeros() as usize).copied()
+    }
+
+    /// Finds the deadlines that may have changed, by `deadline`.
+    pub fn find_deadlines(&mut self, deadline: impl Fn(Task) -> Option<Instant>) {
+        for (task, place) in Task::TIMED.into_iter().zip(&mut self.deadlines) {
+            if self.changed.has(task) {
+                *place = deadline(task);
+            }
+        }
+        self.changed = Tasks::NONE;
+        self.find_next();
+    }
+
+    fn find_next(&mut self) {
+        self.next = self.deadlines.into_iter().flatten().reduce(Instant::earlier);
     }
 }

@@ -1,12 +1,10 @@
-//! LSS, the layer setting services of CiA 305: messages, address and the slave's state machine.
+//! LSS, the layer setting services of CiA 305: address, messages and the slave's state machine.
 
 mod address;
-mod message;
 mod slave;
 
 pub use address::{Address, AddressPart};
-pub use message::{FastscanStep, IdentifyKey, Request, Response, StoreError};
-pub use slave::{Reaction, Slave, State};
+pub use slave::{FastscanStep, IdentifyKey, Reaction, Request, Response, Slave, State, StoreError};
 
 /// The COB-ID of requests from the LSS master to the slaves.
 pub const REQUEST_COB_ID: u16 = 0x7E5;

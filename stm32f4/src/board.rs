@@ -12,27 +12,17 @@ use stm32f4xx_hal::{
 
 use crate::{
     can::{CanPins, Controller, Peripheral},
-    chip::{APB1_HZ, CHIP, UNIQUE_ID, sysclk_hz},
+    chip::{APB1_HZ, SYSCLK_HZ, UNIQUE_ID},
     clock::Alarm,
     crystal::{self, Crystal},
     fault,
     flash::SettingsFlash,
     log,
-    runner::Runner,
+    runner::{Runner, Storage},
     start,
-    storage::Storage,
     supply::Supply,
     watchdog::Watchdog,
 };
-
-/// Sectors 1 and 2 of the flash, which `memory.x` keeps free of code.
-pub const SETTINGS: *mut u32 = 0x0800_4000 as *mut u32;
-
-/// The number of register reads that take at least 100 ms at the initial 16 MHz, at five cycles each.
-const READS_IN_100_MS: u32 = 320_000;
-
-/// The core clock.
-pub(crate) const SYSCLK_HZ: u32 = sysclk_hz(&CHIP);
 
 /// The peripherals that the board uses. All others are the product's.
 pub struct Peripherals {
@@ -115,11 +105,6 @@ pub fn node_id(switches: &[ErasedPin<Input>]) -> Option<NodeId> {
     // Longer than a pull-up needs for the wires to the switches.
     cortex_m::asm::delay(SYSCLK_HZ / 10_000);
     NodeId::new(switches.iter().rev().fold(0, |bits, switch| bits << 1 | u8::from(switch.is_low())))
-}
-
-/// Waits at least 100 ms for `it_is_there`, with the core at 16 MHz; returns false on a timeout.
-pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
-    (0..READS_IN_100_MS).any(|_| it_is_there())
 }
 
 /// The serial number, derived from the chip's unique id.

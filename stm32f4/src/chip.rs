@@ -99,6 +99,12 @@ pub fn controller(name: &str) -> Result<u8, &'static str> {
 /// chapter was not available: there `UID_BASE` in ST's header).
 pub const UNIQUE_ID: usize = 0x1FFF_7A10;
 
+/// Sectors 1 and 2 of the flash, which `memory.x` keeps free of code.
+#[cfg(not(test))]
+pub const SETTINGS: *mut u32 = 0x0800_4000 as *mut u32;
+#[cfg(test)]
+pub use stm32f4xx_hal::memory::SETTINGS;
+
 /// The clock of the CAN controllers in Hz: the only whole number of MHz up to 50 with which all eight bit rates are
 /// exact and tolerate crystals that are 0.5 % off (docs/bit-rates.md).
 pub const APB1_HZ: u32 = 40_000_000;
@@ -108,6 +114,9 @@ pub const APB1_HZ: u32 = 40_000_000;
 pub const fn sysclk_hz(chip: &Chip) -> u32 {
     if chip.max_sysclk_mhz < 160 { 80_000_000 } else { 160_000_000 }
 }
+
+/// The core clock of this build.
+pub const SYSCLK_HZ: u32 = sysclk_hz(&CHIP);
 
 const _: () = {
     let mut i = 0;

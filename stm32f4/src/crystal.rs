@@ -3,7 +3,7 @@
 use cortex_m::peripheral::SCB;
 use stm32f4xx_hal::pac::RCC;
 
-use crate::{board, board::SYSCLK_HZ};
+use crate::{chip::SYSCLK_HZ, start};
 
 /// Survives a reset and shows whether a failure of the crystal caused it. Its initial value is never written.
 // SAFETY: the section of cortex-m-rt for variables that nothing initialises.
@@ -41,7 +41,7 @@ impl Crystal {
 /// chip if the crystal does not start.
 pub fn start(crystal: Crystal, rcc: &RCC) {
     rcc.cr().modify(|_, w| w.hsebyp().bit(crystal.is_external_clock).hseon().set_bit());
-    if !board::comes_in_100_ms(|| rcc.cr().read().hserdy().bit_is_set()) {
+    if !start::comes_in_100_ms(|| rcc.cr().read().hserdy().bit_is_set()) {
         defmt::error!(
             "the crystal does not start, resetting: check it and CRYSTAL_IS_EXTERNAL_CLOCK in device.rs"
         );
@@ -57,7 +57,7 @@ pub fn check(crystal: Crystal, rcc: &RCC) {
     let (post_divider, is_from_crystal) = (2 * ((settings >> 16 & 3) + 1), settings >> 22 & 1 == 1);
     let made = u64::from(crystal.hz) * u64::from(factor);
     let needed = u64::from(SYSCLK_HZ) * u64::from(divider * post_divider);
-    let is_in_use = board::comes_in_100_ms(|| rcc.cfgr().read().sws().is_pll());
+    let is_in_use = start::comes_in_100_ms(|| rcc.cfgr().read().sws().is_pll());
     if !(is_in_use && is_from_crystal && made == needed) {
         defmt::error!(
             "the clock is not that of the crystal, resetting: RCC_PLLCFGR {=u32:#x}",

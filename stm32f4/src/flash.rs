@@ -7,7 +7,7 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac;
 
-use crate::{board::SETTINGS, supply::Supply};
+use crate::{chip::SETTINGS, supply::Supply};
 
 const FIRST_SECTOR: u32 = 1;
 const SECTORS: u32 = 2;

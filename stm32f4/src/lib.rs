@@ -35,8 +35,6 @@ mod log;
 mod runner;
 #[cfg(target_os = "none")]
 mod start;
-#[cfg(target_os = "none")]
-mod storage;
 #[cfg(any(target_os = "none", test))]
 mod supply;
 #[cfg(test)]
@@ -49,9 +47,8 @@ pub use crate::{
     board::Board,
     crystal::Crystal,
     led::{Indicators, Led},
-    runner::Runner,
-    storage::Storage,
+    runner::{Runner, Storage},
     watchdog::Watchdog,
 };
 #[cfg(test)]
-use tests::board;
+use tests::start;

@@ -1,4 +1,4 @@
-//! The node on its board: passes inputs to the node and carries out its actions.
+//! The node on its board: passes inputs to the node and carries out its actions, stores among them.
 
 use core::mem;
 
@@ -6,14 +6,16 @@ use canopen_node::{
     Action, Application, BusEvent, Instant, Node, NodeId, Settings,
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
+    settings::{Found, Log},
 };
 use cortex_m::peripheral::{NVIC, SCB};
+use rtic_core::Mutex;
 
 use crate::{
     can::{Controller, Peripheral, Received},
     clock::{self, Alarm},
-    flash, storage,
-    watchdog::Task,
+    flash::{self, SettingsFlash},
+    watchdog::{self, Task},
 };
 
 /// The node, its controller, and their next deadline.
@@ -289,11 +291,54 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
             }
             Action::Store(settings) => {
                 self.store = Some(settings);
-                NVIC::pend(storage::INTERRUPT);
+                NVIC::pend(watchdog::STORE);
             }
             Action::ResetDevice => {
                 defmt::info!("NMT reset node, resetting");
                 SCB::sys_reset();
+            }
+        }
+    }
+}
+
+/// The log in the flash. `STORED_LEN` is [`Node::STORED_LEN`](canopen_node::Node::STORED_LEN).
+pub struct Storage<const STORED_LEN: usize> {
+    log: Log<SettingsFlash, STORED_LEN>,
+}
+
+impl<const STORED_LEN: usize> Storage<STORED_LEN> {
+    pub(crate) fn open(flash: SettingsFlash) -> (Self, Found) {
+        let (log, found) = Log::open_with_parameters(flash);
+        (Self { log }, found)
+    }
+
+    pub(crate) fn log(&mut self) -> &mut Log<SettingsFlash, STORED_LEN> {
+        &mut self.log
+    }
+
+    /// Stores what the node has asked for, and passes it the outcome.
+    pub fn store<C, A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(
+        &mut self,
+        runner: &mut impl Mutex<T = Runner<C, A, TPDOS, RPDOS, PRODUCERS>>,
+    ) where
+        C: Peripheral,
+        A: Application,
+    {
+        Task::STORE.answer();
+        let mut parameters = [0; STORED_LEN];
+        let persistent = self.log.parameters();
+        let Some((settings, len)) =
+            runner.lock(|runner| runner.take_store(persistent, &mut parameters))
+        else {
+            return;
+        };
+        let parameters = parameters.get(..len).unwrap_or_default();
+        let outcome = self.log.store_with_parameters(settings, parameters);
+        runner.lock(|runner| runner.handle_stored(outcome.map_err(StoreError::from)));
+        match outcome {
+            Ok(()) => defmt::info!("settings stored"),
+            Err(error) => {
+                defmt::error!("the settings were not stored, the old ones stay: {}", error);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! The first act of the image: the state that a reset leaves, whoever has started the image.
+//! The first act of the image: the state that a reset leaves, whoever has started the image; and the waits of the start.
 //!
 //! A boot loader may leave interrupts, SysTick, the PLL and peripherals on. The one in ROM also leaves its own vector
 //! table at address 0 while BOOT0 is high, as after `dfu-util ... :leave`.
@@ -84,6 +84,13 @@ fn restore_clocks(rcc: &RCC, flash: &FLASH) {
     flash.acr().reset();
     flash.acr().write(|w| w.icrst().set_bit().dcrst().set_bit());
     flash.acr().reset();
+}
+
+/// Waits at least 100 ms for `it_is_there`, with the core at 16 MHz; returns false on a timeout.
+pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
+    /// At five cycles each.
+    const READS: u32 = 320_000;
+    (0..READS).any(|_| it_is_there())
 }
 
 /// Resets all peripherals and switches their clocks off.

@@ -2,7 +2,7 @@
 
 use stm32f4xx_hal::{pac::PWR, rcc::Enable};
 
-use crate::board;
+use crate::start;
 
 /// PLS for a rising supply of 2.70 to 2.82 V, depending on the chip (data sheet, VPVD4).
 const ENOUGH_TO_START: u8 = 0b100;
@@ -21,7 +21,7 @@ impl Supply {
         unsafe { PWR::enable_unchecked() };
         let supply = Self { detector };
         supply.compare_with(ENOUGH_TO_START);
-        if !board::comes_in_100_ms(|| !supply.is_low()) {
+        if !start::comes_in_100_ms(|| !supply.is_low()) {
             defmt::warn!("the supply is below 2.7 V, which the clock needs");
         }
         supply.compare_with(ENOUGH_FOR_WORDS);

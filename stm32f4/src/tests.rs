@@ -3,8 +3,8 @@
 
 extern crate std;
 
-pub mod board;
 pub mod peripheral;
+pub mod start;
 
 use core::sync::atomic::Ordering::Relaxed;
 use std::panic::catch_unwind;

@@ -17,6 +17,9 @@ const TIMEOUT_MS: u32 = 2_000;
 /// The steps of the indicators between two roll calls: four a second.
 const STEPS: u8 = 250 / indicator::STEP_MS as u8;
 
+/// The interrupt of the task that stores, which belongs to an unused USART.
+pub(crate) const STORE: Interrupt = Interrupt::USART1;
+
 /// The most tasks, those of the product included.
 const TASKS: usize = 16;
 
@@ -101,7 +104,7 @@ impl Watchdog {
             self.feed();
         }
         interrupts.into_iter().for_each(NVIC::pend);
-        NVIC::pend(crate::storage::INTERRUPT);
+        NVIC::pend(STORE);
         true
     }
 }

@@ -1,13 +1,15 @@
-//! The objects of the dictionary: the values that the node returns, and the effects of writes.
+//! The SDO server as a part of the node, and the objects of the dictionary: the values that the node returns, and the
+//! effects of writes.
 
 use core::cmp::Ordering;
 
 use lss_slave::bytes::copy;
 
-use super::communication::Communication;
-use super::storing::{Busy, Download, Storing};
+use super::{
+    Action, Node, SdoRequest, Storing, Task, Tasks, areas::Download, communication::Communication,
+};
 use crate::{
-    Device, Instant,
+    Device, Frame, Instant,
     application::Application,
     bit_rate,
     emergency::{self, Emergency},
@@ -21,6 +23,66 @@ const SAVE: u32 = u32::from_le_bytes(*b"save");
 const LOAD: u32 = u32::from_le_bytes(*b"load");
 /// The value of 1010h and 1011h: the device stores or restores on command.
 const ON_COMMAND: u32 = 1;
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Node<A, TPDOS, RPDOS, PRODUCERS>
+{
+    pub(super) const fn serves_sdo(&self) -> bool {
+        !self.bit_rate.is_switching() && self.nmt.serves_sdo()
+    }
+
+    pub(super) fn sdo_request_cob_id(&self) -> Option<u16> {
+        self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
+    }
+
+    pub(super) fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
+        if !self.serves_sdo() {
+            self.end_sdo_transfer();
+            self.sdo.reset();
+        }
+        if self.nmt.is_boot_up_due() {
+            return None;
+        }
+        let mut objects = NodeObjects {
+            device: &self.product.device,
+            lss: &self.lss,
+            bit_rate: &self.bit_rate,
+            nmt: &mut self.nmt,
+            emergency: &mut self.emergency,
+            storing: &mut self.storing,
+            communication: &mut self.product.communication,
+            application: &mut self.product.application,
+            now,
+        };
+        let answer = self.sdo.poll(&mut objects, now);
+        // A write may concern any of them.
+        self.agenda.add(Tasks::of(&[Task::Producers, Task::Store, Task::Messages]));
+        self.note_values();
+        self.transmit_by_sdo(answer?)
+    }
+
+    pub(super) fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
+        let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
+        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer.to_bytes())))
+    }
+
+    /// Discards pending SDO requests and transfers.
+    #[inline(never)] // It has two callers: 40 bytes.
+    pub(super) fn end_sdo(&mut self) {
+        self.end_sdo_transfer();
+        self.sdo.reset();
+        self.storing.forget_sdo();
+    }
+
+    /// Discards the current SDO transfer without an answer to the client.
+    #[inline(never)] // It has several callers.
+    pub(super) fn end_sdo_transfer(&mut self) {
+        if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
+            self.product.application.abort_domain(*index, *sub_index);
+        }
+        self.sdo.end_transfer();
+    }
+}
 
 /// The parts of the node that objects read and write, at one time.
 pub(super) struct NodeObjects<
@@ -197,13 +259,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     ) -> Result<Option<Message>, Abort> {
         let Entry { index, sub_index, .. } = *entry;
         let download = Download { index, sub_index, confirmation };
-        self.storing.request_by_sdo(download, heartbeat_ms)?;
+        if self.storing.sdo_request.is_some() {
+            return Err(Abort::Busy);
+        }
+        self.storing.sdo_request = Some(SdoRequest { download, heartbeat_ms });
         Ok(None)
-    }
-}
-
-impl From<Busy> for Abort {
-    fn from(_: Busy) -> Self {
-        Self::Busy
     }
 }

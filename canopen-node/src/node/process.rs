@@ -1,11 +1,6 @@
 //! Process data, heartbeat consumer and errors of the application, as parts of the node.
 
-use super::{
-    Action, Node,
-    agenda::{Task, Tasks},
-    communication::Communication,
-    periodic::Sender,
-};
+use super::{Action, Node, Task, Tasks, communication::Communication, periodic::Sender};
 use crate::{Application, Frame, Instant, application::Event};
 
 impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>

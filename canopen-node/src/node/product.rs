@@ -1,8 +1,8 @@
 //! The product around the protocol: its description, its application and its process data.
 
 use super::{
+    areas::{self, Area},
     communication::Communication,
-    storing::{self, Area},
 };
 use crate::{
     Application, BitRate, Device, NodeId, application::Event, nmt, settings::parameters::Parameter,
@@ -46,7 +46,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
         match Area::of(parameter.index) {
             Area::Communication => self.communication.restore::<A>(parameter),
-            Area::Application => storing::restore(&mut self.application, parameter),
+            Area::Application => areas::restore(&mut self.application, parameter),
         }
     }
 }
