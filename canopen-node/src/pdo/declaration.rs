@@ -12,7 +12,7 @@
 /// # What does not compile
 /// A mapping whose values do not exist:
 /// ```compile_fail,E0080
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Tpdo};
+/// # use canopen_node::{Application, Node, pdo::Tpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -22,14 +22,12 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 4)])];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 ///
 /// A value that is not mappable, or only in the other direction:
 /// ```compile_fail,E0080
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Tpdo};
+/// # use canopen_node::{Application, Node, pdo::Tpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -39,12 +37,10 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 3)])];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 /// ```compile_fail,E0080
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Tpdo};
+/// # use canopen_node::{Application, Node, pdo::Tpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -54,14 +50,12 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 2)])];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 ///
 /// More than eight bytes:
 /// ```compile_fail,E0080
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Tpdo};
+/// # use canopen_node::{Application, Node, pdo::Tpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -71,14 +65,12 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1), (0x6000, 1)])];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 ///
 /// More TPDOs than the node has:
 /// ```compile_fail,E0080
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Tpdo};
+/// # use canopen_node::{Application, Node, pdo::Tpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -88,14 +80,12 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]), Tpdo::new(&[])];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 ///
 /// A transmission type with remote frames:
 /// ```compile_fail,E0080
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Tpdo};
+/// # use canopen_node::{Application, Node, pdo::Tpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -105,14 +95,12 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)]).with_transmission_type(253)];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 ///
 /// Without these faults:
 /// ```
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Tpdo};
+/// # use canopen_node::{Application, Node, pdo::Tpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -122,9 +110,7 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)]).with_transmission_type(254)];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -192,7 +178,7 @@ impl Tpdo {
 ///
 /// A value that only the device writes does not compile:
 /// ```compile_fail,E0080
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Rpdo};
+/// # use canopen_node::{Application, Node, pdo::Rpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -202,12 +188,10 @@ impl Tpdo {
 /// # impl Application for Machine {
 /// const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 1)])];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 /// ```
-/// # use canopen_node::{Application, BitRates, Device, Node, lss::Address, pdo::Rpdo};
+/// # use canopen_node::{Application, Node, pdo::Rpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue;
 /// # 0x6000 "Values" {
 /// #     1 "Input" input: u64 = 0, ro, mappable;
@@ -217,9 +201,7 @@ impl Tpdo {
 /// # impl Application for Machine {
 /// const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 2)])];
 /// # }
-/// # const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-/// # const DEVICE: Device = Device::new(ADDRESS, BitRates::possible(40_000_000));
-/// # const _: Node<Machine, 1, 1> = Node::with_application(DEVICE, None, Machine::new());
+/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
