@@ -1,5 +1,5 @@
-//! A NOR flash in memory. Its power can fail in every program and erase step; what was being programmed then reads
-//! differently at each power-on. Its operations can fail, and its bits can stick.
+//! A NOR flash in memory. Its power can fail in every program and erase step; what was being programmed or erased then
+//! reads differently at each power-on. Its operations can fail, and its bits can stick.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -40,8 +40,8 @@ struct Chip {
     /// The content if every program step had been completed.
     intended: Vec<u8>,
     marginal: Vec<Marginal>,
-    /// Whether the last erase of each sector was completed.
-    is_erased: [bool; 2],
+    /// The content of each sector before its erase, which was interrupted.
+    half_erased: [Option<Vec<u8>>; 2],
     /// The bits that are stuck at 0 (at 1), by address.
     stuck: Vec<(usize, u8, bool)>,
     random: Random,
@@ -65,7 +65,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         Self(Rc::new(RefCell::new(Chip {
             intended: bytes.clone(),
             marginal: Vec::new(),
-            is_erased: [true; 2],
+            half_erased: [None, None],
             bytes,
             stuck: Vec::new(),
             random: Random::from_seed(seed),
@@ -84,7 +84,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
             let (old, mut new) = (self.0.borrow(), duplicate.0.borrow_mut());
             new.intended.clone_from(&old.intended);
             new.marginal.clone_from(&old.marginal);
-            new.is_erased = old.is_erased;
+            new.half_erased.clone_from(&old.half_erased);
             new.stuck.clone_from(&old.stuck);
             new.flip();
         }
@@ -206,7 +206,10 @@ impl Chip {
             self.marginal.iter().any(|marginal| marginal.at == at && marginal.unit == unit);
         assert!(is_blank || was_cut, "address {at:#x} is programmed twice");
         let sector = at / (self.bytes.len() / 2);
-        assert!(self.is_erased[sector], "address {at:#x} is programmed after an incomplete erase");
+        assert!(
+            self.half_erased[sector].is_none(),
+            "address {at:#x} is programmed after an incomplete erase"
+        );
         intended.copy_from_slice(unit);
         let before = self.bytes[place].to_vec();
         self.writes += 1;
@@ -231,6 +234,10 @@ impl Chip {
 
     /// Makes interrupted cells read as either value, or as any mixture.
     fn flip(&mut self) {
+        let sector_len = self.bytes.len() / 2;
+        for (sector, before) in self.bytes.chunks_mut(sector_len).zip(&self.half_erased) {
+            before.iter().for_each(|before| sector.copy_from_slice(before));
+        }
         for Marginal { at, before, unit } in &self.marginal {
             let kind = self.random.within(0..4);
             for ((cell, old), new) in self.bytes[*at..].iter_mut().zip(before).zip(unit) {
@@ -241,17 +248,31 @@ impl Chip {
                 };
             }
         }
+        for sector in 0..2 {
+            if self.half_erased[sector].is_some() {
+                self.erase_some(sector * sector_len, sector_len);
+            }
+        }
     }
 
     fn erase_sector(&mut self, at: usize, len: usize) -> Result<(), NorFlashErrorKind> {
         self.erases += 1;
         self.intended[at..at + len].fill(0xFF);
         self.marginal.retain(|marginal| !(at..at + len).contains(&marginal.at));
-        self.is_erased[at / len] = self.succeeds(Operation::Erase);
-        if self.is_erased[at / len] {
+        let succeeds = self.succeeds(Operation::Erase);
+        let half_erased = &mut self.half_erased[at / len];
+        if succeeds {
+            *half_erased = None;
             self.bytes[at..at + len].fill(0xFF);
             return Ok(());
         }
+        half_erased.get_or_insert_with(|| self.bytes[at..at + len].to_vec());
+        self.erase_some(at, len);
+        Err(NorFlashErrorKind::Other)
+    }
+
+    /// Leaves what an interrupted erase may leave.
+    fn erase_some(&mut self, at: usize, len: usize) {
         for part in self.bytes[at..at + len].chunks_mut(16) {
             match self.random.within(0..5) {
                 0 => part.fill(0xFF),
@@ -260,7 +281,6 @@ impl Chip {
                 _ => {}
             }
         }
-        Err(NorFlashErrorKind::Other)
     }
 }
 

@@ -66,16 +66,13 @@ pub fn example_board(settings: Settings) -> board::Board {
     board
 }
 
-/// The content of the settings' flash after two starts of a new board, these stores, and another start: the next one
-/// writes nothing.
+/// The content of the settings' flash after the start of a new board and these stores: the next start writes nothing.
 pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
-    let flash = BoardFlash::blank(0);
-    Log::open(flash.clone());
-    let (mut log, _) = Log::open(flash.clone());
+    let (mut log, _) = Log::open(BoardFlash::blank(0));
     for &settings in stores {
         log.store(settings).expect("the flash works");
     }
-    Log::open(flash).0.close().content()
+    log.close().content()
 }
 
 /// Settings without a heartbeat; node-ID FF: not configured.

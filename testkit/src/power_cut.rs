@@ -69,14 +69,18 @@ impl<const P: usize> Expected<P> {
         }
     }
 
-    /// A power-on and this number of stores, until the power fails.
+    /// A power-on and this number of stores, until the power fails. Returns whether the start was complete.
     ///
     /// # Panics
     /// The same as for [`live`](Self::live).
-    pub fn power_on<const W: usize, const E: usize>(&mut self, flash: &Flash<W, E>, stores: usize) {
+    pub fn power_on<const W: usize, const E: usize>(
+        &mut self,
+        flash: &Flash<W, E>,
+        stores: usize,
+    ) -> bool {
         let (mut log, read, found) = open_with_parameters::<P, W, E>(flash);
         if !flash.is_powered() {
-            return;
+            return false;
         }
         assert!(
             read == self.known || self.attempted.contains(&read),
@@ -97,9 +101,10 @@ impl<const P: usize> Expected<P> {
                 self.attempted.clear();
             } else if !flash.is_powered() {
                 self.attempted.push(new);
-                return;
+                break;
             }
         }
+        true
     }
 
     /// Program and erase steps of a life without a power cut.

@@ -17,8 +17,8 @@ use crate::rig::{
 
 /// Sectors 1 and 2, which hold the settings.
 const SECTORS: u32 = 0b110;
-/// The place of the next record, behind the mark, and the defaults and the settings of `about_to_store`, each twice.
-const NEXT_RECORD: u32 = SETTINGS_OFFSET + 5 * 32;
+/// The place of the next record, behind the mark, the defaults and the settings of `about_to_store`.
+const NEXT_RECORD: u32 = SETTINGS_OFFSET + 3 * 32;
 /// The places of a record's node-ID and commit word.
 const NODE_ID: u32 = 5;
 const COMMIT_WORD: u32 = 28;
@@ -165,8 +165,8 @@ fn an_incomplete_erase_loses_no_settings_and_is_repeated_at_power_on() {
 fn a_board_whose_flash_fails_at_the_start_still_has_its_settings() {
     let mut content = flash_with(&[settings(0x40, BitRate::Kbit1000)]);
     // A store that was cut off after its first word.
-    content[160..164].copy_from_slice(&[5, 2, 0, 0]);
-    for stuck in [192, 192 + 28] {
+    content[96..100].copy_from_slice(&[3, 2, 0, 0]);
+    for stuck in [128, 128 + 28] {
         let board = board_with_flash(&content);
         // The next two places.
         for offset in [SETTINGS_OFFSET + stuck, SETTINGS_OFFSET + stuck + 32] {

@@ -4,15 +4,16 @@
 //! # The promise
 //! Whenever the power fails, the next [`Log::open`] finds the settings and parameters of the last [`Log::store`] that
 //! returned `Ok`, or those of a later one that did not return; never older ones, never a mix. The result of an `open`
-//! holds until the next store. Six rules ensure this, but for the one case of two power cuts in `docs/settings.md`:
-//! - A record is valid only with its CRC and with its commit word, which is written after the rest was read back.
+//! holds until the next store. Six rules ensure this for as many as 255 starts in a row that are cut:
+//! - A record is valid with its CRC, which is written after the rest was read back. Its commit word follows.
 //! - Parameters are written and read back before the record that refers to them.
-//! - A word whose write was interrupted by a power cut may read differently at each start. `open` therefore appends the
-//!   record that it accepts once more, unless it directly follows one that says the same.
+//! - A word whose write was interrupted by a power cut may read differently at each start. A record is certain if its
+//!   commit word was begun, since the words before it are complete then. `open` appends the record that it accepts once
+//!   more, unless it is certain and the last one.
 //! - Each word is written once after an erase, and only if it reads blank. Where the power failed in the first word of
 //!   a place and it reads blank nevertheless, the same word follows: it is the sequence number, which counts places.
 //! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the bus
-//!   cannot afford. It is the bank without the newest record, after that record is certain.
+//!   cannot afford. It is the bank without the newest record, after that record is certain or its bank is full.
 //! - The first place of a bank is written when its erase is complete, and only then may others follow.
 
 use core::{error, fmt, mem, ops::Range};
@@ -233,8 +234,8 @@ fn read<F: NorFlash>(flash: &mut F, at: u32) -> Result<[u8; record::LEN as usize
 struct Bank {
     range: Range<u32>,
     newest: Option<Newest>,
-    /// The newest record directly follows one that says the same.
-    is_repeated: bool,
+    /// The newest record is certain.
+    is_certain: bool,
     /// The sequence number of the first place, if the bank was erased completely and nothing was written since.
     erased: Option<u32>,
     /// The address from which the rest of the bank reads blank.
@@ -410,7 +411,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         if !is_intact {
             self.newest.record.parameters = None;
         }
-        let is_certain = bank.is_repeated && is_intact && !is_interrupted
+        let is_certain = bank.is_certain && is_intact && !is_interrupted
             || self.append(newest.record.settings, None, false).is_ok();
         match other.erased {
             Some(sequence) if record::is_newer(sequence, self.space.last_sequence()) => {
@@ -431,7 +432,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     fn search(&mut self, range: Range<u32>) -> Result<Bank, Error> {
         let start = range.start;
         let mut bank =
-            Bank { range, newest: None, is_repeated: false, erased: None, blank_from: start };
+            Bank { range, newest: None, is_certain: false, erased: None, blank_from: start };
         // One buffer for all: returning each of a thousand records would cost a copy, 1 ms in all.
         let mut bytes = [0; record::LEN as usize];
         for at in bank.range.clone().step_by(record::LEN as usize).rev() {
@@ -439,16 +440,15 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             if is_blank(&bytes) {
                 continue;
             }
-            let record = Record::from_bytes(&bytes);
-            if let Some(newest) = &bank.newest {
-                bank.is_repeated = record.is_some_and(|record| record.repeats(&newest.record));
-                break;
-            }
             if bank.blank_from == start {
                 bank.blank_from = at.saturating_add(record::LEN);
                 bank.erased = record::mark_from_bytes(&bytes).filter(|_| at == start);
             }
-            bank.newest = record.map(|record| Newest { record, at, bank: start });
+            if let Some(record) = Record::from_bytes(&bytes) {
+                bank.newest = Some(Newest { record, at, bank: start });
+                bank.is_certain = record::is_certain(&bytes);
+                break;
+            }
         }
         Ok(bank)
     }
@@ -549,7 +549,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             crc = record::crc32_of_more(crc, bytes.get(..len).unwrap_or_default());
             if !is_kept(self, number, part) {
                 let (at, sequence) = self.space.take()?;
-                self.write_once(at, &record::part_to_bytes(sequence, number, &bytes))?;
+                self.write_part(at, &record::part_to_bytes(sequence, number, &bytes))?;
             }
         }
         if new.is_none() && stored.is_some_and(|stored| stored.crc != !crc) {
@@ -559,20 +559,39 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         Ok(Some(Reference { first, len, crc: !crc, changes: keeps_some.then_some(changes) }))
     }
 
+    /// Writes a record or a mark to a blank place.
     fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
-        const COMMIT_AT: usize = record::LEN as usize - 4;
-        let (content, commit) = bytes.split_at(COMMIT_AT);
-        self.write_once(at, content)?;
-        // The read-back decides, as at the next open, whatever the flash reports for this last word.
-        let _ = self.flash.write(at.saturating_add(COMMIT_AT as u32), commit);
+        let (whole, last) = bytes.split_at(record::LAST_AT);
+        let (content, crc) = whole.split_at(record::CRC_AT);
+        self.begin(at, content)?;
+        // The read-backs decide, as at the next open, whatever the flash reports for the last two words.
         self.is_doubtful = true;
-        let written = read(&mut self.flash, at)?;
-        self.is_doubtful = false;
-        if written == *bytes { Ok(()) } else { Err(Error::NotAsWritten) }
+        let _ = self.flash.write(at.saturating_add(record::CRC_AT as u32), crc);
+        let is_valid = read(&mut self.flash, at)?.starts_with(whole);
+        if is_valid {
+            let _ = self.flash.write(at.saturating_add(record::LAST_AT as u32), last);
+        }
+        let is_written = read(&mut self.flash, at)? == *bytes;
+        self.is_doubtful = is_valid && !is_written;
+        if is_written { Ok(()) } else { Err(Error::NotAsWritten) }
     }
 
-    /// Writes a blank place, or its beginning, and reads it back.
-    fn write_once(&mut self, at: u32, content: &[u8]) -> Result<(), Error> {
+    /// Writes a part of the parameters to a blank place.
+    fn write_part(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
+        const DATA_AT: usize = record::LEN as usize - record::LAST_AT;
+        let (whole, last) = bytes.split_at(record::LAST_AT);
+        let (sequence, data) = whole.split_at(DATA_AT);
+        self.begin(at, sequence)?;
+        // The data may read as those of a record, unless the last word is complete before them.
+        for (offset, words) in [(record::LAST_AT, last), (DATA_AT, data)] {
+            let at = at.saturating_add(offset as u32);
+            self.flash.write(at, words).map_err(|_| Error::Refused)?;
+        }
+        if read(&mut self.flash, at)? == *bytes { Ok(()) } else { Err(Error::NotAsWritten) }
+    }
+
+    /// Writes the beginning of a blank place and reads it back.
+    fn begin(&mut self, at: u32, content: &[u8]) -> Result<(), Error> {
         if !is_blank(&read(&mut self.flash, at)?) {
             return Err(Error::NotBlank);
         }

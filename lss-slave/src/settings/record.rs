@@ -1,16 +1,22 @@
 //! A record of the settings log: 32 bytes that are either all valid or not valid.
+//!
+//! Its words are written in order. All but the last make it valid, and the last one is begun only when these are
+//! complete: a record with anything in its last word is certain, it reads as valid at every start.
 
 use super::Settings;
 use crate::{BitRateSetting, NodeId, bytes::copy};
 
 /// The size of a record in bytes.
 pub const LEN: u32 = 32;
-/// The last word, written only after all the others have been read back.
+/// The places of the CRC and of the last word.
+pub const CRC_AT: usize = 24;
+pub const LAST_AT: usize = 28;
+/// The commit word, the last word of a record.
 const COMMIT: [u8; 4] = *b"LSS1";
-/// The last bytes of a part of the parameters. They have a bit that the commit word has not, so they cannot read as its
-/// end, even half written.
+/// The last bytes of a part of the parameters. A bit is 0 in them that is 1 in the commit word, so they do not read as
+/// its end, also if that is incomplete.
 const PART: [u8; 2] = *b"SP";
-/// The last word of the mark; it cannot read as the commit word either.
+/// The last word of the mark, which does not read as the commit word either.
 const MARK: [u8; 4] = *b"LSSE";
 /// A word that makes a mark invalid, and its place in the mark.
 pub const VOID: [u8; 4] = [0; 4];
@@ -50,7 +56,7 @@ impl Record {
             s0, s1, s2, s3, kind, node_id, index, X, h0, h1, p0, p1,
             p2, p3, p4, p5, p6, p7, p8, p9, p10, p11, X, X,
         ];
-        let [r0, r1, r2, r3] = (!crc32_of_more(u32::MAX, &content)).to_le_bytes();
+        let [r0, r1, r2, r3] = crc_of(&content);
         let [c0, c1, c2, c3] = COMMIT;
         let mut bytes = [X; LEN as usize];
         let (head, tail) = bytes.split_at_mut(content.len());
@@ -59,11 +65,13 @@ impl Record {
         bytes
     }
 
-    /// The record in `bytes`, if it is complete, undamaged and holds possible settings.
+    /// The record in `bytes`, if it is undamaged and holds possible settings. Its commit word may be incomplete.
     pub fn from_bytes(bytes: &[u8; LEN as usize]) -> Option<Self> {
-        let (content, rest) = bytes.split_first_chunk::<24>()?;
+        let (content, rest) = bytes.split_first_chunk::<CRC_AT>()?;
         let (crc, commit) = rest.split_first_chunk()?;
-        if commit != COMMIT || u32::from_le_bytes(*crc) != !crc32_of_more(u32::MAX, content) {
+        // An incomplete word has more bits at 1.
+        let is_commit = commit.iter().zip(COMMIT).all(|(byte, whole)| byte & whole == whole);
+        if !is_commit || *crc != crc_of(content) {
             return None;
         }
         let [s0, s1, s2, s3, kind, node_id, index, _, h0, h1, ..] = *content;
@@ -79,10 +87,18 @@ impl Record {
         let sequence = u32::from_le_bytes([s0, s1, s2, s3]);
         Some(Self { sequence, settings, parameters: Reference::of_record(bytes) })
     }
+}
 
-    /// Whether both records make the same persistent.
-    pub fn repeats(&self, other: &Self) -> bool {
-        self.settings == other.settings && self.parameters == other.parameters
+/// Whether the last word was begun.
+pub fn is_certain(bytes: &[u8; LEN as usize]) -> bool {
+    !bytes.ends_with(&[0xFF; 4])
+}
+
+/// The word that makes a record of this content valid: its CRC-32, but never a word that reads blank.
+fn crc_of(content: &[u8; CRC_AT]) -> [u8; 4] {
+    match !crc32_of_more(u32::MAX, content) {
+        u32::MAX => [0; 4],
+        crc => crc.to_le_bytes(),
     }
 }
 

@@ -223,7 +223,7 @@ impl Session {
             Self::Example => (flash_with(&[first.settings]), known(first)),
             Self::Full | Self::Moved | Self::FullExample | Self::MovedExample => {
                 let is_full = matches!(self, Self::Full | Self::FullExample);
-                let last = if is_full { PLACES - 2 } else { PLACES + 1 };
+                let last = if is_full { PLACES - 1 } else { PLACES + 1 };
                 (first.in_use_until(last, self.has_parameters()), known(first))
             }
         }
