@@ -4,13 +4,16 @@ import queue
 import re
 import signal
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
 
 import canopen
 
-WORKSPACE = Path(__file__).resolve().parents[2]
+HERE = Path(__file__).resolve().parent
+WORKSPACE = HERE.parents[1]
+EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
 # The first bus waits for a cold build of the emulator and the firmware.
 BUILD_TIMEOUT = 1200
 
@@ -81,6 +84,13 @@ class Boards:
     def channel(self):
         """The adapter's channel in python-can."""
         return f"socket://{self.address}"
+
+    def run_script(self, script, *arguments):
+        """Runs a script of this folder on the bus; returns its exit code, what it printed and its complaints."""
+        command = [sys.executable, HERE / script, self.channel, *map(str, arguments)]
+        script = subprocess.run(command, capture_output=True, text=True, timeout=600)
+        print(script.stdout)
+        return script.returncode, script.stdout, script.stderr
 
     def connect(self, bit_rate=125_000, network=None):
         """Connects a python-canopen network to the bus, a new one by default, for use as a context."""

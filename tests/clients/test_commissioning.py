@@ -1,32 +1,21 @@
 """A run of commission.py gives every blank board on the bus its own node-ID and stores it."""
 
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-from boards import WORKSPACE, Boards
+from boards import EDS, Boards
 
-SCRIPT = Path(__file__).with_name("commission.py")
-EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
 # The number of boards and the master's time-out in seconds, which is longer for more boards on one computer.
 BUSES = [(1, 0.1), (32, 0.15)]
 
 
 def commission(boards, timeout):
     """Runs the script. Returns the serial number at each node-ID that it gave, and what it printed."""
-    script = subprocess.run(
-        [sys.executable, SCRIPT, boards.channel, str(timeout)],
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-        timeout=600,
-    )
-    print(script.stdout)
-    said = re.findall(r"node (\d+): serial number (\w{8})", script.stdout)
-    return {int(node_id): int(number, 16) for node_id, number in said}, script.stdout
+    code, printed, complaints = boards.run_script("commission.py", timeout)
+    assert code == 0, complaints
+    said = re.findall(r"node (\d+): serial number (\w{8})", printed)
+    return {int(node_id): int(number, 16) for node_id, number in said}, printed
 
 
 def serial_numbers_by_sdo(network, count):

@@ -5,19 +5,15 @@ With `./run -s -k switch` the tests print how late python-canopen was, and how s
 """
 
 import re
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 from canopen import lss
 
-from boards import WORKSPACE, Boards
+from boards import EDS, Boards
+from test_python_canopen import PRODUCT_CODE, REVISION_NUMBER
+from test_rescue import bit_rates_and_rescues
 
-SCRIPT = Path(__file__).with_name("switch_bit_rate.py")
-EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
-PRODUCT_CODE, REVISION_NUMBER = 0x4C53_5334, 0x0001_0000
 TABLE_INDEX = {1_000_000: 0, 500_000: 2, 125_000: 4}
 NODE_IDS = 1, 2, 3
 ERROR_PASSIVE = 0x8120
@@ -66,11 +62,8 @@ class Network:
         assert master.inquire_lss_address(lss.CS_INQUIRE_PRODUCT_CODE) == PRODUCT_CODE
         master.send_switch_state_global(master.WAITING_STATE)
         for node in self.nodes:
-            can = node.sdo["CAN controller"]
-            names = "Home bit rate", "Bit rate in use", "Rescues"
-            home, in_use, rescues = (can[name].raw for name in names)
             kbit_per_s = self.bit_rate // 1000
-            assert (home, in_use, rescues) == (kbit_per_s, kbit_per_s, 0), f"node {node.id}"
+            assert bit_rates_and_rescues(node) == (kbit_per_s, kbit_per_s, 0), f"node {node.id}"
 
     def ask_one(self, node_id):
         """Selects one board by its LSS address, and asks for its node-ID."""
@@ -120,15 +113,9 @@ def test_a_master_that_syncs_at_the_old_rate_loses_nobody(network, heartbeat):
 def test_the_script_moves_a_network_for_good(tmp_path):
     arguments = "--boards", len(NODE_IDS), "--node-id", NODE_IDS[0], "--flash", tmp_path
     with Boards(*arguments) as boards:
-        script = subprocess.run(
-            [sys.executable, SCRIPT, boards.channel, "125", "500", *map(str, NODE_IDS)],
-            stdout=subprocess.PIPE,
-            text=True,
-            check=True,
-            timeout=60,
-        )
-        print(script.stdout)
-        said = re.findall(r"node (\d+) at 500 kbit/s: serial number (\w{8})", script.stdout)
+        code, printed, complaints = boards.run_script("switch_bit_rate.py", 125, 500, *NODE_IDS)
+        assert code == 0, complaints
+        said = re.findall(r"node (\d+) at 500 kbit/s: serial number (\w{8})", printed)
         assert [int(node_id) for node_id, _ in said] == list(NODE_IDS)
         assert [int(number, 16) for _, number in said] == boards.serial_numbers
 
@@ -139,10 +126,5 @@ def test_the_script_moves_a_network_for_good(tmp_path):
 def test_the_script_says_that_no_board_answers():
     with Boards("--node-id", 1, "--console") as boards:
         boards.command("power off 0")
-        script = subprocess.run(
-            [sys.executable, SCRIPT, boards.channel, "250", "500", "1"],
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=60,
-        )
-        assert (script.returncode, script.stderr) == (1, "no board answers at 250 kbit/s\n")
+        code, _, complaints = boards.run_script("switch_bit_rate.py", 250, 500, 1)
+        assert (code, complaints) == (1, "no board answers at 250 kbit/s\n")

@@ -4,16 +4,12 @@ import os
 import shutil
 import subprocess
 import threading
-from pathlib import Path
 
 import pytest
 
-from boards import WORKSPACE, Boards
+from boards import EDS, HERE, WORKSPACE, Boards
 
-SESSIONS = Path(__file__).parent / "node"
 MODULES = WORKSPACE / "target" / "clients-node" / "node_modules"
-
-
 ENVIRONMENT = {**os.environ, "NODE_PATH": str(MODULES)}
 
 pytestmark = pytest.mark.skipif(shutil.which("npm") is None, reason="npm is missing")
@@ -23,20 +19,15 @@ def test_npm_canopen_commissions_and_uses_a_blank_board():
     with Boards() as boards:
         port = boards.address.rpartition(":")[2]
         serial_number = f"{boards.serial_numbers[0]:08X}"
-        eds = WORKSPACE / "eds" / "lss-slave.eds"
-        subprocess.run(
-            ["node", SESSIONS / "session.js", port, serial_number, eds],
-            env=ENVIRONMENT,
-            check=True,
-            timeout=180,
-        )
+        command = ["node", HERE / "node" / "session.js", port, serial_number, EDS]
+        subprocess.run(command, env=ENVIRONMENT, check=True, timeout=180)
 
 
 def test_npm_canopen_exchanges_pdos_with_the_example():
     with Boards("--example", "io", "--chip", "stm32f407", "--node-id", 5) as boards:
         port = boards.address.rpartition(":")[2]
         eds = WORKSPACE / "eds" / "io.eds"
-        command = ["node", SESSIONS / "example.js", port, "5", eds]
+        command = ["node", HERE / "node" / "example.js", port, "5", eds]
         with subprocess.Popen(
             command, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True
         ) as session:

@@ -8,9 +8,8 @@ import pytest
 from canopen import lss
 from canopen.lss import LssError
 
-from boards import WORKSPACE, Boards
+from boards import EDS, Boards
 
-EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
 VENDOR_ID, PRODUCT_CODE, REVISION_NUMBER = 0x0000_0000, 0x4C53_5334, 0x0001_0000
 BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 # Much longer than necessary, for a busy computer.
@@ -36,8 +35,8 @@ def connect(boards, bit_rate=125_000):
     return network
 
 
-def add_node(network, node_id):
-    node = network.add_node(node_id, EDS)
+def add_node(network, node_id, eds=EDS):
+    node = network.add_node(node_id, eds)
     node.sdo.RESPONSE_TIMEOUT = PATIENCE
     return node
 

@@ -3,9 +3,8 @@
 import struct
 import time
 
-from boards import WORKSPACE, Boards
+from boards import EDS, Boards
 
-EDS = str(WORKSPACE / "eds" / "lss-slave.eds")
 AWAY_FROM_HOME_RATE, NO_ERROR = 0xFF10, 0x0000
 ASSIGNED, SPARE_PART = 5, 6
 

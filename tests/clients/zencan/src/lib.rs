@@ -10,7 +10,6 @@ use emulator::{
     Time,
     board::Board,
     can::{Adapter, Frame, Id},
-    chip::Finding,
     network::{AdapterId, Network},
 };
 use lss_slave::BitRate;
@@ -38,9 +37,10 @@ struct Inner {
 }
 
 impl TokioBus {
-    /// A bus with boards that are switched on now, and an adapter at `bit_rate`.
+    /// A bus with boards that are switched on now, and an adapter at `bit_rate`. A board that misuses its chip panics.
     pub fn new(boards: impl IntoIterator<Item = Board>, bit_rate: BitRate) -> Self {
         let mut network = Network::new();
+        network.forbid_misuse();
         for board in boards {
             network.add_board(board);
         }
@@ -54,11 +54,6 @@ impl TokioBus {
         let now = span(inner.begin.elapsed());
         inner.network.run_until(now);
         inner
-    }
-
-    /// The findings about the boards' firmware.
-    pub fn findings(&self) -> Vec<Finding> {
-        self.now_inner().network.boards().iter().flat_map(Board::findings).collect()
     }
 
     /// Lets time pass.

