@@ -1,22 +1,25 @@
 //! Storms: random frames of every kind, from valid requests to noise, and their permitted effects.
 
 mod example;
+mod firmware;
 pub mod image;
 pub mod node;
 
 use std::collections::VecDeque;
 
-use canopen_node::{Application, BitRate, application::NoApplication, lss};
+use canopen_node::{Application, BitRate, lss};
 use emulator::{
     Time,
     can::{Frame, Id},
 };
 
-use super::random::Random;
+use super::{random::Random, sdo_messages::initiate};
 
 const LSS: Id = Id::Standard(lss::REQUEST_COB_ID);
 const NMT: Id = Id::Standard(0x000);
 const SDO_COB_ID: u16 = 0x600;
+/// The node-ID that a script gives to a node without one.
+const NODE_ID: u8 = 0x40;
 
 /// Command specifiers of requests; those with large effects are rarer.
 const COMMANDS: [u8; 36] = [
@@ -59,8 +62,6 @@ pub trait Stormed: Application + Clone {
     }
 }
 
-impl Stormed for NoApplication {}
-
 /// The next frame: of the script under way, or a random one.
 fn next<A: Stormed>(random: &mut Random, script: &mut VecDeque<Frame>, target: &Target) -> Frame {
     if script.is_empty() && random.one_in(4) {
@@ -70,6 +71,30 @@ fn next<A: Stormed>(random: &mut Random, script: &mut VecDeque<Frame>, target: &
         return frame(random, target);
     }
     script.pop_front().expect("it is not empty")
+}
+
+/// The LSS requests that give a node its node-ID.
+fn commissioning() -> Vec<Frame> {
+    let requests = [[0x04, 0x01], [0x11, NODE_ID], [0x04, 0x00]];
+    requests
+        .iter()
+        .map(|[command, value]| Frame::data(LSS, &[*command, *value, 0, 0, 0, 0, 0, 0]))
+        .collect()
+}
+
+/// A store of the parameters, or their defaults.
+fn save_or_load(random: &mut Random) -> Vec<[u8; 8]> {
+    let sub_index = random.pick(&[1, 2, 3]);
+    let (index, signature) = random.pick(&[(0x1010, *b"save"), (0x1011, *b"load")]);
+    vec![initiate(0x23, (index, sub_index), u32::from_le_bytes(signature))]
+}
+
+fn server(node_id: u8) -> Id {
+    Id::Standard(SDO_COB_ID + u16::from(node_id))
+}
+
+fn to_server(node_id: u8, message: &[u8; 8]) -> Frame {
+    Frame::data(server(node_id), message)
 }
 
 /// A random frame: a valid or nearly valid request of LSS, NMT or SDO, or noise.
@@ -135,7 +160,7 @@ fn sdo_request(random: &mut Random, target: &Target) -> Frame {
     if random.one_in(2) {
         data[4..].copy_from_slice(random.pick(&[b"save", b"load", b"\x64\0\0\0", b"\0\0\0\0"]));
     }
-    Frame::data(Id::Standard(SDO_COB_ID + u16::from(target.node_id)), &data)
+    to_server(target.node_id, &data)
 }
 
 /// A meaningful frame with one thing changed.

@@ -8,6 +8,7 @@ mod chip_traps;
 mod chips;
 mod commissioning;
 mod controllers;
+mod damaged_log;
 mod disturbed;
 mod do_no_harm;
 mod eds;

@@ -7,11 +7,12 @@ use emulator::{
     can::Clock,
     chip::{ChipVariant, FLASH_BASE, ResetCause, Timing},
 };
-use testkit::{frames::SILENCE, random::Random};
+use testkit::{frames::SILENCE, random::Random, sdo::Client};
 
 use crate::rig::{
-    ImageRig, SETTINGS_OFFSET, board_of, board_with, board_with_flash, chip, code, flash_with,
-    image, node_40, part, replace_until_reset, settings,
+    BOOT, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, assert_stores, board_of, board_with,
+    board_with_flash, chip, code, example_board, flash_with, image, node_40, part,
+    replace_until_reset, settings,
 };
 
 /// Thumb instructions: a jump to itself, `bx lr`, which returns at once, and one that is permanently undefined.
@@ -108,6 +109,22 @@ fn settings_survive_power_cycles_and_resets() {
         rig.network.board_mut(0).reset(ResetCause::Pin);
         assert_eq!(rig.collect(Time::from_ms(20)), [boot_up.as_str()]);
     }
+}
+
+#[test]
+fn a_board_keeps_its_settings_when_it_gets_the_firmware_of_another_product() {
+    let board = example_board(settings(0x40, BitRate::Kbit1000));
+    let mut other = ImageRig::new(BitRate::Kbit1000, [board]);
+    other.collect(BOOT);
+    let mut client = other.sdo_client(0x40);
+    client.download(0x2101, 3, b"a label").expect("it is writable");
+    client.download(0x1010, 1, b"save").expect("the flash works");
+    let flash = other.network.board(0).flash();
+    let content = &flash[SETTINGS_OFFSET as usize..][..SETTINGS_LENGTH];
+
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board_with_flash(content)]);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    assert_stores(&mut rig);
 }
 
 #[test]

@@ -7,14 +7,12 @@ use emulator::{
 };
 use example_io::application::{Application, RPDOS, TPDOS, test_content};
 
-use super::{LSS, NMT, SDO_COB_ID, Stormed};
+use super::{NMT, Stormed, commissioning, save_or_load, server, to_server};
 use crate::{
     random::Random,
     sdo_messages::{Address, block_download, block_upload, download, expedited, initiate, upload},
 };
 
-/// The first node-ID of the node.
-pub(super) const NODE_ID: u8 = 0x40;
 const SYNC: Id = Id::Standard(0x080);
 /// The node whose heartbeat is watched, and the longest time that the node waits for it.
 const PRODUCER: u8 = 0x0A;
@@ -57,8 +55,7 @@ impl Stormed for Application {
             9..11 => upload_a_value(random),
             11..13 => configure_pdo(random, node_id),
             13 => configure_communication(random),
-            14 => vec![initiate(0x23, (0x1010, sub_index(random)), u32::from_le_bytes(*b"save"))],
-            _ => vec![initiate(0x23, (0x1011, sub_index(random)), u32::from_le_bytes(*b"load"))],
+            _ => save_or_load(random),
         };
         messages.iter().map(|message| to_server(node_id, message)).collect()
     }
@@ -97,27 +94,6 @@ impl Stormed for Application {
         };
         to_server(node_id, &message)
     }
-}
-
-fn server(node_id: u8) -> Id {
-    Id::Standard(SDO_COB_ID + u16::from(node_id))
-}
-
-fn to_server(node_id: u8, message: &[u8; 8]) -> Frame {
-    Frame::data(server(node_id), message)
-}
-
-fn sub_index(random: &mut Random) -> u8 {
-    random.pick(&[1, 2, 3])
-}
-
-/// The LSS requests that give a node its node-ID.
-fn commissioning() -> Vec<Frame> {
-    let requests = [[0x04, 0x01], [0x11, NODE_ID], [0x04, 0x00]];
-    requests
-        .iter()
-        .map(|[command, value]| Frame::data(LSS, &[*command, *value, 0, 0, 0, 0, 0, 0]))
-        .collect()
 }
 
 /// A SYNC, an RPDO or a heartbeat.

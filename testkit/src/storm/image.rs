@@ -14,7 +14,7 @@ use emulator::{
 };
 use example_io::application::{self as io, Filter, Sample};
 
-use super::{RATE, Stormed, Target, example::NODE_ID, is_pdo, lss_data, next};
+use super::{NODE_ID, RATE, Stormed, Target, is_pdo, lss_data, next};
 use crate::{
     flash::BoardFlash,
     frames::{self, Frames},
