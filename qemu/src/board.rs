@@ -86,10 +86,13 @@ impl Board {
         value
     }
 
-    /// Handles a store of the CPU, which does not stall while the flash is busy.
+    /// Handles a store of the CPU. If it makes the flash busy, the CPU stalls, as at its next fetch.
     pub fn write(&mut self, address: u32, width: Width, value: u32) -> Result<(), BusFault> {
         let access = self.access(address, width);
         let result = self.chip.write(access, value);
+        if let Some(end) = self.chip.stalled_until(FLASH_BASE, access.now) {
+            self.machine.stall(end - access.now);
+        }
         self.update();
         result
     }

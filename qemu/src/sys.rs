@@ -176,6 +176,8 @@ pub struct Machine {
     core: *mut c_void,
     clock: *mut c_void,
     timer: *mut c_void,
+    /// The lead of the board's time over QEMU's, in which the core never stalls.
+    stalled: Time,
 }
 
 // SAFETY: QEMU's threads use its objects in turn, under the big lock, which every callback holds.
@@ -198,14 +200,19 @@ impl Machine {
             )
         };
         assert!(!clock.is_null() && !core.is_null(), "the machine must be netduinoplus2");
-        Self { core, clock, timer }
+        Self { core, clock, timer, stalled: Time::ZERO }
     }
 
     /// The current time of the board.
     pub fn now(&self) -> Time {
         // SAFETY: every caller is a device's or a timer's callback, where instructions are counted exactly.
         let ns = unsafe { qemu_clock_get_ns(QEMU_CLOCK_VIRTUAL) };
-        Time::from_ns(ns as u64)
+        Time::from_ns(ns as u64) + self.stalled
+    }
+
+    /// Lets time pass in which the core does nothing. SysTick misses it, as well as its interrupts.
+    pub fn stall(&mut self, span: Time) {
+        self.stalled += span;
     }
 
     /// Sets interrupt line `number`.
@@ -226,7 +233,7 @@ impl Machine {
 
     /// Lets the timer expire at the first nanosecond at or after `at`.
     pub fn set_timer(&self, at: Time) {
-        let ns = at.as_ps().div_ceil(1000);
+        let ns = at.saturating_sub(self.stalled).as_ps().div_ceil(1000);
         // SAFETY: the timer is initialised; the number of nanoseconds is far below the limit.
         unsafe { timer_mod(self.timer, ns as i64) }
     }
