@@ -13,7 +13,10 @@ use emulator::{
     can::{Frame, Id},
 };
 
-use super::{random::Random, sdo_messages::initiate};
+use super::{
+    random::Random,
+    sdo_messages::{Address, block_download, download, expedited, initiate},
+};
 
 const LSS: Id = Id::Standard(lss::REQUEST_COB_ID);
 const NMT: Id = Id::Standard(0x000);
@@ -80,6 +83,14 @@ fn commissioning() -> Vec<Frame> {
         .iter()
         .map(|[command, value]| Frame::data(LSS, &[*command, *value, 0, 0, 0, 0, 0, 0]))
         .collect()
+}
+
+fn download_by_any_service(random: &mut Random, address: Address, data: &[u8]) -> Vec<[u8; 8]> {
+    match random.within(0..3) {
+        0 if data.len() <= 4 => vec![expedited(address, data)],
+        1 => block_download(address, data),
+        _ => download(address, data),
+    }
 }
 
 /// A store of the parameters, or their defaults.

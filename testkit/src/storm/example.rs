@@ -7,10 +7,12 @@ use emulator::{
 };
 use example_io::application::{Application, RPDOS, TPDOS, test_content};
 
-use super::{NMT, Stormed, commissioning, save_or_load, server, to_server};
+use super::{
+    NMT, Stormed, commissioning, download_by_any_service, save_or_load, server, to_server,
+};
 use crate::{
     random::Random,
-    sdo_messages::{Address, block_download, block_upload, download, expedited, initiate, upload},
+    sdo_messages::{Address, block_upload, initiate, upload},
 };
 
 const SYNC: Id = Id::Standard(0x080);
@@ -126,11 +128,7 @@ fn download_a_value(random: &mut Random) -> Vec<[u8; 8]> {
         3 => (TRANSFER_TEST, test_content(0).take(random.within(1..200) as usize).collect()),
         _ => ((0x6200, 1), vec![random.byte() % 5]),
     };
-    match random.within(0..3) {
-        0 if data.len() <= 4 => vec![expedited(address, &data)],
-        1 => block_download(address, &data),
-        _ => download(address, &data),
-    }
+    download_by_any_service(random, address, &data)
 }
 
 /// An upload by one of the services.

@@ -3,10 +3,10 @@
 use canopen_node::application::NoApplication;
 use emulator::can::Frame;
 
-use super::{Stormed, commissioning, save_or_load, to_server};
+use super::{Stormed, commissioning, download_by_any_service, save_or_load, to_server};
 use crate::{
     random::Random,
-    sdo_messages::{Address, block_download, block_upload, download, expedited, initiate, upload},
+    sdo_messages::{Address, block_upload, initiate, upload},
 };
 
 /// Values that a client can read: numbers, texts and one that does not exist.
@@ -47,11 +47,7 @@ fn download_a_value(random: &mut Random) -> Vec<[u8; 8]> {
     if random.one_in(4) {
         data.resize(random.within(1..20) as usize, 0);
     }
-    match random.within(0..3) {
-        0 if data.len() <= 4 => vec![expedited(address, &data)],
-        1 => block_download(address, &data),
-        _ => download(address, &data),
-    }
+    download_by_any_service(random, address, &data)
 }
 
 /// An upload by one of the three services.
