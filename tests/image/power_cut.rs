@@ -1,5 +1,6 @@
 //! The release image with power cuts in any flash operation of its start and of two commissionings: reachable
-//! afterwards, with the old or the new settings, although an interrupted word reads differently at each power-on. `cargo verify power-cut` cuts at other instants too.
+//! afterwards, with the old or the new settings, although an interrupted word reads differently at each power-on.
+//! `cargo verify power-cut` cuts at other instants too.
 
 use emulator::{board, chip::ChipVariant};
 use testkit::{power_cut::image::Session, random::Random, sessions::Variant};
