@@ -148,7 +148,7 @@ pub fn build_release(
 
 /// Builds the program of a package in `directory`, which has the same name, and returns the ELF file. `cargo` shows its
 /// progress.
-fn build_with(
+pub(crate) fn build_with(
     directory: &Path,
     package: &str,
     part: Part,

@@ -39,7 +39,11 @@ pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
     let folder = workspace().join("target/products").join(&name);
     let product = Product { name: &name, chip, controller, git: None, folder: &folder };
     product.write()?;
-    image::build_product(&folder.to_string_lossy(), &name, chip)
+    let elf = image::build_with(&folder, &name, chip, |command| {
+        // The HAL is built there already.
+        command.arg("--target-dir").arg(workspace().join("target"));
+    })?;
+    Ok(Image::from_elf(&elf)?)
 }
 
 /// A product to be made.
