@@ -1,0 +1,366 @@
+//! A reader of electronic data sheets (CiA 306), as tolerant as other programs' are.
+
+use std::collections::BTreeMap;
+
+use crate::bench::Address;
+
+/// The keys of a section with their values, by name in lower case.
+pub type Section = BTreeMap<String, String>;
+
+/// A data sheet.
+#[derive(Clone, Debug, Default)]
+pub struct Eds {
+    /// By name in lower case.
+    sections: BTreeMap<String, Section>,
+    entries: BTreeMap<Address, Entry>,
+    /// What cannot be read, in words.
+    pub faults: Vec<String>,
+}
+
+/// Who may read and write a value (CiA 306, `AccessType`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    Const,
+    ReadOnly,
+    ReadWrite,
+    /// Read and write; in a PDO it is read.
+    ReadWriteRead,
+    /// Read and write; in a PDO it is written.
+    ReadWriteWrite,
+    WriteOnly,
+}
+
+/// The data types of CiA 301 by what their values are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    Unsigned,
+    Integer,
+    Real,
+    Text,
+    Octets,
+    Domain,
+}
+
+/// A value of the object dictionary.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    pub address: Address,
+    pub name: String,
+    pub object_type: u32,
+    /// As in CiA 301, table 44.
+    pub data_type: u32,
+    pub access: Access,
+    pub is_mappable: bool,
+    pub flags: u32,
+    default: Option<String>,
+    low: Option<String>,
+    high: Option<String>,
+}
+
+impl Eds {
+    /// Reads a data sheet; what it cannot read is among the faults.
+    pub fn parse(text: &str) -> Self {
+        let mut eds = Self::default();
+        let mut name = String::new();
+        for line in text.lines().map(str::trim) {
+            if line.is_empty() || line.starts_with(';') {
+                continue;
+            }
+            if let Some(section) = line.strip_prefix('[').and_then(|line| line.strip_suffix(']')) {
+                name = section.to_ascii_lowercase();
+                if eds.sections.insert(name.clone(), Section::new()).is_some() {
+                    eds.faults.push(format!("[{section}] twice"));
+                }
+            } else if let Some((key, value)) = line.split_once('=') {
+                let section = eds.sections.entry(name.clone()).or_default();
+                let key = key.trim().to_ascii_lowercase();
+                if section.insert(key, value.trim().to_owned()).is_some() {
+                    eds.faults.push(format!("a key twice in [{name}]: {line}"));
+                }
+            } else {
+                eds.faults.push(format!("neither a section nor a key: {line}"));
+            }
+        }
+        eds.read_entries();
+        eds
+    }
+
+    fn read_entries(&mut self) {
+        for (name, section) in &self.sections {
+            let Some(address) = address(name) else { continue };
+            if section.contains_key("subnumber") && section.get("datatype").is_none() {
+                continue;
+            }
+            match Entry::read(address, section) {
+                Ok(entry) => {
+                    self.entries.insert(address, entry);
+                }
+                Err(fault) => self.faults.push(format!("[{name}]: {fault}")),
+            }
+        }
+    }
+
+    /// A section by its name, whatever its case.
+    pub fn section(&self, name: &str) -> Option<&Section> {
+        self.sections.get(&name.to_ascii_lowercase())
+    }
+
+    pub fn get(&self, address: Address) -> Option<&Entry> {
+        self.entries.get(&address)
+    }
+
+    /// All values, by index and sub-index.
+    pub fn entries(&self) -> impl Iterator<Item = &Entry> {
+        self.entries.values()
+    }
+
+    /// The values of one object.
+    pub fn object(&self, index: u16) -> impl Iterator<Item = &Entry> {
+        self.entries.range((index, 0)..=(index, 0xFF)).map(|(_, entry)| entry)
+    }
+
+    /// Whether the object exists.
+    pub fn has(&self, index: u16) -> bool {
+        self.object(index).next().is_some()
+    }
+
+    /// The indices of all objects.
+    pub fn indices(&self) -> Vec<u16> {
+        let mut all: Vec<u16> = self.entries.keys().map(|address| address.0).collect();
+        all.dedup();
+        all
+    }
+
+    /// The value of a key that is a number.
+    pub fn number(&self, section: &str, key: &str) -> Option<i128> {
+        number(self.section(section)?.get(&key.to_ascii_lowercase())?, 0)
+    }
+}
+
+/// The address in the name of a section such as `1018sub4` or `1017`.
+fn address(name: &str) -> Option<Address> {
+    let (index, sub_index) = name.split_once("sub").unwrap_or((name, "0"));
+    if index.len() != 4 {
+        return None;
+    }
+    Some((u16::from_str_radix(index, 16).ok()?, u8::from_str_radix(sub_index, 16).ok()?))
+}
+
+/// A number in the notation of CiA 306: decimal, 0x hexadecimal, 0 octal, and $NODEID in a sum.
+fn number(text: &str, node: u8) -> Option<i128> {
+    let part = |text: &str| {
+        let text = text.trim().to_ascii_lowercase();
+        let (sign, digits) = text.strip_prefix('-').map_or((1, &*text), |digits| (-1, digits));
+        let value = match digits.strip_prefix("0x") {
+            _ if digits == "$nodeid" => Some(node.into()),
+            Some(hex) => i128::from_str_radix(hex, 16).ok(),
+            None if digits.len() > 1 && digits.starts_with('0') => {
+                i128::from_str_radix(digits, 8).ok()
+            }
+            None => digits.parse().ok(),
+        };
+        value.map(|value| sign * value)
+    };
+    text.split('+').map(part).sum()
+}
+
+impl Entry {
+    fn read(address: Address, section: &Section) -> Result<Self, String> {
+        let text = |key: &str| section.get(key).filter(|value| !value.is_empty()).cloned();
+        let optional = |key: &str, default: u32| match text(key) {
+            None => Ok(default),
+            Some(value) => number(&value, 0)
+                .and_then(|value| value.try_into().ok())
+                .ok_or_else(|| format!("{key}={value} is no number")),
+        };
+        let access = match text("accesstype").unwrap_or_default().to_ascii_lowercase().as_str() {
+            "const" => Access::Const,
+            "ro" => Access::ReadOnly,
+            "rw" => Access::ReadWrite,
+            "rwr" => Access::ReadWriteRead,
+            "rww" => Access::ReadWriteWrite,
+            "wo" => Access::WriteOnly,
+            other => return Err(format!("AccessType={other}")),
+        };
+        let entry = Self {
+            address,
+            name: text("parametername").ok_or("no ParameterName")?,
+            object_type: optional("objecttype", 7)?,
+            data_type: optional("datatype", 0)?,
+            access,
+            is_mappable: optional("pdomapping", 0)? == 1,
+            flags: optional("objflags", 0)?,
+            default: text("defaultvalue"),
+            low: text("lowlimit"),
+            high: text("highlimit"),
+        };
+        match entry.shape() {
+            Some(_) => Ok(entry),
+            None => Err(format!("DataType={:#06X} is unknown", entry.data_type)),
+        }
+    }
+
+    /// What the values are, and their number of bits, 0 if that varies.
+    fn shape(&self) -> Option<(Kind, u32)> {
+        Some(match self.data_type {
+            0x01 => (Kind::Unsigned, 8),
+            0x02..=0x04 => (Kind::Integer, 8 << (self.data_type - 2)),
+            0x05..=0x07 => (Kind::Unsigned, 8 << (self.data_type - 5)),
+            0x08 => (Kind::Real, 32),
+            0x09 => (Kind::Text, 0),
+            0x0A | 0x0B => (Kind::Octets, 0),
+            0x0F => (Kind::Domain, 0),
+            0x10 => (Kind::Integer, 24),
+            0x11 => (Kind::Real, 64),
+            0x12..=0x15 => (Kind::Integer, 40 + 8 * (self.data_type - 0x12)),
+            0x16 => (Kind::Unsigned, 24),
+            0x18..=0x1B => (Kind::Unsigned, 40 + 8 * (self.data_type - 0x18)),
+            _ => return None,
+        })
+    }
+
+    pub fn kind(&self) -> Kind {
+        self.shape().map_or(Kind::Domain, |shape| shape.0)
+    }
+
+    /// The length of a value in bytes; `None` if it varies.
+    pub fn size(&self) -> Option<usize> {
+        let bits = self.shape()?.1;
+        (bits > 0).then_some(bits as usize / 8)
+    }
+
+    /// Whether a value is a number.
+    pub fn is_number(&self) -> bool {
+        matches!(self.kind(), Kind::Unsigned | Kind::Integer)
+    }
+
+    pub fn can_be_read(&self) -> bool {
+        self.access != Access::WriteOnly
+    }
+
+    pub fn can_be_written(&self) -> bool {
+        !matches!(self.access, Access::Const | Access::ReadOnly)
+    }
+
+    /// Whether a write would act or change the device lastingly: `ObjFlags` asks a program to leave the object out.
+    pub fn refuses_write_on_download(&self) -> bool {
+        self.flags & 1 == 1
+    }
+
+    /// Whether the value may come in a RPDO, and whether it may go in a TPDO.
+    pub fn pdo_directions(&self) -> (bool, bool) {
+        use Access::*;
+        let receives = matches!(self.access, ReadWrite | ReadWriteWrite | WriteOnly);
+        let transmits = matches!(self.access, ReadWrite | ReadWriteRead | ReadOnly | Const);
+        (self.is_mappable && receives, self.is_mappable && transmits)
+    }
+
+    /// The number that maps the whole value in a PDO.
+    pub fn mapping(&self) -> u32 {
+        let (index, sub_index) = self.address;
+        let bits = 8 * self.size().unwrap_or(0) as u32;
+        u32::from(index) << 16 | u32::from(sub_index) << 8 | bits
+    }
+
+    /// The value of a new device with this node-ID, as on the bus.
+    pub fn default(&self, node: u8) -> Option<Vec<u8>> {
+        self.bytes(self.default.as_deref()?, node)
+    }
+
+    /// Whether there is a default that is not in the notation of its type.
+    pub fn has_bad_default(&self) -> bool {
+        self.default.as_deref().is_some_and(|text| self.bytes(text, 1).is_none())
+    }
+
+    /// The lowest value, if it is a number.
+    pub fn low(&self, node: u8) -> Option<i128> {
+        number(self.low.as_deref()?, node).filter(|_| self.is_number())
+    }
+
+    /// The highest value, if it is a number.
+    pub fn high(&self, node: u8) -> Option<i128> {
+        number(self.high.as_deref()?, node).filter(|_| self.is_number())
+    }
+
+    /// The range of the data type, if it is of numbers.
+    pub fn range(&self) -> Option<(i128, i128)> {
+        let bits = self.shape()?.1;
+        match self.kind() {
+            Kind::Unsigned => Some((0, (1 << bits) - 1)),
+            Kind::Integer => Some((-(1 << (bits - 1)), (1 << (bits - 1)) - 1)),
+            _ => None,
+        }
+    }
+
+    /// A number as on the bus, shortened to the type.
+    pub fn of_number(&self, value: i128) -> Vec<u8> {
+        value.to_le_bytes()[..self.size().unwrap_or(0)].to_vec()
+    }
+
+    fn bytes(&self, text: &str, node: u8) -> Option<Vec<u8>> {
+        let length = self.size();
+        match self.kind() {
+            Kind::Unsigned | Kind::Integer => {
+                let value = number(text, node)?;
+                let (low, high) = self.range()?;
+                // A negative number may stand as its bits.
+                let is_possible = value >= low && value <= high.max((high - low).min(1 << 64));
+                is_possible.then(|| self.of_number(value))
+            }
+            Kind::Real => match (text.strip_prefix("0x"), length?) {
+                (Some(_), _) => Some(self.of_number(number(text, 0)?)),
+                (None, 4) => Some(text.parse::<f32>().ok()?.to_le_bytes().to_vec()),
+                (None, _) => Some(text.parse::<f64>().ok()?.to_le_bytes().to_vec()),
+            },
+            Kind::Text => Some(text.as_bytes().to_vec()),
+            Kind::Octets => {
+                let digits: String = text.split_whitespace().collect();
+                let pairs = digits.as_bytes().chunks(2);
+                let byte = |pair: &[u8]| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok();
+                pairs.map(byte).collect()
+            }
+            Kind::Domain => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHEET: &str = "; made by hand\r\n[DeviceInfo]\r\nLSS_Supported = 1\r\n\
+        [1014]\r\nParameterName=COB-ID EMCY\r\nDataType=0x0007\r\nAccessType=rw\r\nDefaultValue=$NODEID+0x80\r\n\
+        [1018]\r\nParameterName=Identity\r\nObjectType=9\r\nSubNumber=2\r\n\
+        [1018sub0]\r\nParameterName=Highest\r\nDataType=5\r\nAccessType=const\r\nDefaultValue=1\r\n\
+        [1018subA]\r\nParameterName=Signed\r\nDataType=0x10\r\nAccessType=RO\r\nPDOMapping=1\r\nDefaultValue=-2\r\n\
+        LowLimit=-8\r\nHighLimit=010\r\n[2000]\r\nParameterName=Odd\r\nDataType=0x77\r\nAccessType=ro\r\n";
+
+    #[test]
+    fn a_sheet_with_the_notations_of_other_programs_is_read() {
+        let eds = Eds::parse(SHEET);
+        assert_eq!(eds.faults, ["[2000]: DataType=0x0077 is unknown"]);
+        assert_eq!(eds.number("deviceinfo", "LSS_Supported"), Some(1));
+        assert_eq!(eds.indices(), [0x1014, 0x1018]);
+        let emergency = eds.get((0x1014, 0)).unwrap();
+        assert_eq!(emergency.default(5), Some(vec![0x85, 0, 0, 0]));
+        let signed = eds.get((0x1018, 10)).unwrap();
+        assert_eq!(signed.default(5), Some(vec![0xFE, 0xFF, 0xFF]));
+        assert_eq!((signed.low(5), signed.high(5)), (Some(-8), Some(8)));
+        assert_eq!(signed.range(), Some((-0x80_0000, 0x7F_FFFF)));
+        assert_eq!(signed.pdo_directions(), (false, true));
+        assert_eq!(signed.mapping(), 0x1018_0A18);
+    }
+
+    #[test]
+    fn a_real_is_a_decimal_number_or_its_bits() {
+        let sheet = |value: &str| {
+            Eds::parse(&format!(
+                "[2001]\nParameterName=R\nDataType=8\nAccessType=rw\nDefaultValue={value}"
+            ))
+        };
+        let default = |value: &str| sheet(value).get((0x2001, 0)).unwrap().default(1);
+        assert_eq!(default("0.5"), Some(0.5_f32.to_le_bytes().to_vec()));
+        assert_eq!(default("0x3F000000"), default("0.5"));
+        assert_eq!(default("a half"), None);
+    }
+}

@@ -1,0 +1,121 @@
+//! The cases of a conformance test of CANopen: they drive a device by its electronic data sheet (EDS), over any line.
+//!
+//! A [`Case`] is one function with a purpose. Cases form a [`Group`], a file each; [`APPLICATION_LAYER`] lists the groups
+//! of CiA 301. Their numbers and purposes are those of the certifier's tool, so that reports can be compared; frames,
+//! expectations and words are our own. A case takes a [`Bench`], which speaks with the device and keeps the frames, and
+//! ends in one of three ways:
+//!
+//! - It returns `Ok(())`: passed.
+//! - A step of the bench fails, or [`Bench::check`] finds a difference: failed, with what was expected.
+//! - [`Bench::skip`], or an object that the EDS lacks: skipped, with the reason.
+//!
+//! # Adding a group
+//!
+//! A file with the functions and a constant, and its name in a list of groups such as [`APPLICATION_LAYER`]:
+//!
+//! ```
+//! use conformance::{Bench, Case, Group, Step};
+//!
+//! pub const GROUP: Group = Group {
+//!     name: "Example",
+//!     // What precedes each case: here a reset and the default values.
+//!     prepare: |bench| bench.restore(),
+//!     // The number of a case is its place: Example 01.
+//!     cases: &[Case::new("The device type has four bytes", device_type)],
+//! };
+//!
+//! fn device_type(bench: &mut Bench) -> Step {
+//!     let bytes = bench.read((0x1000, 0))?;
+//!     bench.check(bytes.len() == 4, "1000h is an UNSIGNED32")
+//! }
+//! ```
+//!
+//! A line is a [`Line`]: the emulated bus in virtual time for `cargo verify conformance`, an adapter for `cargo hil`.
+
+mod bench;
+pub mod eds;
+mod line;
+mod report;
+mod sdo;
+
+pub use bench::{Address, Bench, Command, Seen, Stop, ms};
+pub use line::{Broken, Line};
+pub use report::{Finding, Outcome, Report, html, junit};
+
+/// What a step of a case gives, or the reason why the case ends here.
+pub type Step<T = ()> = Result<T, Stop>;
+
+/// The cases of one service.
+#[derive(Clone, Copy)]
+pub struct Group {
+    pub name: &'static str,
+    /// What is done before each case.
+    pub prepare: fn(&mut Bench) -> Step,
+    pub cases: &'static [Case],
+}
+
+/// A case: what it proves, and how.
+#[derive(Clone, Copy)]
+pub struct Case {
+    /// One sentence, without its full stop.
+    pub purpose: &'static str,
+    /// What the certifier's tool does otherwise, or what CiA 301 leaves open; mostly empty.
+    pub remark: &'static str,
+    pub run: fn(&mut Bench) -> Step,
+}
+
+impl Case {
+    pub const fn new(purpose: &'static str, run: fn(&mut Bench) -> Step) -> Self {
+        Self { purpose, remark: "", run }
+    }
+
+    pub const fn with_remark(self, remark: &'static str) -> Self {
+        Self { remark, ..self }
+    }
+}
+
+impl Group {
+    /// The number of the case at this place, such as `SDO 01`.
+    pub fn number(&self, place: usize) -> String {
+        format!("{} {:02}", self.name, place + 1)
+    }
+}
+
+/// The groups of CiA 301, in the order of the certifier's tool.
+pub const APPLICATION_LAYER: &[Group] = &[sdo::GROUP];
+
+/// Runs the cases of `groups` whose number begins with one of `wanted`, or all if it is empty, and adds them to the
+/// report. `show` gets each finding when its case ends.
+///
+/// # Errors
+/// The line has broken.
+pub fn run(
+    bench: &mut Bench,
+    groups: &[Group],
+    wanted: &[String],
+    report: &mut Report,
+    mut show: impl FnMut(&Finding),
+) -> Result<(), Broken> {
+    for group in groups {
+        for (place, case) in group.cases.iter().enumerate() {
+            let number = group.number(place);
+            if !wanted.is_empty() && !wanted.iter().any(|start| number.starts_with(start)) {
+                continue;
+            }
+            bench.begin();
+            let from = bench.now();
+            let outcome = match (group.prepare)(bench).and_then(|()| (case.run)(bench)) {
+                Ok(()) => Outcome::Passed,
+                Err(Stop::Failed(expected)) => Outcome::Failed(expected),
+                Err(Stop::Skipped(reason)) => Outcome::Skipped(reason),
+                Err(Stop::Broken(reason)) => return Err(Broken(reason)),
+            };
+            let took = bench.now() - from;
+            let frames = bench.take_seen();
+            let finding = Finding { number, group: group.name, case: *case, outcome, frames, took };
+            show(&finding);
+            report.findings.push(finding);
+        }
+    }
+    Ok(())
+}

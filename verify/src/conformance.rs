@@ -1,0 +1,264 @@
+//! `cargo verify conformance`: the cases of a conformance test, against release images on the emulated bus.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use ::conformance::{APPLICATION_LAYER, Bench, Broken, Line, Report, eds::Eds};
+use anyhow::{Context, ensure};
+use canopen_node::{BitRate, Frame, NodeId, Settings, nmt};
+use emulator::{
+    Time,
+    can::{self, Adapter, Id},
+    chip::{Part, ResetCause},
+    image::Image,
+    network::{AdapterId, Network, Recording},
+};
+use testkit::{
+    boards,
+    cargo::workspace,
+    image,
+    image_rig::{bit_per_s, from_the_wire, on_the_wire},
+};
+use xtask::example::Example;
+
+/// The bit rate and the node-ID of the board.
+const BIT_RATE: BitRate = BitRate::Kbit500;
+const NODE: u8 = 5;
+/// As `src/device.rs` of the images has it.
+const HEARTBEAT_MS: u16 = 1000;
+
+/// Run the cases of a conformance test of CANopen against release images
+///
+/// The cases have the numbers and purposes of CiA's Conformance Test Tool, and are driven by the data sheet of the
+/// image as the tool's are: docs/conformance-cases.md. They run on the emulated bus in virtual time; `cargo hil
+/// --conformance` runs the same cases on a real adapter.
+///
+/// Without options they run for the default image and for the example io. It ends with 0 if no case failed, with 1
+/// otherwise.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// Run only this image: default or io; can be repeated
+    #[arg(long, value_name = "NAME")]
+    image: Vec<ImageName>,
+    /// Run this program in place of an image of ours
+    #[arg(long, value_name = "FILE", requires = "eds", conflicts_with = "image")]
+    elf: Option<PathBuf>,
+    /// The data sheet of --elf
+    #[arg(long, value_name = "FILE", requires = "elf")]
+    eds: Option<PathBuf>,
+    /// The chip on the board [default: that of the image; stm32f405 for --elf]
+    #[arg(long)]
+    chip: Option<Part>,
+    /// Run only the cases whose number begins so, such as "PDO 23" or PDO; can be repeated
+    #[arg(long, value_name = "NUMBER")]
+    case: Vec<String>,
+    /// Write the report as an HTML page
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Write the report as JUnit XML
+    #[arg(long, value_name = "FILE")]
+    junit: Option<PathBuf>,
+    /// Show the frames of each case
+    #[arg(long)]
+    frames: bool,
+}
+
+/// An image of this repository.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum ImageName {
+    /// The plain firmware
+    Default,
+    /// The example `io`
+    Io,
+}
+
+impl ImageName {
+    const fn example(self) -> Option<Example> {
+        match self {
+            Self::Default => None,
+            Self::Io => Some(Example::Io),
+        }
+    }
+
+    const fn eds(self) -> &'static str {
+        match self {
+            Self::Default => "eds/lss-slave.eds",
+            Self::Io => "eds/io.eds",
+        }
+    }
+}
+
+/// A program and its data sheet.
+struct Product {
+    name: String,
+    chip: Part,
+    image: Image,
+    eds: Eds,
+}
+
+/// Runs the cases, prints their outcomes, and writes the reports. Fails if a case failed.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let begin = Instant::now();
+    let mut reports = Vec::new();
+    for product in products(arguments)? {
+        println!("{}", product.name);
+        let report = test(&product, arguments)?;
+        println!();
+        reports.push(report);
+    }
+    for report in &reports {
+        println!("{}", report.summary());
+    }
+    println!("{:.1} s", begin.elapsed().as_secs_f64());
+    let write = |path: &Option<PathBuf>, content: fn(&[Report]) -> String| match path {
+        Some(path) => fs::write(path, content(&reports))
+            .with_context(|| format!("cannot write {}", path.display())),
+        None => Ok(()),
+    };
+    write(&arguments.html, ::conformance::html)?;
+    write(&arguments.junit, ::conformance::junit)?;
+    ensure!(reports.iter().all(|report| report.failed() == 0), "a case failed");
+    Ok(())
+}
+
+fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
+    let read = |path: &Path| {
+        let text = fs::read_to_string(path);
+        anyhow::Ok(Eds::parse(&text.with_context(|| format!("cannot read {}", path.display()))?))
+    };
+    if let (Some(elf), Some(eds)) = (&arguments.elf, &arguments.eds) {
+        let chip = arguments.chip.unwrap_or(Part::Stm32f405);
+        let name = elf.file_name().unwrap_or_default().to_string_lossy();
+        let name = format!("{name} on {}", chip.name());
+        return Ok(vec![Product { name, chip, image: Image::load(elf)?, eds: read(eds)? }]);
+    }
+    let images = match &arguments.image[..] {
+        [] => &[ImageName::Default, ImageName::Io],
+        images => images,
+    };
+    let product = |name: &ImageName| {
+        let chip = xtask::example::chip(arguments.chip, name.example());
+        let eds = read(&workspace().join(name.eds()))?;
+        let image = match name {
+            ImageName::Default => image::build(chip)?,
+            ImageName::Io => image::build_example("io", chip)?,
+        };
+        let name = format!("{} on {}", name.eds().trim_start_matches("eds/"), chip.name());
+        Ok(Product { name, chip, image, eds })
+    };
+    images.iter().map(product).collect()
+}
+
+fn test(product: &Product, arguments: &Arguments) -> anyhow::Result<Report> {
+    let mut bus = Bus::new(product);
+    let mut bench = Bench::new(&mut bus, &product.eds, NODE);
+    let mut report = Report::new(&product.name);
+    ::conformance::run(&mut bench, APPLICATION_LAYER, &arguments.case, &mut report, |finding| {
+        println!("{}", finding.line());
+        if arguments.frames {
+            println!("{}", finding.frames().join("\n"));
+        }
+    })?;
+    Ok(report)
+}
+
+/// The emulated bus with one board, and the adapter on it.
+struct Bus {
+    network: Network,
+    adapter: AdapterId,
+    /// The commands NMT reset node that the board may have received.
+    resets: usize,
+}
+
+impl Bus {
+    /// The board with a stored node-ID, after its start.
+    fn new(product: &Product) -> Self {
+        let mut board = boards::board(product.chip, &product.image, 0);
+        let mut flash = board.flash();
+        let settings = Settings::new(BIT_RATE.into()).with_node_id(NodeId::new(NODE));
+        boards::store_settings(&mut flash, settings.with_heartbeat_ms(HEARTBEAT_MS));
+        board.set_flash(0, &flash);
+        let mut network = Network::new();
+        network.record(Recording::Off);
+        let adapter = network.add_adapter(Adapter::new(bit_per_s(BIT_RATE)));
+        network.add_board(board);
+        network.run_for(boards::FIRST_START);
+        Self { network, adapter, resets: 0 }
+    }
+
+    /// Ends the run if the board has misused its chip, is locked up, or has restarted unasked.
+    fn check(&self) -> Result<(), Broken> {
+        let board = self.network.board(0);
+        let causes = board.resets().iter().map(|(_, cause)| *cause);
+        let others = causes.filter(|cause| *cause != ResetCause::PowerOn).collect::<Vec<_>>();
+        let is_asked = others.len() <= self.resets
+            && others.iter().all(|cause| *cause == ResetCause::Software);
+        match (board.findings().first(), board.lockup()) {
+            (Some(finding), _) => Err(Broken(format!("the board misuses its chip: {finding}"))),
+            (None, Some(lockup)) => Err(Broken(format!("the board is locked up: {lockup:?}"))),
+            (None, None) if is_asked => Ok(()),
+            (None, None) => Err(Broken(format!("unexpected resets of the board: {others:?}"))),
+        }
+    }
+}
+
+fn duration(time: Time) -> Duration {
+    Duration::from_nanos(time.as_ns())
+}
+
+impl Line for Bus {
+    fn now(&self) -> Duration {
+        duration(self.network.now())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
+        self.network.send(self.adapter, on_the_wire(frame));
+        let is_reset = frame.cob_id() == nmt::COMMAND_COB_ID && frame.data().first() == Some(&0x81);
+        self.resets += usize::from(is_reset);
+        Ok(())
+    }
+
+    fn receive(&mut self, until: Duration) -> Result<Option<(Duration, Frame)>, Broken> {
+        loop {
+            let left = until.saturating_sub(self.now());
+            let left = Time::from_ns(left.as_nanos() as u64);
+            let received = self.network.run_until_received(self.adapter, left);
+            self.check()?;
+            let Some((time, frame)) = received else { return Ok(None) };
+            if let Some(frame) = from_the_wire(&frame) {
+                return Ok(Some((duration(time), frame)));
+            }
+        }
+    }
+
+    fn jitter(&self) -> Duration {
+        Duration::from_millis(1)
+    }
+
+    fn send_remote(&mut self, cob_id: u16, length: u8) -> Result<bool, Broken> {
+        self.network.send(self.adapter, can::Frame::remote(Id::Standard(cob_id), length));
+        Ok(true)
+    }
+
+    fn send_extended(&mut self, id: u32, data: &[u8]) -> Result<bool, Broken> {
+        self.network.send(self.adapter, can::Frame::data(Id::Extended(id), data));
+        Ok(true)
+    }
+
+    fn set_bit_rate(&mut self, rate: BitRate) -> Result<bool, Broken> {
+        self.network.adapter_mut(self.adapter).set_bit_rate(bit_per_s(rate));
+        Ok(true)
+    }
+
+    fn power(&mut self, is_on: bool) -> Result<bool, Broken> {
+        match is_on {
+            true => self.network.power_on(0),
+            false => self.network.power_off(0),
+        }
+        Ok(true)
+    }
+}
