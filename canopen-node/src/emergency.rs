@@ -1,11 +1,14 @@
 //! Emergency messages (CiA 301, 7.2.7): the errors of the node, of process data and of the application, in one queue, and
 //! the error history 1003h.
 
+mod configuration;
+
 use core::mem;
 
 use lss_slave::bit_rate::GUEST_ERROR_CODE;
 
-use crate::{BitRate, Frame, NodeId};
+use crate::{BitRate, Frame, Instant, NodeId};
+pub(crate) use configuration::Configuration;
 
 pub use lss_slave::cob_id::EMERGENCY as COB_ID;
 
@@ -153,6 +156,9 @@ pub(crate) struct Emergency {
     /// The message that was sent, while no frame of the node has been acknowledged since. The next one waits: on a bus
     /// that fails again and again they would take the places of answers.
     in_flight: Places,
+    pub configuration: Configuration,
+    /// The end of the inhibit time.
+    inhibited_until: Option<Instant>,
     /// 1003h, newest first; 0 marks a free entry.
     history: [u32; HISTORY_LEN as usize],
     bus_offs: u16,
@@ -167,11 +173,19 @@ impl Emergency {
             present: Places::NONE,
             unsent: Places::NONE,
             in_flight: Places::NONE,
+            configuration: Configuration::DEFAULT,
+            inhibited_until: None,
             history: [0; HISTORY_LEN as usize],
             bus_offs: 0,
             overruns: 0,
             error_counters: ErrorCounters { transmit: 0, receive: 0 },
         }
+    }
+
+    /// Restarts the messages with these parameters. The errors stay.
+    pub const fn configure(&mut self, configuration: Configuration) {
+        self.configuration = configuration;
+        self.inhibited_until = None;
     }
 
     /// Reports a fault of the node.
@@ -340,13 +354,37 @@ impl Emergency {
         self.in_flight = Places::NONE;
     }
 
+    /// Drops the messages that have not been sent.
+    fn discard(&mut self) {
+        self.unsent = Places::NONE;
+        (0..PLACES).for_each(|at| self.clear_unused(at));
+    }
+
+    /// Ends the inhibit time, if it is over.
+    pub fn end_inhibit_time(&mut self, now: Instant) {
+        let micros = u32::from(self.configuration.inhibit_time) * 100;
+        self.inhibited_until.take_if(|until| !until.is_ahead(now, micros));
+    }
+
+    /// The end of the inhibit time.
+    pub const fn inhibited_until(&self) -> Option<Instant> {
+        self.inhibited_until
+    }
+
     /// The next message, if there is one to send. While the node hears nothing but errors it sends none: a message
-    /// would disturb nodes that may run at another bit rate.
+    /// would disturb nodes that may run at another bit rate. Without a COB-ID the messages are dropped.
     ///
     /// Error code 0 is sent when no error is left. CiA 301 allows it at the end of each error, but some masters take it
     /// for the end of all.
-    pub fn next(&mut self, node: NodeId) -> Option<Frame> {
-        if self.awaits_acknowledge() || self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
+    pub fn next(&mut self, node: NodeId, now: Instant) -> Option<Frame> {
+        let Some(cob_id) = self.configuration.cob_id(node) else {
+            self.discard();
+            return None;
+        };
+        if self.inhibited_until.is_some() || self.awaits_acknowledge() {
+            return None;
+        }
+        if self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
             return None;
         }
         if self.present != Places::NONE {
@@ -356,9 +394,12 @@ impl Emergency {
         let Message { code, register, information } = *self.messages.get(at)?;
         self.unsent = self.unsent.without(Places::of(at));
         self.in_flight = Places::of(at);
+        let inhibit_time = self.configuration.inhibit_time;
+        self.inhibited_until =
+            (inhibit_time > 0).then(|| now.plus_micros(u32::from(inhibit_time) * 100));
         let [c0, c1] = code.to_le_bytes();
         let [i0, i1, i2, i3, i4] = information;
         let data = [c0, c1, register | self.error_register(), i0, i1, i2, i3, i4];
-        Some(Frame::with_eight_bytes(COB_ID + u16::from(node.get()), data))
+        Some(Frame::with_eight_bytes(cob_id, data))
     }
 }

@@ -18,7 +18,7 @@ use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
     bit_rate::Control,
-    emergency::{self, Emergency, Fault},
+    emergency::{Emergency, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command, slave::NmtSlave},
     object_dictionary::{self, DefaultValue, Description, Entry, Object},
@@ -248,10 +248,12 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Whether a frame of this COB-ID that the node has sent is a PDO.
     pub fn is_pdo(&self, cob_id: u16) -> bool {
-        let services = [emergency::COB_ID, sdo::RESPONSE_COB_ID, nmt::ERROR_CONTROL_COB_ID];
-        let is_of =
-            |base: u16| self.node_id().is_some_and(|node| cob_id == base + u16::from(node.get()));
-        TPDOS > 0 && cob_id != lss::RESPONSE_COB_ID && !services.into_iter().any(is_of)
+        let is_service = |node: NodeId| {
+            let services = [sdo::RESPONSE_COB_ID, nmt::ERROR_CONTROL_COB_ID];
+            services.into_iter().any(|base| cob_id == base + u16::from(node.get()))
+                || self.emergency.configuration.cob_id(node) == Some(cob_id)
+        };
+        TPDOS > 0 && cob_id != lss::RESPONSE_COB_ID && !self.node_id().is_some_and(is_service)
     }
 
     /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
@@ -348,7 +350,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
         let is_taken = self.product.restore(parameter);
-        self.nmt.set_error_behaviour(self.product.communication.error_behaviour::<A>());
+        let communication = &self.product.communication;
+        self.nmt.set_error_behaviour(communication.error_behaviour());
+        self.emergency.configure(communication.emergency());
         is_taken
     }
 
@@ -359,16 +363,13 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Call it in one piece with taking the [`Action::Store`], so that all values are of the same time.
     pub fn write_parameters(&self, persistent: &[u8], to: &mut [u8]) -> usize {
         let mut packer = Packer::new(to);
-        if Self::STORED_LEN == 0 {
-            return 0;
-        }
         for part in Area::ALL {
             match (part.change(self.storing.download()), part) {
                 (Change::Keep, _) => part.keep(persistent, &mut packer),
                 (Change::Remove, _) => {}
                 // The heartbeat time is among the settings.
                 (Change::Renew, Area::Communication) => {
-                    self.product.communication.save::<A>(&mut packer);
+                    self.product.communication.save(&mut packer);
                 }
                 (Change::Renew, Area::Application) => {
                     areas::save(&self.product.application, &mut packer)
@@ -384,7 +385,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             return;
         };
         self.storing.store = Store::Done(outcome, requester);
-        self.product.communication.end_store::<A>(outcome.is_ok());
+        self.product.communication.end_store(outcome.is_ok());
         if outcome.is_ok() {
             self.storing.persistent = settings;
             self.emergency.end_fault(Fault::SettingsLost);
@@ -471,7 +472,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     #[inline(never)] // It has two callers.
     fn find_deadlines(&mut self, now: Instant) {
         let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
-        let Self { agenda, bit_rate, nmt, sdo, product, periodic, .. } = self;
+        let Self { agenda, bit_rate, nmt, emergency, sdo, product, periodic, .. } = self;
         agenda.find_deadlines(|task| match task {
             Task::BitRate => bit_rate.poll_at(),
             Task::Producers => {
@@ -479,7 +480,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             }
             _ if !may_report => None,
             Task::Sdo => sdo.poll_at::<NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>>(),
-            Task::Messages => periodic.postpone(nmt.poll_at()?, now),
+            Task::Messages => {
+                let heartbeat = nmt.poll_at().and_then(|due| periodic.postpone(due, now));
+                Instant::earliest(heartbeat, emergency.inhibited_until())
+            }
             Task::Pdos => product.communication.pdos.poll_at(|due| periodic.postpone(due, now)),
             Task::State | Task::Command | Task::Store => None,
         });
@@ -525,7 +529,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             let communication = &mut self.product.communication;
             match Area::Communication.change(Some(download)) {
                 Change::Keep => {}
-                Change::Renew => communication.stage::<A>(self.nmt.error_behaviour()),
+                Change::Renew => {
+                    communication.stage(self.nmt.error_behaviour(), self.emergency.configuration)
+                }
                 Change::Remove => communication.stage_declared::<A>(),
             }
             let settings = match Area::Communication.is_concerned(download.sub_index) {

@@ -25,6 +25,7 @@ pub enum Object {
     StoreParameters,
     RestoreDefaultParameters,
     CobIdEmergency,
+    InhibitTimeEmergency,
     ProducerHeartbeatTime,
     /// The effect of a communication error on the NMT state.
     CommunicationErrorBehaviour,
@@ -315,7 +316,10 @@ table! {
         3 "Restore application default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
     }
     0x1014 {
-        0 "COB-ID EMCY": Unsigned32, ReadOnly, CobIdEmergency = NodeIdPlus(0x80);
+        0 "COB-ID EMCY": Unsigned32, ReadWrite, CobIdEmergency = NodeIdPlus(0x80);
+    }
+    0x1015 {
+        0 "Inhibit time EMCY": Unsigned16, ReadWrite, InhibitTimeEmergency = Number(0);
     }
     0x1017 {
         0 "Producer heartbeat time": Unsigned16, ReadWrite, ProducerHeartbeatTime

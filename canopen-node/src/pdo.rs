@@ -3,7 +3,6 @@
 //! A product declares its PDOs in [`Application::TPDOS`] and [`Application::RPDOS`]; their numbers are parameters of
 //! [`Node`](crate::Node).
 
-mod cob_id;
 mod declaration;
 mod mapping;
 mod parameters;
@@ -26,7 +25,6 @@ use crate::{
     sdo::Abort,
     sync::{self, Sync},
 };
-use cob_id::PdoCobId;
 use mapping::{Direction, Mapping};
 use parameters::Pdo;
 use rpdo::Reception;

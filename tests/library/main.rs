@@ -7,6 +7,7 @@ mod bit_rate_solver;
 mod bus_listening;
 mod eds;
 mod emergency;
+mod emergency_parameters;
 mod frame;
 mod heartbeat_consumer;
 mod indicator;

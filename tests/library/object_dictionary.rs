@@ -96,14 +96,19 @@ fn the_error_behaviour_takes_0_1_and_2_and_refuses_the_rest() {
 }
 
 #[test]
-fn the_error_behaviour_is_not_stored() {
+fn the_error_behaviour_is_stored_and_restored() {
     let mut board = NodeRig::with_node_id(0x40);
     board.download(0x1029, 1, &[2]).unwrap();
-    board.save(1).unwrap();
-    assert_eq!(board.number(0x1029, 1), 2);
     board.nmt("82 00");
     assert_eq!(board.number(0x1029, 1), 0);
+    board.download(0x1029, 1, &[2]).unwrap();
+    board.save(1).unwrap();
+    board.nmt("82 00");
+    assert_eq!(board.number(0x1029, 1), 2);
     board.download(0x1029, 1, &[1]).unwrap();
+    board.power_cycle();
+    assert_eq!(board.number(0x1029, 1), 2);
+    board.load(1).unwrap();
     board.power_cycle();
     assert_eq!(board.number(0x1029, 1), 0);
 }

@@ -400,9 +400,11 @@ fn the_capacity_is_the_sum_of_the_longest_values() {
     let lens = [2, 1, 4, 8, 12, 1];
     let sum: usize = lens.iter().map(|len| HEADER + len).sum();
     let of_error_behaviour = HEADER + 1;
-    assert_eq!(canopen_node::Node::<Pump>::STORED_LEN, sum + of_error_behaviour);
-    assert_eq!(canopen_node::Node::<Volatile>::STORED_LEN, 0);
-    assert_eq!(<canopen_node::Node>::STORED_LEN, 0);
+    let of_emergency = HEADER + 4 + HEADER + 2;
+    let of_every_node = of_error_behaviour + of_emergency;
+    assert_eq!(canopen_node::Node::<Pump>::STORED_LEN, sum + of_every_node);
+    assert_eq!(canopen_node::Node::<Volatile>::STORED_LEN, of_every_node);
+    assert_eq!(<canopen_node::Node>::STORED_LEN, of_every_node);
     let mut board = board();
     board.node.application_mut().label = Text::from_bytes(b"twelve bytes").unwrap();
     board.save(1).unwrap();

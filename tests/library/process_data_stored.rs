@@ -35,7 +35,9 @@ fn parameters<A: Application + Clone, const T: usize, const R: usize, const P: u
     let mut parameters = Vec::new();
     for (entry, _) in entries {
         let is_here = match entry.object {
-            Object::CommunicationErrorBehaviour
+            Object::CobIdEmergency
+            | Object::InhibitTimeEmergency
+            | Object::CommunicationErrorBehaviour
             | Object::SyncCobId
             | Object::SyncCounterOverflow
             | Object::ConsumerHeartbeatTime(_)
@@ -61,6 +63,8 @@ fn change_all(board: &mut Board) {
     set(board, 0x1019, 0, 10, 1);
     set(board, 0x1016, 2, 0x0005_03E8, 4);
     set(board, 0x1029, 1, 2, 1);
+    set(board, 0x1014, 0, 0x8000_0333, 4);
+    set(board, 0x1015, 0, 50, 2);
     map(board, 0x1400, 0x333, &[0x0005_0008, 0x6200_0320]);
     set(board, 0x1400, 2, 3, 1);
     set(board, 0x1801, 1, 0x8000_02C0, 4);
@@ -272,6 +276,11 @@ fn illegal_stored_parameters_are_not_taken() {
         (0x1016, 3, 0x07, number(0x0005_03E8)),
         (0x1016, 1, 0x07, number(0x0105_03E8)),
         (0x1017, 0, 0x06, vec![1, 0]),
+        (0x1014, 0, 0x07, number(0x81 | 1 << 30)),
+        (0x1014, 0, 0x07, number(0x701)),
+        (0x1014, 0, 0x06, vec![0x81, 0]),
+        (0x1015, 0, 0x06, vec![1]),
+        (0x1015, 1, 0x06, vec![1, 0]),
         (0x1400, 0, 0x20, pdo(&[0x800])),
         (0x1400, 0, 0x20, pdo(&[0x800, 241])),
         (0x1400, 0, 0x20, pdo(&[0x800, 255, 0x6000_0108])),
@@ -328,7 +337,8 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     let of_sync = HEADER + 4 + HEADER + 1;
     let pdos = 3 * (HEADER + 4 * (5 + 8)) + 2 * (HEADER + 4 * (2 + 8));
     let of_error_behaviour = HEADER + 1;
-    let capacity = of_sync + of_error_behaviour + pdos + 2 * (HEADER + 4);
+    let of_emergency = HEADER + 4 + HEADER + 2;
+    let capacity = of_sync + of_error_behaviour + of_emergency + pdos + 2 * (HEADER + 4);
     assert_eq!(Node::<Machine, 3, 2, 2>::STORED_LEN, capacity);
     let mut board = board();
     for (parameter, cob_id, value) in [
@@ -343,6 +353,8 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     set(&mut board, 0x1016, 1, 0x0005_0001, 4);
     set(&mut board, 0x1016, 2, 0x0006_0001, 4);
     set(&mut board, 0x1029, 1, 1, 1);
+    set(&mut board, 0x1014, 0, 0x8000_00C0, 4);
+    set(&mut board, 0x1015, 0, 100, 2);
     assert_eq!(board.save(1), Ok(()));
     assert_eq!(board.stored_parameters().len(), capacity);
 }

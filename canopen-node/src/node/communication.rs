@@ -1,11 +1,11 @@
-//! PDOs and heartbeat consumer, and the parameters of communication that 1010h stores: 1005h, 1016h, 1019h, 1029h, and
-//! each PDO.
+//! PDOs and heartbeat consumer, and the parameters of communication that 1010h stores: 1005h, 1014h, 1015h, 1016h,
+//! 1019h, 1029h, and each PDO.
 
 use core::mem;
 
 use crate::{
     Application, Frame, Instant, NodeId,
-    emergency::Emergency,
+    emergency::{self, Emergency},
     heartbeat::consumer::{self, Consumer, Producers},
     nmt::ErrorBehaviour,
     object_dictionary::{DefaultValue, Description, Entry, Object},
@@ -33,6 +33,7 @@ struct Configuration<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pdos: pdo::Configuration<TPDOS, RPDOS>,
     producers: Producers<PRODUCERS>,
     error_behaviour: ErrorBehaviour,
+    emergency: emergency::Configuration,
 }
 
 impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
@@ -162,71 +163,55 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         Ok(())
     }
 
-    /// Whether parameters of communication are stored beside the settings: there are PDOs or a heartbeat consumer, or
-    /// the application has stored values.
-    const fn is_stored<A: Application>() -> bool {
-        Self::IS_USED || A::STORED_LEN > 0
-    }
-
     /// The greatest number of bytes that the stored parameters take.
     pub const fn stored_len<A: Application>() -> usize {
         // A product has the length in a type, so that `cargo check` finds a wrong declaration here.
         let _ = Configuration::<TPDOS, RPDOS, PRODUCERS>::declared::<A>();
-        let of_error_behaviour =
-            if Self::is_stored::<A>() { ErrorBehaviour::STORED_LEN } else { 0 };
         pdo::Configuration::<TPDOS, RPDOS>::STORED_LEN
             + Producers::<PRODUCERS>::STORED_LEN
-            + of_error_behaviour
+            + ErrorBehaviour::STORED_LEN
+            + emergency::Configuration::STORED_LEN
     }
 
     /// The error behaviour to which a reset returns.
-    pub const fn error_behaviour<A: Application>(&self) -> ErrorBehaviour {
-        if Self::is_stored::<A>() {
-            self.persistent.error_behaviour
-        } else {
-            ErrorBehaviour::DEFAULT
-        }
+    pub const fn error_behaviour(&self) -> ErrorBehaviour {
+        self.persistent.error_behaviour
+    }
+
+    /// The parameters of emergency messages to which a reset returns.
+    pub const fn emergency(&self) -> emergency::Configuration {
+        self.persistent.emergency
     }
 
     /// Takes a stored parameter in place of the declared one, if it belongs to communication and is legal; returns
     /// whether it was taken.
     pub fn restore<A: Application>(&mut self, parameter: &Parameter<'_>) -> bool {
-        if !Self::is_stored::<A>() {
-            return false;
-        }
         let is_taken = self.persistent.take(parameter, A::OBJECTS).is_some();
         self.reset();
         is_taken
     }
 
     /// Begins a store of the current parameters.
-    pub fn stage<A: Application>(&mut self, error_behaviour: ErrorBehaviour) {
-        if Self::is_stored::<A>() {
-            let (pdos, producers) = (*self.pdos.configuration(), *self.consumer.producers());
-            self.staged = Some(Configuration { pdos, producers, error_behaviour });
-        }
+    pub fn stage(&mut self, error_behaviour: ErrorBehaviour, emergency: emergency::Configuration) {
+        let (pdos, producers) = (*self.pdos.configuration(), *self.consumer.producers());
+        self.staged = Some(Configuration { pdos, producers, error_behaviour, emergency });
     }
 
     /// Begins a store that removes the parameters, so that the declared ones apply.
     pub fn stage_declared<A: Application>(&mut self) {
-        if Self::is_stored::<A>() {
-            self.staged = Some(Configuration::declared::<A>());
-        }
+        self.staged = Some(Configuration::declared::<A>());
     }
 
     /// Packs the parameters of the store in progress.
-    pub fn save<A: Application>(&self, to: &mut Packer<'_>) {
-        if Self::is_stored::<A>()
-            && let Some(staged) = &self.staged
-        {
+    pub fn save(&self, to: &mut Packer<'_>) {
+        if let Some(staged) = &self.staged {
             staged.save(to);
         }
     }
 
     /// Ends the store in progress, if it concerns these parameters.
-    pub fn end_store<A: Application>(&mut self, is_done: bool) {
-        if Self::is_stored::<A>()
-            && let Some(staged) = self.staged.take()
+    pub fn end_store(&mut self, is_done: bool) {
+        if let Some(staged) = self.staged.take()
             && is_done
         {
             self.persistent = staged;
@@ -249,12 +234,14 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             pdos: pdo::Configuration::declared::<A>(),
             producers: Producers::UNUSED,
             error_behaviour: ErrorBehaviour::DEFAULT,
+            emergency: emergency::Configuration::DEFAULT,
         }
     }
 
     fn save(&self, to: &mut Packer<'_>) {
         self.pdos.save_sync(to);
         self.error_behaviour.save(to);
+        self.emergency.save(to);
         self.producers.save(to);
         self.pdos.save(to);
     }
@@ -264,6 +251,9 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             self.error_behaviour = behaviour;
             return Some(());
         }
-        self.producers.take(parameter).or_else(|| self.pdos.take(parameter, objects))
+        self.emergency
+            .take(parameter)
+            .or_else(|| self.producers.take(parameter))
+            .or_else(|| self.pdos.take(parameter, objects))
     }
 }

@@ -26,9 +26,11 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     fn reset_communication(&mut self) -> Action {
         self.lss.reset_communication();
-        let error_behaviour = self.product.communication.error_behaviour::<A>();
-        self.nmt.reset_communication(self.storing.persistent.heartbeat_ms, error_behaviour);
-        self.product.communication.reset();
+        let communication = &mut self.product.communication;
+        let heartbeat_ms = self.storing.persistent.heartbeat_ms;
+        self.nmt.reset_communication(heartbeat_ms, communication.error_behaviour());
+        self.emergency.configure(communication.emergency());
+        communication.reset();
         self.periodic.note_dropped();
         self.end_sdo();
         self.agenda.add(Tasks::ALL);
@@ -88,13 +90,14 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Returns the next boot-up, emergency message or heartbeat.
     pub(super) fn next_message(&mut self, now: Instant) -> Option<Action> {
+        self.emergency.end_inhibit_time(now);
         let node = self.node_id()?;
         if let Some(boot_up) = self.nmt.next_boot_up(node, now) {
             self.agenda.add(Tasks::of(&[Task::State, Task::Sdo]));
             return Some(Action::Transmit(boot_up));
         }
         if self.nmt.allows_emergencies()
-            && let Some(emergency) = self.emergency.next(node)
+            && let Some(emergency) = self.emergency.next(node, now)
         {
             return Some(Action::Transmit(emergency));
         }

@@ -12,7 +12,7 @@ use crate::{
     Device, Frame, Instant,
     application::Application,
     bit_rate,
-    emergency::{self, Emergency},
+    emergency::Emergency,
     lss::{self, AddressPart},
     nmt::{ErrorBehaviour, slave::NmtSlave},
     object_dictionary::{self, DataType, Entry, Object, TABLE},
@@ -137,7 +137,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 self.emergency.error(sub_index).ok_or(Abort::NoData)?
             }
             Object::StoreParameters | Object::RestoreDefaultParameters => ON_COMMAND,
-            Object::CobIdEmergency => u32::from(emergency::COB_ID) + node_id,
+            Object::CobIdEmergency => {
+                self.emergency.configuration.cob_id_value(self.lss.active_node_id())
+            }
+            Object::InhibitTimeEmergency => self.emergency.configuration.inhibit_time.into(),
             Object::ProducerHeartbeatTime => self.nmt.heartbeat_ms().into(),
             Object::CommunicationErrorBehaviour => self.nmt.error_behaviour() as u32,
             Object::VendorId => self.lss.address_part(AddressPart::VendorId),
@@ -237,6 +240,13 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         match object {
             Object::NumberOfErrors if number == 0 => self.emergency.clear_history(),
             Object::NumberOfErrors => return Err(Abort::InvalidValue),
+            Object::CobIdEmergency => {
+                let node = self.lss.active_node_id();
+                self.emergency.configuration.set_cob_id(number, node)?;
+            }
+            Object::InhibitTimeEmergency => {
+                self.emergency.configuration.inhibit_time = number as u16;
+            }
             Object::ProducerHeartbeatTime => self.nmt.set_heartbeat_ms(number as u16, self.now),
             Object::CommunicationErrorBehaviour => {
                 let behaviour = ErrorBehaviour::new(number as u8).ok_or(Abort::InvalidValue)?;

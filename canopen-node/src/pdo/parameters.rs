@@ -1,12 +1,18 @@
 //! The parameters of a PDO: COB-ID, times (CiA 301, 7.5.2.35 and 7.5.2.37) and mapping.
 
-use super::{Direction, Mapping, PREDEFINED, PdoCobId, Rpdo, Tpdo};
-use crate::{NodeId, declaration_error::DeclarationError, object_dictionary::Entry, sdo::Abort};
+use super::{Direction, Mapping, PREDEFINED, Rpdo, Tpdo};
+use crate::{
+    NodeId, cob_id::CobId, declaration_error::DeclarationError, object_dictionary::Entry,
+    sdo::Abort,
+};
+
+/// In the COB-ID of a TPDO: it answers no remote frame. An RPDO does not care.
+const NO_REMOTE_FRAME: u32 = 1 << 30;
 
 /// The parameters of a PDO. Those after the transmission type belong to TPDOs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pdo {
-    pub cob_id: PdoCobId,
+    pub cob_id: CobId,
     pub mapping: Mapping,
     pub transmission_type: u8,
     /// In multiples of 100 us.
@@ -35,7 +41,7 @@ const fn check(direction: Direction, number: usize, transmission_type: u8, is_va
 
 impl Pdo {
     pub const UNUSED: Self = Self {
-        cob_id: PdoCobId::new(false),
+        cob_id: CobId::new(false),
         mapping: Mapping::EMPTY,
         transmission_type: 255,
         inhibit_time: 0,
@@ -68,7 +74,7 @@ impl Pdo {
                 .raise();
         }
         Self {
-            cob_id: PdoCobId::new(declaration.is_valid),
+            cob_id: CobId::new(declaration.is_valid),
             mapping: Mapping::declared(objects, Direction::Transmit, number, declaration.mapping),
             transmission_type: declaration.transmission_type,
             inhibit_time: declaration.inhibit_time,
@@ -85,7 +91,7 @@ impl Pdo {
     ) -> Self {
         check(Direction::Receive, number, declaration.transmission_type, declaration.is_valid);
         Self {
-            cob_id: PdoCobId::new(declaration.is_valid),
+            cob_id: CobId::new(declaration.is_valid),
             mapping: Mapping::declared(objects, Direction::Receive, number, declaration.mapping),
             transmission_type: declaration.transmission_type,
             ..Self::UNUSED
@@ -119,7 +125,7 @@ impl Pdo {
             && inhibit_time.max(event_timer_ms) <= u16::MAX.into()
             && sync_start_value <= 240;
         Some(Self {
-            cob_id: PdoCobId::from_stored(cob_id)?,
+            cob_id: CobId::from_stored(cob_id)?,
             mapping: Mapping::from_stored(mapping, direction, objects)?,
             transmission_type: transmission_type as u8,
             inhibit_time: inhibit_time as u16,
@@ -138,7 +144,7 @@ impl Pdo {
         node: Option<NodeId>,
     ) -> u32 {
         match (sub_index, direction) {
-            (1, Direction::Transmit) => self.cob_id.transmit_value(base, node),
+            (1, Direction::Transmit) => self.cob_id.value(base, node) | NO_REMOTE_FRAME,
             (1, Direction::Receive) => self.cob_id.value(base, node),
             (2, _) => self.transmission_type.into(),
             (3, _) => self.inhibit_time.into(),
@@ -159,7 +165,7 @@ impl Pdo {
         node: Option<NodeId>,
     ) -> Result<(), Abort> {
         match sub_index {
-            1 => self.cob_id.set(value, base, node)?,
+            1 => self.cob_id.set(value & !NO_REMOTE_FRAME, base, node)?,
             2 if !is_transmission_type(value as u8) => return Err(Abort::InvalidValue),
             2 => self.transmission_type = value as u8,
             5 => self.event_timer_ms = value as u16,

@@ -88,6 +88,8 @@ impl Stormed for Application {
             // A heartbeat that is missed, and the times of TPDOs.
             (0x1016, 1) => consumer_heartbeat_time(random),
             (0x1800..=0x1803, 3 | 5) => read,
+            // Emergency messages, which another time or another frame's COB-ID would change.
+            (0x1014 | 0x1015, 0) => read,
             // What the next sample of the temperature changes.
             (0x2101 | 0x6426, 1) => read,
             // A TPDO has no COB-ID of another frame of the storm: both would be destroyed on the bus.
