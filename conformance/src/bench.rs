@@ -206,6 +206,11 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
+    /// Sends a SYNC, with these bytes: none, or a counter.
+    pub fn sync(&mut self, counter: &[u8]) -> Step {
+        self.send(0x080, counter)
+    }
+
     /// Sends an NMT command to the device.
     pub fn nmt(&mut self, command: Command) -> Step {
         self.nmt_to(command, self.node)

@@ -243,7 +243,7 @@ impl Entry {
     }
 
     /// Whether a write would act or change the device lastingly: `ObjFlags` asks a program to leave the object out.
-    pub fn refuses_write_on_download(&self) -> bool {
+    pub fn acts_on_write(&self) -> bool {
         self.flags & 1 == 1
     }
 
@@ -265,6 +265,11 @@ impl Entry {
     /// The value of a new device with this node-ID, as on the bus.
     pub fn default(&self, node: u8) -> Option<Vec<u8>> {
         self.bytes(self.default.as_deref()?, node)
+    }
+
+    /// The default, if it is a number.
+    pub fn number_default(&self, node: u8) -> Option<i128> {
+        number(self.default.as_deref()?, node).filter(|_| self.is_number())
     }
 
     /// Whether there is a default that is not in the notation of its type.

@@ -20,7 +20,7 @@
 //!     name: "Example",
 //!     // What precedes each case: here a reset and the default values.
 //!     prepare: |bench| bench.restore(),
-//!     // The number of a case is its place: Example 01.
+//!     // The number of a case is its place, such as Example 02.
 //!     cases: &[Case::new("The device type has four bytes", device_type)],
 //! };
 //!
@@ -33,10 +33,19 @@
 //! A line is a [`Line`]: the emulated bus in virtual time for `cargo verify conformance`, an adapter for `cargo hil`.
 
 mod bench;
+mod data_sheet;
+mod dictionary;
 pub mod eds;
+mod emergency;
+mod guarding;
+mod heartbeat;
 mod line;
+mod other;
+mod pdo;
 mod report;
 mod sdo;
+mod states;
+mod synchronization;
 
 pub use bench::{Address, Bench, Command, Seen, Stop, ms};
 pub use line::{Broken, Line};
@@ -75,14 +84,30 @@ impl Case {
 }
 
 impl Group {
-    /// The number of the case at this place, such as `SDO 01`.
+    /// The number of the case at this place, such as `SDO 01`; the name alone if there is only one.
     pub fn number(&self, place: usize) -> String {
-        format!("{} {:02}", self.name, place + 1)
+        match self.cases {
+            [_] => self.name.to_owned(),
+            _ => format!("{} {:02}", self.name, place + 1),
+        }
     }
 }
 
 /// The groups of CiA 301, in the order of the certifier's tool.
-pub const APPLICATION_LAYER: &[Group] = &[sdo::GROUP];
+pub const APPLICATION_LAYER: &[Group] = &[
+    data_sheet::GROUP,
+    sdo::GROUP,
+    pdo::GROUP,
+    dictionary::GROUP,
+    emergency::GROUP,
+    synchronization::GROUP,
+    guarding::GROUP,
+    heartbeat::GROUP,
+    guarding::VERSUS_HEARTBEAT,
+    other::GROUP,
+    states::STATES,
+    states::TRANSITIONS,
+];
 
 /// Runs the cases of `groups` whose number begins with one of `wanted`, or all if it is empty, and adds them to the
 /// report. `show` gets each finding when its case ends.

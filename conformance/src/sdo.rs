@@ -96,8 +96,7 @@ fn find(bench: &Bench, missing: &str, is_it: impl Fn(&Entry) -> bool) -> Step<En
 /// Whether the value may be written at any time without an effect: PDOs must be invalid first.
 fn is_plain(entry: &Entry) -> bool {
     let index = entry.address.0;
-    let acts =
-        entry.refuses_write_on_download() || matches!(index, 0x1010 | 0x1011 | 0x1400..=0x1BFF);
+    let acts = entry.acts_on_write() || matches!(index, 0x1010 | 0x1011 | 0x1400..=0x1BFF);
     entry.is_number() && entry.can_be_written() && entry.can_be_read() && !acts
 }
 

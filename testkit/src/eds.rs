@@ -257,7 +257,8 @@ fn default(
 
 fn default_of_application(entry: &Entry, application: &impl Dictionary) -> Option<String> {
     let Object::Application(field) = entry.object else { return None };
-    if entry.access == Access::WriteOnly {
+    // What a master cannot write is live, such as an input; what it cannot read has no default either.
+    if matches!(entry.access, Access::ReadOnly | Access::WriteOnly) {
         return None;
     }
     let mut bytes = vec![0; application.len(field)];

@@ -123,8 +123,7 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
         ),
         (
             "2101sub3",
-            "AccessType=ro DataType=0x0007 DefaultValue=32 ObjectType=0x7 PDOMapping=1 \
-             ParameterName=32 bits",
+            "AccessType=ro DataType=0x0007 ObjectType=0x7 PDOMapping=1 ParameterName=32 bits",
         ),
         (
             "2102sub1",
@@ -281,7 +280,7 @@ fn the_page_has_one_line_for_each_value() {
         "| 2100h | | **Signed numbers** | RECORD | | | | |",
         "| 2100h | 1 | 8 bits | INTEGER8 | rw | -8 | -10 to 10 | |",
         "| 2102h | 1 | 24 bits | INTEGER24 | rw | -2 | -8388608 to 8388606 | mappable, stored |",
-        "| 2101h | 3 | 32 bits | UNSIGNED32 | ro | 32 | | mappable |",
+        "| 2101h | 3 | 32 bits | UNSIGNED32 | ro | | | mappable |",
         "| 2104h | 1 | First | UNSIGNED8 | rw | 50 | 0 to 100 | stored |",
         "| 6003h | 0 | Label | VISIBLE_STRING | const | A \\| B | | |",
     ] {

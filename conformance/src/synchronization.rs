@@ -1,0 +1,158 @@
+//! Synchronization 01..10: consumer and producer of SYNC (CiA 301, 7.2.5).
+
+use crate::{Bench, Case, Command, Group, Step, ms};
+
+pub const GROUP: Group =
+    Group { name: "Synchronization", prepare: |bench| bench.restore(), cases: CASES };
+
+const CASES: &[Case] = &[
+    Case::new("1005h is 80h", default_cob_id),
+    Case::new("The device produces SYNC with its period", producer),
+    Case::new("A TPDO of type 10 is sent with every tenth SYNC", every_tenth),
+    Case::new("The device consumes SYNC, and takes the period 0", consumer),
+    Case::new("The counter overflow value 1 is refused", wrong_overflow),
+    Case::new("SYNC has no counter with the overflow value 0", no_counter),
+    Case::new("SYNC counts up to the overflow value 5", counter),
+    Case::new("1010h keeps the SYNC producer and its counter", kept_counter),
+    Case::new("The overflow value cannot be changed while a period is set", overflow_with_period),
+    Case::new("1010h keeps the overflow value", kept_overflow),
+];
+
+const COB_ID: u32 = 0x80;
+/// Bit 30 of 1005h: the device produces SYNC.
+const PRODUCES: u32 = 1 << 30;
+/// 1006h, in microseconds.
+const PERIOD_US: u32 = 100_000;
+const INVALID_VALUE: [u32; 4] = [0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0800_0000];
+const NOT_NOW: [u32; 2] = [0x0800_0022, 0x0800_0000];
+
+fn default_cob_id(bench: &mut Bench) -> Step {
+    bench.needs((0x1005, 0))?;
+    let cob_id = bench.number((0x1005, 0))?;
+    bench.check(cob_id & 0x1FFF_FFFF == COB_ID.into(), "the COB-ID 80h")
+}
+
+fn set_cob_id(bench: &mut Bench, flags: u32) -> Step {
+    bench.write((0x1005, 0), &(COB_ID | flags).to_le_bytes())
+}
+
+fn set_period(bench: &mut Bench, us: u32) -> Step {
+    bench.write((0x1006, 0), &us.to_le_bytes())
+}
+
+/// Makes the device a producer; the case is skipped if it cannot be one.
+fn produce(bench: &mut Bench, overflow: Option<u8>, us: u32) -> Step {
+    bench.needs((0x1005, 0))?;
+    bench.needs((0x1006, 0))?;
+    if let Some(overflow) = overflow {
+        bench.needs((0x1019, 0))?;
+        set_period(bench, 0)?;
+        bench.write((0x1019, 0), &[overflow])?;
+    }
+    set_period(bench, us)?;
+    match bench.download((0x1005, 0), &(COB_ID | PRODUCES).to_le_bytes())? {
+        Ok(()) => Ok(()),
+        Err(_) => bench.skip("the device only consumes SYNC: it refuses bit 30 of 1005h"),
+    }
+}
+
+fn producer(bench: &mut Bench) -> Step {
+    produce(bench, None, PERIOD_US)?;
+    let count = bench.collect(ms(10_000), COB_ID as u16)?.len();
+    bench.check((98..=102).contains(&count), "100 SYNCs in 10 s")?;
+    set_cob_id(bench, 0)
+}
+
+fn every_tenth(bench: &mut Bench) -> Step {
+    let mut tried = false;
+    for number in 0..0x200 {
+        let (communication, mapping) = (0x1800 + number, 0x1A00 + number);
+        if bench.eds.get((communication, 1)).is_none() || bench.number((mapping, 0))? == 0 {
+            continue;
+        }
+        let cob_id = bench.number((communication, 1))? as u32;
+        if cob_id >> 31 == 1 {
+            continue;
+        }
+        tried = true;
+        bench.write((communication, 1), &(cob_id | 1 << 31).to_le_bytes())?;
+        bench.write((communication, 2), &[10])?;
+        bench.write((communication, 1), &cob_id.to_le_bytes())?;
+        bench.nmt(Command::Start)?;
+        bench.pass(ms(100))?;
+        let mut count = 0;
+        for _ in 0..100 {
+            bench.sync(&[])?;
+            count += bench.collect(ms(100), cob_id as u16 & 0x7FF)?.len();
+        }
+        bench.check(count == 10, "10 TPDOs for 100 SYNCs")?;
+        bench.nmt(Command::EnterPreOperational)?;
+    }
+    if tried { Ok(()) } else { bench.skip("the device has no valid TPDO") }
+}
+
+fn consumer(bench: &mut Bench) -> Step {
+    bench.needs((0x1005, 0))?;
+    set_cob_id(bench, 0)?;
+    match bench.eds.get((0x1006, 0)) {
+        Some(_) => set_period(bench, 0),
+        None => Ok(()),
+    }
+}
+
+fn wrong_overflow(bench: &mut Bench) -> Step {
+    bench.needs((0x1019, 0))?;
+    bench.refuses((0x1019, 0), &[1], &INVALID_VALUE)?;
+    Ok(())
+}
+
+/// The bytes of the next SYNCs.
+fn counters(bench: &mut Bench, count: usize) -> Step<Vec<Vec<u8>>> {
+    let span = ms(u64::from(PERIOD_US / 1000) * (count as u64 + 2));
+    let all = bench.collect(span, COB_ID as u16)?;
+    bench.check(all.len() >= count, format!("{count} SYNCs within {span:?}"))?;
+    Ok(all.iter().take(count).map(|(_, frame)| frame.data().to_vec()).collect())
+}
+
+fn no_counter(bench: &mut Bench) -> Step {
+    produce(bench, Some(0), PERIOD_US)?;
+    let counters = counters(bench, 3)?;
+    bench.check(counters.iter().all(Vec::is_empty), "a SYNC without data")
+}
+
+fn counter(bench: &mut Bench) -> Step {
+    produce(bench, Some(5), PERIOD_US)?;
+    let counters = counters(bench, 10)?;
+    let expected: Vec<Vec<u8>> = (1..=5).cycle().take(10).map(|counter| vec![counter]).collect();
+    bench.check(counters == expected, "1, 2, 3, 4, 5, 1, and so on")
+}
+
+fn kept_counter(bench: &mut Bench) -> Step {
+    bench.needs((0x1010, 1))?;
+    produce(bench, Some(5), PERIOD_US)?;
+    bench.write((0x1010, 1), b"save")?;
+    bench.reset(Command::ResetNode)?;
+    let counters = counters(bench, 3)?;
+    bench.check(counters == [[1], [2], [3]], "1, 2, 3 after the reset")
+}
+
+fn overflow_with_period(bench: &mut Bench) -> Step {
+    bench.needs((0x1006, 0))?;
+    bench.needs((0x1019, 0))?;
+    set_period(bench, 1_000)?;
+    bench.refuses((0x1019, 0), &[5], &NOT_NOW)?;
+    set_period(bench, 0)
+}
+
+fn kept_overflow(bench: &mut Bench) -> Step {
+    bench.needs((0x1019, 0))?;
+    bench.needs((0x1010, 1))?;
+    if bench.eds.get((0x1006, 0)).is_some() {
+        set_period(bench, 0)?;
+    }
+    bench.write((0x1019, 0), &[5])?;
+    bench.write((0x1010, 1), b"save")?;
+    bench.reset(Command::ResetNode)?;
+    let overflow = bench.number((0x1019, 0))?;
+    bench.check(overflow == 5, "1019h is 5 after the reset")
+}
