@@ -1,22 +1,8 @@
 //! The answer time of the release image: from the request's last bit but one to the transmit request, in core cycles.
 
-use canopen_node::{BitRate, Frame as NodeFrame};
-use emulator::{
-    Time,
-    can::{Adapter, Frame, Id},
-    chip::{ChipVariant, ResetCause, Timing},
-    network::{Event, Source, What},
-};
-use testkit::{
-    frames::{self, Frames, SILENCE},
-    random::Random,
-    sdo,
-};
+use canopen_node::Frame as NodeFrame;
 
-use crate::rig::{
-    CORE_MHZ, ImageRig, board_with, board_with_flash, chip, flash_with, node_40, on_the_wire,
-    rig_of, rig_with, settings,
-};
+use crate::rig::*;
 
 /// The limit for an answer, except to store configuration, in core cycles.
 const ANSWER_CYCLES: u64 = 480;

@@ -1,21 +1,7 @@
 //! The release image under adverse input: frames of any kind, damaged flash, and a bus without nodes or at the wrong
 //! rate.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::{Frame, Id},
-    network::{Short, What},
-};
-use testkit::{
-    frames::{self, SILENCE},
-    random::Random,
-    sdo::Client,
-};
-
-use crate::rig::{
-    DEFAULT_BIT_RATE, ImageRig, answers, board_with_flash, flash_with, node_40, rig_with, settings,
-};
+use crate::rig::*;
 
 const LSS: Id = Id::Standard(0x7E5);
 

@@ -2,13 +2,9 @@
 //!
 //! `cargo test --test image block_transfer:: -- --nocapture` prints the shares.
 
-use canopen_node::BitRate;
-use emulator::Time;
 use example_io::application as io;
-use testkit::{
-    image_rig::{ImageRig, SdoClient, example_board, settings},
-    sdo::Client,
-};
+
+use crate::rig::*;
 
 /// The transfer test of the example, a domain of 100,000 bytes.
 const TRANSFER_TEST: u16 = 0x2102;

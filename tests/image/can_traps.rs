@@ -1,19 +1,8 @@
 //! A release image on chips whose CAN controller deviates from the manual: it joins, and disturbs no other node.
 
-use canopen_node::{BitRate, BitRateSetting, Settings};
-use emulator::{
-    Time,
-    board::{self, Board},
-    can::{
-        Adapter, Frame, Id,
-        bxcan::{Acknowledge, CanVariant, TransmitLock},
-    },
-    chip::{Pin, ResetCause},
-    network::{Short, What},
-};
-use testkit::frames;
+use emulator::can::bxcan::{Acknowledge, CanVariant, TransmitLock};
 
-use crate::rig::{ImageRig, answers, bit_per_s, board_of, settings};
+use crate::rig::*;
 
 /// The line to the transceiver, as in pins.rs.
 const TRANSMIT: Pin = Pin('B', 9);

@@ -1,19 +1,9 @@
 //! The release image on difficult hardware: a low supply, a crystal that does not start or stops, a slow core, a
 //! brown-out, a boot loader, a probe.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    board::{self, Board},
-    chip::{Access, ChipVariant, RAM_BASE, ResetCause, StartUp, Thresholds, Width},
-    network::{Event, Source, What},
-};
-use testkit::frames::{Frames, SILENCE};
+use emulator::chip::{Access, RAM_BASE, StartUp, Thresholds, Width};
 
-use crate::rig::{
-    DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, answers, assert_stores, blank_board, blank_rig,
-    chip, image, node_40_on, part, rig_of, settings, slow_node_40,
-};
+use crate::rig::*;
 
 fn says(board: &Board, text: &str) -> usize {
     board.log().iter().filter(|line| line.text.starts_with(text)).count()

@@ -2,11 +2,12 @@
 //! them, with the image of the example.
 
 use canopen_stm32f4::chip::{self, CHIPS};
-use emulator::{board, chip::Part};
 use testkit::{
     image::example,
     sessions::{self, Variant},
 };
+
+use crate::rig::*;
 
 const MHZ: u32 = 1_000_000;
 

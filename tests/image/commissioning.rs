@@ -6,13 +6,12 @@ use std::{
     io::{self, Write},
 };
 
-use canopen_node::{BitRate, NodeId, lss::AddressPart};
-use emulator::network::Recording;
+use canopen_node::{NodeId, lss::AddressPart};
 use firmware::device::DEVICE;
 use lss_master::{Assign, Configure, Fastscan, Master, Timing};
 use testkit::lss_session::{carry_out, timing};
 
-use crate::rig::{ImageRig, board_with, settings};
+use crate::rig::*;
 
 /// The number of boards: 8, or the value of `BOARDS`, up to 127.
 fn boards() -> u8 {

@@ -2,18 +2,10 @@
 
 use std::sync::LazyLock;
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    board::{self, Board},
-    can::Adapter,
-    chip::Part,
-    image::Image,
-    network::AdapterId,
-};
-use testkit::{frames, product};
+use emulator::image::Image;
+use testkit::product;
 
-use crate::rig::{ImageRig, SETTINGS_OFFSET, flash_with, image, on_the_wire, settings};
+use crate::rig::*;
 
 /// The first filter registers (RM0090, 32.9.4).
 const FM1R: u32 = 0x204;

@@ -1,17 +1,14 @@
 //! Starts from a damaged settings log: the release images make of it exactly what the node in the process makes of it.
 
-use canopen_node::{BitRate, Device, application::NoApplication};
-use emulator::{Time, board::Board, chip::Part};
+use canopen_node::{Device, application::NoApplication};
 use example_io::application as io;
 use testkit::{
     flash::BoardFlash,
     image::example,
     node_rig::{self, NodeRig},
-    random::Random,
-    sdo::Client,
 };
 
-use crate::rig::{ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, blank_board, flash_with, settings};
+use crate::rig::*;
 
 /// The length of a place in the log and of a bank in bytes.
 const PLACE: usize = 32;

@@ -1,14 +1,8 @@
 //! Networks that are disturbed: sessions of an LSS master beside bit errors, boards beside a foreign device.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::{Adapter, Frame, Id},
-    network::{Noise, Recording},
-};
-use testkit::{frames, random::Random};
+use emulator::network::Noise;
 
-use crate::rig::{ImageRig, bit_per_s, board_with, rig_with, settings};
+use crate::rig::*;
 
 const RATE: BitRate = BitRate::Kbit125;
 

@@ -1,18 +1,10 @@
 //! Supervision on the release image: a right rate is kept at no loss of time, and a lost node is found.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::{Adapter, Frame, Id},
-    network::{Event, Recording, What},
-};
-use testkit::frames;
-
 use crate::{
     reachable::{
         LONG_FRAME_BITS, assert_answers_a_late_master, boards, is_answered, pairs, patience, read,
     },
-    rig::{DEFAULT_BIT_RATE, ImageRig, bit_per_s, blank_board, board_with, settings},
+    rig::*,
 };
 
 /// The silent bit of CAN_BTR (RM0090, 32.9.2).

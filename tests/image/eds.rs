@@ -3,12 +3,10 @@
 
 use std::{collections::BTreeMap, ops::Range};
 
-use canopen_node::BitRate;
-use emulator::Time;
 use firmware::device::DEFAULTS;
-use testkit::{eds::parse, sdo::Client};
+use testkit::eds::parse;
 
-use crate::rig::{ImageRig, board_with, example_board, settings};
+use crate::rig::*;
 
 const NODE_ID: u8 = 0x40;
 const READ_ONLY: u32 = 0x0601_0002;

@@ -1,13 +1,6 @@
 //! The release image on a failing bus: its emergencies (CiA 301) and its NMT state.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    network::{Short, What},
-};
-use testkit::sdo;
-
-use crate::rig::{ImageRig, on_the_wire, rig_with, settings};
+use crate::rig::*;
 
 const ERROR_PASSIVE: &str = "0C0: 20 81 11 00 00 00 00 00";
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";

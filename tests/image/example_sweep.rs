@@ -1,25 +1,16 @@
 //! The example `io` and the node in the process, asked the same: every object with every kind of value, by right and
 //! wrong transfers.
 
-use canopen_node::{BitRate, Frame};
-use emulator::{
-    Time,
-    board::Board,
-    chip::{ChipVariant, Part},
-};
+use canopen_node::Frame;
 use example_io::application as io;
 use testkit::{
     flash::BoardFlash,
-    frames::Frames,
     image::example,
-    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, on_the_wire, settings},
     node_rig::{self, NodeRig},
-    random::Random,
-    sdo,
     sdo_messages::{block_download, block_upload, download, initiate, upload},
 };
 
-use crate::rig::chip;
+use crate::rig::*;
 
 const NODE_ID: u8 = 0x40;
 const ANSWER: u16 = 0x580 + NODE_ID as u16;

@@ -1,9 +1,6 @@
 //! The indicators of the release image (CiA 303-3), observed on the pins of the emulated board.
 
-use canopen_node::BitRate;
-use emulator::{Time, chip::Pin};
-
-use crate::rig::{ImageRig, blank_rig, rig_with, settings};
+use crate::rig::*;
 
 const RUN: Pin = Pin('D', 12);
 const ERR: Pin = Pin('D', 14);

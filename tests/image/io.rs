@@ -4,26 +4,14 @@
 
 use std::ops::Range;
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    board::{self, Board},
-    can::{Adapter, Frame, Id},
-    chip::Part,
-    network::{AdapterId, Event, Source, What},
-};
 use testkit::{
-    frames::{self, Frames, SILENCE},
     image::{self, example},
-    io_board,
-    random::Random,
-    sdo::{self, Client},
-    stack,
+    io_board, stack,
 };
 
 use crate::{
     answer_time::{cycles, valid},
-    rig::{CORE_MHZ, ImageRig, SETTINGS_OFFSET, example_board, flash_with, on_the_wire, settings},
+    rig::*,
 };
 
 /// The limit for a TPDO after the change of its value, or after its SYNC, in core cycles: 20 us.

@@ -1,19 +1,8 @@
 //! The release image on a failing flash: the store is refused, the old settings stay, the node continues, and logs why.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    chip::{Flash, StuckBits},
-};
-use testkit::{
-    frames::SILENCE,
-    sdo::{self, Client},
-};
+use emulator::chip::{Flash, StuckBits};
 
-use crate::rig::{
-    DEFAULT_BIT_RATE, ImageRig, SETTINGS_OFFSET, assert_stores, blank_board, board_with_flash,
-    flash_with, node_40, on_the_wire, settings,
-};
+use crate::rig::*;
 
 /// Sectors 1 and 2, which hold the settings.
 const SECTORS: u32 = 0b110;

@@ -1,17 +1,6 @@
 //! The release image when its node-ID changes or is removed: waiting frames with the old one are dropped.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::{Frame, Id},
-    network::{Event, Source, What},
-};
-use testkit::{
-    frames::{self, SILENCE},
-    sdo,
-};
-
-use crate::rig::{ImageRig, on_the_wire, rig_with, settings};
+use crate::rig::*;
 
 /// Node 5, operational, with a heartbeat.
 fn node_5(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {

@@ -1,15 +1,6 @@
 //! The release image under overload: a full bus, endless errors, endless interrupts, tasks that do nothing.
 
-use canopen_node::{BitRate, BitRateSetting};
-use emulator::{
-    Time,
-    can::{Frame, Id},
-    chip::Timing,
-    network::{Event, Source, What},
-};
-use testkit::{frames, sdo};
-
-use crate::rig::{ImageRig, answers, board_with, node_40, on_the_wire, rig_with, settings};
+use crate::rig::*;
 
 /// Longer than the time-out of the watchdog.
 const LONG: Time = Time::from_s(4);

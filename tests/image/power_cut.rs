@@ -2,10 +2,9 @@
 //! afterwards, with the old or the new settings, although an interrupted word reads differently at each power-on.
 //! `cargo verify power-cut` cuts at other instants too.
 
-use emulator::{board, chip::ChipVariant};
-use testkit::{power_cut::image::Session, random::Random, sessions::Variant};
+use testkit::{power_cut::image::Session, sessions::Variant};
 
-use crate::rig::{image, part};
+use crate::rig::*;
 
 fn assert_nothing_is_lost(session: Session) {
     let mut random = Random::from_environment();

@@ -1,19 +1,7 @@
 //! The release image at moments that are rare: a deadline, a reset, a wrap of the time or a dominant bus in the middle
 //! of something else. `cargo verify coverage` shows the branches that only they take.
 
-use canopen_node::{BitRate, BitRateSetting};
-use emulator::{
-    Time,
-    can::{Adapter, Frame, Id},
-    chip::Pin,
-    network::{Short, What},
-};
-use testkit::{
-    frames::{self, SILENCE},
-    sdo,
-};
-
-use crate::rig::{ImageRig, answers, bit_per_s, board_with, settings, slow_node_40};
+use crate::rig::*;
 
 const RATE: BitRate = BitRate::Kbit1000;
 const NODE_ID: u8 = 0x40;

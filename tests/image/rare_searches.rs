@@ -1,15 +1,7 @@
 //! The supervision of the release image at moments that are rare.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    chip::ChipVariant,
-    network::{Short, What},
-};
-use testkit::{frames, sdo};
-
 use crate::{
-    rig::{ImageRig, bit_per_s, board_of, chip, node_40, settings},
+    rig::*,
     uptime::{booted_at, skip_40_minutes},
 };
 

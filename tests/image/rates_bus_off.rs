@@ -1,13 +1,6 @@
 //! Bus-off before, during and after a switch of the bit rate, caused by a foreign node at an undefined rate.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::Id,
-    network::{AdapterId, Short, What},
-};
-
-use crate::rig::{ImageRig, rig_with, settings};
+use crate::rig::*;
 
 /// Node 40 at 500 kbit/s with a heartbeat, in LSS configuration state and about to switch to 250 kbit/s; and the
 /// foreign node.

@@ -1,14 +1,6 @@
 //! The detection time of a release image that detects the bit rate, and its silence until then.
 
-use canopen_node::{BitRate, BitRateSetting};
-use emulator::{
-    Time,
-    can::{Frame, Id},
-    network::{AdapterId, Event, Source, What},
-};
-use testkit::frames::{self, SILENCE};
-
-use crate::rig::{ImageRig, answers, bit_per_s, board_with, rig_with, settings};
+use crate::rig::*;
 
 /// The silent bit of CAN_BTR (RM0090, 32.9.2).
 const SILM: u32 = 1 << 31;

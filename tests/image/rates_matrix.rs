@@ -1,17 +1,12 @@
 //! Switches between all bit rates, with delays, load, slow neighbours and bad crystals: no punctual node is lost.
 
-use canopen_node::{BitRate, bit_rate::BitTiming};
+use canopen_node::bit_rate::BitTiming;
 use emulator::{
-    Time, board,
-    can::{Adapter, BitSegments, Clock, Frame, Id},
-    network::{AdapterId, Network, What},
+    can::{BitSegments, Clock},
+    network::Network,
 };
-use testkit::{frames, sdo};
 
-use crate::{
-    rig::{ImageRig, bit_per_s, board_of, board_with, on_the_wire, rig_with, settings},
-    switch_delay::assert_switched,
-};
+use crate::{rig::*, switch_delay::assert_switched};
 
 /// The accuracy of the boards' switch delay.
 const ACCURACY: Time = Time::from_ms(1);

@@ -1,10 +1,6 @@
 //! Networks of four release images, some of them at another bit rate: the master reaches every node.
 
-use canopen_node::BitRate;
-use emulator::Time;
-use testkit::sdo;
-
-use crate::rig::{ImageRig, board_with, settings};
+use crate::rig::*;
 
 /// The interval at which the master asks the missing nodes.
 const POLL: Time = Time::from_ms(100);

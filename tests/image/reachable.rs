@@ -1,14 +1,8 @@
 //! A board that is at the right rate stays reachable, whatever the others do.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::{Frame, Id},
-    network::{Noise, Recording, Short},
-};
-use testkit::{frames, sdo};
+use emulator::network::Noise;
 
-use crate::rig::{ImageRig, board_with, settings};
+use crate::rig::*;
 
 /// The length of a frame with eight bytes in bits, and the number of them that a late master may have to wait.
 pub const LONG_FRAME_BITS: u64 = 135;

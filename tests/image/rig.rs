@@ -1,14 +1,21 @@
-//! Boards with the image under test, which the root of the tests names.
+//! Boards with the image under test, which the root of the tests names, and the names that all tests use.
 
-use canopen_node::{BitRate, BitRateSetting, Settings};
-use emulator::{
+pub use canopen_node::{BitRate, BitRateSetting, Settings};
+pub use emulator::{
     Time,
     board::{self, Board},
-    chip::{ChipVariant, FLASH_BASE, Part, ResetCause},
-    image::Image,
+    can::{Adapter, Frame, Id},
+    chip::{ChipVariant, Part, Pin, ResetCause, Timing},
+    network::{AdapterId, Event, Recording, Short, Source, What},
 };
-pub use testkit::image_rig::*;
-use testkit::{frames, image_rig};
+use emulator::{chip::FLASH_BASE, image::Image};
+use testkit::image_rig;
+pub use testkit::{
+    frames::{self, Frames, SILENCE},
+    image_rig::*,
+    random::Random,
+    sdo::{self, Client},
+};
 
 use crate::FIRMWARE;
 

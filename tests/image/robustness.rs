@@ -1,19 +1,8 @@
 //! The robustness of the release image: hung tasks, faults, power cycles, a full log, bad crystals; and on every chip.
 
-use canopen_node::{BitRate, Settings};
-use emulator::{
-    Time,
-    board::{self, Board},
-    can::Clock,
-    chip::{ChipVariant, FLASH_BASE, ResetCause, Timing},
-};
-use testkit::{frames::SILENCE, random::Random, sdo::Client};
+use emulator::{can::Clock, chip::FLASH_BASE};
 
-use crate::rig::{
-    BOOT, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, assert_stores, board_of, board_with,
-    board_with_flash, chip, code, example_board, flash_with, image, node_40, part,
-    replace_until_reset, settings,
-};
+use crate::rig::*;
 
 /// Thumb instructions: a jump to itself, `bx lr`, which returns at once, and one that is permanently undefined.
 const JUMP_TO_ITSELF: [u8; 2] = [0xFE, 0xE7];

@@ -1,13 +1,8 @@
 //! Sessions of an LSS master with the release image: every service of CiA 305 on emulated boards, frame by frame.
 
-use canopen_node::BitRate;
-use emulator::{Time, chip::ResetCause};
 use lss_master::{Fastscan, InquireAddress};
-use testkit::frames::{self, Frames, SILENCE};
 
-use crate::rig::{
-    ImageRig, bit_per_s, blank_board, blank_rig, board_with, node_40, rig_with, settings,
-};
+use crate::rig::*;
 
 /// The LSS address of the only board, which is in configuration state.
 fn address(rig: &mut ImageRig) -> [u32; 4] {

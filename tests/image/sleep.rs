@@ -1,12 +1,6 @@
 //! The share of time in which the core sleeps: it is woken only by frames on the bus and by due actions.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::{Adapter, Frame, Id},
-};
-
-use crate::rig::{ImageRig, bit_per_s, blank_rig, rig_with, settings};
+use crate::rig::*;
 
 /// The share of time asleep while `act` lasts, in thousandths of a percent.
 fn share_asleep(rig: &mut ImageRig, what: &str, act: impl FnOnce(&mut ImageRig)) -> u64 {

@@ -2,19 +2,13 @@
 //!
 //! `cargo test --test image stack -- --nocapture` prints the depths and the bound.
 
-use canopen_node::BitRate;
 use emulator::{
-    Time,
-    can::{Adapter, Frame, Id},
-    chip::{ChipVariant, FLASH_BASE, Part, RAM_BASE, ResetCause, Timing},
+    chip::{FLASH_BASE, RAM_BASE},
     image::Image,
 };
-use testkit::{image::build_elf, random::Random, sdo, stack, stack_bound::Bound};
+use testkit::{image::build_elf, stack, stack_bound::Bound};
 
-use crate::rig::{
-    ImageRig, board_with_flash, code, flash_with, image, node_40_on, on_the_wire, reset_by,
-    settings,
-};
+use crate::rig::*;
 
 /// The limit for the use of the stack: a quarter of it.
 const MOST: usize = 4 * 1024;

@@ -1,16 +1,14 @@
 //! A short storm of random frames against the release image and against the node; `cargo verify storm` makes long ones.
 
-use emulator::{board::Board, chip::Part};
 use testkit::{
     image::example,
-    random::Random,
     storm::{
         image::{ExampleStorm, ImageStorm},
         node::{ExampleNodeStorm, NodeStorm},
     },
 };
 
-use crate::rig::{blank_board, image};
+use crate::rig::*;
 
 /// The seed of the storms of the image; the number of stores and resets depends on it.
 const SEED: u64 = 11;

@@ -1,13 +1,6 @@
 //! The errors that the search of a board at a wrong bit rate costs the others.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::{Adapter, Frame, Id},
-    network::Recording,
-};
-
-use crate::rig::{ImageRig, bit_per_s, board_with, settings};
+use crate::rig::*;
 
 /// The errors that another node counts while a board at a wrong rate searches, and then in its first visit home. It
 /// receives a heartbeat a second.

@@ -1,14 +1,6 @@
 //! Activate bit timing (CiA 305) with the release image: the times at which boards fall silent, switch and send again.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    can::{Adapter, Frame, Id},
-    network::{Event, Source, What},
-};
-use testkit::frames::{self, SILENCE};
-
-use crate::rig::{ImageRig, bit_per_s, board_with, on_the_wire, rig_with, settings};
+use crate::rig::*;
 
 /// The time in which a board handles a request.
 const PROCESSING: Time = Time::from_us(100);

@@ -1,17 +1,9 @@
 //! The release image after a long uptime: its count of microseconds is set while it boots, so that the 32 bits wrap
 //! soon after. No count is longer.
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    board::Board,
-    chip::{Access, Width},
-    network::{Event, What},
-};
+use emulator::chip::{Access, Width};
 
-use testkit::sdo;
-
-use crate::rig::{ImageRig, board_with, node_40, settings};
+use crate::rig::*;
 
 /// TIM2's control register and its counter (RM0090, 18.4).
 const TIM2_CR1: u32 = 0x4000_0000;
