@@ -57,25 +57,9 @@ fn log(flash: &[u8]) -> Log<BoardFlash> {
 
 #[cfg(test)]
 mod tests {
-    use canopen_node::{BitRate, NodeId};
-
-    use super::*;
-
-    #[test]
-    fn stored_settings_are_found_again_and_the_program_is_left_alone() {
-        let mut flash = vec![0x55; 0x10_0000];
-        flash[SETTINGS].fill(0xFF);
-        assert_eq!(stored_settings(&flash), None);
-        let settings = Settings::new(BitRate::Kbit500.into()).with_node_id(NodeId::new(5));
-        store_settings(&mut flash, settings);
-        assert_eq!(stored_settings(&flash), Some(settings));
-        assert!(flash[..SETTINGS.start].iter().all(|byte| *byte == 0x55));
-        assert!(flash[SETTINGS.end..].iter().all(|byte| *byte == 0x55));
-    }
-
     #[test]
     fn boards_differ_in_their_serial_numbers() {
-        let mut serial_numbers: Vec<u32> = (0..1000).map(serial_number).collect();
+        let mut serial_numbers: Vec<u32> = (0..1000).map(super::serial_number).collect();
         serial_numbers.sort();
         serial_numbers.dedup();
         assert_eq!(serial_numbers.len(), 1000);
