@@ -7,14 +7,16 @@ use emulator::{
     Time,
     board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{Part, PowerCut, ResetCause},
+    chip::{Part, ResetCause},
     image::Image,
 };
 use lss_master::Fastscan;
 
 use crate::{
-    boards, frames,
+    boards,
     image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
+    power_cut::image::Session as PowerCuts,
+    random::Random,
 };
 
 /// The time that a node may need to join the rig, or to change to another rate.
@@ -27,9 +29,6 @@ const RECOVERY: Time = Time::from_s(5);
 
 const OTHER_RATES: [BitRate; 4] =
     [BitRate::Kbit1000, BitRate::Kbit10, BitRate::Kbit800, BitRate::Kbit250];
-
-/// The time from 17 to its answer.
-const STORE: Time = Time::from_ms(20);
 
 /// A board to be emulated: its chip and crystal, and the variant of its behaviour.
 #[derive(Clone, Copy)]
@@ -220,40 +219,11 @@ fn rescue(variant: &Variant) {
     rig.expect("704: 7F", SEARCH);
 }
 
-/// The power fails in each flash operation of a store; the next power-on finds the settings from before or after.
+/// The power fails in each flash operation of two stores; the next power-ons find the settings from before or after.
 fn cut_power(variant: &Variant) {
-    const SEEDS: u64 = 2;
-    let old = settings(4, BitRate::Kbit500);
-    let mut operation = 0;
-    loop {
-        for seed in 0..SEEDS {
-            let board = variant.board(0, Some(old));
-            let mut rig = ImageRig::new(BitRate::Kbit500, [board]);
-            rig.expect("704: 00", AWAY);
-            // The start may have programmed something.
-            let before = rig.network.board(0).chip().flash().operation_times().len() as u64;
-            let cut = PowerCut { operation: before + operation, seed };
-            rig.network.board(0).chip().flash_mut().cut_power(cut);
-            rig.send("04 01");
-            rig.ask("11 05", "11 00");
-            rig.send("17");
-            let answer = frames::of_node("17 00");
-            let is_stored = rig.wait_for(STORE, |frame| *frame == answer).is_some();
-            if rig.network.board(0).is_powered() {
-                assert!(is_stored, "17 is not answered");
-                assert!(operation > 0, "no flash operation in a store");
-                return;
-            }
-            // Twice: settings found once must be found again.
-            let found = [(); 2].map(|()| {
-                rig.power_cycle(0);
-                rig.network.run_for(Time::from_ms(20));
-                rig.lss("04 01");
-                rig.lss("5E")
-            });
-            let is_kept = found[0] == found[1] && (found[0] == ["5E 04"] || found[0] == ["5E 05"]);
-            assert!(is_kept, "cut in operation {operation}: {found:?} at two power-ons");
-        }
-        operation += 1;
-    }
+    let mut random = Random::from_seed(0);
+    let course = PowerCuts::Full.course(variant).unwrap_or_else(|error| panic!("{error:#}"));
+    let cuts = course.in_operations(&mut random);
+    let outcome = PowerCuts::Full.run(variant, &cuts, &mut random, false);
+    outcome.unwrap_or_else(|error| panic!("{error:#}"));
 }
