@@ -9,11 +9,10 @@ use std::{
 use emulator::{
     Time,
     board::Board,
-    can::{Adapter, Frame, Id},
-    network::{AdapterId, Network},
+    can::{Frame, Id},
 };
 use lss_slave::BitRate;
-use testkit::{boards::FIRST_START, image_rig::bit_per_s};
+use testkit::image_rig::ImageRig;
 use tokio::time::Instant;
 use zencan_client::common::{
     CanId, CanMessage,
@@ -23,37 +22,31 @@ use zencan_client::common::{
 /// The master's polling interval for received frames; tokio's clock has no finer steps.
 const POLL: Duration = Duration::from_millis(1);
 
-/// The time until a board has booted for the first time.
-pub const START: Duration = Duration::from_millis(FIRST_START.as_ms());
-
-/// The boards, and the master's adapter. Clones share both.
+/// The boards, and the adapter of the master. Clones share both.
 #[derive(Clone)]
-pub struct TokioBus(Arc<Mutex<Inner>>);
-
-struct Inner {
-    network: Network,
-    adapter: AdapterId,
-    begin: Instant,
+pub struct TokioBus {
+    rig: Arc<Mutex<ImageRig>>,
+    /// One time by the clock of tokio and by that of the emulation.
+    begin: (Instant, Time),
 }
 
 impl TokioBus {
-    /// A bus with boards that are switched on now, and an adapter at `bit_rate`. A board that misuses its chip panics.
+    /// A bus with boards that have booted, and an adapter at `bit_rate`. A board that misuses its chip panics.
     pub fn new(boards: impl IntoIterator<Item = Board>, bit_rate: BitRate) -> Self {
-        let mut network = Network::new();
-        network.forbid_misuse();
-        for board in boards {
-            network.add_board(board);
-        }
-        let adapter = network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
-        Self(Arc::new(Mutex::new(Inner { network, adapter, begin: Instant::now() })))
+        let rig = ImageRig::new(bit_rate, boards);
+        let begin = (Instant::now(), rig.network.now());
+        Self { rig: Arc::new(Mutex::new(rig)), begin }
     }
 
-    /// The network, advanced to tokio's current time.
-    fn now_inner(&self) -> MutexGuard<'_, Inner> {
-        let mut inner = self.0.lock().expect("no panic while the bus was in use");
-        let now = span(inner.begin.elapsed());
-        inner.network.run_until(now);
-        inner
+    /// The rig, advanced to tokio's current time.
+    ///
+    /// # Panics
+    /// Another user of the bus has panicked.
+    pub fn rig(&self) -> MutexGuard<'_, ImageRig> {
+        let mut rig = self.rig.lock().expect("no panic while the bus was in use");
+        let (instant, time) = self.begin;
+        rig.network.run_until(time + Time::from_ns(instant.elapsed().as_nanos() as u64));
+        rig
     }
 
     /// Lets time pass.
@@ -61,56 +54,43 @@ impl TokioBus {
         tokio::time::sleep(duration).await;
     }
 
+    fn queue(&self, frame: Frame) {
+        let mut rig = self.rig();
+        let adapter = rig.master;
+        rig.network.send(adapter, frame);
+    }
+
+    fn received(&self) -> Option<Frame> {
+        let mut rig = self.rig();
+        let adapter = rig.master;
+        rig.network.receive(adapter).map(|(_, frame)| frame)
+    }
+
     /// Sends a frame, and returns when it is on the bus.
     pub async fn send(&self, frame: Frame) {
-        self.now_inner().send(frame);
-        while self.now_inner().unsent() > 0 {
+        self.queue(frame);
+        loop {
             self.pass(POLL).await;
+            let mut rig = self.rig();
+            let adapter = rig.master;
+            if rig.network.adapter_mut(adapter).unsent() == 0 {
+                return;
+            }
         }
     }
 
     /// The adapter's next received frame; `None` after `timeout`.
     pub async fn receive(&self, timeout: Duration) -> Option<Frame> {
-        let next = async {
-            loop {
-                if let Some(frame) = self.now_inner().receive() {
-                    return frame;
-                }
-                self.pass(POLL).await;
+        tokio::time::timeout(timeout, self.next()).await.ok()
+    }
+
+    async fn next(&self) -> Frame {
+        loop {
+            if let Some(frame) = self.received() {
+                return frame;
             }
-        };
-        tokio::time::timeout(timeout, next).await.ok()
-    }
-
-    /// Changes the adapter's bit rate.
-    pub fn set_bit_rate(&self, bit_rate: BitRate) {
-        let mut inner = self.now_inner();
-        let adapter = inner.adapter;
-        inner.network.adapter_mut(adapter).set_bit_rate(bit_per_s(bit_rate));
-    }
-
-    /// Switches the supply of board 0 off.
-    pub fn power_off(&self) {
-        self.now_inner().network.power_off(0);
-    }
-
-    /// Switches the supply of board 0 on.
-    pub fn power_on(&self) {
-        self.now_inner().network.power_on(0);
-    }
-}
-
-impl Inner {
-    fn send(&mut self, frame: Frame) {
-        self.network.send(self.adapter, frame);
-    }
-
-    fn unsent(&mut self) -> usize {
-        self.network.adapter_mut(self.adapter).unsent()
-    }
-
-    fn receive(&mut self) -> Option<Frame> {
-        self.network.receive(self.adapter).map(|(_, frame)| frame)
+            self.pass(POLL).await;
+        }
     }
 }
 
@@ -118,7 +98,7 @@ impl AsyncCanSender for TokioBus {
     type Error = NotSent;
 
     async fn send(&mut self, message: CanMessage) -> Result<(), NotSent> {
-        self.now_inner().send(to_frame(&message));
+        self.queue(to_frame(&message));
         Ok(())
     }
 }
@@ -127,16 +107,11 @@ impl AsyncCanReceiver for TokioBus {
     type Error = Infallible;
 
     fn try_recv(&mut self) -> Option<CanMessage> {
-        self.now_inner().receive().map(|frame| to_message(&frame))
+        self.received().map(|frame| to_message(&frame))
     }
 
     async fn recv(&mut self) -> Result<CanMessage, Infallible> {
-        loop {
-            if let Some(message) = self.try_recv() {
-                return Ok(message);
-            }
-            tokio::time::sleep(POLL).await;
-        }
+        Ok(to_message(&self.next().await))
     }
 }
 
@@ -178,9 +153,4 @@ pub fn run<T>(session: impl Future<Output = T>) -> T {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build();
     runtime.expect("a runtime").block_on(session)
-}
-
-/// Converts a duration of tokio's clock to the emulation's.
-fn span(duration: Duration) -> Time {
-    Time::from_ns(duration.as_nanos() as u64)
 }

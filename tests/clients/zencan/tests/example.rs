@@ -2,36 +2,24 @@
 
 use std::time::Duration;
 
-use emulator::{
-    can::{Frame, Id},
-    chip::Part,
-};
-use lss_slave::{BitRateSetting, Settings};
-use testkit::{
-    boards, image,
-    image_rig::{DEFAULT_BIT_RATE, SETTINGS_OFFSET, flash_with},
-};
+use emulator::can::{Frame, Id};
+use testkit::image_rig::{DEFAULT_BIT_RATE, example_board, settings};
 use zencan_client::{
     RawAbortCode, SdoClient, SdoClientError,
     common::{CanId, pdo::PdoMapping, sdo::AbortCode},
 };
 
-use zencan_sessions::{START, TokioBus};
+use zencan_sessions::TokioBus;
 
 const NODE_ID: u8 = 5;
-const STORED: Settings = Settings::new(BitRateSetting::Fixed(DEFAULT_BIT_RATE))
-    .with_node_id(lss_slave::NodeId::new(NODE_ID));
 const LEDS: PdoMapping = PdoMapping { index: 0x6200, sub: 1, size: 8 };
 const TEMPERATURE: PdoMapping = PdoMapping { index: 0x6401, sub: 1, size: 16 };
 
 #[test]
 fn zencan_client_uses_objects_and_pdos_of_the_example() {
-    let image = image::build_example("io", Part::Stm32f407).expect("it builds");
-    let mut board = boards::board(Part::Stm32f407, &image, 0);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&[STORED]));
     zencan_sessions::run(async {
+        let board = example_board(settings(NODE_ID, DEFAULT_BIT_RATE));
         let bus = TokioBus::new([board], DEFAULT_BIT_RATE);
-        bus.pass(START).await;
         session(&bus).await.expect("all requests are answered");
     });
 }

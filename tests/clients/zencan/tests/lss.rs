@@ -12,7 +12,7 @@ use zencan_client::{
     LssMaster,
     common::{NodeId, lss::LssState},
 };
-use zencan_sessions::{START, TokioBus};
+use zencan_sessions::TokioBus;
 
 const OLD_RATE: BitRate = BitRate::Kbit125;
 const NEW_RATE: BitRate = BitRate::Kbit500;
@@ -21,13 +21,14 @@ const BOOT_UP: u16 = 0x700 + NODE_ID as u16;
 /// The master's time-out for each Fastscan step.
 const FASTSCAN_TIMEOUT: Duration = Duration::from_millis(20);
 const SWITCH_DELAY_MS: u16 = 100;
+/// More than the time to a boot-up.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 #[test]
 fn zencan_client_finds_and_configures_a_board_that_keeps_it() {
     let board = boards::board(Part::Stm32f405, image::image(), 0);
     zencan_sessions::run(async {
         let bus = TokioBus::new([board], OLD_RATE);
-        bus.pass(START).await;
         session(&bus).await;
     });
 }
@@ -46,13 +47,13 @@ async fn session(bus: &TokioBus) {
     bus.send(Frame::data(Id::Standard(0x7E5), &request.to_bytes())).await;
     let delay = Duration::from_millis(SWITCH_DELAY_MS.into());
     bus.pass(delay).await;
-    bus.set_bit_rate(NEW_RATE);
+    bus.rig().set_master_bit_rate(NEW_RATE);
     bus.pass(delay + Duration::from_millis(10)).await;
 
     master.set_global_mode(LssState::Waiting).await;
-    assert_eq!(bus.receive(START).await, boot_up);
-    bus.power_off();
+    assert_eq!(bus.receive(PATIENCE).await, boot_up);
+    bus.rig().network.power_off(0);
     bus.pass(Duration::from_millis(500)).await;
-    bus.power_on();
-    assert_eq!(bus.receive(START).await, boot_up);
+    bus.rig().network.power_on(0);
+    assert_eq!(bus.receive(PATIENCE).await, boot_up);
 }
