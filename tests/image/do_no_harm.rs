@@ -1,18 +1,16 @@
 //! Supervision on the release image: a right rate is kept at no loss of time, and a lost node is found.
 
 use crate::{
+    rates_detection::{Traffic, switch_on, takes_part},
     reachable::{
         LONG_FRAME_BITS, assert_answers_a_late_master, boards, is_answered, pairs, patience, read,
     },
     rig::*,
 };
 
-/// The silent bit of CAN_BTR (RM0090, 32.9.2).
-const SILM: u32 = 1 << 31;
-
-/// Makes the master send `request` every 20 ms until the answer `id` comes; returns the time taken.
-fn reach(rig: &mut ImageRig, request: &canopen_node::Frame, id: u16, limit: Time) -> Option<Time> {
-    rig.poll_until(request, limit, |frame| frame.cob_id() == id)
+/// Makes the master read the device type of node 1 every 20 ms until it answers; returns the time taken.
+fn reach(rig: &mut ImageRig, limit: Time) -> Option<Time> {
+    rig.poll_until(&read(1), limit, |frame| frame.cob_id() == 0x581)
 }
 
 #[test]
@@ -48,7 +46,7 @@ fn a_laptop_at_a_wrong_rate_at_power_on_leaves_the_stored_rate() {
         }
         rig.network.adapter_mut(laptop).close();
         rig.network.adapter_mut(rig.master).open();
-        let time = reach(&mut rig, &read(1), 0x581, Time::from_s(2));
+        let time = reach(&mut rig, Time::from_s(2));
         let limit = Time::from_ms(100) + patience(home);
         assert!(time.is_some_and(|time| time <= limit), "{home:?}, laptop {wrong:?}: {time:?}");
     }
@@ -67,7 +65,7 @@ fn a_wrong_stored_rate_is_found_by_a_polling_master_within_1500_ms() {
     for (number, (stored, found)) in pairs().enumerate() {
         let heartbeat_ms = [1000, 0, 100][number % 3];
         let mut rig = alone(heartbeat_ms, stored, found);
-        let time = reach(&mut rig, &read(1), 0x581, Time::from_s(10));
+        let time = reach(&mut rig, Time::from_s(10));
         let what = format!("{stored:?} stored, {found:?}, heartbeat {heartbeat_ms} ms: {time:?}");
         println!("{what}");
         assert!(time.is_some_and(|time| time <= Time::from_ms(1500)), "{what}");
@@ -83,7 +81,8 @@ fn a_board_without_a_node_id_is_found_at_any_rate_within_1500_ms() {
         };
         let mut rig = ImageRig::new(found, [board]);
         rig.network.record(Recording::Off);
-        let time = reach(&mut rig, &frames::request("4C"), 0x7E4, Time::from_s(10));
+        let is_answer = |frame: &canopen_node::Frame| frame.cob_id() == 0x7E4;
+        let time = rig.poll_until(&frames::request("4C"), Time::from_s(10), is_answer);
         let what = format!("{stored:?} stored, {found:?}: {time:?}");
         println!("{what}");
         assert!(time.is_some_and(|time| time <= Time::from_ms(1500)), "{what}");
@@ -93,14 +92,14 @@ fn a_board_without_a_node_id_is_found_at_any_rate_within_1500_ms() {
 #[test]
 fn a_board_that_missed_a_switch_is_found_after_its_power_was_switched() {
     let mut rig = boards(1, 1000, BitRate::Kbit125);
-    assert!(reach(&mut rig, &read(1), 0x581, Time::from_ms(200)).is_some(), "proven");
+    assert!(reach(&mut rig, Time::from_ms(200)).is_some(), "proven");
     rig.set_master_bit_rate(BitRate::Kbit500);
-    assert_eq!(reach(&mut rig, &read(1), 0x581, Time::from_s(10)), None, "it stays");
+    assert_eq!(reach(&mut rig, Time::from_s(10)), None, "it stays");
     assert_eq!(rig.network.board(0).chip().can(1).bit_rate(), 125_000);
     rig.network.power_off(0);
     rig.network.run_for(Time::from_ms(10));
     rig.network.power_on(0);
-    assert!(reach(&mut rig, &read(1), 0x581, Time::from_ms(1500)).is_some());
+    assert!(reach(&mut rig, Time::from_ms(1500)).is_some());
 }
 
 #[test]
@@ -111,7 +110,7 @@ fn a_guest_stores_its_stored_rate_unless_13_or_15_has_set_another() {
         (&["04 01", "11 07", "15 00 00", "17"], found),
     ] {
         let mut rig = alone(0, BitRate::Kbit500, found);
-        assert!(reach(&mut rig, &read(1), 0x581, Time::from_ms(1500)).is_some());
+        assert!(reach(&mut rig, Time::from_ms(1500)).is_some());
         for request in requests {
             rig.queue(&frames::request(request));
             rig.network.run_for(Time::from_ms(50));
@@ -126,43 +125,25 @@ fn a_guest_stores_its_stored_rate_unless_13_or_15_has_set_another() {
     }
 }
 
-/// The time from joining the bus until a board at a wrong stored rate takes part at `found`, with a frame every
-/// `period`.
+/// The time from joining the bus until a board at a wrong stored rate takes part at `found`, in this traffic.
 fn time_until_found(
     node_id: u8,
     (stored, found): (BitRate, BitRate),
-    period: Time,
+    traffic: fn(&mut ImageRig, BitRate) -> Traffic,
     limit: Time,
 ) -> Option<Time> {
     let mut rig = ImageRig::new(found, [board_with(0, settings(node_id, stored))]);
     rig.network.power_off(0);
     rig.network.adapter_mut(rig.master).close();
-    let others = rig.add_others(found);
-    rig.network.run_for(Time::from_ms(10));
-    rig.network.power_on(0);
-    let on = rig.network.now();
-    rig.network.run_for(period);
-    let mut count = 0_u64;
+    let mut traffic = traffic(&mut rig, found);
+    traffic.run_for(&mut rig, Time::from_ms(10));
+    let on = switch_on(&mut rig);
     while rig.network.now() < on + limit {
-        if rig.network.adapter_mut(others[0]).unsent() == 0 {
-            let heartbeat = Frame::data(Id::Standard(0x705), &[0x05]);
-            let long = Frame::data(
-                Id::Standard(0x185),
-                &count.wrapping_mul(0x9E37_79B9_7F4A_7C15).to_le_bytes(),
-            );
-            rig.network.send(others[0], if period < Time::from_ms(100) { long } else { heartbeat });
-            count += 1;
-        }
-        rig.network.run_for(period);
-        let frame = rig.bit_time() * LONG_FRAME_BITS;
-        rig.network.run_for(frame);
-        let takes_part = |event: &Event| match event.what {
-            What::BitTiming { btr, bit_rate } => btr & SILM == 0 && bit_rate == bit_per_s(found),
-            _ => false,
-        };
-        if let Some(event) = rig.did(0, on).find(|event| takes_part(event)) {
-            let came = rig.did(0, on).find(|event| matches!(event.what, What::BitTiming { .. }));
-            return came.map(|came| event.time - came.time);
+        traffic.run_for(&mut rig, Time::from_ms(1));
+        let (mut rates, rate) = (takes_part(&rig, on), bit_per_s(found));
+        if let Some((time, _)) = rates.find(|(_, taken)| *taken == rate) {
+            let (came, _) = rig.bit_rates(0, on)[0];
+            return Some(time - came);
         }
     }
     None
@@ -177,7 +158,7 @@ fn may_not_notice((stored, found): (BitRate, BitRate)) -> bool {
 fn a_wrong_stored_rate_is_found_within_5_s_by_one_heartbeat_a_second() {
     for node_id in [1, 0xFF] {
         for pair in pairs().filter(|&pair| !may_not_notice(pair)) {
-            let time = time_until_found(node_id, pair, Time::from_ms(1000), Time::from_s(8));
+            let time = time_until_found(node_id, pair, Traffic::sparse, Time::from_s(8));
             let what = format!("node {node_id:02X}: stored, found {pair:?}: {time:?}");
             println!("{what}");
             assert!(time.is_some_and(|time| time <= Time::from_s(5)), "{what}");
@@ -188,9 +169,7 @@ fn a_wrong_stored_rate_is_found_within_5_s_by_one_heartbeat_a_second() {
 #[test]
 fn a_wrong_stored_rate_is_found_in_100_ms_under_load_or_a_turn_later() {
     for (stored, found) in pairs() {
-        // A bus load of 90 %.
-        let period = Time::from_us(13_500 / u64::from(found.kbit_per_s()));
-        let time = time_until_found(0xFF, (stored, found), period, Time::from_s(2));
+        let time = time_until_found(0xFF, (stored, found), Traffic::dense, Time::from_s(2));
         let what = format!("{stored:?} stored, {found:?} found: {time:?}");
         println!("{what}");
         // The frames at 10 kbit/s are so long that a stay ends before the search has come to that rate.

@@ -8,7 +8,7 @@ const SILM: u32 = 1 << 31;
 const LONG_FRAME_BITS: u64 = 122;
 
 /// Two nodes that exchange frames.
-struct Traffic {
+pub struct Traffic {
     others: [AdapterId; 2],
     frame: fn(usize) -> Frame,
     period: Time,
@@ -18,13 +18,13 @@ struct Traffic {
 
 impl Traffic {
     /// One heartbeat a second.
-    fn sparse(rig: &mut ImageRig, bit_rate: BitRate) -> Self {
-        let heartbeat = |_| Frame::data(Id::Standard(0x701), &[0x05]);
+    pub fn sparse(rig: &mut ImageRig, bit_rate: BitRate) -> Self {
+        let heartbeat = |_| Frame::data(Id::Standard(0x705), &[0x05]);
         Self::new(rig, bit_rate, heartbeat, Time::from_s(1))
     }
 
     /// A bus load of 90 %.
-    fn dense(rig: &mut ImageRig, bit_rate: BitRate) -> Self {
+    pub fn dense(rig: &mut ImageRig, bit_rate: BitRate) -> Self {
         let frame = |count: usize| {
             let data = (count as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
             Frame::data(Id::Standard(0x181 + count as u16 % 2), &data.to_le_bytes())
@@ -38,7 +38,7 @@ impl Traffic {
         Self { others, frame, period, next: rig.network.now(), count: 0 }
     }
 
-    fn run_for(&mut self, rig: &mut ImageRig, span: Time) {
+    pub fn run_for(&mut self, rig: &mut ImageRig, span: Time) {
         let until = rig.network.now() + span;
         while rig.network.now() < until {
             if self.next <= rig.network.now() {
@@ -62,20 +62,24 @@ fn rig(bit_rate: BitRate, node_id: u8) -> ImageRig {
 }
 
 /// Switches the board on while the bus is in use; returns the time.
-fn switch_on(rig: &mut ImageRig) -> Time {
+pub fn switch_on(rig: &mut ImageRig) -> Time {
     rig.network.power_on(0);
     rig.network.now()
 }
 
-/// The time at which the board knew the bit rate, and the rate.
-fn found(rig: &ImageRig, on: Time) -> Option<(Time, u32)> {
+/// The times at which the board began to take part since `on`, after it had only listened, and its bit rates then.
+pub fn takes_part(rig: &ImageRig, on: Time) -> impl Iterator<Item = (Time, u32)> {
     let timings = rig.did(0, on).filter_map(|event| match event.what {
         What::BitTiming { btr, bit_rate } => Some((event.time, btr & SILM != 0, bit_rate)),
         _ => None,
     });
-    let mut since_silent = timings.skip_while(|(_, is_silent, _)| !is_silent);
-    let (time, _, bit_rate) = since_silent.find(|(_, is_silent, _)| !is_silent)?;
-    Some((time, bit_rate))
+    let since_silent = timings.skip_while(|(_, is_silent, _)| !is_silent);
+    since_silent.filter(|(_, is_silent, _)| !is_silent).map(|(time, _, rate)| (time, rate))
+}
+
+/// The time at which the board knew the bit rate, and the rate.
+fn found(rig: &ImageRig, on: Time) -> Option<(Time, u32)> {
+    takes_part(rig, on).next()
 }
 
 /// Checks that before `until` the board requested no transmission, raised no error frame, and was always in silent
