@@ -27,9 +27,6 @@ pub struct Code<'a> {
 }
 
 /// The sections that are not empty, in the order of the file.
-///
-/// # Errors
-/// A section has no name.
 pub fn sections(file: &Elf) -> Result<Vec<Section>> {
     let is_allocated = |flags| match flags {
         SectionFlags::Elf { sh_flags } => sh_flags & u64::from(elf::SHF_ALLOC) != 0,
@@ -50,9 +47,6 @@ pub fn sections(file: &Elf) -> Result<Vec<Section>> {
 }
 
 /// The code of a program, without the constants in it.
-///
-/// # Errors
-/// A section cannot be read.
 pub fn codes<'a>(file: &Elf<'a>) -> Result<Vec<Code<'a>>> {
     // "$t" begins code and "$d" constants, up to the next of them.
     let is_code: BTreeMap<u64, bool> = file

@@ -1,4 +1,4 @@
-//! Builds the release images of the workspace and of products.
+//! Builds the release images of the workspace and of products. Where this fails, `cargo` has said why.
 
 use std::{
     env,
@@ -62,17 +62,11 @@ pub fn example() -> &'static Image {
 }
 
 /// Builds the release firmware for `part` with the running `cargo`, and loads it.
-///
-/// # Errors
-/// `cargo` has failed, and has said why.
 pub fn build(part: Part) -> anyhow::Result<Image> {
     build_package(FIRMWARE, part)
 }
 
 /// Builds the release firmware for `part` without bit-rate supervision.
-///
-/// # Errors
-/// The same as for [`build`].
 pub fn build_plain(part: Part) -> anyhow::Result<Image> {
     let elf = build_with(workspace(), FIRMWARE, part, |command| {
         command.args(["--features", "plain"]);
@@ -81,9 +75,6 @@ pub fn build_plain(part: Part) -> anyhow::Result<Image> {
 }
 
 /// Builds the release image of an example for `part`: that in the folder `examples/` of this name.
-///
-/// # Errors
-/// The same as for [`build`].
 pub fn build_example(name: &str, part: Part) -> anyhow::Result<Image> {
     build_package(&format!("example-{name}"), part)
 }
@@ -100,27 +91,18 @@ fn build_package(package: &str, part: Part) -> anyhow::Result<Image> {
 }
 
 /// Builds the release firmware of a package of the workspace for `part`, and returns the ELF file.
-///
-/// # Errors
-/// The same as for [`build`].
 pub fn build_elf(package: &str, part: Part) -> anyhow::Result<Vec<u8>> {
     build_with(workspace(), package, part, |_| ())
 }
 
 /// Builds the release firmware of a product for `part`: the program `name` of the package of that name in `directory`,
 /// which `cargo xtask new-product` has made.
-///
-/// # Errors
-/// The same as for [`build`].
 pub fn build_product(directory: &str, name: &str, part: Part) -> anyhow::Result<Image> {
     Ok(Image::from_elf(&build_with(Path::new(directory), name, part, |_| ())?)?)
 }
 
 /// Builds the release firmware for `part` for others: the ELF file. It does not depend on the `directory`, which holds the
 /// workspace or a copy of it, nor on the folder of cargo's registry, which is `cargo_home` or the usual one.
-///
-/// # Errors
-/// The same as for [`build`].
 pub fn build_release(
     directory: &Path,
     cargo_home: Option<&Path>,

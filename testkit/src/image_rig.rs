@@ -38,7 +38,7 @@ const POLL: Time = Time::from_ms(20);
 const FRAME_BITS: u64 = 160;
 
 /// Boards with the release image, and the LSS master's adapter. A run ends in a panic if a board misuses its chip, locks
-/// up, or is reset unexpectedly.
+/// up, is reset unexpectedly, or does not do what is waited for.
 pub struct ImageRig {
     pub network: Network,
     pub master: AdapterId,
@@ -147,9 +147,6 @@ impl ImageRig {
 
     /// Puts the master on the bus of an unattended board, which was switched on at `since`, at the rate that the board
     /// sets; `None` if its power fails before.
-    ///
-    /// # Panics
-    /// If the board does not join the bus, or is at no bit rate of CiA 301.
     pub fn join(&mut self, since: Time) -> Option<BitRate> {
         while !has_joined(self.did(0, since)) {
             assert!(self.network.now() < since + BOOT, "the board does not come to the bus");
@@ -214,10 +211,7 @@ impl ImageRig {
         self.transmit(on_the_wire(&frames::request(request)))
     }
 
-    /// Sends a frame from the master; returns the time of its end on the bus.
-    ///
-    /// # Panics
-    /// If the frame is not sent within a second.
+    /// Sends a frame from the master within a second; returns the time of its end on the bus.
     pub fn transmit(&mut self, frame: Frame) -> Time {
         let from = self.network.now();
         self.network.send(self.master, frame);
@@ -267,20 +261,14 @@ impl ImageRig {
         }
     }
 
-    /// Waits for a frame of a node, such as `705: 00`, for at most `limit`; returns its time.
-    ///
-    /// # Panics
-    /// If it does not come.
+    /// Waits for a frame of a node, such as `705: 00`, which must come within `limit`; returns its time.
     pub fn expect(&mut self, text: &str, limit: Time) -> Time {
         let expected = frames::of_node(text);
         let received = self.wait_for(limit, |frame| *frame == expected);
         received.unwrap_or_else(|| panic!("{text} is not received in {} ms", limit.as_ms())).0
     }
 
-    /// Sends a request every 20 ms until the answer is as expected.
-    ///
-    /// # Panics
-    /// If it does not come within `limit`.
+    /// Sends a request every 20 ms until the answer is as expected, which must be within `limit`.
     pub fn reach(&mut self, request: &str, answer: &str, limit: Time) {
         let (request, answer) = (frames::of_master(request), frames::of_node(answer));
         let time = self.poll_until(&request, limit, |frame| *frame == answer);

@@ -55,10 +55,7 @@ impl<const P: usize> Expected<P> {
     }
 
     /// Lives of a device until its power fails: it is powered on, stores, and is powered on again, until it has made a
-    /// number of stores.
-    ///
-    /// # Panics
-    /// If a power-on finds something else than expected, or a store erases.
+    /// number of stores. Panics if a power-on finds something else than expected, or a store erases.
     pub fn live<const W: usize, const E: usize>(&mut self, flash: &Flash<W, E>, stores: usize) {
         for made in (0..stores).step_by(Self::STORES_A_POWER_ON).chain([stores]) {
             flash.cycle_power();
@@ -70,9 +67,6 @@ impl<const P: usize> Expected<P> {
     }
 
     /// A power-on and this number of stores, until the power fails. Returns whether the start was complete.
-    ///
-    /// # Panics
-    /// The same as for [`live`](Self::live).
     pub fn power_on<const W: usize, const E: usize>(
         &mut self,
         flash: &Flash<W, E>,

@@ -31,9 +31,6 @@ const TEMPLATE: [&str; 13] = [
 ];
 
 /// The release image of a new product on a CAN controller, 1 for CAN1, built in `target/products`.
-///
-/// # Errors
-/// It cannot be written or does not build.
 pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
     let name = format!("{}-can{controller}", chip.name());
     let folder = workspace().join("target/products").join(&name);
@@ -59,9 +56,6 @@ pub struct Product<'a> {
 
 impl Product<'_> {
     /// Writes the files of the product.
-    ///
-    /// # Errors
-    /// A file cannot be read or written.
     pub fn write(&self) -> io::Result<()> {
         for (path, content) in self.files()? {
             let path = self.folder.join(path);

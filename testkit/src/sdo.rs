@@ -59,7 +59,7 @@ pub(crate) fn of_server(node_id: u8, frame: &Frame) -> Option<[u8; 8]> {
     is_it.then(|| frame.data().try_into().expect("eight bytes"))
 }
 
-/// A client of the SDO server of one node.
+/// A client of the SDO server of one node. The errors of its transfers are abort codes.
 pub trait Client {
     /// Sends messages; returns the answers, to the first one for which `is_last` is true.
     ///
@@ -71,9 +71,6 @@ pub trait Client {
     fn confirm(&mut self, message: [u8; 8]);
 
     /// Reads an object.
-    ///
-    /// # Errors
-    /// The abort code.
     fn upload(&mut self, index: u16, sub_index: u8) -> Result<Vec<u8>, u32> {
         let answer = self.transfer([0x40, 0, 0, 0, 0, 0, 0, 0], index, sub_index)?;
         let size = u32::from_le_bytes([answer[4], answer[5], answer[6], answer[7]]);
@@ -101,9 +98,6 @@ pub trait Client {
     }
 
     /// Writes an object and indicates its size: up to four bytes expedited, more in segments.
-    ///
-    /// # Errors
-    /// The abort code.
     fn download(&mut self, index: u16, sub_index: u8, data: &[u8]) -> Result<(), u32> {
         if !(1..=4).contains(&data.len()) {
             return self.download_segments(index, sub_index, data, Some(data.len() as u32));
@@ -114,9 +108,6 @@ pub trait Client {
     }
 
     /// Writes an object in segments, and announces this size.
-    ///
-    /// # Errors
-    /// The abort code.
     fn download_segments(
         &mut self,
         index: u16,
@@ -141,9 +132,6 @@ pub trait Client {
     }
 
     /// Reads an object by block transfer with blocks of this size and a check of the CRC.
-    ///
-    /// # Errors
-    /// The abort code.
     fn block_upload(&mut self, index: u16, sub_index: u8, block_size: u8) -> Result<Vec<u8>, u32> {
         let request = [0xA4, 0, 0, 0, block_size, 0, 0, 0];
         let answer = self.transfer(request, index, sub_index)?;
@@ -174,9 +162,6 @@ pub trait Client {
     }
 
     /// Writes an object by block transfer with a CRC, and indicates its size.
-    ///
-    /// # Errors
-    /// The abort code.
     fn block_download(&mut self, index: u16, sub_index: u8, data: &[u8]) -> Result<(), u32> {
         let [s0, s1, s2, s3] = (data.len() as u32).to_le_bytes();
         let answer = self.transfer([0xC6, 0, 0, 0, s0, s1, s2, s3], index, sub_index)?;
@@ -215,17 +200,11 @@ pub trait Client {
     }
 
     /// Stores the parameters of this sub-index of 1010h; 1: all.
-    ///
-    /// # Errors
-    /// The abort code.
     fn save(&mut self, sub_index: u8) -> Result<(), u32> {
         self.download(0x1010, sub_index, b"save")
     }
 
     /// Restores the default parameters of this sub-index of 1011h; 1: all.
-    ///
-    /// # Errors
-    /// The abort code.
     fn load(&mut self, sub_index: u8) -> Result<(), u32> {
         self.download(0x1011, sub_index, b"load")
     }

@@ -53,10 +53,7 @@ impl Variant<'_> {
 /// A session; it panics at the first difference.
 pub type Session = fn(&Variant);
 
-/// Runs a part of a session.
-///
-/// # Errors
-/// The message of its panic.
+/// Runs a part of a session; the error is the message of its panic.
 pub fn outcome<T>(session: impl FnOnce() -> T) -> anyhow::Result<T> {
     panic::catch_unwind(AssertUnwindSafe(session)).map_err(|panic| {
         let text = panic.downcast_ref::<String>().cloned();

@@ -229,10 +229,7 @@ impl Session {
         }
     }
 
-    /// The session without a cut.
-    ///
-    /// # Errors
-    /// It does not end as expected.
+    /// The session without a cut, which fails if it does not end as expected.
     pub fn course(self, variant: &Variant) -> anyhow::Result<Course> {
         let (content, mut expected) = self.begin();
         let Rig { rig, .. } = self.live(variant, &content, None, &mut expected)?;
@@ -241,10 +238,7 @@ impl Session {
     }
 
     /// Runs a session for each of `cuts`; if `twice`, each is followed by sessions with a second cut in every flash
-    /// operation. Returns the number of cuts.
-    ///
-    /// # Errors
-    /// What was stored is lost.
+    /// operation. Returns the number of cuts; fails if what was stored is lost.
     pub fn run(
         self,
         variant: &Variant,

@@ -17,10 +17,7 @@ const QUIET_TIMES: u64 = 4;
 const QUIET_S: u64 = 5;
 
 /// A session with new boards: power cuts and switches of the bit rate, each followed by a quiet time. Returns the
-/// virtual time.
-///
-/// # Panics
-/// If a heartbeat is missing in a quiet time, or anything else is sent.
+/// virtual time. Panics if a heartbeat is missing in a quiet time, or anything else is sent.
 pub fn session(random: &mut Random) -> Time {
     let mut rate = random.pick(&RATES);
     let board = |number: usize| {

@@ -149,10 +149,8 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         }
     }
 
-    /// Sends this number of further frames.
-    ///
-    /// # Panics
-    /// If the board sends or stores something different from the model, or no longer answers.
+    /// Sends this number of further frames. Panics if the board sends or stores something different from the model, or
+    /// no longer answers.
     pub fn rage(&mut self, frames: u64) {
         let until = self.frames + frames;
         while self.frames < until {

@@ -80,10 +80,8 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         }
     }
 
-    /// Sends this number of further frames. The board itself checks that nothing is sent in a silent period.
-    ///
-    /// # Panics
-    /// If anything was stored or answered without a request, or the node no longer answers.
+    /// Sends this number of further frames. Panics if anything is stored or answered without a request, or the node no
+    /// longer answers; the board itself checks that nothing is sent in a silent period.
     pub fn rage(&mut self, frames: u64) {
         for _ in 0..frames {
             self.one_more();
