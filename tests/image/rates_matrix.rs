@@ -117,37 +117,20 @@ fn the_walk_goes_through_all_56_pairs() {
     assert_eq!(pairs.iter().filter(|(from, to)| from != to).count(), 56);
 }
 
-fn all_pairs(delay_ms: u16) {
+#[test]
+fn all_pairs_with_short_and_long_delays_on_an_idle_bus_and_under_load() {
     let walk = walk();
-    for is_loaded in [false, true] {
+    for (delay_ms, is_loaded) in
+        [0, 1, 50, 1000].into_iter().flat_map(|ms| [(ms, false), (ms, true)])
+    {
         let mut site = Site::new(walk[0], is_loaded);
         for pair in walk.windows(2) {
-            let what = format!("{:?} to {:?}, under load: {is_loaded}", pair[0], pair[1]);
+            let what = format!("{pair:?} after {delay_ms} ms, under load: {is_loaded}");
             site.switch(pair[1], delay_ms);
             site.assert_all_reached(&what);
             assert!(site.rig.errors().is_empty(), "{what}: {:#?}", site.rig.errors());
         }
     }
-}
-
-#[test]
-fn all_pairs_without_delay_on_an_idle_bus_and_under_load() {
-    all_pairs(0);
-}
-
-#[test]
-fn all_pairs_with_a_delay_of_1_ms_on_an_idle_bus_and_under_load() {
-    all_pairs(1);
-}
-
-#[test]
-fn all_pairs_with_a_delay_of_50_ms_on_an_idle_bus_and_under_load() {
-    all_pairs(50);
-}
-
-#[test]
-fn all_pairs_with_a_delay_of_1000_ms_on_an_idle_bus_and_under_load() {
-    all_pairs(1000);
 }
 
 #[test]
