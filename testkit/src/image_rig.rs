@@ -185,9 +185,10 @@ impl ImageRig {
         self.boot(board, since);
     }
 
-    /// Sends a request of the LSS master; returns the frames that the boards send within 5 ms.
-    pub fn lss(&mut self, request: &str) -> Frames {
-        self.exchange(on_the_wire(&frames::request(request)))
+    /// Sends requests of the LSS master, `11 05, 17`; returns the frames that the boards send within 5 ms after each.
+    pub fn lss(&mut self, requests: &str) -> Frames {
+        let exchange = |request| self.exchange(on_the_wire(&frames::request(request))).0;
+        Frames(requests.split(", ").flat_map(exchange).collect())
     }
 
     /// Sends an NMT command; returns the frames that the boards send within 5 ms.
@@ -226,16 +227,17 @@ impl ImageRig {
         panic!("{frame} does not get through");
     }
 
-    /// Queues a frame of the master, such as `5E` or `000: 81 05`.
-    pub fn send(&mut self, text: &str) {
-        self.queue(&frames::of_master(text));
+    /// Queues frames of the master, such as `04 01, 5E` or `000: 81 05`.
+    pub fn send(&mut self, texts: &str) {
+        texts.split(", ").for_each(|text| self.queue(&frames::of_master(text)));
     }
 
-    /// Sends a request of the LSS master, and expects this answer alone.
-    pub fn ask(&mut self, request: &str, expected: &str) {
-        let mut frames = self.lss(request);
+    /// Sends requests of the LSS master, and expects only these answers, `11 00, 17 00`, beside other services.
+    pub fn ask(&mut self, requests: &str, answers: &str) {
+        let mut frames = self.lss(requests);
         frames.0.retain(|frame| frame.cob_id() == lss::RESPONSE_COB_ID);
-        assert_eq!(frames, [expected], "to {request}");
+        let expected: Vec<_> = answers.split(", ").collect();
+        assert_eq!(frames, expected.as_slice(), "to {requests}");
     }
 
     /// Carries out a procedure of the LSS master, without an error.

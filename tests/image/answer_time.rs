@@ -117,8 +117,7 @@ fn store_configuration_is_answered_within_20_ms_even_by_the_slowest_flash() {
     for (timing, most) in [(Timing::Typical, Time::from_ms(1)), (Timing::Worst, Time::from_ms(2))] {
         let mut rig = node_40(0);
         rig.network.board(0).chip().flash_mut().set_timing(timing);
-        rig.lss("04 01");
-        rig.lss("11 04");
+        rig.lss("04 01, 11 04");
         let cycles = cycles_to_answer(&mut rig, &frames::request("17"));
         let time = Time::from_ns(cycles * 1_000 / CORE_MHZ);
         println!("store, {timing:?} flash: {cycles} cycles, {time} ms");
@@ -232,7 +231,7 @@ fn requests_right_behind_a_change_of_the_node_id_are_not_lost() {
         for request in ["04 01", &configure, "04 00", "04 01", "5E", "11 FF", "04 00"] {
             rig.queue(&frames::request(request));
         }
-        rig.queue(&frames::command("82 00"));
+        rig.send("000: 82 00");
         let sent = rig.collect(Time::from_ms(5)).0;
         let text: Vec<_> = sent.iter().map(frames::text).collect();
         assert!(text.contains(&format!("{:03X}: 00", 0x700 + node_id)), "{text:#?}");
@@ -250,7 +249,7 @@ fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
     let from = rig.network.now();
     let (cycles_before, busy_before) = rig.network.board(0).cycles();
     const REQUESTS: usize = 500;
-    (0..REQUESTS).for_each(|_| rig.queue(&frames::request("11 80")));
+    (0..REQUESTS).for_each(|_| rig.send("11 80"));
     rig.send_all();
     let (cycles, busy) = rig.network.board(0).cycles();
     let load = (busy - busy_before) * 100 / (cycles - cycles_before);

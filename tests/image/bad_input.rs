@@ -67,9 +67,7 @@ fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
         let log = rig.network.board(0).log();
         let why = "the settings in the flash are damaged; using the defaults";
         assert!(log.iter().any(|line| line.level == "error" && line.text == why), "{log:#?}");
-        assert_eq!(rig.lss("4C"), ["50"]);
-        rig.lss("04 01");
-        rig.lss("11 04");
+        assert_eq!(rig.lss("4C, 04 01, 11 04"), ["50", "11 00"]);
         assert_eq!(
             rig.lss("04 00"),
             ["704: 00", "084: 10 63 01 00 00 00 00 00"],
@@ -80,8 +78,7 @@ fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
                 .map(|(index, sub_index)| rig.sdo_client(4).number(index, sub_index))
         };
         assert_eq!(errors(&mut rig), [1, 0x6310]);
-        rig.lss("04 01");
-        rig.ask("17", "17 00");
+        rig.ask("04 01, 17", "17 00");
         rig.collect(Time::from_ms(50));
         assert_eq!(errors(&mut rig)[0], 0);
         rig.power_cycle(0);
@@ -118,9 +115,7 @@ fn a_board_alone_on_the_bus_keeps_its_rate_and_answers_a_late_master() {
         assert!(rig.did(0, from).any(|event| matches!(event.what, What::Error { .. })));
         assert!(!rig.did(0, from).any(|event| event.what == What::BusOff), "only error passive");
         rig.network.adapter_mut(rig.master).open();
-        for request in ["04 01", "5E"] {
-            rig.queue(&frames::request(request));
-        }
+        rig.send("04 01, 5E");
         let sent = rig.collect(Time::from_ms(20));
         assert!(sent.texts().iter().any(|text| text.starts_with("7E4: 5E 40")), "{sent:?}");
         assert!(sent.0.len() < 20, "only the waiting frames: {sent:?}");

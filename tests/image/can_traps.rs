@@ -60,9 +60,7 @@ fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
 fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
     let dead = CanVariant { acknowledge: Acknowledge::Lost { every: 1 }, ..CanVariant::default() };
     let mut rig = node_40_on(CanVariant::default());
-    for request in ["04 01", "13 00 03"] {
-        rig.lss(request);
-    }
+    rig.lss("04 01, 13 00 03");
     rig.network.board(0).chip().can_mut(1).set_variant(dead);
     rig.transmit_request("15 0A 00");
     rig.network.run_for(Time::from_s(1));

@@ -61,9 +61,7 @@ fn a_supply_that_rises_slowly_is_waited_for_before_the_flash_is_erased() {
     rig.network.board_mut(0).set_supply(3_300);
     rig.boot(0, since);
     assert!(operations(&rig) > before, "it has formatted");
-    rig.lss("04 01");
-    rig.lss("11 04");
-    assert_eq!(rig.lss("17"), ["17 00"]);
+    assert_eq!(rig.lss("04 01, 11 04, 17"), ["11 00", "17 00"]);
 }
 
 #[test]
@@ -112,8 +110,7 @@ fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
         rig.boot(0, restart);
         rig.collect(Time::from_ms(20));
         assert_eq!(rig.lss("5E"), SILENCE);
-        rig.lss("04 01");
-        assert_eq!(rig.lss("5E"), ["5E 40"]);
+        assert_eq!(rig.lss("04 01, 5E"), ["5E 40"]);
         let log = rig.network.board(0).log();
         let says = says(rig.network.board(0), "reset because the crystal stopped");
         assert_eq!(says, 1, "{log:#?}");
@@ -162,8 +159,7 @@ fn a_brown_out_while_settings_are_written_loses_none() {
     for us in (0..=220).step_by(5) {
         let mut rig = node_40_on(ChipVariant::default());
         rig.network.board(0).chip().flash_mut().set_brown_out_level(3);
-        rig.lss("04 01");
-        rig.lss("11 04");
+        rig.lss("04 01, 11 04");
         rig.transmit_request("17");
         rig.network.run_for(Time::from_us(us));
         rig.network.allow_reset(0, ResetCause::BrownOut);
@@ -200,8 +196,7 @@ fn a_store_at_the_2_93_v_of_a_discovery_works_on_every_chip() {
         let joined = rig.network.now();
         // A new board erases two sectors by words.
         assert!(joined < Time::from_ms(550), "{thresholds:?}: {joined}");
-        rig.lss("04 01");
-        rig.lss("11 04");
+        rig.lss("04 01, 11 04");
         assert_eq!(rig.lss("17"), ["17 00"], "{thresholds:?}");
         let since = rig.network.now();
         rig.power_cycle(0);
@@ -221,8 +216,7 @@ fn a_board_that_a_boot_loader_starts_is_on_the_bus_within_10_ms() {
     assert!(stack.contains(&rig.network.board(0).sp()), "it has its own stack");
     let started = StartUp::Typical.reset();
     assert!(boot_up < started + Time::from_ms(10), "{}", boot_up - started);
-    rig.lss("04 01");
-    assert_eq!(rig.lss("5E"), ["5E 40"]);
+    assert_eq!(rig.lss("04 01, 5E"), ["5E 40"]);
     rig.network.run_for(Time::from_s(5));
     rig.network.allow_reset(0, ResetCause::Software);
     let since = rig.network.now();

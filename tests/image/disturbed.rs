@@ -14,7 +14,7 @@ fn session(node_id: u8, random: &mut Random) -> ImageRig {
     let mean_interval = Time::from_ms(random.within(100..1_500));
     let length = Time::from_us(8);
     rig.network.set_noise(Some(Noise { seed: random.u64(), mean_interval, length }));
-    rig.queue(&frames::request("04 01"));
+    rig.send("04 01");
     rig.network.run_for(Time::from_ms(20));
     rig
 }
@@ -38,7 +38,7 @@ fn gives_the_node_id(random: &mut Random) -> bool {
     let is_configured = ask(&mut rig, "11 05") == Some(vec![0x11, 0]);
     pause(&mut rig, random);
     let is_stored = ask(&mut rig, "17") == Some(vec![0x17, 0]);
-    rig.queue(&frames::request("04 00"));
+    rig.send("04 00");
     let sent = rig.collect(Time::from_ms(50)).texts();
     is_configured && is_stored && sent.first().is_some_and(|text| text == "705: 00")
 }
@@ -48,7 +48,7 @@ fn switches(random: &mut Random) -> bool {
     let mut rig = session(0x40, random);
     let is_configured = ask(&mut rig, "13 00 02") == Some(vec![0x13, 0]);
     pause(&mut rig, random);
-    rig.queue(&frames::request("15 0A 00"));
+    rig.send("15 0A 00");
     rig.network.run_for(Time::from_ms(15));
     rig.set_master_bit_rate(BitRate::Kbit500);
     rig.network.run_for(Time::from_ms(30));

@@ -199,9 +199,7 @@ fn the_filter_constant_is_stored_and_restored() {
 #[test]
 fn the_pdos_follow_a_node_id_that_lss_sets() {
     let mut rig = operational();
-    for request in ["04 01", "11 05", "17", "04 00"] {
-        rig.lss(request);
-    }
+    rig.lss("04 01, 11 05, 17, 04 00");
     assert!(rig.nmt("82 01").0.iter().any(|frame| frame.cob_id() == 0x705));
     rig.nmt("01 05");
     press(&rig, true);

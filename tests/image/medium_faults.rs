@@ -25,8 +25,7 @@ fn about_to_store() -> ImageRig {
 }
 
 fn configure(rig: &mut ImageRig) {
-    rig.lss("04 01");
-    rig.ask("11 04", "11 00");
+    rig.ask("04 01, 11 04", "11 00");
 }
 
 fn flash(rig: &ImageRig, change: impl FnOnce(&mut Flash)) {

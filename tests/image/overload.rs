@@ -49,8 +49,7 @@ fn a_heartbeat_too_frequent_for_the_bus_leaves_half_of_it_to_lss() {
 #[test]
 fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
     let mut rig = node_40(500);
-    rig.lss("04 01");
-    rig.lss("11 04");
+    rig.lss("04 01, 11 04");
     let since = rig.network.now();
     send(&mut rig, "17");
     send(&mut rig, "5E");
@@ -138,8 +137,7 @@ fn noise_without_end_does_not_end_the_search_for_the_bit_rate() {
         rig.network.run_for(Time::from_ms(20));
     }
     rig.collect(Time::from_ms(100));
-    rig.lss("04 01");
-    assert_eq!(rig.lss("5E"), ["5E 40"]);
+    assert_eq!(rig.lss("04 01, 5E"), ["5E 40"]);
 }
 
 #[test]

@@ -27,10 +27,8 @@ fn lss_answers_outlive_a_change_of_the_node_id() {
     for slowdown in [20, 30] {
         let mut rig = slow_node_40(slowdown);
         rig.lss("04 01");
-        for request in ["11 41", "5A", "5B"] {
-            rig.queue(&frames::request(request));
-        }
-        rig.queue(&frames::command("82 00"));
+        rig.send("11 41, 5A, 5B");
+        rig.send("000: 82 00");
         let sent = rig.collect(Time::from_ms(50)).texts();
         let mut begins: Vec<&str> = sent.iter().map(|text| &text[..7]).collect();
         begins.sort_unstable();
@@ -43,7 +41,7 @@ fn messages_of_frames_lost_in_succession_leave_room_in_the_queue() {
     let mut rig = slow_node_40(200);
     // Each lost frame is an error, but the commands go first.
     for _ in 0..600 {
-        rig.queue(&frames::command("01 7F"));
+        rig.send("000: 01 7F");
     }
     rig.collect(Time::from_ms(100));
     assert!(rig.has_logged("CAN: overrun, a received frame was lost"));
@@ -79,8 +77,7 @@ fn bus_off_may_begin_while_the_indicators_are_set() {
         rig.network.run_for(Time::from_ms(300));
     }
     assert!(rig.bit_rates(0, begin).iter().all(|(_, rate)| *rate == bit_per_s(RATE)));
-    rig.lss("04 01");
-    assert_eq!(rig.lss("5E"), ["5E 40"]);
+    rig.ask("04 01, 5E", "5E 40");
 }
 
 #[test]
@@ -102,7 +99,7 @@ fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
         for request in ["04 01", configure] {
             rig.lss(request);
         }
-        rig.queue(&frames::command("82 40"));
+        rig.send("000: 82 40");
         rig.queue(&sdo::request(0x40, "40 17 10 00"));
         assert_eq!(rig.collect(Time::from_ms(50)).texts(), *boot_up, "{configure}");
     }

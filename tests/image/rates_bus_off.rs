@@ -8,8 +8,7 @@ fn about_to_switch() -> (ImageRig, AdapterId) {
     let settings = settings(0x40, BitRate::Kbit500).with_heartbeat_ms(20);
     let mut rig = rig_with(settings);
     let foreign = rig.add_disturber();
-    rig.lss("04 01");
-    rig.lss("13 00 03");
+    rig.lss("04 01, 13 00 03");
     (rig, foreign)
 }
 

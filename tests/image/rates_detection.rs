@@ -145,7 +145,7 @@ fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
     println!("time from power-on until a lone master is acknowledged, in ms");
     for bit_rate in BitRate::ALL {
         let mut rig = rig(bit_rate, 0x40);
-        rig.queue(&frames::request("04 01"));
+        rig.send("04 01");
         rig.network.run_for(Time::from_ms(5));
         let on = switch_on(&mut rig);
         while rig.network.adapter_mut(rig.master).unsent() > 0 {
@@ -199,9 +199,7 @@ fn a_board_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
 fn automatic_detection_can_be_configured_stored_and_taken_back() {
     let mut rig = rig_with(settings(0x40, BitRate::Kbit1000));
     rig.collect(Time::from_ms(20));
-    rig.lss("04 01");
-    rig.ask("13 00 09", "13 00");
-    rig.ask("17", "17 00");
+    assert_eq!(rig.lss("04 01, 13 00 09, 17"), ["13 00", "17 00"]);
     rig.network.power_off(0);
     rig.set_master_bit_rate(BitRate::Kbit250);
     rig.power_on(0);
@@ -210,8 +208,7 @@ fn automatic_detection_can_be_configured_stored_and_taken_back() {
     traffic.run_for(&mut rig, Time::from_s(1));
     rig.collect(Time::from_ms(100));
     assert!(answers(&mut rig));
-    rig.ask("13 00 02", "13 00");
-    rig.ask("17", "17 00");
+    assert_eq!(rig.lss("13 00 02, 17"), ["13 00", "17 00"]);
     traffic.others.iter().for_each(|&other| rig.network.adapter_mut(other).close());
     rig.set_master_bit_rate(BitRate::Kbit500);
     rig.power_cycle(0);

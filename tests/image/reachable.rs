@@ -46,7 +46,7 @@ pub fn read(id: u8) -> canopen_node::Frame {
 
 /// All boards are commanded to switch; the master stays at the old rate.
 pub fn activate(rig: &mut ImageRig, to: BitRate, delay_ms: u16) {
-    rig.queue(&frames::request("04 01"));
+    rig.send("04 01");
     let configure = frames::request(&format!("13 00 {:02X}", to.index()));
     rig.queue(&configure);
     rig.network.run_for(Time::from_ms(50));

@@ -104,9 +104,7 @@ pub fn answers(rig: &mut ImageRig) -> bool {
 
 /// Gives the only board node-ID 4, and checks that it is there after a power cycle.
 pub fn assert_stores(rig: &mut ImageRig) {
-    rig.lss("04 01");
-    rig.ask("11 04", "11 00");
-    rig.ask("17", "17 00");
+    rig.ask("04 01, 11 04, 17", "11 00, 17 00");
     rig.power_cycle(0);
     assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
 }

@@ -172,9 +172,7 @@ fn the_same_session_has_the_same_trace_twice() {
             board_with(number, settings(number, BitRate::Kbit1000).with_heartbeat_ms(heartbeat_ms))
         });
         let mut rig = ImageRig::new(BitRate::Kbit1000, boards);
-        for request in ["04 01", "5A", "11 04", "13 00 02", "17", "5E"] {
-            rig.lss(request);
-        }
+        rig.lss("04 01, 5A, 11 04, 13 00 02, 17, 5E");
         rig.power_cycle(1);
         rig.nmt("01 00");
         rig.lss("15 32 00");

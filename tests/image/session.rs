@@ -42,11 +42,7 @@ fn reset_node(rig: &mut ImageRig, node_id: u8, then: BitRate) -> Frames {
 #[test]
 fn node_40_at_1_mbit_per_s_becomes_node_4_at_500_kbit_per_s() {
     let mut rig = node_40(0);
-    assert_eq!(rig.lss("04 01"), SILENCE);
-    assert_eq!(rig.lss("5E"), ["5E 40"]);
-    assert_eq!(rig.lss("11 04"), ["11 00"]);
-    assert_eq!(rig.lss("13 00 02"), ["13 00"]);
-    assert_eq!(rig.lss("17"), ["17 00"]);
+    assert_eq!(rig.lss("04 01, 5E, 11 04, 13 00 02, 17"), ["5E 40", "11 00", "13 00", "17 00"]);
     assert_eq!(rig.lss("04 00"), SILENCE, "no answer and no boot-up");
     assert_eq!(rig.collect(Time::from_ms(1000)), SILENCE);
     assert_eq!(reset_node(&mut rig, 0x40, BitRate::Kbit500), ["704: 00"]);
@@ -58,13 +54,8 @@ fn node_40_at_1_mbit_per_s_becomes_node_4_at_500_kbit_per_s() {
 fn a_new_board_gets_its_node_id_and_bit_rate_and_comes_back_with_them() {
     let mut rig = blank_rig();
     assert_eq!(rig.collect(Time::from_ms(1500)), SILENCE, "neither boot-up nor heartbeat");
-    assert_eq!(rig.lss("4C"), ["50"]);
-    assert_eq!(rig.lss("04 01"), SILENCE);
-    assert_eq!(rig.lss("5E"), ["5E FF"]);
-    assert_eq!(rig.lss("11 04"), ["11 00"]);
-    assert_eq!(rig.lss("13 00 02"), ["13 00"]);
-    assert_eq!(rig.lss("17"), ["17 00"]);
-    assert_eq!(rig.lss("4C"), SILENCE);
+    assert_eq!(rig.lss("4C, 04 01, 5E, 11 04, 13 00 02"), ["50", "5E FF", "11 00", "13 00"]);
+    assert_eq!(rig.lss("17, 4C"), ["17 00"]);
     assert_eq!(rig.lss("04 00"), ["704: 00"], "boots up at once, at the previous bit rate");
     assert_eq!(rig.collect(Time::from_ms(1500)), ["704: 7F"], "the default heartbeat");
     assert_eq!(reset_node(&mut rig, 0x04, BitRate::Kbit500), ["704: 00"]);
@@ -126,10 +117,7 @@ fn fastscan_finds_three_new_boards_and_each_gets_a_node_id() {
 #[test]
 fn equal_answers_of_several_boards_are_one_frame() {
     let mut rig = ImageRig::new(BitRate::Kbit125, [1, 2, 3, 4].map(blank_board));
-    assert_eq!(rig.lss("4C"), ["50"]);
-    assert_eq!(rig.lss("51 00 00 00 00 80"), ["4F"]);
-    assert_eq!(rig.lss("04 01"), SILENCE);
-    assert_eq!(rig.lss("13 00 00"), ["13 00"]);
+    assert_eq!(rig.lss("4C, 51 00 00 00 00 80, 04 01, 13 00 00"), ["50", "4F", "13 00"]);
     assert_eq!(rig.lss("5A").0.len(), 1);
     assert!(rig.errors().is_empty());
 }
@@ -137,8 +125,7 @@ fn equal_answers_of_several_boards_are_one_frame() {
 #[test]
 fn values_out_of_range_are_refused_and_the_old_ones_stay() {
     let mut rig = blank_rig();
-    rig.lss("04 01");
-    assert_eq!(rig.lss("11 05"), ["11 00"]);
+    assert_eq!(rig.lss("04 01, 11 05"), ["11 00"]);
     for node_id in ["00", "80", "FE"] {
         assert_eq!(rig.lss(&format!("11 {node_id}")), ["11 01"]);
     }
@@ -156,9 +143,7 @@ fn values_out_of_range_are_refused_and_the_old_ones_stay() {
 fn the_node_id_ff_takes_a_board_out_of_the_network() {
     let mut rig = rig_with(settings(0x40, BitRate::Kbit1000).with_heartbeat_ms(100));
     assert_eq!(rig.collect(Time::from_ms(150)), ["740: 00", "740: 7F"]);
-    rig.lss("04 01");
-    assert_eq!(rig.lss("11 FF"), ["11 00"]);
-    assert_eq!(rig.lss("17"), ["17 00"]);
+    assert_eq!(rig.lss("04 01, 11 FF, 17"), ["11 00", "17 00"]);
     assert_eq!(rig.lss("4C"), SILENCE, "node-ID 40 is still active");
     rig.power_cycle(0);
     assert_eq!(rig.collect(Time::from_ms(1000)), SILENCE);

@@ -128,13 +128,8 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
     let mut rig = ImageRig::new(rate, [board]);
     note(&mut rig, bound, "a boot that erases");
 
-    for request in ["04 01", "5A", "5B", "5C", "5D", "5E", "11 41", "11 80", "13 00 02", "13 00 05"]
-    {
-        rig.lss(request);
-    }
-    for request in ["46", "47", "48", "49", "4A", "4B", "4C", "51"] {
-        rig.lss(request);
-    }
+    rig.lss("04 01, 5A, 5B, 5C, 5D, 5E, 11 41, 11 80, 13 00 02, 13 00 05");
+    rig.lss("46, 47, 48, 49, 4A, 4B, 4C, 51");
     note(&mut rig, bound, "LSS");
     let requests = [
         "40 08 10 00",
@@ -151,12 +146,10 @@ fn the_stack_is_never_used_by_more_than_a_quarter() {
     note(&mut rig, bound, "SDO");
     rig.lss("17");
     note(&mut rig, bound, "a store");
-    rig.lss("13 00 00");
-    rig.lss("15 05 00");
+    rig.lss("13 00 00, 15 05 00");
     rig.collect(Time::from_ms(15));
     note(&mut rig, bound, "a switch of the bit rate");
-    rig.lss("11 40");
-    rig.lss("17");
+    rig.lss("11 40, 17");
     rig.network.allow_reset(0, ResetCause::Software);
     rig.nmt("81 00");
     rig.collect(Time::from_ms(20));

@@ -161,8 +161,7 @@ fn requests_within_the_silence_are_never_answered_and_change_nothing() {
     assert_eq!(rig.collect(Time::ZERO), SILENCE);
     assert_both_answer(&mut rig);
     rig.network.power_off(1);
-    assert_eq!(rig.lss("5E"), ["5E 01"]);
-    rig.lss("04 00");
+    assert_eq!(rig.lss("5E, 04 00"), ["5E 01"]);
     assert_eq!(rig.nmt("82 00"), ["701: 00"], "11 05 was ignored");
 }
 
