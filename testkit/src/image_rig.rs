@@ -212,6 +212,12 @@ impl ImageRig {
         self.transmit(on_the_wire(&frames::request(request)))
     }
 
+    /// Sends activate bit timing; returns the time of its end on the bus.
+    pub fn activate(&mut self, delay_ms: u16) -> Time {
+        let [low, high] = delay_ms.to_le_bytes();
+        self.transmit_request(&format!("15 {low:02X} {high:02X}"))
+    }
+
     /// Sends a frame from the master within a second; returns the time of its end on the bus.
     pub fn transmit(&mut self, frame: Frame) -> Time {
         let from = self.network.now();

@@ -104,9 +104,7 @@ fn configure(variant: &Variant, boards: u8) {
         let found = rig.carry_out(Fastscan::new()).expect("nobody is found");
         let mut serial_numbers = (0..boards.into()).map(boards::serial_number);
         assert!(serial_numbers.any(|serial| serial == found.serial_number), "{found:X?}");
-        rig.ask("5E", "5E FF");
-        rig.ask(&format!("11 {node_id:02X}"), "11 00");
-        rig.ask("17", "17 00");
+        rig.ask(&format!("5E, 11 {node_id:02X}, 17"), "5E FF, 11 00, 17 00");
         rig.send("04 00");
         rig.expect(&format!("70{node_id}: 00"), Time::from_ms(20));
     }

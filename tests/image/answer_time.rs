@@ -151,8 +151,7 @@ fn a_store_delays_an_answer_by_at_most_two_words_of_the_slowest_flash() {
     for node_id in 1..=20 {
         let mut rig = node_40(0);
         rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-        rig.lss("04 01");
-        rig.lss(&format!("11 {node_id:02X}"));
+        rig.lss(&format!("04 01, 11 {node_id:02X}"));
         rig.transmit_request("17");
         let still_stores =
             |rig: &mut ImageRig| rig.requested(0, Time::ZERO).all(|(_, f)| f.data[0] != 0x17);
@@ -164,7 +163,7 @@ fn a_store_delays_an_answer_by_at_most_two_words_of_the_slowest_flash() {
     assert!(worst < ANSWER_CYCLES + 2 * WORD_US * CORE_MHZ, "{worst} cycles");
 }
 
-const REQUESTS: [&str; 6] = ["04 01", "5A", "5B", "5C", "5D", "5E"];
+const REQUESTS: &str = "04 01, 5A, 5B, 5C, 5D, 5E";
 
 /// The answers, by their first bytes.
 fn command_specifiers(answers: &Frames) -> Vec<u8> {
@@ -176,9 +175,7 @@ fn command_specifiers(answers: &Frames) -> Vec<u8> {
 fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
     let mut rig = node_40(0);
     for _ in 0..20 {
-        for request in REQUESTS {
-            rig.queue(&frames::request(request));
-        }
+        rig.send(REQUESTS);
         let answers = rig.collect(Time::from_ms(3));
         assert_eq!(command_specifiers(&answers), [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
         assert_eq!(rig.lss("04 00"), SILENCE);
@@ -192,9 +189,8 @@ fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
     let other = rig.network.add_adapter(Adapter::new(1_000_000));
     let (mut sent, mut sdo_requests, mut sdo_answers) = (0, 0, 0);
     for _ in 0..50 {
-        for request in REQUESTS.into_iter().chain(["04 00"]) {
-            rig.queue(&frames::request(request));
-        }
+        rig.send(REQUESTS);
+        rig.send("04 00");
         // Bursts of urgent frames, some to the node, with gaps that are too short for a frame or just long enough.
         for _ in 0..40 {
             for _ in 0..random.within(1..6) {
@@ -227,10 +223,8 @@ fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
 fn requests_right_behind_a_change_of_the_node_id_are_not_lost() {
     let mut rig = rig_with(settings(0xFF, BitRate::Kbit1000));
     for node_id in 1..=20 {
-        let configure = format!("11 {node_id:02X}");
-        for request in ["04 01", &configure, "04 00", "04 01", "5E", "11 FF", "04 00"] {
-            rig.queue(&frames::request(request));
-        }
+        let configure = format!("04 01, 11 {node_id:02X}, 04 00, 04 01, 5E, 11 FF, 04 00");
+        rig.send(&configure);
         rig.send("000: 82 00");
         let sent = rig.collect(Time::from_ms(5)).0;
         let text: Vec<_> = sent.iter().map(frames::text).collect();

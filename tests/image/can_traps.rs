@@ -62,7 +62,7 @@ fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
     let mut rig = node_40_on(CanVariant::default());
     rig.lss("04 01, 13 00 03");
     rig.network.board(0).chip().can_mut(1).set_variant(dead);
-    rig.transmit_request("15 0A 00");
+    rig.activate(10);
     rig.network.run_for(Time::from_s(1));
     let text = "CAN: the controller does not enter initialisation mode";
     assert!(rig.has_logged(text));
@@ -117,8 +117,7 @@ fn a_board_is_configured_under_each_other_reading() {
     ] {
         let mut rig = node_40_on(variant);
         assert!(answers(&mut rig), "{variant:?}");
-        assert_eq!(rig.lss("11 41"), ["11 00"], "{variant:?}");
-        assert_eq!(rig.lss("17"), ["17 00"], "{variant:?}");
+        assert_eq!(rig.lss("11 41, 17"), ["11 00", "17 00"], "{variant:?}");
         rig.power_cycle(0);
         assert_eq!(rig.collect(Time::from_ms(20)), ["741: 00"], "{variant:?}");
     }

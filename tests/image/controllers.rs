@@ -45,12 +45,9 @@ fn is_commissioned(part: Part, controller: usize, image: &Image) {
     let heard = std::iter::from_fn(|| rig.network.receive(other)).count();
     assert_eq!(heard, 3);
 
-    assert_eq!(rig.lss("4C"), ["50"], "{name}");
-    rig.lss("04 01");
-    assert_eq!(rig.lss("11 04"), ["11 00"], "{name}");
-    assert_eq!(rig.lss("13 00 00"), ["13 00"], "{name}");
-    assert_eq!(rig.lss("17"), ["17 00"], "{name}");
-    rig.transmit_request("15 32 00");
+    let answers = rig.lss("4C, 04 01, 11 04, 13 00 00, 17");
+    assert_eq!(answers, ["50", "11 00", "13 00", "17 00"], "{name}");
+    rig.activate(50);
     rig.network.run_for(Time::from_ms(60));
     rig.set_master_bit_rate(BitRate::Kbit1000);
     rig.network.run_for(Time::from_ms(60));

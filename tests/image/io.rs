@@ -220,9 +220,7 @@ fn a_wrong_length_that_repeats_before_its_message_is_sent_is_one_error() {
         ["23 00 18 01 00 00 00 80", "23 01 18 01 00 00 00 80", "23 10 10 01 73 61 76 65"];
     write(&mut rig, &without_tpdos);
     // The boot-up, which comes before the error messages, has to wait for these.
-    for command in ["82 01", "01 01"] {
-        rig.queue(&frames::command(command));
-    }
+    rig.send("000: 82 01, 000: 01 01");
     for len in [0, 1, 0, 1, 2] {
         rig.network.send(rig.master, data(0x201, &[1; 2][..len]));
     }

@@ -28,9 +28,7 @@ fn has_dropped(rig: &ImageRig, end: Time) -> bool {
 #[test]
 fn on_a_loaded_bus_a_boot_up_with_a_new_node_id_ends_the_old_one() {
     let mut rig = node_5(BitRate::Kbit500, 50);
-    rig.transmit_request("04 01");
-    rig.transmit_request("11 04");
-    rig.collect(Time::from_ms(10));
+    rig.lss("04 01, 11 04");
     // These frames wait behind urgent ones: an answer of LSS and one of SDO in mailboxes, heartbeats in the queue.
     let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
     let inquire = on_the_wire(&frames::request("5E"));
@@ -58,8 +56,7 @@ fn reset_with_pending(node_id: &str, check: impl Fn(&[String])) {
     let mut rig = node_5(BitRate::Kbit10, HEARTBEAT_MS);
     let mut dropped = 0;
     for phase in 0..HEARTBEAT_MS {
-        rig.transmit_request("04 01");
-        rig.transmit_request(&format!("11 {node_id}"));
+        rig.lss(&format!("04 01, 11 {node_id}"));
         rig.collect(Time::from_ms(100));
         rig.network.run_until_received(rig.master, Time::from_ms(100)).expect("a heartbeat");
         rig.network.run_for(Time::from_ms(phase.into()));

@@ -8,10 +8,6 @@ const LONG: Time = Time::from_s(4);
 /// of two nodes are not in step.
 const INTERMISSION: Time = Time::from_us(4);
 
-fn send(rig: &mut ImageRig, request: &str) {
-    rig.queue(&frames::request(request));
-}
-
 /// The frames on the bus from `since` on: their senders, starts and ends.
 fn frames_on_the_bus(rig: &ImageRig, since: Time) -> Vec<(Source, Frame, Time, Time)> {
     let frame = |event: &Event| match event.what {
@@ -51,8 +47,7 @@ fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
     let mut rig = node_40(500);
     rig.lss("04 01, 11 04");
     let since = rig.network.now();
-    send(&mut rig, "17");
-    send(&mut rig, "5E");
+    rig.send("17, 5E");
     let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
     let read = on_the_wire(&sdo::request(0x40, "40 17 10 00"));
     // Frames of eight bytes take at least 0.11 ms.
@@ -88,12 +83,11 @@ fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
 fn a_full_bus_of_the_shortest_frames_loses_none_during_a_slow_flash_write() {
     let mut rig = node_40(0);
     rig.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
-    send(&mut rig, "04 01");
+    rig.send("04 01");
     let shortest = Frame::data(Id::Standard(0x7E5), &[]);
     const STORES: usize = 20;
     for node_id in 1..=STORES {
-        send(&mut rig, &format!("11 {node_id:02X}"));
-        send(&mut rig, "17");
+        rig.send(&format!("11 {node_id:02X}, 17"));
         (0..40).for_each(|_| rig.network.send(rig.master, shortest));
     }
     rig.send_all();
@@ -133,7 +127,7 @@ fn noise_without_end_does_not_end_the_search_for_the_bit_rate() {
     let tried = rig.bit_rates(0, since).len();
     assert!(tried > 10, "{tried} bit rates were tried");
     for _ in 0..100 {
-        send(&mut rig, "4C");
+        rig.send("4C");
         rig.network.run_for(Time::from_ms(20));
     }
     rig.collect(Time::from_ms(100));
@@ -151,7 +145,7 @@ fn an_interrupt_every_50_us_without_end_starves_no_task() {
     let mut answers = Vec::new();
     for node_id in 1..=8 {
         for request in [format!("11 {node_id:02X}").as_str(), "17"] {
-            send(&mut rig, request);
+            rig.send(request);
             (0..LONG.as_ps() / Time::from_us(16 * 50).as_ps())
                 .for_each(|_| rig.network.send(rig.master, shortest));
             while rig.network.adapter_mut(rig.master).unsent() > 0 {

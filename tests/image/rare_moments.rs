@@ -27,8 +27,7 @@ fn lss_answers_outlive_a_change_of_the_node_id() {
     for slowdown in [20, 30] {
         let mut rig = slow_node_40(slowdown);
         rig.lss("04 01");
-        rig.send("11 41, 5A, 5B");
-        rig.send("000: 82 00");
+        rig.send("11 41, 5A, 5B, 000: 82 00");
         let sent = rig.collect(Time::from_ms(50)).texts();
         let mut begins: Vec<&str> = sent.iter().map(|text| &text[..7]).collect();
         begins.sort_unstable();
@@ -96,9 +95,7 @@ fn a_core_that_is_too_slow_for_the_bus_reports_lost_frames() {
 fn a_request_right_behind_the_loss_of_the_node_id_is_ignored() {
     for (configure, boot_up) in [("11 FF", &SILENCE[..]), ("11 41", &["741: 00"])] {
         let mut rig = slow_node_40(30);
-        for request in ["04 01", configure] {
-            rig.lss(request);
-        }
+        rig.lss(&format!("04 01, {configure}"));
         rig.send("000: 82 40");
         rig.queue(&sdo::request(0x40, "40 17 10 00"));
         assert_eq!(rig.collect(Time::from_ms(50)).texts(), *boot_up, "{configure}");

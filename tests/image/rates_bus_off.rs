@@ -27,7 +27,7 @@ fn assert_is_reached(rig: &mut ImageRig) {
 }
 
 fn switch(rig: &mut ImageRig) {
-    rig.transmit_request("15 32 00");
+    rig.activate(50);
     rig.network.run_for(Time::from_ms(50));
     rig.set_master_bit_rate(BitRate::Kbit250);
     rig.network.run_for(Time::from_ms(52));
@@ -46,7 +46,7 @@ fn a_board_that_was_bus_off_before_the_switch_switches_like_others() {
 #[test]
 fn a_board_never_goes_bus_off_in_the_switch_delays() {
     let (mut rig, foreign) = about_to_switch();
-    rig.transmit_request("15 E8 03");
+    rig.activate(1000);
     let t0 = rig.network.now();
     disturb(&mut rig, foreign, Time::from_ms(1_990));
     assert!(!went_bus_off(&rig, t0), "it sends nothing that could fail");

@@ -30,9 +30,7 @@ impl Site {
         let boards = [1, 2].map(|number| board_with(number, settings(number, bit_rate)));
         let mut rig = ImageRig::new(bit_rate, boards);
         let load = rig.network.add_adapter(Adapter::new(bit_per_s(bit_rate)));
-        rig.transmit_request("04 01");
-        rig.network.run_for(Time::from_ms(3));
-        rig.collect(Time::ZERO);
+        rig.lss("04 01");
         Self { rig, load, bit_rate, is_loaded }
     }
 
@@ -64,8 +62,7 @@ impl Site {
         let patience = ACCURACY + self.rig.bit_time() * LONG_FRAME_BITS * 2;
         assert_eq!(self.answers(patience), ["13 00"]);
 
-        let [low, high] = delay_ms.to_le_bytes();
-        let end = self.rig.transmit_request(&format!("15 {low:02X} {high:02X}"));
+        let end = self.rig.activate(delay_ms);
         let delay = Time::from_ms(delay_ms.into());
         self.rig.network.run_until(end + delay);
         self.rig.set_master_bit_rate(to);
@@ -145,11 +142,9 @@ fn a_delay_of_50_ms_does_not_disturb_a_neighbour_that_needs_40_ms() {
             [1, 2].map(|number| board_with(number, settings(number, from).with_heartbeat_ms(5)));
         let mut rig = ImageRig::new(from, boards);
         let slow = rig.network.add_adapter(Adapter::new(bit_per_s(from)));
-        rig.transmit_request("04 01");
-        rig.transmit_request(&format!("13 00 {:02X}", to.index()));
-        rig.network.run_for(Time::from_ms(5));
+        rig.lss(&format!("04 01, 13 00 {:02X}", to.index()));
         let frame = Frame::data(Id::Standard(0x183), &[0x5A; 8]);
-        let end = rig.transmit_request("15 32 00");
+        let end = rig.activate(50);
         // It continues as before until it has processed the request, and counts both delays from then on.
         while rig.network.now() + Time::from_ms(3) < end + processing {
             rig.network.send(slow, frame);

@@ -66,10 +66,8 @@ fn a_node_with_another_rate_stored_is_reached_whenever_it_is_switched_on() {
 #[test]
 fn an_unstored_switch_ends_at_power_off_and_all_are_at_the_old_rate() {
     let mut rig = four(BitRate::Kbit125, BitRate::Kbit125, 1000);
-    rig.transmit_request("04 01");
-    rig.transmit_request("13 00 02");
-    rig.network.run_for(Time::from_ms(20));
-    let end = rig.transmit_request("15 32 00");
+    rig.lss("04 01, 13 00 02");
+    let end = rig.activate(50);
     rig.network.run_until(end + Time::from_ms(50));
     rig.set_master_bit_rate(BitRate::Kbit500);
     rig.network.run_until(end + Time::from_ms(101));
@@ -91,10 +89,8 @@ fn a_node_that_switched_alone_comes_back_when_its_trust_of_30_s_is_over() {
     for heartbeat_ms in [1000, 0] {
         let mut rig = four(BitRate::Kbit250, BitRate::Kbit250, heartbeat_ms);
         (0..3).for_each(|board| rig.network.power_off(board));
-        rig.transmit_request("04 01");
-        rig.transmit_request("13 00 00");
-        rig.network.run_for(Time::from_ms(5));
-        rig.transmit_request("15 0A 00");
+        rig.lss("04 01, 13 00 00");
+        rig.activate(10);
         (0..3).for_each(|board| rig.network.power_on(board));
         let what = format!("1 of 4 switched alone, heartbeat {heartbeat_ms} ms");
         assert_all_reached(&mut rig, Time::from_s(30) + SEARCH, &what);

@@ -85,10 +85,8 @@ fn settings_survive_power_cycles_and_resets() {
     for _ in 0..20 {
         let node_id = random.within(1..128);
         let bit_rate = random.pick(&BitRate::ALL[..5]);
-        rig.lss("04 01");
-        assert_eq!(rig.lss(&format!("11 {node_id:02X}")), ["11 00"]);
-        assert_eq!(rig.lss(&format!("13 00 {:02X}", bit_rate.index())), ["13 00"]);
-        assert_eq!(rig.lss("17"), ["17 00"]);
+        let requests = format!("04 01, 11 {node_id:02X}, 13 00 {:02X}, 17", bit_rate.index());
+        assert_eq!(rig.lss(&requests), ["11 00", "13 00", "17 00"]);
         rig.network.power_off(0);
         rig.set_master_bit_rate(bit_rate);
         rig.power_on(0);

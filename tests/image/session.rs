@@ -98,9 +98,8 @@ fn fastscan_finds_three_new_boards_and_each_gets_a_node_id() {
     let mut found: Vec<[u32; 4]> = Vec::new();
     while let Some(address) = rig.carry_out(Fastscan::new()) {
         let node_id = found.len() + 1;
-        assert_eq!(rig.lss("5E"), ["5E FF"]);
-        assert_eq!(rig.lss(&format!("11 {node_id:02X}")), ["11 00"]);
-        assert_eq!(rig.lss("17"), ["17 00"]);
+        let answers = rig.lss(&format!("5E, 11 {node_id:02X}, 17"));
+        assert_eq!(answers, ["5E FF", "11 00", "17 00"]);
         assert_eq!(rig.lss("04 00"), [format!("70{node_id}: 00").as_str()]);
         found.push(address.into());
     }
@@ -109,8 +108,7 @@ fn fastscan_finds_three_new_boards_and_each_gets_a_node_id() {
     assert_eq!(rig.lss("4C"), SILENCE);
     for (address, node_id) in found.into_iter().zip(1..) {
         assert_eq!(select(&mut rig, address), ["44"]);
-        assert_eq!(rig.lss("5E"), [format!("5E {node_id:02X}").as_str()]);
-        assert_eq!(rig.lss("04 00"), SILENCE);
+        assert_eq!(rig.lss("5E, 04 00"), [format!("5E {node_id:02X}").as_str()]);
     }
 }
 

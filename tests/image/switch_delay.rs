@@ -22,12 +22,6 @@ fn configure(rig: &mut ImageRig, to: BitRate) {
     rig.network.run_for(Time::from_ms(2) + rig.bit_time() * 160);
 }
 
-/// Requests the switch; returns the end of the request.
-fn activate(rig: &mut ImageRig, delay_ms: u16) -> Time {
-    let [low, high] = delay_ms.to_le_bytes();
-    rig.transmit_request(&format!("15 {low:02X} {high:02X}"))
-}
-
 /// Runs the bus until the boards switch, and switches the master with them.
 fn switch_master(rig: &mut ImageRig, at: Time, to: BitRate) {
     rig.network.run_until(at);
@@ -93,7 +87,7 @@ fn assert_both_answer(rig: &mut ImageRig) {
 fn boards_are_silent_at_once_switch_after_one_delay_and_send_after_two() {
     let mut rig = two_boards(BitRate::Kbit125, 10);
     configure(&mut rig, BitRate::Kbit500);
-    let t0 = activate(&mut rig, 50);
+    let t0 = rig.activate(50);
     let delay = Time::from_ms(50);
     switch_master(&mut rig, t0 + delay, BitRate::Kbit500);
     rig.network.run_until(t0 + delay * 4);
@@ -111,7 +105,7 @@ fn without_a_delay_boards_switch_and_send_at_once() {
     let mut rig = two_boards(BitRate::Kbit1000, 20);
     for to in [BitRate::Kbit250, BitRate::Kbit1000, BitRate::Kbit500] {
         configure(&mut rig, to);
-        let t0 = activate(&mut rig, 0);
+        let t0 = rig.activate(0);
         rig.set_master_bit_rate(to);
         rig.network.run_for(Time::from_ms(3));
         assert_switched(&rig, t0, Time::ZERO, to);
@@ -132,7 +126,7 @@ fn without_a_delay_boards_switch_and_send_at_once() {
 fn the_longest_delay_is_kept_to_20_us_and_the_watchdog_is_quiet() {
     let mut rig = two_boards(BitRate::Kbit1000, 100);
     configure(&mut rig, BitRate::Kbit20);
-    let t0 = activate(&mut rig, 0xFFFF);
+    let t0 = rig.activate(0xFFFF);
     let delay = Time::from_ms(0xFFFF);
     switch_master(&mut rig, t0 + delay, BitRate::Kbit20);
     rig.network.run_until(t0 + delay * 2 + Time::from_ms(20));
@@ -148,7 +142,7 @@ fn requests_within_the_silence_are_never_answered_and_change_nothing() {
     let mut rig = two_boards(BitRate::Kbit250, 0);
     configure(&mut rig, BitRate::Kbit1000);
     rig.collect(Time::ZERO);
-    let t0 = activate(&mut rig, 30);
+    let t0 = rig.activate(30);
     let delay = Time::from_ms(30);
     let ignored = ["11 05", "5A", "17", "13 00 02", "04 00", "15 00 00"];
     ignored.iter().for_each(|request| _ = rig.transmit_request(request));
@@ -233,7 +227,7 @@ fn a_board_without_an_idle_bus_at_the_new_rate_joins_when_there_is_one() {
     let other = rig.network.add_adapter(Adapter::new(500_000));
     rig.transmit_request("04 01");
     configure(&mut rig, BitRate::Kbit10);
-    let t0 = activate(&mut rig, 10);
+    let t0 = rig.activate(10);
     let delay = Time::from_ms(10);
     while rig.network.now() < t0 + Time::from_ms(2_500) {
         while rig.network.adapter_mut(other).unsent() < 8 {

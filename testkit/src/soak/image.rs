@@ -49,9 +49,8 @@ pub fn session(random: &mut Random) -> Time {
 
 /// Switches all boards to `rate` and stores it.
 fn switch(rig: &mut ImageRig, rate: BitRate) {
-    rig.lss("04 01");
-    rig.lss(&format!("13 00 {:02X}", rate.index()));
-    rig.transmit_request(&format!("15 {DELAY_MS:02X} 00"));
+    rig.lss(&format!("04 01, 13 00 {:02X}", rate.index()));
+    rig.activate(DELAY_MS as u16);
     rig.network.run_for(Time::from_ms(DELAY_MS));
     rig.set_master_bit_rate(rate);
     rig.collect(Time::from_ms(DELAY_MS + 2));
