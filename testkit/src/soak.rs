@@ -329,7 +329,8 @@ mod tests {
 
     #[test]
     fn each_broken_rule_is_noticed() {
-        let cases: [(&str, fn(&mut Soak)); 4] = [
+        type Break = fn(&mut Soak);
+        let cases: [(&str, Break); 4] = [
             ("7 of 8 boards are found", |soak| {
                 soak.bus.note_event();
                 soak.bus.cut(3);
