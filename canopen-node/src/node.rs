@@ -11,6 +11,7 @@ mod periodic;
 mod process;
 mod product;
 mod receives;
+mod verification;
 
 use core::array;
 
@@ -32,6 +33,7 @@ use objects::NodeObjects;
 use periodic::Periodic;
 use product::Product;
 pub use receives::Receives;
+use verification::Verification;
 
 /// A CANopen node that an LSS master can configure.
 ///
@@ -78,6 +80,7 @@ struct Storing {
     lss_requests: u8,
     /// An SDO request whose store has not begun.
     sdo_request: Option<SdoRequest>,
+    verification: Verification,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -136,8 +139,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     Node<A, TPDOS, RPDOS, PRODUCERS>
 {
     /// The greatest number of bytes that the stored parameters take.
-    pub const STORED_LEN: usize =
-        A::STORED_LEN + Communication::<TPDOS, RPDOS, PRODUCERS>::stored_len::<A>();
+    pub const STORED_LEN: usize = A::STORED_LEN
+        + Communication::<TPDOS, RPDOS, PRODUCERS>::stored_len::<A>()
+        + Verification::STORED_LEN;
 
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
@@ -161,7 +165,13 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
             sdo: sdo::Server::NEW,
-            storing: Storing { persistent, store: Store::Idle, lss_requests: 0, sdo_request: None },
+            storing: Storing {
+                persistent,
+                store: Store::Idle,
+                lss_requests: 0,
+                sdo_request: None,
+                verification: Verification::new(),
+            },
             agenda: Agenda::new(),
             periodic: Periodic::Free,
         }
@@ -349,11 +359,17 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// its limits; returns whether it was taken. [`Application::accept`] is not called. Pass all parameters before the
     /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
-        let is_taken = self.product.restore(parameter);
-        let communication = &self.product.communication;
-        self.nmt.set_error_behaviour(communication.error_behaviour());
-        self.emergency.configure(communication.emergency());
-        is_taken
+        let Product { application, communication, .. } = &mut self.product;
+        match Area::of(parameter.index) {
+            Area::Application => areas::restore(application, parameter),
+            Area::Verification => self.storing.verification.restore(parameter),
+            Area::Communication => {
+                let is_taken = communication.restore::<A>(parameter);
+                self.nmt.set_error_behaviour(communication.error_behaviour());
+                self.emergency.configure(communication.emergency());
+                is_taken
+            }
+        }
     }
 
     /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
@@ -374,6 +390,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 (Change::Renew, Area::Application) => {
                     areas::save(&self.product.application, &mut packer)
                 }
+                (Change::Renew, Area::Verification) => {
+                    self.storing.verification.save(&mut packer);
+                }
             }
         }
         packer.len()
@@ -386,6 +405,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         };
         self.storing.store = Store::Done(outcome, requester);
         self.product.communication.end_store(outcome.is_ok());
+        self.storing.verification.end_store(outcome.is_ok());
         if outcome.is_ok() {
             self.storing.persistent = settings;
             self.emergency.end_fault(Fault::SettingsLost);
@@ -516,7 +536,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Begins the store that LSS, or else an SDO client, has asked for, unless one is in progress.
     fn begin_store(&mut self) -> Option<Action> {
-        let Storing { persistent, store: Store::Idle, lss_requests, sdo_request } = self.storing
+        let Storing { persistent, store: Store::Idle, lss_requests, sdo_request, .. } =
+            self.storing
         else {
             return None;
         };
@@ -534,6 +555,11 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 }
                 Change::Remove => communication.stage_declared::<A>(),
             }
+            let verification = &mut self.storing.verification;
+            if Area::Verification.change(Some(download)) == Change::Remove {
+                verification.clear();
+            }
+            verification.stage();
             let settings = match Area::Communication.is_concerned(download.sub_index) {
                 true => persistent.with_heartbeat_ms(heartbeat_ms),
                 false => persistent,

@@ -29,6 +29,8 @@ pub enum Object {
     ProducerHeartbeatTime,
     /// The effect of a communication error on the NMT state.
     CommunicationErrorBehaviour,
+    /// Date (1) or time (2) of the configuration.
+    VerifyConfiguration(u8),
     VendorId,
     ProductCode,
     RevisionNumber,
@@ -331,6 +333,11 @@ table! {
         2 "Product code": Unsigned32, Const, ProductCode = Number(device.address.product_code);
         3 "Revision number": Unsigned32, Const, RevisionNumber = Number(device.address.revision_number);
         4 "Serial number": Unsigned32, Const, SerialNumber;
+    }
+    0x1020 {
+        0 "Highest sub-index supported" of "Verify configuration": Unsigned8, Const, HighestSubIndex(2);
+        1 "Configuration date": Unsigned32, ReadWrite, VerifyConfiguration(1) = Number(0);
+        2 "Configuration time": Unsigned32, ReadWrite, VerifyConfiguration(2) = Number(0);
     }
     0x1029 {
         0 "Highest sub-index supported" of "Error behaviour": Unsigned8, Const, HighestSubIndex(1);

@@ -26,8 +26,8 @@ const ANSWER_CYCLES: u64 = 640;
 const SDO_CYCLES: u64 = 3_000;
 /// The limit for the other interrupts of the node that are served before, in core cycles.
 const INTERRUPT_CYCLES: u64 = 20 * CORE_MHZ;
-/// The limit for the use of the stack: three quarters of what there is. The node is made on the stack.
-const MOST_STACK: usize = 8 * 1024;
+/// The limit for the use of the stack: five eighths of what there is. The node is made on the stack.
+const MOST_STACK: usize = 10 * 1024;
 /// The application samples its inputs at this interval.
 const SAMPLE: Time = Time::from_ms(10);
 /// More than the time from a change of an input to the end of its TPDO.

@@ -75,9 +75,9 @@ fn every_object_is_in_the_list_of_its_range() {
          SupportedObjects=9"
     );
     let optional = &sections["OptionalObjects"];
-    assert_eq!((&*optional["1"], &*optional["10"]), ("0x1003", "0x1029"));
-    assert_eq!((&*optional["11"], &*optional["17"]), ("0x1200", "0x9FFF"));
-    assert_eq!(optional.len(), 1 + 17);
+    assert_eq!((&*optional["1"], &*optional["11"]), ("0x1003", "0x1029"));
+    assert_eq!((&*optional["12"], &*optional["18"]), ("0x1200", "0x9FFF"));
+    assert_eq!(optional.len(), 1 + 18);
 }
 
 #[test]

@@ -50,3 +50,4 @@ mod settings_room;
 mod supervision;
 mod supervision_guest;
 mod supervision_random;
+mod verify_configuration;

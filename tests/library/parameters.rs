@@ -401,7 +401,8 @@ fn the_capacity_is_the_sum_of_the_longest_values() {
     let sum: usize = lens.iter().map(|len| HEADER + len).sum();
     let of_error_behaviour = HEADER + 1;
     let of_emergency = HEADER + 4 + HEADER + 2;
-    let of_every_node = of_error_behaviour + of_emergency;
+    let of_verification = 2 * (HEADER + 4);
+    let of_every_node = of_error_behaviour + of_emergency + of_verification;
     assert_eq!(canopen_node::Node::<Pump>::STORED_LEN, sum + of_every_node);
     assert_eq!(canopen_node::Node::<Volatile>::STORED_LEN, of_every_node);
     assert_eq!(<canopen_node::Node>::STORED_LEN, of_every_node);

@@ -338,7 +338,9 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     let pdos = 3 * (HEADER + 4 * (5 + 8)) + 2 * (HEADER + 4 * (2 + 8));
     let of_error_behaviour = HEADER + 1;
     let of_emergency = HEADER + 4 + HEADER + 2;
-    let capacity = of_sync + of_error_behaviour + of_emergency + pdos + 2 * (HEADER + 4);
+    let of_verification = 2 * (HEADER + 4);
+    let of_every_node = of_error_behaviour + of_emergency + of_verification;
+    let capacity = of_sync + of_every_node + pdos + 2 * (HEADER + 4);
     assert_eq!(Node::<Machine, 3, 2, 2>::STORED_LEN, capacity);
     let mut board = board();
     for (parameter, cob_id, value) in [
@@ -355,6 +357,8 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     set(&mut board, 0x1029, 1, 1, 1);
     set(&mut board, 0x1014, 0, 0x8000_00C0, 4);
     set(&mut board, 0x1015, 0, 100, 2);
+    set(&mut board, 0x1020, 1, 1, 4);
+    set(&mut board, 0x1020, 2, 1, 4);
     assert_eq!(board.save(1), Ok(()));
     assert_eq!(board.stored_parameters().len(), capacity);
 }

@@ -1,5 +1,6 @@
 //! The areas of the dictionary that 1010h stores and 1011h restores, and the stored values of the application.
 
+use super::verification::Verification;
 use crate::{
     application::Dictionary,
     object_dictionary::{self, Entry, Object},
@@ -19,10 +20,12 @@ pub(super) struct Download {
 /// An area of the dictionary that is stored and restored apart from the other (CiA 301, objects 1010h and 1011h).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Area {
-    /// The objects 1000h to 1FFFh.
+    /// The objects 1000h to 1FFFh, but for 1020h.
     Communication,
     /// The objects 2000h to 9FFFh.
     Application,
+    /// The object 1020h, which is about both.
+    Verification,
 }
 
 /// The effect of a store on the stored values of an area.
@@ -36,19 +39,23 @@ pub(super) enum Change {
 }
 
 impl Area {
-    pub const ALL: [Self; 2] = [Self::Communication, Self::Application];
+    pub const ALL: [Self; 3] = [Self::Communication, Self::Application, Self::Verification];
     const RESTORE: u16 = 0x1011;
 
     /// The area of the object with this index.
     pub const fn of(index: u16) -> Self {
-        if index < 0x2000 { Self::Communication } else { Self::Application }
+        match index {
+            Verification::INDEX => Self::Verification,
+            0..0x2000 => Self::Communication,
+            _ => Self::Application,
+        }
     }
 
     /// Whether a write to this sub-index of 1010h or 1011h concerns the area.
     pub const fn is_concerned(self, sub_index: u8) -> bool {
         match sub_index {
-            2 => matches!(self, Self::Communication),
-            3 => matches!(self, Self::Application),
+            2 => !matches!(self, Self::Application),
+            3 => !matches!(self, Self::Communication),
             _ => true,
         }
     }

@@ -31,6 +31,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.nmt.reset_communication(heartbeat_ms, communication.error_behaviour());
         self.emergency.configure(communication.emergency());
         communication.reset();
+        self.storing.verification.reset();
         self.periodic.note_dropped();
         self.end_sdo();
         self.agenda.add(Tasks::ALL);

@@ -143,6 +143,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::InhibitTimeEmergency => self.emergency.configuration.inhibit_time.into(),
             Object::ProducerHeartbeatTime => self.nmt.heartbeat_ms().into(),
             Object::CommunicationErrorBehaviour => self.nmt.error_behaviour() as u32,
+            Object::VerifyConfiguration(sub_index) => self.storing.verification.read(sub_index),
             Object::VendorId => self.lss.address_part(AddressPart::VendorId),
             Object::ProductCode => self.lss.address_part(AddressPart::ProductCode),
             Object::RevisionNumber => self.lss.address_part(AddressPart::RevisionNumber),
@@ -173,6 +174,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         if let Object::Application(field) = entry.object {
             let value = A::parse(field, bytes)?;
             self.application.accept(&value)?;
+            if entry.options.is_stored() && self.differs(field, bytes) {
+                self.storing.verification.clear();
+            }
             self.application.set(value);
             return Ok(Some(confirmation));
         }
@@ -193,8 +197,16 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
                 Err(Abort::NotStored)
             }
+            (Object::VerifyConfiguration(sub_index), value) => {
+                self.storing.verification.write(sub_index, value);
+                Ok(Some(confirmation))
+            }
             (object, value) => {
+                let before = self.read(entry);
                 self.write_number(object, value)?;
+                if object != Object::NumberOfErrors && self.read(entry) != before {
+                    self.storing.verification.clear();
+                }
                 Ok(Some(confirmation))
             }
         }
@@ -236,6 +248,15 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>
 {
+    /// Whether the value of a field differs from these bytes.
+    fn differs(&self, field: u8, bytes: &[u8]) -> bool {
+        let is_other = |(at, byte): (usize, &u8)| {
+            let mut now = [0];
+            self.application.read(field, at, &mut now) == 0 || now != [*byte]
+        };
+        self.application.len(field) != bytes.len() || bytes.iter().enumerate().any(is_other)
+    }
+
     fn write_number(&mut self, object: Object, number: u32) -> Result<(), Abort> {
         match object {
             Object::NumberOfErrors if number == 0 => self.emergency.clear_history(),

@@ -1,12 +1,7 @@
 //! The product around the protocol: its description, its application and its process data.
 
-use super::{
-    areas::{self, Area},
-    communication::Communication,
-};
-use crate::{
-    Application, BitRate, Device, NodeId, application::Event, nmt, settings::parameters::Parameter,
-};
+use super::communication::Communication;
+use crate::{Application, BitRate, Device, NodeId, application::Event, nmt};
 
 #[derive(Clone, Debug)]
 pub(super) struct Product<A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
@@ -40,13 +35,5 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let has_left_operational = self.communication.pdos.follow(state, node);
         self.application.handle(Event::Nmt(state));
         has_left_operational
-    }
-
-    /// Takes a stored parameter in place of the default; returns whether it was taken.
-    pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
-        match Area::of(parameter.index) {
-            Area::Communication => self.communication.restore::<A>(parameter),
-            Area::Application => areas::restore(&mut self.application, parameter),
-        }
     }
 }
