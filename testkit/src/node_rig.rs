@@ -24,6 +24,8 @@ pub const ADDRESS: Address = Address {
 
 /// The bytes for parameters in the settings log of a board.
 const ROOM: usize = 2048;
+/// More actions than are ever due at one time.
+const ENDLESS: usize = 1000;
 
 /// A board with a node on it.
 pub struct NodeRig<
@@ -49,7 +51,7 @@ pub struct NodeRig<
     clock_at_start: u32,
     /// The controller's state.
     bit_rate: BitRate,
-    may_transmit: bool,
+    pub may_transmit: bool,
     receives: Receives<RPDOS, PRODUCERS>,
     /// The store in progress, if stores take time.
     running_store: Option<Settings>,
@@ -142,6 +144,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
         let mut board = Self {
             new_application: application,
             bit_rate: node.bit_rate(),
+            may_transmit: !node.is_listening(),
             receives: node.receives(),
             node,
             flash,
@@ -151,7 +154,6 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
             log,
             now: 0,
             clock_at_start,
-            may_transmit: true,
             running_store: None,
             stores_take_time: false,
             actions: Vec::new(),
@@ -250,6 +252,10 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
         self.stores_take_time = true;
     }
 
+    pub fn is_storing(&self) -> bool {
+        self.running_store.is_some()
+    }
+
     /// Executes the store in progress; returns the frames that the node sends then.
     pub fn finish_store(&mut self) -> Frames {
         let settings = self.running_store.take().expect("a store is running");
@@ -336,9 +342,11 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
     }
 
     fn run(&mut self) {
+        let before = self.actions.len();
         loop {
             while let Some(action) = self.node.poll(self.instant()) {
                 self.carry_out(Some(action));
+                assert!(self.actions.len() - before < ENDLESS, "the actions come to an end");
             }
             if !self.is_acknowledged || !self.node.wants_to_send_more() {
                 break;
@@ -403,7 +411,7 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
         (self.log, self.node, self.found) = start(self.device, &self.flash, application);
         self.bit_rate = self.node.bit_rate();
         self.receives = self.node.receives();
-        self.may_transmit = true;
+        self.may_transmit = !self.node.is_listening();
         self.running_store = None;
     }
 }
