@@ -47,7 +47,7 @@ impl BitTiming {
         let bit_hz = rate.kbit_per_s() as u64 * 1000;
         let sample_points = Self::sample_point_range(rate);
         let mut best = None;
-        let mut best_rank = Rank::WORST;
+        let mut best_rank = u128::MAX;
         // The first of equal ranks is kept: it has the most quanta and, at equal distance from 87.5 %, the earlier
         // sample point.
         let mut quanta = *Self::QUANTA.end();
@@ -71,16 +71,15 @@ impl BitTiming {
                 let intolerance =
                     Self::CRYSTAL_ERROR_PPM.saturating_sub(timing.crystal_tolerance_ppm());
                 let sample_point = timing.sample_point();
-                let rank = Rank {
-                    rate_error_ppm: error_ppm / prescaler,
-                    intolerance_ppm: intolerance,
-                    sample_point_error: sample_point.abs_diff(Self::SAMPLE_POINT),
-                };
+                // The less the better: the first criterion is in the highest bits.
+                let rank = ((error_ppm / prescaler) as u128) << 64
+                    | (intolerance as u128) << 32
+                    | sample_point.abs_diff(Self::SAMPLE_POINT) as u128;
                 if segment1 >= 1
                     && segment1 <= 16
                     && sample_point >= *sample_points.start()
                     && sample_point <= *sample_points.end()
-                    && rank.is_better_than(&best_rank)
+                    && rank < best_rank
                 {
                     best_rank = rank;
                     best = Some(timing);
@@ -117,57 +116,5 @@ impl BitTiming {
     /// The bit rate at a clock of `clock_hz`, in bit/s.
     pub const fn bit_per_s(self, clock_hz: u32) -> u32 {
         clock_hz / (self.prescaler as u32 * self.quanta())
-    }
-}
-
-/// The distance of a bit timing from the ideal. The first field that differs decides; the smaller value is better.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Rank {
-    rate_error_ppm: u64,
-    /// The shortfall from [`BitTiming::CRYSTAL_ERROR_PPM`].
-    intolerance_ppm: u32,
-    /// In 1/1000 of the bit.
-    sample_point_error: u32,
-}
-
-impl Rank {
-    const WORST: Self =
-        Self { rate_error_ppm: u64::MAX, intolerance_ppm: u32::MAX, sample_point_error: u32::MAX };
-
-    /// The operator `<`, which cannot be called in a constant.
-    const fn is_better_than(&self, other: &Self) -> bool {
-        if self.rate_error_ppm != other.rate_error_ppm {
-            return self.rate_error_ppm < other.rate_error_ppm;
-        }
-        if self.intolerance_ppm != other.intolerance_ppm {
-            return self.intolerance_ppm < other.intolerance_ppm;
-        }
-        self.sample_point_error < other.sample_point_error
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Rank;
-
-    #[test]
-    fn a_rank_is_better_than_another_if_it_is_less() {
-        let numbers = || 0..3;
-        let ranks = || {
-            numbers().flat_map(move |rate| {
-                numbers().flat_map(move |intolerance_ppm| {
-                    numbers().map(move |sample_point_error| Rank {
-                        rate_error_ppm: rate.into(),
-                        intolerance_ppm,
-                        sample_point_error,
-                    })
-                })
-            })
-        };
-        for a in ranks() {
-            for b in ranks() {
-                assert_eq!(a.is_better_than(&b), a < b, "{a:?}, {b:?}");
-            }
-        }
     }
 }
