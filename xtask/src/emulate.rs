@@ -353,6 +353,18 @@ mod tests {
     }
 
     #[test]
+    fn a_line_that_is_no_command_is_refused() {
+        let mut program = Program::connect(served_bus());
+        program.send("S0\rS8\rO\r");
+        program.expect("\r\r\r");
+        let lines = "X\rS\rS9\rS44\rs031C\rO1\rZ\rZ2\rM0\rmGGGGGGGG\rt\rt7E\rt7E5\rt8000\rt7E59\rt7E51\r\
+                     t7E5100FF\rt7E51G0\rt7E51+1\rr7E5100\rT7E50\rT200000000\rt\u{c4}\rR1FFFFFFF\r\0\r";
+        program.send(lines);
+        program.0.write_all(b"t\xFF\r").expect("it is connected");
+        program.expect(&"\x07".repeat(lines.matches('\r').count() + 1));
+    }
+
+    #[test]
     fn a_line_that_is_too_long_is_refused_as_a_whole() {
         let mut program = Program::connect(served_bus());
         program.send("S6\rO\r");

@@ -57,7 +57,10 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     }
     let packages = packages::linked(chip)?;
     let (size, _) = size::report(&elf, chip, false)?;
-    let mut files = image::files(&Image::from_elf(&elf)?)?;
+    let image = Image::from_elf(&elf)?;
+    let bytes: usize = image.segments().map(|(_, bytes)| bytes.len()).sum();
+    ensure!(bytes > 0, "the program is empty");
+    let mut files = image::files(&image)?;
     files.extend([
         ("lss-slave.eds".to_owned(), eds::of_firmware().eds().into_bytes()),
         ("size.txt".to_owned(), size.into_bytes()),
@@ -77,8 +80,6 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
         let path = folder.join(name);
         fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))?;
     }
-    let bytes = image::check(&folder)?;
-    ensure!(bytes > 0, "the program is empty");
     println!("{}: {bytes} bytes of program, {} packages", folder.display(), packages.len());
     Ok(())
 }

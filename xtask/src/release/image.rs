@@ -1,6 +1,6 @@
 //! The files of a program: HEX and BIN, and the check that none of the files touches the settings.
 
-use std::{collections::BTreeMap, fs, ops::Range, path::Path};
+use std::{collections::BTreeMap, ops::Range};
 
 use anyhow::{Context, bail, ensure};
 use emulator::{chip::FLASH_BASE, image::Image};
@@ -23,10 +23,21 @@ const NAME: &str = "lss-slave";
 /// A part of the program: its first address and its bytes.
 type Part = (u32, Vec<u8>);
 
-/// The HEX file and the BIN files of a program, with their names.
+/// The HEX file and the BIN files of a program, with their names. Fails if they differ, or if one has a byte for the
+/// settings.
 pub fn files(image: &Image) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
     let parts = parts(image)?;
-    let mut files = vec![(format!("{NAME}.hex"), hex(&parts)?.into_bytes())];
+    let hex = hex(&parts)?;
+    let mut bytes = BTreeMap::new();
+    for (address, part) in &parts {
+        insert(&mut bytes, *address, part)?;
+    }
+    ensure!(read_hex(&hex)? == bytes, "HEX and BIN files differ");
+    let is_there = |(address, segment): (u32, &[u8])| {
+        (address..).zip(segment).all(|(address, byte)| bytes.get(&address) == Some(byte))
+    };
+    ensure!(image.segments().all(is_there), "HEX and ELF files differ");
+    let mut files = vec![(format!("{NAME}.hex"), hex.into_bytes())];
     files.extend(
         parts.into_iter().map(|(address, bytes)| (format!("{NAME}-{address:08X}.bin"), bytes)),
     );
@@ -71,34 +82,6 @@ fn hex(parts: &[Part]) -> anyhow::Result<String> {
     }
     records.push(Record::EndOfFile);
     create_object_file_representation(&records).context("the HEX file")
-}
-
-/// Reads the files of the program in a folder, and returns the number of its bytes. Fails if a file has a byte for the
-/// settings, or if ELF, HEX and BIN files differ.
-pub fn check(folder: &Path) -> anyhow::Result<usize> {
-    let mut binaries = BTreeMap::new();
-    for entry in fs::read_dir(folder)? {
-        let path = entry?.path();
-        let name = path.file_stem().and_then(|name| name.to_str()).unwrap_or_default();
-        if path.extension().is_some_and(|ending| ending == "bin") {
-            let (_, address) = name.rsplit_once('-').with_context(|| name.to_owned())?;
-            let start = u32::from_str_radix(address, 16).with_context(|| name.to_owned())?;
-            insert(&mut binaries, start, &fs::read(path)?)?;
-        }
-    }
-    let mut of_elf = BTreeMap::new();
-    for (address, bytes) in Image::load(folder.join(NAME).with_extension("elf"))?.segments() {
-        insert(&mut of_elf, address, bytes)?;
-    }
-    let of_hex = read_hex(&fs::read_to_string(folder.join(NAME).with_extension("hex"))?)?;
-    ensure!(of_hex == binaries, "HEX and BIN files differ");
-    let gaps = of_hex.iter().filter(|(address, _)| !of_elf.contains_key(address));
-    ensure!(gaps.clone().all(|(_, byte)| *byte == ERASED), "HEX and ELF files differ");
-    ensure!(
-        of_elf.iter().all(|(address, byte)| of_hex.get(address) == Some(byte)),
-        "HEX and ELF files differ"
-    );
-    Ok(of_elf.len())
 }
 
 /// The bytes of a HEX file, by address.

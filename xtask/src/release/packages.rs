@@ -3,15 +3,15 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     env, fs,
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use emulator::chip::Part;
 use serde_json::Value;
 
-use testkit::cargo::{self, workspace};
+use testkit::cargo::{TARGET, cargo, workspace};
 
 /// A package: those of cargo, and the one of the compiler.
 pub struct Package {
@@ -35,61 +35,58 @@ pub const CORE: &str = "core";
 
 /// The packages in the firmware for a chip, by name and version.
 pub fn linked(chip: Part) -> anyhow::Result<Vec<Package>> {
-    let of_chip = ["--locked", "--features", chip.name()];
-    let tree = cargo(
-        &["tree", "--package", FIRMWARE, "--target", "thumbv7em-none-eabihf"],
-        &[&of_chip[..], &["--edges", "no-dev,no-build,no-proc-macro", "--prefix", "none"]].concat(),
+    let tree = output(
+        cargo()
+            .args(["tree", "--locked", "--package", FIRMWARE, "--features", chip.name()])
+            .args(["--target", TARGET, "--edges", "no-dev,no-build,no-proc-macro"])
+            .args(["--no-dedupe", "--prefix", "depth", "--format", "|{p}|{l}|{r}"]),
     )?;
-    let names: BTreeSet<(&str, &str)> = tree.lines().filter_map(name_and_version).collect();
-    let metadata = cargo(
-        &["metadata", "--format-version", "1", "--filter-platform", "thumbv7em-none-eabihf"],
-        &of_chip,
-    )?;
+    let metadata = output(cargo().args(["metadata", "--locked", "--format-version", "1"]))?;
     let metadata: Value = serde_json::from_str(&metadata).context("the metadata of cargo")?;
+    let folder = |name: &str, version: &str| {
+        let mut packages = metadata["packages"].as_array()?.iter();
+        let package = packages.find(|it| it["name"] == name && it["version"] == version)?;
+        Path::new(package["manifest_path"].as_str()?).parent().map(Path::to_owned)
+    };
     let lock = fs::read_to_string(workspace().join("Cargo.lock")).context("Cargo.lock")?;
-    let checksums = checksums(&lock)?;
-
-    let of_id: BTreeMap<&str, (String, String)> = array(&metadata["packages"])
-        .map(|package| Ok((text(package, "id")?, key(package)?)))
-        .collect::<anyhow::Result<_>>()?;
-    let mut uses: BTreeMap<&str, BTreeSet<(String, String)>> = BTreeMap::new();
-    for node in array(&metadata["resolve"]["nodes"]) {
-        let used = array(&node["dependencies"]).filter_map(|id| of_id.get(id.as_str()?).cloned());
-        let linked = used.filter(|(name, version)| names.contains(&(name, version)));
-        uses.insert(text(node, "id")?, linked.collect());
-    }
-    let mut packages = Vec::new();
-    for package in array(&metadata["packages"]) {
-        let (name, version) = key(package)?;
-        if !names.contains(&(&name, &version)) {
-            continue;
+    let lock: toml::Table = lock.parse().context("Cargo.lock")?;
+    let checksum = |name: &str, version: &str| {
+        let is = |package: &toml::Value| {
+            package["name"].as_str() == Some(name) && package["version"].as_str() == Some(version)
+        };
+        let package = lock["package"].as_array()?.iter().find(|package| is(package))?;
+        package.get("checksum")?.as_str().map(str::to_owned)
+    };
+    let mut packages: BTreeMap<(String, String), Package> = BTreeMap::new();
+    // The package of the line before, the one that uses it, and so on.
+    let mut users: Vec<(String, String)> = Vec::new();
+    for line in tree.lines() {
+        let [depth, package, licence, repository] =
+            line.split('|').collect::<Vec<_>>().try_into().ok().with_context(|| line.to_owned())?;
+        let [name, version, ..] = package.split(' ').collect::<Vec<_>>()[..] else {
+            bail!("{line}")
+        };
+        let (name, version) = (name.to_owned(), version.trim_start_matches('v').to_owned());
+        ensure!(!licence.is_empty(), "{name} has no licence");
+        let key = (name.clone(), version.clone());
+        users.truncate(depth.parse().with_context(|| line.to_owned())?);
+        if let Some(user) = users.last().and_then(|user| packages.get_mut(user)) {
+            user.uses.insert(key.clone());
         }
-        let mut folder = PathBuf::from(text(package, "manifest_path")?);
-        folder.pop();
-        let licence =
-            package["license"].as_str().with_context(|| format!("{name} has no licence"))?;
-        packages.push(Package {
+        packages.entry(key.clone()).or_insert_with(|| Package {
             licence: licence.replace('/', " OR "),
-            repository: package["repository"].as_str().map(str::to_owned),
-            checksum: checksums.get(&(name.clone(), version.clone())).cloned(),
-            folder: Some(folder),
-            uses: uses.remove(text(package, "id")?).unwrap_or_default(),
+            repository: Some(repository.to_owned()).filter(|repository| !repository.is_empty()),
+            checksum: checksum(&name, &version),
+            folder: folder(&name, &version),
+            uses: BTreeSet::new(),
             name,
             version,
         });
+        users.push(key);
     }
-    if packages.len() != names.len() {
-        bail!("cargo tree names {} packages, cargo metadata {}", names.len(), packages.len());
-    }
-    packages.push(core()?);
-    packages.sort_by(|a, b| (&a.name, &a.version).cmp(&(&b.name, &b.version)));
-    Ok(packages)
-}
-
-/// The package and its version in a line of `cargo tree`.
-fn name_and_version(line: &str) -> Option<(&str, &str)> {
-    let mut words = line.split_whitespace();
-    Some((words.next()?, words.next()?.strip_prefix('v')?))
+    let core = core()?;
+    packages.insert((core.name.clone(), core.version.clone()), core);
+    Ok(packages.into_values().collect())
 }
 
 fn core() -> anyhow::Result<Package> {
@@ -107,21 +104,6 @@ fn core() -> anyhow::Result<Package> {
     })
 }
 
-/// The checksums of the packages in `Cargo.lock`.
-fn checksums(lock: &str) -> anyhow::Result<BTreeMap<(String, String), String>> {
-    let lock: toml::Table = lock.parse().context("Cargo.lock")?;
-    let packages = lock["package"].as_array().context("Cargo.lock has no packages")?;
-    let entries = packages.iter().filter_map(|package| {
-        let text = |key: &str| package.get(key)?.as_str().map(str::to_owned);
-        Some(((text("name")?, text("version")?), text("checksum")?))
-    });
-    Ok(entries.collect())
-}
-
-fn cargo(command: &[&str], arguments: &[&str]) -> anyhow::Result<String> {
-    output(cargo::cargo().args(command).args(arguments))
-}
-
 fn output(command: &mut Command) -> anyhow::Result<String> {
     let name = command.get_program().display().to_string();
     let output =
@@ -130,16 +112,4 @@ fn output(command: &mut Command) -> anyhow::Result<String> {
         bail!("{name} failed: {}", String::from_utf8_lossy(&output.stderr).trim_end());
     }
     String::from_utf8(output.stdout).with_context(|| format!("the output of {name}"))
-}
-
-fn array(value: &Value) -> impl Iterator<Item = &Value> {
-    value.as_array().into_iter().flatten()
-}
-
-fn text<'a>(value: &'a Value, key: &str) -> anyhow::Result<&'a str> {
-    value[key].as_str().with_context(|| format!("the metadata of cargo have no `{key}`"))
-}
-
-fn key(package: &Value) -> anyhow::Result<(String, String)> {
-    Ok((text(package, "name")?.to_owned(), text(package, "version")?.to_owned()))
 }
