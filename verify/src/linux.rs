@@ -190,38 +190,3 @@ fn describe(frame: &Frame) -> String {
     let data: Vec<String> = frame.payload().iter().map(|byte| format!("{byte:02X}")).collect();
     format!("{}  {:24} {}", frame.id, data.join(" "), explain(frame))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_line_of_candump_is_read() {
-        let line = "(1795313000.062011) slcan0 7E5#0401000000000000";
-        let (time, frame) = candump(line).expect("a frame");
-        assert_eq!(
-            (time, frame),
-            (1_795_313_000.062_011, Frame::data(Id::Standard(0x7E5), &[4, 1, 0, 0, 0, 0, 0, 0]))
-        );
-        assert_eq!(
-            describe(&frame),
-            "7E5  04 01 00 00 00 00 00 00  LSS switch state global: configuration"
-        );
-        let (_, frame) = candump("(0.5) slcan0 080#").expect("a frame without data");
-        assert_eq!(frame, Frame::data(Id::Standard(0x80), &[]));
-    }
-
-    #[test]
-    fn other_lines_are_no_frames() {
-        for line in [
-            "",
-            "can-utils: a b",
-            "(1.0) slcan0 7E5",
-            "(1.0) slcan0 7E5#0G",
-            "1.0 slcan0 7E5#00",
-            "(x) y z#",
-        ] {
-            assert!(candump(line).is_none(), "{line}");
-        }
-    }
-}

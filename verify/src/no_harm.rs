@@ -98,11 +98,10 @@ struct Tally {
 
 impl Tally {
     fn add(&mut self, verdict: &Verdict) {
-        let is_not_found = |failure: &Failure| matches!(failure, Failure::NotFound { .. });
+        let not_found = verdict.failures.iter().filter(|failure| failure.is_not_found()).count();
         self.situations += 1;
-        self.worse += u64::from(verdict.failures.iter().any(|failure| !is_not_found(failure)));
-        self.not_found +=
-            verdict.failures.iter().filter(|failure| is_not_found(failure)).count() as u64;
+        self.worse += u64::from(verdict.failures.len() > not_found);
+        self.not_found += not_found as u64;
         self.rescued += verdict.rescued;
         self.worst_delay = self.worst_delay.max(verdict.worst_delay);
     }

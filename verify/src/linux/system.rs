@@ -260,21 +260,8 @@ fn quoted(word: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-
-    #[test]
-    fn the_libraries_of_a_program_are_found() {
-        let ldd = "\tlinux-vdso.so.1 (0x00007ffe)\n\tlibc.so.6 => /lib/x86_64-linux-gnu/libc.so.6 (0x00007f)\n\
-                   \t/lib64/ld-linux-x86-64.so.2 (0x00007f)\n";
-        assert_eq!(
-            libraries(ldd),
-            ["/lib/x86_64-linux-gnu/libc.so.6", "/lib64/ld-linux-x86-64.so.2"]
-        );
-        assert_eq!(libraries("\tstatically linked\n"), [""; 0]);
-    }
-
     #[test]
     fn the_shell_takes_a_quoted_word_as_it_is() {
-        assert_eq!(quoted("it's"), "'it'\\''s'");
+        assert_eq!(super::quoted("it's"), "'it'\\''s'");
     }
 }

@@ -1,11 +1,11 @@
 //! Random situations: their kind, the stations on the bus, and the events.
 
-use canopen_node::BitRate;
+use canopen_node::{BitRate, lss::Request};
 use emulator::network::Short;
 
 use super::{
     life::SWITCH_LEAD_MS,
-    situation::{Configure, Event, Foreign, Master, Node, Probe, Situation, Traffic, What},
+    situation::{Event, Foreign, Master, Node, Probe, Situation, Traffic, What, configure},
 };
 use testkit::{image_rig::bit_per_s, random::Random};
 
@@ -255,12 +255,12 @@ impl Draft {
         let begin = self.span(200, 600);
         self.add(begin - 60, begin - 60, What::Master(Master::Idle(self.home)));
         let end = begin + self.span(1_000, 10_000);
-        let configure = if self.random.one_in(2) {
-            Configure::NodeId(self.boards[0].node_id.unwrap_or(1))
+        let request = if self.random.one_in(2) {
+            Request::ConfigureNodeId(self.boards[0].node_id.unwrap_or(1))
         } else {
-            Configure::Rate(self.other_rate())
+            configure(self.other_rate())
         };
-        self.add(begin, end, What::Session(configure));
+        self.add(begin, end, What::Session(request));
         let noise = What::Noise {
             seed: self.random.u64(),
             mean_interval_us: self.random.within(100_000..1_500_000) as u32,

@@ -59,10 +59,8 @@ pub struct Verdict {
 /// A violated requirement.
 #[derive(Clone, Debug)]
 pub enum Failure {
-    /// The plain slave is reached after this time, the product later or not in time.
-    Worse { board: usize, plain: Time, ours: Option<Time>, limit: Time },
-    /// The plain slave is lost, and the product was not found in time.
-    NotFound { board: usize, ours: Option<Time>, limit: Time },
+    /// The product is not reached in time, where the plain slave is reached after its time or lost.
+    Late { board: usize, plain: Option<Time>, ours: Option<Time>, limit: Time },
     /// The stored settings or the bit rate differ from the plain slave's.
     Outcome { board: usize },
     /// An access or reset that no program may cause.
@@ -70,11 +68,16 @@ pub enum Failure {
 }
 
 impl Failure {
+    /// Whether the plain slave is lost, too.
+    pub const fn is_not_found(&self) -> bool {
+        matches!(self, Self::Late { plain: None, .. })
+    }
+
     pub const fn name(&self) -> &'static str {
         match self {
-            Self::Worse { ours: Some(_), .. } => "reached late",
-            Self::Worse { ours: None, .. } => "not reached",
-            Self::NotFound { .. } => "not found",
+            Self::Late { plain: None, .. } => "not found",
+            Self::Late { ours: Some(_), .. } => "reached late",
+            Self::Late { ours: None, .. } => "not reached",
             Self::Outcome { .. } => "outcome",
             Self::Offence(_) => "offence",
         }
@@ -88,18 +91,11 @@ impl fmt::Display for Failure {
             None => "not at all".to_owned(),
         };
         match self {
-            Self::Worse { board, plain, ours, limit } => {
-                let (plain, ours, limit) = (plain.as_ms(), after(ours), limit.as_ms());
+            Self::Late { board, plain, ours, limit } => {
+                let (plain, ours, limit) = (after(plain), after(ours), limit.as_ms());
                 write!(
                     f,
-                    "board {board} is reached {ours}, the plain slave after {plain} ms; {limit} ms are allowed"
-                )
-            }
-            Self::NotFound { board, ours, limit } => {
-                let (ours, limit) = (after(ours), limit.as_ms());
-                write!(
-                    f,
-                    "board {board} is lost to the plain slave and found {ours}; {limit} ms are allowed"
+                    "board {board} is reached {ours}, the plain slave {plain}; {limit} ms are allowed"
                 )
             }
             Self::Outcome { board } => {
@@ -190,18 +186,14 @@ impl Images {
                 (Some(plain), Some(ours)) if is_in_time => {
                     verdict.worst_delay = verdict.worst_delay.max(ours.saturating_sub(plain));
                 }
-                (Some(plain), ours) => {
-                    if !(has_proven(board) && self.is_chance(situation, board, limit)) {
-                        verdict.failures.push(Failure::Worse { board, plain, ours, limit });
-                    }
-                }
                 (None, _) if is_in_time => verdict.rescued += 1,
                 // The board was switched on with the probe, and others at its rate have acknowledged it.
                 (None, _) if has_proven(board) => {}
-                (None, ours) => verdict.failures.push(Failure::NotFound { board, ours, limit }),
+                (Some(_), _) if has_proven(board) && self.is_chance(situation, board, limit) => {}
+                (plain, ours) => verdict.failures.push(Failure::Late { board, plain, ours, limit }),
             }
         }
-        verdict.failures.sort_by_key(|failure| matches!(failure, Failure::NotFound { .. }));
+        verdict.failures.sort_by_key(Failure::is_not_found);
         verdict
     }
 

@@ -1,6 +1,6 @@
 //! One run of a situation with one image: the boards go through its events, then the master looks for them.
 
-use canopen_node::{BitRate, NodeId, Settings};
+use canopen_node::{BitRate, NodeId, Settings, lss::Request};
 use emulator::{
     Time,
     board::{self, Board},
@@ -10,9 +10,8 @@ use emulator::{
     network::{self, AdapterId, Network, Noise, Source},
 };
 
-use super::situation::{Configure, Foreign, Master, Node, Probe, Situation, Traffic, What, ms};
+use super::situation::{Foreign, Master, Node, Probe, Situation, Traffic, What, configure, ms};
 use testkit::{
-    frames,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, on_the_wire},
     random::Random,
     sessions::Variant,
@@ -55,7 +54,7 @@ enum Step {
     Begin(usize),
     End(usize),
     /// A request of the LSS master.
-    Send(String),
+    Send(Request),
     /// Records which boards have switched to the rate.
     Switched(BitRate),
 }
@@ -130,31 +129,23 @@ impl<'a> Life<'a> {
             if event.until > event.at {
                 steps.push((ms(event.until), Step::End(index)));
             }
-            let mut send = |after, request: &str| {
-                steps.push((at + ms(after), Step::Send(request.to_owned())));
-            };
+            let mut send =
+                |after, request: Request| steps.push((at + ms(after), Step::Send(request)));
             match event.what {
-                What::Session(configure) => {
+                What::Session(request) => {
                     let span = event.until - event.at;
-                    send(0, "04 01");
-                    send(
-                        20,
-                        &match configure {
-                            Configure::NodeId(id) => format!("11 {id:02X}"),
-                            Configure::Rate(rate) => format!("13 00 {:02X}", rate.index()),
-                        },
-                    );
-                    send(span, "17");
-                    send(span + 100, "04 00");
+                    send(0, Request::SwitchToConfiguration);
+                    send(20, request);
+                    send(span, Request::StoreConfiguration);
+                    send(span + 100, Request::SwitchToWaiting);
                 }
                 What::Switch { to, delay_ms, is_stored } => {
-                    let [low, high] = delay_ms.to_le_bytes();
-                    send(0, "04 01");
-                    send(20, &format!("13 00 {:02X}", to.index()));
+                    send(0, Request::SwitchToConfiguration);
+                    send(20, configure(to));
                     if is_stored {
-                        send(40, "17");
+                        send(40, Request::StoreConfiguration);
                     }
-                    send(SWITCH_LEAD_MS, &format!("15 {low:02X} {high:02X}"));
+                    send(SWITCH_LEAD_MS, Request::ActivateBitTiming(delay_ms));
                     // The request itself takes up to 13 ms.
                     let looked = at + ms(SWITCH_LEAD_MS + 2 * u32::from(delay_ms) + 15);
                     steps.push((looked, Step::Switched(to)));
@@ -170,7 +161,7 @@ impl<'a> Life<'a> {
         match step {
             Step::Begin(index) => self.set(index, true),
             Step::End(index) => self.set(index, false),
-            Step::Send(request) => self.send_request(&request),
+            Step::Send(request) => self.send_request(request),
             Step::Switched(to) => {
                 for board in 0..self.switched.len() {
                     if self.bit_rate(board) == Some(bit_per_s(to)) {
@@ -247,9 +238,9 @@ impl<'a> Life<'a> {
         }
     }
 
-    fn send_request(&mut self, request: &str) {
+    fn send_request(&mut self, request: Request) {
         if matches!(self.mode, Master::Idle(_) | Master::Syncs(..) | Master::Polls(..)) {
-            self.network.send(self.master, on_the_wire(&frames::request(request)));
+            self.network.send(self.master, on_the_wire(&request.to_frame()));
         }
     }
 
@@ -334,7 +325,7 @@ impl<'a> Life<'a> {
                 }
                 for _ in 0..burst {
                     let frame = if asks {
-                        on_the_wire(&frames::request("5E"))
+                        on_the_wire(&Request::InquireNodeId.to_frame())
                     } else {
                         Frame::data(Id::Standard(0x181), &self.random.bytes::<8>())
                     };
@@ -361,7 +352,7 @@ impl<'a> Life<'a> {
             self.network.send(self.master, Frame::data(id, &request));
         }
         if node_ids.contains(&None) {
-            self.network.send(self.master, on_the_wire(&frames::request("4C")));
+            self.send_request(Request::IdentifyNonConfigured);
         }
     }
 

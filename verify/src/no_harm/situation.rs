@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use canopen_node::BitRate;
+use canopen_node::{BitRate, lss::Request};
 use emulator::{Time, network::Short};
 
 use super::life::SWITCH_LEAD_MS;
@@ -48,9 +48,9 @@ pub enum What {
         delay_ms: u16,
         is_stored: bool,
     },
-    /// The master selects all boards with `04 01`, sends `11` or `13` 20 ms later, at the end `17` and 100 ms later
+    /// The master selects all boards with `04 01`, sends this `11` or `13` 20 ms later, at the end `17` and 100 ms later
     /// `04 00`.
-    Session(Configure),
+    Session(Request),
     NoPower(usize),
     BrokenWire(usize),
     /// The master's own wire is broken.
@@ -65,13 +65,6 @@ pub enum What {
     /// A board samples one bit wrongly.
     BitError(usize),
     Foreign(Foreign),
-}
-
-/// What a session configures: a node-ID, or a bit rate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Configure {
-    NodeId(u8),
-    Rate(BitRate),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -214,6 +207,11 @@ impl fmt::Display for Situation {
         }
         write!(f, "  {:?}", self.probe)
     }
+}
+
+/// The request that makes a bit rate pending.
+pub fn configure(rate: BitRate) -> Request {
+    Request::ConfigureBitTiming { table: 0, index: rate.index() }
 }
 
 /// A number of milliseconds as the emulation's time.
