@@ -10,7 +10,7 @@ use canopen_node::{
     lss::{Address, Request},
 };
 
-use lss_master::Identify;
+use lss_master::{Configure, Identify};
 
 use crate::{
     adapter::Received,
@@ -49,31 +49,10 @@ pub struct Bench {
     /// The bit rate between the sessions, which all boards have stored.
     pub base: BitRate,
     /// Whether the stored settings of a board may differ from the original ones.
-    is_changed: bool,
+    pub is_changed: bool,
 }
 
 impl Bench {
-    pub fn new(
-        bus: Bus,
-        report: Report,
-        person: Person,
-        probe: Option<Probe>,
-        is_quick: bool,
-    ) -> Self {
-        let base = bus.rate();
-        Self {
-            bus,
-            report,
-            person,
-            probe,
-            is_quick,
-            boards: Vec::new(),
-            addresses: Vec::new(),
-            base,
-            is_changed: false,
-        }
-    }
-
     /// The nodes that send a boot-up within `span`; stops listening when all boards have.
     pub fn boot_ups(&mut self, span: Duration) -> Result<Vec<u8>, Stop> {
         let until = Instant::now() + span;
@@ -164,33 +143,36 @@ impl Bench {
         rate: BitRateSetting,
     ) -> Result<bool, Stop> {
         for board in boards {
-            let stored = board::store(&mut self.bus, board.address, Some(board.id), Some(rate))?;
-            if let Err(why) = stored {
+            let configure = Configure::node_id(Some(board.id)).with_bit_rate(rate);
+            if let Err(why) = board::store(&mut self.bus, board.address, configure)? {
                 self.report.failed(what, format!("{board}: {why}"), "11 00, 13 00, 17 00");
                 return Ok(false);
             }
         }
-        self.bus.request(Request::SwitchToWaiting)?;
         Ok(true)
     }
 
-    /// Sends a request; a check of its answer. `expected` is the answer's bytes, or empty for silence.
+    /// Sends a request; a check of its answer. `expected` is the answer's bytes, or empty for silence. Both are padded
+    /// to eight bytes.
     pub fn check_answer(
         &mut self,
         what: &str,
-        request: [u8; 8],
+        request: &[u8],
         expected: &[u8],
     ) -> Result<(), Stop> {
+        let padded = |bytes: &[u8]| {
+            let mut bytes = bytes.to_vec();
+            bytes.resize(8, 0);
+            bytes
+        };
         // What comes now belongs to earlier requests.
         self.bus.pass(Duration::ZERO)?;
-        self.bus.send_to(0x7E5, &request)?;
+        self.bus.send_to(0x7E5, &padded(request))?;
         let wait = if expected.is_empty() { self.bus.short() } else { self.bus.patience() };
         let answer = self.bus.wait_for(wait, |frame| frame.cob_id() == 0x7E4)?;
-        let mut padded = expected.to_vec();
-        padded.resize(8, 0);
         let is_good = match &answer {
             None => expected.is_empty(),
-            Some(answer) => !expected.is_empty() && answer.frame.data() == padded,
+            Some(answer) => !expected.is_empty() && answer.frame.data() == padded(expected),
         };
         let words = |bytes: Option<&[u8]>| bytes.map_or("no answer".to_owned(), board::text);
         let wanted = words(Some(expected).filter(|bytes| !bytes.is_empty()));

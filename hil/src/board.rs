@@ -4,12 +4,12 @@ use std::fmt;
 
 use canopen_node::{
     BitRate, BitRateSetting, NodeId,
-    lss::{Address, AddressPart, IdentifyKey, Request},
+    lss::{Address, IdentifyKey, Request},
 };
 use firmware::device::DEVICE;
-use lss_master::{Find, Identify};
+use lss_master::{Assign, Configure, Find, Identify, InquireNodeId, Select};
 
-use crate::{bus::Bus, stop::Stop};
+use crate::{bus::Bus, sdo::Outcome, stop::Stop};
 
 /// A board, and what it had stored before the sessions.
 #[derive(Clone, Copy, Debug)]
@@ -82,55 +82,20 @@ pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
 
 /// Brings one board to LSS configuration state, and all others to LSS waiting state. Returns whether it answered.
 pub fn select(bus: &mut Bus, address: Address) -> Result<bool, Stop> {
-    bus.request(Request::SwitchToWaiting)?;
-    bus.request(Request::Select(AddressPart::VendorId, address.vendor_id))?;
-    bus.request(Request::Select(AddressPart::ProductCode, address.product_code))?;
-    bus.request(Request::Select(AddressPart::RevisionNumber, address.revision_number))?;
-    let answer = bus.ask(Request::Select(AddressPart::SerialNumber, address.serial_number))?;
-    Ok(answer.is_some_and(|answer| answer[0] == 0x44))
+    Ok(bus.carry_out(Select(address))?.is_ok())
 }
 
 /// Selects a board; returns its active node-ID as in the frame, or `None` without an answer.
 pub fn node_id(bus: &mut Bus, address: Address) -> Result<Option<u8>, Stop> {
-    if !select(bus, address)? {
-        return Ok(None);
-    }
-    let answer = bus.ask(Request::InquireNodeId)?;
-    Ok(answer.filter(|answer| answer[0] == 0x5E).map(|answer| answer[1]))
-}
-
-/// Selects a board and stores a node-ID and a bit rate. Returns the first answer that is no success, in words.
-pub fn store(
-    bus: &mut Bus,
-    address: Address,
-    node_id: Option<NodeId>,
-    bit_rate: Option<BitRateSetting>,
-) -> Result<Result<(), String>, Stop> {
     match select(bus, address)? {
-        true => configure(bus, node_id, bit_rate),
-        false => Ok(Err("43 is not answered".into())),
+        true => Ok(bus.carry_out(InquireNodeId)?.ok().map(NodeId::to_lss)),
+        false => Ok(None),
     }
 }
 
-/// The same for the board in LSS configuration state.
-pub fn configure(
-    bus: &mut Bus,
-    node_id: Option<NodeId>,
-    bit_rate: Option<BitRateSetting>,
-) -> Result<Result<(), String>, Stop> {
-    let mut requests = vec![Request::ConfigureNodeId(NodeId::to_lss(node_id))];
-    requests
-        .extend(bit_rate.map(|rate| Request::ConfigureBitTiming { table: 0, index: rate.index() }));
-    requests.push(Request::StoreConfiguration);
-    for request in requests {
-        let command = request.to_bytes()[0];
-        match bus.ask(request)? {
-            Some([echo, 0, ..]) if echo == command => {}
-            Some(answer) => return Ok(Err(format!("{command:02X} is answered {}", text(&answer)))),
-            None => return Ok(Err(format!("{command:02X} is not answered"))),
-        }
-    }
-    Ok(Ok(()))
+/// Lets a board store this configuration, and brings it back to LSS waiting state.
+pub fn store(bus: &mut Bus, address: Address, configure: Configure) -> Outcome<()> {
+    Ok(bus.carry_out(Assign::address(address, configure))?.map(drop).map_err(|why| why.to_string()))
 }
 
 /// The bytes of a frame, without the zeros at its end.

@@ -134,7 +134,17 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             let person = if is_asked { Person::at_standard_input() } else { Person::absent() };
             let bus =
                 Bus::new(adapter, Duration::from_millis(arguments.latency.into()), is_interrupted);
-            let mut bench = Bench::new(bus, report, person, probe, arguments.quick);
+            let mut bench = Bench {
+                base: bus.rate(),
+                bus,
+                report,
+                person,
+                probe,
+                is_quick: arguments.quick,
+                boards: Vec::new(),
+                addresses: Vec::new(),
+                is_changed: false,
+            };
             let outcome = check(&mut bench, &arguments.session);
             bench.report.stopped = outcome.err().map(|stop| stop.to_string());
             if let Some(reason) = &bench.report.stopped {

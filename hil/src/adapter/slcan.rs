@@ -20,6 +20,8 @@ const QUESTIONS: usize = 5;
 const CONNECTION: Duration = Duration::from_secs(3);
 /// Time stamps count milliseconds and wrap to zero at this value.
 const STAMPS_MS: u64 = 60_000;
+/// The bit rates of `S0` to `S8` in kbit/s.
+const RATES: [u16; 9] = [10, 20, 50, 100, 125, 250, 500, 800, 1000];
 /// The longest line that is taken: a frame with eight bytes and a time stamp has 31 characters.
 const LINE: usize = 64;
 
@@ -264,16 +266,7 @@ impl Adapter for Slcan {
             None => self.reconnect()?,
             Some(_) => self.close()?,
         }
-        let index = match rate {
-            BitRate::Kbit1000 => 8,
-            BitRate::Kbit800 => 7,
-            BitRate::Kbit500 => 6,
-            BitRate::Kbit250 => 5,
-            BitRate::Kbit125 => 4,
-            BitRate::Kbit50 => 2,
-            BitRate::Kbit20 => 1,
-            BitRate::Kbit10 => 0,
-        };
+        let index = RATES.iter().position(|kbit| *kbit == rate.kbit_per_s()).unwrap_or_default();
         self.must(&format!("S{index}"), &rate.to_string())?;
         self.must(if mode == Mode::Normal { "O" } else { "L" }, "to open its channel")?;
         // Errors before this moment do not count.

@@ -1,6 +1,7 @@
 //! The stored settings of the boards, learned before the sessions change them.
 
 use canopen_node::{BitRate, BitRateSetting, NodeId};
+use lss_master::Configure;
 
 use super::{BOOT, Bench, RESET_NODE, SEARCH, node_id_text};
 use crate::{
@@ -43,7 +44,7 @@ impl Bench {
         self.is_changed = true;
         for board in self.boards.clone() {
             if board.original.node_id.is_none() {
-                self.store_or_stop(&board, None)?;
+                self.store_or_stop(&board, Configure::node_id(Some(board.id)))?;
             }
         }
         let detecting = self.detecting()?;
@@ -72,7 +73,8 @@ impl Bench {
             if let Ok(heartbeat) = self.number(board, 0x1017, 0)? {
                 self.boards[at].original.heartbeat_ms = heartbeat as u16;
             }
-            self.store_or_stop(&board, Some(self.base.into()))?;
+            let configure = Configure::node_id(Some(board.id)).with_bit_rate(self.base.into());
+            self.store_or_stop(&board, configure)?;
             let original = self.boards[at].original;
             let heartbeat_ms = original.heartbeat_ms;
             self.report.board(format!("{board}: {original} stored, heartbeat {heartbeat_ms} ms"));
@@ -108,8 +110,8 @@ impl Bench {
         ids.find(is_free).unwrap_or(NodeId::new(FIRST_FREE_ID).expect("1..=127"))
     }
 
-    fn store_or_stop(&mut self, board: &Board, rate: Option<BitRateSetting>) -> Result<(), Stop> {
-        let stored = board::store(&mut self.bus, board.address, Some(board.id), rate)?;
+    fn store_or_stop(&mut self, board: &Board, configure: Configure) -> Result<(), Stop> {
+        let stored = board::store(&mut self.bus, board.address, configure)?;
         stored.map_err(|why| Stop::Bench(format!("{board} does not store its settings: {why}")))
     }
 }

@@ -6,6 +6,7 @@ use std::{
 };
 
 use canopen_node::{BitRateSetting, NodeId, lss::Request};
+use lss_master::Configure;
 
 use super::{Bench, RESET_NODE, START, node_id_text};
 use crate::{
@@ -61,7 +62,8 @@ impl Bench {
                         still.push((board, node_id, setting));
                         continue;
                     }
-                    if let Err(why) = board::configure(&mut self.bus, node_id, Some(setting))? {
+                    let configure = Configure::node_id(node_id).with_bit_rate(setting);
+                    if let Err(why) = self.bus.carry_out(configure)? {
                         refusals.push(format!("{board}: {why}"));
                     }
                 }

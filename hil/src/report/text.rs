@@ -4,12 +4,15 @@ use super::{Check, Left, Outcome, Report};
 
 /// One line for a check.
 pub fn line(check: &Check) -> String {
-    let outcome = match check.outcome {
+    format!("  {}  {}: {}", outcome(check), check.what, seen(check))
+}
+
+pub fn outcome(check: &Check) -> &'static str {
+    match check.outcome {
         Outcome::Passed => "passed",
         Outcome::Failed => "FAILED",
         Outcome::NotTried => "not tried",
-    };
-    format!("  {outcome}  {}: {}", check.what, seen(check))
+    }
 }
 
 /// What was seen, and what was expected instead.

@@ -1,7 +1,7 @@
 //! Fastscan: all boards lose their node-IDs and are found again one by one.
 
 use canopen_node::lss::Request;
-use lss_master::Fastscan;
+use lss_master::{Configure, Fastscan};
 
 use crate::{
     bench::{BOOT, Bench, RESET_NODE},
@@ -11,12 +11,12 @@ use crate::{
 
 pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     for board in bench.boards.clone() {
-        if let Err(why) = board::store(&mut bench.bus, board.address, None, None)? {
+        let configure = Configure::node_id(None);
+        if let Err(why) = board::store(&mut bench.bus, board.address, configure)? {
             bench.report.failed(format!("{board}: un-configure and store"), why, "11 00, 17 00");
             return Ok(());
         }
     }
-    bench.bus.request(Request::SwitchToWaiting)?;
     bench.bus.nmt(RESET_NODE, 0)?;
     bench.bus.pass(BOOT)?;
     let mut rest = bench.boards.clone();
@@ -38,8 +38,8 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         };
         let board = rest.remove(at);
         bench.report.passed("Fastscan", format!("finds {board}"));
-        let stored = board::configure(&mut bench.bus, Some(board.id), None)?;
-        let seen = stored.map_or_else(|why| why, |()| "stored".into());
+        let stored = bench.bus.carry_out(Configure::node_id(Some(board.id)))?;
+        let seen = stored.map_or_else(|why| why.to_string(), |()| "stored".into());
         bench.report.equal("11 and 17 after it", seen, "stored");
         bench.bus.request(Request::SwitchToWaiting)?;
         bench.check_boot_up("04 00 makes the node-ID active", board.id, BOOT)?;

@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use lss_master::Configure;
+
 use crate::{bench::Bench, board, stop::Stop};
 
 /// The wait for the person's hands.
@@ -29,7 +31,8 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
         return Ok(());
     }
     let (board, other) = (bench.boards[0], bench.free_id());
-    if let Err(why) = board::store(&mut bench.bus, board.address, Some(other), None)? {
+    let configure = Configure::node_id(Some(other));
+    if let Err(why) = board::store(&mut bench.bus, board.address, configure)? {
         bench.report.failed("a node-ID is stored", why, "11 00, 17 00");
         return Ok(());
     }

@@ -8,13 +8,6 @@ use crate::{
     stop::Stop,
 };
 
-/// The bytes of a request.
-fn bytes(head: &[u8]) -> [u8; 8] {
-    let mut bytes = [0; 8];
-    bytes[..head.len()].copy_from_slice(head);
-    bytes
-}
-
 pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     let board = bench.boards[0];
     let address = board.address;
@@ -22,8 +15,8 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     let base = bench.base.index();
 
     bench.bus.request(Request::SwitchToWaiting)?;
-    bench.check_answer("5E in waiting state", bytes(&[0x5E]), &[])?;
-    bench.check_answer("11 in waiting state", bytes(&[0x11, id]), &[])?;
+    bench.check_answer("5E in waiting state", &[0x5E], &[])?;
+    bench.check_answer("11 in waiting state", &[0x11, id], &[])?;
     for (part, number) in [
         (AddressPart::VendorId, address.vendor_id),
         (AddressPart::ProductCode, address.product_code),
@@ -31,10 +24,10 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     ] {
         bench.bus.request(Request::Select(part, number))?;
     }
-    bench.check_answer("5E after a selection without the revision number", bytes(&[0x5E]), &[])?;
-    bench.check_answer("4C, all boards have a node-ID", bytes(&[0x4C]), &[])?;
-    let reset = bytes(&[0x51, 0, 0, 0, 0, 0x80]);
-    bench.check_answer("51 80, all boards have a node-ID", reset, &[])?;
+    bench.check_answer("5E after a selection without the revision number", &[0x5E], &[])?;
+    bench.check_answer("4C, all boards have a node-ID", &[0x4C], &[])?;
+    let begin = &[0x51, 0, 0, 0, 0, 0x80];
+    bench.check_answer("51 80, all boards have a node-ID", begin, &[])?;
 
     use IdentifyKey as Key;
     for (what, serial, expected) in [
@@ -47,24 +40,24 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
         bench.bus.request(Request::Identify(Key::RevisionNumberHigh, u32::MAX))?;
         bench.bus.request(Request::Identify(Key::SerialNumberLow, serial))?;
         let last = Request::Identify(Key::SerialNumberHigh, serial).to_bytes();
-        bench.check_answer(what, last, expected)?;
+        bench.check_answer(what, &last, expected)?;
     }
 
     let is_selected = board::select(&mut bench.bus, address)?;
     bench.report.either("switch state selective", is_selected, ["44", "no answer"]);
-    bench.check_answer("5E", bytes(&[0x5E]), &[0x5E, id])?;
+    bench.check_answer("5E", &[0x5E], &[0x5E, id])?;
     for (what, request, expected) in [
-        ("04 with mode 2 is ignored", bytes(&[0x04, 2]), &[][..]),
-        ("an unknown command", bytes(&[0x7F]), &[]),
-        ("the master's 44", bytes(&[0x44]), &[]),
-        ("11, node-ID 0", bytes(&[0x11, 0]), &[0x11, 1]),
-        ("11, node-ID 128", bytes(&[0x11, 128]), &[0x11, 1]),
-        ("13, another table", bytes(&[0x13, 1, 0]), &[0x13, 1]),
-        ("13, the reserved index 5", bytes(&[0x13, 0, 5]), &[0x13, 1]),
-        ("13, index 10", bytes(&[0x13, 0, 10]), &[0x13, 1]),
-        ("13, this rate", bytes(&[0x13, 0, base]), &[0x13, 0]),
-        ("reserved bytes are ignored", [0x5E, 1, 2, 3, 4, 5, 6, 7], &[0x5E, id]),
-        ("17, unchanged settings", bytes(&[0x17]), &[0x17, 0]),
+        ("04 with mode 2 is ignored", &[0x04, 2][..], &[][..]),
+        ("an unknown command", &[0x7F], &[]),
+        ("the master's 44", &[0x44], &[]),
+        ("11, node-ID 0", &[0x11, 0], &[0x11, 1]),
+        ("11, node-ID 128", &[0x11, 128], &[0x11, 1]),
+        ("13, another table", &[0x13, 1, 0], &[0x13, 1]),
+        ("13, the reserved index 5", &[0x13, 0, 5], &[0x13, 1]),
+        ("13, index 10", &[0x13, 0, 10], &[0x13, 1]),
+        ("13, this rate", &[0x13, 0, base], &[0x13, 0]),
+        ("reserved bytes are ignored", &[0x5E, 1, 2, 3, 4, 5, 6, 7], &[0x5E, id]),
+        ("17, unchanged settings", &[0x17], &[0x17, 0]),
     ] {
         bench.check_answer(what, request, expected)?;
     }
@@ -74,7 +67,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
 
     node_id(bench)?;
     bench.bus.request(Request::SwitchToWaiting)?;
-    bench.check_answer("5E after 04 00", bytes(&[0x5E]), &[])?;
+    bench.check_answer("5E after 04 00", &[0x5E], &[])?;
     Ok(())
 }
 
@@ -82,8 +75,8 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
 fn node_id(bench: &mut Bench) -> Result<(), Stop> {
     let (board, other) = (bench.boards[0], bench.free_id());
     let id = board.id.get();
-    bench.check_answer("11, another node-ID", bytes(&[0x11, other.get()]), &[0x11, 0])?;
-    bench.check_answer("5E answers the active node-ID", bytes(&[0x5E]), &[0x5E, id])?;
+    bench.check_answer("11, another node-ID", &[0x11, other.get()], &[0x11, 0])?;
+    bench.check_answer("5E answers the active node-ID", &[0x5E], &[0x5E, id])?;
     bench.bus.nmt(RESET_COMMUNICATION, id)?;
     bench.check_boot_up("the new node-ID after NMT reset communication", other, BOOT)?;
     bench.bus.nmt(RESET_NODE, other.get())?;
