@@ -45,6 +45,8 @@ pub enum Abort {
     Crc = 0x0504_0004,
     /// There is no memory for the data.
     Memory = 0x0504_0005,
+    /// The object cannot be written now: a mapping of a PDO that is valid, or an entry of one that is in use.
+    UnsupportedAccess = 0x0601_0000,
     /// A write-only object was read.
     WriteOnly = 0x0601_0001,
     /// A read-only object was written.
@@ -53,7 +55,7 @@ pub enum Abort {
     NoObject = 0x0602_0000,
     /// The object does not exist or cannot be mapped into this PDO.
     NotMappable = 0x0604_0041,
-    /// The mapped objects are longer than a PDO.
+    /// The mapped objects are longer, or more, than a PDO can carry.
     TooManyMapped = 0x0604_0042,
     /// The value does not go with other values.
     Incompatible = 0x0604_0043,
@@ -91,11 +93,12 @@ impl fmt::Display for Abort {
             Self::SequenceNumber => "invalid sequence number",
             Self::Crc => "wrong CRC",
             Self::Memory => "no memory for the data",
+            Self::UnsupportedAccess => "the object cannot be written now",
             Self::WriteOnly => "the object can only be written",
             Self::ReadOnly => "the object can only be read",
             Self::NoObject => "no such object",
             Self::NotMappable => "the object cannot be mapped into the PDO",
-            Self::TooManyMapped => "the mapped objects are longer than a PDO",
+            Self::TooManyMapped => "the mapped objects are more than a PDO can carry",
             Self::Incompatible => "the value does not go with other values",
             Self::Hardware => "the hardware failed",
             Self::TooLong => "too much data",

@@ -18,6 +18,7 @@ use testkit::{
 
 pub const INVALID_VALUE: u32 = 0x0609_0030;
 pub const DEVICE_STATE: u32 = 0x0800_0022;
+const UNSUPPORTED_ACCESS: u32 = 0x0601_0000;
 pub const NOT_MAPPABLE: u32 = 0x0604_0041;
 pub const TOO_MANY_MAPPED: u32 = 0x0604_0042;
 pub const INCOMPATIBLE: u32 = 0x0604_0043;
@@ -243,9 +244,9 @@ fn a_mapping_changes_by_the_procedure_of_cia_301_only() {
     let mut board = board();
     for (parameter, entry) in [(0x1800, 0x6000_0210), (0x1400, 0x6200_0210)] {
         let mapping = parameter + 0x200;
-        assert_eq!(write(&mut board, mapping, 0, 0, 1), Err(DEVICE_STATE), "it is valid");
+        assert_eq!(write(&mut board, mapping, 0, 0, 1), Err(UNSUPPORTED_ACCESS), "it is valid");
         set(&mut board, parameter, 1, 0x8000_0333, 4);
-        assert_eq!(write(&mut board, mapping, 1, entry, 4), Err(DEVICE_STATE), "sub 0 is 2");
+        assert_eq!(write(&mut board, mapping, 1, entry, 4), Err(UNSUPPORTED_ACCESS), "sub 0 is 2");
         set(&mut board, mapping, 0, 0, 1);
         set(&mut board, mapping, 1, entry, 4);
         set(&mut board, mapping, 0, 1, 1);
@@ -288,7 +289,7 @@ fn a_mapping_has_up_to_8_objects_with_8_bytes() {
     set(&mut board, 0x1A00, 2, 0x6000_0108, 4);
     assert_eq!(write(&mut board, 0x1A00, 0, 2, 1), Err(TOO_MANY_MAPPED));
     assert_eq!(write(&mut board, 0x1A00, 0, 3, 1), Err(NOT_MAPPABLE), "sub 3 is empty");
-    assert_eq!(write(&mut board, 0x1A00, 0, 9, 1), Err(INVALID_VALUE));
+    assert_eq!(write(&mut board, 0x1A00, 0, 9, 1), Err(TOO_MANY_MAPPED));
     assert_eq!(board.number(0x1A00, 0), 0);
     set(&mut board, 0x1A00, 0, 1, 1);
     let eight = [0x6000_0108; 8];

@@ -262,8 +262,8 @@ impl Mapping {
     /// number.
     ///
     /// # Errors
-    /// [`Abort::DeviceState`] out of turn; [`Abort::NotMappable`] for an object that does not exist or cannot be mapped
-    /// so; [`Abort::TooManyMapped`] if the length exceeds 8 bytes; [`Abort::InvalidValue`] for a number above 8.
+    /// [`Abort::UnsupportedAccess`] out of turn; [`Abort::NotMappable`] for an object that does not exist or cannot be
+    /// mapped so; [`Abort::TooManyMapped`] for more than 8 objects or bytes.
     pub fn set(
         &mut self,
         direction: Direction,
@@ -274,12 +274,12 @@ impl Mapping {
         let at = usize::from(sub_index).checked_sub(1);
         if let Some(place) = at.and_then(|at| self.mapped.get_mut(at)) {
             if self.number != 0 {
-                return Err(Abort::DeviceState);
+                return Err(Abort::UnsupportedAccess);
             }
             *place = Some(find_code(objects, direction, value).ok_or(Abort::NotMappable)?);
             return Ok(());
         }
-        let wanted = self.mapped.get(..value as usize).ok_or(Abort::InvalidValue)?;
+        let wanted = self.mapped.get(..value as usize).ok_or(Abort::TooManyMapped)?;
         if wanted.iter().any(Option::is_none) {
             return Err(Abort::NotMappable);
         }

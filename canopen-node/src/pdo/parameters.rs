@@ -180,7 +180,7 @@ impl Pdo {
     /// Sets a sub-index of the mapping.
     ///
     /// # Errors
-    /// [`Abort::DeviceState`] while the PDO is valid, or those of [`Mapping::set`].
+    /// [`Abort::UnsupportedAccess`] while the PDO is valid, or those of [`Mapping::set`].
     pub fn set_mapping(
         &mut self,
         direction: Direction,
@@ -189,7 +189,7 @@ impl Pdo {
         objects: &'static [Entry],
     ) -> Result<(), Abort> {
         if self.cob_id.is_valid {
-            return Err(Abort::DeviceState);
+            return Err(Abort::UnsupportedAccess);
         }
         self.mapping.set(direction, sub_index, value, objects)
     }
