@@ -196,6 +196,29 @@ fn every_value_of_the_image_is_writable_only_if_its_eds_says_so() {
 }
 
 #[test]
+fn every_writable_number_of_the_image_takes_its_default_in_segments() {
+    let mut written = [0; 2];
+    for (written, (mut rig, values)) in written.iter_mut().zip(boards()) {
+        let is_number = |value: &&Value| value.len().is_some() && !PDOS.contains(&value.index);
+        for value in values.iter().filter(is_number) {
+            let acts = value.keys.contains_key("ObjFlags");
+            let Some(default) = value.bytes("DefaultValue") else { continue };
+            if acts || value.is("ro") || value.is("const") {
+                continue;
+            }
+            for size in [None, Some(default.len() as u32)] {
+                let mut client = rig.sdo_client(NODE_ID);
+                let outcome =
+                    client.download_segments(value.index, value.sub_index, &default, size);
+                assert_eq!(outcome, Ok(()), "{}, size {size:?}", value.name());
+            }
+            *written += 1;
+        }
+    }
+    assert!(written[0] >= 6 && written[1] >= 14, "{written:?}");
+}
+
+#[test]
 fn every_value_of_the_image_keeps_the_limits_of_its_eds() {
     let mut limited = Vec::new();
     for (mut rig, values) in boards() {

@@ -1,7 +1,11 @@
 //! Expedited and segmented transfers: values of every type and length (CiA 301, 7.2.4.3).
 
-use canopen_node::{BusEvent, sdo::Abort};
-use testkit::{frames::SILENCE, sdo::Client};
+use canopen_node::{
+    BusEvent,
+    object_dictionary::{Access, Entry, Object, TABLE},
+    sdo::Abort,
+};
+use testkit::{frames::SILENCE, node_rig::NodeRig, sdo::Client};
 
 use crate::sdo_machine::{CONSTANT, board, board_with_memory, bytes};
 
@@ -39,6 +43,43 @@ fn strings_and_domains_of_any_length_are_written_and_read_back() {
     assert_eq!(board.node.application().aborted, 0);
     assert_eq!(board.upload(0x2200, 1).unwrap(), CONSTANT.as_bytes());
     assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");
+}
+
+/// The value of a number that a client writes, as bytes: the present one, or the signature of a store.
+fn legal_value(board: &mut NodeRig, entry: &Entry) -> Vec<u8> {
+    match entry.object {
+        Object::StoreParameters => b"save".to_vec(),
+        Object::RestoreDefaultParameters => b"load".to_vec(),
+        _ => board.upload(entry.index, entry.sub_index).unwrap(),
+    }
+}
+
+#[test]
+fn each_number_of_every_node_takes_a_download_in_segments() {
+    let mut board = NodeRig::with_heartbeat(0x40, 20_000);
+    let mut written = Vec::new();
+    for entry in TABLE.iter().filter(|entry| entry.access == Access::ReadWrite) {
+        let Entry { index, sub_index, .. } = *entry;
+        let value = legal_value(&mut board, entry);
+        for size in [None, Some(value.len() as u32)] {
+            let outcome = board.download_segments(index, sub_index, &value, size);
+            assert_eq!(outcome, Ok(()), "{index:04X} sub {sub_index}, size {size:?}");
+        }
+        for len in (0..=16).filter(|len| *len != value.len()) {
+            let expected = Err(if len < value.len() { TOO_SHORT } else { TOO_LONG });
+            for size in [None, Some(len as u32)] {
+                let outcome = board.download_segments(index, sub_index, &bytes(len), size);
+                assert_eq!(outcome, expected, "{index:04X} sub {sub_index}, {len} bytes");
+            }
+            let announced = Some(value.len() as u32);
+            let outcome = board.download_segments(index, sub_index, &bytes(len), announced);
+            assert_eq!(outcome, expected, "{index:04X} sub {sub_index}, {len} bytes, announced");
+        }
+        written.push(index);
+    }
+    assert_eq!(board.number(0x1017, 0), 20_000);
+    written.dedup();
+    assert_eq!(written, [0x1003, 0x1010, 0x1011, 0x1014, 0x1015, 0x1017, 0x1020, 0x1029]);
 }
 
 #[test]
