@@ -44,13 +44,13 @@ impl Finding {
     /// One line with number, outcome and purpose; a second one with what was expected or why it was skipped.
     pub fn line(&self) -> String {
         let Self { number, case: Case { purpose, .. }, .. } = self;
-        let line = |word: &str| format!("{number:<24} {word:<8} {purpose}");
+        let line = |word: &str| format!("{number:<28} {word:<8} {purpose}");
         match &self.outcome {
             Outcome::Passed => line("passed"),
             Outcome::Failed(expected) => {
-                format!("{}\n{:33} expected: {expected}", line("FAILED"), "")
+                format!("{}\n{:37} expected: {expected}", line("FAILED"), "")
             }
-            Outcome::Skipped(reason) => format!("{}\n{:33} {reason}", line("skipped"), ""),
+            Outcome::Skipped(reason) => format!("{}\n{:37} {reason}", line("skipped"), ""),
         }
     }
 

@@ -213,18 +213,17 @@ fn heartbeat_in_segments(bench: &mut Bench) -> Step {
     bench.check(time == 0, "1017h is 0 then")
 }
 
-/// A readable value of more than four bytes: a text if possible.
+/// A readable value of more than four bytes: the longest text, or else a number.
 fn long_value(bench: &Bench) -> Step<Entry> {
-    let is_long_text = |entry: &Entry| {
-        let default = entry.default(bench.node);
-        entry.kind() == Kind::Text
-            && entry.can_be_read()
-            && default.is_some_and(|text| text.len() > 7)
-    };
-    let is_long =
-        |entry: &Entry| entry.can_be_read() && entry.size().is_some_and(|length| length > 4);
-    find(bench, "value of more than four bytes", is_long_text)
-        .or_else(|_| find(bench, "value of more than four bytes", is_long))
+    let length = |entry: &&Entry| entry.default(bench.node).map_or(0, |text| text.len());
+    let is_text = |entry: &&Entry| entry.kind() == Kind::Text && entry.can_be_read();
+    let text = bench.eds.entries().filter(is_text).max_by_key(length);
+    match text.filter(|text| length(text) > 4) {
+        Some(text) => Ok(text.clone()),
+        None => find(bench, "value of more than four bytes", |entry| {
+            entry.can_be_read() && entry.size().is_some_and(|size| size > 4)
+        }),
+    }
 }
 
 fn upload_in_segments(bench: &mut Bench) -> Step {

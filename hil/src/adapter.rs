@@ -126,7 +126,7 @@ impl FromStr for Place {
 }
 
 /// The bit rate with this number of kbit/s.
-fn bit_rate(kbit: &str) -> Result<BitRate, String> {
+pub fn bit_rate(kbit: &str) -> Result<BitRate, String> {
     let rate = BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s().to_string() == kbit);
     rate.ok_or_else(|| format!("{kbit} is no bit rate of CiA 301 in kbit/s"))
 }

@@ -4,6 +4,7 @@ mod adapter;
 mod bench;
 mod board;
 mod bus;
+mod conformance;
 mod diagnosis;
 mod person;
 mod probe;
@@ -27,6 +28,7 @@ use std::{
 use anyhow::{Context, ensure};
 use clap::{Parser, builder::PossibleValuesParser};
 
+use canopen_node::{BitRate, NodeId};
 use canopen_stm32f4::chip;
 
 use adapter::Place;
@@ -72,6 +74,23 @@ struct Arguments {
     /// Whether to ask for a power cut and a short circuit; by default if the standard input is a terminal
     #[arg(long, value_name = "WHETHER", value_enum, default_value = "auto")]
     ask: Ask,
+    /// Run the cases of a conformance test of CANopen in place of the sessions, on any device with this data sheet:
+    /// docs/conformance-cases.md. Its stored parameters become the defaults
+    #[arg(long, value_name = "EDS", conflicts_with_all = ["quick", "session", "probe"])]
+    conformance: Option<PathBuf>,
+    /// The node-ID of that device, if there are others on the bus; without it all nodes are reset
+    #[arg(long, value_name = "ID", value_parser = node_id, requires = "conformance")]
+    node: Option<NodeId>,
+    /// The bit rate of that device in kbit/s
+    #[arg(long, value_name = "KBIT", value_parser = adapter::bit_rate, default_value = "125", requires = "conformance")]
+    bit_rate: BitRate,
+    /// Run only the cases whose number begins so, such as "PDO 23" or PDO; can be repeated
+    #[arg(long, value_name = "NUMBER", requires = "conformance")]
+    case: Vec<String>,
+}
+
+fn node_id(text: &str) -> Result<NodeId, String> {
+    text.parse().ok().and_then(NodeId::new).ok_or_else(|| "1 to 127".into())
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -84,6 +103,7 @@ enum Ask {
 const EXAMPLES: &str = "Examples:
   cargo hil --adapter slcan:/dev/ttyACM0 --report first-board
   cargo hil --adapter socketcan:can0 --quick
+  cargo hil --adapter socketcan:can0 --conformance eds/io.eds --bit-rate 500 --report io
   cargo hil --adapter slcan:tcp:127.0.0.1:29536      with `cargo emulate` in another window";
 
 fn main() -> ExitCode {
@@ -119,6 +139,19 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
         eprintln!("Ctrl-C: restoring the boards; again to end at once");
     })
     .context("cannot wait for Ctrl-C")?;
+
+    if let Some(eds) = &arguments.conformance {
+        return conformance::run(&conformance::Test {
+            adapter: &arguments.adapter,
+            eds,
+            node: arguments.node,
+            bit_rate: arguments.bit_rate,
+            cases: &arguments.case,
+            report: arguments.report.as_deref(),
+            latency: Duration::from_millis(arguments.latency.into()),
+            is_interrupted,
+        });
+    }
 
     let mut report = Report::new(arguments.adapter.to_string());
     report.begin("bench");

@@ -19,16 +19,19 @@ use emulator::{
 use testkit::{
     boards,
     cargo::workspace,
-    image,
     image_rig::{bit_per_s, from_the_wire, on_the_wire},
 };
-use xtask::example::Example;
+use xtask::example::{self, Example};
 
 /// The bit rate and the node-ID of the board.
 const BIT_RATE: BitRate = BitRate::Kbit500;
 const NODE: u8 = 5;
 /// As `src/device.rs` of the images has it.
 const HEARTBEAT_MS: u16 = 1000;
+
+/// The cases of `--quick`.
+const QUICK: [&str; 6] =
+    ["SDO", "OD", "Emergency", "Heartbeat 01", "Testing other 0", "Transition 01"];
 
 /// Run the cases of a conformance test of CANopen against release images
 ///
@@ -53,6 +56,12 @@ pub struct Arguments {
     /// The chip on the board [default: that of the image; stm32f405 for --elf]
     #[arg(long)]
     chip: Option<Part>,
+    /// Run the default image of every chip, quickly; the builds take minutes
+    #[arg(long, conflicts_with_all = ["image", "elf", "chip"])]
+    chips: bool,
+    /// Leave out the services that no chip can change: PDO, SYNC, guarding, and long waits for heartbeats
+    #[arg(long)]
+    quick: bool,
     /// Run only the cases whose number begins so, such as "PDO 23" or PDO; can be repeated
     #[arg(long, value_name = "NUMBER")]
     case: Vec<String>,
@@ -136,28 +145,31 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         let name = format!("{name} on {}", chip.name());
         return Ok(vec![Product { name, chip, image: Image::load(elf)?, eds: read(eds)? }]);
     }
-    let images = match &arguments.image[..] {
-        [] => &[ImageName::Default, ImageName::Io],
-        images => images,
+    let images: Vec<(ImageName, Option<Part>)> = match &arguments.image[..] {
+        _ if arguments.chips => Part::ALL.map(|chip| (ImageName::Default, Some(chip))).to_vec(),
+        [] => [ImageName::Default, ImageName::Io].map(|name| (name, arguments.chip)).to_vec(),
+        names => names.iter().map(|name| (*name, arguments.chip)).collect(),
     };
-    let product = |name: &ImageName| {
-        let chip = xtask::example::chip(arguments.chip, name.example());
+    let product = |(name, chip): (ImageName, Option<Part>)| {
+        let chip = example::chip(chip, name.example());
+        let image = example::image(chip, name.example())?;
         let eds = read(&workspace().join(name.eds()))?;
-        let image = match name {
-            ImageName::Default => image::build(chip)?,
-            ImageName::Io => image::build_example("io", chip)?,
-        };
         let name = format!("{} on {}", name.eds().trim_start_matches("eds/"), chip.name());
         Ok(Product { name, chip, image, eds })
     };
-    images.iter().map(product).collect()
+    images.into_iter().map(product).collect()
 }
 
 fn test(product: &Product, arguments: &Arguments) -> anyhow::Result<Report> {
     let mut bus = Bus::new(product);
     let mut bench = Bench::new(&mut bus, &product.eds, NODE);
     let mut report = Report::new(&product.name);
-    ::conformance::run(&mut bench, APPLICATION_LAYER, &arguments.case, &mut report, |finding| {
+    let is_quick = arguments.quick || arguments.chips;
+    let wanted = match &arguments.case[..] {
+        [] if is_quick => QUICK.map(str::to_owned).to_vec(),
+        wanted => wanted.to_vec(),
+    };
+    ::conformance::run(&mut bench, APPLICATION_LAYER, &wanted, &mut report, |finding| {
         println!("{}", finding.line());
         if arguments.frames {
             println!("{}", finding.frames().join("\n"));

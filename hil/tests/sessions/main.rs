@@ -1,6 +1,7 @@
 //! `cargo hil` against `cargo emulate`: whole boards, boards broken on purpose, and bad benches.
 
 mod broken;
+mod conformance;
 mod emulated;
 mod lone;
 mod proxy;
