@@ -156,6 +156,7 @@ fn is_test(name: &str) -> bool {
     let (folder, module) = match module.split_once("::") {
         Some(("canopen_node", module)) => ("canopen-node/src", module),
         Some(("canopen_stm32f4", module)) => ("stm32f4/src", module),
+        Some(("lss_master", module)) => ("lss-master/tests", module),
         Some(("lss_slave", module)) => ("lss-slave/src", module),
         Some(("example_io", module)) => ("examples/io/src", module),
         Some(("example_thermo", module)) => ("examples/thermo/tests", module),

@@ -1,32 +1,23 @@
 //! The LSS lock, an option of the device: in NMT operational the LSS state stays waiting.
 
 use testkit::{
-    frames::{Frames, SILENCE, number},
+    frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
 };
+
+use crate::lss_states::{IDENTIFY, SELECT};
 
 fn board(lss_lock: bool, node_id: u8) -> NodeRig {
     let device = device(ADDRESS).with_lss_lock(lss_lock);
     NodeRig::of(device.with_defaults(defaults(node_id)))
 }
 
-/// Selects the board by its address.
-fn select(board: &mut NodeRig) -> Frames {
-    for (command, part) in
-        [("40", ADDRESS.vendor_id), ("41", ADDRESS.product_code), ("42", ADDRESS.revision_number)]
-    {
-        board.lss(&format!("{command} {}", number(part)));
-    }
-    board.lss(&format!("43 {}", number(ADDRESS.serial_number)))
-}
-
 #[test]
 fn with_the_lock_no_switch_state_leads_to_configuration_in_operational() {
     let mut board = board(true, 0x40);
     board.nmt("01 40");
-    assert_eq!(select(&mut board), SILENCE);
-    assert_eq!(board.lss("04 01"), SILENCE);
-    for request in ["11 05", "13 00 02", "17", "5A", "5E"] {
+    let others = ["04 01", "11 05", "13 00 02", "17", "5A", "5E"];
+    for request in SELECT.split(", ").chain(others) {
         assert_eq!(board.lss(request), SILENCE, "{request}");
     }
     assert_eq!(board.stored(), None);
@@ -36,17 +27,11 @@ fn with_the_lock_no_switch_state_leads_to_configuration_in_operational() {
 fn with_the_lock_a_node_in_nmt_operational_is_still_identified() {
     let mut board = board(true, 0x40);
     board.nmt("01 40");
-    let revision = ADDRESS.revision_number;
-    for (command, part) in [
-        ("46", ADDRESS.vendor_id),
-        ("47", ADDRESS.product_code),
-        ("48", revision),
-        ("49", revision),
-        ("4A", 0),
-    ] {
-        assert_eq!(board.lss(&format!("{command} {}", number(part))), SILENCE);
+    let (steps, last) = IDENTIFY.rsplit_once(", ").expect("steps");
+    for step in steps.split(", ") {
+        assert_eq!(board.lss(step), SILENCE);
     }
-    assert_eq!(board.lss("4B FF FF FF FF"), ["4F"]);
+    assert_eq!(board.lss(last), ["4F"]);
 }
 
 #[test]

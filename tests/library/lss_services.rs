@@ -2,42 +2,14 @@
 
 use canopen_node::{Frame, nmt::State};
 use testkit::{
-    frames::{SILENCE, bytes, number},
-    node_rig::{ADDRESS, NodeRig},
+    frames::{SILENCE, bytes},
+    node_rig::NodeRig,
 };
 
 /// A request for each command specifier of a master.
 const REQUESTS: &str = "04, 04 01, 11 04, 13 00 02, 15 0A 00, 17, 4C, 51 00 00 00 00 80, 5A, \
     5B, 5C, 5D, 5E, 40 44 33 22 11, 41 88 77 66 55, 42 03 02 01 00, 43 EF BE AD DE, \
     46 44 33 22 11, 47 88 77 66 55, 48 03 02 01 00, 49 03 02 01 00, 4A EF BE AD DE, 4B EF BE AD DE";
-
-#[test]
-fn switch_state_global_with_any_other_mode_is_ignored() {
-    for (state, is_configuration) in [("04 00", false), ("04 01", true)] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.lss(state);
-        for mode in 2..=0xFF {
-            assert_eq!(board.lss(&format!("04 {mode:02X}")), SILENCE);
-            assert_eq!(board.is_in_configuration_state(), is_configuration, "mode {mode:02X}");
-        }
-    }
-}
-
-#[test]
-fn numbers_are_little_endian_and_reserved_bytes_of_an_answer_are_0() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.lss("04 01");
-    for (command, part) in [
-        ("5A", ADDRESS.vendor_id),
-        ("5B", ADDRESS.product_code),
-        ("5C", ADDRESS.revision_number),
-        ("5D", ADDRESS.serial_number),
-    ] {
-        let answer = format!("{command} {} 00 00 00", number(part));
-        assert_eq!(board.lss(command), [answer.as_str()]);
-    }
-    assert_eq!(board.lss("5E"), ["5E 40 00 00 00 00 00 00"]);
-}
 
 #[test]
 fn reserved_bytes_of_a_request_are_ignored_and_not_echoed() {
@@ -80,13 +52,6 @@ fn reserved_bytes_of_a_request_are_ignored_and_not_echoed() {
 }
 
 #[test]
-fn requests_back_to_back_are_all_answered_in_their_order() {
-    let mut board = NodeRig::with_node_id(0x40);
-    let answers = ["5A 44 33 22 11", "5B 88 77 66 55", "5C 03 02 01 00", "5D EF BE AD DE", "5E 40"];
-    assert_eq!(board.configure("5A, 5B, 5C, 5D, 5E"), answers);
-}
-
-#[test]
 fn requests_are_answered_while_a_store_is_running_and_none_is_lost() {
     let mut board = NodeRig::with_slow_stores();
     assert_eq!(
@@ -101,51 +66,35 @@ fn requests_are_answered_while_a_store_is_running_and_none_is_lost() {
 }
 
 #[test]
-fn a_command_specifier_that_is_no_request_is_ignored_in_both_states() {
-    let is_request = |command: u8| REQUESTS.split(", ").any(|request| bytes(request)[0] == command);
-    for is_configuration in [false, true] {
+fn a_frame_that_is_no_request_of_the_standard_is_ignored_in_both_states() {
+    let requests: Vec<_> = REQUESTS.split(", ").map(bytes).collect();
+    let is_request = |command: &u8| requests.iter().any(|request| request[0] == *command);
+    let others = (0..=0xFF).filter(|command| !is_request(command)).flat_map(|command| {
+        ["", "01", "44 33 22 11", "00 00 00 00 80"]
+            .map(|rest| [vec![command], bytes(rest)].concat())
+    });
+    let other_modes = (2..=0xFF).map(|mode| vec![0x04, mode]);
+    let padded = |mut data: Vec<u8>| {
+        data.resize(8, 0);
+        data
+    };
+    let short = requests.iter().cloned().map(padded);
+    let short = short.flat_map(|data| (0..8).map(move |len| data[..len].to_vec()));
+    let ignored: Vec<_> = others.chain(other_modes).map(padded).chain(short).collect();
+    let other_cob_ids = (0..=0x7FF).filter(|&cob_id| cob_id != 0x7E5);
+    for state in ["04 00", "04 01"] {
         let mut board = NodeRig::unconfigured();
-        board.lss(if is_configuration { "04 01" } else { "04 00" });
+        board.lss(state);
         board.timeline();
-        for command in (0..=0xFF).filter(|&command| !is_request(command)) {
-            for rest in ["", " 01", " 44 33 22 11", " 00 00 00 00 80"] {
-                assert_eq!(board.lss(&format!("{command:02X}{rest}")), SILENCE);
-            }
+        let of_master = ignored.iter().map(|data| Frame::new(0x7E5, data));
+        let of_others = other_cob_ids.clone().map(|cob_id| Frame::new(cob_id, &[0x4C; 8]));
+        for frame in of_master.chain(of_others).map(Option::unwrap) {
+            assert_eq!(board.receive(&frame), SILENCE, "{frame:?}");
         }
         assert_eq!(board.timeline(), SILENCE);
-        assert_eq!(board.is_in_configuration_state(), is_configuration);
+        assert_eq!(board.is_in_configuration_state(), state == "04 01");
         assert_eq!(board.lss("4C"), ["50"]);
     }
-}
-
-#[test]
-fn a_request_without_all_eight_bytes_is_ignored() {
-    for is_configuration in [false, true] {
-        let mut board = NodeRig::unconfigured();
-        board.lss(if is_configuration { "04 01" } else { "04 00" });
-        board.timeline();
-        for request in REQUESTS.split(", ") {
-            let mut data = bytes(request);
-            data.resize(8, 0);
-            for len in 0..8 {
-                let frame = Frame::new(0x7E5, &data[..len]).unwrap();
-                assert_eq!(board.receive(&frame), SILENCE, "{request}, DLC {len}");
-            }
-        }
-        assert_eq!(board.timeline(), SILENCE);
-        assert_eq!(board.is_in_configuration_state(), is_configuration);
-        assert_eq!(board.lss("4C"), ["50"]);
-    }
-}
-
-#[test]
-fn a_request_with_another_cob_id_is_ignored() {
-    let mut board = NodeRig::unconfigured();
-    for cob_id in (0..=0x7FF).filter(|&cob_id| cob_id != 0x7E5) {
-        let frame = Frame::new(cob_id, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
-        assert_eq!(board.receive(&frame), SILENCE, "{cob_id:03X}");
-    }
-    assert_eq!(board.lss("4C"), ["50"]);
 }
 
 #[test]

@@ -6,10 +6,12 @@ use testkit::{
     node_rig::NodeRig,
 };
 
-const SELECT: &str = "40 44 33 22 11, 41 88 77 66 55, 42 03 02 01 00, 43 EF BE AD DE";
+/// The steps of a select that matches.
+pub const SELECT: &str = "40 44 33 22 11, 41 88 77 66 55, 42 03 02 01 00, 43 EF BE AD DE";
 const FASTSCAN: &str = "51 00 00 00 00 80, 51 44 33 22 11 00 00 01, 51 88 77 66 55 00 01 02, \
     51 03 02 01 00 00 02 03, 51 EF BE AD DE 00 03 00";
-const IDENTIFY: &str = "46 44 33 22 11, 47 88 77 66 55, 48, 49 FF FF FF FF, 4A, 4B FF FF FF FF";
+/// The steps of an identify that matches.
+pub const IDENTIFY: &str = "46 44 33 22 11, 47 88 77 66 55, 48, 49 FF FF FF FF, 4A, 4B FF FF FF FF";
 
 /// Requests, separated by commas, and the effect of the last of them on a node
 /// - in waiting without a node-ID, and with one;
@@ -97,15 +99,20 @@ fn effect(board: &mut NodeRig, request: &str) -> String {
     acts.chain(answers).collect::<Vec<_>>().join(", ")
 }
 
-/// Whether a request makes the node forget the steps of an identify that it has seen.
+/// Whether a request makes the node forget the steps that it has seen of all services that it serves.
 fn loses_progress(kind: Kind, state: State, request: &str) -> bool {
-    let mut board = board(kind, state);
-    let (steps, last) = IDENTIFY.rsplit_once(", ").expect("steps");
-    for step in steps.split(", ") {
-        assert_eq!(board.lss(step), SILENCE);
-    }
-    effect(&mut board, request);
-    board.lss(last) == SILENCE
+    let loses = |steps: &str| {
+        let mut board = board(kind, state);
+        let (steps, last) = steps.rsplit_once(", ").expect("steps");
+        steps.split(", ").for_each(|step| _ = board.lss(step));
+        effect(&mut board, request);
+        board.lss(last) == SILENCE
+    };
+    let is_waiting = state == State::Waiting;
+    let is_lost = loses(IDENTIFY);
+    assert!(!is_waiting || loses(SELECT) == is_lost, "{request}");
+    assert!(!is_waiting || kind != Unconfigured || loses(FASTSCAN) == is_lost, "{request}");
+    is_lost
 }
 
 /// The effect of the last of the requests, and the state behind it if that is another.
@@ -121,6 +128,8 @@ fn outcome(kind: Kind, state: State, requests: &str) -> String {
     if is_nothing && !requests.contains(',') && loses_progress(kind, state, requests) {
         return CLEARED.to_owned();
     }
+    let is_reset = ["81 00", "82 00"].contains(&requests);
+    assert!(!is_reset || loses_progress(kind, state, requests), "{requests}");
     let words = match then {
         _ if then == state => None,
         State::Waiting => Some(TO_WAITING),

@@ -14,7 +14,6 @@ mod indicator;
 mod instant;
 mod late_calls;
 mod lss_activate_bit_rate;
-mod lss_address;
 mod lss_bad_input;
 mod lss_bit_rate;
 mod lss_fastscan;
