@@ -21,6 +21,8 @@ fn with_the_lock_no_switch_state_leads_to_configuration_in_operational() {
         assert_eq!(board.lss(request), SILENCE, "{request}");
     }
     assert_eq!(board.stored(), None);
+    board.nmt("80 40");
+    assert_eq!(board.lss("43 EF BE AD DE"), SILENCE, "the steps do not count any more");
 }
 
 #[test]

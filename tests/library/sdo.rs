@@ -15,14 +15,6 @@ fn board_named(name: &'static str, hardware: &'static str, software: &'static st
 }
 
 #[test]
-fn an_expedited_upload_gives_the_number_of_bytes() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.sdo("40 18 10 00"), ["5C0: 4F 18 10 00 04 00 00 00"]);
-    assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 00 00 00 00"]);
-    assert_eq!(board.sdo("40 18 10 04"), ["5C0: 43 18 10 04 EF BE AD DE"]);
-}
-
-#[test]
 fn reserved_bits_and_bytes_of_a_request_are_ignored() {
     let mut board = NodeRig::with_node_id(0x40);
     assert_eq!(board.sdo("5F 18 10 04 FF FF FF FF"), ["5C0: 43 18 10 04 EF BE AD DE"]);
@@ -186,53 +178,6 @@ fn a_refused_request_is_answered_by_the_abort_code_of_its_reason() {
         assert_eq!(board.number(0x1017, 0), 0, "nothing has been written: {reason}");
         assert_eq!(board.stored(), None, "nothing has been stored: {reason}");
         assert_serves(&mut board);
-    }
-}
-
-#[test]
-fn a_segment_that_belongs_to_no_transfer_is_0504_0001() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for segment in ["60", "70", "00", "10", "01"] {
-        assert_eq!(board.sdo(segment), ["5C0: 80 00 00 00 01 00 04 05"], "{segment}");
-    }
-    board.upload(0x1008, 0).unwrap();
-    assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"], "after the last segment");
-    board.number(0x1018, 1);
-    assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"], "after an expedited upload");
-}
-
-#[test]
-fn every_command_that_is_not_known_is_0504_0001() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for command in 0xE0..=0xFF_u8 {
-        let request = format!("{command:02X} 17 10 00");
-        assert_eq!(board.sdo(&request), ["5C0: 80 17 10 00 01 00 04 05"], "{request}");
-    }
-    for command in [0x00..=0x1F, 0x60..=0x7F, 0xA1..=0xA3, 0xC1..=0xC1_u8].into_iter().flatten() {
-        let request = format!("{command:02X} 17 10 00");
-        assert_eq!(board.sdo(&request), ["5C0: 80 00 00 00 01 00 04 05"], "{request}");
-    }
-    assert_serves(&mut board);
-}
-
-#[test]
-fn an_abort_of_the_client_ends_its_transfer_and_is_not_answered() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.sdo("80 08 10 00 00 00 04 05"), SILENCE, "without a transfer too");
-    board.sdo("40 08 10 00");
-    board.sdo("60");
-    assert_eq!(board.sdo("80 08 10 00 00 00 04 05"), SILENCE);
-    assert_eq!(board.sdo("70"), ["5C0: 80 00 00 00 01 00 04 05"]);
-    assert_serves(&mut board);
-}
-
-#[test]
-fn a_new_request_ends_the_transfer_even_if_it_is_refused() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for request in ["40 18 10 04", "40 34 12 00", "23 17 10 00", "C0", "00"] {
-        board.sdo("40 08 10 00");
-        board.sdo(request);
-        assert_eq!(board.sdo("60"), ["5C0: 80 00 00 00 01 00 04 05"], "{request}");
     }
 }
 

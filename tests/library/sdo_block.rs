@@ -89,49 +89,6 @@ fn the_frames_of_a_block_download_are_those_of_cia_301() {
 }
 
 #[test]
-fn segments_lost_on_the_way_to_the_client_are_sent_again() {
-    let data = bytes(1000);
-    for confirmed in 0..16 {
-        let mut board = board_with_memory(1000);
-        board.sdo("A4 00 23 01 14");
-        let first = board.sdo("A3");
-        assert_eq!(first.0.len(), 20);
-        let again = board.sdo(&format!("A2 {confirmed:02X} 7F"));
-        assert_eq!(again.0.len(), 127, "the new block size");
-        let mut received: Vec<u8> = Vec::new();
-        for frame in first.0.iter().take(confirmed).chain(&again.0) {
-            received.extend(&frame.data()[1..]);
-        }
-        let last = board.sdo("A2 7F 7F");
-        last.0.iter().for_each(|frame| received.extend(&frame.data()[1..]));
-        let end = board.sdo(&format!("A2 {:02X} 7F", last.0.len()));
-        assert_eq!(received[..1000], data);
-        let [c0, c1] = crc(&data).to_le_bytes();
-        assert_eq!(end.0[0].data()[1..3], [c0, c1], "each byte is once in the CRC");
-    }
-}
-
-#[test]
-fn after_a_lost_segment_the_client_repeats_the_rest_of_the_block() {
-    let data = bytes(200);
-    for lost in 1..=28 {
-        let mut board = board();
-        board.sdo("C6 00 23 01 C8");
-        let numbers: Vec<u8> = (1..=29).filter(|&number| number != lost).collect();
-        let answer = send(&mut board, &numbers, &data, 0);
-        assert_eq!(answer, format!("5C0: A2 {:02X} 7F 00 00 00 00 00", lost - 1));
-        let start = 7 * usize::from(lost - 1);
-        let rest: Vec<u8> = (1..=30 - lost).collect();
-        let answer = send(&mut board, &rest, &data, start);
-        assert_eq!(answer, format!("5C0: A2 {:02X} 7F 00 00 00 00 00", 30 - lost));
-        let [c0, c1] = crc(&data).to_le_bytes();
-        let end = format!("{:02X} {c0:02X} {c1:02X}", 0xC1 | 3 << 2);
-        assert_eq!(board.sdo(&end), ["5C0: A1 00 00 00 00 00 00 00"]);
-        assert_eq!(board.node.application().memory, data);
-    }
-}
-
-#[test]
 fn a_block_is_confirmed_once_however_long_its_client_pauses() {
     for (pause, after) in [(0, 1), (749, 31), (751, 31), (990, 31), (999, 1)] {
         let data = bytes(2_000);
@@ -226,24 +183,20 @@ fn board_after(end: fn(&mut Board)) -> Board {
 #[test]
 fn the_rest_of_a_block_whose_transfer_has_ended_is_not_executed() {
     for (name, end) in ENDS {
-        let mut board = board_after(end);
-        for number in 43..=127 {
-            let segment = format!("{number:02X} 17 10 00 39 30");
-            assert_eq!(board.sdo(&segment), SILENCE, "{name}, {number}");
+        for (rest, request, answer) in [
+            // To the end of the block, to the last segment of all, and one, which the request looks like.
+            (&(43..=127).collect::<Vec<_>>()[..], "2B", "5C0: 60 17 10 00 00 00 00 00"),
+            (&[43, 0xAC], "2D", "5C0: 80 17 10 00 12 00 07 06"),
+            (&[43], "2B", "5C0: 60 17 10 00 00 00 00 00"),
+        ] {
+            let mut board = board_after(end);
+            for number in rest {
+                let segment = format!("{number:02X} 17 10 00 39 30");
+                assert_eq!(board.sdo(&segment), SILENCE, "{name}, {number}");
+            }
+            assert_eq!(board.number(0x1017, 0), 0, "{name}");
+            assert_eq!(board.sdo(&format!("{request} 17 10 00 39 30")), [answer], "{name}");
         }
-        assert_eq!(board.number(0x1017, 0), 0, "{name}");
-        assert_eq!(board.sdo("2B 17 10 00 39 30"), ["5C0: 60 17 10 00 00 00 00 00"], "{name}");
-    }
-}
-
-#[test]
-fn the_last_segment_of_all_ends_the_rest_of_a_block() {
-    for (name, end) in ENDS {
-        let mut board = board_after(end);
-        assert_eq!(board.sdo("2B 17 10 00 39 30"), SILENCE, "{name}");
-        assert_eq!(board.sdo("AC 17 10 00 39 30"), SILENCE, "{name}");
-        assert_eq!(board.number(0x1017, 0), 0, "{name}");
-        assert_eq!(board.sdo("2D 17 10 00 39 30"), ["5C0: 80 17 10 00 12 00 07 06"], "{name}");
     }
 }
 
@@ -262,15 +215,6 @@ fn a_client_that_begins_another_transfer_at_once_is_served() {
 }
 
 #[test]
-fn a_request_that_looks_like_the_next_segment_is_served_when_repeated() {
-    for (name, end) in ENDS {
-        let mut board = board_after(end);
-        assert_eq!(board.sdo("2B 17 10 00 E8 03"), SILENCE, "{name}");
-        assert_eq!(board.sdo("2B 17 10 00 E8 03"), ["5C0: 60 17 10 00 00 00 00 00"], "{name}");
-    }
-}
-
-#[test]
 fn segments_behind_a_lost_one_belong_to_the_rest_of_the_block_too() {
     let mut board = board();
     board.sdo("C0 00 23 01");
@@ -280,31 +224,6 @@ fn segments_behind_a_lost_one_belong_to_the_rest_of_the_block_too() {
         assert_eq!(board.sdo(&format!("{number:02X} 17 10 00 39 30")), SILENCE, "{number}");
     }
     assert_eq!(board.number(0x1017, 0), 0);
-}
-
-#[test]
-fn the_crc_of_an_upload_is_0_for_a_client_that_does_not_check_it() {
-    let mut board = board_with_memory(15);
-    for (request, [c0, c1]) in
-        [("A0 00 23 01 7F", [0, 0]), ("A4 00 23 01 7F", crc(&bytes(15)).to_le_bytes())]
-    {
-        assert_eq!(board.sdo(request), ["5C0: C6 00 23 01 0F 00 00 00"]);
-        assert_eq!(board.sdo("A3").0.len(), 3);
-        let end = format!("5C0: D9 {c0:02X} {c1:02X} 00 00 00 00 00");
-        assert_eq!(board.sdo("A2 03 7F"), [end.as_str()]);
-        assert_eq!(board.sdo("A1"), SILENCE);
-    }
-}
-
-#[test]
-fn short_data_goes_by_the_other_protocol_up_to_the_clients_threshold() {
-    let mut board = board();
-    assert_eq!(board.sdo("A4 00 21 02 7F 02"), ["5C0: 4B 00 21 02 10 00 00 00"]);
-    assert_eq!(board.sdo("A4 00 21 02 7F 01"), ["5C0: C6 00 21 02 02 00 00 00"]);
-    assert_eq!(board.sdo("A4 00 21 04 7F 08"), ["5C0: 41 00 21 04 08 00 00 00"]);
-    assert_eq!(board.sdo("60"), ["5C0: 00 88 77 66 55 44 33 22"]);
-    assert_eq!(board.sdo("A4 00 21 04 7F 07"), ["5C0: C6 00 21 04 08 00 00 00"]);
-    assert_eq!(board.sdo("A4 00 21 04 7F 00"), ["5C0: C6 00 21 04 08 00 00 00"], "no threshold");
 }
 
 #[test]

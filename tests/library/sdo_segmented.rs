@@ -83,30 +83,6 @@ fn each_number_of_every_node_takes_a_download_in_segments() {
 }
 
 #[test]
-fn segments_need_not_be_full() {
-    let mut board = board();
-    assert_eq!(board.sdo("21 00 22 02 03"), ["5C0: 60 00 22 02 00 00 00 00"]);
-    assert_eq!(board.sdo("0C 61"), ["5C0: 20 00 00 00 00 00 00 00"]);
-    assert_eq!(board.sdo("1E"), ["5C0: 30 00 00 00 00 00 00 00"]);
-    assert_eq!(board.sdo("0B 62 63"), ["5C0: 20 00 00 00 00 00 00 00"]);
-    assert_eq!(board.upload(0x2200, 2).unwrap(), b"abc");
-}
-
-#[test]
-fn an_expedited_download_without_a_size_takes_the_size_of_a_number_or_four_bytes() {
-    let mut board = board();
-    assert_eq!(board.sdo("22 00 21 02 34 12 FF FF"), ["5C0: 60 00 21 02 00 00 00 00"]);
-    assert_eq!(board.node.application().values.u16, 0x1234);
-    assert_eq!(board.sdo("22 00 22 03 01 02 03 04"), ["5C0: 60 00 22 03 00 00 00 00"]);
-    assert_eq!(board.upload(0x2200, 3).unwrap(), [1, 2, 3, 4]);
-    assert_eq!(board.sdo("22 00 23 01 05 06 07 08"), ["5C0: 60 00 23 01 00 00 00 00"]);
-    assert_eq!(board.node.application().memory, [5, 6, 7, 8]);
-    assert_eq!(board.sdo("2B 00 23 01 09 0A"), ["5C0: 60 00 23 01 00 00 00 00"]);
-    assert_eq!(board.node.application().memory, [9, 10]);
-    assert_eq!(board.sdo("22 00 21 04 01 02 03 04"), ["5C0: 80 00 21 04 13 00 07 06"], "64 bits");
-}
-
-#[test]
 fn data_that_is_not_as_long_as_announced_is_0607_0012_or_0013() {
     let mut board = board();
     for (len, announced) in [(9, 8), (8, 9), (14, 1), (0, 1), (1, 0)] {
@@ -136,28 +112,6 @@ fn the_application_refuses_a_domain_at_any_part_and_at_its_end() {
     assert_eq!(board.block_download(0x2300, 1, &bytes(20)), Err(0x0606_0000));
     let machine = board.node.application();
     assert_eq!((machine.ended, machine.aborted, &machine.draft), (0, 6, &None));
-}
-
-#[test]
-fn a_repeated_toggle_bit_is_0503_0000() {
-    for (messages, repeated, aborted) in [
-        (&["40 08 10 00"][..], "70", 0),
-        (&["40 08 10 00", "60"], "60", 0),
-        (&["20 00 22 02"], "10 61", 0),
-        (&["20 00 23 01", "00 61"], "01 61", 1),
-    ] {
-        let mut board = board();
-        for message in messages {
-            board.sdo(message);
-        }
-        let abort = format!("5C0: 80 {} 00 00 03 05", &messages[0][3..]);
-        assert_eq!(board.sdo(repeated), [abort.as_str()], "{messages:?}, {repeated}");
-        for next in ["60", "70", "00 61"] {
-            assert_eq!(board.sdo(next), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
-        }
-        assert_eq!(board.node.application().aborted, aborted);
-        assert_eq!(board.upload(0x2200, 2).unwrap(), b"");
-    }
 }
 
 #[test]
