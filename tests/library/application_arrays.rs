@@ -1,7 +1,7 @@
 //! Arrays and limits from constants in the objects of a product, by SDO, PDO, 1010h and in the EDS.
 
 use canopen_node::{
-    Application, Frame, Node,
+    Application, Frame,
     application::{Dictionary, Unsigned24},
     objects,
     pdo::{Rpdo, Tpdo},
@@ -9,12 +9,14 @@ use canopen_node::{
     settings::parameters::HEADER,
 };
 use testkit::{
-    eds::{DataSheet, Product, parse},
+    eds::parse,
     flash::BoardFlash,
     frames::bytes,
     node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::Client,
 };
+
+use crate::eds::sheet_of;
 
 const LOWEST_GAIN: f32 = 0.5;
 const HIGHEST_GAIN: f32 = 2.0;
@@ -119,11 +121,7 @@ fn an_array_is_stored_whole() {
 
 #[test]
 fn the_data_sheet_numbers_the_names_of_an_array() {
-    let device = device(ADDRESS);
-    let product =
-        Product { file_name: "scale.eds", vendor_name: "Example", description: "A scale", device };
-    let entries = <Node<Scale, 1, 1>>::entries(&device);
-    let sections = parse(&DataSheet::new(product, entries, &Scale::new()).eds());
+    let sections = parse(&sheet_of::<Scale, 1, 1, 0>(&Scale::new()));
     let of = |section: &str, key: &str| sections[section][key].clone();
     assert_eq!(of("2100", "SubNumber"), "6");
     assert_eq!(of("2100sub0", "DefaultValue"), "5");

@@ -46,15 +46,7 @@ fn assert_shows(nmt: State, is_lss_active: bool, bus: BusState, run: &str, error
 }
 
 #[test]
-fn run_shows_the_nmt_state() {
-    assert_shows(State::PreOperational, false, BusState::Good, BLINKING, OFF);
-    assert_shows(State::Operational, false, BusState::Good, ON, OFF);
-    assert_shows(State::Stopped, false, BusState::Good, SINGLE_FLASH, OFF);
-    assert_shows(State::Initialisation, false, BusState::Good, OFF, OFF);
-}
-
-#[test]
-fn err_shows_the_state_of_the_bus_independently_of_run() {
+fn run_shows_the_nmt_state_and_err_the_state_of_the_bus() {
     let runs = [OFF, BLINKING, ON, SINGLE_FLASH];
     for (nmt, run) in NMT_STATES.into_iter().zip(runs) {
         assert_shows(nmt, false, BusState::Good, run, OFF);

@@ -1,6 +1,6 @@
 //! The node-ID, persistent, pending and active: the events that move it (CiA 305, configure node-ID).
 
-use canopen_node::{Frame, NodeId, Settings, lss::StoreError, nmt::State};
+use canopen_node::{NodeId, Settings, lss::StoreError, nmt::State};
 use testkit::{
     flash::{BoardFlash, Operation},
     frames::SILENCE,
@@ -89,23 +89,6 @@ fn cob_ids_follow_the_node_id() {
     assert_eq!(board.pass_ms(100), ["704: 7F"]);
     assert_eq!(board.nmt("82 40"), SILENCE, "40 is another node now");
     assert_eq!(board.nmt("82 04"), ["704: 00"]);
-}
-
-#[test]
-fn a_node_without_a_node_id_sends_nothing_and_stays_in_initialisation() {
-    let mut board = NodeRig::with_heartbeat(0xFF, 100);
-    assert_eq!(board.pass_ms(1000), SILENCE);
-    assert_eq!(board.node.nmt_state(), State::Initialisation);
-    for command in ["01 00", "02 00", "80 00", "01 FF", "01 7F"] {
-        assert_eq!(board.nmt(command), SILENCE);
-        assert_eq!(board.node.nmt_state(), State::Initialisation, "{command}");
-    }
-    assert_eq!(board.pass_ms(1000), SILENCE);
-    for cob_id in 0x580..=0x680 {
-        let request = Frame::new(cob_id, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]).unwrap();
-        assert_eq!(board.receive(&request), SILENCE, "no SDO: {cob_id:03X}");
-    }
-    assert_eq!(board.lss("4C"), ["50"]);
 }
 
 #[test]

@@ -61,17 +61,6 @@ fn a_command_that_is_unknown_or_of_another_node_or_length_is_ignored() {
 }
 
 #[test]
-fn the_heartbeat_starts_again_with_each_boot_up() {
-    let mut board = NodeRig::with_heartbeat(0x40, 100);
-    for command in ["81 00", "82 00"] {
-        board.pass_ms(50);
-        assert_eq!(board.nmt(command), ["740: 00"]);
-        assert_eq!(board.pass_ms(99), SILENCE);
-        assert_eq!(board.pass_ms(1), ["740: 7F"]);
-    }
-}
-
-#[test]
 fn heartbeats_do_not_drift_when_calls_come_late_and_missed_ones_are_not_sent() {
     for (late_ms, next_ms, time) in [(130, 70, "200 ms"), (1_050, 100, "1150 ms")] {
         let mut board = NodeRig::with_heartbeat(0x40, 100);
@@ -175,7 +164,9 @@ fn every_reset_from_every_state_sends_one_boot_up_and_does_not_start() {
             assert_eq!(sent, ["740: 00"], "{command}, {reset:?}");
             assert_eq!(board.timeline(), timeline, "{command}, {reset:?}");
             assert_eq!(board.node.nmt_state(), State::PreOperational);
-            assert_eq!(board.pass_ms(1_000).0.len(), 10);
+            assert_eq!(board.pass_ms(99), SILENCE, "the heartbeat starts again");
+            assert_eq!(board.pass_ms(1), ["740: 7F"]);
+            assert_eq!(board.pass_ms(900).0.len(), 9);
             assert_eq!(board.node.nmt_state(), State::PreOperational);
         }
     }
@@ -183,10 +174,11 @@ fn every_reset_from_every_state_sends_one_boot_up_and_does_not_start() {
 
 #[test]
 fn initialisation_obeys_no_command_but_the_resets_to_all() {
-    let mut board = NodeRig::unconfigured();
+    let mut board = NodeRig::with_heartbeat(0xFF, 100);
+    assert_eq!(board.pass_ms(1000), SILENCE);
     board.timeline();
     for command in ["01", "02", "80"] {
-        for addressee in ["00", "40", "FF"] {
+        for addressee in ["00", "40", "7F", "FF"] {
             assert_eq!(board.nmt(&format!("{command} {addressee}")), SILENCE);
             assert_eq!(board.node.nmt_state(), State::Initialisation);
         }
@@ -201,6 +193,8 @@ fn initialisation_obeys_no_command_but_the_resets_to_all() {
     board.nmt("81 00");
     assert_eq!(board.timeline(), ["0 ms reset"]);
     assert_eq!(board.node.nmt_state(), State::Initialisation);
+    assert_eq!(board.pass_ms(1000), SILENCE);
+    assert_eq!(board.lss("4C"), ["50"]);
 }
 
 /// The NMT state after a bus-off, with this error behaviour; `None`: the default.

@@ -283,11 +283,17 @@ fn a_save_that_fails_is_answered_0606_0000_and_old_values_stay() {
             assert!(outcome == FAILED || outcome == Ok(()));
         }
     }
-    let mut board = board();
-    board.let_stores_take_time();
-    board.sdo("23 10 10 03 73 61 76 65");
-    let outcome = board.end_store(Err(StoreError::MediumAccess));
-    assert_eq!(outcome, ["5C0: 80 10 10 03 00 00 06 06"]);
+    for reason in [StoreError::MediumAccess, StoreError::NotSupported] {
+        let mut board = board();
+        board.let_stores_take_time();
+        for (request, abort) in [
+            ("23 10 10 03 73 61 76 65", "5C0: 80 10 10 03 00 00 06 06"),
+            ("23 11 10 01 6C 6F 61 64", "5C0: 80 11 10 01 00 00 06 06"),
+        ] {
+            board.sdo(request);
+            assert_eq!(board.end_store(Err(reason)), [abort]);
+        }
+    }
 }
 
 #[test]

@@ -17,10 +17,13 @@ fn outputs(board: &Board) -> (u8, u16) {
 #[test]
 fn an_rpdo_has_an_effect_in_operational_only() {
     let mut board = board();
-    receive(&mut board, "240: 05 E7 03");
-    board.nmt("02 40");
-    receive(&mut board, "240: 05 E7 03");
-    assert_eq!(outputs(&board), (0, 0));
+    for command in ["80 40", "02 40"] {
+        board.nmt(command);
+        take_events();
+        receive(&mut board, "240: 05 E7 03");
+        receive(&mut board, "080:");
+        assert_eq!((outputs(&board), take_events()), ((0, 0), vec![]), "nor has a SYNC");
+    }
 }
 
 #[test]
@@ -53,6 +56,7 @@ fn a_short_rpdo_is_8210_and_ignored_until_a_right_one_ends_the_error() {
     let mut board = operational();
     let short = ["0C0: 10 82 11 01 00 00 00 00"];
     assert_eq!(receive(&mut board, "240: 05 00"), short);
+    assert_eq!((outputs(&board), take_events()), ((0, 0), vec![]));
     assert_eq!(receive(&mut board, "240:"), SILENCE, "once");
     assert_eq!((outputs(&board), board.number(0x1001, 0)), ((0, 0), 0x11));
     assert_eq!(receive(&mut board, "340: 00 00 00 00 00 00"), SILENCE, "another RPDO");
@@ -128,15 +132,4 @@ fn a_sync_whose_length_does_not_fit_1019_is_8240_and_ignored() {
     assert_eq!(receive(&mut board, "080:"), ["0C0: 40 82 11 00 00 00 00 00"]);
     assert_eq!(receive(&mut board, "080: F0").0.len(), 2);
     set(&mut board, 0x1019, 0, 0, 1);
-}
-
-#[test]
-fn the_application_can_sample_its_inputs_at_the_sync() {
-    let mut board = operational();
-    receive(&mut board, "080:");
-    assert_eq!(take_events(), [Event::Sync]);
-    board.nmt("80 40");
-    take_events();
-    receive(&mut board, "080:");
-    assert_eq!(take_events(), [], "not outside of operational");
 }

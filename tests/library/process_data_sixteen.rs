@@ -1,14 +1,17 @@
 //! Sixteen TPDOs and sixteen RPDOs: those from the fifth on have no COB-ID before a master gives them one.
 
-use canopen_node::{Frame, Node};
+use canopen_node::Frame;
 use testkit::{
-    eds::{DataSheet, Product, parse},
+    eds::parse,
     frames::{SILENCE, bytes},
-    node_rig::{ADDRESS, NodeRig, device},
+    node_rig::NodeRig,
     sdo::Client,
 };
 
-use crate::process_data::{DEVICE_STATE, INVALID_VALUE, Machine, map};
+use crate::{
+    eds::sheet_of,
+    process_data::{DEVICE_STATE, INVALID_VALUE, Machine, map},
+};
 
 type Board = NodeRig<Machine, 16, 16, 2>;
 
@@ -96,11 +99,7 @@ fn sixteen_pdos_are_stored() {
 
 #[test]
 fn the_data_sheet_has_sixteen_pdos() {
-    let device = device(ADDRESS);
-    let product =
-        Product { file_name: "many.eds", vendor_name: "Example", description: "PDOs", device };
-    let entries = <Node<Machine, 16, 16, 2>>::entries(&device);
-    let sections = parse(&DataSheet::new(product, entries, &Machine::new()).eds());
+    let sections = parse(&sheet_of::<Machine, 16, 16, 2>(&Machine::new()));
     let info = &sections["DeviceInfo"];
     let numbers = ["NrOfRXPDO", "NrOfTXPDO", "Granularity"].map(|key| &*info[key]);
     assert_eq!(numbers, ["16", "16", "8"]);

@@ -6,17 +6,6 @@ use testkit::frames::SILENCE;
 use crate::process_data::{Board, board, change, map, operational, receive, set};
 
 #[test]
-fn an_event_driven_tpdo_is_sent_when_the_node_becomes_operational() {
-    let mut board = board();
-    assert_eq!(change(&mut board, |machine| machine.level = 0x1234), SILENCE);
-    assert_eq!(board.nmt("01 40"), ["1C0: 00 34 12"]);
-    assert_eq!(board.nmt("01 40"), SILENCE, "it is operational already");
-    assert_eq!(board.pass_ms(10_000), SILENCE);
-    board.nmt("80 40");
-    assert_eq!(board.nmt("01 40"), ["1C0: 00 34 12"]);
-}
-
-#[test]
 fn a_value_that_a_client_writes_is_sent_after_the_answer() {
     let mut board = board();
     map(&mut board, 0x1802, 0x3C0, &[0x6200_0108]);
@@ -205,15 +194,4 @@ fn nothing_is_sent_in_the_delays_of_a_switch_and_the_latest_data_after() {
     assert_eq!(board.node.application().lamps, 0, "a PDO of the silence has no effect");
     assert_eq!(board.pass_ms(29), SILENCE);
     assert_eq!(board.pass_ms(1), ["1C0: 01 00 00"]);
-}
-
-#[test]
-fn a_bus_off_ends_process_data_unless_1029_keeps_the_state() {
-    let mut board = operational();
-    board.see(BusEvent::BusOff);
-    assert_eq!(change(&mut board, |machine| machine.buttons = 1), SILENCE);
-    board.nmt("01 40");
-    set(&mut board, 0x1029, 1, 1, 1);
-    board.see(BusEvent::BusOff);
-    assert_eq!(change(&mut board, |machine| machine.buttons = 2), ["1C0: 02 00 00"]);
 }

@@ -103,10 +103,10 @@ fn sdo_follows_the_node_id_after_reset_communication_and_not_before() {
 fn a_node_without_a_node_id_serves_no_sdo_until_lss_gives_it_one() {
     let mut board = NodeRig::unconfigured();
     board.configure("11 04");
-    for node_id in 0..=127 {
-        assert_eq!(board.receive(&sdo::request(node_id, "40 18 10 00")), SILENCE);
+    for cob_id in 0x580..=0x6FF {
+        let request = Frame::new(cob_id, &[0x40, 0x18, 0x10, 0, 0, 0, 0, 0]).unwrap();
+        assert_eq!(board.receive(&request), SILENCE, "{cob_id:03X}");
     }
-    assert_eq!(board.receive(&Frame::new(0x6FF, &[0x40, 0x18, 0x10, 0, 0, 0, 0, 0]).unwrap()), []);
     assert_eq!(board.lss("04 00"), ["704: 00"]);
     assert_eq!(board.receive(&sdo::request(4, "40 18 10 00")), ["584: 4F 18 10 00 04 00 00 00"]);
 }

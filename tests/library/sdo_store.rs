@@ -1,9 +1,7 @@
 //! Store parameters 1010h and restore default parameters 1011h (CiA 301), which share the settings log with LSS store.
 
-use canopen_node::lss::StoreError;
 use testkit::{
-    flash::Operation,
-    frames::{Frames, SILENCE},
+    frames::SILENCE,
     node_rig::{NodeRig, defaults},
     sdo::Client,
 };
@@ -13,41 +11,6 @@ const SAVED: &str = "5C0: 60 10 10 01 00 00 00 00";
 const LOAD: &str = "23 11 10 01 6C 6F 61 64";
 const LOADED: &str = "5C0: 60 11 10 01 00 00 00 00";
 const HEARTBEAT_1000: &str = "2B 17 10 00 E8 03";
-
-/// A board with node-ID 40h and a factory heartbeat time of 500 ms.
-fn board_with_default_500() -> NodeRig {
-    NodeRig::with_heartbeat(0x40, 500)
-}
-
-#[test]
-fn an_unsaved_heartbeat_time_is_lost_at_power_cycle_and_resets() {
-    let restarts: [fn(&mut NodeRig) -> Frames; 3] =
-        [NodeRig::power_cycle, |board| board.nmt("81 00"), |board| board.nmt("82 00")];
-    for restart in restarts {
-        let mut board = board_with_default_500();
-        board.sdo(HEARTBEAT_1000);
-        assert_eq!(restart(&mut board), ["740: 00"]);
-        assert_eq!(board.number(0x1017, 0), 500);
-    }
-}
-
-#[test]
-fn a_store_that_fails_is_0606_0000_and_the_old_settings_stay() {
-    let mut board = board_with_default_500();
-    board.sdo(HEARTBEAT_1000);
-    board.sdo(SAVE);
-    board.sdo("2B 17 10 00 D0 07");
-    board.flash.fail(Operation::Write);
-    assert_eq!(board.sdo(SAVE), ["5C0: 80 10 10 01 00 00 06 06"]);
-    assert_eq!(board.sdo(LOAD), ["5C0: 80 11 10 01 00 00 06 06"]);
-    board.flash.repair();
-    assert_eq!(board.power_cycle(), ["740: 00"]);
-    assert_eq!(board.number(0x1017, 0), 1000);
-    board.let_stores_take_time();
-    board.sdo(SAVE);
-    let answer = board.end_store(Err(StoreError::NotSupported));
-    assert_eq!(answer, ["5C0: 80 10 10 01 00 00 06 06"], "a device that cannot store");
-}
 
 #[test]
 fn save_is_confirmed_only_when_done_and_others_are_served_meanwhile() {

@@ -165,26 +165,6 @@ fn a_log_of_an_earlier_version_is_continued() {
 }
 
 #[test]
-fn stores_and_power_cycles_in_any_number_find_the_last_settings() {
-    let mut random = Random::from_environment();
-    let flash = Flash::<1, 128>::blank(0);
-    let (mut log, _) = Log::open(flash.clone());
-    let mut stored = None;
-    for _ in 0..5_000 {
-        if random.one_in(2) {
-            let settings = settings(random.within(0..4) as u16);
-            if log.store(settings).is_ok() {
-                stored = Some(settings);
-            }
-        } else {
-            (log, _) = Log::open(flash.clone());
-        }
-        assert_eq!(log.settings(), stored);
-    }
-    assert!(flash.erases() > 100, "it moved often");
-}
-
-#[test]
 fn the_newer_bank_counts_even_where_the_sequence_wraps() {
     for older in [1, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFE, 0xFFFF_FFFF] {
         for newer_by in [1u32, 2, 600] {

@@ -15,22 +15,13 @@ const LEN: usize = 0;
 const WITH_PARAMETERS: usize = 40;
 
 #[test]
-fn two_cuts_in_any_steps_lose_nothing_written_in_words() {
+fn two_cuts_in_any_steps_lose_nothing() {
     cut_twice::<LEN, 4, 128>(&[0xFF; 256], 10, 1);
-}
-
-#[test]
-fn two_cuts_in_any_steps_lose_nothing_written_in_bytes() {
+    // Written in bytes.
     cut_twice::<LEN, 1, 128>(&[0xFF; 256], 7, 29);
-}
-
-#[test]
-fn two_cuts_in_any_steps_lose_nothing_in_the_smallest_banks() {
+    // In the smallest banks.
     cut_twice::<LEN, 4, 96>(&[0xFF; 192], 9, 1);
-}
-
-#[test]
-fn two_cuts_in_any_steps_lose_nothing_where_garbage_is_formatted_first() {
+    // Garbage is formatted first.
     cut_twice::<LEN, 4, 128>(&[0xA5; 256], 4, 3);
     cut_twice::<LEN, 2, 256>(&[0x00; 512], 2, 11);
 }
@@ -115,18 +106,12 @@ fn cuts_in_banks_of_16_kb_that_are_nearly_full_lose_nothing() {
 }
 
 #[test]
-fn two_cuts_in_any_steps_lose_no_parameters_in_the_smallest_banks() {
-    cut_twice::<WITH_PARAMETERS, 4, 192>(&[0xFF; 384], 8, 3);
-}
-
-#[test]
-fn two_cuts_in_any_steps_lose_no_parameters_written_in_words() {
+fn two_cuts_in_any_steps_lose_no_parameters() {
     cut_twice::<WITH_PARAMETERS, 4, 512>(&[0xFF; 1024], 14, 7);
-}
-
-#[test]
-fn two_cuts_in_any_steps_lose_no_parameters_written_in_bytes() {
+    // Written in bytes.
     cut_twice::<WITH_PARAMETERS, 1, 256>(&[0xFF; 512], 6, 61);
+    // In the smallest banks.
+    cut_twice::<WITH_PARAMETERS, 4, 192>(&[0xFF; 384], 8, 3);
 }
 
 #[test]

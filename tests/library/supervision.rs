@@ -4,6 +4,7 @@ use canopen_node::{
     BitRate,
     BusEvent::{self, Acknowledged, BusOff, Error, FormError, HeldDominant, NonePending, Received},
     Frame, Instant, NodeId, lss,
+    nmt::State,
 };
 use testkit::{
     frames::{self, SILENCE, request},
@@ -326,6 +327,11 @@ fn a_request_in_a_pause_ends_it_and_is_answered() {
     let request = testkit::sdo::request(0x40, "40 18 10 04");
     let expected = ["740: 00", "5C0: 43 18 10 04 EF BE AD DE"];
     assert_eq!(board.receive(&request), expected);
+    let mut board = unproven();
+    board.pass_ms(110);
+    board.is_acknowledged = true;
+    assert_eq!(board.nmt("01 00"), ["740: 00"]);
+    assert_eq!(board.node.nmt_state(), State::Operational, "a boot-up sent again changes no state");
 }
 
 #[test]
