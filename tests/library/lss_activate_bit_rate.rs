@@ -21,14 +21,21 @@ fn in_configuration(mut board: NodeRig) -> NodeRig {
 
 #[test]
 fn activation_is_silent_switches_after_one_delay_and_sends_after_two() {
-    for (request, timeline) in [
-        ("15 64 00", ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"]),
-        ("15 01 02", ["0 ms stop", "513 ms 500 kbit/s", "1026 ms resume"]),
-    ] {
-        let mut board = ready_to_switch(0);
-        assert_eq!(board.lss(request), SILENCE);
-        assert_eq!(board.pass_ms(2000), SILENCE);
-        assert_eq!(board.timeline(), timeline, "the delay is little endian");
+    for (request, switch_ms) in [("15 64 00", 100), ("15 01 02", 513), ("15 FF FF", 65_535)] {
+        // Also where the clock wraps in one of the delays.
+        for before_wrap_us in [0, 1, 1_000 * switch_ms, 1_000 * switch_ms + 1, 2_000 * switch_ms] {
+            let clock_at_start = 0u32.wrapping_sub(before_wrap_us);
+            let settings = defaults(0x40).with_heartbeat_ms(1_000);
+            let board = NodeRig::new(ADDRESS, settings, BoardFlash::blank(0), clock_at_start);
+            let mut board = in_configuration(board);
+            assert_eq!(board.lss(request), SILENCE);
+            assert_eq!(board.pass_us(u64::from(2_000 * switch_ms - 1)), SILENCE);
+            assert_eq!(board.pass_us(1), ["740: 7F"]);
+            let switch = format!("{switch_ms} ms 500 kbit/s");
+            let [resume, heartbeat] =
+                ["resume", "740: 7F"].map(|act| format!("{} ms {act}", 2 * switch_ms));
+            assert_eq!(board.timeline(), ["0 ms stop", &switch, &resume, &heartbeat]);
+        }
     }
 }
 
@@ -40,16 +47,6 @@ fn delay_0_switches_and_sends_at_once_and_does_not_close_can_for_good() {
     assert_eq!(board.timeline(), timeline);
     assert_eq!(board.lss("5E"), ["5E 40"]);
     assert_eq!(board.pass_ms(100), ["740: 7F"]);
-}
-
-#[test]
-fn delay_ffff_lasts_65535_ms_twice() {
-    let mut board = ready_to_switch(1000);
-    board.lss("15 FF FF");
-    assert_eq!(board.pass_us(131_069_999), SILENCE);
-    assert_eq!(board.pass_us(1), ["740: 7F"]);
-    let timeline = ["0 ms stop", "65535 ms 500 kbit/s", "131070 ms resume", "131070 ms 740: 7F"];
-    assert_eq!(board.timeline(), timeline);
 }
 
 #[test]
@@ -267,18 +264,6 @@ fn the_wrap_of_the_clock_changes_nothing_at_any_time() {
     }
     for half in [1 << 31, (1 << 31) - 1_500_000] {
         assert_eq!(session(half, u64::MAX), expected);
-    }
-}
-
-#[test]
-fn a_long_activation_survives_the_wrap_of_the_clock() {
-    for before_wrap_us in [1, 65_535_000, 65_535_001, 131_070_000] {
-        let clock_at_start = 0u32.wrapping_sub(before_wrap_us);
-        let board = NodeRig::new(ADDRESS, defaults(0x40), BoardFlash::blank(0), clock_at_start);
-        let mut board = in_configuration(board);
-        board.lss("15 FF FF");
-        board.pass_ms(200_000);
-        assert_eq!(board.timeline(), ["0 ms stop", "65535 ms 500 kbit/s", "131070 ms resume"]);
     }
 }
 

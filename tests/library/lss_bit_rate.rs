@@ -6,9 +6,6 @@ use testkit::{
     node_rig::{ADDRESS, NodeRig, defaults, device},
 };
 
-const TABLE: [(u8, u16); 8] =
-    [(0, 1000), (1, 800), (2, 500), (3, 250), (4, 125), (6, 50), (7, 20), (8, 10)];
-
 /// A board that has just answered `13 00 02` (500 kbit/s).
 fn with_500_pending() -> NodeRig {
     with_500_pending_on(NodeRig::with_node_id(0x40))
@@ -23,17 +20,6 @@ fn with_500_pending_on(mut board: NodeRig) -> NodeRig {
 fn pending(board: &mut NodeRig) -> u16 {
     board.lss("15 00 00");
     board.bit_rate().kbit_per_s()
-}
-
-#[test]
-fn each_index_of_table_0_selects_the_bit_rate_of_cia_301() {
-    for (index, kbit_per_s) in TABLE {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.lss("04 01");
-        assert_eq!(board.lss(&format!("13 00 {index:02X}")), ["13 00"], "{kbit_per_s}");
-        assert_eq!(board.bit_rate().kbit_per_s(), 1000, "it is only pending");
-        assert_eq!(pending(&mut board), kbit_per_s);
-    }
 }
 
 #[test]

@@ -121,35 +121,6 @@ fn leaving_configuration_with_a_first_node_id_starts_communication() {
 }
 
 #[test]
-fn nothing_else_starts_communication_by_itself() {
-    let mut board = NodeRig::unconfigured();
-    board.timeline();
-    board.configure("04 00");
-    assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending");
-    assert_eq!(board.timeline(), SILENCE, "not even an invisible reset");
-    board.configure("11 04, 04 01, 04 02, 17, 15 0A 00");
-    assert_eq!(board.pass_ms(1000), SILENCE, "it was not 04 00");
-    board.lss("11 FF");
-    board.lss("04 00");
-    assert_eq!(board.pass_ms(1000), SILENCE, "nothing is pending any longer");
-}
-
-#[test]
-fn leaving_configuration_with_an_active_node_id_waits_for_an_nmt_reset() {
-    for (id, boot_up) in [("05", &["705: 00"][..]), ("FF", &[])] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.nmt("01 00");
-        board.lss("04 01");
-        board.lss(&format!("11 {id}"));
-        assert_eq!(board.lss("04 00"), SILENCE);
-        assert_eq!(board.pass_ms(1000), SILENCE);
-        assert_eq!(board.node.nmt_state(), State::Operational);
-        assert_eq!(board.configure("5E"), ["5E 40"]);
-        assert_eq!(board.nmt("82 00"), boot_up);
-    }
-}
-
-#[test]
 fn store_makes_the_pending_values_persistent_and_leaves_the_active_ones() {
     let mut board = NodeRig::with_heartbeat(0x40, 1000);
     board.configure("11 05, 13 00 03");

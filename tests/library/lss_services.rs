@@ -115,24 +115,3 @@ fn lss_is_served_in_every_nmt_state() {
     assert_eq!(board.node.nmt_state(), State::Initialisation);
     assert_eq!(board.configure("5E"), ["5E FF"]);
 }
-
-#[test]
-fn identify_non_configured_and_fastscan_are_answered_only_while_both_node_ids_are_ff() {
-    let mut board = NodeRig::unconfigured();
-    for (requests, is_answered, node_ids) in [
-        ("04 00", true, "active FF, pending FF"),
-        ("11 05, 11 FF, 04 00", true, "active FF, pending FF again"),
-        ("11 05", false, "active FF, pending 05"),
-        ("04 00", false, "active 05, pending 05"),
-        ("11 FF, 04 00", false, "active 05, pending FF"),
-    ] {
-        board.configure(requests);
-        let found = board.lss("4C");
-        assert_eq!(found, if is_answered { &["50"][..] } else { &[] }, "{node_ids}");
-        let begun = board.lss("51 00 00 00 00 80");
-        assert_eq!(begun, if is_answered { &["4F"][..] } else { &[] }, "{node_ids}");
-    }
-    board.nmt("82 00");
-    assert_eq!(board.lss("4C"), ["50"], "reset communication has made FF active");
-    assert_eq!(board.lss("51 00 00 00 00 80"), ["4F"]);
-}

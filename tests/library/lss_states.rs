@@ -122,7 +122,7 @@ fn outcome(kind: Kind, state: State, requests: &str) -> String {
     for request in requests.split(", ") {
         last_effect = effect(&mut board, request);
     }
-    board.pass_ms(100);
+    assert_eq!(board.pass_ms(1_000), SILENCE, "{requests}");
     let then = board.node.lss().state();
     let is_nothing = last_effect.is_empty() && then == state;
     if is_nothing && !requests.contains(',') && loses_progress(kind, state, requests) {

@@ -215,56 +215,6 @@ fn a_client_that_begins_another_transfer_at_once_is_served() {
 }
 
 #[test]
-fn segments_behind_a_lost_one_belong_to_the_rest_of_the_block_too() {
-    let mut board = board();
-    board.sdo("C0 00 23 01");
-    assert_eq!(board.sdo("01"), SILENCE);
-    assert_eq!(board.sdo("80"), SILENCE);
-    for number in 0x0A..=0x7F {
-        assert_eq!(board.sdo(&format!("{number:02X} 17 10 00 39 30")), SILENCE, "{number}");
-    }
-    assert_eq!(board.number(0x1017, 0), 0);
-}
-
-#[test]
-fn messages_that_do_not_fit_are_refused_by_the_code_of_their_reason() {
-    const OUT_OF_ORDER: u8 = 1;
-    const BLOCK_SIZE: u8 = 2;
-    const SEQUENCE_NUMBER: u8 = 3;
-    const CRC: u8 = 4;
-    for (before, message, reason) in [
-        (&["A4 00 23 01 7F"][..], "A2 00 7F", OUT_OF_ORDER),
-        (&["A4 00 23 01 7F"], "A1", OUT_OF_ORDER),
-        (&["A4 00 23 01 7F"], "60", OUT_OF_ORDER),
-        (&["A4 00 23 01 7F", "A3"], "A3", OUT_OF_ORDER),
-        (&["A4 00 23 01 7F", "A3"], "A1", OUT_OF_ORDER),
-        (&["A4 00 23 01 7F", "A3", "A2 0F 7F"], "A2 0F 7F", OUT_OF_ORDER),
-        (&["C0 00 23 01", "81"], "00", OUT_OF_ORDER),
-        (&["C0 00 23 01", "81"], "A3", OUT_OF_ORDER),
-        (&[], "A4 00 23 01 00", BLOCK_SIZE),
-        (&[], "A4 00 23 01 80", BLOCK_SIZE),
-        (&["A4 00 23 01 01", "A3"], "A2 01 00", BLOCK_SIZE),
-        (&["A4 00 23 01 01", "A3"], "A2 01 80", BLOCK_SIZE),
-        (&["A4 00 23 01 05", "A3"], "A2 06 7F", SEQUENCE_NUMBER),
-        (&["C6 00 23 01 C8", "01 61"], "00 61", SEQUENCE_NUMBER),
-        (&["C6 00 23 01 03", "81 61 62 63"], "D1 FF FF", CRC),
-    ] {
-        let mut board = board_with_memory(100);
-        for message in before {
-            board.sdo(message);
-        }
-        let abort = format!("5C0: 80 00 23 01 {reason:02X} 00 04 05");
-        assert_eq!(board.sdo(message), [abort.as_str()], "{before:?}, {message}");
-        if before.first().is_some_and(|first| first.starts_with('C')) {
-            assert_eq!(board.node.application().aborted, 1, "{before:?}, {message}");
-        } else {
-            assert_eq!(board.sdo("A2 01 7F"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
-        }
-        assert_eq!(board.upload(0x2300, 1).unwrap(), bytes(100), "nothing has been written");
-    }
-}
-
-#[test]
 fn an_abort_ends_a_block_transfer_at_once() {
     let mut board = board_with_memory(10_000);
     board.is_acknowledged = false;

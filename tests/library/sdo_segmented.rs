@@ -83,21 +83,6 @@ fn each_number_of_every_node_takes_a_download_in_segments() {
 }
 
 #[test]
-fn data_that_is_not_as_long_as_announced_is_0607_0012_or_0013() {
-    let mut board = board();
-    for (len, announced) in [(9, 8), (8, 9), (14, 1), (0, 1), (1, 0)] {
-        let code = if len > announced as usize { TOO_LONG } else { TOO_SHORT };
-        let outcome = board.download_segments(0x2200, 3, &bytes(len), Some(announced));
-        assert_eq!(outcome, Err(code), "{len} for {announced}");
-        let outcome = board.download_segments(0x2300, 1, &bytes(len), Some(announced));
-        assert_eq!(outcome, Err(code), "{len} for {announced}");
-    }
-    assert_eq!(board.upload(0x2200, 3).unwrap(), b"");
-    let machine = board.node.application();
-    assert_eq!((machine.ended, machine.aborted), (0, 5));
-}
-
-#[test]
 fn the_application_refuses_a_domain_at_any_part_and_at_its_end() {
     let mut board = board();
     board.node.application_mut().refuse_part = Some(Abort::Memory);
@@ -112,25 +97,6 @@ fn the_application_refuses_a_domain_at_any_part_and_at_its_end() {
     assert_eq!(board.block_download(0x2300, 1, &bytes(20)), Err(0x0606_0000));
     let machine = board.node.application();
     assert_eq!((machine.ended, machine.aborted, &machine.draft), (0, 6, &None));
-}
-
-#[test]
-fn a_transfer_that_is_cut_short_leaves_the_old_value() {
-    for end in ["80 00 22 02", "40 00 21 01", "20 00 22 02", "C0 00 22 03", "E0"] {
-        let mut board = board();
-        board.download(0x2200, 2, b"old").unwrap();
-        board.sdo("20 00 22 02");
-        board.sdo("00 6E 65 77 6E 65 77 6E");
-        board.sdo(end);
-        assert_eq!(board.sdo("80"), SILENCE);
-        assert_eq!(board.upload(0x2200, 2).unwrap(), b"old", "{end}");
-        board.sdo("20 00 23 01");
-        board.sdo("00 6E 65 77 6E 65 77 6E");
-        assert!(board.node.application().draft.is_some());
-        board.sdo(end);
-        assert_eq!(board.node.application().aborted, 1, "{end}");
-        assert!(board.node.application().draft.is_none());
-    }
 }
 
 #[test]
