@@ -138,50 +138,39 @@ fn heartbeats_of_the_silent_periods_are_not_sent_late_in_a_burst() {
 }
 
 #[test]
-fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end() {
-    for at_ms in [0, 50, 100, 199] {
-        let mut board = ready_to_switch(10_000);
-        board.lss("15 64 00");
-        board.pass_ms(at_ms);
-        board.nmt("01 00");
-        assert_eq!(board.node.nmt_state(), State::PreOperational, "not yet");
-        assert_eq!(board.pass_ms(200 - at_ms), ["740: 05"]);
-        let mut board = ready_to_switch(10_000);
-        board.lss("15 64 00");
-        board.nmt("01 00");
-        board.pass_ms(at_ms);
-        board.nmt("02 40");
-        board.nmt("01 41");
-        assert_eq!(board.pass_ms(200 - at_ms), ["740: 04"], "41 is another node");
-        assert_eq!(board.pass_ms(10_000), ["740: 04"], "once");
-    }
-}
-
-#[test]
-fn a_reset_in_the_silent_periods_wins_over_commands_before_and_after() {
-    const OF_NODE: &str = "200 ms reset";
-    const OF_COMMUNICATION: &str = "200 ms node-ID 40";
-    for (commands, reset, kbit_per_s) in [
-        (&["82 00", "01 00"][..], OF_COMMUNICATION, 500),
-        (&["01 00", "82 40"], OF_COMMUNICATION, 500),
-        (&["82 00", "82 40", "80 00"], OF_COMMUNICATION, 500),
-        (&["81 00", "01 00"], OF_NODE, 1000),
-        (&["02 00", "81 00"], OF_NODE, 1000),
-        (&["82 00", "81 00"], OF_NODE, 1000),
-        (&["81 00", "82 00"], OF_NODE, 1000),
-        (&["82 40", "81 40", "82 00", "01 00"], OF_NODE, 1000),
+fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end_and_a_reset_wins() {
+    const OF_NODE: [&str; 2] = ["200 ms reset", "200 ms 740: 00"];
+    const OF_COMMUNICATION: [&str; 2] = ["200 ms node-ID 40", "200 ms 740: 00"];
+    for (commands, carried_out, kbit_per_s) in [
+        (&["01 00"][..], &["200 ms 740: 05"][..], 500),
+        // 41 is another node.
+        (&["01 00", "02 40", "01 41"], &["200 ms 740: 04"], 500),
+        (&["82 00", "01 00"], &OF_COMMUNICATION, 500),
+        (&["01 00", "82 40"], &OF_COMMUNICATION, 500),
+        (&["82 00", "82 40", "80 00"], &OF_COMMUNICATION, 500),
+        (&["81 00", "01 00"], &OF_NODE, 1000),
+        (&["02 00", "81 00"], &OF_NODE, 1000),
+        (&["82 00", "81 00"], &OF_NODE, 1000),
+        (&["81 00", "82 00"], &OF_NODE, 1000),
+        (&["82 40", "81 40", "82 00", "01 00"], &OF_NODE, 1000),
     ] {
-        let mut board = ready_to_switch(0);
-        board.lss("15 64 00");
-        for command in commands {
-            assert_eq!(board.nmt(command), SILENCE);
+        for at_ms in [0, 50, 100, 199] {
+            let mut board = ready_to_switch(10_000);
+            board.lss("15 64 00");
+            board.nmt(commands[0]);
+            board.pass_ms(at_ms);
+            for command in commands {
+                assert_eq!(board.nmt(command), SILENCE);
+                assert_eq!(board.node.nmt_state(), State::PreOperational, "not yet");
+            }
+            board.pass_ms(10_000 - at_ms);
+            let switch = ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"];
+            assert_eq!(board.timeline(), [&switch[..], carried_out].concat(), "{commands:?}");
+            assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s, "{commands:?}");
+            let is_reset = carried_out.len() > 1;
+            assert_eq!(board.is_in_configuration_state(), !is_reset, "{commands:?}");
+            assert!(!is_reset || board.node.nmt_state() == State::PreOperational);
         }
-        board.pass_ms(300);
-        let expected = ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume", reset, "200 ms 740: 00"];
-        assert_eq!(board.timeline(), expected, "{commands:?}");
-        assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s, "{commands:?}");
-        assert_eq!(board.node.nmt_state(), State::PreOperational);
-        assert!(!board.is_in_configuration_state());
     }
 }
 

@@ -156,41 +156,11 @@ fn power_on_leads_to_waiting_with_a_boot_up_of_a_node_with_a_node_id() {
     }
 }
 
-/// A label of the picture `docs/lss-states.svg`: where it stands, and the effect below it.
-struct Label<'a> {
-    /// The left end of the text, or the middle of one at an arrow.
-    x: &'a str,
-    /// The service, with its command specifiers.
-    service: String,
-    effect: String,
-    /// The line below the two, if there is one.
-    arrow: Option<&'a str>,
-}
-
-/// The labels in the picture, in which each text and each arrow is a line.
-fn labels(picture: &str) -> Vec<Label<'_>> {
-    let without_tags = |line: &str| {
-        let parts = line.split('<').filter_map(|part| part.split_once('>'));
-        parts.map(|(_, text)| text).collect::<String>()
-    };
-    let lines: Vec<_> = picture.lines().collect();
-    let labels = lines.windows(3).filter(|window| window[0].starts_with("<text x="));
-    labels
-        .map(|window| Label {
-            x: window[0].split('"').nth(1).expect("a place"),
-            service: without_tags(window[0]),
-            effect: without_tags(window[1]),
-            arrow: Some(window[2]).filter(|line| line.starts_with("<line ")),
-        })
-        .collect()
-}
-
-/// What has no effect in any state is not in the picture.
+/// In the picture each text and each arrow is a line: a service, its effect below it, and the arrow to another state
+/// below the two, if there is one. What has no effect in any state is not in it.
 #[test]
 fn the_picture_of_the_states_shows_the_effect_of_each_service() {
-    const WAITING_X: &str = "34";
-    const CONFIGURATION_X: &str = "759";
-    let labels = labels(include_str!("../../docs/lss-states.svg"));
+    let picture: Vec<_> = include_str!("../../docs/lss-states.svg").lines().collect();
     let label_of = |requests: &str| match requests {
         SELECT => "40 41 42 43".to_owned(),
         IDENTIFY => "46 .. 4B".to_owned(),
@@ -202,28 +172,31 @@ fn the_picture_of_the_states_shows_the_effect_of_each_service() {
     let shown = EFFECTS.iter().filter(|(_, effects)| effects.iter().any(|it| !it.is_empty()));
     for (requests, effects) in shown {
         let service = label_of(requests);
-        for (x, effects, arrow) in [
-            (WAITING_X, &effects[..2], "<line x1=\"365\""),
-            (CONFIGURATION_X, &effects[2..], "<line x1=\"745\""),
+        for (place, effects, arrow) in [
+            ("<text x=\"34\"", &effects[..2], "<line x1=\"365\""),
+            ("<text x=\"759\"", &effects[2..], "<line x1=\"745\""),
         ] {
-            let stands_at = |label: &&Label<'_>| label.service.starts_with(&format!("{service} "));
-            let mut found = labels.iter().filter(stands_at).filter(|label| {
-                label.x == x || label.arrow.is_some_and(|line| line.starts_with(arrow))
-            });
+            let is_label = |lines: &&[&str]| {
+                lines[0].contains(&format!(">{service}</tspan> "))
+                    && (lines[0].starts_with(place) || lines[2].starts_with(arrow))
+            };
+            let label = picture.windows(3).find(is_label);
             if effects.iter().all(|effect| effect.is_empty()) {
-                let ignored =
-                    labels.iter().find(|l| l.x == x && l.service == "without any effect:");
-                let ignored = &ignored.expect("a list").effect;
-                assert!(ignored.split(", ").any(|one| one == service), "{service}: {ignored}");
-                assert!(found.next().is_none(), "{service} has no effect");
+                let is_list = |lines: &&[&str]| {
+                    lines[0].starts_with(place) && lines[0].contains(">without any effect:<")
+                };
+                let ignored = picture.windows(2).find(is_list).expect("a list")[1];
+                let mut ignored = ignored.split(['>', '<']).nth(2).expect("a text").split(", ");
+                assert!(ignored.any(|one| one == service), "{service} is in the list");
+                assert_eq!(label, None, "{service} has no effect");
                 continue;
             }
-            let label = found.next().unwrap_or_else(|| panic!("{service} is in the picture"));
+            let label = label.unwrap_or_else(|| panic!("{service} is in the picture"));
             let leaves = effects.iter().any(|effect| effect.contains("to "));
-            assert_eq!(label.arrow.is_some(), leaves, "{service}: an arrow");
+            assert_eq!(label[2].starts_with("<line "), leaves, "{service}: an arrow");
             for effect in effects.iter().flat_map(|effect| effect.split(", ")) {
                 let is_arrow = effect.starts_with("to ");
-                assert!(is_arrow || label.effect.contains(effect), "{service}: {effect}");
+                assert!(is_arrow || label[1].contains(effect), "{service}: {effect}");
             }
         }
     }

@@ -23,7 +23,6 @@ mod lss_node_id;
 mod lss_select;
 mod lss_services;
 mod lss_states;
-mod lss_tutorial_session;
 mod nmt;
 mod object_dictionary;
 mod parameters;

@@ -84,26 +84,6 @@ fn board_with_stored_parameters() -> Board {
 }
 
 #[test]
-fn each_parameter_survives_a_power_cycle_and_reset_communication() {
-    for sub_index in [1, 2] {
-        let mut board = board();
-        let declared = parameters(&mut board);
-        change_all(&mut board);
-        let stored = parameters(&mut board);
-        assert_ne!(stored, declared);
-        assert_eq!(board.save(sub_index), Ok(()));
-        board.nmt("82 40");
-        assert_eq!(parameters(&mut board), stored);
-        board.power_cycle();
-        assert_eq!(parameters(&mut board), stored);
-        board.nmt("82 40");
-        assert_eq!(parameters(&mut board), stored);
-        board.nmt("81 40");
-        assert_eq!(parameters(&mut board), stored);
-    }
-}
-
-#[test]
 fn stored_pdos_and_producers_work_after_a_power_cycle() {
     let mut board = board_with_stored_parameters();
     board.power_cycle();
@@ -369,7 +349,7 @@ fn change_randomly(board: &mut Board, random: &mut Random) {
     let id = random.pick(&[0x333, 0x334, 0, 0x1C0, 0x2C0, 0x3C0, 0x240, 0x340, 0x280, 0x200]);
     let code = random.pick(&[0x6000_0108, 0x6000_0210, 0x6000_0340, 0x6200_0108, 0x6200_0320]);
     let number = random.within(0..9) as u32;
-    let (index, sub_index, value, size) = match random.within(0..12) {
+    let (index, sub_index, value, size) = match random.within(0..13) {
         0..=2 => (parameter, 1, id | random.pick(&[0, 0x8000_0000, 0x8000_0000]), 4),
         3 => (parameter, 2, random.pick(&[0, 1, 240, 254, 255]), 1),
         4 => (parameter, 3, random.u32(), 2),
@@ -378,6 +358,7 @@ fn change_randomly(board: &mut Board, random: &mut Random) {
         7 => (parameter + 0x200, 0, random.pick(&[0, 0, 0, number]), 1),
         8..=9 => (parameter + 0x200, random.within(1..9) as u8, code, 4),
         10 => (0x1016, random.within(1..3) as u8, random.u32() & 0x0003_0001, 4),
+        11 => (0x1029, 1, random.within(0..4) as u32, 1),
         _ if random.one_in(2) => (0x1005, 0, random.pick(&[0x80, 0x81, 0x333]), 4),
         _ => (0x1019, 0, random.byte().into(), 1),
     };
