@@ -5,7 +5,6 @@ use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults},
-    random::Random,
 };
 
 /// A board in LSS configuration state that has just answered `13 00 02` (500 kbit/s), with an empty timeline.
@@ -129,15 +128,6 @@ fn a_second_activation_starts_again_when_the_first_has_ended() {
 }
 
 #[test]
-fn heartbeats_of_the_silent_periods_are_not_sent_late_in_a_burst() {
-    let mut board = ready_to_switch(10);
-    board.lss("15 64 00");
-    assert_eq!(board.pass_ms(199), SILENCE);
-    assert_eq!(board.pass_ms(10), ["740: 7F"]);
-    assert_eq!(board.pass_ms(1), ["740: 7F"], "200 ms and 210 ms");
-}
-
-#[test]
 fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end_and_a_reset_wins() {
     const OF_NODE: [&str; 2] = ["200 ms reset", "200 ms 740: 00"];
     const OF_COMMUNICATION: [&str; 2] = ["200 ms node-ID 40", "200 ms 740: 00"];
@@ -210,50 +200,6 @@ fn a_late_call_runs_due_actions_in_order_and_does_not_shift_later_ones() {
     board.lss("15 64 00");
     assert_eq!(board.be_late_ms(300), ["740: 7F"]);
     assert_eq!(board.timeline(), ["0 ms stop", "300 ms resume", "300 ms 740: 7F"]);
-}
-
-/// Requests, resets, activations and heartbeats, with time passing in steps of `step_us`.
-fn session(clock_at_start: u32, step_us: u64) -> Vec<String> {
-    let defaults = defaults(0x40).with_heartbeat_ms(300);
-    let mut board = NodeRig::new(ADDRESS, defaults, BoardFlash::blank(0), clock_at_start);
-    let pass_ms = |board: &mut NodeRig, ms: u64| {
-        let mut us = ms * 1000;
-        while us > 0 {
-            board.pass_us(us.min(step_us));
-            us -= us.min(step_us);
-        }
-    };
-    pass_ms(&mut board, 1_000);
-    board.lss("04 01");
-    for request in ["13 00 02", "15 F4 01"] {
-        board.lss(request);
-        pass_ms(&mut board, 250);
-    }
-    board.nmt("01 00");
-    pass_ms(&mut board, 1_000);
-    board.nmt("82 00");
-    pass_ms(&mut board, 700);
-    board.timeline()
-}
-
-#[test]
-fn calls_without_need_change_nothing() {
-    assert_eq!(session(0, 777), session(0, u64::MAX));
-}
-
-#[test]
-fn the_wrap_of_the_clock_changes_nothing_at_any_time() {
-    let expected = session(0, u64::MAX);
-    assert!(expected.len() > 12, "{expected:?}");
-    let mut random = Random::from_environment();
-    for before_wrap_us in (0..=3_200_000).step_by(100_000) {
-        let before_wrap_us = before_wrap_us + random.pick(&[0, 0, 1, 1_000, 12_345]);
-        let timeline = session(0u32.wrapping_sub(before_wrap_us), u64::MAX);
-        assert_eq!(timeline, expected, "wrap after {before_wrap_us} us");
-    }
-    for half in [1 << 31, (1 << 31) - 1_500_000] {
-        assert_eq!(session(half, u64::MAX), expected);
-    }
 }
 
 #[test]

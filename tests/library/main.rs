@@ -11,7 +11,6 @@ mod emergency_parameters;
 mod frame;
 mod heartbeat_consumer;
 mod indicator;
-mod instant;
 mod late_calls;
 mod lss_activate_bit_rate;
 mod lss_bad_input;

@@ -94,7 +94,7 @@ fn a_node_that_was_silent_for_hours_begins_its_heartbeat_on_time() {
 }
 
 #[test]
-fn stopped_serves_nmt_and_lss_and_sends_only_heartbeats() {
+fn stopped_serves_nmt_and_sends_only_heartbeats() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.nmt("02 00");
     board.report(BusEvent::Overrun);
@@ -106,14 +106,7 @@ fn stopped_serves_nmt_and_lss_and_sends_only_heartbeats() {
     let overrun = ["0C0: 10 81 11 00 00 00 00 00", "0C0: 00 00 00 00 00 00 00 00"];
     assert_eq!(board.nmt("80 00"), overrun, "no request is answered later");
     assert_eq!(board.number(0x1017, 0), 100);
-
     board.nmt("02 00");
-    assert_eq!(board.lss("04 01"), SILENCE);
-    assert_eq!(board.lss("5E"), ["5E 40"]);
-    assert_eq!(board.lss("11 04"), ["11 00"]);
-    assert_eq!(board.lss("17"), ["17 00"]);
-    assert_eq!(board.lss("04 00"), SILENCE);
-    assert_eq!(board.node.nmt_state(), State::Stopped, "LSS does not change the NMT state");
     assert_eq!(board.nmt("82 00").0[0].data(), [0], "the boot-up first");
     assert_eq!(board.node.nmt_state(), State::PreOperational);
 }

@@ -53,16 +53,6 @@ fn a_text_of_any_length_is_uploaded_completely() {
 }
 
 #[test]
-fn requests_to_other_nodes_and_answers_of_others_are_not_noticed() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for node_id in (1..=127).filter(|&node_id| node_id != 0x40) {
-        assert_eq!(board.receive(&sdo::request(node_id, "40 18 10 01")), SILENCE);
-    }
-    let answer = Frame::new(0x5C0, &[0x43, 0x18, 0x10, 1, 0, 0, 0, 0]).unwrap();
-    assert_eq!(board.receive(&answer), SILENCE);
-}
-
-#[test]
 fn a_request_that_is_not_eight_bytes_long_is_ignored() {
     let mut board = NodeRig::with_node_id(0x40);
     for len in 0..8 {
@@ -76,13 +66,18 @@ fn a_request_that_is_not_eight_bytes_long_is_ignored() {
 }
 
 #[test]
-fn every_node_id_has_its_own_pair_of_cob_ids() {
+fn every_node_id_has_its_own_pair_of_cob_ids_and_others_are_not_noticed() {
     for node_id in 1..=127 {
         let mut board = NodeRig::with_node_id(node_id);
         assert_eq!(board.node.receives().services[2], 0x600 + u16::from(node_id));
+        for other in (1..=127).filter(|&other| other != node_id) {
+            assert_eq!(board.receive(&sdo::request(other, "40 18 10 00")), SILENCE);
+        }
         let answer = format!("{:03X}: 4F 18 10 00 04 00 00 00", 0x580 + u16::from(node_id));
         let request = sdo::request(node_id, "40 18 10 00");
-        assert_eq!(board.receive(&request), [answer.as_str()]);
+        let answers = board.receive(&request);
+        assert_eq!(answers, [answer.as_str()]);
+        assert_eq!(board.receive(&answers.0[0]), SILENCE);
     }
 }
 

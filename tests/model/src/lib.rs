@@ -9,10 +9,7 @@ pub mod mutation;
 pub mod network;
 pub mod recovery;
 
-use std::{
-    fmt,
-    hash::{DefaultHasher, Hash, Hasher},
-};
+use std::hash::{DefaultHasher, Hash, Hasher};
 
 use canopen_node::{
     BitRate, BusEvent,
@@ -105,24 +102,6 @@ impl Scenario {
         let mut hasher = DefaultHasher::new();
         network.hash(&mut hasher);
         self.recover_every > 0 && hasher.finish().is_multiple_of(self.recover_every)
-    }
-}
-
-impl fmt::Display for Scenario {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { boards, procedures, faults, .. } = self;
-        write!(f, "boards: {boards}, procedures: {procedures}, faults: {faults}")?;
-        for (has_it, what) in [
-            (!self.is_supervised, "without supervision"),
-            (!self.has_switches, "no switch"),
-            (self.is_in_order, "node-IDs in the order of finding"),
-            (self.has_overruns, "overruns"),
-        ] {
-            if has_it {
-                write!(f, ", {what}")?;
-            }
-        }
-        Ok(())
     }
 }
 

@@ -18,9 +18,9 @@ fn main() -> ExitCode {
     };
     let mut violations = 0;
     for scenario in Scenario::all() {
-        let name = scenario.to_string();
+        println!("{scenario:?}");
         let report = check(scenario, states);
-        println!("{name}: {report}");
+        println!("{}", report.text);
         violations += report.violations.len();
     }
     if violations == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
