@@ -10,6 +10,7 @@ use testkit::{
     cargo::{cargo, workspace},
     image::COVERAGE,
 };
+use xtask::tool;
 
 use report::Report;
 
@@ -94,13 +95,7 @@ fn remove(directory: &Path) -> io::Result<()> {
 
 /// Runs the tests of the image with a record of the branches.
 fn test(directory: &Path, filter: &[String]) -> anyhow::Result<()> {
-    let status = cargo()
-        .args(["test", "--test", "image", "--test", "image_io", "--"])
-        .args(filter)
-        .env(COVERAGE, directory)
-        .env("SEED", SEED)
-        .status()
-        .context("cannot run cargo")?;
-    ensure!(status.success(), "the tests of the image fail");
-    Ok(())
+    let mut cargo = cargo();
+    cargo.args(["test", "--test", "image", "--test", "image_io", "--"]).args(filter);
+    tool::run(cargo.env(COVERAGE, directory).env("SEED", SEED), "the tests of the image fail")
 }

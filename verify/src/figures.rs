@@ -5,6 +5,7 @@ use std::fs;
 use anyhow::{Context, bail, ensure};
 
 use testkit::cargo::{cargo, workspace};
+use xtask::tool;
 
 const PAGE: &str = "docs/size-and-speed.md";
 
@@ -45,9 +46,7 @@ fn output(command: &str) -> anyhow::Result<String> {
     println!("{command}");
     let mut words = command.split_whitespace();
     ensure!(words.next() == Some("cargo"), "not a command of cargo: {command}");
-    let output = cargo().args(words).env("RUST_TEST_THREADS", "1").output()?;
-    ensure!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
-    Ok(figures(&String::from_utf8(output.stdout)?))
+    Ok(figures(&tool::output(cargo().args(words).env("RUST_TEST_THREADS", "1"))?))
 }
 
 fn figures(output: &str) -> String {

@@ -6,8 +6,9 @@ use std::{
     process::{Command, Stdio},
 };
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use testkit::cargo::{cargo, workspace};
+use xtask::tool;
 
 const TARGETS: [&str; 5] = ["application", "message", "node", "sdo", "settings_log"];
 
@@ -46,20 +47,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Builds all targets; returns their directory.
 fn build(fuzz: &Path, out: &Path) -> anyhow::Result<PathBuf> {
     // Named although it is the default: this way the flags do not apply to build scripts.
-    let host = Command::new("rustc").args(["--print", "host-tuple"]).output();
-    let host = String::from_utf8(host.context("cannot run rustc")?.stdout)?;
+    let host = tool::output(Command::new("rustc").args(["--print", "host-tuple"]))?;
     let host = host.trim();
-    let status = cargo()
-        .args(["build", "--release", "--bins", "--target", host, "--target-dir"])
-        .arg(out)
-        .env("RUSTFLAGS", RUSTFLAGS)
-        .current_dir(fuzz)
-        .status()
-        .context("cannot run cargo")?;
-    ensure!(
-        status.success(),
-        "the fuzz targets do not build: see above. They need a C++ compiler (`apt-get install g++`)"
-    );
+    let mut cargo = cargo();
+    cargo.args(["build", "--release", "--bins", "--target", host, "--target-dir"]).arg(out);
+    tool::run(
+        cargo.env("RUSTFLAGS", RUSTFLAGS).current_dir(fuzz),
+        "the fuzz targets, which need a C++ compiler (`apt-get install g++`), do not build",
+    )?;
     Ok(out.join(host).join("release"))
 }
 

@@ -13,7 +13,6 @@ mod power_cut;
 mod qemu;
 mod soak;
 mod storm;
-mod tool;
 
 use std::process::ExitCode;
 

@@ -22,7 +22,7 @@ use testkit::{
     image_rig::{DEFAULT_BIT_RATE, bit_per_s, on_the_wire},
 };
 
-use crate::tool;
+use xtask::tool;
 
 const QEMU: &str = "qemu-system-arm";
 /// The QEMU machine with an STM32F405.
@@ -47,7 +47,7 @@ pub struct Arguments;
 
 /// Prints the session. Fails if the runs differ in anything but times.
 pub fn run() -> anyhow::Result<()> {
-    let version = tool::version(QEMU, "qemu-system-arm")?;
+    let version = tool::version(QEMU, "Debian: apt-get install qemu-system-arm")?;
     let version = version.split_whitespace().nth(3).unwrap_or("unknown");
     let image = testkit::image::build(PART)?;
     let plugin = build_plugin()?;
@@ -72,12 +72,9 @@ pub fn run() -> anyhow::Result<()> {
 
 fn build_plugin() -> anyhow::Result<PathBuf> {
     let target = target_directory();
-    let status = cargo()
-        .args(["build", "--package", "qemu-bridge", "--target-dir"])
-        .arg(&target)
-        .status()
-        .context("cannot run cargo")?;
-    ensure!(status.success(), "the plugin for QEMU does not build: see above");
+    let mut cargo = cargo();
+    cargo.args(["build", "--package", "qemu-bridge", "--target-dir"]).arg(&target);
+    tool::run(&mut cargo, "the plugin for QEMU does not build")?;
     Ok(target.join("debug/libqemu_bridge.so"))
 }
 

@@ -9,6 +9,7 @@ pub mod flash;
 pub mod new_product;
 pub mod release;
 pub mod size;
+pub mod tool;
 
 use std::{
     io, panic,

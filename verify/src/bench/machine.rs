@@ -1,7 +1,6 @@
 //! A program of `bench/` on the emulated chip: takes frames in its mailbox and counts the cost of each.
 
 use std::{
-    ops::AddAssign,
     path::Path,
     sync::{Arc, Mutex},
 };
@@ -21,10 +20,8 @@ const UNTOUCHED: [u8; 4] = 0xC5C5_C5C5_u32.to_le_bytes();
 /// More instructions than any measured operation takes.
 const PATIENCE: u64 = 1_000_000;
 
-/// Offsets of the registers of a mailbox (`Mailbox` in `bench/src/lib.rs`).
-const IDENTIFIER: u32 = 0x0;
-const LENGTH: u32 = 0x4;
-const DATA: u32 = 0x8;
+/// The bytes of a mailbox (`Mailbox` in `bench/src/lib.rs`): identifier and request, length from 4 on, data from 8 on.
+type Mailbox = [u8; 16];
 
 /// The work of the CPU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -32,13 +29,6 @@ pub struct Cost {
     pub instructions: u64,
     /// Core clock cycles, with a flash without wait states.
     pub cycles: u64,
-}
-
-impl AddAssign for Cost {
-    fn add_assign(&mut self, other: Self) {
-        self.instructions += other.instructions;
-        self.cycles += other.cycles;
-    }
 }
 
 /// The result of a received frame.
@@ -80,16 +70,13 @@ impl Machine {
 
     /// Passes a frame to the program.
     pub fn receive(&mut self, frame: &Frame) -> anyhow::Result<Reception> {
-        let received = address(&self.image, "RECEIVED");
-        let mut data = [0; 8];
-        data[..frame.data().len()].copy_from_slice(frame.data());
-        let [b0, b1, b2, b3, b4, b5, b6, b7] = data;
-        self.write(received + IDENTIFIER, u32::from(frame.cob_id()) << 21);
-        self.write(received + LENGTH, frame.data().len() as u32);
-        self.write(received + DATA, u32::from_le_bytes([b0, b1, b2, b3]));
-        self.write(received + DATA + 4, u32::from_le_bytes([b4, b5, b6, b7]));
-        self.write(self.transmitted + IDENTIFIER, 0);
-        self.write(address(&self.image, "WAITING"), 1);
+        let mut mailbox: Mailbox = [0; 16];
+        mailbox[..4].copy_from_slice(&(u32::from(frame.cob_id()) << 21).to_le_bytes());
+        mailbox[4] = frame.data().len() as u8;
+        mailbox[8..][..frame.data().len()].copy_from_slice(frame.data());
+        self.write(address(&self.image, "RECEIVED"), &mailbox);
+        self.write(self.transmitted, &[0; 4]);
+        self.write(address(&self.image, "WAITING"), &[1, 0, 0, 0]);
 
         self.run_to("receive", |_, _| {})?;
         let mut answer = None;
@@ -130,25 +117,19 @@ impl Machine {
 
     fn transmitted(&self) -> Option<Frame> {
         const REQUESTED: u32 = 1;
-        let identifier = self.read(self.transmitted + IDENTIFIER);
+        let mut mailbox: Mailbox = [0; 16];
+        assert!(self.engine.read_memory(self.transmitted, &mut mailbox), "a mailbox is in RAM");
+        let [i0, i1, i2, i3, length, ..] = mailbox;
+        let identifier = u32::from_le_bytes([i0, i1, i2, i3]);
         if identifier & REQUESTED == 0 {
             return None;
         }
-        let mut data = [0; 8];
-        assert!(self.engine.read_memory(self.transmitted + DATA, &mut data));
-        let length = self.read(self.transmitted + LENGTH) as usize;
-        Frame::new((identifier >> 21) as u16, data.get(..length)?)
+        Frame::new((identifier >> 21) as u16, mailbox[8..].get(..length.into())?)
     }
 
-    fn read(&self, address: u32) -> u32 {
-        let mut word = [0; 4];
-        assert!(self.engine.read_memory(address, &mut word), "a word of the harness is in RAM");
-        u32::from_le_bytes(word)
-    }
-
-    fn write(&mut self, address: u32, word: u32) {
-        let written = self.engine.write_memory(address, &word.to_le_bytes());
-        assert!(written, "a word of the harness is in RAM");
+    fn write(&mut self, address: u32, bytes: &[u8]) {
+        let written = self.engine.write_memory(address, bytes);
+        assert!(written, "the words of the harness are in RAM");
     }
 }
 

@@ -3,14 +3,13 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::Stdio,
 };
 
-use anyhow::{Context, ensure};
 use testkit::{
     cargo::{TARGET, cargo_for_the_chip, target_directory, workspace},
     elf::{self, Elf, Object, ObjectSymbol, SymbolKind},
 };
+use xtask::tool;
 
 /// A slave in the harness.
 pub struct Program {
@@ -84,16 +83,10 @@ impl Builds {
 }
 
 fn cargo_build(profile: &str, target_dir: &Path) -> anyhow::Result<()> {
-    let status = cargo_for_the_chip("build")
-        .current_dir(workspace().join("bench"))
-        .args(["--locked", "--bins", "--profile", profile])
-        .arg("--target-dir")
-        .arg(target_dir)
-        .stdin(Stdio::null())
-        .status()
-        .context("cannot run cargo")?;
-    ensure!(status.success(), "bench/ does not build: see above");
-    Ok(())
+    let mut cargo = cargo_for_the_chip("build");
+    cargo.current_dir(workspace().join("bench"));
+    cargo.args(["--locked", "--bins", "--profile", profile, "--target-dir"]).arg(target_dir);
+    tool::run(&mut cargo, "bench/ does not build")
 }
 
 /// The total size of the symbols whose kind and name match.

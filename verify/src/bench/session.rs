@@ -114,11 +114,11 @@ fn ignore(machine: &mut Machine) -> anyhow::Result<Vec<Cost>> {
 type Receptions = Vec<(u8, Reception)>;
 
 fn sum(costs: &Receptions, commands: RangeInclusive<u8>) -> Cost {
-    let mut sum = Cost::default();
-    for (_, reception) in costs.iter().filter(|(command, _)| commands.contains(command)) {
-        sum += reception.cost;
-    }
-    sum
+    let of_commands = costs.iter().filter(|(command, _)| commands.contains(command));
+    of_commands.fold(Cost::default(), |sum, (_, Reception { cost, .. })| Cost {
+        instructions: sum.instructions + cost.instructions,
+        cycles: sum.cycles + cost.cycles,
+    })
 }
 
 /// Carries out a procedure of the master, to whom no time passes but for an answer that does not come.

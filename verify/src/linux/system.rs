@@ -10,7 +10,7 @@ use std::{
 use anyhow::{Context, ensure};
 use testkit::cargo::workspace;
 
-use crate::tool;
+use xtask::tool;
 
 pub const QEMU: &str = "qemu-system-x86_64";
 /// What Linux needs; apt adds their dependencies.
@@ -45,7 +45,7 @@ impl System {
     /// # Errors
     /// A tool or a package is missing.
     pub fn prepare() -> anyhow::Result<Self> {
-        tool::version(QEMU, "qemu-system-x86")?;
+        tool::version(QEMU, "Debian: apt-get install qemu-system-x86")?;
         let system = Self(workspace().join("target/linux"));
         let made_of = format!("{PACKAGES:?} {}", fs::read_to_string(workspace().join(VERSIONS))?);
         let stamp = system.path("made-of");
@@ -64,7 +64,7 @@ impl System {
         for (tool, package) in
             [("apt-get", "apt"), ("dpkg-deb", "dpkg"), ("tar", "tar"), ("python3", "python3-venv")]
         {
-            tool::version(tool, package)?;
+            tool::version(tool, &format!("Debian: apt-get install {package}"))?;
         }
         println!("downloading {} and what they need ...", PACKAGES.join(", "));
         self.download()?;
@@ -79,20 +79,17 @@ impl System {
         let packages = self.packages();
         fs::create_dir_all(packages.join("partial"))?;
         // As for an empty computer: the packages of this one are of no use to the Linux.
-        let apt = Command::new("apt-get")
-            .args(["install", "--yes", "--quiet=2", "--download-only", "--no-install-recommends"])
-            .args(["--option", "Dir::State::status=/dev/null", "--option", "Debug::NoLocking=1"])
-            .arg("--option")
-            .arg(format!("Dir::Cache::archives={}", packages.display()))
-            .args(PACKAGES)
-            .stdout(Stdio::null())
-            .status()?;
-        ensure!(
-            apt.success(),
-            "the packages cannot be downloaded, see above. `apt-get update` renews the lists of packages; \
-             they are those of Debian 12 or 13 on x86-64"
-        );
-        Ok(())
+        tool::run(
+            Command::new("apt-get")
+                .args(["install", "--yes", "--quiet=2", "--download-only"])
+                .args(["--no-install-recommends", "--option", "Dir::State::status=/dev/null"])
+                .args(["--option", "Debug::NoLocking=1", "--option"])
+                .arg(format!("Dir::Cache::archives={}", packages.display()))
+                .args(PACKAGES)
+                .stdout(Stdio::null()),
+            "the packages cannot be downloaded (`apt-get update` renews the lists of packages; they are those of \
+             Debian 12 or 13 on x86-64)",
+        )
     }
 
     fn unpack(&self) -> anyhow::Result<()> {
@@ -116,17 +113,19 @@ impl System {
 
     fn add_wheels(&self) -> anyhow::Result<()> {
         let venv = self.path("venv");
-        let is_made = Command::new("python3").args(["-m", "venv"]).arg(&venv).status()?.success();
-        ensure!(is_made, "python3 cannot create a venv (Debian: apt-get install python3-venv)");
-        let pip = Command::new(venv.join("bin/pip"))
-            .args(["install", "--quiet", "--disable-pip-version-check", "--target"])
-            .arg(self.files().join("usr/lib/python3/dist-packages"))
-            .arg("--constraint")
-            .arg(workspace().join(VERSIONS))
-            .args(WHEELS)
-            .status()?;
-        ensure!(pip.success(), "pip cannot download {}, see above", WHEELS.join(" and "));
-        Ok(())
+        tool::run(
+            Command::new("python3").args(["-m", "venv"]).arg(&venv),
+            "python3 cannot create a venv (Debian: apt-get install python3-venv)",
+        )?;
+        tool::run(
+            Command::new(venv.join("bin/pip"))
+                .args(["install", "--quiet", "--disable-pip-version-check", "--target"])
+                .arg(self.files().join("usr/lib/python3/dist-packages"))
+                .arg("--constraint")
+                .arg(workspace().join(VERSIONS))
+                .args(WHEELS),
+            "pip cannot download what the sessions need",
+        )
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -208,15 +207,14 @@ impl System {
     /// Packs the files in `directory`.
     fn archive(&self, directory: &Path, archive: &Path) -> anyhow::Result<()> {
         let busybox = self.files().join("usr/bin/busybox");
-        let status = Command::new(&busybox)
-            .args(["sh", "-c", "\"$0\" find . | \"$0\" cpio -o -H newc -R 0:0 2>/dev/null"])
-            .arg(&busybox)
-            .current_dir(directory)
-            .stdout(fs::File::create(archive)?)
-            .status()
-            .context("cannot run busybox")?;
-        ensure!(status.success(), "cannot pack {}", directory.display());
-        Ok(())
+        tool::run(
+            Command::new(&busybox)
+                .args(["sh", "-c", "\"$0\" find . | \"$0\" cpio -o -H newc -R 0:0 2>/dev/null"])
+                .arg(&busybox)
+                .current_dir(directory)
+                .stdout(fs::File::create(archive)?),
+            "busybox cannot pack the files",
+        )
     }
 }
 

@@ -36,17 +36,20 @@ pub struct Life<'a> {
     mode: Master,
     /// For each event, its adapters if it is a foreign device.
     foreign: Vec<Vec<AdapterId>>,
-    /// The repeated senders, and the time of their next frame.
-    talkers: Vec<(Talker, Time)>,
+    talkers: Vec<Talker>,
     random: Random,
     /// The end of the silent time of the last switch that each board took part in, since its last power-on.
     switched: Vec<Option<Time>>,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Talker {
-    Master { every: Time },
-    Foreign { event: usize, every: Time },
+/// A repeated sender.
+#[derive(Clone, Copy)]
+struct Talker {
+    /// The event that made it a foreign device; `None`: the master.
+    event: Option<usize>,
+    every: Time,
+    /// The time of its next frame.
+    next: Time,
 }
 
 /// An action at an instant.
@@ -201,15 +204,14 @@ impl<'a> Life<'a> {
                 for &adapter in &self.foreign[index] {
                     network.adapter_mut(adapter).open();
                 }
-                let every = pause(foreign);
-                self.talkers.push((Talker::Foreign { event: index, every }, network.now()));
+                let (every, next) = (pause(foreign), network.now());
+                self.talkers.push(Talker { event: Some(index), every, next });
             }
             What::Foreign(_) => {
                 for &adapter in &self.foreign[index] {
                     network.adapter_mut(adapter).close();
                 }
-                let is_gone = |talker: &Talker| matches!(talker, Talker::Foreign { event, .. } if *event == index);
-                self.talkers.retain(|(talker, _)| !is_gone(talker));
+                self.talkers.retain(|talker| talker.event != Some(index));
             }
             What::Master(_) | What::Switch { .. } | What::Session(_) | What::BitError(_) => {}
         }
@@ -231,10 +233,10 @@ impl<'a> Life<'a> {
             }
         }
         self.mode = master;
-        self.talkers.retain(|(talker, _)| !matches!(talker, Talker::Master { .. }));
+        self.talkers.retain(|talker| talker.event.is_some());
         if let Master::Syncs(_, every) | Master::Polls(_, every) = master {
-            let talker = Talker::Master { every: ms(every) };
-            self.talkers.push((talker, self.network.now()));
+            let next = self.network.now();
+            self.talkers.push(Talker { event: None, every: ms(every), next });
         }
     }
 
@@ -299,46 +301,43 @@ impl<'a> Life<'a> {
 
     fn run_until(&mut self, until: Time) {
         loop {
-            let due = self.talkers.iter_mut().min_by_key(|(_, next)| *next);
-            let Some((talker, next)) = due.filter(|(_, next)| *next <= until) else {
+            let due = self.talkers.iter_mut().min_by_key(|talker| talker.next);
+            let Some(talker) = due.filter(|talker| talker.next <= until) else {
                 return self.network.run_until(until);
             };
-            let (talker, at) = (*talker, *next);
-            let (Talker::Master { every } | Talker::Foreign { every, .. }) = talker;
-            *next += every;
-            self.network.run_until(at);
-            self.talk(talker);
+            let Talker { event, every, next } = *talker;
+            talker.next += every;
+            self.network.run_until(next);
+            match event {
+                Some(event) => self.send_foreign(event, every),
+                None if self.network.adapter_mut(self.master).unsent() > 0 => {}
+                None => match self.mode {
+                    Master::Syncs(..) => {
+                        self.network.send(self.master, Frame::data(Id::Standard(0x080), &[]));
+                    }
+                    _ => self.ask(&vec![true; self.situation.boards.len()]),
+                },
+            }
         }
     }
 
-    fn talk(&mut self, talker: Talker) {
-        match talker {
-            Talker::Foreign { event, every } => {
-                let adapter = self.foreign[event][0];
-                let asks = matches!(
-                    self.situation.events[event].what,
-                    What::Foreign(Foreign { traffic: Traffic::Requests, .. })
-                );
-                let burst = if every < Time::from_s(1) && !asks { BURST } else { 1 };
-                if self.network.adapter_mut(adapter).unsent() > burst {
-                    return;
-                }
-                for _ in 0..burst {
-                    let frame = if asks {
-                        on_the_wire(&Request::InquireNodeId.to_frame())
-                    } else {
-                        Frame::data(Id::Standard(0x181), &self.random.bytes::<8>())
-                    };
-                    self.network.send(adapter, frame);
-                }
-            }
-            Talker::Master { .. } if self.network.adapter_mut(self.master).unsent() > 0 => {}
-            Talker::Master { .. } => match self.mode {
-                Master::Syncs(..) => {
-                    self.network.send(self.master, Frame::data(Id::Standard(0x080), &[]));
-                }
-                _ => self.ask(&vec![true; self.situation.boards.len()]),
-            },
+    fn send_foreign(&mut self, event: usize, every: Time) {
+        let adapter = self.foreign[event][0];
+        let asks = matches!(
+            self.situation.events[event].what,
+            What::Foreign(Foreign { traffic: Traffic::Requests, .. })
+        );
+        let burst = if every < Time::from_s(1) && !asks { BURST } else { 1 };
+        if self.network.adapter_mut(adapter).unsent() > burst {
+            return;
+        }
+        for _ in 0..burst {
+            let frame = if asks {
+                on_the_wire(&Request::InquireNodeId.to_frame())
+            } else {
+                Frame::data(Id::Standard(0x181), &self.random.bytes::<8>())
+            };
+            self.network.send(adapter, frame);
         }
     }
 

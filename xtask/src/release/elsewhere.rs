@@ -3,7 +3,7 @@
 use std::{
     env, fs, io,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::Command,
 };
 
 use anyhow::{Context, ensure};
@@ -12,6 +12,8 @@ use testkit::{
     cargo::workspace,
     elf::{Elf, Object, ObjectSection},
 };
+
+use crate::tool;
 
 /// Where the copy and its registry are. The names have other lengths than the usual ones.
 const ELSEWHERE: &str = "target/release-elsewhere";
@@ -38,14 +40,11 @@ pub fn check(chip: Part, elf: &[u8]) -> anyhow::Result<()> {
 
 /// Copies what git knows, and what it would.
 fn copy_sources(copy: &Path) -> anyhow::Result<()> {
-    let output = Command::new("git")
-        .args(["ls-files", "--cached", "--others", "--exclude-standard", "-z"])
-        .current_dir(workspace())
-        .stderr(Stdio::inherit())
-        .output()
-        .context("cannot run git")?;
-    ensure!(output.status.success(), "git cannot list the sources");
-    let names = String::from_utf8(output.stdout).context("the names of the sources")?;
+    let names = tool::output(
+        Command::new("git")
+            .args(["ls-files", "--cached", "--others", "--exclude-standard", "-z"])
+            .current_dir(workspace()),
+    )?;
     for name in names.split_terminator('\0') {
         let (from, to) = (workspace().join(name), copy.join(name));
         let content = match fs::read(&from) {

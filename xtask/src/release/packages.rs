@@ -4,7 +4,7 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     env, fs,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::Command,
 };
 
 use anyhow::{Context, bail, ensure};
@@ -12,6 +12,8 @@ use emulator::chip::Part;
 use serde_json::Value;
 
 use testkit::cargo::{TARGET, cargo, workspace};
+
+use crate::tool;
 
 /// A package: those of cargo, and the one of the compiler.
 pub struct Package {
@@ -35,13 +37,13 @@ pub const CORE: &str = "core";
 
 /// The packages in the firmware for a chip, by name and version.
 pub fn linked(chip: Part) -> anyhow::Result<Vec<Package>> {
-    let tree = output(
+    let tree = tool::output(
         cargo()
             .args(["tree", "--locked", "--package", FIRMWARE, "--features", chip.name()])
             .args(["--target", TARGET, "--edges", "no-dev,no-build,no-proc-macro"])
             .args(["--no-dedupe", "--prefix", "depth", "--format", "|{p}|{l}|{r}"]),
     )?;
-    let metadata = output(cargo().args(["metadata", "--locked", "--format-version", "1"]))?;
+    let metadata = tool::output(cargo().args(["metadata", "--locked", "--format-version", "1"]))?;
     let metadata: Value = serde_json::from_str(&metadata).context("the metadata of cargo")?;
     let folder = |name: &str, version: &str| {
         let mut packages = metadata["packages"].as_array()?.iter();
@@ -91,7 +93,7 @@ pub fn linked(chip: Part) -> anyhow::Result<Vec<Package>> {
 
 fn core() -> anyhow::Result<Package> {
     let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let version = output(Command::new(rustc).arg("--version"))?;
+    let version = tool::output(Command::new(rustc).arg("--version"))?;
     let version = version.split_whitespace().nth(1).context("rustc has no version")?;
     Ok(Package {
         name: CORE.to_owned(),
@@ -102,14 +104,4 @@ fn core() -> anyhow::Result<Package> {
         folder: None,
         uses: BTreeSet::new(),
     })
-}
-
-fn output(command: &mut Command) -> anyhow::Result<String> {
-    let name = command.get_program().display().to_string();
-    let output =
-        command.stdin(Stdio::null()).output().with_context(|| format!("cannot run {name}"))?;
-    if !output.status.success() {
-        bail!("{name} failed: {}", String::from_utf8_lossy(&output.stderr).trim_end());
-    }
-    String::from_utf8(output.stdout).with_context(|| format!("the output of {name}"))
 }
