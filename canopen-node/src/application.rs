@@ -182,6 +182,8 @@ pub enum Event {
     BitRate(BitRate),
     /// The values of the RPDO with this number, from 1, have taken effect.
     Received(u8),
+    /// The RPDO with this number, from 1, has not come within its event timer.
+    Late(u8),
     /// A SYNC was received in NMT operational. TPDOs that it asks for carry the values as they are after this event.
     Sync,
     /// A node that the heartbeat consumer watches has booted.

@@ -495,9 +495,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let Self { agenda, bit_rate, nmt, emergency, sdo, product, periodic, .. } = self;
         agenda.find_deadlines(|task| match task {
             Task::BitRate => bit_rate.poll_at(),
-            Task::Producers => {
-                product.communication.consumer.poll_at().filter(|_| !bit_rate.is_switching())
-            }
+            Task::Producers => product.communication.late_at().filter(|_| !bit_rate.is_switching()),
             _ if !may_report => None,
             Task::Sdo => sdo.poll_at::<NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>>(),
             Task::Messages => {
@@ -606,7 +604,7 @@ enum Task {
     BitRate,
     /// An NMT command.
     Command,
-    /// Heartbeats that are missing, and errors of process data that are over.
+    /// Heartbeats and RPDOs that are missing, and errors of process data that are over.
     Producers,
     Sdo,
     Store,

@@ -60,6 +60,8 @@ pub enum Object {
     /// A value that an RPDO leaves out.
     Dummy,
     SyncCobId,
+    CommunicationCyclePeriod,
+    SynchronousWindowLength,
     SyncCounterOverflow,
     /// The entry of the heartbeat consumer at this sub-index.
     ConsumerHeartbeatTime(u8),

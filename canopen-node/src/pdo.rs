@@ -58,6 +58,10 @@ pub(crate) struct Pdos<const TPDOS: usize, const RPDOS: usize> {
     rpdos: [Reception; RPDOS],
     /// The latest SYNC had a wrong length.
     is_sync_wrong: bool,
+    /// The end of the synchronous window.
+    window_end: Option<Instant>,
+    /// The synchronous window is over until the next SYNC.
+    is_window_over: bool,
     /// The node is NMT operational.
     is_running: bool,
 }
@@ -103,6 +107,8 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             due: Tpdos::NONE,
             rpdos: [Reception::UNUSED; RPDOS],
             is_sync_wrong: false,
+            window_end: None,
+            is_window_over: false,
             is_running: false,
         }
     }
@@ -125,6 +131,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         (self.synchronous, self.event_driven, self.due) = (Tpdos::NONE, Tpdos::NONE, Tpdos::NONE);
         self.tpdos.fill(Transmission::UNUSED);
         self.rpdos.fill(Reception::UNUSED);
+        (self.window_end, self.is_window_over) = (None, false);
     }
 
     /// Makes the parameters of a TPDO effective, and the TPDO due.
@@ -207,15 +214,16 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         frame: &Frame,
         application: &mut A,
         errors: &mut Emergency,
+        now: Instant,
     ) -> bool {
         if !Self::IS_USED || !self.is_running {
             return false;
         }
         let is_sync = frame.cob_id() == self.current.sync.cob_id();
         if is_sync {
-            self.handle_sync(frame, application, errors);
+            self.handle_sync(frame, application, errors, now);
         } else {
-            self.handle_pdo(frame, application, errors);
+            self.handle_pdo(frame, application, errors, now);
         }
         is_sync
     }
@@ -225,6 +233,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         frame: &Frame,
         application: &mut A,
         errors: &mut Emergency,
+        now: Instant,
     ) {
         for (number, (rpdo, pdo)) in (1..).zip(self.rpdos.iter_mut().zip(&self.current.rpdos)) {
             if !rpdo.receives(frame.cob_id()) {
@@ -233,7 +242,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             if let Some(code) = rpdo.check_length(pdo, frame) {
                 errors.report(code, COMMUNICATION, [number, 0, 0, 0, 0]);
             }
-            if rpdo.handle(pdo, frame, application) {
+            if rpdo.handle(pdo, frame, application, self.is_window_over, now) {
                 application.handle(Event::Received(number));
             }
         }
@@ -244,6 +253,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         frame: &Frame,
         application: &mut A,
         errors: &mut Emergency,
+        now: Instant,
     ) {
         let counter = self.current.sync.counter(frame);
         let was_wrong = mem::replace(&mut self.is_sync_wrong, counter.is_err());
@@ -260,6 +270,8 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             }
         }
         application.handle(Event::Sync);
+        self.window_end = self.current.sync.window_end(now);
+        self.is_window_over = false;
         for at in self.synchronous {
             if let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at))
                 && tpdo.handle_sync(pdo, counter)
@@ -275,11 +287,38 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         for (code, is_present) in [
             (rpdo::TOO_SHORT, has(rpdo::TOO_SHORT)),
             (rpdo::TOO_LONG, has(rpdo::TOO_LONG)),
+            (rpdo::LATE, has(rpdo::LATE)),
             (sync::WRONG_LENGTH, self.is_sync_wrong),
         ] {
             if !is_present {
                 errors.end(code);
             }
+        }
+    }
+
+    /// The next RPDO, from 1, that begins to be late at `now`.
+    pub fn next_late(&mut self, errors: &mut Emergency, now: Instant) -> Option<u8> {
+        let at = self.rpdos.iter_mut().position(|rpdo| rpdo.poll(now))?;
+        let number = (at as u8).wrapping_add(1);
+        errors.report(rpdo::LATE, COMMUNICATION, [number, 0, 0, 0, 0]);
+        Some(number)
+    }
+
+    /// The time at which [`next_late`](Self::next_late) has something to do.
+    pub fn late_at(&self) -> Option<Instant> {
+        self.rpdos.iter().filter_map(Reception::deadline).reduce(Instant::earlier)
+    }
+
+    /// Ends the event timers of RPDOs until their next frames, since nobody has sent any during a switch of the bit rate.
+    pub fn end_event_timers(&mut self) {
+        self.rpdos.iter_mut().for_each(Reception::end_event_timer);
+    }
+
+    /// Ends the synchronous window, if it is over: TPDOs that have not been sent by then are dropped.
+    fn end_window(&mut self, now: Instant) {
+        if self.window_end.take_if(|end| end.has_come(now)).is_some() {
+            self.is_window_over = true;
+            self.due.remove_all(self.synchronous);
         }
     }
 
@@ -291,6 +330,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         may_be_timed: bool,
         now: Instant,
     ) -> Option<(Frame, bool)> {
+        self.end_window(now);
         let mut timed_out = None;
         if !self.event_driven.is_empty() {
             for at in self.event_driven {
@@ -339,7 +379,11 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             let tpdo: &Transmission = self.tpdos.get(at)?;
             tpdo.inhibited_until().or_else(|| postpone(tpdo.event_at()?))
         };
-        self.event_driven.into_iter().filter_map(due).reduce(Instant::earlier)
+        self.event_driven
+            .into_iter()
+            .filter_map(due)
+            .chain(self.window_end)
+            .reduce(Instant::earlier)
     }
 
     fn pdo(&self, direction: Direction, at: usize) -> Result<&Pdo, Abort> {
@@ -366,6 +410,12 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         use Direction::{Receive, Transmit};
         let (direction, part) = match object {
             Object::SyncCobId if Self::IS_USED => return Ok(self.current.sync.cob_id().into()),
+            Object::CommunicationCyclePeriod if Self::IS_USED => {
+                return Ok(self.current.sync.period);
+            }
+            Object::SynchronousWindowLength if Self::IS_USED => {
+                return Ok(self.current.sync.window);
+            }
             Object::SyncCounterOverflow if Self::IS_USED => {
                 return Ok(self.current.sync.overflow().into());
             }
@@ -395,6 +445,14 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         use Direction::{Receive, Transmit};
         let (direction, part) = match object {
             Object::SyncCobId if Self::IS_USED => return self.current.sync.set_cob_id(value),
+            Object::CommunicationCyclePeriod if Self::IS_USED => {
+                self.current.sync.period = value;
+                return Ok(());
+            }
+            Object::SynchronousWindowLength if Self::IS_USED => {
+                self.current.sync.window = value;
+                return Ok(());
+            }
             Object::SyncCounterOverflow if Self::IS_USED => {
                 return self.current.sync.set_overflow(value as u8);
             }
@@ -452,6 +510,10 @@ impl Tpdos {
 
     const fn remove(&mut self, at: usize) {
         self.0 &= !Self::bit(at);
+    }
+
+    const fn remove_all(&mut self, others: Self) {
+        self.0 &= !others.0;
     }
 
     const fn take_first(&mut self) -> Option<usize> {

@@ -1,9 +1,9 @@
-//! The SYNC consumer (CiA 301, 7.2.5): 1005h and 1019h.
+//! The SYNC consumer (CiA 301, 7.2.5): 1005h to 1007h and 1019h.
 
 use lss_slave::cob_id;
 
 use crate::{
-    Frame,
+    Frame, Instant,
     cob_id::is_restricted,
     object_dictionary::{
         Access::ReadWrite,
@@ -15,11 +15,17 @@ use crate::{
 };
 
 const COB_ID: u16 = 0x1005;
+const CYCLE_PERIOD: u16 = 0x1006;
+const WINDOW_LENGTH: u16 = 0x1007;
 const COUNTER_OVERFLOW: u16 = 0x1019;
 /// The highest counter that a master can choose.
 const MAX_OVERFLOW: u8 = 240;
 
-pub(crate) const COB_ID_ROW: &[Entry] = &[row(COB_ID, 0, Unsigned32, ReadWrite, Object::SyncCobId)];
+pub(crate) const ROWS: &[Entry] = &[
+    row(COB_ID, 0, Unsigned32, ReadWrite, Object::SyncCobId),
+    row(CYCLE_PERIOD, 0, Unsigned32, ReadWrite, Object::CommunicationCyclePeriod),
+    row(WINDOW_LENGTH, 0, Unsigned32, ReadWrite, Object::SynchronousWindowLength),
+];
 pub(crate) const COUNTER_OVERFLOW_ROW: &[Entry] =
     &[row(COUNTER_OVERFLOW, 0, Unsigned8, ReadWrite, Object::SyncCounterOverflow)];
 
@@ -30,6 +36,10 @@ pub(crate) const WRONG_LENGTH: u16 = 0x8240;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sync {
     cob_id: u16,
+    /// 1006h: the time between two SYNCs in microseconds, which only a producer needs.
+    pub period: u32,
+    /// 1007h: the time after a SYNC in which synchronous PDOs are exchanged, in microseconds; 0: until the next SYNC.
+    pub window: u32,
     /// 1019h: 0, or the highest counter.
     overflow: u8,
 }
@@ -39,10 +49,10 @@ pub(crate) struct WrongLength;
 
 impl Sync {
     /// The number of bytes that the stored parameters take.
-    pub const STORED_LEN: usize = HEADER + 4 + HEADER + 1;
+    pub const STORED_LEN: usize = 3 * (HEADER + 4) + HEADER + 1;
 
     pub const fn new() -> Self {
-        Self { cob_id: cob_id::SYNC, overflow: 0 }
+        Self { cob_id: cob_id::SYNC, period: 0, window: 0, overflow: 0 }
     }
 
     pub const fn cob_id(&self) -> u16 {
@@ -82,22 +92,41 @@ impl Sync {
     /// Sets 1019h.
     ///
     /// # Errors
-    /// [`Abort::InvalidValue`] unless it is 0 or 2 to 240.
+    /// [`Abort::InvalidValue`] unless it is 0 or 2 to 240; [`Abort::DeviceState`] for another one while 1006h is not 0.
     pub fn set_overflow(&mut self, overflow: u8) -> Result<(), Abort> {
         if !matches!(overflow, 0 | 2..=MAX_OVERFLOW) {
             return Err(Abort::InvalidValue);
+        }
+        if overflow != self.overflow && self.period != 0 {
+            return Err(Abort::DeviceState);
         }
         self.overflow = overflow;
         Ok(())
     }
 
-    /// Packs 1005h and 1019h.
+    /// The end of the synchronous window after a SYNC at `now`, if there is one. One of more than half an hour does not
+    /// end between two SYNCs of any use.
+    pub const fn window_end(&self, now: Instant) -> Option<Instant> {
+        const LONGEST: u32 = 1800 * 1_000_000;
+        match self.window {
+            length @ 1..=LONGEST => Some(now.plus_micros(length)),
+            _ => None,
+        }
+    }
+
+    /// Packs 1005h and 1019h, and 1006h and 1007h unless they are 0. A counter is taken before the period.
     pub fn save(&self, to: &mut Packer<'_>) {
         let cob_id = u32::from(self.cob_id).to_le_bytes();
         for (index, data_type, value) in
             [(COB_ID, Unsigned32, &cob_id[..]), (COUNTER_OVERFLOW, Unsigned8, &[self.overflow])]
         {
             to.put(&Parameter { index, sub_index: 0, data_type: data_type as u8, value });
+        }
+        for (index, time) in [(CYCLE_PERIOD, self.period), (WINDOW_LENGTH, self.window)] {
+            if time != 0 {
+                let (data_type, value) = (Unsigned32 as u8, &time.to_le_bytes());
+                to.put(&Parameter { index, sub_index: 0, data_type, value });
+            }
         }
     }
 
@@ -109,6 +138,14 @@ impl Sync {
             (COB_ID, 0, U32, &[b0, b1, b2, b3]) => {
                 self.set_cob_id(u32::from_le_bytes([b0, b1, b2, b3])).ok()
             }
+            (CYCLE_PERIOD, 0, U32, &[b0, b1, b2, b3]) => {
+                self.period = u32::from_le_bytes([b0, b1, b2, b3]);
+                Some(())
+            }
+            (WINDOW_LENGTH, 0, U32, &[b0, b1, b2, b3]) => {
+                self.window = u32::from_le_bytes([b0, b1, b2, b3]);
+                Some(())
+            }
             (COUNTER_OVERFLOW, 0, U8, &[overflow]) => self.set_overflow(overflow).ok(),
             _ => None,
         }
@@ -119,6 +156,8 @@ impl Sync {
 pub(crate) fn describe(entry: &Entry, default: DefaultValue) -> Description {
     let (name, limits) = match entry.index {
         COB_ID => ("COB-ID SYNC", None),
+        CYCLE_PERIOD => ("Communication cycle period", None),
+        WINDOW_LENGTH => ("Synchronous window length", None),
         _ => {
             let limits = (Number::Integer(0), Number::Integer(MAX_OVERFLOW.into()));
             ("Synchronous counter overflow value", Some(limits))

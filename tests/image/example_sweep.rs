@@ -65,11 +65,10 @@ impl Pair {
 
 /// The objects, but those that a store or a chip decides: 1010h, 1011h, 1018h, 6401h. The last one does not exist.
 fn indices() -> impl Iterator<Item = u16> {
-    let single =
-        [0x1000, 0x1001, 0x1003, 0x1005, 0x1008, 0x1014, 0x1015, 0x1016, 0x1017, 0x1020, 0x1029];
+    let single = [0x1000, 0x1001, 0x1003, 0x1008, 0x1014, 0x1015, 0x1016, 0x1017, 0x1020, 0x1029];
     let pdos = [0x1400, 0x1600, 0x1800, 0x1A00].into_iter().flat_map(|first| first..=first + 4);
     let of_application = [0x2100, 0x2101, 0x2101, 0x2102, 0x6000, 0x6200, 0x6426, 0xFFFF];
-    single.into_iter().chain(pdos).chain(of_application)
+    (0x1005..=0x1007).chain(single).chain(pdos).chain(of_application)
 }
 
 /// Numbers that are a limit of some object.

@@ -28,6 +28,7 @@ mod parameters;
 mod parameters_log;
 mod periodic_services;
 mod process_data;
+mod process_data_deadlines;
 mod process_data_hooks;
 mod process_data_random;
 mod process_data_receive;

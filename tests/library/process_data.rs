@@ -144,7 +144,8 @@ fn a_new_device_has_the_pdos_that_its_product_declares() {
     assert_eq!([0, 1, 2].map(|sub| board.number(0x1A00, sub)), [2, 0x6000_0108, 0x6000_0210]);
     assert_eq!(board.upload(0x1A00, 9), Err(NO_SUB_INDEX));
     assert_eq!((board.number(0x1801, 1), board.number(0x1801, 2)), (0x4000_02C0, 1));
-    assert_eq!([0, 1, 2].map(|sub| board.number(0x1400, sub)), [2, 0x240, 255]);
+    assert_eq!([0, 1, 2, 5].map(|sub| board.number(0x1400, sub)), [5, 0x240, 255, 0]);
+    assert_eq!([3, 4].map(|sub| board.upload(0x1400, sub)), [Err(NO_SUB_INDEX), Err(NO_SUB_INDEX)]);
     assert_eq!([0, 1, 2].map(|sub| board.number(0x1601, sub)), [2, 0x0006_0010, 0x6200_0320]);
 }
 
@@ -164,7 +165,7 @@ fn a_pdo_without_a_declaration_is_invalid_and_empty() {
 #[test]
 fn a_node_without_pdos_has_none_of_their_objects() {
     let mut board = NodeRig::with_node_id(0x40);
-    for index in [0x1005, 0x1016, 0x1019, 0x1400, 0x1600, 0x1800, 0x1A00] {
+    for index in [0x1005, 0x1006, 0x1007, 0x1016, 0x1019, 0x1400, 0x1600, 0x1800, 0x1A00] {
         assert_eq!(board.upload(index, 0), Err(NO_OBJECT), "{index:04X}");
     }
 }

@@ -39,6 +39,8 @@ fn parameters<A: Application + Clone, const T: usize, const R: usize, const P: u
             | Object::InhibitTimeEmergency
             | Object::CommunicationErrorBehaviour
             | Object::SyncCobId
+            | Object::CommunicationCyclePeriod
+            | Object::SynchronousWindowLength
             | Object::SyncCounterOverflow
             | Object::ConsumerHeartbeatTime(_)
             | Object::RpdoParameter(_)
@@ -61,12 +63,15 @@ fn parameters<A: Application + Clone, const T: usize, const R: usize, const P: u
 fn change_all(board: &mut Board) {
     set(board, 0x1005, 0, 0x81, 4);
     set(board, 0x1019, 0, 10, 1);
+    set(board, 0x1006, 0, 20_000, 4);
+    set(board, 0x1007, 0, 5_000, 4);
     set(board, 0x1016, 2, 0x0005_03E8, 4);
     set(board, 0x1029, 1, 2, 1);
     set(board, 0x1014, 0, 0x8000_0333, 4);
     set(board, 0x1015, 0, 50, 2);
     map(board, 0x1400, 0x333, &[0x0005_0008, 0x6200_0320]);
     set(board, 0x1400, 2, 3, 1);
+    set(board, 0x1400, 5, 60_000, 2);
     set(board, 0x1801, 1, 0x8000_02C0, 4);
     set(board, 0x1802, 3, 100, 2);
     set(board, 0x1802, 6, 7, 1);
@@ -250,6 +255,8 @@ fn illegal_stored_parameters_are_not_taken() {
         (0x1005, 0, 0x07, vec![0x80, 0, 0]),
         (0x1005, 0, 0x06, number(0x81)),
         (0x1005, 1, 0x07, number(0x81)),
+        (0x1006, 0, 0x06, vec![1, 0]),
+        (0x1007, 0, 0x07, vec![1, 0, 0]),
         (0x1019, 0, 0x05, vec![1]),
         (0x1019, 0, 0x05, vec![]),
         (0x1016, 0, 0x07, number(0x0005_03E8)),
@@ -265,6 +272,9 @@ fn illegal_stored_parameters_are_not_taken() {
         (0x1400, 0, 0x20, pdo(&[0x800, 241])),
         (0x1400, 0, 0x20, pdo(&[0x800, 255, 0x6000_0108])),
         (0x1402, 0, 0x20, pdo(&[0x800, 255])),
+        (0x1402, 5, 0x06, vec![1, 0]),
+        (0x1400, 5, 0x06, vec![1]),
+        (0x1400, 5, 0x05, vec![1]),
         (0x1400, 1, 0x20, pdo(&[0x800, 255])),
         (0x1400, 0, 0x21, pdo(&[0x800, 255])),
         (0x1600, 0, 0x20, pdo(&[0x800, 255])),
@@ -314,8 +324,9 @@ fn the_parameters_of_process_data_are_packed_as_documented() {
 
 #[test]
 fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
-    let of_sync = HEADER + 4 + HEADER + 1;
-    let pdos = 3 * (HEADER + 4 * (5 + 8)) + 2 * (HEADER + 4 * (2 + 8));
+    let of_sync = 3 * (HEADER + 4) + HEADER + 1;
+    let of_rpdo = HEADER + 4 * (2 + 8) + HEADER + 2;
+    let pdos = 3 * (HEADER + 4 * (5 + 8)) + 2 * of_rpdo;
     let of_error_behaviour = HEADER + 1;
     let of_emergency = HEADER + 4 + HEADER + 2;
     let of_verification = 2 * (HEADER + 4);
@@ -337,6 +348,10 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     set(&mut board, 0x1029, 1, 1, 1);
     set(&mut board, 0x1014, 0, 0x8000_00C0, 4);
     set(&mut board, 0x1015, 0, 100, 2);
+    set(&mut board, 0x1006, 0, 1, 4);
+    set(&mut board, 0x1007, 0, 1, 4);
+    set(&mut board, 0x1400, 5, 1, 2);
+    set(&mut board, 0x1401, 5, 1, 2);
     set(&mut board, 0x1020, 1, 1, 4);
     set(&mut board, 0x1020, 2, 1, 4);
     assert_eq!(board.save(1), Ok(()));

@@ -80,8 +80,10 @@ fn each_sub_index_of_1010_stores_it() {
 #[test]
 fn a_change_of_any_stored_parameter_ends_it() {
     let long_name: &[u8] = b"conveyor at gate 3";
-    let changes: [(u16, u8, &[u8]); 14] = [
+    let changes: [(u16, u8, &[u8]); 17] = [
         (0x1005, 0, &[0x81, 0, 0, 0]),
+        (0x1006, 0, &[1, 0, 0, 0]),
+        (0x1007, 0, &[1, 0, 0, 0]),
         (0x1014, 0, &[0xC0, 0, 0, 0x80]),
         (0x1015, 0, &[1, 0]),
         (0x1016, 1, &[0xE8, 3, 5, 0]),
@@ -90,6 +92,7 @@ fn a_change_of_any_stored_parameter_ends_it() {
         (0x1029, 1, &[1]),
         (0x1400, 1, &[0x40, 2, 0, 0x80]),
         (0x1400, 2, &[1]),
+        (0x1400, 5, &[1, 0]),
         (0x1800, 5, &[1, 0]),
         (0x2100, 0, &[201, 0]),
         (0x2101, 0, long_name),

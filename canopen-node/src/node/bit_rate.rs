@@ -26,7 +26,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
                 Some(EndSwitch) => {
                     self.nmt.restart_heartbeat(now);
-                    self.product.communication.consumer.restart(now);
+                    self.product.communication.restart(now);
                 }
                 Some(Step(step)) => return Some(self.take_step(step)),
                 Some(ResumeTransmitting) => {

@@ -1,5 +1,5 @@
-//! PDOs and heartbeat consumer, and the parameters of communication that 1010h stores: 1005h, 1014h, 1015h, 1016h,
-//! 1019h, 1029h, and each PDO.
+//! PDOs and heartbeat consumer, and the parameters of communication that 1010h stores: 1005h to 1007h, 1014h to
+//! 1016h, 1019h, 1029h, and each PDO.
 
 use core::mem;
 
@@ -86,9 +86,10 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             }
         };
         let describe = move |entry: &Entry| match entry.object {
-            Object::SyncCobId | Object::SyncCounterOverflow => {
-                sync::describe(entry, default(entry))
-            }
+            Object::SyncCobId
+            | Object::CommunicationCyclePeriod
+            | Object::SynchronousWindowLength
+            | Object::SyncCounterOverflow => sync::describe(entry, default(entry)),
             _ if entry.index == consumer::INDEX => consumer::describe(entry, default(entry)),
             _ => pdo::describe(entry, default(entry)),
         };
@@ -117,9 +118,20 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         errors: &mut Emergency,
         now: Instant,
     ) {
-        if !self.pdos.handle_frame(frame, application, errors) {
+        if !self.pdos.handle_frame(frame, application, errors, now) {
             self.consumer.handle_frame(frame, now, |event| application.handle(event));
         }
+    }
+
+    /// The time at which a heartbeat or an RPDO is missing.
+    pub fn late_at(&self) -> Option<Instant> {
+        Instant::earliest(self.consumer.poll_at(), self.pdos.late_at())
+    }
+
+    /// Begins the watch of others anew, since nobody has sent anything during a switch of the bit rate.
+    pub fn restart(&mut self, now: Instant) {
+        self.consumer.restart(now);
+        self.pdos.end_event_timers();
     }
 
     /// Ends the errors that are no longer present.

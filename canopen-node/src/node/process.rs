@@ -18,7 +18,8 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
         let Self { product, emergency, .. } = self;
         product.communication.handle_frame(frame, &mut product.application, emergency, now);
-        if PRODUCERS > 0 || self.emergency.has_reports() {
+        let is_watching = PRODUCERS > 0 || self.product.communication.pdos.late_at().is_some();
+        if is_watching || self.emergency.has_reports() {
             self.agenda.add(Tasks::of(&[Task::Producers, Task::Messages]));
         }
         self.note_values();
@@ -48,18 +49,24 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         Some(Action::DropPdos)
     }
 
-    /// Reports producers whose heartbeat is missing, and ends the errors of process data that are over.
+    /// Reports producers whose heartbeat is missing and RPDOs that are late, and ends the errors of process data that are
+    /// over.
     pub(super) fn watch_producers(&mut self, now: Instant) {
         let mut is_any_lost = false;
-        let Self { product, emergency, nmt, .. } = self;
+        let Self { product, emergency, nmt, agenda, .. } = self;
         while let Some(producer) = product.communication.consumer.next_lost(emergency, now) {
             nmt.handle_communication_error();
             product.application.handle(Event::HeartbeatLost(producer));
             is_any_lost = true;
         }
+        while let Some(number) = product.communication.pdos.next_late(emergency, now) {
+            product.application.handle(Event::Late(number));
+            product.communication.pdos.note_values();
+            agenda.add(Tasks::of(&[Task::Pdos]));
+        }
         product.communication.end_errors(emergency);
         if emergency.has_reports() {
-            self.agenda.add(Tasks::of(&[Task::Messages]));
+            agenda.add(Tasks::of(&[Task::Messages]));
         }
         if is_any_lost {
             self.lock_lss();

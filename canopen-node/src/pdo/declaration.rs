@@ -212,12 +212,14 @@ pub struct Rpdo {
     pub is_valid: bool,
     /// The transmission type: 0 to 240, 254 or 255.
     pub transmission_type: u8,
+    /// The time in milliseconds within which the next frame must come (deadline monitoring); 0 disables it.
+    pub event_timer_ms: u16,
 }
 
 impl Rpdo {
     /// A valid RPDO with these values, which take effect at once (transmission type 255).
     pub const fn new(mapping: &'static [(u16, u8)]) -> Self {
-        Self { mapping, is_valid: true, transmission_type: 255 }
+        Self { mapping, is_valid: true, transmission_type: 255, event_timer_ms: 0 }
     }
 
     /// An RPDO that does not exist before a master has set its valid bit. Those from the fifth on must be so: a new device
@@ -231,5 +233,12 @@ impl Rpdo {
     #[must_use]
     pub const fn with_transmission_type(self, transmission_type: u8) -> Self {
         Self { transmission_type, ..self }
+    }
+
+    /// Replaces the event timer, in milliseconds: after a frame the next one must come within this time, or error 8250h is
+    /// reported.
+    #[must_use]
+    pub const fn with_event_timer(self, event_timer_ms: u16) -> Self {
+        Self { event_timer_ms, ..self }
     }
 }

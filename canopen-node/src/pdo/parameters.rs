@@ -9,7 +9,7 @@ use crate::{
 /// In the COB-ID of a TPDO: it answers no remote frame. An RPDO does not care.
 const NO_REMOTE_FRAME: u32 = 1 << 30;
 
-/// The parameters of a PDO. Those after the transmission type belong to TPDOs.
+/// The parameters of a PDO. Inhibit time and SYNC start value belong to TPDOs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pdo {
     pub cob_id: CobId,
@@ -94,6 +94,7 @@ impl Pdo {
             cob_id: CobId::new(declaration.is_valid),
             mapping: Mapping::declared(objects, Direction::Receive, number, declaration.mapping),
             transmission_type: declaration.transmission_type,
+            event_timer_ms: declaration.event_timer_ms,
             ..Self::UNUSED
         }
     }

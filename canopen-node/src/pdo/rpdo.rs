@@ -1,27 +1,31 @@
 //! The reception of an RPDO: the effect of its frames.
 
 use super::Pdo;
-use crate::{Application, Frame};
+use crate::{Application, Frame, Instant};
 
 /// Error code of a PDO that is shorter than its mapping, and ignored (CiA 301, table 26).
 pub(super) const TOO_SHORT: u16 = 0x8210;
 /// Error code of a PDO that is longer than its mapping; its first bytes are used (CiA 301, table 26).
 pub(super) const TOO_LONG: u16 = 0x8220;
+/// Error code of a PDO that does not come within its event timer (CiA 301, table 26).
+pub(super) const LATE: u16 = 0x8250;
 
 /// The state of an RPDO in NMT operational.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reception {
     /// `None`: it is not in use.
     cob_id: Option<u16>,
-    /// The error code for the length of the latest frame.
+    /// The error code for the length of the latest frame, or for the lack of the next one.
     fault: Option<u16>,
     /// The data that waits for the next SYNC.
     waiting: Option<[u8; 8]>,
+    /// The end of the event timer.
+    deadline: Option<Instant>,
 }
 
 impl Reception {
     /// An RPDO that is not in use.
-    pub const UNUSED: Self = Self { cob_id: None, fault: None, waiting: None };
+    pub const UNUSED: Self = Self { cob_id: None, fault: None, waiting: None, deadline: None };
 
     /// An RPDO of which nothing was received. Without a COB-ID it is not in use.
     pub const fn new(cob_id: Option<u16>) -> Self {
@@ -33,7 +37,7 @@ impl Reception {
         self.cob_id == Some(cob_id)
     }
 
-    /// The error code for the length of the latest frame.
+    /// The error code for the length of the latest frame, or for the lack of the next one.
     pub const fn fault(&self) -> Option<u16> {
         self.fault
     }
@@ -51,18 +55,25 @@ impl Reception {
         fault.filter(|_| is_new)
     }
 
-    /// Takes the data of a frame whose length was checked; returns whether it has taken effect.
+    /// Takes the data of a frame whose length was checked; returns whether it has taken effect. Synchronous data behind the
+    /// synchronous window is dropped.
     pub fn handle<A: Application>(
         &mut self,
         pdo: &Pdo,
         frame: &Frame,
         application: &mut A,
+        is_window_over: bool,
+        now: Instant,
     ) -> bool {
         if pdo.mapping.is_empty() || self.fault == Some(TOO_SHORT) {
             return false;
         }
+        let micros = pdo.event_timer_micros();
+        self.deadline = (micros > 0).then(|| now.plus_micros(micros));
         if pdo.transmission_type <= 240 {
-            self.waiting = Some(frame.padded_data());
+            if !is_window_over {
+                self.waiting = Some(frame.padded_data());
+            }
             return false;
         }
         pdo.mapping.write(&frame.padded_data(), application);
@@ -76,5 +87,24 @@ impl Reception {
         };
         pdo.mapping.write(&data, application);
         true
+    }
+
+    /// Whether the next frame begins to be missing at `now`.
+    pub fn poll(&mut self, now: Instant) -> bool {
+        let is_late = self.deadline.take_if(|deadline| deadline.has_come(now)).is_some();
+        if is_late {
+            self.fault = Some(LATE);
+        }
+        is_late
+    }
+
+    /// The end of the event timer.
+    pub const fn deadline(&self) -> Option<Instant> {
+        self.deadline
+    }
+
+    /// Ends the event timer until the next frame.
+    pub const fn end_event_timer(&mut self) {
+        self.deadline = None;
     }
 }

@@ -7,13 +7,16 @@ use super::{
     tables::{RPDO_MAPPING, RPDO_PARAMETER, TPDO_MAPPING, TPDO_PARAMETER},
 };
 use crate::{
-    object_dictionary::Entry,
+    object_dictionary::{DataType, Entry},
     settings::parameters::{HEADER, Packer, Parameter},
     sync::Sync,
 };
 
 /// The data type of a stored PDO: PDO_COMMUNICATION_PARAMETER (CiA 301, 7.4.8.1), here followed by the mapping.
 const PDO: u8 = 0x20;
+/// The sub-index of the event timer of an RPDO, which is stored behind the PDO unless it is 0.
+const EVENT_TIMER: u8 = 5;
+const U16: u8 = DataType::Unsigned16 as u8;
 
 impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
     /// The greatest number of bytes that the stored parameters take.
@@ -21,6 +24,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
         let of_sync = if Pdos::<TPDOS, RPDOS>::IS_USED { Sync::STORED_LEN } else { 0 };
         of_sync
             + RPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Receive) + MAX_MAPPED))
+            + RPDOS * (HEADER + 2)
             + TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
     };
 
@@ -35,6 +39,10 @@ impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
     pub fn save(&self, to: &mut Packer<'_>) {
         for (index, rpdo) in (RPDO_PARAMETER..).zip(&self.rpdos) {
             put_pdo(to, index, rpdo, Direction::Receive);
+            if rpdo.event_timer_ms != 0 {
+                let value = &rpdo.event_timer_ms.to_le_bytes();
+                to.put(&Parameter { index, sub_index: EVENT_TIMER, data_type: U16, value });
+            }
         }
         for (index, tpdo) in (TPDO_PARAMETER..).zip(&self.tpdos) {
             put_pdo(to, index, tpdo, Direction::Transmit);
@@ -49,6 +57,11 @@ impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
             (RPDO_PARAMETER..RPDO_MAPPING, 0, PDO) => {
                 let rpdo = self.rpdos.get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
                 *rpdo = Pdo::from_stored(words(value)?, Direction::Receive, objects)?;
+                Some(())
+            }
+            (RPDO_PARAMETER..RPDO_MAPPING, EVENT_TIMER, U16) => {
+                let rpdo = self.rpdos.get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
+                rpdo.event_timer_ms = value.try_into().ok().map(u16::from_le_bytes)?;
                 Some(())
             }
             (TPDO_PARAMETER..TPDO_MAPPING, 0, PDO) => {

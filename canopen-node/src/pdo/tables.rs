@@ -31,14 +31,14 @@ macro_rules! rows {
 }
 
 impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
-    const RPDO_PARAMETERS: [[Entry; 3]; RPDOS] = rows!(RPDOS, rpdo_parameter);
+    const RPDO_PARAMETERS: [[Entry; 4]; RPDOS] = rows!(RPDOS, rpdo_parameter);
     const RPDO_MAPPINGS: [MappingRows; RPDOS] = rows!(RPDOS, rpdo_mapping);
     const TPDO_PARAMETERS: [[Entry; 6]; TPDOS] = rows!(TPDOS, tpdo_parameter);
     const TPDO_MAPPINGS: [MappingRows; TPDOS] = rows!(TPDOS, tpdo_mapping);
 
-    /// The rows in ascending order, in tables that begin with a sub-index 0: 1005h, 1019h, and those of RPDOs and TPDOs.
+    /// The rows in ascending order, in tables that begin with a sub-index 0: 1005h to 1007h, 1019h, and those of RPDOs and TPDOs.
     pub const TABLES: [&'static [Entry]; 6] = [
-        if Self::IS_USED { sync::COB_ID_ROW } else { &[] },
+        if Self::IS_USED { sync::ROWS } else { &[] },
         if Self::IS_USED { sync::COUNTER_OVERFLOW_ROW } else { &[] },
         Self::RPDO_PARAMETERS.as_flattened(),
         Self::RPDO_MAPPINGS.as_flattened(),
@@ -57,12 +57,13 @@ pub fn describe(entry: &Entry, default: DefaultValue) -> Description {
     }
 }
 
-const fn rpdo_parameter(at: usize) -> [Entry; 3] {
+const fn rpdo_parameter(at: usize) -> [Entry; 4] {
     let index = RPDO_PARAMETER + at as u16;
     [
-        row(index, 0, Unsigned8, Const, Object::HighestSubIndex(2)),
+        row(index, 0, Unsigned8, Const, Object::HighestSubIndex(5)),
         row(index, 1, Unsigned32, ReadWrite, Object::RpdoParameter(PdoEntry::new(at, 1))),
         row(index, 2, Unsigned8, ReadWrite, Object::RpdoParameter(PdoEntry::new(at, 2))),
+        row(index, 5, Unsigned16, ReadWrite, Object::RpdoParameter(PdoEntry::new(at, 5))),
     ]
 }
 
@@ -122,11 +123,9 @@ const fn name(entry: &Entry) -> &'static str {
         (_, 0) => "Highest sub-index supported",
         (RPDO_PARAMETER..RPDO_MAPPING, 1) => "COB-ID used by RPDO",
         (TPDO_PARAMETER..TPDO_MAPPING, 1) => "COB-ID used by TPDO",
-        (RPDO_PARAMETER..RPDO_MAPPING, _) | (TPDO_PARAMETER..TPDO_MAPPING, 2) => {
-            "Transmission type"
-        }
+        (RPDO_PARAMETER..RPDO_MAPPING | TPDO_PARAMETER..TPDO_MAPPING, 2) => "Transmission type",
+        (RPDO_PARAMETER..RPDO_MAPPING | TPDO_PARAMETER..TPDO_MAPPING, 5) => "Event timer",
         (TPDO_PARAMETER..TPDO_MAPPING, 3) => "Inhibit time",
-        (TPDO_PARAMETER..TPDO_MAPPING, 5) => "Event timer",
         (TPDO_PARAMETER..TPDO_MAPPING, _) => "SYNC start value",
         _ => "Application object",
     }

@@ -85,9 +85,9 @@ impl Stormed for Application {
             // The controller's observations, whose answers are left out by their index, which a block does not have.
             (0x1001 | 0x1003 | 0x2000, _) => read,
             _ if !is_download => return frame,
-            // A heartbeat that is missed, and the times of TPDOs.
+            // A heartbeat that is missed, and the times of PDOs.
             (0x1016, 1) => consumer_heartbeat_time(random),
-            (0x1800..=0x1803, 3 | 5) => read,
+            (0x1800..=0x1803, 3 | 5) | (0x1400..=0x1403, 5) | (0x1007, 0) => read,
             // Emergency messages, which another time or another frame's COB-ID would change.
             (0x1014 | 0x1015, 0) => read,
             // What the next sample of the temperature changes.
