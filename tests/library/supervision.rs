@@ -91,7 +91,10 @@ fn for_30_s_after_both_switch_delays_only_the_new_rate_counts() {
         board.configure("13 00 06");
         let [low, high] = d_ms.to_le_bytes();
         board.lss(&format!("15 {low:02X} {high:02X}"));
-        board.pass_ms(2 * u64::from(d_ms));
+        for _ in 0..2 {
+            board.see(Error);
+            board.pass_ms(d_ms.into());
+        }
         board.timeline();
         for event in [Error, FormError, HeldDominant].into_iter().cycle().take(30_000) {
             board.see(event);
