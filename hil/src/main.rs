@@ -155,7 +155,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
 
     let mut report = Report::new(arguments.adapter.to_string());
     report.begin("bench");
-    let mut report = match arguments.adapter.connect() {
+    let report = match arguments.adapter.connect() {
         Ok(adapter) => {
             report.adapter = adapter.description();
             report.bench(&format!("adapter: {}", adapter.description()));
@@ -191,7 +191,6 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             report
         }
     };
-    report.end();
     println!("{}", report.summary());
     if let Some(path) = &arguments.report {
         let files =

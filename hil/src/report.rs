@@ -7,7 +7,7 @@ mod text;
 use std::{
     fs, io,
     path::{Path, PathBuf},
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use serde::Serialize;
@@ -78,7 +78,6 @@ pub struct Report {
     pub stopped: Option<String>,
     pub left: Left,
     begin: Instant,
-    pub took: Duration,
     session: &'static str,
 }
 
@@ -94,7 +93,6 @@ impl Report {
             stopped: None,
             left: Left::Untouched,
             begin: Instant::now(),
-            took: Duration::ZERO,
             session: "bench",
         }
     }
@@ -168,11 +166,6 @@ impl Report {
         let check = Check { session: self.session, what, outcome, seen, expected };
         println!("{}", text::line(&check));
         self.checks.push(check);
-    }
-
-    /// Ends the run.
-    pub fn end(&mut self) {
-        self.took = self.begin.elapsed();
     }
 
     pub fn with_outcome(&self, outcome: Outcome) -> impl Iterator<Item = &Check> {

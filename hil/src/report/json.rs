@@ -11,7 +11,7 @@ pub fn whole(report: &Report) -> String {
         "bench": report.bench,
         "boards": report.boards,
         "good": report.is_good(),
-        "seconds": report.took.as_secs_f64(),
+        "seconds": report.begin.elapsed().as_secs_f64(),
         "stopped": report.stopped,
         "left": match &report.left {
             Left::Untouched => "untouched".to_owned(),

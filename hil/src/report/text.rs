@@ -50,7 +50,7 @@ pub fn summary(report: &Report) -> String {
         count(Outcome::Passed),
         count(Outcome::Failed),
         count(Outcome::NotTried),
-        report.took.as_secs()
+        report.begin.elapsed().as_secs()
     )
 }
 
