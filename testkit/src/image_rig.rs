@@ -46,6 +46,15 @@ pub struct ImageRig {
     lss: Master,
 }
 
+/// A frame that was on the bus.
+#[derive(Clone, Copy, Debug)]
+pub struct Sent {
+    pub by: Source,
+    pub frame: Frame,
+    pub start: Time,
+    pub end: Time,
+}
+
 /// A board with a blank settings flash; boards with different `number` have different serial numbers.
 pub fn blank_board(firmware: Firmware, number: u8) -> board::Board {
     let settings = board::Settings { unique_id: [number; 12], ..Default::default() };
@@ -145,9 +154,10 @@ impl ImageRig {
         self.network.power_on(0);
     }
 
-    /// Puts the master on the bus of an unattended board, which was switched on at `since`, at the rate that the board
-    /// sets; `None` if its power fails before.
-    pub fn join(&mut self, since: Time) -> Option<BitRate> {
+    /// Puts the master on the bus of an unattended board at the rate that the board sets; `None` if its power fails
+    /// before.
+    pub fn join(&mut self) -> Option<BitRate> {
+        let (since, _) = *self.network.board(0).resets().last().expect("it was switched on");
         while !has_joined(self.did(0, since)) {
             assert!(self.network.now() < since + BOOT, "the board does not come to the bus");
             self.network.run_for(Time::from_ms(1));
@@ -412,6 +422,22 @@ impl ImageRig {
     /// The duration of a bit at the master's rate.
     pub fn bit_time(&self) -> Time {
         Time::from_ps(1_000_000_000 / u64::from(self.bit_rate.kbit_per_s()))
+    }
+
+    /// The frames that began on the bus at `since` or later.
+    pub fn sent(&self, since: Time) -> impl Iterator<Item = Sent> {
+        let sent = move |event: &Event| match event.what {
+            What::Frame { frame, start, .. } if start >= since => {
+                Some(Sent { by: event.source, frame, start, end: event.time })
+            }
+            _ => None,
+        };
+        self.network.trace().iter().filter_map(sent)
+    }
+
+    /// Those of boards among them.
+    pub fn sent_by_boards(&self, since: Time) -> impl Iterator<Item = Sent> {
+        self.sent(since).filter(|sent| matches!(sent.by, Source::Board(_)))
     }
 
     /// The events of a board since `since`.

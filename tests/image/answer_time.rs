@@ -1,6 +1,7 @@
 //! The answer time of the release image: from the request's last bit but one to the transmit request, in core cycles.
 
 use canopen_node::Frame as NodeFrame;
+use lss_master::InquireAddress;
 
 use crate::rig::*;
 
@@ -62,54 +63,41 @@ fn with_wait_states_of_the_flash_each_of_them_takes_less_than_4_us() {
 
 /// Prints the time of each answer and compares it with the limits for an LSS answer, a boot-up and an SDO upload.
 fn check_answers(mut rig: ImageRig, [answer, boot_up, upload]: [u64; 3]) {
-    let waiting = [
-        ("identify non-configured", "4C"),
-        ("Fastscan, begin", "51 00 00 00 00 80"),
-        ("Fastscan, step", "51 00 00 00 00 1F"),
-    ];
-    let configuration = [
-        ("configure node-ID", "11 04"),
-        ("configure node-ID, refused", "11 00"),
-        ("configure bit timing", "13 00 02"),
-        ("configure bit timing, refused", "13 00 05"),
-        ("inquire vendor-ID", "5A"),
-        ("inquire product code", "5B"),
-        ("inquire revision number", "5C"),
-        ("inquire serial number", "5D"),
-        ("inquire node-ID", "5E"),
-    ];
-    let measure = |rig: &mut ImageRig, name, request: NodeFrame, most| {
-        let cycles = cycles_to_answer(rig, &request);
+    rig.lss("04 01");
+    let address: [u32; 4] = rig.carry_out(InquireAddress::new()).into();
+    let [vendor, product, revision, serial] = address.map(frames::number);
+    rig.lss("04 00");
+    let select = format!("40 {vendor}, 41 {product}, 42 {revision}, 43 {serial}");
+    let revisions = format!("48 {revision}, 49 {revision}");
+    let identify = format!("46 {vendor}, 47 {product}, {revisions}, 4A {serial}, 4B {serial}");
+    // Only the last request of a text is answered.
+    for (name, requests, most) in [
+        ("identify non-configured", "4C", answer),
+        ("Fastscan, begin", "51 00 00 00 00 80", answer),
+        ("Fastscan, step", "51 00 00 00 00 1F", answer),
+        ("switch state selective", &select, answer),
+        ("identify remote slave", &identify, answer),
+        ("configure node-ID", "11 04", answer),
+        ("configure node-ID, refused", "11 00", answer),
+        ("configure bit timing", "13 00 02", answer),
+        ("configure bit timing, refused", "13 00 05", answer),
+        ("inquire vendor-ID", "5A", answer),
+        ("inquire product code", "5B", answer),
+        ("inquire revision number", "5C", answer),
+        ("inquire serial number", "5D", answer),
+        ("inquire node-ID", "5E", answer),
+        ("waiting, first boot-up", "04 00", boot_up),
+        ("NMT reset communication", "000: 82 00", boot_up),
+        ("SDO upload of the vendor-ID", "604: 40 18 10 01 00 00 00 00", upload),
+    ] {
+        let (before, last) = requests.rsplit_once(", ").unwrap_or(("", requests));
+        if !before.is_empty() {
+            assert_eq!(rig.lss(before), SILENCE);
+        }
+        let cycles = cycles_to_answer(&mut rig, &frames::of_master(last));
         println!("{name:30} {cycles:5} cycles, {:4.1} us", cycles as f64 / CORE_MHZ as f64);
         assert!(cycles < most, "{name}: {cycles} cycles");
-    };
-    for (name, request) in waiting {
-        measure(&mut rig, name, frames::request(request), answer);
     }
-    rig.lss("04 01");
-    let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
-        let answer = frames::text(&rig.lss(inquiry).0[0]);
-        answer.split_whitespace().skip(2).take(4).collect::<Vec<_>>().join(" ")
-    });
-    rig.lss("04 00");
-    for (command, part) in (0x40..0x43).zip(&address) {
-        assert_eq!(rig.lss(&format!("{command:02X} {part}")), SILENCE);
-    }
-    let last_step = format!("43 {}", address[3]);
-    measure(&mut rig, "switch state selective", frames::request(&last_step), answer);
-    for (command, part) in (0x46..0x4B).zip([0, 1, 2, 2, 3]) {
-        assert_eq!(rig.lss(&format!("{command:02X} {}", address[part])), SILENCE);
-    }
-    let last_step = format!("4B {}", address[3]);
-    measure(&mut rig, "identify remote slave", frames::request(&last_step), answer);
-    for (name, request) in configuration {
-        measure(&mut rig, name, frames::request(request), answer);
-    }
-    rig.lss("11 04");
-    measure(&mut rig, "waiting, first boot-up", frames::request("04 00"), boot_up);
-    measure(&mut rig, "NMT reset communication", frames::command("82 00"), boot_up);
-    let read = sdo::request(4, "40 18 10 01");
-    measure(&mut rig, "SDO upload of the vendor-ID", read, upload);
 }
 
 #[test]
@@ -213,9 +201,7 @@ fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
         sdo_answers += answers.0.iter().filter(|frame| frame.cob_id() == 0x5C0).count();
     }
     assert_eq!(sdo_answers, sdo_requests);
-    let urgent = rig.network.trace().iter().filter(|event| {
-        event.source == Source::Adapter(other) && matches!(event.what, What::Frame { .. })
-    });
+    let urgent = rig.sent(Time::ZERO).filter(|sent| sent.by == Source::Adapter(other));
     assert_eq!(urgent.count(), sent);
 }
 

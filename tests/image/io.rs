@@ -110,7 +110,10 @@ fn echo(rig: &mut ImageRig) {
 
 #[test]
 fn the_button_is_sent_and_the_leds_are_received() {
-    let mut rig = operational();
+    check_button_and_leds(operational());
+}
+
+fn check_button_and_leds(mut rig: ImageRig) {
     for (is_pressed, pdo) in [(true, "181: 01"), (false, "181: 00")] {
         press(&rig, is_pressed);
         assert_eq!(of(0x181, &rig.collect(SOON)), [pdo]);
@@ -316,13 +319,8 @@ fn no_pdo_begins_after_the_end_of_operational() {
         let ended = rig.transmit_command(end);
         rig.network.run_for(Time::from_ms(20));
         let begun = |cob_id: u16| {
-            let is_one = |event: &&Event| match event.what {
-                What::Frame { frame, start, .. } => {
-                    frame.id == Id::Standard(cob_id) && start > ended + READ
-                }
-                _ => false,
-            };
-            rig.network.trace().iter().filter(is_one).count()
+            let sent = rig.sent(ended + READ + Time::from_ps(1));
+            sent.filter(|sent| sent.frame.id == Id::Standard(cob_id)).count()
         };
         assert!(begun(0x010) > 10, "the bus was full");
         assert_eq!([0x181, 0x281, 0x381, 0x481].map(begun), [0; 4], "{end}");
@@ -495,10 +493,8 @@ fn an_rpdo_reaches_the_application_within_10_us() {
         rig.network.send(rig.master, data(0x201, &[value]));
         let changed = first_change(&mut rig, &places, value, Time::from_us(200));
         rig.network.run_for(Time::from_us(20));
-        let of_master = |event: &&Event| {
-            event.source == Source::Adapter(rig.master) && matches!(event.what, What::Frame { .. })
-        };
-        let end = rig.network.trace().iter().rfind(of_master).expect("the RPDO").time;
+        let of_master = |sent: &Sent| sent.by == Source::Adapter(rig.master);
+        let end = rig.sent(Time::ZERO).filter(of_master).last().expect("the RPDO").end;
         spans.push(cycles(valid(&rig, end), changed));
         rig.network.run_for(Time::from_us(311));
     }
@@ -713,15 +709,10 @@ fn the_example_works_on_an_stm32f446() {
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(1, BitRate::Kbit1000)]));
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
     assert_eq!(rig.collect(Time::from_ms(50)), ["701: 00"]);
-    press(&rig, true);
-    rig.network.run_for(SOON);
     let sent = rig.nmt("01 01");
-    assert_eq!(of(0x181, &sent), ["181: 01"]);
+    assert_eq!(of(0x181, &sent), ["181: 00"]);
     let [temperature] = temperatures(&sent)[..] else { panic!("one TPDO 2") };
     assert!((245..=255).contains(&temperature), "{temperature}");
-    press(&rig, false);
-    assert_eq!(of(0x181, &rig.collect(SOON)), ["181: 00"]);
-    rig.transmit(data(0x201, &[1]));
-    rig.network.run_for(SOON);
-    assert_eq!(leds(&rig), [true, false]);
+    rig.collect(Time::from_ms(100));
+    check_button_and_leds(rig);
 }

@@ -11,13 +11,7 @@ fn node_5(bit_rate: BitRate, heartbeat_ms: u16) -> ImageRig {
 
 /// The frames that the board began to send from `since` on.
 fn frames_of_board(rig: &ImageRig, since: Time) -> Vec<String> {
-    let frame = |event: &Event| match event.what {
-        What::Frame { frame, start, .. } if start >= since => {
-            (event.source == Source::Board(0)).then(|| frame.to_string())
-        }
-        _ => None,
-    };
-    rig.network.trace().iter().filter_map(frame).collect()
+    rig.sent_by_boards(since).map(|sent| sent.frame.to_string()).collect()
 }
 
 /// Whether the command that ended at `end` removed a frame from its mailbox. A board receives it one bit earlier.
@@ -40,9 +34,7 @@ fn on_a_loaded_bus_a_boot_up_with_a_new_node_id_ends_the_old_one() {
     while rig.network.adapter_mut(rig.master).unsent() > 0 {
         rig.network.run_for(Time::from_us(100));
     }
-    let is_reset =
-        |event: &&Event| matches!(event.what, What::Frame { frame, .. } if frame == reset);
-    let end = rig.network.trace().iter().find(is_reset).expect("the reset").time;
+    let end = rig.sent(Time::ZERO).find(|sent| sent.frame == reset).expect("the reset").end;
     assert!(has_dropped(&rig, end));
     rig.network.run_for(Time::from_ms(49));
     let answer = "7E4#5E05000000000000";

@@ -8,17 +8,6 @@ const LONG: Time = Time::from_s(4);
 /// of two nodes are not in step.
 const INTERMISSION: Time = Time::from_us(4);
 
-/// The frames on the bus from `since` on: their senders, starts and ends.
-fn frames_on_the_bus(rig: &ImageRig, since: Time) -> Vec<(Source, Frame, Time, Time)> {
-    let frame = |event: &Event| match event.what {
-        What::Frame { frame, start, .. } if start >= since => {
-            Some((event.source, frame, start, event.time))
-        }
-        _ => None,
-    };
-    rig.network.trace().iter().filter_map(frame).collect()
-}
-
 #[test]
 fn a_heartbeat_too_frequent_for_the_bus_leaves_half_of_it_to_lss() {
     let mut rig = rig_with(settings(0x40, BitRate::Kbit10));
@@ -58,21 +47,16 @@ fn answers_wait_for_urgent_frames_and_follow_right_behind_in_order() {
     }
     rig.send_all();
     rig.collect(Time::from_ms(5));
-    let frames = frames_on_the_bus(&rig, since);
+    let frames: Vec<_> = rig.sent(since).collect();
     for pair in frames.windows(2) {
-        let ((.., end), (_, frame, start, _)) = (pair[0], pair[1]);
-        let is_heartbeat_of_later = start - end > INTERMISSION && frame.id == Id::Standard(0x740);
-        assert!(
-            start - end <= INTERMISSION || is_heartbeat_of_later,
-            "{frame} {} ms after the one before",
-            start - end
-        );
+        let (Sent { frame, start, .. }, pause) = (pair[1], pair[1].start - pair[0].end);
+        let is_heartbeat = frame.id == Id::Standard(0x740);
+        assert!(pause <= INTERMISSION || is_heartbeat, "{frame} at {start}, {pause} ms later");
     }
-    let behind = frames.iter().rposition(|&(_, frame, ..)| frame == urgent).expect("the flood") + 1;
-    let is_of_board =
-        |(source, ..): &(Source, Frame, Time, Time)| matches!(source, Source::Board(_));
+    let behind = frames.iter().rposition(|sent| sent.frame == urgent).expect("the flood") + 1;
+    let is_of_board = |sent: &Sent| matches!(sent.by, Source::Board(_));
     assert!(!frames[..behind].iter().any(is_of_board), "no frame of the board during the flood");
-    let sent: Vec<_> = frames[behind..].iter().map(|(_, frame, ..)| frame.to_string()).collect();
+    let sent: Vec<_> = frames[behind..].iter().map(|sent| sent.frame.to_string()).collect();
     // By priority; the two of LSS in the order of the board.
     let answers =
         ["5C0#4B171000F4010000", "740#7F", "7E4#5E40000000000000", "7E4#1700000000000000"];

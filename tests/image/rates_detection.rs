@@ -155,10 +155,8 @@ fn a_lone_sender_is_not_acknowledged_before_the_rate_is_known() {
         let (time, found_rate) = found(&rig, on).expect("only the board can acknowledge");
         assert_eq!(found_rate, bit_per_s(bit_rate));
         assert_silent(&rig, on, time);
-        let master = Source::Adapter(rig.master);
-        let is_frame =
-            |event: &&Event| event.source == master && matches!(event.what, What::Frame { .. });
-        let sent = rig.network.trace().iter().find(is_frame).expect("it was sent").time;
+        let of_master = |sent: &Sent| sent.by == Source::Adapter(rig.master);
+        let sent = rig.sent(Time::ZERO).find(of_master).expect("it was sent").end;
         assert!(sent > time, "acknowledged at {sent}, known at {time}");
         println!("{:>7} kbit/s  {:>6}", bit_rate.kbit_per_s(), (sent - on).as_ms());
         rig.collect(Time::from_ms(200));

@@ -28,16 +28,6 @@ fn switch_master(rig: &mut ImageRig, at: Time, to: BitRate) {
     rig.set_master_bit_rate(to);
 }
 
-fn frames_of_boards(rig: &ImageRig, from: Time, until: Time) -> Vec<&Event> {
-    let is_of_board = |event: &&Event| match event.what {
-        What::Frame { start, .. } => {
-            matches!(event.source, Source::Board(_)) && from <= start && start < until
-        }
-        _ => false,
-    };
-    rig.network.trace().iter().filter(is_of_board).collect()
-}
-
 /// The time at which the request that ends at `t0` is valid for the boards, which sample its last bit but one at 85 %:
 /// they count from there.
 fn valid(rig: &ImageRig, t0: Time) -> Time {
@@ -52,8 +42,8 @@ fn valid(rig: &ImageRig, t0: Time) -> Time {
 /// Checks the silence after the request that ends at `t0`, and the switch of all boards.
 pub fn assert_switched(rig: &ImageRig, t0: Time, delay: Time, to: BitRate) {
     let valid = valid(rig, t0);
-    let silence = frames_of_boards(rig, t0 + PROCESSING, valid + delay * 2);
-    assert!(silence.is_empty(), "{silence:#?}");
+    let broken = rig.sent_by_boards(t0 + PROCESSING).find(|sent| sent.start < valid + delay * 2);
+    assert!(broken.is_none(), "{broken:#?}");
     for board in 0..rig.network.boards().len() {
         let rates = rig.bit_rates(board, t0);
         let [(time, bit_rate)] = rates.as_slice() else { panic!("one switch, not {rates:?}") };
@@ -177,16 +167,14 @@ fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
     let urgent = Frame::data(Id::Standard(0x001), &[0x55; 8]);
     (0..3).for_each(|_| rig.network.send(other, urgent));
     rig.network.run_for(bits(100));
-    let is_request =
-        |event: &&Event| matches!(event.what, What::Frame { frame, .. } if frame == request);
-    let t0 = rig.network.trace().iter().find(is_request).expect("the request").time;
+    let t0 = rig.sent(Time::ZERO).find(|sent| sent.frame == request).expect("the request").end;
 
     let delay = Time::from_ms(50);
     switch_master(&mut rig, t0 + delay, BitRate::Kbit1000);
     rig.network.adapter_mut(other).set_bit_rate(1_000_000);
     rig.network.run_until(t0 + delay * 3 + Time::from_ms(5));
     assert_switched(&rig, t0, delay, BitRate::Kbit1000);
-    assert!(frames_of_boards(&rig, t0, t0 + delay).is_empty());
+    assert!(!rig.sent_by_boards(t0).any(|sent| sent.start < t0 + delay));
     let (requested, heartbeat) =
         rig.requested(0, Time::ZERO).filter(|(time, _)| *time < t0).last().expect("a heartbeat");
     assert!(requested > t0 - bits(100), "it waited");
@@ -195,7 +183,7 @@ fn a_frame_that_waits_for_the_bus_when_the_silence_begins_is_never_sent() {
         _ => None,
     });
     assert!(aborted.is_some_and(|(time, frame)| time < t0 + PROCESSING && frame == heartbeat));
-    let sent_later = frames_of_boards(&rig, t0, Time::MAX).len();
+    let sent_later = rig.sent_by_boards(t0).count();
     assert_eq!(sent_later, rig.requested(0, t0).count(), "only frames requested later");
 }
 
@@ -209,15 +197,13 @@ fn an_answer_not_sent_before_the_request_for_silence_is_dropped() {
         rig.network.send(rig.master, request);
     }
     rig.network.run_for(Time::from_ms(5));
-    let last = rig.network.trace().iter().rfind(|event| {
-        event.source == Source::Adapter(rig.master) && matches!(event.what, What::Frame { .. })
-    });
-    let t0 = last.expect("the requests").time;
+    let of_master = |sent: &Sent| sent.by == Source::Adapter(rig.master);
+    let t0 = rig.sent(from).filter(of_master).last().expect("the requests").end;
     let delay = Time::from_ms(20);
     switch_master(&mut rig, t0 + delay, BitRate::Kbit250);
     rig.network.run_until(t0 + delay * 4);
-    assert!(frames_of_boards(&rig, from, t0).len() >= 2);
-    assert!(frames_of_boards(&rig, t0 + PROCESSING, Time::MAX).is_empty());
+    assert!(rig.sent_by_boards(from).filter(|sent| sent.start < t0).count() >= 2);
+    assert_eq!(rig.sent_by_boards(t0 + PROCESSING).count(), 0);
 }
 
 /// The watchdog, which resets a board after 2 s in which a task hangs, checks too: the rig expects no reset.

@@ -61,9 +61,9 @@ fn session(count: u32) -> Vec<Event> {
 #[test]
 fn a_wrap_of_the_count_of_time_changes_nothing_that_the_board_does() {
     let young = session(0);
-    let heartbeats = young.iter().filter(|event| {
-        matches!(event.what, What::Frame { frame, .. } if frame.id == emulator::can::Id::Standard(0x740))
-    });
+    let heartbeats = young.iter().filter(
+        |event| matches!(event.what, What::Frame { frame, .. } if frame.id == Id::Standard(0x740)),
+    );
     assert!(heartbeats.count() > 30, "{young:#?}");
     let old = session((MIDDLE_MS as u32 * 1000).wrapping_neg());
     assert_eq!(old.len(), young.len());

@@ -178,8 +178,6 @@ fn instant(range: Range<Time>, random: &mut Random) -> Time {
 /// A board and a master on one bus.
 struct Rig {
     rig: ImageRig,
-    /// The time of the last power-on.
-    since: Time,
     /// The node-ID of the board, once it is known.
     node_id: u8,
 }
@@ -310,15 +308,15 @@ impl Session {
     /// Checks after power returns: the board is reachable with legal content, also at another power-on, and can store.
     fn check(self, mut rig: Rig, mut expected: Expected) -> anyhow::Result<()> {
         let Expected { known, attempted } = expected;
-        rig.restart();
+        rig.rig.restart_unattended();
         let found = self.found(&mut rig)?;
         ensure!(expected.admits(found), "{found:?}, not {known:?} or {attempted:?}");
-        rig.restart();
+        rig.rig.restart_unattended();
         let again = self.found(&mut rig)?;
         ensure!(again == found, "{found:?} at one power-on, {again:?} at the next");
         let (_, last) = self.stores();
         rig.store(last)?;
-        rig.restart();
+        rig.rig.restart_unattended();
         let found_then = self.found(&mut rig)?;
         ensure!(found_then == Some(last.after(found)), "{found_then:?} after the cut");
         Ok(())
@@ -327,7 +325,7 @@ impl Session {
     /// Waits until the board is on the bus, and reads its content there; `None`: the defaults. Leaves the board in LSS
     /// configuration state.
     fn found(self, rig: &mut Rig) -> anyhow::Result<Option<Content>> {
-        let rate = rig.rig.join(rig.since).context("the power failed during the start")?;
+        let rate = rig.rig.join().context("the power failed during the start")?;
         rig.rig.send("04 01");
         let node_id = rig.ask("5E")?[1];
         if node_id == 0xFF && rate == DEFAULT_BIT_RATE {
@@ -351,12 +349,7 @@ impl Rig {
     fn new(variant: &Variant, content: &[u8]) -> Self {
         let mut board = variant.board(0, None);
         board.set_flash(SETTINGS_OFFSET, content);
-        Self { rig: ImageRig::unattended(board), since: Time::ZERO, node_id: 0xFF }
-    }
-
-    fn restart(&mut self) {
-        self.rig.restart_unattended();
-        self.since = self.rig.network.now();
+        Self { rig: ImageRig::unattended(board), node_id: 0xFF }
     }
 
     fn settings_flash(&self) -> Vec<u8> {

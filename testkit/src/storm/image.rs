@@ -13,6 +13,7 @@ use emulator::{
     Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
 };
 use example_io::application::{self as io, Filter, Sample};
+use lss_master::InquireAddress;
 
 use super::{NODE_ID, RATE, Stormed, Target, is_pdo, lss_data, next};
 use crate::{
@@ -50,7 +51,7 @@ pub struct ImageStorm<
     script: VecDeque<Frame>,
     /// Requests that come before all others.
     first: VecDeque<Frame>,
-    address: [u32; 4],
+    address: Address,
     /// The frames that the model has sent and the board still has to send.
     expected: Vec<canopen_node::Frame>,
     burst: Vec<Frame>,
@@ -114,18 +115,13 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         sample: Box<dyn Fn(&mut A)>,
     ) -> Self {
         rig.lss("04 01");
-        let address = ["5A", "5B", "5C", "5D"].map(|inquiry| {
-            let answer = rig.lss(inquiry);
-            u32::from_le_bytes(*answer.0[0].data()[1..].first_chunk().expect("eight bytes"))
-        });
+        let address = rig.carry_out(InquireAddress::new());
         rig.lss("04 00");
-        let [vendor_id, product_code, revision_number, serial_number] = address;
         // The options of the firmware's `device.rs`.
-        let device =
-            model::device(Address { vendor_id, product_code, revision_number, serial_number })
-                .with_name("LSS slave")
-                .with_versions("1.0", "0.1.0")
-                .with_defaults(settings(0xFF, RATE).with_heartbeat_ms(1000));
+        let device = model::device(address)
+            .with_name("LSS slave")
+            .with_versions("1.0", "0.1.0")
+            .with_defaults(settings(0xFF, RATE).with_heartbeat_ms(1000));
         let flash = BoardFlash::with_content(flash_with(&[stored]), 0);
         let mut model = NodeRig::with_application(device, flash, 0, application);
         model.take_actions();
@@ -181,7 +177,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     fn next_frame(&mut self) -> Frame {
         let node_id = self.model.node.node_id().map_or(0, |id| id.get());
-        let target = Target { address: self.address, node_id };
+        let target = Target { address: self.address.into(), node_id };
         let frame = next::<A>(&mut self.random, &mut self.script, &target);
         let mut frame = A::without_time(&mut self.random, frame, node_id);
         if let Some(data) = lss_data(&frame) {

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use canopen_node::{
     Action, Settings,
     application::NoApplication,
-    lss::{self, Address, State},
+    lss::{self, State},
     sdo,
 };
 use emulator::can::Frame;
@@ -95,7 +95,8 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     fn one_more(&mut self) {
         let node_id = self.board.node.node_id().map_or(0, |id| id.get());
-        let frame = next::<A>(&mut self.random, &mut self.script, &target(node_id));
+        let target = Target { address: ADDRESS.into(), node_id };
+        let frame = next::<A>(&mut self.random, &mut self.script, &target);
         self.board.pass_us(FRAME_US);
         if self.random.one_in(1_000) {
             self.board.pass_us(self.random.within(0..500_000));
@@ -170,9 +171,4 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         assert_eq!(self.board.lss("5E").0, [], "waiting after {} frames", self.frames);
         self.board.take_actions();
     }
-}
-
-fn target(node_id: u8) -> Target {
-    let Address { vendor_id, product_code, revision_number, serial_number } = ADDRESS;
-    Target { address: [vendor_id, product_code, revision_number, serial_number], node_id }
 }
