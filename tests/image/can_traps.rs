@@ -48,15 +48,6 @@ fn a_listener_whose_transmit_pin_is_locked_never_holds_the_bus_dominant() {
 }
 
 #[test]
-fn a_board_joins_though_its_controller_acknowledges_late_or_only_later() {
-    let lost = [2, 3, 4].map(|every| Acknowledge::Lost { every });
-    for acknowledge in lost.into_iter().chain([1, 11].map(Acknowledge::Late)) {
-        let mut rig = node_40_on(CanVariant { acknowledge, ..CanVariant::default() });
-        assert!(answers(&mut rig), "{acknowledge:?}");
-    }
-}
-
-#[test]
 fn a_controller_that_acknowledges_nothing_for_a_while_is_tried_again() {
     let dead = CanVariant { acknowledge: Acknowledge::Lost { every: 1 }, ..CanVariant::default() };
     let mut rig = node_40_on(CanVariant::default());
@@ -107,14 +98,17 @@ fn each_frame_is_handled_once_though_the_fifo_shows_the_next_one_late() {
 }
 
 #[test]
-fn a_board_is_configured_under_each_other_reading() {
+fn a_board_joins_and_is_configured_under_each_other_reading() {
     let off = CanVariant::default();
-    for variant in [
+    let lost = [2, 3, 4].map(|every| Acknowledge::Lost { every });
+    let late = lost.into_iter().chain([1, 11].map(Acknowledge::Late));
+    let others = [
         CanVariant { passive_errors_interrupt: true, ..off },
         CanVariant { bus_off_tec_overflows: true, ..off },
         CanVariant { both_fifos: true, ..off },
         CanVariant { late_choice: true, ..off },
-    ] {
+    ];
+    for variant in late.map(|acknowledge| CanVariant { acknowledge, ..off }).chain(others) {
         let mut rig = node_40_on(variant);
         assert!(answers(&mut rig), "{variant:?}");
         assert_eq!(rig.lss("11 41, 17"), ["11 00", "17 00"], "{variant:?}");

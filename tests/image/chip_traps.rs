@@ -76,12 +76,6 @@ fn a_node_whose_supply_stays_low_is_on_the_bus_and_formats_and_stores() {
     }
 }
 
-#[test]
-fn a_core_that_runs_on_while_the_flash_is_busy_waits_for_its_end() {
-    let mut rig = node_40_on(ChipVariant { cached_code: true, ..ChipVariant::default() });
-    assert_stores(&mut rig);
-}
-
 /// After the failure the board must not send; a frame under way ends as an error.
 #[test]
 fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
@@ -135,17 +129,22 @@ fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_each_100_ms() {
 }
 
 #[test]
-fn a_crystal_may_take_from_0_1_to_90_ms_to_start() {
-    for hse_start in [100, 10_000, 90_000].map(Time::from_us) {
-        let mut rig = node_40_on(ChipVariant { hse_start, ..ChipVariant::default() });
-        assert!(answers(&mut rig));
-    }
-}
-
-#[test]
-fn a_core_that_is_two_or_three_times_slower_answers_and_stores() {
-    for slowdown in [2, 3] {
-        let mut rig = slow_node_40(slowdown);
+fn parts_as_slow_or_as_quick_as_allowed_are_enough_to_answer_and_to_store() {
+    let usual = ChipVariant::default();
+    let crystal = |us| ChipVariant { hse_start: Time::from_us(us), ..usual };
+    for variant in [
+        crystal(100),
+        crystal(10_000),
+        crystal(90_000),
+        ChipVariant { slowdown: 2, ..usual },
+        ChipVariant { slowdown: 3, ..usual },
+        ChipVariant { start_up: StartUp::Fastest, ..crystal(100) },
+        ChipVariant { start_up: StartUp::Slowest, ..crystal(10_000) },
+        // The core runs on while the flash is busy.
+        ChipVariant { cached_code: true, ..usual },
+    ] {
+        println!("{variant:?}");
+        let mut rig = node_40_on(variant);
         assert!(answers(&mut rig));
         assert_stores(&mut rig);
     }
@@ -173,16 +172,6 @@ fn a_brown_out_while_settings_are_written_loses_none() {
         found_new += u32::from(is_new);
     }
     assert!((5..40).contains(&found_new), "{found_new} of 45 found the new settings");
-}
-
-#[test]
-fn a_board_that_starts_as_slowly_or_as_quickly_as_allowed_stores() {
-    for (start_up, hse_start) in
-        [(StartUp::Fastest, Time::from_us(100)), (StartUp::Slowest, Time::from_ms(10))]
-    {
-        let mut rig = node_40_on(ChipVariant { start_up, hse_start, ..ChipVariant::default() });
-        assert_stores(&mut rig);
-    }
 }
 
 /// The Discovery feeds its chip from 3 V through a diode.

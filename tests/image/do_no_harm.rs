@@ -8,6 +8,11 @@ use crate::{
     rig::*,
 };
 
+fn assert_within(limit: Time, time: Option<Time>, what: &str) {
+    println!("{what}: {time:?}");
+    assert!(time.is_some_and(|time| time < limit), "{what}: {time:?}");
+}
+
 /// Makes the master read the device type of node 1 every 20 ms until it answers; returns the time taken.
 fn reach(rig: &mut ImageRig, limit: Time) -> Option<Time> {
     rig.poll_until(&read(1), limit, |frame| frame.cob_id() == 0x581)
@@ -48,7 +53,7 @@ fn a_laptop_at_a_wrong_rate_at_power_on_leaves_the_stored_rate() {
         rig.network.adapter_mut(rig.master).open();
         let time = reach(&mut rig, Time::from_s(2));
         let limit = Time::from_ms(100) + patience(home);
-        assert!(time.is_some_and(|time| time <= limit), "{home:?}, laptop {wrong:?}: {time:?}");
+        assert_within(limit, time, &format!("{home:?}, laptop {wrong:?}"));
     }
 }
 
@@ -66,9 +71,8 @@ fn a_wrong_stored_rate_is_found_by_a_polling_master_within_1500_ms() {
         let heartbeat_ms = [1000, 0, 100][number % 3];
         let mut rig = alone(heartbeat_ms, stored, found);
         let time = reach(&mut rig, Time::from_s(10));
-        let what = format!("{stored:?} stored, {found:?}, heartbeat {heartbeat_ms} ms: {time:?}");
-        println!("{what}");
-        assert!(time.is_some_and(|time| time <= Time::from_ms(1500)), "{what}");
+        let what = format!("{stored:?} stored, {found:?}, heartbeat {heartbeat_ms} ms");
+        assert_within(Time::from_ms(1500), time, &what);
     }
 }
 
@@ -83,9 +87,7 @@ fn a_board_without_a_node_id_is_found_at_any_rate_within_1500_ms() {
         rig.network.record(Recording::Off);
         let is_answer = |frame: &canopen_node::Frame| frame.cob_id() == 0x7E4;
         let time = rig.poll_until(&frames::request("4C"), Time::from_s(10), is_answer);
-        let what = format!("{stored:?} stored, {found:?}: {time:?}");
-        println!("{what}");
-        assert!(time.is_some_and(|time| time <= Time::from_ms(1500)), "{what}");
+        assert_within(Time::from_ms(1500), time, &format!("{stored:?} stored, {found:?}"));
     }
 }
 
@@ -159,9 +161,7 @@ fn a_wrong_stored_rate_is_found_within_5_s_by_one_heartbeat_a_second() {
     for node_id in [1, 0xFF] {
         for pair in pairs().filter(|&pair| !may_not_notice(pair)) {
             let time = time_until_found(node_id, pair, Traffic::sparse, Time::from_s(8));
-            let what = format!("node {node_id:02X}: stored, found {pair:?}: {time:?}");
-            println!("{what}");
-            assert!(time.is_some_and(|time| time <= Time::from_s(5)), "{what}");
+            assert_within(Time::from_s(5), time, &format!("{node_id:02X}: stored, found {pair:?}"));
         }
     }
 }
@@ -170,12 +170,10 @@ fn a_wrong_stored_rate_is_found_within_5_s_by_one_heartbeat_a_second() {
 fn a_wrong_stored_rate_is_found_in_100_ms_under_load_or_a_turn_later() {
     for (stored, found) in pairs() {
         let time = time_until_found(0xFF, (stored, found), Traffic::dense, Time::from_s(2));
-        let what = format!("{stored:?} stored, {found:?} found: {time:?}");
-        println!("{what}");
         // The frames at 10 kbit/s are so long that a stay ends before the search has come to that rate.
         let turn =
             Time::from_us(30_000 + 18 * LONG_FRAME_BITS * 1000 / u64::from(stored.kbit_per_s()));
         let limit = Time::from_ms(100) + if found == BitRate::Kbit10 { turn } else { Time::ZERO };
-        assert!(time.is_some_and(|time| time < limit), "{what}");
+        assert_within(limit, time, &format!("{stored:?} stored, {found:?} found"));
     }
 }
