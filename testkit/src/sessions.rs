@@ -13,7 +13,7 @@ use emulator::{
 use lss_master::Fastscan;
 
 use crate::{
-    boards,
+    boards, frames,
     image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
     power_cut::image::Session as PowerCuts,
     random::Random,
@@ -68,14 +68,23 @@ pub fn all(quick: bool) -> Vec<(&'static str, Session)> {
         ("boot", boot),
         ("configuration", |variant| configure(variant, 1)),
         ("switch", |variant| switch(variant, &[BitRate::Kbit500, BitRate::Kbit125], 50)),
-        ("detection under load", detect_under_load),
+        ("detection under load", |variant| {
+            // 90 %.
+            let every_bits = 122 * 10 / 9;
+            detect(variant, BitRate::Kbit500, every_bits);
+            detect(variant, BitRate::Kbit50, every_bits);
+        }),
         ("bus-off", bus_off),
         ("reset", reset),
     ];
     if !quick {
         sessions.push(("configuration of three", |variant| configure(variant, 3)));
         sessions.push(("switch without delay", |variant| switch(variant, &OTHER_RATES, 0)));
-        sessions.push(("detection", detect));
+        sessions.push(("detection", |variant| {
+            // A frame a second.
+            detect(variant, BitRate::Kbit1000, 1_000_000);
+            detect(variant, BitRate::Kbit125, 125_000);
+        }));
         sessions.push(("rescue", rescue));
         sessions.push(("power cuts", cut_power));
     }
@@ -135,22 +144,8 @@ fn switch(variant: &Variant, rates: &[BitRate], delay_ms: u8) {
     }
 }
 
-/// Detection at 90 % load.
-fn detect_under_load(variant: &Variant) {
-    for rate in [BitRate::Kbit500, BitRate::Kbit50] {
-        detect_at(variant, rate, 122 * 10 / 9);
-    }
-}
-
-/// Detection with a frame a second.
-fn detect(variant: &Variant) {
-    for rate in [BitRate::Kbit1000, BitRate::Kbit125] {
-        detect_at(variant, rate, bit_per_s(rate).into());
-    }
-}
-
 /// A node that detects the rate joins a bus where two others exchange a frame every `every_bits` bits.
-fn detect_at(variant: &Variant, rate: BitRate, every_bits: u64) {
+fn detect(variant: &Variant, rate: BitRate, every_bits: u64) {
     let board = variant.board(0, Some(settings(5, BitRateSetting::Automatic)));
     let mut rig = ImageRig::new(rate, [board]);
     let other = rig.network.add_adapter(Adapter::new(bit_per_s(rate)));
@@ -162,10 +157,8 @@ fn detect_at(variant: &Variant, rate: BitRate, every_bits: u64) {
         let data = count.wrapping_mul(0x9E37_79B9_7F4A_7C15).to_le_bytes();
         rig.network.send(other, Frame::data(Id::Standard(0x181), &data));
         rig.network.run_for(every);
-        while let Some((_, frame)) = rig.network.receive(rig.master) {
-            if frame == Frame::data(Id::Standard(0x705), &[0]) {
-                return;
-            }
+        if rig.collect(Time::ZERO).0.contains(&frames::of_node("705: 00")) {
+            return;
         }
     }
     panic!("{} kbit/s is not detected", rate.kbit_per_s());
@@ -173,19 +166,11 @@ fn detect_at(variant: &Variant, rate: BitRate, every_bits: u64) {
 
 /// A foreign node drives a node bus-off; the node recovers soon after the other has left.
 fn bus_off(variant: &Variant) {
-    let mut rig = ImageRig::new(
-        BitRate::Kbit500,
-        [variant.board(0, Some(settings(5, BitRate::Kbit500).with_heartbeat_ms(20)))],
-    );
+    let stored = settings(5, BitRate::Kbit500).with_heartbeat_ms(20);
+    let mut rig = ImageRig::new(BitRate::Kbit500, [variant.board(0, Some(stored))]);
     rig.expect("705: 00", AWAY);
-    let foreign = rig.network.add_adapter(Adapter::new(333_000));
-    rig.network.adapter_mut(rig.master).close();
-    for _ in 0..300 {
-        rig.network.send(foreign, Frame::data(Id::Standard(0x7FF), &[0xA5; 8]));
-        rig.network.run_for(Time::from_ms(1));
-    }
-    rig.network.adapter_mut(foreign).close();
-    rig.network.adapter_mut(rig.master).open();
+    let foreign = rig.add_disturber();
+    rig.disturb(foreign, Id::Standard(0x7FF), Time::from_ms(1), Time::from_ms(300));
     rig.send("04 01");
     rig.reach("5E", "5E 05", RECOVERY);
     rig.expect("705: 7F", AWAY);

@@ -213,10 +213,10 @@ impl Bus {
 
     /// Records a store of a node-ID, which was confirmed or interrupted.
     pub fn note_stored(&mut self, board: usize, node_id: u8, is_confirmed: bool) {
+        let slot = &mut self.slots[board];
+        slot.attempted = (!is_confirmed).then_some(node_id);
         if is_confirmed {
-            (self.slots[board].node_id, self.slots[board].attempted) = (node_id, None);
-        } else {
-            self.slots[board].attempted = Some(node_id);
+            slot.node_id = node_id;
         }
     }
 
@@ -226,14 +226,10 @@ impl Bus {
         if !self.send(&request("04 00")) {
             return false;
         }
-        for (command, part) in [
-            ("40", address.vendor_id),
-            ("41", address.product_code),
-            ("42", address.revision_number),
-        ] {
-            self.lss(&format!("{command} {}", number(part)));
+        let mut answers = Vec::new();
+        for (command, part) in (0x40..).zip(<[u32; 4]>::from(address)) {
+            answers = self.lss(&format!("{command:02X} {}", number(part)));
         }
-        let answers = self.lss(&format!("43 {}", number(address.serial_number)));
         assert!(answers.len() <= 1, "{} s: {answers:?}", self.now / SECOND);
         answers.len() == 1
     }
