@@ -160,17 +160,6 @@ fn command_specifiers(answers: &Frames) -> Vec<u8> {
 }
 
 #[test]
-fn six_requests_back_to_back_at_1_mbit_per_s_are_answered_in_their_order() {
-    let mut rig = node_40(0);
-    for _ in 0..20 {
-        rig.send(REQUESTS);
-        let answers = rig.collect(Time::from_ms(3));
-        assert_eq!(command_specifiers(&answers), [0x5A, 0x5B, 0x5C, 0x5D, 0x5E]);
-        assert_eq!(rig.lss("04 00"), SILENCE);
-    }
-}
-
-#[test]
 fn six_requests_back_to_back_are_answered_in_order_on_a_full_bus() {
     let mut random = Random::from_environment();
     let mut rig = node_40(7);

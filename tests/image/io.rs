@@ -183,40 +183,6 @@ fn a_larger_filter_constant_slows_the_temperature() {
 }
 
 #[test]
-fn the_filter_constant_is_stored_and_restored() {
-    let mut rig = node_1();
-    let after_power_cycle = |rig: &mut ImageRig| {
-        rig.power_cycle(0);
-        assert_eq!(rig.collect(Time::from_ms(50)), ["701: 00"]);
-        read(rig, 0x2100, 0)
-    };
-    write(&mut rig, &["2F 00 21 00 05"]);
-    assert_eq!(after_power_cycle(&mut rig), 3);
-    write(&mut rig, &["2F 00 21 00 07", "23 10 10 01 73 61 76 65"]);
-    assert_eq!(after_power_cycle(&mut rig), 7);
-    write(&mut rig, &["23 11 10 01 6C 6F 61 64"]);
-    assert_eq!(read(&mut rig, 0x2100, 0), 7);
-    assert_eq!(after_power_cycle(&mut rig), 3);
-}
-
-#[test]
-fn the_pdos_follow_a_node_id_that_lss_sets() {
-    let mut rig = operational();
-    rig.lss("04 01, 11 05, 17, 04 00");
-    assert!(rig.nmt("82 01").0.iter().any(|frame| frame.cob_id() == 0x705));
-    rig.nmt("01 05");
-    press(&rig, true);
-    assert_eq!(of(0x185, &rig.collect(SOON)), ["185: 01"]);
-    rig.transmit(data(0x201, &[1]));
-    rig.network.run_for(SOON);
-    assert_eq!(leds(&rig), [false; 2]);
-    rig.transmit(data(0x205, &[2]));
-    rig.network.run_for(SOON);
-    assert_eq!(leds(&rig), [false, true]);
-    assert_eq!(rig.sdo_client(5).number(0x1400, 1), 0x205);
-}
-
-#[test]
 fn a_wrong_length_that_repeats_before_its_message_is_sent_is_one_error() {
     let mut rig = node_1();
     let without_tpdos =
