@@ -1,14 +1,6 @@
 //! Sessions of an LSS master with the release image on emulated boards, frame by frame.
 
-use lss_master::Fastscan;
-
 use crate::rig::*;
-
-/// Selects a board; returns its answer.
-fn select(rig: &mut ImageRig, address: [u32; 4]) -> Frames {
-    let [vendor, product, revision, serial] = address.map(frames::number);
-    rig.lss(&format!("40 {vendor}, 41 {product}, 42 {revision}, 43 {serial}"))
-}
 
 /// Restarts the board by NMT; returns its boot-up at its new bit rate.
 fn reset_node(rig: &mut ImageRig, node_id: u8, then: BitRate) -> Frames {
@@ -44,29 +36,6 @@ fn a_new_board_gets_its_node_id_and_bit_rate_and_comes_back_with_them() {
     rig.power_cycle(0);
     assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
     assert_eq!(rig.lss("4C"), SILENCE);
-}
-
-#[test]
-fn fastscan_finds_three_new_boards_and_each_gets_a_node_id() {
-    let mut rig = ImageRig::new(
-        BitRate::Kbit1000,
-        [1, 2, 3].map(|number| board_with(number, settings(0xFF, BitRate::Kbit1000))),
-    );
-    let mut found: Vec<[u32; 4]> = Vec::new();
-    while let Some(address) = rig.carry_out(Fastscan::new()) {
-        let node_id = found.len() + 1;
-        let answers = rig.lss(&format!("5E, 11 {node_id:02X}, 17"));
-        assert_eq!(answers, ["5E FF", "11 00", "17 00"]);
-        assert_eq!(rig.lss("04 00"), [format!("70{node_id}: 00").as_str()]);
-        found.push(address.into());
-    }
-    assert_eq!(found.len(), 3);
-    assert!(found.iter().all(|address| address[..3] == found[0][..3]), "one product");
-    assert_eq!(rig.lss("4C"), SILENCE);
-    for (address, node_id) in found.into_iter().zip(1..) {
-        assert_eq!(select(&mut rig, address), ["44"]);
-        assert_eq!(rig.lss("5E, 04 00"), [format!("5E {node_id:02X}").as_str()]);
-    }
 }
 
 #[test]
