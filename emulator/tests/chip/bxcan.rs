@@ -5,5 +5,4 @@ mod filters;
 mod modes;
 mod receive;
 mod registers;
-mod rig;
 mod transmit;

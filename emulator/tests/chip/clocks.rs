@@ -1,0 +1,333 @@
+//! Clocks, supply, reset, pins and watchdog, and what any register has in common.
+
+use emulator::{
+    Time,
+    can::Clock,
+    chip::{ChipVariant, Part, Pin, Problem, Request, ResetCause, Thresholds, Width},
+};
+
+use crate::rig::{
+    FLASH_ACR, GPIOA, MCR, PWR_CR, RCC_AHB1ENR, RCC_APB1ENR, RCC_APB2ENR, RCC_CFGR, RCC_CR,
+    RCC_CSR, RCC_PLLCFGR, Rig,
+};
+
+const RCC_CIR: u32 = 0x4002_380C;
+const IWDG: u32 = 0x4000_3000;
+const PWR_CSR: u32 = 0x4000_7004;
+
+/// Switches to HSE and PLL, 8 MHz / 4 * `n` / 2.
+fn switch_to_pll(rig: &mut Rig, n: u32, wait_states: u32, prescalers: u32) {
+    rig.write(FLASH_ACR, wait_states);
+    rig.write_all(&[(RCC_CR, 0x0001_0083), (RCC_PLLCFGR, 1 << 22 | n << 6 | 4)]);
+    rig.at(Time::from_ms(10)).write_all(&[(RCC_CR, 0x0101_0083), (RCC_CFGR, prescalers)]);
+    rig.at(Time::from_ms(11)).write(RCC_CFGR, prescalers | 2);
+}
+
+/// At 128 MHz, with APB1 at 32 MHz, APB2 at 64 MHz, and four wait states.
+fn at_128_mhz(part: Part) -> Rig {
+    let mut rig = Rig::new(part);
+    switch_to_pll(&mut rig, 128, 4, 4 << 13 | 5 << 10);
+    rig
+}
+
+#[test]
+fn the_pll_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
+    for part in Part::ALL.into_iter().filter(|part| part.clock_limits().0 > 128_000_000) {
+        let mut rig = at_128_mhz(part);
+        let clocks = rig.clocks();
+        assert_eq!(clocks.hclk, Clock { hz: 128_000_000, ppm: 20 });
+        assert_eq!(clocks.pclk1, Clock { hz: 32_000_000, ppm: 20 });
+        assert_eq!(clocks.pclk2, Clock { hz: 64_000_000, ppm: 20 });
+        assert_eq!(rig.read(RCC_CFGR) & 0xF, 0b1010);
+        assert_eq!(rig.findings(), []);
+    }
+}
+
+/// The problems of a PLL clock of 8 MHz / 4 * `n` / 2 with APB1 at an eighth and APB2 at a quarter of it.
+fn problems_at(part: Part, n: u32, wait_states: u32, power: Option<u32>) -> Vec<Problem> {
+    let mut rig = Rig::new(part);
+    if let Some(power) = power {
+        rig.write_all(&[(RCC_APB1ENR, 1 << 28), (PWR_CR, power)]);
+    }
+    switch_to_pll(&mut rig, n, wait_states, 5 << 13 | 6 << 10);
+    rig.problems()
+}
+
+#[test]
+fn each_manual_has_its_own_number_of_wait_states() {
+    for (part, mhz, wait_states) in [
+        (Part::Stm32f405, 150, 4),
+        (Part::Stm32f405, 160, 5),
+        (Part::Stm32f412, 64, 1),
+        (Part::Stm32f412, 80, 2),
+        (Part::Stm32f413, 75, 2),
+        (Part::Stm32f413, 80, 3),
+        (Part::Stm32f469, 160, 5),
+    ] {
+        assert_eq!(problems_at(part, mhz, wait_states, None), [], "{part:?} {mhz} MHz");
+        let too_few = Problem::Misuse("too few flash wait states for this HCLK");
+        let found = problems_at(part, mhz, wait_states - 1, None);
+        assert_eq!(found, [too_few], "{part:?} {mhz} MHz");
+    }
+}
+
+#[test]
+fn a_clock_above_the_voltage_scale_is_found() {
+    let too_fast = Problem::Misuse("HCLK above the limit of the voltage scale (PWR_CR.VOS)");
+    for (part, power, mhz) in [
+        (Part::Stm32f405, Some(0), 144),
+        (Part::Stm32f405, None, 168),
+        (Part::Stm32f412, Some(0x4000), 64),
+        (Part::Stm32f412, None, 84),
+        (Part::Stm32f423, Some(0xC000), 100),
+        (Part::Stm32f429, Some(0x4000), 120),
+        (Part::Stm32f446, Some(0x8000), 144),
+        (Part::Stm32f479, None, 168),
+    ] {
+        assert_eq!(problems_at(part, mhz, 7, power), [], "{part:?} {power:?} {mhz} MHz");
+        let is_highest = mhz * 1_000_000 == part.clock_limits().0;
+        let found = problems_at(part, mhz + 2, 7, power);
+        if is_highest {
+            assert!(!found.is_empty(), "{part:?}");
+        } else {
+            assert_eq!(found, [too_fast], "{part:?} {power:?}");
+        }
+    }
+}
+
+#[test]
+fn a_part_of_100_mhz_starts_at_voltage_scale_2() {
+    for part in [Part::Stm32f412, Part::Stm32f413, Part::Stm32f423] {
+        let mut rig = Rig::new(part);
+        rig.write(RCC_APB1ENR, 1 << 28);
+        assert_eq!(rig.read(PWR_CR), 0x8000, "{part:?}");
+    }
+}
+
+#[test]
+fn a_crystal_is_ready_after_the_time_of_its_variant_or_never() {
+    let ready = |hse_start: Time, after: Time| {
+        let variant = ChipVariant { hse_start, ..ChipVariant::default() };
+        let mut rig = Rig::with_variant(Part::Stm32f405, variant);
+        rig.write(RCC_CR, 0x0001_0083);
+        rig.at(after).read(RCC_CR) >> 17 & 1 == 1
+    };
+    for hse_start in [Time::from_us(100), Time::from_ms(10)] {
+        assert!(!ready(hse_start, hse_start - Time::from_us(1)), "{hse_start}");
+        assert!(ready(hse_start, hse_start), "{hse_start}");
+    }
+    assert!(!ready(Time::MAX, Time::from_s(100)));
+}
+
+#[test]
+fn with_clock_security_a_crystal_that_stops_leaves_hsi_and_interrupts() {
+    let mut rig = at_128_mhz(Part::Stm32f405);
+    let now = Time::from_s(1);
+    rig.at(now).write(RCC_CR, 0x0109_0083);
+    assert!(!rig.nmi());
+    rig.stop_crystal(now);
+    assert_eq!((rig.nmi(), rig.is_stopped()), (true, false));
+    // The prescalers keep their values: APB1 runs at a quarter of 16 MHz.
+    assert_eq!((rig.clocks().hclk.hz, rig.clocks().pclk1.hz), (16_000_000, 4_000_000));
+    assert_eq!(rig.read(RCC_CR) & 0x0303_0003, 0x0000_0003);
+    assert_eq!(rig.read(RCC_CIR), 1 << 7);
+    rig.write(RCC_CIR, 1 << 23);
+    assert!(!rig.nmi());
+
+    let later = Time::from_s(2);
+    rig.write(RCC_CR, 0x0009_0083);
+    assert_eq!(rig.at(later).read(RCC_CR) >> 17 & 1, 0, "it does not work");
+    rig.start_crystal(later);
+    assert_eq!(rig.at(later + Time::from_ms(2)).read(RCC_CR) >> 17 & 1, 1);
+    assert_eq!(rig.findings(), []);
+}
+
+#[test]
+fn without_clock_security_a_crystal_that_stops_stops_the_chip() {
+    let mut rig = at_128_mhz(Part::Stm32f405);
+    rig.stop_crystal(Time::from_s(1));
+    assert_eq!((rig.nmi(), rig.is_stopped()), (false, true));
+    rig.reset(ResetCause::Watchdog, Time::from_s(2));
+    assert!(!rig.is_stopped());
+}
+
+#[test]
+fn the_voltage_detector_compares_the_supply_with_the_chosen_level() {
+    // PLS, then the rising and the falling level of the lowest, the typical and the highest chip.
+    let levels = [
+        (0, [2_090, 2_140, 2_190], [1_980, 2_040, 2_080]),
+        (4, [2_700, 2_760, 2_820], [2_590, 2_660, 2_710]),
+        (5, [2_860, 2_930, 2_990], [2_750, 2_840, 2_920]),
+        (7, [3_070, 3_140, 3_210], [2_950, 3_030, 3_090]),
+    ];
+    for (place, thresholds) in
+        [Thresholds::Lowest, Thresholds::Typical, Thresholds::Highest].into_iter().enumerate()
+    {
+        let variant = ChipVariant { thresholds, ..ChipVariant::default() };
+        let mut rig = Rig::with_variant(Part::Stm32f405, variant);
+        let low = |rig: &mut Rig| rig.read(PWR_CSR) >> 2 & 1 == 1;
+        rig.write(RCC_APB1ENR, 1 << 28);
+        rig.set_supply(1_900);
+        assert!(!low(&mut rig), "it is off");
+        for (pls, rising, falling) in levels {
+            let (rising, falling) = (rising[place], falling[place]);
+            rig.set_supply(rising - 1);
+            rig.write_all(&[(PWR_CR, 0x4000), (PWR_CR, 0x4010 | pls << 5)]);
+            for (mv, is_low) in [
+                (rising - 1, true),
+                (rising, false),
+                (falling, false),
+                (falling - 1, true),
+                (rising - 1, true),
+            ] {
+                rig.set_supply(mv);
+                assert_eq!(low(&mut rig), is_low, "{thresholds:?}, {pls}, {mv} mV");
+            }
+        }
+        rig.set_supply(2_000);
+        rig.reset(ResetCause::Software, Time::ZERO);
+        rig.write_all(&[(RCC_APB1ENR, 1 << 28), (PWR_CR, 0x40B0)]);
+        assert!(low(&mut rig), "a reset does not change the supply");
+        assert_eq!(rig.findings(), []);
+    }
+}
+
+#[test]
+fn sysclk_does_not_follow_to_a_source_that_is_not_ready() {
+    let mut rig = Rig::new(Part::Stm32f405);
+    rig.write(RCC_CFGR, 1);
+    assert_eq!(rig.clocks().sysclk.hz, 16_000_000);
+    assert!(matches!(rig.problems()[0], Problem::Misuse(_)));
+}
+
+#[test]
+fn too_few_wait_states_and_apb1_above_42_mhz_are_found_while_the_pll_runs() {
+    for (register, value, problem) in [
+        (FLASH_ACR, 3, "too few flash wait states for this HCLK"),
+        (RCC_CFGR, 4 << 13 | 4 << 10 | 2, "SYSCLK, APB1 or APB2 above the part's limit"),
+    ] {
+        let mut rig = at_128_mhz(Part::Stm32f407);
+        rig.write(register, value);
+        assert_eq!(rig.problems(), [Problem::Misuse(problem)]);
+    }
+}
+
+#[test]
+fn a_peripheral_without_clock_reads_0_loses_writes_and_is_found() {
+    let mut rig = Rig::new(Part::Stm32f405);
+    rig.write(GPIOA, 0x5555_5555);
+    assert_eq!(rig.read(GPIOA), 0);
+    assert_eq!(rig.problems(), [Problem::ClockOff; 2]);
+    rig.write(RCC_AHB1ENR, 1);
+    assert_eq!(rig.read(GPIOA), 0xA800_0000);
+}
+
+#[test]
+fn an_unknown_register_is_found_once_and_counted() {
+    let mut rig = Rig::new(Part::Stm32f405);
+    for _ in 0..3 {
+        assert_eq!(rig.at(Time::from_us(5)).read(0x4000_3800), 0);
+    }
+    let [finding] = rig.findings() else { panic!("{:?}", rig.findings()) };
+    assert_eq!((finding.problem, finding.count, finding.pc), (Problem::Unmodelled, 3, 0x0800_1234));
+    assert_eq!(
+        finding.to_string(),
+        "0.005000 ms, pc 08001234: 32-bit read of 40003800: not modelled (3 times)"
+    );
+}
+
+#[test]
+fn reset_flags_add_up_until_they_are_removed() {
+    let mut rig = Rig::new(Part::Stm32f405);
+    assert_eq!(rig.read(RCC_CSR), 0x0E00_0000);
+    rig.reset(ResetCause::Software, Time::ZERO);
+    assert_eq!(rig.read(RCC_CSR), 0x1E00_0000);
+    rig.write(RCC_CSR, 1 << 24);
+    assert_eq!(rig.read(RCC_CSR), 0);
+    rig.reset(ResetCause::Watchdog, Time::ZERO);
+    assert_eq!(rig.read(RCC_CSR), 0x2400_0000);
+}
+
+#[test]
+fn an_output_keeps_the_time_of_its_last_change() {
+    let mut rig = Rig::new(Part::Stm32f405);
+    rig.write(RCC_AHB1ENR, 1);
+    let mut level = |ms, register, value, expected, since_ms| {
+        rig.at(Time::from_ms(ms)).write(GPIOA + register, value);
+        let output = rig.gpio().output(Pin('A', 5));
+        assert_eq!((output.level, output.since), (expected, Time::from_ms(since_ms)), "{ms} ms");
+    };
+    level(0, 0x00, 0xA800_0000, None, 0);
+    level(1, 0x00, 0xA800_0400, Some(false), 1);
+    level(2, 0x18, 1 << 5, Some(true), 2);
+    level(3, 0x18, 1 << 5 | 1 << 6, Some(true), 2);
+    level(5, 0x18, 1 << 21, Some(false), 5);
+}
+
+#[test]
+fn an_input_reads_its_pull_until_something_is_connected() {
+    let mut rig = Rig::new(Part::Stm32f405);
+    rig.write_all(&[(RCC_AHB1ENR, 1), (GPIOA + 0x0C, 0x6400_0001)]);
+    assert_eq!(rig.read(GPIOA + 0x10) & 1, 1);
+    rig.gpio_mut().set_input(Pin('A', 0), Some(false));
+    assert_eq!(rig.read(GPIOA + 0x10) & 1, 0);
+}
+
+#[test]
+fn the_watchdog_runs_out_after_its_periods_of_lsi() {
+    let mut rig = Rig::new(Part::Stm32f405);
+    let start = Time::from_ms(7);
+    rig.at(start).write_all(&[(IWDG, 0x5555), (IWDG + 4, 3), (IWDG + 8, 999)]);
+    assert_eq!(rig.read(IWDG + 12), 3);
+    rig.write(IWDG, 0xCCCC);
+    // The first count is from 4095, at 32 kHz / 32; then 1000 periods.
+    assert_eq!(rig.next_event(), start + Time::from_ms(4096));
+    assert_eq!(rig.at(start + Time::from_ms(1)).read(IWDG + 12), 0);
+    rig.at(start + Time::from_ms(400)).write(IWDG, 0xAAAA);
+    assert_eq!(rig.next_event(), start + Time::from_ms(1400));
+    rig.advance(start + Time::from_ms(1400));
+    assert_eq!(rig.take_request(), Some(Request::Reset(ResetCause::Watchdog)));
+    assert_eq!(rig.findings(), []);
+}
+
+#[test]
+fn a_fast_lsi_shortens_the_watchdog() {
+    let variant = ChipVariant { lsi_hz: 47_000, ..ChipVariant::default() };
+    let mut rig = Rig::with_variant(Part::Stm32f405, variant);
+    rig.write(IWDG, 0xCCCC);
+    assert_eq!(rig.next_event().as_us(), 4 * 4096 * 1_000_000 / 47_000);
+}
+
+#[test]
+fn a_byte_on_apb_is_repeated_in_every_lane_and_one_on_ahb_is_not() {
+    const SYSCFG_EXTICR1: u32 = 0x4001_3808;
+    let mut rig = Rig::new(Part::Stm32f405);
+    rig.write_all(&[(RCC_AHB1ENR, 1), (RCC_APB2ENR, 1 << 14)]);
+    for (register, byte, value, word) in
+        [(GPIOA + 0x14, 1, 0x81, 0x8100), (SYSCFG_EXTICR1, 0, 0x12, 0x1212_1212)]
+    {
+        rig.store(register + byte, Width::Byte, value).expect("no bus error");
+        assert_eq!(rig.read(register), word);
+    }
+}
+
+#[test]
+fn the_factory_data_is_readable_in_any_width() {
+    for part in Part::ALL {
+        let mut rig = Rig::new(part);
+        assert_eq!(rig.read(0x1FFF_7A10).to_le_bytes(), *b"uniq");
+        assert_eq!(rig.read(0x1FFF_7A18).to_le_bytes(), *b"d 12");
+        assert_eq!(rig.load(0x1FFF_7A22, Width::Half) * 1024, part.flash_size());
+        assert_eq!(rig.read(0xE004_2000), part.id_code());
+        assert_eq!(rig.findings(), []);
+    }
+}
+
+#[test]
+fn a_reset_through_rcc_puts_can_back_to_sleep() {
+    let mut rig = Rig::clocked(Part::Stm32f405);
+    rig.write(MCR, 1);
+    assert_eq!(rig.read(MCR), 1);
+    rig.reset_by_rcc(1 << 25);
+    assert_eq!(rig.read(MCR), 0x0001_0002);
+}
