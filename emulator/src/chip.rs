@@ -31,7 +31,7 @@ pub use variant::{ChipVariant, StartUp};
 use std::ops::BitOr;
 
 use iwdg::Iwdg;
-use map::{Block, Registers};
+use map::{Block, Registers, is_on_apb};
 use rcc::{Apb, Rcc};
 use rng::Rng;
 use rtc::Rtc;
@@ -86,9 +86,6 @@ pub struct Chip {
     request: Option<Request>,
     can_written: bool,
 }
-
-/// First address of the option bytes.
-const OPTION_BYTES: u32 = 0x1FFF_C000;
 
 /// The roles of CAN1, CAN2 and CAN3.
 const ROLES: [Role; 3] = [Role::Master, Role::Slave, Role::Single];
@@ -217,8 +214,7 @@ impl Chip {
 
     /// Levels of the interrupt lines, bit n for interrupt n (RM0090 table 61).
     pub fn irqs(&self) -> u128 {
-        self.exti.irqs()
-            | u128::from(self.flash.irq()) << 4
+        u128::from(self.flash.irq()) << 4
             | u128::from(self.adc.irq()) << 18
             | self.can_irqs()
             | u128::from(self.rng.irq()) << 80
@@ -313,9 +309,7 @@ impl Chip {
     }
 
     fn reset_block(&mut self, block: Block, now: Time) {
-        if let Some(registers) = self.registers(block) {
-            registers.reset(now);
-        }
+        self.registers(block).into_iter().for_each(|registers| registers.reset(now));
     }
 
     /// The memory that also lies at address 0.
@@ -382,9 +376,6 @@ impl Chip {
     }
 
     fn factory_word(&self, address: u32) -> Option<u32> {
-        if let Some(offset) = address.checked_sub(OPTION_BYTES) {
-            return self.flash.option_word(offset);
-        }
         let bytes = [0, 1, 2, 3].map(|i| self.factory.byte(address + i));
         bytes
             .iter()
@@ -420,8 +411,8 @@ impl Chip {
             }
             // Its bits are cleared by writing 1: not those of the other bytes.
             _ if block == Block::FlashRegisters && offset & !3 == Flash::SR => value << shift,
-            Width::Byte if block.on_apb() => value * 0x0101_0101,
-            Width::Half if block.on_apb() => value * 0x0001_0001,
+            Width::Byte if is_on_apb(address) => value * 0x0101_0101,
+            Width::Half if is_on_apb(address) => value * 0x0001_0001,
             _ => {
                 let old = self.read_register(block, offset & !3, now).unwrap_or(0);
                 old & !(width.mask() << shift) | value << shift

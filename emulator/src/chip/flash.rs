@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use array::Array;
 pub use array::StuckBits;
-use options::{Options, Register};
+use options::Options;
 pub use staging::PowerCut;
 pub use timing::Timing;
 
@@ -34,8 +34,8 @@ const SR_PGSERR: u32 = 1 << 7;
 const SR_BSY: u32 = 1 << 16;
 const CR_PG: u32 = 1 << 0;
 const CR_SER: u32 = 1 << 1;
-const CR_MER: u32 = 1 << 2;
-const CR_MER1: u32 = 1 << 15;
+/// MER and MER1.
+const CR_MER: u32 = 1 << 2 | 1 << 15;
 const CR_STRT: u32 = 1 << 16;
 const CR_EOPIE: u32 = 1 << 24;
 const CR_LOCK: u32 = 1 << 31;
@@ -45,8 +45,6 @@ const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 enum Kind {
     Program,
     Erase,
-    /// The programming of the option bytes, which remain unchanged if it is interrupted.
-    Options,
 }
 
 #[derive(Debug)]
@@ -55,36 +53,6 @@ struct Operation {
     range: Range<usize>,
     before: Vec<u8>,
     kind: Kind,
-}
-
-/// The lock of a register, which two keys open.
-#[derive(Debug, Default)]
-struct Lock {
-    is_half_open: bool,
-    /// A wrong key has closed it until the next reset.
-    is_jammed: bool,
-}
-
-impl Lock {
-    /// Accepts a key; the second one clears the lock bit of the register.
-    fn accept(
-        &mut self,
-        key: u32,
-        keys: [u32; 2],
-        register: &mut u32,
-        bit: u32,
-    ) -> Result<(), Problem> {
-        if self.is_jammed || key != keys[usize::from(self.is_half_open)] {
-            self.is_jammed = true;
-            *register |= bit;
-            return Err(Problem::BusFault);
-        }
-        if self.is_half_open {
-            *register &= !bit;
-        }
-        self.is_half_open = !self.is_half_open;
-        Ok(())
-    }
 }
 
 /// The flash memory and its control registers.
@@ -99,7 +67,10 @@ pub struct Flash {
     acr: u32,
     sr: u32,
     cr: u32,
-    lock: Lock,
+    /// The first of the two keys was written.
+    is_half_open: bool,
+    /// A wrong key has closed FLASH_CR until the next reset.
+    is_jammed: bool,
     stale_data_cache: bool,
     operation: Option<Operation>,
     operations: Vec<Range<Time>>,
@@ -118,7 +89,7 @@ impl Flash {
 
     /// Whether the register accepts writes of bytes and half-words; all but the keys do (RM0090 3.9).
     pub(super) fn takes_narrow_writes(offset: u32) -> bool {
-        matches!(offset, ACR | Self::SR | CR | OPTCR | OPTCR1)
+        !matches!(offset, KEYR | OPTKEYR)
     }
 
     /// Erased flash after power-on.
@@ -133,7 +104,8 @@ impl Flash {
             acr: 0,
             sr: 0,
             cr: CR_LOCK,
-            lock: Lock::default(),
+            is_half_open: false,
+            is_jammed: false,
             stale_data_cache: false,
             operation: None,
             operations: Vec::new(),
@@ -150,11 +122,6 @@ impl Flash {
     /// The entire content.
     pub fn bytes(&self) -> &[u8] {
         self.array.bytes()
-    }
-
-    /// The word of the option bytes at `offset` from 1FFF_C000h.
-    pub(super) fn option_word(&self, offset: u32) -> Option<u32> {
-        self.options.word(offset)
     }
 
     /// Sets the wait states and caches of the boot loader.
@@ -215,10 +182,7 @@ impl Flash {
 
     /// Ends the current operation if its time has come.
     pub fn advance(&mut self, now: Time) {
-        if let Some(ended) = self.operation.take_if(|operation| now >= operation.end) {
-            if ended.kind == Kind::Options {
-                self.options.program();
-            }
+        if self.operation.take_if(|operation| now >= operation.end).is_some() {
             self.cr &= !CR_STRT;
             // RM0090 3.9.4: EOP is set only if its interrupt is enabled.
             if self.cr & CR_EOPIE != 0 {
@@ -267,7 +231,7 @@ impl Flash {
         }
         if value & CR_LOCK != 0 {
             self.cr = CR_LOCK;
-            self.lock.is_half_open = false;
+            self.is_half_open = false;
             if value & (CR_PG | CR_SER | CR_MER | CR_STRT) != 0 {
                 return Err(Problem::Misuse(
                     "FLASH_CR locked in the write that requests an operation",
@@ -282,15 +246,17 @@ impl Flash {
         Ok(())
     }
 
-    fn write_options(&mut self, register: Register, value: u32, now: Time) -> Result<(), Problem> {
-        if self.operation.is_some() {
-            return Err(Problem::Misuse("option bytes written while BSY is set"));
+    /// Accepts a key; the second one unlocks FLASH_CR.
+    fn write_key(&mut self, key: u32) -> Result<(), Problem> {
+        if self.is_jammed || key != KEYS[usize::from(self.is_half_open)] {
+            self.is_jammed = true;
+            self.cr |= CR_LOCK;
+            return Err(Problem::BusFault);
         }
-        if self.options.write(register, value)? {
-            let end = now + self.timing.erase(0, 2);
-            let kind = Kind::Options;
-            self.begin(Operation { end, range: 0..1, before: Vec::new(), kind }, now);
+        if self.is_half_open {
+            self.cr &= !CR_LOCK;
         }
+        self.is_half_open = !self.is_half_open;
         Ok(())
     }
 
@@ -309,38 +275,29 @@ impl Flash {
     }
 
     fn start_erase(&mut self, now: Time) -> Result<(), Problem> {
-        let bank_size = self.part.flash_bank_size() as usize;
-        let whole = self.array.bytes().len();
-        let range = match self.cr & (CR_PG | CR_SER | CR_MER | CR_MER1) {
-            CR_SER => {
-                let number = self.cr >> 3 & 0x1F;
-                match number {
-                    16.. if self.part.has_two_banks() => self.array.sector(number - 4),
-                    12..16 if self.part.has_two_banks() => None,
-                    _ => self.array.sector(number),
-                }
-            }
-            CR_MER => Some(0..bank_size),
-            CR_MER1 if whole > bank_size => Some(bank_size..whole),
-            bits if bits == CR_MER | CR_MER1 => Some(0..whole),
-            _ => None,
+        if self.cr & CR_MER != 0 {
+            self.cr &= !CR_STRT;
+            return Err(Problem::Unmodelled);
+        }
+        // SNB leaves four numbers out between the banks.
+        let sector = match self.cr >> 3 & 0x1F {
+            12..16 if self.part.has_two_banks() => None,
+            number @ 16.. if self.part.has_two_banks() => Some(number - 4),
+            number => Some(number),
         };
-        let Some(range) = range else {
+        let chosen = sector.filter(|_| self.cr & (CR_PG | CR_SER) == CR_SER);
+        let range = chosen.and_then(|sector| self.array.sector(sector));
+        let (Some(sector), Some(range)) = (chosen, range) else {
             self.cr &= !CR_STRT;
             self.sr |= SR_PGSERR;
-            return Err(Problem::Misuse("STRT without a valid choice of SER, SNB or MER"));
+            return Err(Problem::Misuse("STRT without a valid choice of SER and SNB"));
         };
-        let (first, last) =
-            (self.array.sector_of(range.start as u32), self.array.sector_of(range.end as u32 - 1));
-        if (first..=last).any(|sector| self.options.protects(sector)) {
+        if self.options.protects(sector) {
             self.cr &= !CR_STRT;
             self.sr |= SR_WRPERR;
             return Ok(());
         }
-        let size = self.cr >> 8 & 3;
-        let time = (first..=last)
-            .map(|sector| self.timing.erase(self.array.place(sector).1, size).as_ps())
-            .sum();
+        let time = self.timing.erase(self.array.place(sector).1, self.cr >> 8 & 3);
         let before = self.array.bytes()[range.clone()].to_vec();
         self.array.erase(range.clone());
         if self.failing_erases > 0 {
@@ -349,7 +306,7 @@ impl Flash {
             self.array.tear_erase(range.start, &before, seed);
         }
         self.stale_data_cache = self.acr & ACR_DCEN != 0 || self.stale_data_cache;
-        let end = now + Time::from_ps(time);
+        let end = now + time;
         self.begin(Operation { end, range, before, kind: Kind::Erase }, now);
         self.check_parallelism()
     }
@@ -418,18 +375,16 @@ impl Registers for Flash {
                     self.array.tear_program(start, &operation.before, seed);
                 }
                 Kind::Erase => self.array.tear_erase(start, &operation.before, seed),
-                Kind::Options => {}
             }
             self.note_change(operation.range);
         }
         if self.power_cut_at.take().is_some() {
             self.power_cut = None;
         }
-        self.options.reset();
         self.acr = 0;
         self.sr = 0;
         self.cr = CR_LOCK;
-        self.lock = Lock::default();
+        (self.is_half_open, self.is_jammed) = (false, false);
         self.stale_data_cache = false;
     }
 
@@ -441,8 +396,8 @@ impl Registers for Flash {
             KEYR | OPTKEYR => Some(0),
             Self::SR => Some(self.sr | busy),
             CR => Some(self.cr),
-            OPTCR => Some(self.options.read(Register::Optcr)),
-            OPTCR1 if self.part.has_two_banks() => Some(self.options.read(Register::Optcr1)),
+            OPTCR => Some(self.options.registers()[0]),
+            OPTCR1 if self.part.has_two_banks() => Some(self.options.registers()[1]),
             _ => None,
         }
     }
@@ -451,14 +406,9 @@ impl Registers for Flash {
         self.advance(now);
         match offset {
             ACR => return self.write_acr(value),
-            KEYR => return self.lock.accept(value, KEYS, &mut self.cr, CR_LOCK),
-            OPTKEYR => return self.options.write_key(value),
+            KEYR => return self.write_key(value),
             Self::SR => self.sr &= !value,
             CR => return self.write_cr(value, now),
-            OPTCR => return self.write_options(Register::Optcr, value, now),
-            OPTCR1 if self.part.has_two_banks() => {
-                return self.write_options(Register::Optcr1, value, now);
-            }
             _ => return Err(Problem::Unmodelled),
         }
         Ok(())

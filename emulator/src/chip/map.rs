@@ -106,16 +106,15 @@ pub(super) enum Block {
     Unknown,
 }
 
+/// The place of a peripheral: its bus, and the kilobyte there. That is also the number of its bits in the bus's RCC
+/// registers.
+pub(super) type Place = (Apb, u32);
+
 impl Block {
     pub fn of(address: u32) -> (Self, u32) {
         let block = match address {
-            0x4000_2800..0x4000_2C00 => Self::Rtc,
-            0x4000_3000..0x4000_3400 => Self::Iwdg,
-            0x4000_6400..0x4000_7000 => Self::Can((address >> 10 & 3) as usize - 1),
-            0x4000_7000..0x4000_7400 => Self::Pwr,
-            0x4001_2000..0x4001_2400 => Self::Adc,
-            0x4001_3800..0x4001_3C00 => Self::Syscfg,
-            0x4001_3C00..0x4001_4000 => Self::Exti,
+            0x4000_0000..0x4001_0000 => Self::at((Apb::One, address >> 10 & 0x3F)),
+            0x4001_0000..0x4002_0000 => Self::at((Apb::Two, address >> 10 & 0x3F)),
             0x4002_0000..0x4002_2C00 => Self::Gpio((address >> 10 & 0xF) as usize),
             0x4002_3800..0x4002_3C00 => Self::Rcc,
             0x4002_3C00..0x4002_4000 => Self::FlashRegisters,
@@ -123,51 +122,47 @@ impl Block {
             0x1FFF_0000..0x2000_0000 => Self::Factory,
             0x5006_0800..0x5006_0C00 => Self::Rng,
             FLASH_BASE..CCM_BASE => return (Self::Flash, address - FLASH_BASE),
-            0x4000_0000..0x4001_0000 => Self::one_of_many(Apb::One, address),
-            0x4001_0000..0x4002_0000 => Self::one_of_many(Apb::Two, address),
             _ => Self::Unknown,
         };
         (block, address & 0x3FF)
     }
 
-    /// A timer or USART.
-    fn one_of_many(apb: Apb, address: u32) -> Self {
-        let place = (apb, address >> 10 & 0x3F);
-        let timer = timer::KINDS.iter().position(|kind| (kind.gate.0, kind.slot) == place);
-        let usart = usart::KINDS.iter().position(|kind| (kind.gate.0, kind.slot) == place);
-        timer.map(Self::Timer).or(usart.map(Self::Usart)).unwrap_or(Self::Unknown)
+    fn at(place: Place) -> Self {
+        match place {
+            (Apb::One, 10) => Self::Rtc,
+            (Apb::One, 12) => Self::Iwdg,
+            (Apb::One, 25..28) => Self::Can(place.1 as usize - 25),
+            (Apb::One, 28) => Self::Pwr,
+            (Apb::Two, 8) => Self::Adc,
+            (Apb::Two, 14) => Self::Syscfg,
+            (Apb::Two, 15) => Self::Exti,
+            _ => {
+                let timer = timer::KINDS.iter().position(|kind| kind.place == place);
+                let usart = usart::KINDS.iter().position(|kind| kind.place == place);
+                timer.map(Self::Timer).or(usart.map(Self::Usart)).unwrap_or(Self::Unknown)
+            }
+        }
     }
 
     /// RCC's register with the bit that enables the block, and the number of the bit, which is that of its reset too.
     /// The reset of ADC1 is that of all ADCs.
     pub fn gate(self) -> Option<(u32, u32)> {
-        let on_bus = |(apb, bit): (Apb, u32)| (rcc::enable(apb), bit);
-        Some(match self {
-            Self::Gpio(port) => (rcc::AHB1ENR, port as u32),
-            Self::Rng => (rcc::AHB2ENR, 6),
-            Self::Timer(timer) => on_bus(timer::KINDS[timer].gate),
-            Self::Usart(usart) => on_bus(usart::KINDS[usart].gate),
-            Self::Can(can) => on_bus((Apb::One, 25 + can as u32)),
-            Self::Pwr => on_bus((Apb::One, 28)),
-            Self::Adc => on_bus((Apb::Two, 8)),
-            Self::Syscfg => on_bus((Apb::Two, 14)),
+        let (bus, bit) = match self {
+            Self::Gpio(port) => return Some((rcc::AHB1ENR, port as u32)),
+            Self::Rng => return Some((rcc::AHB2ENR, 6)),
+            Self::Timer(timer) => timer::KINDS[timer].place,
+            Self::Usart(usart) => usart::KINDS[usart].place,
+            Self::Can(can) => (Apb::One, 25 + can as u32),
+            Self::Pwr => (Apb::One, 28),
+            Self::Adc => (Apb::Two, 8),
+            Self::Syscfg => (Apb::Two, 14),
             _ => return None,
-        })
+        };
+        Some((rcc::enable(bus), bit))
     }
+}
 
-    /// Whether the block is on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).
-    pub const fn on_apb(self) -> bool {
-        matches!(
-            self,
-            Self::Timer(_)
-                | Self::Usart(_)
-                | Self::Rtc
-                | Self::Iwdg
-                | Self::Can(_)
-                | Self::Adc
-                | Self::Pwr
-                | Self::Syscfg
-                | Self::Exti
-        )
-    }
+/// Whether the address is on an APB, whose bridge repeats a narrow write in every lane (RM0090 2.1.11).
+pub(super) const fn is_on_apb(address: u32) -> bool {
+    address >> 17 == 0x4000_0000 >> 17
 }

@@ -149,41 +149,13 @@ impl Registers for Syscfg {
     }
 }
 
-/// EXTI (RM0090 chapter 12): masks and software events; no pin is connected to it.
+const EXTI_PR: u32 = 0x14;
+
+/// EXTI (RM0090 chapter 12): masks, without effect: no pin is connected to it, and software events are not modelled.
 #[derive(Debug, Default)]
 pub struct Exti {
-    regs: [u32; 6],
-}
-
-impl Exti {
-    const IMR: usize = 0;
-    const SWIER: usize = 4;
-    const PR: usize = 5;
-
-    /// The levels of the interrupts that EXTI drives, bit n for interrupt n.
-    pub fn irqs(&self) -> u128 {
-        let pending = self.regs[Self::PR] & self.regs[Self::IMR];
-        if pending == 0 {
-            return 0;
-        }
-        const LINES: [(u32, u32); 14] = [
-            (1, 6),
-            (1 << 1, 7),
-            (1 << 2, 8),
-            (1 << 3, 9),
-            (1 << 4, 10),
-            (0x1F << 5, 23),
-            (0x3F << 10, 40),
-            (1 << 16, 1),
-            (1 << 17, 41),
-            (1 << 18, 42),
-            (1 << 19, 62),
-            (1 << 20, 76),
-            (1 << 21, 2),
-            (1 << 22, 3),
-        ];
-        LINES.iter().filter(|(mask, _)| pending & mask != 0).map(|(_, irq)| 1 << irq).sum()
-    }
+    /// IMR, EMR, RTSR and FTSR.
+    masks: [u32; 4],
 }
 
 impl Registers for Exti {
@@ -192,23 +164,16 @@ impl Registers for Exti {
     }
 
     fn read(&mut self, offset: u32, _: Time) -> Option<u32> {
-        self.regs.get(offset as usize / 4).copied()
+        match offset {
+            EXTI_PR => Some(0),
+            _ => self.masks.get(offset as usize / 4).copied(),
+        }
     }
 
     fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
-        let value = value & 0x007F_FFFF;
-        match offset as usize / 4 {
-            Self::SWIER => {
-                let raised = value & !self.regs[Self::SWIER] & self.regs[Self::IMR];
-                self.regs[Self::SWIER] |= value;
-                self.regs[Self::PR] |= raised;
-            }
-            Self::PR => {
-                self.regs[Self::PR] &= !value;
-                self.regs[Self::SWIER] &= !value;
-            }
-            index @ 0..4 => self.regs[index] = value,
-            _ => return Err(Problem::Unmodelled),
+        if offset != EXTI_PR {
+            let mask = self.masks.get_mut(offset as usize / 4).ok_or(Problem::Unmodelled)?;
+            *mask = value & 0x007F_FFFF;
         }
         Ok(())
     }

@@ -1,6 +1,10 @@
 //! TIM1 to TIM14 (RM0090 chapters 17 to 20): up-counters with compare interrupts.
 
-use super::{Problem, map::Registers, rcc::Apb};
+use super::{
+    Problem,
+    map::{Place, Registers},
+    rcc::Apb,
+};
 use crate::{
     Time,
     can::{Clock, timing::SCALE},
@@ -33,10 +37,7 @@ const UPDATE: u32 = 1 << 0;
 /// The properties in which the timers differ.
 #[derive(Debug)]
 pub struct Kind {
-    /// The number of its block of registers, counted from the start of its bus.
-    pub slot: u32,
-    /// The bus, and the number of its bits in the bus's RCC registers.
-    pub gate: (Apb, u32),
+    pub place: Place,
     /// The number of compare channels.
     channels: u8,
     /// The largest value of the counter.
@@ -45,26 +46,26 @@ pub struct Kind {
     irqs: (u32, u32),
 }
 
-const fn kind(slot: u32, gate: (Apb, u32), channels: u8, irqs: (u32, u32)) -> Kind {
-    Kind { slot, gate, channels, max: 0xFFFF, irqs }
+const fn kind(place: Place, channels: u8, irqs: (u32, u32)) -> Kind {
+    Kind { place, channels, max: 0xFFFF, irqs }
 }
 
 /// TIM1 to TIM14 (RM0090 2.3, 7.3 and table 61).
 pub static KINDS: [Kind; 14] = [
-    kind(0, (Apb::Two, 0), 4, (25, 27)),
-    Kind { max: u32::MAX, ..kind(0, (Apb::One, 0), 4, (28, 28)) },
-    kind(1, (Apb::One, 1), 4, (29, 29)),
-    kind(2, (Apb::One, 2), 4, (30, 30)),
-    Kind { max: u32::MAX, ..kind(3, (Apb::One, 3), 4, (50, 50)) },
-    kind(4, (Apb::One, 4), 0, (54, 54)),
-    kind(5, (Apb::One, 5), 0, (55, 55)),
-    kind(1, (Apb::Two, 1), 4, (44, 46)),
-    kind(16, (Apb::Two, 16), 2, (24, 24)),
-    kind(17, (Apb::Two, 17), 1, (25, 25)),
-    kind(18, (Apb::Two, 18), 1, (26, 26)),
-    kind(6, (Apb::One, 6), 2, (43, 43)),
-    kind(7, (Apb::One, 7), 1, (44, 44)),
-    kind(8, (Apb::One, 8), 1, (45, 45)),
+    kind((Apb::Two, 0), 4, (25, 27)),
+    Kind { max: u32::MAX, ..kind((Apb::One, 0), 4, (28, 28)) },
+    kind((Apb::One, 1), 4, (29, 29)),
+    kind((Apb::One, 2), 4, (30, 30)),
+    Kind { max: u32::MAX, ..kind((Apb::One, 3), 4, (50, 50)) },
+    kind((Apb::One, 4), 0, (54, 54)),
+    kind((Apb::One, 5), 0, (55, 55)),
+    kind((Apb::Two, 1), 4, (44, 46)),
+    kind((Apb::Two, 16), 2, (24, 24)),
+    kind((Apb::Two, 17), 1, (25, 25)),
+    kind((Apb::Two, 18), 1, (26, 26)),
+    kind((Apb::One, 6), 2, (43, 43)),
+    kind((Apb::One, 7), 1, (44, 44)),
+    kind((Apb::One, 8), 1, (45, 45)),
 ];
 
 /// A timer as a time base: it counts up, with no pins, no captures and no DMA.
@@ -126,7 +127,7 @@ impl Timer {
 
     /// The bus on which it is.
     pub fn apb(&self) -> Apb {
-        self.kind.gate.0
+        self.kind.place.0
     }
 
     /// The levels of its interrupts as of the latest access or [`advance`](Self::advance), bit n for interrupt n.

@@ -1,6 +1,10 @@
 //! USART1 to USART6 as outputs (RM0090 chapter 30): a byte is sent at once, and nothing is received.
 
-use super::{Problem, map::Registers, rcc::Apb};
+use super::{
+    Problem,
+    map::{Place, Registers},
+    rcc::Apb,
+};
 use crate::Time;
 
 const SR: u32 = 0x00;
@@ -15,25 +19,18 @@ const TRANSMITTER_ON: u32 = 1 << 13 | 1 << 3;
 /// The properties in which the USARTs differ.
 #[derive(Debug)]
 pub struct Kind {
-    /// The number of its block of registers, counted from the start of its bus.
-    pub slot: u32,
-    /// The bus, and the number of its bits in the bus's RCC registers.
-    pub gate: (Apb, u32),
+    pub place: Place,
     irq: u32,
-}
-
-const fn kind(slot: u32, gate: (Apb, u32), irq: u32) -> Kind {
-    Kind { slot, gate, irq }
 }
 
 /// USART1 to USART6 (RM0090 2.3, 7.3 and table 61).
 pub static KINDS: [Kind; 6] = [
-    kind(4, (Apb::Two, 4), 37),
-    kind(17, (Apb::One, 17), 38),
-    kind(18, (Apb::One, 18), 39),
-    kind(19, (Apb::One, 19), 52),
-    kind(20, (Apb::One, 20), 53),
-    kind(5, (Apb::Two, 5), 71),
+    Kind { place: (Apb::Two, 4), irq: 37 },
+    Kind { place: (Apb::One, 17), irq: 38 },
+    Kind { place: (Apb::One, 18), irq: 39 },
+    Kind { place: (Apb::One, 19), irq: 52 },
+    Kind { place: (Apb::One, 20), irq: 53 },
+    Kind { place: (Apb::Two, 5), irq: 71 },
 ];
 
 /// A transmitter whose bytes are collected.

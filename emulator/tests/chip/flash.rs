@@ -10,7 +10,6 @@ use emulator::{
 use crate::rig::{FLASH_ACR as ACR, RCC_AHB1ENR, Rig};
 
 const KEYR: u32 = 0x4002_3C04;
-const OPTKEYR: u32 = 0x4002_3C08;
 const SR: u32 = 0x4002_3C0C;
 const CR: u32 = 0x4002_3C10;
 const OPTCR: u32 = 0x4002_3C14;
@@ -376,29 +375,6 @@ fn all_registers_but_the_keys_take_bytes_and_half_words() {
     assert_eq!(rig.read(SR), PGSERR);
     assert_eq!(rig.findings(), []);
     rig.store(KEYR, Width::Half, 0x0123).expect("no bus error");
-    assert_eq!(rig.findings().len(), 1);
-}
-
-#[test]
-fn option_bytes_hold_through_a_power_cycle() {
-    const BOR_OFF: u32 = 0x0FFF_AAED;
-    const BOR_LEVEL_3: u32 = 0x0FFF_AAE0;
-    let mut rig = Rig::new(Part::Stm32f405);
-    assert_eq!((rig.read(OPTCR), rig.read(0x1FFF_C000) & 0xFFFF), (BOR_OFF, 0xAAEF));
-    rig.write(OPTCR, BOR_LEVEL_3 | 2);
-    assert_eq!((rig.read(OPTCR), rig.findings().len()), (BOR_OFF, 1), "locked");
-    rig.write(OPTKEYR, 0x0819_2A3B);
-    rig.write(OPTKEYR, 0x4C5D_6E7F);
-    // Write protection of sector 1, too.
-    rig.write(OPTCR, BOR_LEVEL_3 & !(1 << 17));
-    rig.write(OPTCR, BOR_LEVEL_3 & !(1 << 17) | 2);
-    assert!(rig.wait() > Time::from_ms(100));
-    rig.reset_now(ResetCause::PowerOn);
-    assert_eq!(rig.read(OPTCR), BOR_LEVEL_3 & !(1 << 17) | 1);
-    assert_eq!((rig.read(0x1FFF_C000) & 0xFFFF, rig.read(0x1FFF_C008)), (0xAAE3, 0xFFFF_FFFD));
-    rig.unlock();
-    rig.program(0x4000, 0);
-    assert_eq!(rig.read(SR), WRPERR);
     assert_eq!(rig.findings().len(), 1);
 }
 
