@@ -60,13 +60,11 @@ impl Default for Settings {
 /// The reason why [`Board::run_until`] returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
-    /// The time was reached.
     Deadline,
     /// The program wrote a CAN register: the bus should catch up before the program continues.
     CanWritten,
     /// The chip was reset; the program has not started again yet.
     Reset(ResetCause),
-    /// A staged power cut switched the board off.
     PowerCut,
 }
 
@@ -83,9 +81,7 @@ pub struct Board {
     powered: bool,
     /// The supply is on, but too low for the chip to leave its reset.
     browned_out: bool,
-    /// The time while there is no power.
     dark: Time,
-    /// The time at which the supply will fail.
     power_cut_at: Option<Time>,
     power_ups: u64,
     resets: Vec<(Time, ResetCause)>,
@@ -150,12 +146,10 @@ impl Board {
         self.controller
     }
 
-    /// The board's current time.
     pub fn now(&self) -> Time {
         if self.powered { self.engine.now() } else { self.dark }
     }
 
-    /// Whether the supply is on.
     pub fn is_powered(&self) -> bool {
         self.powered
     }
@@ -250,7 +244,6 @@ impl Board {
         self.resets.push((now, cause));
     }
 
-    /// Schedules a power failure at `time`.
     pub fn cut_power_at(&mut self, time: Time) {
         self.power_cut_at = Some(time);
     }
@@ -316,7 +309,6 @@ impl Board {
         self.chip().gpio().output(pin)
     }
 
-    /// The whole flash.
     pub fn flash(&self) -> Vec<u8> {
         self.chip().flash().bytes().to_vec()
     }
@@ -353,12 +345,10 @@ impl Board {
         self.engine.lockup()
     }
 
-    /// Address of the next instruction.
     pub fn pc(&self) -> u32 {
         self.engine.pc()
     }
 
-    /// The stack pointer in use.
     pub fn sp(&self) -> u32 {
         self.engine.sp()
     }

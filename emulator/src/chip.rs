@@ -51,9 +51,7 @@ use crate::{
 /// Something that the chip asks of its board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// Reset the CPU and the chip.
     Reset(ResetCause),
-    /// The staged power cut has come.
     PowerCut,
 }
 
@@ -87,7 +85,6 @@ pub struct Chip {
     can_written: bool,
 }
 
-/// The roles of CAN1, CAN2 and CAN3.
 const ROLES: [Role; 3] = [Role::Master, Role::Slave, Role::Single];
 /// The first interrupts of CAN1, CAN2 and CAN3 (RM0090 table 61, for CAN3 the vector table of RM0430).
 const CAN_INTERRUPTS: [usize; 3] = [19, 63, 74];
@@ -136,42 +133,34 @@ impl Chip {
         chip
     }
 
-    /// Which part it is.
     pub fn part(&self) -> Part {
         self.part
     }
 
-    /// How it differs from the nominal one.
     pub fn variant(&self) -> ChipVariant {
         self.variant
     }
 
-    /// The clocks that RCC now makes.
     pub fn clocks(&self) -> Clocks {
         self.rcc.clocks()
     }
 
-    /// The flash memory and its interface.
     pub fn flash(&self) -> &Flash {
         &self.flash
     }
 
-    /// The flash memory, to load it or to stage failures.
     pub fn flash_mut(&mut self) -> &mut Flash {
         &mut self.flash
     }
 
-    /// The GPIO ports.
     pub fn gpio(&self) -> &Gpio {
         &self.gpio
     }
 
-    /// The GPIO ports, to connect inputs.
     pub fn gpio_mut(&mut self) -> &mut Gpio {
         &mut self.gpio
     }
 
-    /// ADC1, to set what it measures.
     pub fn adc_mut(&mut self) -> &mut Adc {
         &mut self.adc
     }
@@ -202,12 +191,10 @@ impl Chip {
         &self.cans
     }
 
-    /// All CAN controllers, CAN1 first, for the buses that they are on.
     pub fn cans_mut(&mut self) -> &mut [Bxcan] {
         &mut self.cans
     }
 
-    /// Everything suspicious so far.
     pub fn findings(&self) -> &[Finding] {
         &self.findings
     }
@@ -244,7 +231,6 @@ impl Chip {
             .fold(Time::MAX, Time::min)
     }
 
-    /// Carries out what is due at `now`.
     pub fn advance(&mut self, now: Time) {
         if self.flash.power_cut_at().is_some_and(|cut| now >= cut) {
             self.request = Some(Request::PowerCut);
@@ -257,7 +243,6 @@ impl Chip {
         }
     }
 
-    /// What the chip asked for since the last call.
     pub fn take_request(&mut self) -> Option<Request> {
         self.request.take()
     }
@@ -312,7 +297,6 @@ impl Chip {
         self.registers(block).into_iter().for_each(|registers| registers.reset(now));
     }
 
-    /// The memory that also lies at address 0.
     pub fn at_zero(&self) -> AtZero {
         self.syscfg.at_zero()
     }

@@ -144,9 +144,7 @@ impl Coverage {
 /// The instruction that a core has executed.
 #[derive(Clone, Copy, Debug)]
 pub struct Executed {
-    /// Its address.
     pub pc: u32,
-    /// The address of the next one.
     pub next: u32,
     /// The flags and ITSTATE before it.
     pub xpsr: u32,

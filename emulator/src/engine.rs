@@ -8,7 +8,6 @@ use crate::{Time, coverage::Recorder};
 /// The reason why a CPU stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Halt {
-    /// The time was reached.
     Deadline,
     /// The program wrote to the chip's CAN controller.
     CanWritten,
@@ -37,7 +36,6 @@ pub trait Engine: Send {
     /// Advances to `until`, earlier than [`wake_time`](Self::wake_time), if the CPU sleeps; returns whether it does.
     fn sleep(&mut self, until: Time) -> bool;
 
-    /// The CPU's current time.
     fn now(&self) -> Time;
 
     /// The time of the CPU's next action without interrupts: now, or the end of its sleep or stall.
@@ -64,7 +62,6 @@ pub trait Engine: Send {
     /// The fault registers, if the core is locked up.
     fn lockup(&self) -> Option<Lockup>;
 
-    /// Address of the next instruction.
     fn pc(&self) -> u32;
 
     /// The stack pointer in use.
@@ -77,10 +74,7 @@ pub trait Engine: Send {
 /// The fault registers of a core that locked up (ARM DDI 0403, B1.5.15).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lockup {
-    /// Configurable Fault Status Register.
     pub cfsr: u32,
-    /// HardFault Status Register.
     pub hfsr: u32,
-    /// BusFault Address Register.
     pub bfar: u32,
 }

@@ -34,7 +34,6 @@ struct Content {
 /// The reason why an image cannot be loaded.
 #[derive(Debug)]
 pub enum ImageError {
-    /// The file cannot be read.
     Io(PathBuf, io::Error),
     /// The file is not a 32-bit ELF file, or its defmt section has another format version.
     Malformed(String),
@@ -52,7 +51,6 @@ impl fmt::Display for ImageError {
 impl std::error::Error for ImageError {}
 
 impl Image {
-    /// Reads an ELF file.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, ImageError> {
         let path = path.as_ref();
         let bytes = fs::read(path).map_err(|error| ImageError::Io(path.to_owned(), error))?;
@@ -116,7 +114,6 @@ impl Image {
         self.0.coverage.get()
     }
 
-    /// The address of a symbol.
     pub fn symbol(&self, name: &str) -> Option<u32> {
         self.0.symbols.get(name).copied()
     }

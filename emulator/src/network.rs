@@ -20,11 +20,9 @@ const LOOKAHEAD: Time = Time::from_us(1);
 /// The greatest number of CAN controllers of a part.
 const CANS: usize = 3;
 
-/// The identifier of an adapter of a [`Network`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AdapterId(usize);
 
-/// The identifier of a bus of a [`Network`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BusId(usize);
 
@@ -44,12 +42,10 @@ pub struct Network {
     /// A station may act earlier than the bus expects.
     touched: bool,
     boards: Vec<Board>,
-    /// The bus of each controller of each board.
     plugs: Vec<[Option<BusId>; CANS]>,
     /// The time of each board's next event; a board that sleeps longer stays behind in time.
     wake: Vec<Time>,
     adapters: Vec<Adapter>,
-    /// The bus of each adapter.
     adapter_buses: Vec<BusId>,
     trace: Trace,
     /// The causes of the resets that are allowed, by board; `None`: anything is.
@@ -117,7 +113,6 @@ impl Network {
         self.add_adapter_to(BusId::default(), adapter)
     }
 
-    /// Connects an adapter to a bus.
     pub fn add_adapter_to(&mut self, bus: BusId, mut adapter: Adapter) -> AdapterId {
         adapter.plug_in(self.now, self.buses[bus.0].level());
         self.adapters.push(adapter);
@@ -135,7 +130,6 @@ impl Network {
         &mut self.boards[board]
     }
 
-    /// The boards, by number.
     pub fn boards(&self) -> &[Board] {
         &self.boards
     }
@@ -148,7 +142,6 @@ impl Network {
         adapter
     }
 
-    /// Queues a frame in an adapter.
     pub fn send(&mut self, adapter: AdapterId, frame: Frame) {
         self.adapter_mut(adapter).send(frame);
     }
@@ -211,7 +204,6 @@ impl Network {
         }
     }
 
-    /// Runs until `until`.
     pub fn run_until(&mut self, until: Time) {
         self.begin();
         while self.now < until {
@@ -220,7 +212,6 @@ impl Network {
         self.catch_up();
     }
 
-    /// Runs for a span.
     pub fn run_for(&mut self, span: Time) {
         self.run_until(self.now + span);
     }
@@ -412,7 +403,6 @@ impl Network {
     }
 }
 
-/// A bus and the stations on it.
 struct Connected<'a> {
     bus: &'a mut Bus,
     sources: Vec<Source>,

@@ -17,27 +17,21 @@ impl Time {
     /// An instant later than all others.
     pub const MAX: Self = Self(u64::MAX);
 
-    /// A number of picoseconds.
     pub const fn from_ps(ps: u64) -> Self {
         Self(ps)
     }
-    /// A number of nanoseconds.
     pub const fn from_ns(ns: u64) -> Self {
         Self(ns * 1_000)
     }
-    /// A number of microseconds.
     pub const fn from_us(us: u64) -> Self {
         Self(us * 1_000_000)
     }
-    /// A number of milliseconds.
     pub const fn from_ms(ms: u64) -> Self {
         Self(ms * 1_000_000_000)
     }
-    /// A number of seconds.
     pub const fn from_s(s: u64) -> Self {
         Self(s * 1_000_000_000_000)
     }
-    /// Picoseconds.
     pub const fn as_ps(self) -> u64 {
         self.0
     }

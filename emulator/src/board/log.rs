@@ -11,7 +11,6 @@ pub struct LogLine {
     pub time: Time,
     /// `trace`, `debug`, `info`, `warn` or `error`; empty for `println` and for plain text.
     pub level: &'static str,
-    /// The message.
     pub text: String,
 }
 

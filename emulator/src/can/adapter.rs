@@ -44,7 +44,6 @@ impl Adapter {
         }
     }
 
-    /// Appends a frame to the transmit queue.
     pub fn send(&mut self, frame: Frame) {
         self.to_send.push_back(frame);
         self.offer();
@@ -60,7 +59,6 @@ impl Adapter {
         self.to_send.len()
     }
 
-    /// Errors that the controller has found.
     pub fn errors(&self) -> u64 {
         self.errors
     }

@@ -11,7 +11,6 @@ use crate::Time;
 
 /// The interface between a [`Bus`] and the owner of a controller.
 pub trait Station {
-    /// The controller on the wire.
     fn controller(&mut self) -> &mut Controller;
 
     /// Handles an event, and offers the next frame if the event makes that necessary.
@@ -31,7 +30,6 @@ pub struct Bus {
     wire: Wire,
     /// The time of each station's next action.
     next: Vec<Time>,
-    /// Whether a station requested the end of the latest advance.
     has_stopped: bool,
 }
 
@@ -41,17 +39,14 @@ impl Bus {
         Self::default()
     }
 
-    /// A recessive bus at this time.
     pub(crate) fn at(now: Time) -> Self {
         Self { now, ..Self::default() }
     }
 
-    /// The current time of the bus.
     pub fn now(&self) -> Time {
         self.now
     }
 
-    /// The level of the wire.
     pub fn level(&self) -> Level {
         self.wire.level
     }

@@ -34,20 +34,10 @@ pub struct Interrupts {
 /// An access by the program, or a change that it can see, that belongs in a trace of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Note {
-    /// TXRQ was set in a mailbox.
-    Requested {
-        /// Number of the mailbox, 0..=2.
-        mailbox: usize,
-        /// The frame in the mailbox.
-        frame: Frame,
-    },
-    /// ABRQ emptied a mailbox whose frame was not sent.
-    Aborted {
-        /// Number of the mailbox, 0..=2.
-        mailbox: usize,
-        /// The frame that was in the mailbox.
-        frame: Frame,
-    },
+    /// TXRQ was set in this mailbox, 0..=2.
+    Requested { mailbox: usize, frame: Frame },
+    /// ABRQ emptied this mailbox, whose frame was not sent.
+    Aborted { mailbox: usize, frame: Frame },
     /// A new value was written to BTR.
     BitTiming(u32),
     /// INAK was set.
@@ -75,7 +65,6 @@ pub enum Role {
     Single,
 }
 
-/// A bxCAN peripheral.
 #[derive(Debug)]
 pub struct Bxcan {
     role: Role,
@@ -202,7 +191,6 @@ impl Bxcan {
         self.controller.bit_rate()
     }
 
-    /// Whether BTR selects silent mode.
     pub fn is_silent(&self) -> bool {
         self.controller.mode().silent
     }

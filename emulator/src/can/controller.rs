@@ -26,39 +26,30 @@ pub enum ErrorKind {
     Stuff,
     /// A dominant bit in a field that must be recessive, seen by a receiver or in an error delimiter.
     Form,
-    /// A recessive acknowledge slot.
     Acknowledgement,
     /// A recessive bit was sent and a dominant one seen.
     BitRecessive,
     /// A dominant bit was sent and a recessive one seen.
     BitDominant,
-    /// The CRC sequence does not match the frame.
     Crc,
 }
 
 /// An event for the owner, at the sample point or bit boundary where it happens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// Transmission of the offered frame has started.
     Started,
-    /// The frame was sent: the last bit of EOF was sampled recessive.
+    /// The last bit of EOF was sampled recessive: the frame was sent from `start`, the first edge of its SOF, to `end`.
     Transmitted {
-        /// The frame.
         frame: Frame,
-        /// The start of its SOF.
         start: Time,
-        /// The end of its last EOF bit.
         end: Time,
     },
     /// Another station sends a frame of higher priority; the controller receives it.
     ArbitrationLost,
     /// A frame is valid: the last bit but one of EOF was sampled recessive.
     Received(Frame),
-    /// An error was detected; an error flag follows.
     Error {
-        /// The kind of error.
         kind: ErrorKind,
-        /// Whether the controller was the transmitter.
         transmitting: bool,
     },
     /// A counter rose because other stations hold the bus dominant after an error flag.
@@ -221,32 +212,26 @@ impl Controller {
         }
     }
 
-    /// Nominal clock and crystal deviation.
     pub fn clock(&self) -> Clock {
         self.clock
     }
 
-    /// Bit timing in force.
     pub fn bit_timing(&self) -> BitSegments {
         self.bit_timing
     }
 
-    /// Nominal bit rate in bit/s.
     pub fn bit_rate(&self) -> u32 {
         self.bit_timing.bit_rate(self.clock.hz)
     }
 
-    /// Mode in force.
     pub fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// Error counters.
     pub fn counters(&self) -> ErrorCounters {
         self.counters
     }
 
-    /// Whether the controller is stopped.
     pub fn is_stopped(&self) -> bool {
         self.phase == Phase::Stopped
     }
@@ -275,7 +260,6 @@ impl Controller {
         self.phase == Phase::Idle && self.next == Level::Dominant
     }
 
-    /// The duration of a bit.
     pub fn bit_time(&self) -> Time {
         self.spans.bit
     }

@@ -5,7 +5,6 @@ const RECEIVE_AFTER_PASSIVE: u16 = 120;
 /// The limit of the receive error counter, which keeps it to eight bits.
 const RECEIVE_LIMIT: u16 = 255;
 
-/// The transmit and receive error counters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErrorCounters {
     /// Transmit error counter; above 255 means bus-off.
@@ -15,7 +14,6 @@ pub struct ErrorCounters {
 }
 
 impl ErrorCounters {
-    /// Whether a counter has reached 96.
     pub const fn warning(self) -> bool {
         self.transmit >= 96 || self.receive >= 96
     }

@@ -11,10 +11,8 @@ pub enum Id {
     Extended(u32),
 }
 
-/// A data or remote frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Frame {
-    /// Identifier.
     pub id: Id,
     /// Whether the RTR bit is recessive; the frame then carries no data.
     pub remote: bool,

@@ -24,7 +24,6 @@ impl Level {
 
 /// Bits from the CRC delimiter to the last bit of EOF: delimiter, acknowledge slot and delimiter, EOF.
 const TAIL: u32 = 10;
-/// Bits of the CRC sequence.
 const CRC_BITS: u8 = 15;
 /// Position of the IDE bit, counted from SOF without stuff bits.
 const IDE: u8 = 13;
@@ -132,7 +131,6 @@ impl BitStream {
 /// The meaning of a bit to a [`Decoder`].
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Progress {
-    /// The frame continues.
     Within,
     /// A sixth equal bit where a stuff bit was due.
     StuffError,
@@ -157,7 +155,6 @@ impl Decoder {
         self.position
     }
 
-    /// Whether the next bit is a stuff bit.
     pub fn stuff_bit_due(&self) -> bool {
         self.run.full()
     }

@@ -44,7 +44,6 @@ pub struct Mode {
 }
 
 impl BitSegments {
-    /// Quanta in a bit.
     pub const fn quanta(self) -> u32 {
         1 + self.segment_1 as u32 + self.segment_2 as u32
     }
@@ -62,7 +61,6 @@ pub(super) struct Spans {
     pub quantum: u64,
     /// The time from the start of the bit to its sample point.
     pub sample: Time,
-    /// The whole bit.
     pub bit: Time,
     /// Resynchronisation jump width in quanta.
     pub jump_width: i64,

@@ -21,7 +21,6 @@ pub struct Noise {
     pub seed: u64,
     /// Mean time from the end of a pulse to the start of the next.
     pub mean_interval: Time,
-    /// The duration of a pulse.
     pub length: Time,
 }
 

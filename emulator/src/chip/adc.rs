@@ -79,7 +79,6 @@ pub struct Adc {
     data: u16,
     /// The end of the running conversion.
     end: Option<Time>,
-    /// The surroundings.
     pub analogue: Analogue,
 }
 
@@ -102,12 +101,10 @@ impl Adc {
         self.clock = clock;
     }
 
-    /// The level of the interrupt line.
     pub fn irq(&self) -> bool {
         self.reg(SR) & EOC != 0 && self.reg(CR1) & EOCIE != 0
     }
 
-    /// The end of the running conversion.
     pub fn deadline(&self) -> Time {
         self.end.unwrap_or(Time::MAX)
     }

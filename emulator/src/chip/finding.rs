@@ -10,19 +10,13 @@ use crate::Time;
 pub struct Finding {
     /// The time of the first occurrence.
     pub time: Time,
-    /// Address of the instruction.
     pub pc: u32,
-    /// The accessed address.
     pub address: u32,
-    /// The width of the access.
     pub width: Width,
-    /// Whether the access was a write.
     pub write: bool,
     /// The value written, or 0 for a read.
     pub value: u32,
-    /// The problem.
     pub problem: Problem,
-    /// The number of occurrences.
     pub count: u64,
 }
 

@@ -129,7 +129,6 @@ impl Flash {
         self.acr = ACR_ICEN | ACR_DCEN | 3;
     }
 
-    /// BOR_LEV of the option bytes.
     pub(super) fn bor_lev(&self) -> u32 {
         self.options.bor_lev()
     }
@@ -144,7 +143,6 @@ impl Flash {
         self.acr
     }
 
-    /// The number of wait states.
     pub fn latency(&self) -> u32 {
         self.acr & 0xF
     }
@@ -170,7 +168,6 @@ impl Flash {
         self.power_cut_at
     }
 
-    /// The end of the current operation.
     pub fn operation_end(&self) -> Option<Time> {
         self.operation.as_ref().map(|operation| operation.end)
     }

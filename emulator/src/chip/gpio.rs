@@ -20,11 +20,9 @@ pub struct Pin(pub char, pub u8);
 pub struct Output {
     /// The level, or `None` while the pin is not a general purpose output.
     pub level: Option<bool>,
-    /// The time of the last change.
     pub since: Time,
 }
 
-/// A port of 16 pins.
 #[derive(Debug)]
 pub(super) struct Port {
     index: usize,
@@ -33,7 +31,6 @@ pub(super) struct Port {
     outputs: [Output; 16],
 }
 
-/// All ports of a part.
 #[derive(Debug)]
 pub struct Gpio {
     ports: Vec<Port>,
@@ -123,7 +120,6 @@ impl Gpio {
         Self { ports: (0..part.gpio_ports()).map(Port::new).collect() }
     }
 
-    /// The number of ports.
     pub(super) fn len(&self) -> usize {
         self.ports.len()
     }

@@ -8,7 +8,6 @@ const PR: u32 = 0x04;
 const RLR: u32 = 0x08;
 const SR: u32 = 0x0C;
 
-/// The independent watchdog.
 #[derive(Debug)]
 pub struct Iwdg {
     lsi: u32,

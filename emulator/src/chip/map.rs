@@ -7,9 +7,7 @@ use super::{
 };
 use crate::Time;
 
-/// First address of the flash.
 pub const FLASH_BASE: u32 = 0x0800_0000;
-/// First address of the SRAM.
 pub const RAM_BASE: u32 = 0x2000_0000;
 /// First address of the core-coupled memory.
 pub const CCM_BASE: u32 = 0x1000_0000;
@@ -18,14 +16,10 @@ pub const CCM_BASE: u32 = 0x1000_0000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BusFault;
 
-/// The width of an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Width {
-    /// 8 bits.
     Byte,
-    /// 16 bits.
     Half,
-    /// 32 bits.
     Word,
 }
 
@@ -40,7 +34,6 @@ impl Width {
         }
     }
 
-    /// The number of bytes.
     pub const fn bytes(self) -> u32 {
         match self {
             Self::Byte => 1,
@@ -61,13 +54,10 @@ impl Width {
 /// A load or store by the CPU, naturally aligned.
 #[derive(Clone, Copy, Debug)]
 pub struct Access {
-    /// The address of the first byte.
     pub address: u32,
-    /// The width.
     pub width: Width,
     /// The time of the access.
     pub now: Time,
-    /// The address of the instruction.
     pub pc: u32,
 }
 

@@ -37,7 +37,6 @@ pub enum Part {
     Stm32f479,
 }
 
-/// There is no chip of this name.
 #[derive(Debug)]
 pub struct UnknownPart;
 

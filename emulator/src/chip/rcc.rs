@@ -34,10 +34,8 @@ const CSSF: u32 = 1 << 7;
 /// The internal oscillator, assumed to be exact.
 const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
 
-/// The cause of a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ResetCause {
-    /// The supply came up.
     PowerOn,
     /// The supply fell below the brown-out level that the option bytes select, and rose again.
     BrownOut,
@@ -45,7 +43,6 @@ pub enum ResetCause {
     Pin,
     /// `AIRCR.SYSRESETREQ`.
     Software,
-    /// The independent watchdog ran out.
     Watchdog,
 }
 
@@ -65,7 +62,6 @@ impl ResetCause {
 /// The clocks of the current RCC settings, each with the error of its oscillator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clocks {
-    /// System clock.
     pub sysclk: Clock,
     /// CPU, AHB and SysTick.
     pub hclk: Clock,
@@ -166,12 +162,10 @@ impl Rcc {
         self.regs[offset as usize / 4]
     }
 
-    /// Whether the block has a clock.
     pub fn enabled(&self, block: Block) -> bool {
         block.gate().is_none_or(|(register, bit)| self.reg(register) >> bit & 1 == 1)
     }
 
-    /// Whether RCC holds the block in reset.
     pub fn held_in_reset(&self, block: Block) -> bool {
         block.gate().is_some_and(|(register, bit)| self.reg(register - 0x20) >> bit & 1 == 1)
     }
@@ -342,7 +336,6 @@ impl Rcc {
         !self.crystal_works && self.sysclk_needs_hse()
     }
 
-    /// Whether the backup domain is held in reset.
     pub fn backup_domain_held_in_reset(&self) -> bool {
         self.reg(Self::BDCR) & BDRST != 0
     }
@@ -383,7 +376,6 @@ impl Rcc {
         }
     }
 
-    /// The PLL's input clock.
     fn pll_source(&self) -> Clock {
         if self.reg(PLLCFGR) >> 22 & 1 == 1 { self.crystal } else { HSI }
     }
@@ -417,7 +409,6 @@ impl Rcc {
         Ok(())
     }
 
-    /// The clocks that the registers now select.
     pub fn clocks(&self) -> Clocks {
         let cfgr = self.reg(CFGR);
         let sysclk = match cfgr & 3 {

@@ -23,7 +23,6 @@ impl Rng {
         Self { cr: 0, state: 0x2545_F491 }
     }
 
-    /// The level of its interrupt.
     pub fn irq(&self) -> bool {
         self.cr == RNGEN | IE
     }

@@ -4,12 +4,9 @@
 /// The chip's place within the range of the data sheet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Thresholds {
-    /// The lowest levels.
     Lowest,
-    /// The typical levels.
     #[default]
     Typical,
-    /// The highest levels.
     Highest,
 }
 

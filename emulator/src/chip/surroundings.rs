@@ -16,7 +16,6 @@ impl Chip {
         self.variant.thresholds.reset(self.flash.bor_lev(), self.pwr.supply(), was_low)
     }
 
-    /// Stops the crystal at `now`.
     pub fn stop_crystal(&mut self, now: Time) {
         self.rcc.stop_crystal(now);
         self.follow_clocks(now);

@@ -37,13 +37,11 @@ impl Pwr {
         self.cr & Self::DBP != 0
     }
 
-    /// Sets the supply in mV.
     pub fn set_supply(&mut self, mv: u32) {
         self.supply_mv = mv;
         self.detect();
     }
 
-    /// The supply in mV.
     pub fn supply(&self) -> u32 {
         self.supply_mv
     }
@@ -98,9 +96,7 @@ pub enum AtZero {
     /// The flash, as after a reset with BOOT0 low.
     #[default]
     Flash = 0,
-    /// The system memory with the boot loader.
     System = 1,
-    /// The SRAM.
     Sram = 3,
 }
 
@@ -120,7 +116,6 @@ impl Syscfg {
         Self { boot, regs }
     }
 
-    /// The memory at address 0.
     pub fn at_zero(&self) -> AtZero {
         match self.regs[0] & 3 {
             1 => AtZero::System,

@@ -38,9 +38,7 @@ const UPDATE: u32 = 1 << 0;
 #[derive(Debug)]
 pub struct Kind {
     pub place: Place,
-    /// The number of compare channels.
     channels: u8,
-    /// The largest value of the counter.
     max: u32,
     /// The interrupt of the update event and that of the channels.
     irqs: (u32, u32),
@@ -125,7 +123,6 @@ impl Timer {
         self.deadline
     }
 
-    /// The bus on which it is.
     pub fn apb(&self) -> Apb {
         self.kind.place.0
     }

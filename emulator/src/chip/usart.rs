@@ -47,7 +47,6 @@ impl Usart {
         Self { kind, regs: [0; 7], sent: Vec::new() }
     }
 
-    /// The bytes sent since the last call.
     pub fn take_sent(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.sent)
     }

@@ -23,14 +23,11 @@ pub struct ChipVariant {
     pub lsi_hz: u32,
     /// From HSEON to HSERDY: 0.1 to 10 ms for a working crystal; [`Time::MAX`] for one that never starts.
     pub hse_start: Time,
-    /// The other times of the start.
     pub start_up: StartUp,
     /// After each reset a boot loader starts the program, and leaves the chip as the one in ROM does after
     /// `dfu-util ... :leave`: see [`Chip::leave_loader`](super::Chip::leave_loader).
     pub boot_loader: bool,
-    /// The levels of the voltage detector and of the brown-out reset.
     pub thresholds: Thresholds,
-    /// The programming and erase times of the flash.
     pub flash_timing: Timing,
 }
 

@@ -19,7 +19,6 @@ impl CycleClock {
         Self { clock, cycles, time }
     }
 
-    /// The frequency.
     pub const fn clock(&self) -> Clock {
         self.clock
     }

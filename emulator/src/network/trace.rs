@@ -12,12 +12,9 @@ use crate::{
 /// The number of bits after the first error within which errors of others belong to the same error frame.
 const ERROR_FRAME_BITS: u64 = 20;
 
-/// The source of an [`Event`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Source {
-    /// The board of this number.
     Board(usize),
-    /// An adapter.
     Adapter(AdapterId),
 }
 
@@ -37,61 +34,45 @@ pub struct Event {
     pub time: Time,
     /// The source; for a frame its first sender, for an error frame the station that raised it first.
     pub source: Source,
-    /// The event itself.
     pub what: What,
 }
 
 /// The kind of an event.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum What {
-    /// A frame was sent on the bus.
+    /// A frame was sent on the bus, by `also` at the same time; `bit_rate` is its sender's nominal one in bit/s.
     Frame {
-        /// The frame.
         frame: Frame,
-        /// The start of its SOF.
         start: Time,
-        /// The nominal bit rate of its sender, in bit/s.
         bit_rate: u32,
-        /// Other stations that sent the same frame at the same time.
         also: Vec<Source>,
     },
     /// An error frame began, active or passive.
     Error {
-        /// The kind of error.
         kind: ErrorKind,
-        /// Whether the transmitter detected it.
         transmitting: bool,
     },
-    /// A board requested a transmission.
+    /// A board requested a transmission from this mailbox, 0..=2.
     Requested {
-        /// The number of the mailbox, 0..=2.
         mailbox: usize,
-        /// The frame in the mailbox.
         frame: Frame,
     },
-    /// A board emptied a mailbox whose frame was not being sent.
+    /// A board emptied this mailbox, whose frame was not being sent.
     Aborted {
-        /// The number of the mailbox, 0..=2.
         mailbox: usize,
-        /// The frame that was in the mailbox.
         frame: Frame,
     },
-    /// A board changed its bit timing.
+    /// A board changed its bit timing; `bit_rate` is nominal, in bit/s.
     BitTiming {
-        /// BTR as written.
         btr: u32,
-        /// The corresponding nominal bit rate, in bit/s.
         bit_rate: u32,
     },
-    /// INAK was set.
     InitializationEntered,
-    /// INAK was cleared.
     InitializationLeft,
     /// A controller went bus-off.
     BusOff,
     /// A controller finished its bus-off recovery.
     Recovered,
-    /// A board was reset.
     Reset(ResetCause),
     /// A board lost its supply.
     PowerOff,
@@ -129,12 +110,10 @@ impl fmt::Display for Event {
 /// The amount of trace that is kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Recording {
-    /// All events.
     #[default]
     All,
     /// At least this number of the latest events, and at most twice as many.
     Latest(usize),
-    /// No events.
     Off,
 }
 

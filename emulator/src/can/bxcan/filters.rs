@@ -94,7 +94,6 @@ impl Filters {
         }
     }
 
-    /// The register at `offset` from FMR, if there is one.
     pub fn read(&self, offset: u32) -> Option<u32> {
         Some(match offset {
             FMR => self.fmr,

@@ -19,12 +19,9 @@ const CODE_SHIFT: u32 = 24;
 const TME_SHIFT: u32 = 26;
 const LOW_SHIFT: u32 = 29;
 
-/// The reason why a transmission failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
-    /// Another frame won the arbitration.
     Arbitration,
-    /// An error was detected.
     Error,
 }
 
@@ -60,7 +57,6 @@ impl Mailbox {
     }
 }
 
-/// The transmit mailboxes.
 #[derive(Debug, Default)]
 pub struct Mailboxes {
     mailboxes: [Mailbox; 3],

@@ -19,7 +19,6 @@ const FOVIE: u32 = 1 << 2;
 /// RIR, RDTR, RDLR and RDHR.
 type Message = [u32; 4];
 
-/// A receive FIFO.
 #[derive(Debug, Default)]
 pub struct Fifo {
     messages: VecDeque<Message>,

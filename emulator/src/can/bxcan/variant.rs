@@ -20,7 +20,6 @@ pub struct CanVariant {
     pub late_choice: bool,
     /// Condition that locks the transmit pin dominant while the controller listens.
     pub transmit_lock: Option<TransmitLock>,
-    /// Acknowledgement of initialisation mode.
     pub acknowledge: Acknowledge,
     /// A receive FIFO shows a released frame, and RFOM, for two cycles of APB1, instead of the next frame at once.
     pub late_release: bool,
@@ -39,7 +38,6 @@ pub struct TransmitLock {
 /// The time from INRQ to INAK on a quiet bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Acknowledge {
-    /// At once.
     #[default]
     Prompt,
     /// After this number of bit times.

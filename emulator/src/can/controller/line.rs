@@ -40,7 +40,6 @@ impl Default for Line {
 }
 
 impl Line {
-    /// The time of its next change.
     pub fn next_action(&self) -> Time {
         self.next.map_or(Time::MAX, |(at, _)| at)
     }

@@ -12,7 +12,6 @@ use crate::{
 
 /// Recessive bits after which a controller takes part, and which make one step of bus-off recovery.
 const IDLE_BITS: u8 = 11;
-/// Steps of bus-off recovery.
 const RECOVERY_SEQUENCES: u8 = 128;
 /// Positions of the RTR bit, the last of the arbitration field, in the base and the extended format.
 const BASE_RTR: u8 = 12;

@@ -4,14 +4,11 @@ use std::ops::Range;
 
 use crate::chip::Part;
 
-/// Stuck bits of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StuckBits {
     /// Byte offset from the start of the flash.
     pub offset: u32,
-    /// The stuck bits of the byte.
     pub mask: u8,
-    /// The values of the bits in `mask`.
     pub value: u8,
 }
 
@@ -40,7 +37,6 @@ impl Array {
         Self { part, bytes, stuck: Vec::new(), marginal: Vec::new() }
     }
 
-    /// The entire content.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
@@ -53,7 +49,6 @@ impl Array {
         self.apply_stuck(start..start + bytes.len());
     }
 
-    /// Adds stuck bits.
     pub fn add_stuck(&mut self, bits: StuckBits) {
         self.stuck.push(bits);
         self.apply_stuck(bits.offset as usize..bits.offset as usize + 1);

@@ -5,7 +5,6 @@ use crate::chip::Part;
 const OPTLOCK: u32 = 1 << 0;
 const BOR_LEV: u32 = 0b11 << 2;
 
-/// The option bytes.
 #[derive(Debug)]
 pub struct Options {
     part: Part,
@@ -33,13 +32,11 @@ impl Options {
         }
     }
 
-    /// Sets BOR_LEV.
     pub fn set_brown_out_level(&mut self, level: u8) {
         let bor_lev = u32::from(3 - level.min(3)) << BOR_LEV.trailing_zeros();
         self.registers[0] = self.registers[0] & !BOR_LEV | bor_lev;
     }
 
-    /// BOR_LEV.
     pub fn bor_lev(&self) -> u32 {
         (self.registers[0] & BOR_LEV) >> BOR_LEV.trailing_zeros()
     }
@@ -59,7 +56,6 @@ impl Options {
         }
     }
 
-    /// OPTCR and OPTCR1.
     pub fn registers(&self) -> [u32; 2] {
         self.registers
     }

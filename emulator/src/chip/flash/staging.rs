@@ -51,7 +51,6 @@ impl Flash {
         self.power_cut = Some(cut);
     }
 
-    /// Adds stuck bits.
     pub fn add_stuck_bits(&mut self, bits: StuckBits) {
         self.array.add_stuck(bits);
         self.note_change(bits.offset as usize..bits.offset as usize + 1);

@@ -51,7 +51,6 @@ impl Link {
         self.accelerator.lock().expect("nothing panics while it holds the accelerator")
     }
 
-    /// Takes over a new clock.
     pub fn set_clock(&self, clock: CycleClock) {
         *self.clock.lock().expect("nothing panics while it holds the clock") = clock;
     }
@@ -207,7 +206,6 @@ impl Space {
         }
     }
 
-    /// The same for the core.
     pub fn shared(&self) -> Arc<AddressSpace> {
         Arc::clone(&self.shared)
     }
