@@ -11,9 +11,7 @@ pub use log::LogLine;
 use crate::{
     Time,
     can::{Clock, bxcan},
-    chip::{
-        Chip, ChipVariant, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause, StartUp,
-    },
+    chip::{Chip, ChipVariant, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause},
     coverage::Recorder,
     engine::{Engine, Halt, Lockup, rsemu::Rsemu},
     image::Image,
@@ -75,9 +73,6 @@ pub struct Board {
     #[cfg(feature = "log")]
     log: Log,
     controller: usize,
-    start_up: StartUp,
-    /// A boot loader starts the program.
-    has_loader: bool,
     powered: bool,
     /// The supply is on, but too low for the chip to leave its reset.
     browned_out: bool,
@@ -115,8 +110,6 @@ impl Board {
             #[cfg(feature = "log")]
             log: Log::new(image.clone()),
             controller,
-            start_up: chip_variant.start_up,
-            has_loader: chip_variant.boot_loader,
             powered: false,
             browned_out: false,
             dark: Time::ZERO,
@@ -232,11 +225,12 @@ impl Board {
         #[cfg(feature = "log")]
         self.log.restart();
         self.chip().reset(cause, now);
+        let variant = self.chip().variant();
         let hold = match cause {
-            ResetCause::PowerOn | ResetCause::BrownOut => self.start_up.reset(),
+            ResetCause::PowerOn | ResetCause::BrownOut => variant.start_up.reset(),
             _ => RESET_HOLD,
         };
-        if self.has_loader {
+        if variant.boot_loader {
             self.engine.start_from_loader(now, hold);
         } else {
             self.engine.reset(now, hold);

@@ -42,10 +42,7 @@ use usart::Usart;
 
 use crate::{
     Time,
-    can::{
-        Bxcan, Clock, Pins,
-        bxcan::{Interrupts, Role},
-    },
+    can::{Bxcan, Clock, Pins, bxcan::Role},
 };
 
 /// Something that the chip asks of its board.
@@ -201,23 +198,14 @@ impl Chip {
 
     /// Levels of the interrupt lines, bit n for interrupt n (RM0090 table 61).
     pub fn irqs(&self) -> u128 {
+        let cans = self.cans.iter().zip(CAN_INTERRUPTS);
+        let cans = cans.map(|(can, first)| u128::from(can.irq()) << first);
         u128::from(self.flash.irq()) << 4
             | u128::from(self.adc.irq()) << 18
-            | self.can_irqs()
+            | cans.fold(0, BitOr::bitor)
             | u128::from(self.rng.irq()) << 80
             | self.timers.iter().map(Timer::irqs).fold(0, BitOr::bitor)
             | self.usarts.iter().map(Usart::irqs).fold(0, BitOr::bitor)
-    }
-
-    fn can_irqs(&self) -> u128 {
-        let mut irqs = 0;
-        for (can, first) in self.cans.iter().zip(CAN_INTERRUPTS) {
-            let Interrupts { tx, rx0, rx1, sce } = can.irq();
-            let levels =
-                u8::from(tx) | u8::from(rx0) << 1 | u8::from(rx1) << 2 | u8::from(sce) << 3;
-            irqs |= u128::from(levels) << first;
-        }
-        irqs
     }
 
     /// When the chip next does something by itself, CAN apart, which lives on the bus's time.

@@ -235,16 +235,6 @@ mod tests {
     }
 
     #[test]
-    fn the_targets_of_a_table_branch_are_kept() {
-        let mut flash = [0; 16];
-        flash[8..12].copy_from_slice(&[0xD0, 0xE8, 0x00, 0xF0]);
-        let mut recorder = recorder(&flash);
-        recorder.executed(Executed { pc: AT, next: AT + 6, xpsr: 0 });
-        assert!(recorder.record.has_jumped(AT, AT + 6));
-        assert!(!recorder.record.has_jumped(AT, AT + 4));
-    }
-
-    #[test]
     fn an_instruction_in_an_it_block_has_the_condition_of_its_flags() {
         // ADDEQ in ITETE EQ, then ADDNE in its second place.
         const Z: u32 = xpsr::Z;

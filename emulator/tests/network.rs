@@ -7,7 +7,7 @@ use emulator::{
     Time,
     board::{Board, Settings},
     can::{Adapter, Clock, ErrorKind, Frame, Id},
-    chip::{Part, ResetCause},
+    chip::Part,
     network::{Event, Network, Recording, Source, What},
 };
 use programs::{Program, R1};
@@ -183,17 +183,6 @@ fn a_board_without_power_is_not_on_the_bus_and_comes_back() {
         .filter(|what| matches!(what, What::PowerOff | What::PowerOn))
         .collect();
     assert_eq!(supply, [&What::PowerOff, &What::PowerOn]);
-}
-
-#[test]
-fn a_reset_of_a_board_is_in_the_trace() {
-    let mut program = Program::new();
-    program.store(0xE000_ED0C, 0x05FA_0004).stop();
-    let board = Board::new(Part::Stm32f405, &program.image(), Settings::default());
-    let mut network = Network::new();
-    network.add_board(board);
-    network.run_until(Time::from_us(1_600));
-    assert_eq!(network.trace()[0].what, What::Reset(ResetCause::Software));
 }
 
 #[test]

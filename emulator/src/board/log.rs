@@ -46,17 +46,13 @@ impl Log {
         if !engine.read_memory(block, &mut id) || !id.starts_with(b"SEGGER RTT") {
             return;
         }
-        let word = |offset: u32| {
-            let mut bytes = [0; 4];
-            engine
-                .read_memory(block + CHANNEL + offset, &mut bytes)
-                .then_some(u32::from_le_bytes(bytes))
-        };
-        let (Some(buffer), Some(size), Some(write), Some(read)) =
-            (word(4), word(8), word(12), word(16))
-        else {
+        let mut channel = [0; 20];
+        if !engine.read_memory(block + CHANNEL, &mut channel) {
             return;
-        };
+        }
+        let (words, _) = channel.as_chunks();
+        let [_, buffer, size, write, read] =
+            std::array::from_fn(|at| u32::from_le_bytes(words[at]));
         if read == write || read >= size || write >= size {
             return;
         }

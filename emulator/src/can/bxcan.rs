@@ -18,18 +18,12 @@ use receive::Fifo;
 use registers::*;
 use variant::Behaviour;
 
-/// Levels of the four interrupt lines (RM0090 32.8).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Interrupts {
-    /// A transmission request has completed.
-    pub tx: bool,
-    /// FIFO 0 has a message, is full or has overrun.
-    pub rx0: bool,
-    /// The same for FIFO 1.
-    pub rx1: bool,
-    /// Error, wake-up or entry to sleep mode.
-    pub sce: bool,
-}
+/// Interrupt lines (RM0090 32.8): a transmission request has completed; FIFO 0 has a message, is full or has overrun;
+/// the same for FIFO 1; error, wake-up or entry to sleep mode.
+pub const TX: u8 = 1 << 0;
+pub const RX0: u8 = 1 << 1;
+pub const RX1: u8 = 1 << 2;
+pub const SCE: u8 = 1 << 3;
 
 /// An access by the program, or a change that it can see, that belongs in a trace of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,7 +80,7 @@ pub struct Bxcan {
     fifos: [Fifo; 2],
     filters: Filters,
     notes: Vec<(Time, Note)>,
-    irq: Interrupts,
+    irq: u8,
     behaviour: Behaviour,
 }
 
@@ -110,7 +104,7 @@ impl Bxcan {
             fifos: Default::default(),
             filters: Filters::new(role),
             notes: Vec::new(),
-            irq: Interrupts::default(),
+            irq: 0,
             behaviour: Behaviour::default(),
         };
         bxcan.controller.watch(true);
@@ -153,7 +147,7 @@ impl Bxcan {
     }
 
     /// Levels of the interrupt lines as of the program's latest write or [`update_irq`](Self::update_irq).
-    pub fn irq(&self) -> Interrupts {
+    pub fn irq(&self) -> u8 {
         self.irq
     }
 
@@ -174,16 +168,19 @@ impl Bxcan {
         self.interrupts() != self.irq
     }
 
-    fn interrupts(&self) -> Interrupts {
+    fn interrupts(&self) -> u8 {
         let enabled = |bit, flag| self.ier & bit != 0 && flag;
-        Interrupts {
-            tx: enabled(IER_TMEIE, self.mailboxes.any_completed()),
-            rx0: self.fifos[0].irq(self.ier >> IER_FIFO_0),
-            rx1: self.fifos[1].irq(self.ier >> IER_FIFO_1),
-            sce: enabled(IER_ERRIE, self.latched & MSR_ERRI != 0)
-                || enabled(IER_WKUIE, self.latched & MSR_WKUI != 0)
-                || enabled(IER_SLKIE, self.latched & MSR_SLAKI != 0),
-        }
+        let change = enabled(IER_ERRIE, self.latched & MSR_ERRI != 0)
+            || enabled(IER_WKUIE, self.latched & MSR_WKUI != 0)
+            || enabled(IER_SLKIE, self.latched & MSR_SLAKI != 0);
+        [
+            (TX, enabled(IER_TMEIE, self.mailboxes.any_completed())),
+            (RX0, self.fifos[0].irq(self.ier >> IER_FIFO_0)),
+            (RX1, self.fifos[1].irq(self.ier >> IER_FIFO_1)),
+            (SCE, change),
+        ]
+        .into_iter()
+        .fold(0, |lines, (line, is_high)| lines | if is_high { line } else { 0 })
     }
 
     /// The nominal bit rate in bit/s, from BTR and the clock.

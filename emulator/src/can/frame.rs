@@ -116,24 +116,4 @@ mod tests {
         assert_eq!(Frame::remote(id, 8).to_string(), "7E5#R8");
         assert_eq!(Frame::data(id, &[0xAB; 8]).with_dlc(9).to_string(), "7E5#ABABABABABABABAB_9");
     }
-
-    #[test]
-    fn the_bus_order_puts_data_before_remote_and_base_before_extended() {
-        let order = [
-            Frame::data(Id::Standard(0x0FF), &[]),
-            Frame::data(Id::Standard(0x100), &[]),
-            Frame::remote(Id::Standard(0x100), 0),
-            Frame::data(Id::Extended(0x100 << 18), &[]),
-            Frame::remote(Id::Extended(0x100 << 18), 0),
-            Frame::data(Id::Extended(0x100 << 18 | 1), &[]),
-            Frame::data(Id::Standard(0x101), &[]),
-        ];
-        assert!(order.is_sorted_by_key(Frame::arbitration));
-    }
-
-    #[test]
-    fn a_data_length_code_above_eight_means_eight_bytes() {
-        assert_eq!(Frame::data(Id::Standard(1), &[7; 8]).with_dlc(15).payload(), [7; 8]);
-        assert!(Frame::remote(Id::Standard(1), 8).payload().is_empty());
-    }
 }

@@ -89,15 +89,6 @@ mod tests {
         BitSegments { prescaler: 2, segment_1: 13, segment_2: 2, jump_width: 1 };
 
     #[test]
-    fn thirty_two_megahertz_make_a_megabit_sampled_at_seven_eighths() {
-        assert_eq!(TIMING.bit_rate(32_000_000), 1_000_000);
-        let spans = Spans::new(Clock { hz: 32_000_000, ppm: 0 }, TIMING);
-        assert_eq!(spans.bit, Time::from_us(1));
-        assert_eq!(spans.sample, Time::from_ns(875));
-        assert_eq!(spans.quantum, 62_500);
-    }
-
-    #[test]
     fn a_fast_crystal_shortens_the_bit_by_its_deviation() {
         let bit = |ppm| Spans::new(Clock { hz: 32_000_000, ppm }, TIMING).bit.as_ps();
         assert_eq!(bit(1), 999_999);

@@ -18,9 +18,9 @@ pub struct BusFault;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Width {
-    Byte,
-    Half,
-    Word,
+    Byte = 1,
+    Half = 2,
+    Word = 4,
 }
 
 impl Width {
@@ -35,19 +35,11 @@ impl Width {
     }
 
     pub const fn bytes(self) -> u32 {
-        match self {
-            Self::Byte => 1,
-            Self::Half => 2,
-            Self::Word => 4,
-        }
+        self as u32
     }
 
     pub(super) const fn mask(self) -> u32 {
-        match self {
-            Self::Byte => 0xFF,
-            Self::Half => 0xFFFF,
-            Self::Word => 0xFFFF_FFFF,
-        }
+        u32::MAX >> (32 - 8 * self.bytes())
     }
 }
 

@@ -7,8 +7,8 @@ use emulator::{
 };
 
 use crate::rig::{
-    FLASH_ACR, GPIOA, MCR, PWR_CR, RCC_AHB1ENR, RCC_APB1ENR, RCC_APB2ENR, RCC_CFGR, RCC_CR,
-    RCC_CSR, RCC_PLLCFGR, Rig,
+    FLASH_ACR, GPIOA, PWR_CR, RCC_AHB1ENR, RCC_APB1ENR, RCC_APB2ENR, RCC_CFGR, RCC_CR, RCC_CSR,
+    RCC_PLLCFGR, Rig,
 };
 
 const RCC_CIR: u32 = 0x4002_380C;
@@ -96,15 +96,6 @@ fn a_clock_above_the_voltage_scale_is_found() {
 }
 
 #[test]
-fn a_part_of_100_mhz_starts_at_voltage_scale_2() {
-    for part in [Part::Stm32f412, Part::Stm32f413, Part::Stm32f423] {
-        let mut rig = Rig::new(part);
-        rig.write(RCC_APB1ENR, 1 << 28);
-        assert_eq!(rig.read(PWR_CR), 0x8000, "{part:?}");
-    }
-}
-
-#[test]
 fn a_crystal_is_ready_after_the_time_of_its_variant_or_never() {
     let ready = |hse_start: Time, after: Time| {
         let variant = ChipVariant { hse_start, ..ChipVariant::default() };
@@ -140,15 +131,6 @@ fn with_clock_security_a_crystal_that_stops_leaves_hsi_and_interrupts() {
     rig.start_crystal(later);
     assert_eq!(rig.at(later + Time::from_ms(2)).read(RCC_CR) >> 17 & 1, 1);
     assert_eq!(rig.findings(), []);
-}
-
-#[test]
-fn without_clock_security_a_crystal_that_stops_stops_the_chip() {
-    let mut rig = at_128_mhz(Part::Stm32f405);
-    rig.stop_crystal(Time::from_s(1));
-    assert_eq!((rig.nmi(), rig.is_stopped()), (false, true));
-    rig.reset(ResetCause::Watchdog, Time::from_s(2));
-    assert!(!rig.is_stopped());
 }
 
 #[test]
@@ -321,13 +303,4 @@ fn the_factory_data_is_readable_in_any_width() {
         assert_eq!(rig.read(0xE004_2000), part.id_code());
         assert_eq!(rig.findings(), []);
     }
-}
-
-#[test]
-fn a_reset_through_rcc_puts_can_back_to_sleep() {
-    let mut rig = Rig::clocked(Part::Stm32f405);
-    rig.write(MCR, 1);
-    assert_eq!(rig.read(MCR), 1);
-    rig.reset_by_rcc(1 << 25);
-    assert_eq!(rig.read(MCR), 0x0001_0002);
 }

@@ -4,10 +4,7 @@ use std::ops::{Deref, DerefMut};
 
 use emulator::{
     Time,
-    can::{
-        Adapter, Bus, Clock, Frame, Id, Station,
-        bxcan::{CanVariant, Interrupts},
-    },
+    can::{Adapter, Bus, Clock, Frame, Id, Station, bxcan::CanVariant},
     chip::{Access, BusFault, Chip, ChipVariant, Part, Pin, Problem, ResetCause, Width},
 };
 
@@ -48,7 +45,6 @@ pub const TXFP: u32 = 4;
 pub const RFLM: u32 = 8;
 pub const NART: u32 = 16;
 pub const AWUM: u32 = 32;
-pub const ABOM: u32 = 64;
 pub const TTCM: u32 = 1 << 7;
 pub const MCR_RESET: u32 = 1 << 15;
 
@@ -247,7 +243,7 @@ impl Rig {
     }
 
     /// The interrupt lines of CAN1.
-    pub fn irq(&self) -> Interrupts {
+    pub fn irq(&self) -> u8 {
         self.can(1).irq()
     }
 

@@ -1,4 +1,4 @@
-//! Peripherals that start-up code of others touches: USART, RNG, RTC and the backup domain.
+//! Peripherals that start-up code of others touches: USART, RTC and the backup domain.
 
 use emulator::{
     Time,
@@ -7,7 +7,6 @@ use emulator::{
 
 use crate::rig::{PWR_CR, RCC_APB1ENR, RCC_CSR, Rig};
 
-const RCC_AHB2ENR: u32 = 0x4002_3834;
 const RCC_BDCR: u32 = 0x4002_3870;
 const DBP: u32 = 1 << 8;
 const RTC_TR: u32 = 0x4000_2800;
@@ -35,19 +34,6 @@ fn a_usart_sends_the_bytes_of_an_enabled_transmitter() {
     assert_eq!(rig.irqs(), 0);
     rig.write(USART2 + 0x0C, 1 << 13 | 1 << 7 | 1 << 3);
     assert_eq!(rig.irqs(), 1 << USART2_IRQ);
-    assert_eq!(rig.problems(), []);
-}
-
-#[test]
-fn the_random_number_generator_gives_numbers_while_it_is_on() {
-    const RNG: u32 = 0x5006_0800;
-    let mut rig = Rig::new(Part::Stm32f405);
-    rig.write(RCC_AHB2ENR, 1 << 6);
-    assert_eq!(rig.read(RNG + 4), 0, "no DRDY");
-    rig.write(RNG, 1 << 2);
-    assert_eq!(rig.read(RNG + 4), 1);
-    let [a, b] = [(); 2].map(|()| rig.read(RNG + 8));
-    assert_ne!(a, b);
     assert_eq!(rig.problems(), []);
 }
 

@@ -11,6 +11,7 @@ use emulator::{
 use crate::rig::{
     AWUM, BTR, IER, INAK, INRQ, MCR, MEGABIT, MSR, RF0R, Rig, SLAK, SLEEP, TSR, standard,
 };
+use emulator::can::bxcan::SCE;
 
 #[test]
 fn initialisation_is_entered_while_sleep_is_still_set() {
@@ -95,9 +96,9 @@ fn sleep_ends_on_bus_activity_with_awum() {
     rig.write(IER, 1 << 16 | 1 << 17);
     rig.write(MCR, AWUM | SLEEP);
     assert_eq!(rig.read(MSR) & 0x1F, SLAK | 1 << 4, "SLAKI");
-    assert!(rig.irq().sce);
+    assert_eq!(rig.irq(), SCE);
     rig.write(MSR, 1 << 4);
-    assert!(!rig.irq().sce);
+    assert_eq!(rig.irq(), 0);
     rig.send(standard(0x123, &[]));
     rig.run_us(5);
     assert_eq!(rig.read(MSR) & 0x1F, SLAK | 1 << 3, "WKUI");
