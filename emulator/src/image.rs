@@ -3,7 +3,7 @@
 use std::{
     collections::HashMap,
     fmt, fs, io,
-    path::{Path, PathBuf},
+    path::Path,
     sync::{Arc, OnceLock},
 };
 
@@ -31,47 +31,40 @@ struct Content {
     table: Option<Table>,
 }
 
-/// The reason why an image cannot be loaded.
-#[derive(Debug)]
-pub enum ImageError {
-    Io(PathBuf, io::Error),
-    /// The file is not a 32-bit ELF file, or its defmt section has another format version.
-    Malformed(String),
+fn malformed(error: impl fmt::Display) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, format!("not a firmware image: {error}"))
 }
-
-impl fmt::Display for ImageError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Io(path, error) => write!(f, "cannot read {}: {error}", path.display()),
-            Self::Malformed(why) => write!(f, "not a firmware image: {why}"),
-        }
-    }
-}
-
-impl std::error::Error for ImageError {}
 
 impl Image {
-    pub fn load(path: impl AsRef<Path>) -> Result<Self, ImageError> {
+    /// Reads an ELF file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or [`from_elf`](Self::from_elf) refuses it.
+    pub fn load(path: impl AsRef<Path>) -> io::Result<Self> {
         let path = path.as_ref();
-        let bytes = fs::read(path).map_err(|error| ImageError::Io(path.to_owned(), error))?;
-        Self::from_elf(&bytes)
+        let unreadable = |error: io::Error| {
+            io::Error::new(error.kind(), format!("cannot read {}: {error}", path.display()))
+        };
+        Self::from_elf(&fs::read(path).map_err(unreadable)?)
     }
 
     /// Parses the content of an ELF file.
-    pub fn from_elf(bytes: &[u8]) -> Result<Self, ImageError> {
-        let malformed = |error: &dyn fmt::Display| ImageError::Malformed(error.to_string());
-        let header = FileHeader32::<Endianness>::parse(bytes).map_err(|error| malformed(&error))?;
-        let endian = header.endian().map_err(|error| malformed(&error))?;
+    ///
+    /// # Errors
+    /// It is not a 32-bit ELF file, or its defmt section has another format version.
+    pub fn from_elf(bytes: &[u8]) -> io::Result<Self> {
+        let header = FileHeader32::<Endianness>::parse(bytes).map_err(malformed)?;
+        let endian = header.endian().map_err(malformed)?;
         let mut segments = Vec::new();
-        for program in header.program_headers(endian, bytes).map_err(|error| malformed(&error))? {
+        for program in header.program_headers(endian, bytes).map_err(malformed)? {
             let data = program
                 .data(endian, bytes)
-                .map_err(|()| malformed(&"a segment lies outside of the file"))?;
+                .map_err(|()| malformed("a segment lies outside of the file"))?;
             if program.p_type(endian) == PT_LOAD && !data.is_empty() {
                 segments.push((program.p_paddr(endian), data.to_vec()));
             }
         }
-        let file = ElfFile32::<Endianness>::parse(bytes).map_err(|error| malformed(&error))?;
+        let file = ElfFile32::<Endianness>::parse(bytes).map_err(malformed)?;
         let symbols = file
             .symbols()
             .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address() as u32)))
@@ -81,7 +74,7 @@ impl Image {
             symbols,
             coverage: OnceLock::new(),
             #[cfg(feature = "log")]
-            table: Table::parse(bytes).map_err(|error| malformed(&error))?,
+            table: Table::parse(bytes).map_err(malformed)?,
         })))
     }
 

@@ -21,42 +21,24 @@ struct Words {
 }
 
 /// The numbers of interrupts: transmit, FIFO 0, FIFO 1, status change and error.
-pub static INTERRUPTS: [AtomicU32; 4] = [const { AtomicU32::new(0) }; 4];
+pub static COUNTS: [AtomicU32; 4] = [const { AtomicU32::new(0) }; 4];
 
 /// Counts an interrupt.
 pub fn count_interrupt(line: usize) {
-    INTERRUPTS[line].fetch_add(1, SeqCst);
+    COUNTS[line].fetch_add(1, SeqCst);
 }
 
-/// A frame as it lies in the words.
-#[derive(Clone, Copy)]
-pub struct Frame {
-    /// The identifier, with [`EXTENDED`] and [`REMOTE`].
-    pub id: u32,
-    pub dlc: u8,
-    pub data: [u8; 8],
+/// A frame as it lies in the words: identifier with [`EXTENDED`] and [`REMOTE`], DLC, data.
+pub type Frame = [u32; 4];
+
+pub fn words(id: u32, dlc: u8, data: [u8; 8]) -> Frame {
+    let data = u64::from_le_bytes(data);
+    [id, dlc.into(), data as u32, (data >> 32) as u32]
 }
 
-impl Frame {
-    fn from_words([id, dlc, low, high]: [u32; 4]) -> Self {
-        let data = u64::from(low) | u64::from(high) << 32;
-        Self { id, dlc: dlc as u8, data: data.to_le_bytes() }
-    }
-
-    fn into_words(self) -> [u32; 4] {
-        let data = u64::from_le_bytes(self.data);
-        [self.id, self.dlc.into(), data as u32, (data >> 32) as u32]
-    }
-
-    pub fn is_remote(&self) -> bool {
-        self.id & REMOTE != 0
-    }
-
-    /// The data that the frame carries.
-    pub fn payload(&self) -> &[u8] {
-        let length = if self.is_remote() { 0 } else { usize::from(self.dlc.min(8)) };
-        &self.data[..length]
-    }
+/// The eight bytes of its data.
+pub fn data([_, _, low, high]: Frame) -> [u8; 8] {
+    (u64::from(low) | u64::from(high) << 32).to_le_bytes()
 }
 
 /// A CAN driver under remote control.
@@ -81,10 +63,9 @@ pub trait Driver {
 pub async fn serve(driver: &mut impl Driver, pause: impl AsyncFn()) -> ! {
     REMOTE_CONTROL.control.store(READY, SeqCst);
     loop {
-        let number = REMOTE_CONTROL.control.load(SeqCst);
-        if let Some(command) = Command::ALL.into_iter().find(|command| *command as u32 == number) {
-            let words = core::array::from_fn(|i| REMOTE_CONTROL.data[i].load(SeqCst));
-            let answer = execute(driver, command, words).await;
+        let command = REMOTE_CONTROL.control.load(SeqCst);
+        let words = core::array::from_fn(|i| REMOTE_CONTROL.data[i].load(SeqCst));
+        if let Some(answer) = execute(driver, command, words).await {
             for (word, value) in REMOTE_CONTROL.data.iter().zip(answer) {
                 word.store(value, SeqCst);
             }
@@ -95,44 +76,46 @@ pub async fn serve(driver: &mut impl Driver, pause: impl AsyncFn()) -> ! {
     }
 }
 
-async fn execute(driver: &mut impl Driver, command: Command, words: [u32; WORDS]) -> [u32; WORDS] {
+async fn execute(
+    driver: &mut impl Driver,
+    command: u32,
+    words: [u32; WORDS],
+) -> Option<[u32; WORDS]> {
     let [a, b, c, d, e, f, g] = words;
     let mut answer = [0; WORDS];
     match command {
-        Command::Configure => driver.configure(a, b),
-        Command::Enable => driver.enable().await,
-        Command::Filter => driver.set_filter(a as u8, b, c, [d, e, f, g]),
-        Command::ClearFilters => driver.clear_filters(),
-        Command::Transmit => {
-            if let Some((mailbox, replaced)) = driver.transmit(Frame::from_words([a, b, c, d])) {
-                answer[0] = QUEUED;
+        CONFIGURE => driver.configure(a, b),
+        ENABLE => driver.enable().await,
+        FILTER => driver.set_filter(a as u8, b, c, [d, e, f, g]),
+        CLEAR_FILTERS => driver.clear_filters(),
+        TRANSMIT => {
+            if let Some((mailbox, replaced)) = driver.transmit([a, b, c, d]) {
+                answer[0] = if replaced.is_some() { REPLACED } else { QUEUED };
                 answer[1] = mailbox as u32;
-                if let Some(frame) = replaced {
-                    answer[0] = REPLACED;
-                    answer[2..6].copy_from_slice(&frame.into_words());
-                }
+                answer[2..6].copy_from_slice(&replaced.unwrap_or_default());
             }
         }
-        Command::Receive => match driver.receive() {
+        RECEIVE => match driver.receive() {
             Ok(None) => answer[0] = EMPTY,
             Err(error) => answer[0] = error,
             Ok(Some(frame)) => {
                 answer[0] = FRAME;
-                answer[1..5].copy_from_slice(&frame.into_words());
+                answer[1..5].copy_from_slice(&frame);
             }
         },
-        Command::Abort => answer[0] = driver.abort(a).into(),
-        Command::IsIdle => answer[0] = driver.is_idle().into(),
-        Command::Sleep => driver.sleep().await,
-        Command::WakeUp => driver.wake_up(),
-        Command::WakeUpAutomatically => driver.wake_up_automatically(a != 0),
-        Command::Interrupts => {
-            for (word, count) in answer.iter_mut().zip(&INTERRUPTS) {
+        ABORT => answer[0] = driver.abort(a).into(),
+        IS_IDLE => answer[0] = driver.is_idle().into(),
+        SLEEP => driver.sleep().await,
+        WAKE_UP => driver.wake_up(),
+        WAKE_UP_AUTOMATICALLY => driver.wake_up_automatically(a != 0),
+        INTERRUPTS => {
+            for (word, count) in answer.iter_mut().zip(&COUNTS) {
                 *word = count.load(SeqCst);
             }
         }
+        _ => return None,
     }
-    answer
+    Some(answer)
 }
 
 /// Defines conversions between identifier words and the identifiers of a driver, and `set_filter`, with the driver's

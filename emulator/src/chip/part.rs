@@ -59,7 +59,7 @@ impl FromStr for Part {
 const KB: u32 = 1024;
 const MHZ: u32 = 1_000_000;
 
-/// Parts that differ in nothing that is modelled.
+/// Parts that differ in nothing that is modelled, in the order of the tables below.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Line {
     /// F405, F407, F415, F417 (RM0090).
@@ -128,23 +128,12 @@ impl Part {
 
     /// The number of the reference manual.
     pub const fn manual(self) -> &'static str {
-        match self.line() {
-            Line::F405 | Line::F427 => "RM0090",
-            Line::F412 => "RM0402",
-            Line::F413 => "RM0430",
-            Line::F446 => "RM0390",
-            Line::F469 => "RM0386",
-        }
+        ["RM0090", "RM0402", "RM0430", "RM0090", "RM0390", "RM0386"][self.line() as usize]
     }
 
     /// Bytes of flash at 0x0800_0000.
     pub const fn flash_size(self) -> u32 {
-        match self.line() {
-            Line::F405 | Line::F412 => 1024 * KB,
-            Line::F413 => 1536 * KB,
-            Line::F427 | Line::F469 => 2048 * KB,
-            Line::F446 => 512 * KB,
-        }
+        [1024, 1024, 1536, 2048, 512, 2048][self.line() as usize] * KB
     }
 
     /// Bytes of flash per bank: the CPU stalls only when it needs the busy bank.
@@ -167,20 +156,12 @@ impl Part {
 
     /// Bytes of SRAM at 0x2000_0000 (SRAM1, SRAM2 and SRAM3 adjoin).
     pub const fn ram_size(self) -> u32 {
-        match self.line() {
-            Line::F405 | Line::F446 => 128 * KB,
-            Line::F412 => 256 * KB,
-            Line::F427 => 192 * KB,
-            Line::F413 | Line::F469 => 320 * KB,
-        }
+        [128, 256, 320, 192, 128, 320][self.line() as usize] * KB
     }
 
     /// Bytes of core-coupled memory at 0x1000_0000, or 0: data only, no code.
     pub const fn ccm_size(self) -> u32 {
-        match self.line() {
-            Line::F405 | Line::F427 | Line::F469 => 64 * KB,
-            Line::F412 | Line::F413 | Line::F446 => 0,
-        }
+        [64, 0, 0, 64, 0, 64][self.line() as usize] * KB
     }
 
     /// DBGMCU_IDCODE (chapter "Debug support" of the manual): device in bits 11..0, revision in bits 31..16.
@@ -221,11 +202,7 @@ impl Part {
 
     /// PWR_CR after a reset.
     pub(super) const fn power_after_reset(self) -> u32 {
-        match self.line() {
-            Line::F405 => 0x4000,
-            Line::F412 | Line::F413 => 0x8000,
-            Line::F427 | Line::F446 | Line::F469 => 0xC000,
-        }
+        [0x4000, 0x8000, 0x8000, 0xC000, 0xC000, 0xC000][self.line() as usize]
     }
 
     /// The bits of PWR_CR that can be written.
@@ -276,19 +253,12 @@ impl Part {
 
     /// The number of GPIO ports, from A on.
     pub const fn gpio_ports(self) -> usize {
-        match self.line() {
-            Line::F405 => 9,
-            Line::F412 | Line::F413 | Line::F446 => 8,
-            Line::F427 | Line::F469 => 11,
-        }
+        [9, 8, 8, 11, 8, 11][self.line() as usize]
     }
 
     /// The number of CAN controllers.
     pub const fn cans(self) -> usize {
-        match self.line() {
-            Line::F413 => 3,
-            _ => 2,
-        }
+        [2, 2, 3, 2, 2, 2][self.line() as usize]
     }
 
     /// The pins that can carry a CAN controller (CAN1 as 0), receive and transmit, with their alternate functions. Each

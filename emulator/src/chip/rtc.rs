@@ -1,4 +1,5 @@
-//! The real-time clock (RM0090 chapter 26): the calendar and the backup registers, without alarms and wake-up timer.
+//! The real-time clock (RM0090 chapter 26): its sub-second counter and the backup registers. Time and date stand still,
+//! and there are no alarms and no wake-up timer.
 
 use super::{Problem, map::Registers};
 use crate::Time;
@@ -22,15 +23,14 @@ const INITS: u32 = 1 << 4;
 const RSF: u32 = 1 << 5;
 const INITF: u32 = 1 << 6;
 const INIT: u32 = 1 << 7;
-/// The years and the day of the week in DR.
+/// The years in DR.
 const YEAR: u32 = 0xFF << 16;
-const WEEKDAY: u32 = 0b111 << 13;
 
 /// The real-time clock and its backup registers.
 #[derive(Debug)]
 pub struct Rtc {
-    /// Calendar and prescalers are those at `since`.
     regs: [u32; END as usize / 4],
+    /// When the sub-second counter was last at its beginning.
     since: Time,
     /// The frequency of its clock in Hz; 0 if it has none.
     hz: u32,
@@ -51,8 +51,7 @@ impl Rtc {
     /// Sets the frequency of its clock in Hz, 0 for none.
     pub fn set_clock(&mut self, hz: u32, now: Time) {
         if self.hz != hz {
-            self.settle(now);
-            self.hz = hz;
+            (self.hz, self.since) = (hz, now);
         }
     }
 
@@ -60,7 +59,7 @@ impl Rtc {
         self.regs[offset as usize / 4]
     }
 
-    /// The whole seconds since the calendar was settled, and the value of the sub-second counter.
+    /// The whole seconds since the counter was last at its beginning, and its value.
     fn passed(&self, now: Time) -> (u64, u32) {
         let (asynchronous, synchronous) = (self.reg(PRER) >> 16 & 0x7F, self.reg(PRER) & 0x7FFF);
         if self.reg(ISR) & INIT != 0 {
@@ -71,15 +70,6 @@ impl Rtc {
         let ticks = (ps * u128::from(self.hz) / period) as u64;
         let in_second = u64::from(synchronous) + 1;
         (ticks / in_second, synchronous - (ticks % in_second) as u32)
-    }
-
-    /// Takes the present second over into the registers.
-    fn settle(&mut self, now: Time) {
-        let (seconds, _) = self.passed(now);
-        let [time, date] = later([self.reg(TR), self.reg(DR)], seconds);
-        self.regs[TR as usize / 4] = time;
-        self.regs[DR as usize / 4] = date;
-        self.since = now;
     }
 }
 
@@ -92,17 +82,15 @@ impl Registers for Rtc {
         let value = *self.regs.get(offset as usize / 4)?;
         let flag = |bit, is_set: bool| if is_set { bit } else { 0 };
         let (seconds, subseconds) = self.passed(now);
-        let [time, date] = later([self.reg(TR), self.reg(DR)], seconds);
         Some(match offset {
-            TR => time,
-            DR => date,
+            TR | DR if seconds > 0 => return None,
             SSR => subseconds,
             ISR => {
                 let initializing = value & INIT != 0;
                 // The shadow registers follow at once.
                 value & INIT
                     | ISR_WRITE_FLAGS
-                    | flag(INITS, date & YEAR != 0)
+                    | flag(INITS, self.reg(DR) & YEAR != 0)
                     | flag(RSF, !initializing)
                     | flag(INITF, initializing)
             }
@@ -131,7 +119,7 @@ impl Registers for Rtc {
             }
             TR..END => {
                 if offset < BACKUP {
-                    self.settle(now);
+                    self.since = now;
                 }
                 self.regs[offset as usize / 4] = value;
             }
@@ -139,39 +127,4 @@ impl Registers for Rtc {
         }
         Ok(())
     }
-}
-
-/// TR and DR after this number of seconds, in 24-hour format.
-fn later([time, date]: [u32; 2], seconds: u64) -> [u32; 2] {
-    let number = |bcd: u32| 10 * (bcd >> 4) + (bcd & 0xF);
-    let bcd = |number: u32| 16 * (number / 10) + number % 10;
-    let of_day = number(time >> 16 & 0x3F) * 3600 + number(time >> 8 & 0x7F) * 60;
-    let total = u64::from(of_day + number(time & 0x7F)) + seconds;
-    let (days, of_day) = (total / 86_400, (total % 86_400) as u32);
-
-    let [mut year, mut month, mut day] =
-        [date >> 16 & 0xFF, date >> 8 & 0x1F, date & 0x3F].map(number);
-    for _ in 0..days {
-        let length = match month {
-            2 if year % 4 == 0 => 29,
-            2 => 28,
-            4 | 6 | 9 | 11 => 30,
-            _ => 31,
-        };
-        day += 1;
-        if day > length {
-            (month, day) = (month + 1, 1);
-        }
-        if month > 12 {
-            (year, month) = ((year + 1) % 100, 1);
-        }
-    }
-    let weekday = match (date & WEEKDAY) >> 13 {
-        0 => 0,
-        weekday => (u64::from(weekday - 1) + days) as u32 % 7 + 1,
-    };
-    [
-        bcd(of_day / 3600) << 16 | bcd(of_day / 60 % 60) << 8 | bcd(of_day % 60),
-        bcd(year) << 16 | weekday << 13 | bcd(month) << 8 | bcd(day),
-    ]
 }

@@ -210,8 +210,7 @@ fn can3_has_14_banks_of_its_own_whatever_can2sb_says() {
     assert_eq!(rig.passed(1, &IDS), [0x200]);
     assert_eq!(rig.passed(2, &IDS), [0x100, 0x300]);
     assert_eq!(rig.problems(), []);
-    rig.write(register(2, F0R1 + 8 * 14), 0);
-    rig.write(register(2, FA1R), 1 << 14);
+    rig.write_all(&[(register(2, F0R1 + 8 * 14), 0), (register(2, FA1R), 1 << 14)]);
     assert_eq!(rig.problems().len(), 2, "there is no bank 14");
 }
 

@@ -55,6 +55,16 @@ impl Rig {
         self.write_all(&[(CR, X32 | PG), (0x0800_0000 + offset, value)]);
     }
 
+    fn program_and_wait(&mut self, offset: u32, value: u32) {
+        self.program(offset, value);
+        self.wait();
+    }
+
+    fn erase_and_wait(&mut self, number: u32) {
+        self.erase(number);
+        self.wait();
+    }
+
     fn erase(&mut self, number: u32) {
         self.write_all(&[(CR, X32 | SER | number << 3), (CR, X32 | SER | number << 3 | STRT)]);
     }
@@ -65,8 +75,7 @@ fn programming_clears_bits_and_never_sets_them() {
     let mut rig = unlocked(Part::Stm32f405);
     rig.program(0x4000, 0x00FF_1234);
     assert!(rig.wait() >= Time::from_us(16));
-    rig.program(0x4000, 0xFF0F_FFF0);
-    rig.wait();
+    rig.program_and_wait(0x4000, 0xFF0F_FFF0);
     assert_eq!(rig.cells(0x4000), 0x000F_1230);
     assert_eq!(rig.read(SR), 0);
 }
@@ -90,8 +99,7 @@ fn an_erase_sets_its_sector_and_no_other() {
     for (part, number, range) in Part::ALL.into_iter().flat_map(first_four).chain(others) {
         let mut rig = unlocked(part);
         rig.flash_mut().load(0, &vec![0; part.flash_size() as usize]);
-        rig.erase(number);
-        rig.wait();
+        rig.erase_and_wait(number);
         let mut expected = vec![0; part.flash_size() as usize];
         expected[range].fill(0xFF);
         assert!(rig.flash().bytes() == expected, "{part:?}, sector {number}");
@@ -139,8 +147,7 @@ fn the_last_protection_bit_of_an_f413_is_for_two_sectors() {
         rig.flash_mut().protect_sectors(1 << protected);
         assert_eq!(rig.read(OPTCR) >> 16, bits);
         for number in 12..16 {
-            rig.erase(number);
-            rig.wait();
+            rig.erase_and_wait(number);
             let is_refused = rig.read(SR) & WRPERR != 0;
             let is_protected = number == protected || protected >= 14 && number >= 14;
             assert_eq!(is_refused, is_protected, "sector {number}, {protected} protected");
@@ -154,8 +161,7 @@ fn a_store_without_pg_or_in_the_wrong_width_is_reported_and_does_nothing() {
     let mut rig = unlocked(Part::Stm32f405);
     rig.write(0x0800_4000, 0);
     assert_eq!((rig.read(SR), rig.cells(0x4000)), (PGSERR, u32::MAX));
-    rig.write(SR, PGSERR);
-    rig.write(CR, X32 | PG);
+    rig.write_all(&[(SR, PGSERR), (CR, X32 | PG)]);
     rig.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
     assert_eq!((rig.read(SR), rig.cells(0x4000)), (PGPERR, u32::MAX));
     rig.write(SR, PGPERR);
@@ -173,8 +179,7 @@ fn a_protected_sector_can_be_neither_programmed_nor_erased() {
     rig.erase(2);
     assert_eq!(rig.read(SR), WRPERR);
     rig.write(SR, WRPERR);
-    rig.program(0x4000, 0);
-    rig.wait();
+    rig.program_and_wait(0x4000, 0);
     assert_eq!((rig.cells(0x8000), rig.cells(0x4000)), (u32::MAX, 0));
 }
 
@@ -213,14 +218,10 @@ fn an_erase_behind_the_data_cache_is_found_unless_the_cache_is_reset() {
     for reset in [false, true] {
         let mut rig = unlocked(Part::Stm32f405);
         rig.write(ACR, DCEN);
-        rig.erase(1);
-        rig.wait();
+        rig.erase_and_wait(1);
         rig.write(CR, 1 << 31);
         if reset {
-            rig.write(ACR, 0);
-            rig.write(ACR, DCRST);
-            rig.write(ACR, 0);
-            rig.write(ACR, DCEN);
+            rig.write_all(&[(ACR, 0), (ACR, DCRST), (ACR, 0), (ACR, DCEN)]);
         }
         rig.write(RCC_AHB1ENR, 1);
         assert_eq!(rig.findings().is_empty(), reset);
@@ -242,11 +243,9 @@ fn stuck_bits_survive_programming_and_erasing() {
     let mut rig = unlocked(Part::Stm32f405);
     let stuck = StuckBits { offset: 0x4001, mask: 0x11, value: 0x01 };
     rig.flash_mut().add_stuck_bits(stuck);
-    rig.erase(1);
-    rig.wait();
+    rig.erase_and_wait(1);
     assert_eq!(rig.cells(0x4000), 0xFFFF_EFFF);
-    rig.program(0x4000, 0);
-    rig.wait();
+    rig.program_and_wait(0x4000, 0);
     assert_eq!(rig.cells(0x4000), 0x0000_0100);
 }
 
@@ -255,13 +254,11 @@ fn a_failing_erase_leaves_other_than_blank_without_a_flag() {
     let mut rig = unlocked(Part::Stm32f405);
     rig.flash_mut().load(0x4000, &[0; 0x4000]);
     rig.flash_mut().fail_erases(1, 0);
-    rig.erase(1);
-    rig.wait();
+    rig.erase_and_wait(1);
     let sector = |rig: &Rig| rig.flash().bytes()[0x4000..0x8000].to_vec();
     assert!(sector(&rig).iter().any(|&byte| byte != 0xFF));
     assert_eq!(rig.read(SR), 0);
-    rig.erase(1);
-    rig.wait();
+    rig.erase_and_wait(1);
     assert!(sector(&rig).iter().all(|&byte| byte == 0xFF));
 }
 
@@ -270,8 +267,7 @@ fn a_failing_program_operation_leaves_a_bit_without_a_flag() {
     let mut rig = unlocked(Part::Stm32f405);
     rig.flash_mut().fail_programs(1);
     for (at, left) in [(0x4000_u32, 0x1234_5679), (0x4004, 0x1234_5678)] {
-        rig.program(at, 0x1234_5678);
-        rig.wait();
+        rig.program_and_wait(at, 0x1234_5678);
         assert_eq!(rig.cells(at as usize), left);
         assert_eq!(rig.read(SR), 0);
     }
@@ -283,8 +279,7 @@ fn a_refused_program_operation_sets_a_flag_and_no_bit() {
     rig.flash_mut().refuse_programs(1);
     rig.program(0x4000, 0x1234_5678);
     assert_eq!((rig.read(SR), rig.cells(0x4000)), (PGSERR, u32::MAX));
-    rig.program(0x4000, 0x1234_5678);
-    rig.wait();
+    rig.program_and_wait(0x4000, 0x1234_5678);
     assert_eq!(rig.cells(0x4000), 0x1234_5678);
 }
 
@@ -294,8 +289,7 @@ fn a_power_cut_leaves_a_word_between_its_old_and_its_new_value() {
     for seed in 0..200 {
         let mut rig = unlocked(Part::Stm32f405);
         rig.flash_mut().cut_power(PowerCut { operation: 1, seed });
-        rig.program(0x4000, 0x1234_5678);
-        rig.wait();
+        rig.program_and_wait(0x4000, 0x1234_5678);
         rig.program(0x4004, 0x0F0F_0000);
         let cut = rig.next_event();
         assert!(cut > rig.now && cut < rig.now + Time::from_us(17), "seed {seed}");
@@ -349,8 +343,7 @@ fn a_word_that_was_cut_flips_until_it_is_programmed_again() {
         "{seen:x?}"
     );
     rig.unlock();
-    rig.program(0x4000, 0x1234_5678);
-    rig.wait();
+    rig.program_and_wait(0x4000, 0x1234_5678);
     for _ in 0..20 {
         rig.reset_now(ResetCause::PowerOn);
         assert_eq!(rig.cells(0x4000), 0x1234_5678);
@@ -368,8 +361,7 @@ fn all_registers_but_the_keys_take_bytes_and_half_words() {
     assert_eq!(rig.read(CR), X32 | PG);
     // A byte store while PSIZE selects words.
     rig.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
-    rig.write(CR, X32);
-    rig.write(0x0800_4000, 0);
+    rig.write_all(&[(CR, X32), (0x0800_4000, 0)]);
     assert_eq!(rig.read(SR), PGPERR | PGSERR);
     rig.store(SR, Width::Half, PGPERR).expect("no bus error");
     assert_eq!(rig.read(SR), PGSERR);
@@ -399,8 +391,7 @@ fn the_end_of_an_operation_interrupts_only_if_asked_to() {
     const EOPIE: u32 = 1 << 24;
     for enable in [0, EOPIE] {
         let mut rig = unlocked(Part::Stm32f405);
-        rig.write(CR, X32 | PG | enable);
-        rig.write(0x0800_4000, 0);
+        rig.write_all(&[(CR, X32 | PG | enable), (0x0800_4000, 0)]);
         rig.wait();
         assert_eq!(rig.read(SR), u32::from(enable != 0));
         assert_eq!(rig.irqs() >> 4 & 1, u128::from(enable != 0));

@@ -94,8 +94,7 @@ impl Rig {
     /// A chip whose ports and CAN controllers have their clocks, but the controllers no pins.
     pub fn clocked(part: Part) -> Self {
         let mut rig = Self::new(part);
-        rig.write(RCC_AHB1ENR, 0x1FF);
-        rig.write(RCC_APB1ENR, ((1 << part.cans()) - 1) << 25);
+        rig.write_all(&[(RCC_AHB1ENR, 0x1FF), (RCC_APB1ENR, ((1 << part.cans()) - 1) << 25)]);
         rig
     }
 

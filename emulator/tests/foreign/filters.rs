@@ -3,7 +3,7 @@
 use emulator::can::{Frame, Id};
 
 use crate::{
-    command::{Command, EXTENDED, LIST_16, LIST_32, MASK_16, MASK_32, REMOTE},
+    command::{CLEAR_FILTERS, EXTENDED, FILTER, LIST_16, LIST_32, MASK_16, MASK_32, REMOTE},
     rig::{Driver, Rig, extended, standard},
 };
 
@@ -145,13 +145,13 @@ pub fn filters_can_change_while_the_bus_runs(driver: Driver) {
     assert_eq!(sorted(&mut rig, &frames), [vec![1, 2], vec![]]);
     rig.set_filters(&[(0, LIST_32, [0x200, 0x200, 0, 0])]);
     assert_eq!(sorted(&mut rig, &frames), [vec![2], vec![]]);
-    rig.call(Command::ClearFilters, &[]);
+    rig.call(CLEAR_FILTERS, &[]);
     assert_eq!(sorted(&mut rig, &frames).concat(), b"");
 }
 
 pub fn the_last_bank_works_like_the_first(driver: Driver) {
     let mut rig = joined(driver, &[]);
     // CAN1 has 14 banks until CAN2SB is changed.
-    rig.call(Command::Filter, &[13, 1, LIST_32, 0x123, 0x123]);
+    rig.call(FILTER, &[13, 1, LIST_32, 0x123, 0x123]);
     assert_eq!(sorted(&mut rig, &[standard(0x123, &[1])]), [vec![], vec![1]]);
 }

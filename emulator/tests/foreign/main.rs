@@ -33,15 +33,13 @@ macro_rules! shown_by {
 }
 
 shown_by! { embassy Embassy, bxcan Bxcan: {
-    rates: frames_go_both_ways_at_each_bit_rate,
-        a_new_bit_rate_takes_effect_on_a_running_controller,
+    rates: frames_go_both_ways_at_each_bit_rate_that_a_running_controller_gets,
         frames_of_each_kind_and_length_go_both_ways,
         a_node_joins_the_bus_only_when_it_is_quiet;
     programs: its_log_is_read_and_its_led_blinks_every_millisecond;
     modes: loopback_receives_its_own_frames_without_another_node,
         loopback_shows_its_frames_on_the_bus_and_ignores_those_of_others,
-        a_silent_node_receives,
-        a_silent_node_does_not_acknowledge,
+        a_silent_node_receives_and_does_not_acknowledge,
         silent_loopback_is_a_self_test_apart_from_the_bus,
         a_sleeping_node_neither_receives_nor_acknowledges,
         the_entry_to_sleep_mode_interrupts,
@@ -61,21 +59,18 @@ shown_by! { embassy Embassy, bxcan Bxcan: {
         three_frames_leave_without_a_gap,
         an_identifier_that_waits_is_refused_a_second_time,
         a_fourth_frame_takes_the_place_of_the_least_urgent,
-        a_frame_that_waits_can_be_aborted,
+        a_frame_that_waits_can_be_aborted_and_an_empty_mailbox_cannot,
         a_frame_under_way_is_sent_in_spite_of_an_abort,
-        an_empty_mailbox_cannot_be_aborted,
         the_end_of_a_transmission_interrupts,
         a_frame_that_loses_the_arbitration_is_sent_afterwards,
         one_shot_gives_up_after_a_lost_arbitration,
         one_shot_sends_once_whether_or_not_somebody_acknowledges;
     receive: a_fifo_keeps_three_frames_in_their_order_and_a_fourth_replaces_the_newest,
-        after_an_overrun_frames_are_received_as_before,
         a_full_fifo_leaves_the_other_one_room,
         a_burst_of_fifty_frames_arrives_without_loss,
         a_frame_interrupts_on_the_line_of_its_fifo;
     errors: a_node_alone_becomes_error_passive_and_repeats_until_somebody_acknowledges,
-        bus_off_ends_after_128_times_11_recessive_bits,
-        a_frame_survives_bus_off_in_its_mailbox,
+        bus_off_ends_after_128_times_11_recessive_bits_and_spares_the_mailbox,
         bus_off_lasts_as_long_as_the_bus_is_dominant,
         a_frame_with_an_error_is_repeated_and_received_once,
         the_receive_error_counter_rises_with_each_bad_frame,

@@ -63,24 +63,6 @@ fn build(program: &str, feature: &str) -> Image {
     Image::load(target.join("thumbv7em-none-eabihf/release").join(program)).expect("an image")
 }
 
-/// The answer to an attempt to transmit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Queued {
-    Refused,
-    In(u32),
-    /// In the place of this frame, which was aborted.
-    Replacing(Frame),
-}
-
-/// The answer to an attempt to receive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Received {
-    Empty,
-    Frame(Frame),
-    Overrun,
-    BusError,
-}
-
 /// An adapter with its sample point at 75 %.
 ///
 /// A receiver's bits begin up to one of its quanta before the sender's, as the emulated bus has no delay. At 1 Mbit/s a
@@ -128,20 +110,20 @@ impl Rig {
     pub fn join(&mut self, bit_rate: u32, modes: u32) {
         self.network.adapter_mut(self.adapter).close();
         self.adapter = self.network.add_adapter(adapter(bit_rate));
-        self.call(Command::Configure, &[bit_rate, modes]);
+        self.call(CONFIGURE, &[bit_rate, modes]);
         self.accept_everything();
-        self.call(Command::Enable, &[]);
+        self.call(ENABLE, &[]);
     }
 
     pub fn accept_everything(&mut self) {
-        self.call(Command::Filter, &[0, 0, MASK_32, 0, 0]);
+        self.call(FILTER, &[0, 0, MASK_32, 0, 0]);
     }
 
     /// Replaces all filters by banks from 0 on: FIFO, kind and words of each.
     pub fn set_filters(&mut self, banks: &[(u32, u32, [u32; 4])]) {
-        self.call(Command::ClearFilters, &[]);
+        self.call(CLEAR_FILTERS, &[]);
         for (number, (fifo, kind, [a, b, c, d])) in (0..).zip(banks) {
-            self.call(Command::Filter, &[number, *fifo, *kind, *a, *b, *c, *d]);
+            self.call(FILTER, &[number, *fifo, *kind, *a, *b, *c, *d]);
         }
     }
 
@@ -153,11 +135,11 @@ impl Rig {
     }
 
     /// Gives the program a command without waiting until it is ready.
-    pub fn begin(&mut self, command: Command, arguments: &[u32]) {
-        assert_eq!(self.word(0), READY, "{command:?} comes while another command is carried out");
+    pub fn begin(&mut self, command: u32, arguments: &[u32]) {
+        assert!(self.is_ready(), "command {command} comes while another is carried out");
         let words = arguments.iter().copied().chain(std::iter::repeat(0)).take(WORDS);
         let bytes: Vec<u8> =
-            [command as u32].into_iter().chain(words).flat_map(u32::to_le_bytes).collect();
+            [command].into_iter().chain(words).flat_map(u32::to_le_bytes).collect();
         self.network.board_mut(self.board).write_memory(self.control, &bytes);
     }
 
@@ -166,9 +148,9 @@ impl Rig {
     }
 
     /// Carries out a command and returns the answer.
-    pub fn call(&mut self, command: Command, arguments: &[u32]) -> [u32; WORDS] {
+    pub fn call(&mut self, command: u32, arguments: &[u32]) -> [u32; WORDS] {
         self.begin(command, arguments);
-        self.wait(&format!("the answer to {command:?}"), |rig| rig.is_ready());
+        self.wait(&format!("the answer to command {command}"), |rig| rig.is_ready());
         std::array::from_fn(|index| self.word(1 + index as u32))
     }
 
@@ -193,22 +175,19 @@ impl Rig {
         self.network.run_for(Time::from_us(us));
     }
 
-    pub fn transmit(&mut self, frame: Frame) -> Queued {
-        let [answer, mailbox, replaced @ .., _] = self.call(Command::Transmit, &words(frame));
-        match answer {
-            QUEUED => Queued::In(mailbox),
-            REPLACED => Queued::Replacing(from_words(replaced)),
-            _ => Queued::Refused,
-        }
+    /// The number of the mailbox, and the frame that had to make room, unless the driver refuses the frame.
+    pub fn transmit(&mut self, frame: Frame) -> Option<(u32, Option<Frame>)> {
+        let [answer, mailbox, replaced @ .., _] = self.call(TRANSMIT, &words(frame));
+        (answer != REFUSED).then(|| (mailbox, (answer == REPLACED).then(|| from_words(replaced))))
     }
 
-    pub fn receive(&mut self) -> Received {
-        let [answer, a, b, c, d, ..] = self.call(Command::Receive, &[]);
+    /// A frame if there is one, or the driver's error.
+    pub fn receive(&mut self) -> Result<Option<Frame>, u32> {
+        let [answer, a, b, c, d, ..] = self.call(RECEIVE, &[]);
         match answer {
-            FRAME => Received::Frame(from_words([a, b, c, d])),
-            OVERRUN => Received::Overrun,
-            BUS_ERROR => Received::BusError,
-            _ => Received::Empty,
+            EMPTY => Ok(None),
+            FRAME => Ok(Some(from_words([a, b, c, d]))),
+            error => Err(error),
         }
     }
 
@@ -217,24 +196,24 @@ impl Rig {
         let mut frames = Vec::new();
         loop {
             match self.receive() {
-                Received::Frame(frame) => frames.push(frame),
-                Received::Empty => return frames,
-                Received::BusError | Received::Overrun => {}
+                Ok(Some(frame)) => frames.push(frame),
+                Ok(None) => return frames,
+                Err(_) => {}
             }
         }
     }
 
     pub fn abort(&mut self, mailbox: u32) -> bool {
-        self.call(Command::Abort, &[mailbox])[0] == 1
+        self.call(ABORT, &[mailbox])[0] == 1
     }
 
     pub fn is_idle(&mut self) -> bool {
-        self.call(Command::IsIdle, &[])[0] == 1
+        self.call(IS_IDLE, &[])[0] == 1
     }
 
     /// The numbers of interrupts so far: transmit, FIFO 0, FIFO 1, status change and error.
     pub fn interrupts(&mut self) -> [u32; 4] {
-        let [transmit, fifo_0, fifo_1, change, ..] = self.call(Command::Interrupts, &[]);
+        let [transmit, fifo_0, fifo_1, change, ..] = self.call(INTERRUPTS, &[]);
         [transmit, fifo_0, fifo_1, change]
     }
 

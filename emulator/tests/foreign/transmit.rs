@@ -4,7 +4,7 @@ use emulator::can::{Frame, Id};
 
 use crate::{
     command::ONE_SHOT,
-    rig::{Driver, MSR, Queued, Rig, TXM, extended, standard},
+    rig::{Driver, MSR, Rig, TXM, extended, standard},
 };
 
 /// At this rate commands are quick in comparison to a frame.
@@ -28,7 +28,7 @@ pub fn mailboxes_go_by_identifier_then_standard_then_data(driver: Driver) {
     for frames in by_priority {
         let mut rig = on_a_busy_bus(driver, 0);
         for (frame, mailbox) in frames.iter().rev().zip(0..) {
-            assert_eq!(rig.transmit(*frame), Queued::In(mailbox), "the free one of lowest number");
+            assert_eq!(rig.transmit(*frame), Some((mailbox, None)), "the lowest number");
         }
         assert!(!rig.is_idle());
         rig.run_us(5_000);
@@ -57,10 +57,10 @@ pub fn three_frames_leave_without_a_gap(driver: Driver) {
 
 pub fn an_identifier_that_waits_is_refused_a_second_time(driver: Driver) {
     let mut rig = on_a_busy_bus(driver, 0);
-    assert_eq!(rig.transmit(standard(0x123, &[1])), Queued::In(0));
-    assert_eq!(rig.transmit(standard(0x123, &[2])), Queued::Refused);
+    assert_eq!(rig.transmit(standard(0x123, &[1])), Some((0, None)));
+    assert_eq!(rig.transmit(standard(0x123, &[2])), None);
     rig.run_us(3_000);
-    assert_eq!(rig.transmit(standard(0x123, &[3])), Queued::In(0));
+    assert_eq!(rig.transmit(standard(0x123, &[3])), Some((0, None)));
 }
 
 pub fn a_fourth_frame_takes_the_place_of_the_least_urgent(driver: Driver) {
@@ -70,15 +70,17 @@ pub fn a_fourth_frame_takes_the_place_of_the_least_urgent(driver: Driver) {
     // The crate bxcan refuses a frame that is less urgent than one that waits.
     let order = if driver == Driver::Bxcan { [b, a, c] } else { [a, b, c] };
     for frame in order {
-        assert_ne!(rig.transmit(frame), Queued::Refused);
+        assert_ne!(rig.transmit(frame), None);
     }
-    assert_eq!(rig.transmit(d), Queued::Replacing(b));
+    let replaced = rig.transmit(d).and_then(|(_, replaced)| replaced);
+    assert_eq!(replaced, Some(b));
     rig.run_us(5_000);
     assert_eq!(rig.heard(), [d, c, a]);
 }
 
-pub fn a_frame_that_waits_can_be_aborted(driver: Driver) {
+pub fn a_frame_that_waits_can_be_aborted_and_an_empty_mailbox_cannot(driver: Driver) {
     let mut rig = on_a_busy_bus(driver, 0);
+    assert!((0..3).all(|mailbox| !rig.abort(mailbox)));
     let [a, b] = [0x300, 0x200].map(|id| standard(id, &[]));
     rig.transmit(a);
     rig.transmit(b);
@@ -97,13 +99,6 @@ pub fn a_frame_under_way_is_sent_in_spite_of_an_abort(driver: Driver) {
     assert_eq!(rig.heard(), [frame]);
     // The interrupt handler of embassy-stm32 clears TXOK before the driver looks at it.
     assert_eq!(aborted, driver == Driver::Embassy);
-}
-
-pub fn an_empty_mailbox_cannot_be_aborted(driver: Driver) {
-    let mut rig = Rig::joined(driver, RATE, 0);
-    for mailbox in 0..3 {
-        assert!(!rig.abort(mailbox));
-    }
 }
 
 pub fn the_end_of_a_transmission_interrupts(driver: Driver) {

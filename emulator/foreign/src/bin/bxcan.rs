@@ -11,7 +11,7 @@ use bxcan::{
 };
 use cortex_m::{interrupt::Mutex, peripheral::syst::SystClkSource};
 use defmt_rtt as _;
-use foreign::{Driver, Frame, command::*, count_interrupt};
+use foreign::{Driver, Frame, command::*, count_interrupt, data, words};
 use panic_probe as _;
 use stm32f4xx_hal::{
     can::Can as HalCan,
@@ -71,12 +71,12 @@ impl Bxcan {
     }
 }
 
-fn to_driver(frame: &Frame) -> CanFrame {
-    if frame.is_remote() {
-        CanFrame::new_remote(id(frame.id), frame.dlc)
-    } else {
-        CanFrame::new_data(id(frame.id), Data::new(frame.payload()).unwrap())
+fn to_driver(frame: Frame) -> CanFrame {
+    let (id, dlc) = (id(frame[0]), frame[1] as u8);
+    if frame[0] & REMOTE != 0 {
+        return CanFrame::new_remote(id, dlc);
     }
+    CanFrame::new_data(id, Data::new(&data(frame)[..dlc.into()]).unwrap())
 }
 
 fn from_driver(frame: &CanFrame) -> Frame {
@@ -84,7 +84,7 @@ fn from_driver(frame: &CanFrame) -> Frame {
     if let Some(payload) = frame.data() {
         data[..payload.len()].copy_from_slice(payload);
     }
-    Frame { id: word(frame.id(), frame.is_remote_frame()), dlc: frame.dlc(), data }
+    words(word(frame.id(), frame.is_remote_frame()), frame.dlc(), data)
 }
 
 impl Driver for Bxcan {
@@ -121,7 +121,7 @@ impl Driver for Bxcan {
     }
 
     fn transmit(&mut self, frame: Frame) -> Option<(usize, Option<Frame>)> {
-        let status = self.0.transmit(&to_driver(&frame)).ok()?;
+        let status = self.0.transmit(&to_driver(frame)).ok()?;
         Some((status.mailbox() as usize, status.dequeued_frame().map(from_driver)))
     }
 

@@ -19,7 +19,7 @@ use embassy_stm32::{
     peripherals::CAN1,
 };
 use embassy_time::{Duration, Ticker, Timer};
-use foreign::{Driver, Frame, command::*, count_interrupt};
+use foreign::{Driver, Frame, command::*, count_interrupt, data, words};
 use panic_probe as _;
 
 bind_interrupts!(struct Interrupts {
@@ -47,16 +47,16 @@ foreign::identifiers_and_filters!(MasterFilters<'_>);
 
 struct Embassy<'d>(Can<'d>);
 
-fn to_driver(frame: &Frame) -> CanFrame {
-    let header = Header::new(id(frame.id), frame.dlc, frame.is_remote());
-    CanFrame::new(header, &frame.data).unwrap()
+fn to_driver(frame: Frame) -> CanFrame {
+    let header = Header::new(id(frame[0]), frame[1] as u8, frame[0] & REMOTE != 0);
+    CanFrame::new(header, &data(frame)).unwrap()
 }
 
 fn from_driver(frame: &CanFrame) -> Frame {
     let header = frame.header();
     let mut data = [0; 8];
     data.copy_from_slice(frame.raw_data());
-    Frame { id: word(*header.id(), header.rtr()), dlc: header.len(), data }
+    words(word(*header.id(), header.rtr()), header.len(), data)
 }
 
 impl Driver for Embassy<'_> {
@@ -83,7 +83,7 @@ impl Driver for Embassy<'_> {
     }
 
     fn transmit(&mut self, frame: Frame) -> Option<(usize, Option<Frame>)> {
-        let status = self.0.try_write(&to_driver(&frame)).ok()?;
+        let status = self.0.try_write(&to_driver(frame)).ok()?;
         Some((status.mailbox() as usize, status.dequeued_frame().map(from_driver)))
     }
 

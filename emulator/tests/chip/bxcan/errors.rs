@@ -125,8 +125,7 @@ fn errors_may_interrupt_again_and_again_while_passive() {
 fn bus_off_may_hold_its_interrupt_until_it_is_over() {
     let holds = |variant| {
         let mut rig = bus_off(variant, 0);
-        rig.write(IER, 1 << 15 | 1 << 10);
-        rig.write(MSR, 1 << 2);
+        rig.write_all(&[(IER, 1 << 15 | 1 << 10), (MSR, 1 << 2)]);
         rig.irq() == SCE
     };
     assert!(!holds(CanVariant::default()));

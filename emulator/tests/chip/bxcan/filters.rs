@@ -92,13 +92,11 @@ fn filter_initialisation_stops_reception_and_guards_the_banks() {
     rig.send(standard(0x7E5, &[]));
     rig.run_us(200);
     assert_eq!(rig.read(RF0R), 0);
-    rig.write(FMR, 0x2A1C_0E00);
-    rig.write(F0R1, 0x1234);
+    rig.write_all(&[(FMR, 0x2A1C_0E00), (F0R1, 0x1234)]);
     assert_eq!(rig.read(F0R1), 0, "the bank is active");
     rig.write(FM1R, 1);
     assert_eq!(rig.read(FM1R), 0);
-    rig.write(FA1R, 0);
-    rig.write(F0R1, 0x1234);
+    rig.write_all(&[(FA1R, 0), (F0R1, 0x1234)]);
     assert_eq!(rig.read(F0R1), 0x1234);
 }
 
@@ -108,9 +106,7 @@ fn a_frame_that_both_fifos_let_in_goes_into_one() {
     let held = |variant| {
         let mut rig = with_filters(0b0010, 0b0011);
         rig.can_mut(1).set_variant(variant);
-        rig.write(FA1R, 0);
-        rig.write(F0R1 + 8, 0);
-        rig.write(FA1R, 0b0011);
+        rig.write_all(&[(FA1R, 0), (F0R1 + 8, 0), (FA1R, 0b0011)]);
         rig.send(standard(0x7E5, &[]));
         rig.run_us(300);
         [rig.read(RF0R) & 3, rig.read(RF0R + 4) & 3]

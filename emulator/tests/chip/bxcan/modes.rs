@@ -27,8 +27,7 @@ fn initialisation_is_entered_while_sleep_is_still_set() {
 #[test]
 fn initialisation_is_left_after_eleven_recessive_bits() {
     let mut rig = Rig::after_reset();
-    rig.write(MCR, INRQ);
-    rig.write(BTR, MEGABIT);
+    rig.write_all(&[(MCR, INRQ), (BTR, MEGABIT)]);
     rig.run_us(100);
     rig.write(MCR, 0);
     let asked = rig.now;
@@ -93,8 +92,7 @@ fn in_silent_loopback_the_frame_is_received_when_it_is_sent_and_leaves_the_wire_
 #[test]
 fn sleep_ends_on_bus_activity_with_awum() {
     let mut rig = Rig::running(AWUM);
-    rig.write(IER, 1 << 16 | 1 << 17);
-    rig.write(MCR, AWUM | SLEEP);
+    rig.write_all(&[(IER, 1 << 16 | 1 << 17), (MCR, AWUM | SLEEP)]);
     assert_eq!(rig.read(MSR) & 0x1F, SLAK | 1 << 4, "SLAKI");
     assert_eq!(rig.irq(), SCE);
     rig.write(MSR, 1 << 4);
@@ -193,8 +191,7 @@ fn initialisation_may_not_be_acknowledged_until_a_reset() {
         rig.write(MCR, INRQ);
         rig.run_us(100);
         let first = rig.read(MSR) & INAK;
-        rig.write(MCR, SLEEP);
-        rig.write(MCR, INRQ);
+        rig.write_all(&[(MCR, SLEEP), (MCR, INRQ)]);
         rig.run_us(100);
         acknowledged.push((first, rig.read(MSR) & INAK));
     }

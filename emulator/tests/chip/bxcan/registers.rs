@@ -55,11 +55,9 @@ fn bit_timing_is_writable_only_in_initialisation() {
     let mut rig = Rig::after_reset();
     rig.write(BTR, MEGABIT);
     assert_eq!(rig.read(BTR), 0x0123_0000);
-    rig.write(MCR, INRQ);
-    rig.write(BTR, MEGABIT);
+    rig.write_all(&[(MCR, INRQ), (BTR, MEGABIT)]);
     assert_eq!(rig.read(BTR), MEGABIT);
-    rig.write(MCR, 0);
-    rig.write(BTR, HALF_MEGABIT);
+    rig.write_all(&[(MCR, 0), (BTR, HALF_MEGABIT)]);
     assert_eq!(rig.read(BTR), MEGABIT);
     assert_eq!(rig.can_mut(1).bit_rate(), 1_000_000);
 }
