@@ -283,7 +283,6 @@ impl Board {
         }
     }
 
-    /// Stops the crystal now, as a broken joint does.
     pub fn stop_crystal(&mut self) {
         let now = self.now();
         self.chip().stop_crystal(now);

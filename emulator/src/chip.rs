@@ -299,7 +299,6 @@ impl Chip {
         self.follow_clocks(now);
     }
 
-    /// Loads from a peripheral.
     pub fn read(&mut self, access: Access) -> Result<u32, BusFault> {
         let Access { address, width, now, .. } = access;
         let (block, offset) = Block::of(address);

@@ -80,7 +80,6 @@ impl Network {
         self.now
     }
 
-    /// Adds a bus without stations.
     pub fn add_bus(&mut self) -> BusId {
         self.buses.push(Bus::at(self.now));
         BusId(self.buses.len() - 1)
@@ -159,7 +158,6 @@ impl Network {
         }
     }
 
-    /// Restores the supply of a board.
     pub fn power_on(&mut self, board: usize) {
         if !self.boards[board].is_powered() {
             self.boards[board].power_on();
@@ -182,7 +180,6 @@ impl Network {
         self.with_controller(station, |controller| controller.cut(true));
     }
 
-    /// Reconnects a station to the bus.
     pub fn mend_wire(&mut self, station: Source) {
         self.with_controller(station, |controller| controller.cut(false));
     }
@@ -343,7 +340,6 @@ impl Network {
         end
     }
 
-    /// The time of the next action on any bus.
     fn next_action(&self) -> Time {
         self.buses.iter().map(Bus::next_action).fold(Time::MAX, Time::min)
     }

@@ -8,7 +8,7 @@ use emulator::{
     board::{Board, Settings},
     can::{Adapter, Clock, ErrorKind, Frame, Id},
     chip::Part,
-    network::{Event, Network, Recording, Source, What},
+    network::{AdapterId, Event, Network, Recording, Source, What},
 };
 use programs::{Program, R1};
 
@@ -60,17 +60,23 @@ fn reply(payload: &[u8]) -> Frame {
 /// The time at which a board runs, after power-on and the start of the crystal.
 const READY: Time = Time::from_ms(10);
 
+/// Boards with these errors of their crystals, and an adapter, all of which are ready.
+fn with_boards(crystals: &[i32]) -> (Network, AdapterId) {
+    let mut network = Network::new();
+    crystals.iter().for_each(|ppm| _ = network.add_board(board(*ppm)));
+    let adapter = network.add_adapter(Adapter::new(250_000));
+    network.run_until(READY);
+    (network, adapter)
+}
+
 fn frames(network: &Network) -> Vec<&Event> {
     network.trace().iter().filter(|event| matches!(event.what, What::Frame { .. })).collect()
 }
 
 #[test]
 fn a_board_answers_an_adapter() {
-    let mut network = Network::new();
-    let board = network.add_board(board(0));
-    let adapter = network.add_adapter(Adapter::new(250_000));
-    network.run_until(READY);
-    assert_eq!(network.board(board).findings(), []);
+    let (mut network, adapter) = with_boards(&[0]);
+    assert_eq!(network.board(0).findings(), []);
     let request = standard(0x601, &[1, 2, 3]);
     network.send(adapter, request);
     let (time, answer) = network.run_until_received(adapter, Time::from_ms(5)).expect("an answer");
@@ -86,10 +92,7 @@ fn a_board_answers_an_adapter() {
 
 #[test]
 fn the_trace_lists_a_boards_actions_in_order() {
-    let mut network = Network::new();
-    network.add_board(board(0));
-    let adapter = network.add_adapter(Adapter::new(250_000));
-    network.run_until(READY);
+    let (mut network, adapter) = with_boards(&[0]);
     network.send(adapter, standard(0x601, &[7]));
     network.run_for(Time::from_ms(5));
     let trace = network.trace();
@@ -119,12 +122,7 @@ fn the_trace_lists_a_boards_actions_in_order() {
 
 #[test]
 fn equal_answers_of_many_boards_are_one_frame() {
-    let mut network = Network::new();
-    for ppm in [0, 40, -40, 15, -25] {
-        network.add_board(board(ppm));
-    }
-    let adapter = network.add_adapter(Adapter::new(250_000));
-    network.run_until(READY);
+    let (mut network, adapter) = with_boards(&[0, 40, -40, 15, -25]);
     for n in 0..20 {
         network.send(adapter, standard(0x601, &[n; 8]));
         let (_, answer) = network.run_until_received(adapter, Time::from_ms(5)).expect("an answer");
@@ -146,10 +144,7 @@ fn equal_answers_of_many_boards_are_one_frame() {
 #[test]
 fn two_runs_of_the_same_network_are_identical() {
     let run = || {
-        let mut network = Network::new();
-        (0..4).for_each(|n| _ = network.add_board(board(7 * n - 10)));
-        let adapter = network.add_adapter(Adapter::new(250_000));
-        network.run_until(READY);
+        let (mut network, adapter) = with_boards(&[-10, -3, 4, 11]);
         for n in 0..30 {
             network.send(adapter, standard(0x600 + n, &n.to_le_bytes()));
             network.run_for(Time::from_us(333));
@@ -161,11 +156,8 @@ fn two_runs_of_the_same_network_are_identical() {
 
 #[test]
 fn a_board_without_power_is_not_on_the_bus_and_comes_back() {
-    let mut network = Network::new();
-    let board = network.add_board(board(0));
-    let adapter = network.add_adapter(Adapter::new(250_000));
-    network.run_until(READY);
-    network.power_off(board);
+    let (mut network, adapter) = with_boards(&[0]);
+    network.power_off(0);
     network.send(adapter, standard(0x601, &[1]));
     assert_eq!(network.run_until_received(adapter, Time::from_ms(20)), None);
     assert_eq!(network.now(), READY + Time::from_ms(20));
@@ -173,7 +165,7 @@ fn a_board_without_power_is_not_on_the_bus_and_comes_back() {
         matches!(event.what, What::Error { kind: ErrorKind::Acknowledgement, transmitting: true })
     });
     assert!(errors.count() > 50);
-    network.power_on(board);
+    network.power_on(0);
     let (_, answer) = network.run_until_received(adapter, Time::from_ms(20)).expect("an answer");
     assert_eq!(answer, reply(&[1]));
     let supply: Vec<&What> = network
@@ -254,9 +246,7 @@ fn a_trace_can_be_bounded_or_off() {
 
 #[test]
 fn an_hour_of_sleep_is_short() {
-    let mut network = Network::new();
-    (0..8).for_each(|n| _ = network.add_board(board(n)));
-    let adapter = network.add_adapter(Adapter::new(250_000));
+    let (mut network, adapter) = with_boards(&[0, 1, 2, 3, 4, 5, 6, 7]);
     network.run_until(Time::from_s(3600));
     network.send(adapter, standard(0x601, &[1]));
     assert!(network.run_until_received(adapter, Time::from_ms(5)).is_some());

@@ -34,7 +34,6 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// A recessive bus at the start of time.
     pub fn new() -> Self {
         Self::default()
     }

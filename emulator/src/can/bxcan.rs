@@ -13,7 +13,7 @@ pub use variant::{Acknowledge, CanVariant, TransmitLock};
 use super::{Clock, Controller, Event, Frame, Mode as BusMode, Pins, Station, stream::Level};
 use crate::Time;
 use filters::Filters;
-use mailbox::{Failure, Mailboxes};
+use mailbox::Mailboxes;
 use receive::Fifo;
 use registers::*;
 use variant::Behaviour;

@@ -114,7 +114,6 @@ struct Transmission {
 }
 
 impl Controller {
-    /// A stopped controller with zero error counters.
     pub fn new(clock: Clock, bit_timing: BitSegments) -> Self {
         Self {
             clock,
@@ -284,7 +283,6 @@ impl Controller {
         self.now
     }
 
-    /// Takes the oldest event that the owner has not seen.
     pub(super) fn take_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }

@@ -24,7 +24,6 @@ pub struct Noise {
     pub length: Time,
 }
 
-/// The wires and their disturbances.
 #[derive(Debug, Default)]
 pub(super) struct Wire {
     pub level: Level,

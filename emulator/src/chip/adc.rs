@@ -68,7 +68,6 @@ pub fn calibration() -> [u16; 3] {
     [REFERENCE_MV * 1_000, sensor_uv(30), sensor_uv(110)].map(|uv| sample(uv, CALIBRATION_MV))
 }
 
-/// The converter and its surroundings.
 #[derive(Debug)]
 pub struct Adc {
     part: Part,

@@ -77,15 +77,7 @@ impl Chip {
             return;
         }
         let value = written.unwrap_or(0);
-        self.findings.push(Finding {
-            time: now,
-            pc,
-            address,
-            width,
-            write,
-            value,
-            problem,
-            count: 1,
-        });
+        let first = Finding { time: now, pc, address, width, write, value, problem, count: 1 };
+        self.findings.push(first);
     }
 }

@@ -55,7 +55,6 @@ struct Operation {
     kind: Kind,
 }
 
-/// The flash memory and its control registers.
 #[derive(Debug)]
 pub struct Flash {
     part: Part,
@@ -115,7 +114,7 @@ impl Flash {
             failing_erase_seed: 0,
             failing_programs: 0,
             refused_programs: 0,
-            changed: None,
+            changed: Some(0..part.flash_size() as usize),
         }
     }
 
@@ -177,7 +176,6 @@ impl Flash {
         self.sr & SR_EOP != 0 && self.cr & CR_EOPIE != 0
     }
 
-    /// Ends the current operation if its time has come.
     pub fn advance(&mut self, now: Time) {
         if self.operation.take_if(|operation| now >= operation.end).is_some() {
             self.cr &= !CR_STRT;

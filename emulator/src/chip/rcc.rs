@@ -92,7 +92,6 @@ pub const fn enable(apb: Apb) -> u32 {
     }
 }
 
-/// The reset and clock control block.
 #[derive(Debug)]
 pub struct Rcc {
     part: Part,

@@ -18,7 +18,6 @@ pub struct Rng {
 }
 
 impl Rng {
-    /// The state after power-on.
     pub fn new() -> Self {
         Self { cr: 0, state: 0x2545_F491 }
     }

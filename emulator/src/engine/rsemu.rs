@@ -67,16 +67,14 @@ pub struct Rsemu {
 }
 
 impl Rsemu {
-    /// A CPU for `chip`, not yet reset, with the chip's flash content and empty RAM.
+    /// A CPU for `chip`, not yet reset, with empty memories.
     pub fn new(chip: Arc<Mutex<Chip>>) -> Self {
-        let mut guard = lock(&chip);
-        let part = guard.part();
-        let clock = CycleClock::new(guard.clocks().hclk, 0, Time::ZERO);
+        let (part, variant, hclk) = {
+            let chip = lock(&chip);
+            (chip.part(), chip.variant(), chip.clocks().hclk)
+        };
+        let clock = CycleClock::new(hclk, 0, Time::ZERO);
         let flash = Arc::new(RamStore::new(part.flash_size().into()));
-        copy(&flash, 0, guard.flash().bytes());
-        guard.flash_mut().take_changed();
-        let variant = guard.variant();
-        drop(guard);
         let link = Arc::new(Link::new(clock));
         let ram = Arc::new(RamStore::new(part.ram_size().into()));
         let ccm = Arc::new(RamStore::new(part.ccm_size().into()));

@@ -11,19 +11,13 @@ const TDTR_WRITABLE: u32 = 0xFFFF_010F;
 /// Bits of a mailbox in its byte of TSR.
 const RQCP: u32 = 1 << 0;
 const TXOK: u32 = 1 << 1;
-const ALST: u32 = 1 << 2;
-const TERR: u32 = 1 << 3;
+pub const ALST: u32 = 1 << 2;
+pub const TERR: u32 = 1 << 3;
 const ABRQ: u32 = 1 << 7;
 
 const CODE_SHIFT: u32 = 24;
 const TME_SHIFT: u32 = 26;
 const LOW_SHIFT: u32 = 29;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Failure {
-    Arbitration,
-    Error,
-}
 
 #[derive(Debug, Default)]
 struct Mailbox {
@@ -177,12 +171,12 @@ impl Mailboxes {
         }
     }
 
-    /// Notes that the frame under way was not sent. Its mailbox becomes empty if it is one-shot.
-    pub fn failed(&mut self, failure: Failure, one_shot: bool) {
+    /// Notes that the frame under way was not sent, for the reason ALST or TERR. Its mailbox becomes empty if it is
+    /// one-shot.
+    pub fn failed(&mut self, reason: u32, one_shot: bool) {
         if let Some(failed) = self.sending.take() {
             let mailbox = &mut self.mailboxes[failed];
-            mailbox.status &= !(ALST | TERR);
-            mailbox.status |= if failure == Failure::Arbitration { ALST } else { TERR };
+            mailbox.status = mailbox.status & !(ALST | TERR) | reason;
             if one_shot {
                 mailbox.complete(0);
             }

@@ -1,6 +1,10 @@
 //! The peripheral's reaction to events of the bus.
 
-use super::{Bxcan, Controller, Event, Failure, Frame, Station, registers::*};
+use super::{
+    Bxcan, Controller, Event, Frame, Station,
+    mailbox::{ALST, TERR},
+    registers::*,
+};
 use crate::Time;
 
 impl Bxcan {
@@ -23,8 +27,8 @@ impl Bxcan {
         }
     }
 
-    fn transmission_failed(&mut self, failure: Failure) {
-        self.mailboxes.failed(failure, self.mcr & MCR_NART != 0);
+    fn transmission_failed(&mut self, reason: u32) {
+        self.mailboxes.failed(reason, self.mcr & MCR_NART != 0);
         self.offer();
     }
 
@@ -77,7 +81,7 @@ impl Station for Bxcan {
                 self.mailboxes.transmitted(self.stamp());
                 self.offer();
             }
-            Event::ArbitrationLost => self.transmission_failed(Failure::Arbitration),
+            Event::ArbitrationLost => self.transmission_failed(ALST),
             Event::Received(frame) => {
                 self.lec = 0;
                 self.received(&frame);
@@ -86,7 +90,7 @@ impl Station for Bxcan {
             Event::Error { kind, transmitting } => {
                 self.lec = error_code(kind) << 4;
                 if transmitting {
-                    self.transmission_failed(Failure::Error);
+                    self.transmission_failed(TERR);
                 } else {
                     self.offer();
                 }

@@ -44,7 +44,6 @@ impl Line {
         self.next.map_or(Time::MAX, |(at, _)| at)
     }
 
-    /// Carries out a change that is due.
     pub fn act(&mut self, now: Time) {
         if let Some((_, next)) = self.next.take_if(|(at, _)| *at <= now) {
             self.now = next;

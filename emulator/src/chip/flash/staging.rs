@@ -46,7 +46,6 @@ impl Flash {
         self.cut_words_flip = flip;
     }
 
-    /// Cuts the power at a future operation.
     pub fn cut_power(&mut self, cut: PowerCut) {
         self.power_cut = Some(cut);
     }
