@@ -1,7 +1,10 @@
 //! The board after a reset: watchdog, clocks, supply, settings and identity.
 
 use canopen_node::{
-    Application, Device, Node, NodeId, emergency::Fault, lss::Address, settings::Found,
+    Application, Device, Node, NodeId,
+    emergency::Fault,
+    lss::Address,
+    settings::{Found, Log},
 };
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Input},
@@ -17,7 +20,6 @@ use crate::{
     crystal::{self, Crystal},
     fault,
     flash::SettingsFlash,
-    log,
     runner::{Runner, Storage},
     start,
     supply::Supply,
@@ -83,20 +85,20 @@ impl Board {
         can: C,
         pins: CanPins<C>,
     ) -> (Runner<C, A, TPDOS, RPDOS, PRODUCERS>, Storage<STORED_LEN>, Watchdog) {
-        let (mut storage, mut found) = Storage::open(self.flash);
-        let stored = storage.log().settings();
+        let (mut log, mut found) = Log::open_with_parameters(self.flash);
+        let stored = log.settings();
         let mut node = Node::with_application(device, stored, application);
-        if let Err(error) = storage.log().restore(|parameter| node.restore(parameter)) {
+        if let Err(error) = log.restore(|parameter| node.restore(parameter)) {
             found = Found::MediumFailed(error);
         }
-        log::found(found, &stored.unwrap_or(device.defaults));
+        crate::log::found(found, &stored.unwrap_or(device.defaults));
         if matches!(found, Found::Damaged | Found::ParametersDamaged) {
             node.handle_fault(Fault::SettingsLost);
         }
         let can = Controller::new(can, pins, &mut self.rcc, node.receives());
         // The start may have erased a sector, so the first roll call comes later.
         self.watchdog.feed();
-        (Runner::new(node, can, self.alarm), storage, self.watchdog)
+        (Runner::new(node, can, self.alarm), Storage { log }, self.watchdog)
     }
 }
 

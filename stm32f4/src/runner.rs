@@ -6,7 +6,7 @@ use canopen_node::{
     Action, Application, BusEvent, Instant, Node, NodeId, Settings,
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
-    settings::{Found, Log},
+    settings::Log,
 };
 use cortex_m::peripheral::{NVIC, SCB};
 use rtic_core::Mutex;
@@ -303,19 +303,10 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
 
 /// The log in the flash. `STORED_LEN` is [`Node::STORED_LEN`](canopen_node::Node::STORED_LEN).
 pub struct Storage<const STORED_LEN: usize> {
-    log: Log<SettingsFlash, STORED_LEN>,
+    pub(crate) log: Log<SettingsFlash, STORED_LEN>,
 }
 
 impl<const STORED_LEN: usize> Storage<STORED_LEN> {
-    pub(crate) fn open(flash: SettingsFlash) -> (Self, Found) {
-        let (log, found) = Log::open_with_parameters(flash);
-        (Self { log }, found)
-    }
-
-    pub(crate) fn log(&mut self) -> &mut Log<SettingsFlash, STORED_LEN> {
-        &mut self.log
-    }
-
     /// Stores what the node has asked for, and passes it the outcome.
     pub fn store<C, A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(
         &mut self,
