@@ -27,13 +27,27 @@ pub struct Find {
 #[derive(Clone, Copy, Debug)]
 enum State {
     Anyone,
-    /// The serial numbers up to this one.
-    SerialNumber(u32),
-    ConfirmSerialNumber,
-    /// The revision numbers up to this one.
-    RevisionNumber(u32),
-    ConfirmRevisionNumber,
+    /// The numbers up to this one.
+    Half(Number, u32),
+    /// The number that is left.
+    Confirm(Number),
     SlowDown,
+}
+
+/// The number that is searched for.
+#[derive(Clone, Copy, Debug)]
+enum Number {
+    Serial,
+    Revision,
+}
+
+impl Number {
+    fn range(self, of: &mut Identify) -> &mut RangeInclusive<u32> {
+        match self {
+            Self::Serial => &mut of.serial_numbers,
+            Self::Revision => &mut of.revision_numbers,
+        }
+    }
 }
 
 impl Find {
@@ -53,22 +67,13 @@ impl Find {
         Step::Ask(Service::Identify(self.rest.clone()))
     }
 
-    fn halve_serial_numbers(&mut self) -> Step<Option<Address>> {
-        let Some(middle) = middle(&self.rest.serial_numbers) else {
-            return self.ask(State::ConfirmSerialNumber);
-        };
-        self.state = State::SerialNumber(middle);
-        let serial_numbers = *self.rest.serial_numbers.start()..=middle;
-        Step::Probe(Service::Identify(Identify { serial_numbers, ..self.rest.clone() }))
-    }
-
-    fn halve_revision_numbers(&mut self) -> Step<Option<Address>> {
-        let Some(middle) = middle(&self.rest.revision_numbers) else {
-            return self.ask(State::ConfirmRevisionNumber);
-        };
-        self.state = State::RevisionNumber(middle);
-        let revision_numbers = *self.rest.revision_numbers.start()..=middle;
-        Step::Probe(Service::Identify(Identify { revision_numbers, ..self.rest.clone() }))
+    fn halve(&mut self, number: Number) -> Step<Option<Address>> {
+        let mut lower = self.rest.clone();
+        let range = number.range(&mut lower);
+        let Some(middle) = middle(range) else { return self.ask(State::Confirm(number)) };
+        *range = *range.start()..=middle;
+        self.state = State::Half(number, middle);
+        Step::Probe(Service::Identify(lower))
     }
 
     fn found(&self) -> Step<Option<Address>> {
@@ -107,31 +112,24 @@ impl Procedure for Find {
         let is_answered = matches!(outcome, Ok(Some(_)));
         match self.state {
             State::SlowDown => self.start(),
-            State::Anyone if is_answered => self.halve_serial_numbers(),
+            State::Anyone if is_answered => self.halve(Number::Serial),
             State::Anyone => Step::Done(Ok(None)),
-            State::SerialNumber(middle) => {
-                keep(&mut self.rest.serial_numbers, middle, is_answered);
-                self.halve_serial_numbers()
+            State::Half(number, middle) => {
+                keep(number.range(&mut self.rest), middle, is_answered);
+                self.halve(number)
             }
-            State::RevisionNumber(middle) => {
-                keep(&mut self.rest.revision_numbers, middle, is_answered);
-                self.halve_revision_numbers()
+            State::Confirm(Number::Serial)
+                if is_answered && middle(&self.rest.revision_numbers).is_some() =>
+            {
+                self.halve(Number::Revision)
             }
-            State::ConfirmSerialNumber if is_answered => {
-                match middle(&self.rest.revision_numbers) {
-                    Some(_) => self.halve_revision_numbers(),
-                    None => self.found(),
-                }
-            }
-            State::ConfirmRevisionNumber if is_answered => self.found(),
-            State::ConfirmSerialNumber | State::ConfirmRevisionNumber if self.retries > 0 => {
+            State::Confirm(_) if is_answered => self.found(),
+            State::Confirm(_) if self.retries > 0 => {
                 self.retries -= 1;
                 self.state = State::SlowDown;
                 Step::SlowDown
             }
-            State::ConfirmSerialNumber | State::ConfirmRevisionNumber => {
-                Step::Done(Err(Error::Inconsistent))
-            }
+            State::Confirm(_) => Step::Done(Err(Error::Inconsistent)),
         }
     }
 }
