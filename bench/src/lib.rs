@@ -82,20 +82,16 @@ impl Register {
 /// request; the data length code; bytes 0..=3; bytes 4..=7.
 type Mailbox = [Register; 4];
 
-const fn mailbox() -> Mailbox {
-    [Register::zero(), Register::zero(), Register::zero(), Register::zero()]
-}
-
 /// Nonzero while a frame is in [`RECEIVED`].
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 static WAITING: Register = Register::zero();
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
-static RECEIVED: Mailbox = mailbox();
+static RECEIVED: Mailbox = [const { Register::zero() }; 4];
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
-static TRANSMITTED: Mailbox = mailbox();
+static TRANSMITTED: Mailbox = [const { Register::zero() }; 4];
 
 /// The clock in microseconds.
 // SAFETY: no other symbol has this name.

@@ -204,13 +204,3 @@ fn check(bench: &mut Bench, sessions: &[String]) -> Result<(), Stop> {
     diagnosis::find_rate(&mut bench.bus, &mut bench.report)?;
     sessions::run(bench, sessions)
 }
-
-#[cfg(test)]
-mod tests {
-    use clap::CommandFactory;
-
-    #[test]
-    fn the_arguments_are_consistent() {
-        super::Arguments::command().debug_assert();
-    }
-}
