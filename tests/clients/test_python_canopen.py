@@ -146,19 +146,3 @@ def test_heartbeats_tell_the_nmt_states():
             states.wait_for(state)
         states.wait_for(PRE_OPERATIONAL)
         assert node.sdo[0x1017].raw == 1000, "it was not stored"
-
-
-def test_what_is_stored_by_1010h_survives_a_power_cycle(tmp_path):
-    with Boards("--node-id", 5, "--flash", tmp_path) as boards, connect(boards) as network:
-        node = add_node(network, 5)
-        node.sdo["Producer heartbeat time"].raw = 250
-        node.store()
-
-    with Boards("--flash", tmp_path) as boards, connect(boards) as network:
-        node = add_node(network, 5)
-        assert node.sdo["Producer heartbeat time"].raw == 250
-        states = States(node)
-        node.restore()
-        node.nmt.state = "RESET"
-        states.wait_for(PRE_OPERATIONAL)
-        assert node.sdo["Producer heartbeat time"].raw == 1000, "the default"
