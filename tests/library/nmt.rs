@@ -25,14 +25,17 @@ fn power_on_with_a_node_id_sends_one_boot_up_and_leads_to_pre_operational() {
 }
 
 #[test]
-fn commands_to_all_or_the_own_node_id_work_in_every_state() {
+fn commands_to_all_or_the_own_node_id_work_in_every_state_and_the_next_heartbeat_says_so() {
     for (from, ..) in STATES {
-        for (command, state, _) in STATES {
+        for (command, state, heartbeat) in STATES {
             for addressee in ["00", "40"] {
-                let mut board = NodeRig::with_node_id(0x40);
+                let mut board = NodeRig::with_heartbeat(0x40, 100);
                 board.nmt(from);
+                board.pass_ms(70);
                 assert_eq!(board.nmt(&format!("{} {addressee}", &command[..2])), SILENCE);
                 assert_eq!(board.node.nmt_state(), state, "{from}, {command} {addressee}");
+                assert_eq!(board.pass_ms(29), SILENCE);
+                assert_eq!(board.pass_ms(1), [heartbeat], "when it is due");
             }
         }
     }
@@ -123,20 +126,6 @@ fn a_store_that_ends_in_stopped_is_not_answered_by_sdo_but_by_lss() {
 }
 
 #[test]
-fn the_next_heartbeat_reports_a_new_state_and_is_sent_when_due() {
-    for (from, ..) in STATES {
-        for (to, _, heartbeat) in STATES {
-            let mut board = NodeRig::with_heartbeat(0x40, 100);
-            board.nmt(from);
-            board.pass_ms(70);
-            assert_eq!(board.nmt(to), SILENCE);
-            assert_eq!(board.pass_ms(29), SILENCE);
-            assert_eq!(board.pass_ms(1), [heartbeat]);
-        }
-    }
-}
-
-#[test]
 fn every_reset_from_every_state_sends_one_boot_up_and_does_not_start() {
     for (command, ..) in STATES {
         for (reset, timeline) in [
@@ -201,6 +190,12 @@ fn after_bus_off(command: &str, error_behaviour: Option<u8>) -> State {
     let state = board.node.nmt_state();
     let (.., heartbeat) = STATES.into_iter().find(|(_, is, _)| *is == state).unwrap();
     assert_eq!(board.pass_ms(100), [heartbeat]);
+    board.nmt("01 00");
+    // Events other than bus-off leave it there.
+    for event in [BusEvent::Error, BusEvent::Acknowledged] {
+        board.see(event);
+        assert_eq!(board.node.nmt_state(), State::Operational, "it can be started again");
+    }
     state
 }
 
@@ -213,20 +208,6 @@ fn a_bus_off_has_the_effect_of_the_error_behaviour() {
         {
             assert_eq!(after_bus_off(command, error_behaviour), expected, "{error_behaviour:?}");
         }
-    }
-}
-
-#[test]
-fn a_node_that_bus_off_took_out_of_operational_can_be_started_again() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.nmt("01 00");
-    board.see(BusEvent::BusOff);
-    board.nmt("01 00");
-    assert_eq!(board.node.nmt_state(), State::Operational);
-    // Events other than bus-off leave it there.
-    for event in [BusEvent::Error, BusEvent::Acknowledged] {
-        board.see(event);
-        assert_eq!(board.node.nmt_state(), State::Operational, "{event:?}");
     }
 }
 

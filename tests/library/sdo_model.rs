@@ -575,6 +575,12 @@ fn the_server_and_its_second_description_agree_about_random_messages() {
             board.nmt(if model.is_stopped { "02 40" } else { "80 40" });
             model.cut_off();
         }
+        if random.one_in(200) {
+            board.configure("13 00 00, 15 01 00");
+            board.pass_ms(2);
+            board.lss("04 00");
+            model.cut_off();
+        }
         if random.one_in(10) {
             // Whatever an SDO client does, an LSS master finds the node.
             let identify = ["46 44 33 22 11", "47 88 77 66 55", "48", "49 FF FF FF FF", "4A"];

@@ -100,32 +100,6 @@ fn the_application_refuses_a_domain_at_any_part_and_at_its_end() {
 }
 
 #[test]
-fn resets_stop_and_a_switch_of_the_bit_rate_end_a_download() {
-    let ends: [fn(&mut _); 4] = [
-        |board: &mut testkit::node_rig::NodeRig<_>| drop(board.nmt("82 40")),
-        |board| {
-            board.nmt("02 40");
-            board.nmt("01 40");
-        },
-        |board| {
-            board.configure("13 00 02, 15 0A 00");
-            board.pass_ms(20);
-        },
-        |board| {
-            board.sdo("2F 29 10 01 02");
-        },
-    ];
-    for (n, end) in ends.into_iter().enumerate() {
-        let mut board = board();
-        board.sdo("20 00 23 01");
-        board.sdo("00 61 61 61 61 61 61 61");
-        end(&mut board);
-        assert_eq!(board.node.application().aborted, 1, "{n}");
-        assert_eq!(board.sdo("11 61"), ["5C0: 80 00 00 00 01 00 04 05"], "{n}");
-    }
-}
-
-#[test]
 fn after_a_second_without_a_message_the_server_aborts_with_0504_0000() {
     for (begin, object) in [
         ("40 00 21 04", "00 21 04"),

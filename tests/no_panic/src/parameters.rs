@@ -2,16 +2,12 @@
 
 use core::hint::black_box;
 
-use canopen_node::{
-    Frame,
-    lss::StoreError,
-    settings::{
-        Log,
-        parameters::{Packer, Parameter, unpack},
-    },
+use canopen_node::settings::{
+    Log,
+    parameters::{Packer, Parameter, unpack},
 };
 
-use super::{Flash, Objects, ObjectsNode, any, any_device, any_instant, any_settings};
+use super::{Flash, Objects, ObjectsNode, any, any_device, any_settings};
 
 const STORED_LEN: usize = ObjectsNode::STORED_LEN;
 type ParametersLog = Log<Flash, STORED_LEN>;
@@ -29,17 +25,9 @@ pub fn keep() {
     black_box(black_box(&mut log).store(any_settings())).ok();
     black_box(black_box(&mut log).store_with_parameters(any_settings(), any_bytes())).ok();
 
+    let mut packed = [0; STORED_LEN];
     let value = any_bytes();
     let parameter = Parameter { index: any(0), sub_index: any(0), data_type: any(0), value };
-    black_box(node.restore(&parameter));
-    if let Some(frame) = Frame::from_padded(any(0), any(0), any([0; 8])) {
-        black_box(black_box(&mut node).handle_frame(&any(frame), any_instant()));
-    }
-    black_box(black_box(&mut node).poll(any_instant()));
-    let mut packed = [0; STORED_LEN];
-    black_box(black_box(&node).write_parameters(any_bytes(), any(&mut packed)));
-    black_box(&mut node).handle_stored(any(Err(StoreError::MediumAccess)));
-
     Packer::new(any(&mut packed)).put(&parameter);
     unpack(any_bytes()).for_each(|parameter| {
         black_box(parameter);
