@@ -1,9 +1,9 @@
 //! The activation of a bit rate, with its two silent periods (CiA 305, activate bit timing parameters).
 
-use canopen_node::{BitRate, Frame, nmt::State};
+use canopen_node::{BitRate, nmt::State};
 use testkit::{
     flash::BoardFlash,
-    frames::SILENCE,
+    frames::{self, SILENCE},
     node_rig::{ADDRESS, NodeRig, defaults},
 };
 
@@ -175,16 +175,19 @@ fn a_reset_of_the_silent_periods_reaches_a_node_without_a_node_id() {
 }
 
 #[test]
-fn a_store_that_ends_in_the_silent_periods_is_answered_at_their_end() {
-    let mut board = ready_to_switch(0);
-    board.let_stores_take_time();
-    board.lss("17");
-    board.lss("15 64 00");
-    board.pass_ms(50);
-    assert_eq!(board.finish_store(), SILENCE);
-    assert_eq!(board.pass_ms(149), SILENCE);
-    assert_eq!(board.pass_ms(1), ["17 00"]);
-    assert_eq!(board.pass_ms(1000), SILENCE);
+fn a_store_that_ends_in_the_silent_periods_is_answered_at_their_end_by_lss_and_not_by_sdo() {
+    let save = testkit::sdo::request(0x40, "23 10 10 01 73 61 76 65");
+    for (request, answers) in [(frames::request("17"), &["17 00"][..]), (save, &[])] {
+        let mut board = ready_to_switch(0);
+        board.let_stores_take_time();
+        assert_eq!(board.receive(&request), SILENCE);
+        board.lss("15 64 00");
+        board.pass_ms(50);
+        assert_eq!(board.finish_store(), SILENCE);
+        assert_eq!(board.pass_ms(149), SILENCE);
+        assert_eq!(board.pass_ms(1), answers);
+        assert_eq!(board.pass_ms(1000), SILENCE);
+    }
 }
 
 #[test]
@@ -208,17 +211,4 @@ fn answers_before_an_activation_are_handed_over_before_the_silence() {
     board.timeline();
     assert_eq!(board.configure("5E, 13 00 02, 15 64 00"), ["5E 40", "13 00"]);
     assert_eq!(board.timeline().last().unwrap(), "0 ms stop");
-}
-
-#[test]
-fn an_sdo_store_that_ends_in_the_silent_periods_is_not_answered_late() {
-    let save = Frame::new(0x640, &[0x23, 0x10, 0x10, 1, b's', b'a', b'v', b'e']).expect("a frame");
-    let mut board = NodeRig::with_heartbeat(0x40, 0);
-    board.lss("04 01");
-    board.let_stores_take_time();
-    assert_eq!(board.receive(&save), SILENCE);
-    board.lss("15 64 00");
-    board.pass_ms(50);
-    assert_eq!(board.finish_store(), SILENCE);
-    assert_eq!(board.pass_ms(1000), SILENCE);
 }

@@ -167,26 +167,23 @@ fn values_that_were_not_saved_are_lost_at_the_next_reset_of_their_part() {
 }
 
 #[test]
-fn save_of_sub_index_1_2_or_3_stores_its_part_and_keeps_the_other() {
-    for (sub_index, stored) in [(1, (300, 2000)), (2, (200, 2000)), (3, (300, 1000))] {
+fn save_and_load_of_sub_index_1_2_or_3_concern_their_part_from_the_next_reset_on() {
+    for (index, sub_index, then) in [
+        (0x1010, 1, (300, 2000)),
+        (0x1010, 2, (200, 2000)),
+        (0x1010, 3, (300, 1000)),
+        (0x1011, 1, (100, 500)),
+        (0x1011, 2, (200, 500)),
+        (0x1011, 3, (100, 1000)),
+    ] {
         let mut board = board_with_200_stored_and_300_set();
-        assert_eq!(board.save(sub_index), Ok(()));
-        assert_eq!(values(&mut board), (300, 2000), "nothing in use changes");
-        board.power_cycle();
-        assert_eq!(values(&mut board), stored, "sub-index {sub_index}");
-    }
-}
-
-#[test]
-fn load_of_sub_index_1_2_or_3_restores_its_part_at_the_next_reset() {
-    for (sub_index, restored) in [(1, (100, 500)), (2, (200, 500)), (3, (100, 1000))] {
-        let mut board = board_with_200_stored_and_300_set();
-        assert_eq!(board.load(sub_index), Ok(()));
+        let signature = if index == 0x1010 { b"save" } else { b"load" };
+        assert_eq!(board.download(index, sub_index, signature), Ok(()));
         assert_eq!(values(&mut board), (300, 2000), "nothing changes before the reset");
         board.nmt("81 00");
-        assert_eq!(values(&mut board), restored, "sub-index {sub_index}");
+        assert_eq!(values(&mut board), then, "{index:X} sub-index {sub_index}");
         board.power_cycle();
-        assert_eq!(values(&mut board), restored);
+        assert_eq!(values(&mut board), then, "{index:X} sub-index {sub_index}");
     }
 }
 

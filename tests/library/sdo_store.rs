@@ -72,25 +72,21 @@ fn a_store_that_is_asked_for_while_one_waits_is_0800_0021() {
 }
 
 #[test]
-fn after_reset_communication_a_store_ends_without_an_answer() {
-    let mut board = NodeRig::with_slow_stores();
-    board.sdo(HEARTBEAT_1000);
-    board.sdo(SAVE);
-    assert_eq!(board.nmt("82 00"), ["740: 00"]);
-    assert_eq!(board.finish_store(), SILENCE);
-    assert_eq!(board.stored().unwrap().heartbeat_ms, 1000);
-    board.sdo(SAVE);
-    assert_eq!(board.finish_store(), [SAVED], "and the next one is answered");
-}
-
-#[test]
-fn after_an_abort_of_the_client_a_store_ends_without_an_answer() {
-    for (request, answer) in [(SAVE, SAVED), (LOAD, LOADED)] {
+fn after_an_abort_of_the_client_or_reset_communication_a_store_ends_without_an_answer() {
+    for (request, answer, is_reset) in
+        [(SAVE, SAVED, false), (LOAD, LOADED, false), (SAVE, SAVED, true), (LOAD, LOADED, true)]
+    {
         let mut board = NodeRig::with_slow_stores();
         board.sdo(HEARTBEAT_1000);
         board.sdo(request);
-        assert_eq!(board.sdo("80 10 10 01 00 00 04 05"), SILENCE);
+        if is_reset {
+            assert_eq!(board.nmt("82 00"), ["740: 00"]);
+        } else {
+            assert_eq!(board.sdo("80 10 10 01 00 00 04 05"), SILENCE);
+        }
         assert_eq!(board.finish_store(), SILENCE);
+        let stored = if request == SAVE { 1000 } else { 0 };
+        assert_eq!(board.stored().map(|stored| stored.heartbeat_ms), Some(stored));
         assert_eq!(board.sdo(request), SILENCE);
         assert_eq!(board.finish_store(), [answer], "and the next one is answered");
     }
