@@ -1,7 +1,5 @@
 //! The electronic data sheet (CiA 306) that the tables give: the committed file, the form, and each kind of value.
 
-use std::collections::BTreeMap;
-
 use canopen_node::{
     Application, BitRates, Device, Node,
     application::{OctetString, Text},
@@ -227,7 +225,7 @@ fn the_device_is_the_one_that_the_product_describes() {
         Product { file_name: "valve.eds", vendor_name: "Example", description: "A valve", device };
     let sheet = DataSheet::new(product, <Node<Firmware>>::entries(&device), &Firmware::new());
     let sections = parse(&sheet.eds());
-    let expected: BTreeMap<_, _> = [
+    for (key, value) in [
         ("VendorName", "Example"),
         ("VendorNumber", "0x11223344"),
         ("ProductName", "Valve"),
@@ -239,9 +237,7 @@ fn the_device_is_the_one_that_the_product_describes() {
         ("LSS_Supported", "1"),
         ("SimpleBootUpMaster", "0"),
         ("SimpleBootUpSlave", "1"),
-    ]
-    .into();
-    for (key, value) in expected {
+    ] {
         assert_eq!(sections["DeviceInfo"][key], value, "{key}");
     }
     assert_eq!(sections["FileInfo"]["FileName"], "valve.eds");

@@ -25,7 +25,7 @@ enum Effect {
 }
 
 /// The slave as the tables of the standard describe it.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 struct Model {
     address: [u32; 4],
     is_configuration: bool,
@@ -80,13 +80,10 @@ impl Model {
     fn new(address: [u32; 4], node_id: u8, rate: u8) -> Self {
         Self {
             address,
-            is_configuration: false,
-            select: 0,
-            identify: 0,
-            position: 0,
             pending_id: node_id,
             active_id: node_id,
             pending_rate: rate,
+            ..Self::default()
         }
     }
 

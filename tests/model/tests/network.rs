@@ -70,39 +70,24 @@ fn mutated(mutation: Mutation, boards: usize, recover_every: u64) -> Scenario {
 }
 
 #[test]
-fn a_memory_that_confirms_without_storing_is_found() {
-    is_violated(KEPT, mutated(Mutation::ConfirmsWithoutStoring, 1, 0));
-}
-
-#[test]
 fn a_memory_that_confirms_one_store_and_keeps_a_failed_one_is_found() {
     let mutation = Some(Mutation::StoresWhatFailed);
     is_violated(KEPT, Scenario { mutation, recover_every: 0, ..Scenario::new(1, 2, 1) });
 }
 
 #[test]
-fn a_board_that_stays_silent_after_a_switch_is_found() {
-    is_violated(FOUND, mutated(Mutation::StaysSilent, 1, 1));
-}
-
-#[test]
-fn a_node_that_answers_every_fastscan_is_found() {
-    is_violated(ONE_SELECTED, mutated(Mutation::MatchesEveryScan, 2, 0));
-}
-
-#[test]
-fn a_node_that_takes_the_selection_of_others_is_found() {
-    is_violated(ONE_SELECTED, mutated(Mutation::MatchesEverySelect, 2, 0));
-}
-
-#[test]
-fn a_node_that_stays_selected_is_found() {
-    is_violated(ONE_SELECTED, mutated(Mutation::IgnoresWaiting, 2, 0));
-}
-
-#[test]
-fn a_node_that_takes_the_node_id_of_others_is_found() {
-    is_violated(OWN_NODE_ID, mutated(Mutation::TakesEveryNodeId, 2, 0));
+fn a_defect_of_each_kind_is_found() {
+    for (property, mutation, boards, recover_every) in [
+        (KEPT, Mutation::ConfirmsWithoutStoring, 1, 0),
+        (FOUND, Mutation::StaysSilent, 1, 1),
+        (ONE_SELECTED, Mutation::MatchesEveryScan, 2, 0),
+        (ONE_SELECTED, Mutation::MatchesEverySelect, 2, 0),
+        (ONE_SELECTED, Mutation::IgnoresWaiting, 2, 0),
+        (OWN_NODE_ID, Mutation::TakesEveryNodeId, 2, 0),
+    ] {
+        println!("{mutation:?}");
+        is_violated(property, mutated(mutation, boards, recover_every));
+    }
 }
 
 #[test]
