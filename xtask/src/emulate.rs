@@ -19,7 +19,8 @@ use anyhow::{Context, ensure};
 use canopen_node::{BitRate, NodeId, Settings};
 use emulator::{
     Time,
-    board::Board,
+    board::{self, Board},
+    can::Clock,
     chip::Part,
     network::{Network, Recording},
 };
@@ -37,7 +38,7 @@ use client::{Client, ClientId, Input};
 use console::Console;
 use memory::Memory;
 use pace::Pace;
-use programs::{Hardware, Programs};
+use programs::Programs;
 
 /// The longest time until the programs get a received frame.
 const TICK: Duration = Duration::from_millis(1);
@@ -161,9 +162,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     network.run_for(FIRST_START);
     memory.save(&network)?;
-    let hardware =
-        Hardware { part: chip, controller, crystal_hz: u32::from(arguments.crystal) * 1_000_000 };
-    let programs = Programs::load(&arguments.elf, hardware, &mut memory, &mut network)?;
+    let crystal = Clock { hz: u32::from(arguments.crystal) * 1_000_000, ppm: 0 };
+    let settings = board::Settings { crystal, controller: controller.into(), ..Default::default() };
+    let programs = Programs::load(&arguments.elf, chip, settings, &mut memory, &mut network)?;
 
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let (stop, console_sender) = (sender.clone(), sender.clone());

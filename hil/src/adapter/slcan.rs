@@ -69,10 +69,8 @@ struct Stamps {
 enum Line {
     /// A frame that this program can hold, and the adapter's time in ms.
     Frame(Frame, Option<u64>),
-    /// Any other frame.
-    OtherFrame,
-    /// The answer to a frame to send.
-    Queued,
+    /// Any other frame, or the answer to a frame to send.
+    Other,
     /// The answer to any other command: the line without its end.
     Answer(Vec<u8>),
     /// The answer to a command that is unknown, or not possible now.
@@ -360,9 +358,8 @@ fn parse(line: &[u8]) -> Line {
         return Line::Refused;
     }
     match line.first() {
-        Some(b't') => parse_frame(line).unwrap_or(Line::OtherFrame),
-        Some(b'T' | b'r' | b'R') => Line::OtherFrame,
-        Some(b'z' | b'Z') => Line::Queued,
+        Some(b't') => parse_frame(line).unwrap_or(Line::Other),
+        Some(b'T' | b'r' | b'R' | b'z' | b'Z') => Line::Other,
         _ => Line::Answer(line.to_vec()),
     }
 }
@@ -396,7 +393,7 @@ mod tests {
         for other in
             ["T000007E50\r", "r7E40\r", "t7E4\r", "t7E42GG\r", "t7E41\r", "tX\r", "t8001AA\r"]
         {
-            assert_eq!(parse(other.as_bytes()), Line::OtherFrame, "{other:?}");
+            assert_eq!(parse(other.as_bytes()), Line::Other, "{other:?}");
         }
         assert_eq!(parse_flags(b"FA4"), Some(Status { is_error_passive: true, has_errors: true }));
         assert_eq!(parse_flags(b"F00"), Some(Status::default()));

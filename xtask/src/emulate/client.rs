@@ -144,7 +144,7 @@ impl Client {
     fn carry_out(&mut self, command: Command, network: &mut Network) -> Option<Vec<u8>> {
         let adapter = network.adapter_mut(self.adapter);
         match command {
-            Command::Nothing | Command::Filter => {}
+            Command::Nothing => {}
             Command::BitRate(_) | Command::Open | Command::ListenOnly if self.is_open => {
                 return None;
             }

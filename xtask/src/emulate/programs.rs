@@ -6,7 +6,6 @@ use anyhow::{Context, ensure};
 use emulator::{
     Time,
     board::{Board, Settings},
-    can::Clock,
     chip::{FLASH_BASE, Part, ResetCause},
     image::Image,
     network::Network,
@@ -18,15 +17,6 @@ use super::memory::Memory;
 /// The programs, each on a board of its own after ours.
 #[derive(Default)]
 pub struct Programs(Vec<Program>);
-
-/// The boards of the programs.
-#[derive(Clone, Copy)]
-pub struct Hardware {
-    pub part: Part,
-    /// 1 for CAN1.
-    pub controller: u8,
-    pub crystal_hz: u32,
-}
 
 struct Program {
     /// The number of its board.
@@ -41,28 +31,23 @@ struct Program {
 }
 
 impl Programs {
-    /// Puts each ELF file on a board of its own.
+    /// Puts each ELF file on a board of its own with this chip and these settings.
     ///
     /// # Errors
     /// A file cannot be read, or the chip does not start with it.
     pub fn load(
         paths: &[PathBuf],
-        hardware: Hardware,
+        part: Part,
+        settings: Settings,
         memory: &mut Memory,
         network: &mut Network,
     ) -> anyhow::Result<Self> {
-        let Hardware { part, controller, crystal_hz } = hardware;
         let mut loaded = Self::default();
         for path in paths {
             let image = Image::load(path)?;
             check(&image, part).with_context(|| path.display().to_string())?;
             let number = network.boards().len();
-            let settings = Settings {
-                crystal: Clock { hz: crystal_hz, ppm: 0 },
-                unique_id: boards::unique_id(number),
-                controller: controller.into(),
-                ..Settings::default()
-            };
+            let settings = Settings { unique_id: boards::unique_id(number), ..settings };
             let mut board = Board::new(part, &image, settings);
             memory.restore(&mut board, &image, number, None)?;
             network.add_board(board);
@@ -226,9 +211,10 @@ mod tests {
         assert!(refusal(0x0808_0000).contains("another --chip?"));
         assert!(refusal(0x0800_4000).contains("nothing at 08000000"));
         let mut network = Network::new();
-        let hardware = Hardware { part: Part::Stm32f405, controller: 1, crystal_hz: 8_000_000 };
+        let (part, settings) = (Part::Stm32f405, Settings::default());
         let mut memory = Memory::open(None).expect("there are no files");
-        let missing = Programs::load(&["no/such".into()], hardware, &mut memory, &mut network);
+        let paths = ["no/such".into()];
+        let missing = Programs::load(&paths, part, settings, &mut memory, &mut network);
         assert!(missing.is_err_and(|error| error.to_string().contains("no/such")));
     }
 }

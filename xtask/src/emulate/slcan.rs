@@ -16,7 +16,8 @@ const TIMESTAMP_RANGE: u64 = 60_000;
 /// A command of the connected program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// An empty line: some programs start with a few, to end any earlier line.
+    /// An empty line, of which some programs send a few to end any earlier line; or `M`, `m`, the acceptance filter of
+    /// an SJA1000.
     Nothing,
     /// `S`: the bit rate, in bit/s.
     BitRate(u32),
@@ -36,8 +37,6 @@ pub enum Command {
     Status,
     /// `Z`: whether received frames carry a timestamp.
     Timestamps(bool),
-    /// `M`, `m`: acceptance filter of the SJA1000.
-    Filter,
 }
 
 impl Command {
@@ -58,7 +57,7 @@ impl Command {
             ('F', "") => Self::Status,
             ('Z', "0") => Self::Timestamps(false),
             ('Z', "1") => Self::Timestamps(true),
-            ('M' | 'm', _) => hex(argument, 8).map(|_| Self::Filter)?,
+            ('M' | 'm', _) => hex(argument, 8).map(|_| Self::Nothing)?,
             ('t' | 'r', _) => {
                 let (id, rest) = argument.split_at_checked(3)?;
                 let id = u16::try_from(hex(id, 3)?).ok().filter(|id| *id <= 0x7FF)?;
