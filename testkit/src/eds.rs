@@ -100,6 +100,10 @@ impl<'a> DataSheet<'a> {
         let receive_pdos = self.indices().filter(|i| (0x1400..0x1600).contains(i)).count();
         let transmit_pdos = self.indices().filter(|i| (0x1800..0x1A00).contains(i)).count();
         let granularity = if receive_pdos + transmit_pdos > 0 { 8 } else { 0 };
+        // A dummy of 1 bit, a BOOLEAN, is not possible.
+        let dummy = |data_type| u8::from(receive_pdos > 0 && data_type != DataType::Boolean as u8);
+        let dummies =
+            (1..=7).map(|n| format!("Dummy{n:04}={}", dummy(n))).collect::<Vec<_>>().join("\n");
         format!(
             "\
 [FileInfo]
@@ -134,13 +138,7 @@ LSS_Supported=1
 CompactPDO=0
 
 [DummyUsage]
-Dummy0001=0
-Dummy0002=0
-Dummy0003=0
-Dummy0004=0
-Dummy0005=0
-Dummy0006=0
-Dummy0007=0
+{dummies}
 
 [Comments]
 Lines=3
@@ -203,10 +201,14 @@ fn write_value(eds: &mut String, section: &str, value: &Value) {
     line(eds, format_args!("ObjectType={object_type:#X}"));
     line(eds, format_args!("DataType=0x{:04X}", entry.data_type as u8));
     line(eds, format_args!("AccessType={}", access(entry)));
-    if let Some((low, high)) = description.limits {
+    if let Some((low, high)) = description.limits
+        && !is_real(entry)
+    {
         line(eds, format_args!("LowLimit={low}\nHighLimit={high}"));
     }
-    if let Some(default) = default {
+    if let Some(default) = default
+        && (!is_real(entry) || default == "0")
+    {
         line(eds, format_args!("DefaultValue={default}"));
     }
     if !is_domain {
@@ -216,6 +218,12 @@ fn write_value(eds: &mut String, section: &str, value: &Value) {
         // "Refuse write on download": a tool that configures a device leaves the object out.
         line(eds, "ObjFlags=1");
     }
+}
+
+/// Whether the value is a REAL. Some tools read its limits and its default as a decimal number, others as the bits of the
+/// number, which agree on 0 only; so a data sheet has no others.
+fn is_real(entry: &Entry) -> bool {
+    matches!(entry.data_type, DataType::Real32 | DataType::Real64)
 }
 
 /// Whether a write triggers an action.

@@ -22,6 +22,10 @@ const PDOS: Range<u16> = 0x1400..0x1C00;
 /// The temperature of the example is measured: it has not kept its default.
 const MEASURED: (u16, u8) = (0x6401, 1);
 
+/// The gain of the example is a REAL, whose default and limits a data sheet leaves out.
+const GAIN: (u16, u8) = (0x2101, 1);
+const OF_GAIN: [(&str, &str); 3] = [("LowLimit", "0.5"), ("HighLimit", "2"), ("DefaultValue", "1")];
+
 /// A value as its section in the EDS describes it.
 struct Value {
     index: u16,
@@ -107,6 +111,10 @@ fn values(eds: &str) -> Vec<Value> {
         if let (Ok(index), Ok(sub_index)) = (index, sub_index)
             && keys.contains_key("DataType")
         {
+            let mut keys = keys;
+            if (index, sub_index) == GAIN {
+                keys.extend(OF_GAIN.map(|(key, value)| (key.to_owned(), value.to_owned())));
+            }
             values.push(Value { index, sub_index, keys });
         }
     }

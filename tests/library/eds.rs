@@ -14,7 +14,10 @@ use testkit::{
     random::Random,
 };
 
-use crate::application::Objects;
+use crate::{
+    application::Objects,
+    process_data::{Machine, set, write},
+};
 
 const COMMITTED: &str = include_str!("../../eds/lss-slave.eds");
 const PAGE: &str = include_str!("../../docs/object-dictionary.md");
@@ -92,6 +95,28 @@ fn every_value_has_one_section_and_no_section_is_left_over() {
 }
 
 #[test]
+fn a_dummy_is_in_use_if_an_rpdo_takes_it_with_its_number_of_bits() {
+    const BITS: [u32; 7] = [1, 8, 16, 32, 8, 16, 32];
+    let sheet = DataSheet::new(
+        product(),
+        Node::<Machine, 2, 2, 0>::entries(&product().device),
+        &Machine::new(),
+    );
+    let sections = parse(&sheet.eds());
+    let mut board: node_rig::NodeRig<Machine, 2, 2, 0> = node_rig::NodeRig::running(Machine::new());
+    set(&mut board, 0x1400, 1, 0x8000_0240, 4);
+    set(&mut board, 0x1600, 0, 0, 1);
+    for (data_type, bits) in (1..).zip(BITS) {
+        let is_taken = write(&mut board, 0x1600, 1, data_type << 16 | bits, 4).is_ok();
+        let dummy = &*sections["DummyUsage"][&format!("Dummy{data_type:04}")];
+        assert_eq!(dummy, if is_taken { "1" } else { "0" }, "{data_type}");
+        assert_eq!(is_taken, bits != 1, "{data_type}");
+    }
+    let without_rpdos = parse(&kinds());
+    assert!(without_rpdos["DummyUsage"].values().all(|value| value == "0"));
+}
+
+#[test]
 fn each_kind_of_value_is_described_as_cia_306_says() {
     let sections = parse(&kinds());
     for (name, expected) in [
@@ -145,8 +170,7 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
         ),
         (
             "6000",
-            "AccessType=rw DataType=0x0008 DefaultValue=0.1 HighLimit=2.5 LowLimit=0.05 \
-             ObjectType=0x7 PDOMapping=1 ParameterName=Real number",
+            "AccessType=rw DataType=0x0008 ObjectType=0x7 PDOMapping=1 ParameterName=Real number",
         ),
         ("6001", "AccessType=wo DataType=0x0006 ObjectType=0x7 PDOMapping=0 ParameterName=Command"),
         (

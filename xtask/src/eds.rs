@@ -1,10 +1,11 @@
 //! `cargo xtask eds`: the electronic data sheets and the page of the objects, from the tables of the firmware and of
-//! its example.
+//! the examples.
 
 use std::fs;
 
 use anyhow::{Context, ensure};
 use example_io as io;
+use example_thermo as thermo;
 use firmware::{
     application,
     device::{self, DEVICE},
@@ -25,15 +26,31 @@ pub struct Arguments {
 /// Writes or compares the files.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let sheet = of_firmware();
-    let example = DataSheet::new(
-        product("io.eds", io::device::DESCRIPTION),
+    let io = DataSheet::new(
+        Product {
+            file_name: "io.eds",
+            vendor_name: io::device::VENDOR_NAME,
+            description: io::device::DESCRIPTION,
+            device: io::device::DEVICE,
+        },
         io::application::Node::entries(&io::device::DEVICE),
         &io::application::Application::new(),
+    );
+    let thermo = DataSheet::new(
+        Product {
+            file_name: "thermo.eds",
+            vendor_name: thermo::device::VENDOR_NAME,
+            description: thermo::device::DESCRIPTION,
+            device: thermo::device::DEVICE,
+        },
+        thermo::application::Node::entries(&thermo::device::DEVICE),
+        &thermo::application::Application::new(),
     );
     let files = [
         ("eds/lss-slave.eds", sheet.eds()),
         ("docs/object-dictionary.md", sheet.page()),
-        ("eds/io.eds", example.eds()),
+        ("eds/io.eds", io.eds()),
+        ("eds/thermo.eds", thermo.eds()),
     ];
     for (name, content) in files {
         let path = workspace().join(name);
@@ -56,12 +73,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// The data sheet of the firmware.
 pub fn of_firmware() -> DataSheet<'static> {
     DataSheet::new(
-        product("lss-slave.eds", device::DESCRIPTION),
+        Product {
+            file_name: "lss-slave.eds",
+            vendor_name: device::VENDOR_NAME,
+            description: device::DESCRIPTION,
+            device: DEVICE,
+        },
         application::Node::entries(&DEVICE),
         &application::Application::new(),
     )
-}
-
-fn product(file_name: &'static str, description: &'static str) -> Product<'static> {
-    Product { file_name, vendor_name: device::VENDOR_NAME, description, device: DEVICE }
 }
