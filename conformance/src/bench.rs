@@ -143,7 +143,7 @@ impl<'a> Bench<'a> {
         if !self.line.send_extended(id, data)? {
             return self.skip("this line sends no frames with 29-bit identifiers");
         }
-        self.saw(Seen::SentOther(format!("{id:08X} with 29 bits, {data:02X?}")));
+        self.saw(Seen::SentOther(format!("{id:08X} with 29 bits, {}", hex(data))));
         Ok(())
     }
 
@@ -395,7 +395,7 @@ impl<'a> Bench<'a> {
     pub fn write(&mut self, address: Address, data: &[u8]) -> Step {
         match self.download(address, data)? {
             Ok(()) => Ok(()),
-            Err(_) => self.fail(format!("{} takes {data:02X?}", name(address))),
+            Err(_) => self.fail(format!("{} takes {}", name(address), hex(data))),
         }
     }
 
@@ -405,7 +405,7 @@ impl<'a> Bench<'a> {
             Err(code) if accepted.contains(&code) => Ok(code),
             _ => {
                 let codes = codes(accepted);
-                self.fail(format!("{} refuses {data:02X?} with {codes}", name(address)))
+                self.fail(format!("{} refuses {} with {codes}", name(address), hex(data)))
             }
         }
     }
@@ -414,6 +414,11 @@ impl<'a> Bench<'a> {
 /// An object, for a person.
 pub fn name((index, sub_index): Address) -> String {
     format!("{index:04X}h sub {sub_index}")
+}
+
+/// Bytes as text.
+pub fn hex(data: &[u8]) -> String {
+    data.iter().map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(" ")
 }
 
 /// The code of an abort.

@@ -9,8 +9,9 @@ pub const GROUP: Group = Group {
     name: "EDS checker",
     prepare: |_| Ok(()),
     cases: &[Case::new("The data sheet is complete and consistent", check).with_remark(
-        "The tool runs CANchkEDS of Vector, which is not public; the rules are those of CiA 306. A mapped value with \
-         access rw is a warning there, since its direction is unknown, and a note here.",
+        "The tool runs CANchkEDS of Vector, which is not public; the rules are those of CiA 306. \
+         A mapped value with access rw is a warning there, since its direction is unknown, and a \
+         note here.",
     )],
 };
 

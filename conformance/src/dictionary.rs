@@ -1,8 +1,8 @@
 //! OD 01..09: every value of the data sheet, by SDO (CiA 301, 7.4; CiA 306).
 
 use crate::{
-    Bench, Case, Group, Step,
-    bench::{initiate, name},
+    Bench, Case, Group, Step, abort,
+    bench::{hex, initiate, name},
     eds::{Entry, Kind},
 };
 
@@ -32,12 +32,6 @@ const CASES: &[Case] = &[
 ];
 
 const DOMAIN: &str = "A DOMAIN can be long: OD 01 transfers it, and this case leaves it out.";
-
-/// The codes of a write to a read-only value, and of a read of a write-only one.
-const READ_ONLY: [u32; 3] = [0x0601_0000, 0x0601_0002, 0x0800_0000];
-const WRITE_ONLY: [u32; 3] = [0x0601_0000, 0x0601_0001, 0x0800_0000];
-const TOO_LOW: [u32; 3] = [0x0609_0030, 0x0609_0032, 0x0800_0000];
-const TOO_HIGH: [u32; 3] = [0x0609_0030, 0x0609_0031, 0x0800_0000];
 
 /// The values from this index on that satisfy `is_it`.
 fn values(bench: &Bench, from: u16, is_it: impl Fn(&Entry) -> bool) -> Vec<Entry> {
@@ -83,7 +77,7 @@ fn defaults(bench: &mut Bench, from: u16) -> Step {
     for entry in all {
         let data = bench.read(entry.address)?;
         let default = entry.default(node).unwrap_or_default();
-        bench.check(data == default, format!("{} is {default:02X?}", name(entry.address)))?;
+        bench.check(data == default, format!("{} is {}", name(entry.address), hex(&default)))?;
     }
     Ok(())
 }
@@ -94,7 +88,7 @@ fn read_only(bench: &mut Bench) -> Step {
     {
         let empty = || vec![0; entry.size().unwrap_or(1)];
         let data = if may_be_empty(&entry) { empty() } else { bench.read(entry.address)? };
-        bench.refuses(entry.address, &data, &READ_ONLY)?;
+        bench.refuses(entry.address, &data, abort::READ_ONLY)?;
     }
     Ok(())
 }
@@ -105,7 +99,7 @@ fn write_only(bench: &mut Bench) -> Step {
         return bench.skip("the EDS has no write-only value");
     }
     for entry in all {
-        bench.expect_abort(initiate(0x40, entry.address, 0), &WRITE_ONLY)?;
+        bench.expect_abort(initiate(0x40, entry.address, 0), abort::WRITE_ONLY)?;
     }
     Ok(())
 }
@@ -118,7 +112,7 @@ fn structure(bench: &mut Bench) -> Step {
         let last = bench.eds.object(index).last().map(|entry| (entry.data_type, entry.object_type));
         let (data_type, object_type) = last.unwrap_or_default();
         let expected = (data_type << 8 | object_type).to_le_bytes();
-        bench.check(data == expected, format!("{index:04X}h sub FFh is {expected:02X?}"))?;
+        bench.check(data == expected, format!("{index:04X}h sub FFh is {}", hex(&expected)))?;
     }
     if tried { Ok(()) } else { bench.skip("no object has a sub-index FFh, which is optional") }
 }
@@ -135,8 +129,8 @@ fn limits(bench: &mut Bench) -> Step {
         let Some((least, most)) = entry.range() else { continue };
         let before = if entry.can_be_read() { Some(bench.read(entry.address)?) } else { None };
         for (limit, beyond, codes) in [
-            (entry.low(node).filter(|low| *low > least), -1, &TOO_LOW),
-            (entry.high(node).filter(|high| *high < most), 1, &TOO_HIGH),
+            (entry.low(node).filter(|low| *low > least), -1, abort::BELOW_LIMIT),
+            (entry.high(node).filter(|high| *high < most), 1, abort::ABOVE_LIMIT),
         ] {
             let Some(limit) = limit else { continue };
             bench.refuses(entry.address, &entry.of_number(limit + beyond), codes)?;

@@ -2,7 +2,10 @@
 
 use canopen_node::Frame;
 
-use crate::{Bench, Case, Command, Group, Step, ms};
+use crate::{
+    Bench, Case, Command, Group, Step, abort, ms,
+    pdo::{self, Direction},
+};
 
 pub const GROUP: Group =
     Group { name: "Emergency", prepare: |bench| bench.restore(), cases: CASES };
@@ -13,15 +16,16 @@ const CASES: &[Case] = &[
     Case::new("1003h is empty without an error", no_history),
     Case::new("An RPDO that is too short causes an emergency message", forced),
     Case::new("1001h is the error register of the latest message", register_after_message),
-    Case::new("1003h sub 1 holds the error code of the message", history)
-        .with_remark("The tool compares the upper 16 bits with bytes 3 and 4 of the message. CiA 301 leaves them to \
-             the manufacturer, so this case compares the error code only."),
+    Case::new("1003h sub 1 holds the error code of the message", history).with_remark(
+        "The tool compares the upper 16 bits with bytes 3 and 4 of the message. CiA 301 leaves \
+             them to the manufacturer, so this case compares the error code only.",
+    ),
 ];
 
 /// The error code of a PDO with too few bytes.
 const LENGTH_ERROR: u16 = 0x8210;
 /// An error field without an error.
-const EMPTY: [u32; 3] = [0x0800_0024, 0x0800_0000, 0x0609_0011];
+const EMPTY: &[u32] = &[abort::NO_DATA, abort::NO_SUB_INDEX, abort::GENERAL];
 
 fn cob_id(bench: &mut Bench) -> Step {
     bench.needs((0x1014, 0))?;
@@ -39,7 +43,7 @@ fn no_history(bench: &mut Bench) -> Step {
     bench.needs((0x1003, 0))?;
     let count = bench.number((0x1003, 0))?;
     bench.check(count == 0, "1003h sub 0 is 0")?;
-    bench.expect_abort(crate::bench::initiate(0x40, (0x1003, 1), 0), &EMPTY)?;
+    bench.expect_abort(crate::bench::initiate(0x40, (0x1003, 1), 0), EMPTY)?;
     Ok(())
 }
 
@@ -55,29 +59,14 @@ pub fn code(frame: &Frame) -> u16 {
     u16::from_le_bytes([low, high])
 }
 
-/// Sends an RPDO without data to the operational device, which stays so: another state may end the error. Returns the
-/// emergency messages.
+/// Sends the first RPDO without data to the operational device, which stays so: another state may end the error.
+/// Returns the emergency messages.
 fn force(bench: &mut Bench) -> Step<Vec<Frame>> {
-    let mut found = None;
-    for number in 0..0x200 {
-        if bench.eds.get((0x1400 + number, 1)).is_none() {
-            continue;
-        }
-        let cob_id = bench.number((0x1400 + number, 1))? as u32;
-        let transmission_type = bench.number((0x1400 + number, 2))?;
-        let count = bench.number((0x1600 + number, 0))?;
-        if cob_id >> 31 == 0 && transmission_type >= 254 && count > 0 {
-            found = Some(cob_id as u16 & 0x7FF);
-            break;
-        }
-    }
-    let Some(cob_id) = found else {
-        return bench
-            .skip("the device has no RPDO that is mapped, through which an error could be forced");
-    };
+    let (pdo, cob_id) = pdo::valid(bench, &[Direction::Receive])?[0];
+    pdo.set_transmission(bench, 254, 0)?;
     bench.nmt(Command::Start)?;
     bench.pass(ms(20))?;
-    bench.send(cob_id, &[])?;
+    bench.send(cob_id as u16 & 0x7FF, &[])?;
     messages(bench, ms(500))
 }
 

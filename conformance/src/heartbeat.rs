@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use canopen_node::Frame;
 
-use crate::{Bench, Case, Command, Group, Step, emergency, ms};
+use crate::{Bench, Case, Command, Group, Step, abort, emergency, ms};
 
 pub const GROUP: Group =
     Group { name: "Heartbeat", prepare: |bench| bench.restore(), cases: CASES };
@@ -28,8 +28,6 @@ const BEAT: Duration = ms(500);
 const CONSUMER_MS: u32 = 1_000;
 /// The error code of a missing heartbeat.
 const LIFE_ERROR: u16 = 0x8130;
-/// CiA 301 asks for the first, "general parameter incompatibility".
-const TWICE: [u32; 2] = [0x0604_0043, 0x0800_0000];
 
 /// Writes 1017h.
 pub fn set_producer(bench: &mut Bench, interval_ms: u16) -> Step {
@@ -91,7 +89,7 @@ fn same_producer_twice(bench: &mut Bench) -> Step {
     };
     let value = consumer(producer_of(bench, first), CONSUMER_MS);
     bench.write((0x1016, first), &value)?;
-    bench.refuses((0x1016, second), &value, &TWICE)?;
+    bench.refuses((0x1016, second), &value, &[abort::INCOMPATIBLE, abort::GENERAL])?;
     Ok(())
 }
 

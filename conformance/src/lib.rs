@@ -32,6 +32,7 @@
 //!
 //! A line is a [`Line`]: the emulated bus in virtual time for `cargo verify conformance`, an adapter for `cargo hil`.
 
+mod abort;
 mod bench;
 mod data_sheet;
 mod dictionary;

@@ -1,6 +1,9 @@
 //! Testing other 01..10: stored parameters and restricted COB-IDs (CiA 301, 7.5.2.13, 7.5.2.14, 7.5.2.22 and 7.3.5).
 
-use crate::{Address, Bench, Case, Command, Group, Step, bench::name};
+use crate::{
+    Address, Bench, Case, Command, Group, Step, abort,
+    bench::{hex, name},
+};
 
 pub const GROUP: Group =
     Group { name: "Testing other", prepare: |bench| bench.restore(), cases: CASES };
@@ -13,17 +16,18 @@ const CASES: &[Case] = &[
     Case::new("1010h sub 2 refuses a wrong signature", |bench| wrong_signature(bench, STORE, 2)),
     Case::new("1010h sub 2 stores communication parameters", |bench| store(bench, 2)),
     Case::new("1011h sub 2 refuses a wrong signature", |bench| wrong_signature(bench, RESTORE, 2)),
-    Case::new("1011h sub 2 restores the defaults of communication parameters", |bench| restore(bench, 2)),
+    Case::new("1011h sub 2 restores the defaults of communication parameters", |bench| {
+        restore(bench, 2)
+    }),
     Case::new("1020h is stored, and cleared by a change of the configuration", configuration),
-    Case::new("Restricted COB-IDs are refused", restricted)
-        .with_remark("The tool clears the flags of a COB-ID; this case keeps them, so that only the number can be \
-             refused."),
+    Case::new("Restricted COB-IDs are refused", restricted).with_remark(
+        "The tool clears the flags of a COB-ID; this case keeps them, so that only the number \
+             can be refused.",
+    ),
 ];
 
 const STORE: u16 = 0x1010;
 const RESTORE: u16 = 0x1011;
-const WRONG_SIGNATURE: [u32; 2] = [0x0800_0020, 0x0800_0000];
-const INVALID_VALUE: [u32; 2] = [0x0609_0030, 0x0800_0000];
 
 /// Communication parameters that are not the defaults, as far as the data sheet lets them be written.
 fn changes(bench: &Bench) -> Vec<(Address, Vec<u8>)> {
@@ -66,7 +70,7 @@ fn wrong_signature(bench: &mut Bench, index: u16, sub_index: u8) -> Step {
     needs(bench, index, sub_index)?;
     let before = read_changed(bench)?;
     change(bench)?;
-    bench.refuses((index, sub_index), b"wron", &WRONG_SIGNATURE)?;
+    bench.refuses((index, sub_index), b"wron", &[abort::CANNOT_BE_STORED, abort::GENERAL])?;
     bench.reset(Command::ResetNode)?;
     let after = read_changed(bench)?;
     bench.check(after == before, "the values before, after the reset")
@@ -79,8 +83,10 @@ fn store(bench: &mut Bench, sub_index: u8) -> Step {
     bench.reset(Command::ResetNode)?;
     for (address, value) in changes(bench) {
         let stored = bench.read(address)?;
-        bench
-            .check(stored == value, format!("{} is {value:02X?} after the reset", name(address)))?;
+        bench.check(
+            stored == value,
+            format!("{} is {} after the reset", name(address), hex(&value)),
+        )?;
     }
     Ok(())
 }
@@ -109,7 +115,7 @@ fn configuration(bench: &mut Bench) -> Step {
     bench.reset(Command::ResetNode)?;
     for (sub_index, value) in (1..).zip(DATE_AND_TIME) {
         let stored = bench.read((0x1020, sub_index))?;
-        bench.check(stored == value, format!("1020h sub {sub_index} is {value:02X?}"))?;
+        bench.check(stored == value, format!("1020h sub {sub_index} is {}", hex(&value)))?;
     }
     change(bench)?;
     for sub_index in [1, 2] {
@@ -159,7 +165,11 @@ fn restricted(bench: &mut Bench) -> Step {
         let before = bench.number(address)? as u32;
         for cob_id in restricted_cob_ids() {
             let value = before & !0x7FF | cob_id;
-            bench.refuses(address, &value.to_le_bytes(), &INVALID_VALUE)?;
+            bench.refuses(
+                address,
+                &value.to_le_bytes(),
+                &[abort::INVALID_VALUE, abort::GENERAL],
+            )?;
         }
         let after = bench.number(address)? as u32;
         bench.check(after == before, format!("{} is still {before:08X}h", name(address)))?;

@@ -2,88 +2,91 @@
 
 mod mapping;
 
-use crate::{Address, Bench, Case, Command, Group, Step, ms};
+use std::time::Duration;
+
+use crate::{
+    Address, Bench, Case,
+    Command::{self, EnterPreOperational, Start, Stop},
+    Group, Step, ms,
+};
+use Mode::*;
+use mapping::{Kind::*, map};
 
 pub const GROUP: Group = Group { name: "PDO", prepare: |bench| bench.restore(), cases: CASES };
 
 const CASES: &[Case] = &[
     Case::new("The COB-ID of each RPDO can be read", |bench| scan(bench, Direction::Receive)),
     Case::new("The COB-ID of each TPDO can be read", |bench| scan(bench, Direction::Transmit)),
-    Case::new("Operational: a remote frame requests a TPDO", |bench| {
-        transmission(bench, Mode::Remote, Command::Start)
-    }),
-    Case::new("Operational: an event-driven TPDO is sent", |bench| {
-        transmission(bench, Mode::EventDriven, Command::Start)
-    }),
-    Case::new("Operational: the event timer sends a TPDO", |bench| {
-        transmission(bench, Mode::EventTimer, Command::Start)
-    }),
-    Case::new("Operational: SYNC sends a cyclic TPDO", |bench| {
-        transmission(bench, Mode::Cyclic, Command::Start)
-    }),
-    Case::new("Operational: SYNC sends an acyclic TPDO", |bench| {
-        transmission(bench, Mode::Acyclic, Command::Start)
-    })
-    .with_remark(ACYCLIC),
-    Case::new("Operational: a cyclic TPDO waits for its SYNC start value", |bench| {
-        transmission(bench, Mode::StartValue, Command::Start)
+    Case::new("Operational: a remote frame requests a TPDO", |bench| operational(bench, Remote)),
+    Case::new("Operational: an event sends a TPDO", |bench| operational(bench, EventDriven)),
+    Case::new("Operational: the event timer sends a TPDO", |bench| operational(bench, EventTimer)),
+    Case::new("Operational: SYNC sends a cyclic TPDO", |bench| operational(bench, Cyclic)),
+    Case::new("Operational: SYNC sends an acyclic TPDO", |bench| operational(bench, Acyclic))
+        .with_remark(ACYCLIC),
+    Case::new("Operational: a TPDO waits for its SYNC start value", |bench| {
+        operational(bench, StartValue)
     })
     .with_remark(START_VALUE),
-    Case::new("Stopped: a remote frame requests no TPDO", |bench| {
-        transmission(bench, Mode::Remote, Command::Stop)
-    }),
-    Case::new("Stopped: no event-driven TPDO is sent", |bench| {
-        transmission(bench, Mode::EventDriven, Command::Stop)
-    }),
-    Case::new("Stopped: the event timer sends no TPDO", |bench| {
-        transmission(bench, Mode::EventTimer, Command::Stop)
-    }),
-    Case::new("Stopped: SYNC sends no cyclic TPDO", |bench| {
-        transmission(bench, Mode::Cyclic, Command::Stop)
-    }),
-    Case::new("Stopped: SYNC sends no acyclic TPDO", |bench| {
-        transmission(bench, Mode::Acyclic, Command::Stop)
-    }),
-    Case::new("Stopped: the SYNC start value sends no TPDO", |bench| {
-        transmission(bench, Mode::StartValue, Command::Stop)
-    })
-    .with_remark(START_VALUE),
+    Case::new("Stopped: a remote frame requests no TPDO", |bench| stopped(bench, Remote)),
+    Case::new("Stopped: an event sends no TPDO", |bench| stopped(bench, EventDriven)),
+    Case::new("Stopped: the event timer sends no TPDO", |bench| stopped(bench, EventTimer)),
+    Case::new("Stopped: SYNC sends no cyclic TPDO", |bench| stopped(bench, Cyclic)),
+    Case::new("Stopped: SYNC sends no acyclic TPDO", |bench| stopped(bench, Acyclic)),
+    Case::new("Stopped: no TPDO at the SYNC start value", |bench| stopped(bench, StartValue))
+        .with_remark(START_VALUE),
     Case::new("Pre-operational: a remote frame requests no TPDO", |bench| {
-        transmission(bench, Mode::Remote, Command::EnterPreOperational)
+        pre_operational(bench, Remote)
     }),
-    Case::new("Pre-operational: no event-driven TPDO is sent", |bench| {
-        transmission(bench, Mode::EventDriven, Command::EnterPreOperational)
+    Case::new("Pre-operational: an event sends no TPDO", |bench| {
+        pre_operational(bench, EventDriven)
     }),
     Case::new("Pre-operational: the event timer sends no TPDO", |bench| {
-        transmission(bench, Mode::EventTimer, Command::EnterPreOperational)
+        pre_operational(bench, EventTimer)
     }),
-    Case::new("Pre-operational: SYNC sends no cyclic TPDO", |bench| {
-        transmission(bench, Mode::Cyclic, Command::EnterPreOperational)
-    }),
+    Case::new("Pre-operational: SYNC sends no cyclic TPDO", |bench| pre_operational(bench, Cyclic)),
     Case::new("Pre-operational: SYNC sends no acyclic TPDO", |bench| {
-        transmission(bench, Mode::Acyclic, Command::EnterPreOperational)
+        pre_operational(bench, Acyclic)
     }),
-    Case::new("Pre-operational: the SYNC start value sends no TPDO", |bench| {
-        transmission(bench, Mode::StartValue, Command::EnterPreOperational)
+    Case::new("Pre-operational: no TPDO at the SYNC start value", |bench| {
+        pre_operational(bench, StartValue)
     })
     .with_remark(START_VALUE),
-    mapping::DEFAULT,
-    mapping::PROCEDURE,
-    mapping::WITHOUT_PROCEDURE,
-    mapping::VALID_PDO,
-    mapping::TOO_MANY,
-    mapping::TOO_LONG,
-    mapping::RECEIVE_OUTPUT,
-    mapping::RECEIVE_INPUT,
-    mapping::RECEIVE_UNMAPPABLE,
-    mapping::TRANSMIT_INPUT,
-    mapping::TRANSMIT_OUTPUT,
-    mapping::TRANSMIT_UNMAPPABLE,
-    mapping::DUMMY,
+    Case::new("Each mapped value exists, with its length", mapping::default_mapping),
+    Case::new("A new mapping is taken by the procedure of CiA 301", mapping::procedure)
+        .with_remark(
+            "The tool writes the first default value only; this case writes all of them in \
+         reverse order.",
+        ),
+    Case::new(
+        "An entry is refused while the number of entries is not 0",
+        mapping::without_procedure,
+    ),
+    Case::new("The mapping of a valid PDO cannot be changed", mapping::valid_pdo).with_remark(
+        "The tool found no valid PDO in the public log, after its own cases. Here the default ones \
+         are valid.",
+    ),
+    Case::new("More entries than there are cannot be enabled", mapping::too_many),
+    Case::new("Entries of more than 64 bits cannot be enabled", mapping::too_long),
+    Case::new("An output can be mapped to an RPDO", |bench| map(bench, Output, Direction::Receive)),
+    Case::new("An input cannot be mapped to an RPDO", |bench| {
+        map(bench, Input, Direction::Receive)
+    }),
+    Case::new("An RPDO refuses a value that cannot be mapped", |bench| {
+        map(bench, Fixed, Direction::Receive)
+    }),
+    Case::new("An input can be mapped to a TPDO", |bench| map(bench, Input, Direction::Transmit)),
+    Case::new("A mere output cannot be mapped to a TPDO", |bench| {
+        map(bench, Output, Direction::Transmit)
+    }),
+    Case::new("A TPDO refuses a value that cannot be mapped", |bench| {
+        map(bench, Fixed, Direction::Transmit)
+    }),
+    Case::new("A dummy can be mapped to an RPDO", mapping::dummy),
 ];
 
-const ACYCLIC: &str = "CiA 301 lets the device send at a SYNC after an event, and does not say whether the start is one. \
-    This case wants a TPDO after one of two SYNCs; the tool has failed a device that sent after the first alone.";
+const ACYCLIC: &str = "CiA 301 lets the device send at a SYNC after an event, and does not say \
+    whether the start is one. This case wants a TPDO after one of two SYNCs; the tool has failed a \
+    device that sent after the first alone.";
 const START_VALUE: &str =
     "The tool skipped this case in the public log; the frames follow CiA 301, 7.5.2.37.";
 
@@ -92,17 +95,17 @@ const INVALID: u32 = 1 << 31;
 const NO_REMOTE: u32 = 1 << 30;
 const TIMER_MS: u16 = 100;
 /// How long a TPDO is waited for, and how long it must stay away.
-const WAIT: std::time::Duration = ms(1_000);
+const SPAN: Duration = ms(1_000);
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Direction {
+pub enum Direction {
     Receive,
     Transmit,
 }
 
 /// A PDO of the data sheet.
 #[derive(Clone, Copy)]
-struct Pdo {
+pub struct Pdo {
     direction: Direction,
     /// The index of its communication parameters, and of its mapping.
     communication: u16,
@@ -125,23 +128,55 @@ impl Pdo {
         self.set_cob_id(bench, cob_id | INVALID)?;
         Ok(cob_id)
     }
+
+    /// Writes a transmission type, and an event timer where the data sheet has one, while the PDO is invalid.
+    pub fn set_transmission(self, bench: &mut Bench, kind: u8, timer_ms: u16) -> Step {
+        let cob_id = self.close(bench)?;
+        bench.write((self.communication, 2), &[kind])?;
+        if bench.eds.get((self.communication, 5)).is_some() {
+            bench.write((self.communication, 5), &timer_ms.to_le_bytes())?;
+        }
+        self.set_cob_id(bench, cob_id)
+    }
 }
 
 /// The PDOs of the data sheet; the case is skipped if there are none.
-fn pdos(bench: &Bench, direction: Direction) -> Step<Vec<Pdo>> {
-    let (first, mapping, name): (u16, u16, _) = match direction {
-        Direction::Receive => (0x1400, 0x1600, "RPDO"),
-        Direction::Transmit => (0x1800, 0x1A00, "TPDO"),
+fn pdos(bench: &Bench, directions: &[Direction]) -> Step<Vec<Pdo>> {
+    let mut all = Vec::new();
+    for &direction in directions {
+        let (first, mapping): (u16, u16) = match direction {
+            Direction::Receive => (0x1400, 0x1600),
+            Direction::Transmit => (0x1800, 0x1A00),
+        };
+        let numbers = (0..0x200).filter(|number| bench.eds.get((first + number, 1)).is_some());
+        all.extend(numbers.map(|number| Pdo {
+            direction,
+            communication: first + number,
+            mapping: mapping + number,
+        }));
+    }
+    let name = match directions {
+        [Direction::Receive] => "RPDO",
+        [Direction::Transmit] => "TPDO",
+        _ => "PDO",
     };
-    let pdo =
-        |number: u16| Pdo { direction, communication: first + number, mapping: mapping + number };
-    let exists = |pdo: &Pdo| bench.eds.get(pdo.cob_id()).is_some();
-    let all: Vec<Pdo> = (0..0x200).map(pdo).filter(exists).collect();
     if all.is_empty() { bench.skip(format!("the EDS has no {name}")) } else { Ok(all) }
 }
 
+/// The PDOs that are valid and have a mapping, with their COB-IDs and flags; the case is skipped if there are none.
+pub fn valid(bench: &mut Bench, directions: &[Direction]) -> Step<Vec<(Pdo, u32)>> {
+    let mut valid = Vec::new();
+    for pdo in pdos(bench, directions)? {
+        let cob_id = bench.number(pdo.cob_id())? as u32;
+        if cob_id & INVALID == 0 && bench.number((pdo.mapping, 0))? > 0 {
+            valid.push((pdo, cob_id));
+        }
+    }
+    if valid.is_empty() { bench.skip("no PDO is valid and mapped by default") } else { Ok(valid) }
+}
+
 fn scan(bench: &mut Bench, direction: Direction) -> Step {
-    for pdo in pdos(bench, direction)? {
+    for pdo in pdos(bench, &[direction])? {
         let cob_id = bench.number(pdo.cob_id())? as u32;
         bench.check(cob_id & 0x1FFF_FFFF != 0, "a COB-ID that is not 0")?;
     }
@@ -159,60 +194,54 @@ enum Mode {
     StartValue,
 }
 
-impl Mode {
-    /// The transmission type.
-    const fn transmission_type(self) -> u8 {
-        match self {
-            Self::Remote | Self::EventDriven | Self::EventTimer => 254,
-            Self::Cyclic | Self::StartValue => 1,
-            Self::Acyclic => 0,
-        }
-    }
+fn operational(bench: &mut Bench, mode: Mode) -> Step {
+    transmission(bench, mode, Start)
+}
+
+fn stopped(bench: &mut Bench, mode: Mode) -> Step {
+    transmission(bench, mode, Stop)
+}
+
+fn pre_operational(bench: &mut Bench, mode: Mode) -> Step {
+    transmission(bench, mode, EnterPreOperational)
 }
 
 /// Each TPDO that is valid by default is sent in NMT state operational, and not in the others.
 fn transmission(bench: &mut Bench, mode: Mode, state: Command) -> Step {
-    let mut tried = false;
-    for pdo in pdos(bench, Direction::Transmit)? {
-        bench.nmt(Command::EnterPreOperational)?;
-        let cob_id = bench.number(pdo.cob_id())? as u32;
-        let is_fit = mode != Mode::Remote || cob_id & NO_REMOTE == 0;
-        if cob_id & INVALID != 0 || !is_fit {
-            continue;
-        }
-        tried = true;
-        pdo.set_cob_id(bench, cob_id | INVALID)?;
-        bench.write((pdo.communication, 2), &[mode.transmission_type()])?;
-        configure(bench, pdo, mode)?;
-        pdo.set_cob_id(bench, cob_id)?;
-        bench.nmt(state)?;
-        stimulate(bench, mode, cob_id as u16 & 0x7FF, state == Command::Start)?;
-        bench.nmt(Command::EnterPreOperational)?;
-        bench.pass(ms(10))?;
-        pdo.set_cob_id(bench, cob_id | INVALID)?;
+    let mut pdos = valid(bench, &[Direction::Transmit])?;
+    pdos.retain(|(_, cob_id)| mode != Remote || cob_id & NO_REMOTE == 0);
+    if pdos.is_empty() {
+        return bench.skip("the device has no TPDO that a remote frame may request");
     }
-    let what = if mode == Mode::Remote {
-        "valid TPDO that a remote frame may request"
-    } else {
-        "valid TPDO"
-    };
-    if tried { Ok(()) } else { bench.skip(format!("the device has no {what}")) }
+    for (pdo, cob_id) in pdos {
+        configure(bench, pdo, mode)?;
+        bench.nmt(state)?;
+        stimulate(bench, mode, cob_id as u16 & 0x7FF, state == Start)?;
+        bench.nmt(EnterPreOperational)?;
+        bench.pass(ms(10))?;
+        pdo.close(bench)?;
+    }
+    Ok(())
 }
 
-/// Sets what the mode needs besides the transmission type.
 fn configure(bench: &mut Bench, pdo: Pdo, mode: Mode) -> Step {
     match mode {
-        Mode::EventDriven | Mode::EventTimer => {
+        Remote => pdo.set_transmission(bench, 254, 0),
+        EventDriven | EventTimer => {
             bench.needs((pdo.communication, 5))?;
-            bench.write((pdo.communication, 5), &TIMER_MS.to_le_bytes())
+            pdo.set_transmission(bench, 254, TIMER_MS)
         }
-        Mode::StartValue => {
+        Cyclic => pdo.set_transmission(bench, 1, 0),
+        Acyclic => pdo.set_transmission(bench, 0, 0),
+        StartValue => {
             bench.needs((0x1019, 0))?;
             bench.needs((pdo.communication, 6))?;
             bench.write((0x1019, 0), &[10])?;
-            bench.write((pdo.communication, 6), &[3])
+            let cob_id = pdo.close(bench)?;
+            bench.write((pdo.communication, 6), &[3])?;
+            pdo.set_cob_id(bench, cob_id)?;
+            pdo.set_transmission(bench, 1, 0)
         }
-        Mode::Remote | Mode::Cyclic | Mode::Acyclic => Ok(()),
     }
 }
 
@@ -221,41 +250,41 @@ fn stimulate(bench: &mut Bench, mode: Mode, cob_id: u16, is_sent: bool) -> Step 
     // The start itself may be an event.
     let at_start = bench.collect(ms(50), cob_id)?;
     let frames = match mode {
-        Mode::Remote => {
+        Remote => {
             bench.send_remote(cob_id, 8)?;
-            bench.collect(WAIT, cob_id)?
+            bench.collect(SPAN, cob_id)?
         }
-        Mode::EventDriven | Mode::EventTimer => bench.collect(WAIT, cob_id)?,
-        Mode::Cyclic | Mode::Acyclic => {
+        EventDriven | EventTimer => bench.collect(SPAN, cob_id)?,
+        Cyclic | Acyclic => {
             bench.sync(&[])?;
-            let mut frames = bench.collect(WAIT / 2, cob_id)?;
+            let mut frames = bench.collect(SPAN / 2, cob_id)?;
             bench.sync(&[])?;
-            frames.extend(bench.collect(WAIT / 2, cob_id)?);
+            frames.extend(bench.collect(SPAN / 2, cob_id)?);
             frames
         }
-        Mode::StartValue => {
+        StartValue => {
             let mut early = Vec::new();
             for counter in 1..=2 {
                 bench.sync(&[counter])?;
-                early.extend(bench.collect(WAIT / 4, cob_id)?);
+                early.extend(bench.collect(SPAN / 4, cob_id)?);
             }
             bench.check(
                 early.is_empty(),
                 format!("no {cob_id:03X} before the SYNC with counter 3"),
             )?;
             bench.sync(&[3])?;
-            bench.collect(WAIT / 4, cob_id)?
+            bench.collect(SPAN / 4, cob_id)?
         }
     };
     if !is_sent {
         let is_silent = frames.is_empty() && at_start.is_empty();
         return bench.check(is_silent, format!("no {cob_id:03X} in this NMT state"));
     }
-    bench.check(!frames.is_empty(), format!("{cob_id:03X} within {WAIT:?}"))?;
-    if mode == Mode::Cyclic {
+    bench.check(!frames.is_empty(), format!("{cob_id:03X} within {SPAN:?}"))?;
+    if mode == Cyclic {
         bench.check(frames.len() == 2, format!("one {cob_id:03X} for each of two SYNCs"))?;
     }
-    if mode != Mode::EventTimer {
+    if mode != EventTimer {
         return Ok(());
     }
     let period = ms(TIMER_MS.into());

@@ -4,7 +4,10 @@ use std::{fmt::Write as _, time::Duration};
 
 use canopen_node::Frame;
 
-use crate::{Case, bench::Seen};
+use crate::{
+    Case,
+    bench::{Seen, hex},
+};
 
 /// How a case ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -78,8 +81,7 @@ impl Finding {
 
 /// COB-ID and bytes.
 pub fn text(frame: &Frame) -> String {
-    let bytes: String = frame.data().iter().map(|byte| format!(" {byte:02X}")).collect();
-    format!("{:03X} {bytes}", frame.cob_id())
+    format!("{:03X}  {}", frame.cob_id(), hex(frame.data()))
 }
 
 impl Report {
@@ -103,14 +105,16 @@ impl Report {
         self.count(|outcome| matches!(outcome, Outcome::Skipped(_)))
     }
 
-    /// The counts in one line.
-    pub fn summary(&self) -> String {
-        let Self { device, findings } = self;
+    /// The counts in words.
+    fn counts(&self) -> String {
         let (passed, failed, skipped) = (self.passed(), self.failed(), self.skipped());
-        format!(
-            "{device}: {} cases, {passed} passed, {failed} failed, {skipped} skipped",
-            findings.len()
-        )
+        let all = self.findings.len();
+        format!("{all} cases, {passed} passed, {failed} failed, {skipped} skipped")
+    }
+
+    /// The device and the counts in one line.
+    pub fn summary(&self) -> String {
+        format!("{}: {}", self.device, self.counts())
     }
 }
 
@@ -131,7 +135,11 @@ pub fn html(reports: &[Report]) -> String {
          <style>{STYLE}</style>\n<h1>Conformance</h1>\n"
     );
     for report in reports {
-        page += &format!("<h2>{}</h2>\n<table>\n", escape(&report.summary()));
+        let (device, counts) = (escape(&report.device), report.counts());
+        page += &format!(
+            "<h2>{device}</h2>\n<p>{counts}. A click on a case shows its frames.\n<table>\n\
+             <tr><th>case<th>outcome<th>time<th>purpose</tr>\n"
+        );
         for finding in &report.findings {
             page += &row(finding);
         }

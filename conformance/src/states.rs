@@ -2,10 +2,11 @@
 
 use crate::{
     Bench, Case, Command, Group, Step,
-    bench::initiate,
+    bench::{hex, initiate, name},
     eds::Entry,
     heartbeat::{check_state, set_producer},
     ms,
+    pdo::{self, Direction},
 };
 
 pub const STATES: Group =
@@ -105,11 +106,8 @@ fn initialisation(bench: &mut Bench) -> Step {
     bench.reset(Command::ResetNode)?;
     for (entry, before) in parameters.iter().zip(before) {
         let after = bench.read(entry.address)?;
-        let (index, sub_index) = entry.address;
-        bench.check(
-            after == before,
-            format!("{index:04X}h sub {sub_index} is {before:02X?} again"),
-        )?;
+        bench
+            .check(after == before, format!("{} is {} again", name(entry.address), hex(&before)))?;
     }
     if bench.eds.get((0x1017, 0)).is_some() {
         set_producer(bench, HEARTBEAT_MS)?;
@@ -122,7 +120,14 @@ fn initialisation(bench: &mut Bench) -> Step {
 fn services(bench: &mut Bench, command: Command, state: u8) -> Step {
     bench.needs((0x1017, 0))?;
     set_producer(bench, HEARTBEAT_MS)?;
-    let tpdo = timed_tpdo(bench)?;
+    let tpdo = match pdo::valid(bench, &[Direction::Transmit]) {
+        Ok(pdos) => pdos.first().copied(),
+        Err(crate::Stop::Skipped(_)) => None,
+        Err(stop) => return Err(stop),
+    };
+    if let Some((pdo, _)) = tpdo {
+        pdo.set_transmission(bench, 254, TIMER_MS)?;
+    }
     bench.nmt(command)?;
     check_state(bench, state)?;
     let request = initiate(0x40, (0x1000, 0), 0);
@@ -130,33 +135,12 @@ fn services(bench: &mut Bench, command: Command, state: u8) -> Step {
         STOPPED => bench.expect_silence(request)?,
         _ => drop(bench.ask(request)?),
     }
-    let Some(cob_id) = tpdo else {
-        bench.note("the device has no TPDO with an event timer");
-        return Ok(());
-    };
+    let Some((_, cob_id)) = tpdo else { return Ok(()) };
+    let cob_id = cob_id as u16 & 0x7FF;
     bench.sync(&[])?;
     let count = bench.collect(ms(1_000), cob_id)?.len();
     match state {
         OPERATIONAL => bench.check(count > 0, format!("{cob_id:03X} within a second")),
         _ => bench.check(count == 0, format!("no {cob_id:03X} in this state")),
     }
-}
-
-/// The COB-ID of a valid TPDO, which gets a short event timer, if there is one.
-fn timed_tpdo(bench: &mut Bench) -> Step<Option<u16>> {
-    for index in 0x1800..0x1A00 {
-        if bench.eds.get((index, 1)).is_none() || bench.eds.get((index, 5)).is_none() {
-            continue;
-        }
-        let cob_id = bench.number((index, 1))? as u32;
-        if cob_id >> 31 == 1 {
-            continue;
-        }
-        bench.write((index, 1), &(cob_id | 1 << 31).to_le_bytes())?;
-        bench.write((index, 2), &[254])?;
-        bench.write((index, 5), &TIMER_MS.to_le_bytes())?;
-        bench.write((index, 1), &cob_id.to_le_bytes())?;
-        return Ok(Some(cob_id as u16 & 0x7FF));
-    }
-    Ok(None)
 }

@@ -1,6 +1,9 @@
 //! Synchronization 01..10: consumer and producer of SYNC (CiA 301, 7.2.5).
 
-use crate::{Bench, Case, Command, Group, Step, ms};
+use crate::{
+    Bench, Case, Command, Group, Step, abort, ms,
+    pdo::{self, Direction},
+};
 
 pub const GROUP: Group =
     Group { name: "Synchronization", prepare: |bench| bench.restore(), cases: CASES };
@@ -23,8 +26,8 @@ const COB_ID: u32 = 0x80;
 const PRODUCES: u32 = 1 << 30;
 /// 1006h, in microseconds.
 const PERIOD_US: u32 = 100_000;
-const INVALID_VALUE: [u32; 4] = [0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0800_0000];
-const NOT_NOW: [u32; 2] = [0x0800_0022, 0x0800_0000];
+const WRONG_OVERFLOW: &[u32] =
+    &[abort::INVALID_VALUE, abort::TOO_HIGH, abort::TOO_LOW, abort::GENERAL];
 
 fn default_cob_id(bench: &mut Bench) -> Step {
     bench.needs((0x1005, 0))?;
@@ -64,20 +67,8 @@ fn producer(bench: &mut Bench) -> Step {
 }
 
 fn every_tenth(bench: &mut Bench) -> Step {
-    let mut tried = false;
-    for number in 0..0x200 {
-        let (communication, mapping) = (0x1800 + number, 0x1A00 + number);
-        if bench.eds.get((communication, 1)).is_none() || bench.number((mapping, 0))? == 0 {
-            continue;
-        }
-        let cob_id = bench.number((communication, 1))? as u32;
-        if cob_id >> 31 == 1 {
-            continue;
-        }
-        tried = true;
-        bench.write((communication, 1), &(cob_id | 1 << 31).to_le_bytes())?;
-        bench.write((communication, 2), &[10])?;
-        bench.write((communication, 1), &cob_id.to_le_bytes())?;
+    for (pdo, cob_id) in pdo::valid(bench, &[Direction::Transmit])? {
+        pdo.set_transmission(bench, 10, 0)?;
         bench.nmt(Command::Start)?;
         bench.pass(ms(100))?;
         let mut count = 0;
@@ -88,7 +79,7 @@ fn every_tenth(bench: &mut Bench) -> Step {
         bench.check(count == 10, "10 TPDOs for 100 SYNCs")?;
         bench.nmt(Command::EnterPreOperational)?;
     }
-    if tried { Ok(()) } else { bench.skip("the device has no valid TPDO") }
+    Ok(())
 }
 
 fn consumer(bench: &mut Bench) -> Step {
@@ -102,7 +93,7 @@ fn consumer(bench: &mut Bench) -> Step {
 
 fn wrong_overflow(bench: &mut Bench) -> Step {
     bench.needs((0x1019, 0))?;
-    bench.refuses((0x1019, 0), &[1], &INVALID_VALUE)?;
+    bench.refuses((0x1019, 0), &[1], WRONG_OVERFLOW)?;
     Ok(())
 }
 
@@ -140,7 +131,7 @@ fn overflow_with_period(bench: &mut Bench) -> Step {
     bench.needs((0x1006, 0))?;
     bench.needs((0x1019, 0))?;
     set_period(bench, 1_000)?;
-    bench.refuses((0x1019, 0), &[5], &NOT_NOW)?;
+    bench.refuses((0x1019, 0), &[5], &[abort::NOT_NOW, abort::GENERAL])?;
     set_period(bench, 0)
 }
 

@@ -1,72 +1,20 @@
 //! PDO 21..33: the mapping of PDOs (CiA 301, 7.5.2.36 and 7.5.2.38).
 
-use super::{Direction, INVALID, Pdo, pdos};
+use super::{Direction, Pdo, pdos, valid};
+use crate::abort::*;
 use crate::{
-    Bench, Case, Step,
+    Bench, Step,
     bench::name,
     eds::{Access, Entry},
 };
 
-pub const DEFAULT: Case = Case::new("Each mapped value exists, with its length", default_mapping);
-pub const PROCEDURE: Case = Case::new(
-    "A new mapping is taken by the procedure of CiA 301",
-    procedure,
-)
-.with_remark(
-    "The tool writes the first default value only; this case writes all of them in reverse order.",
-);
-pub const WITHOUT_PROCEDURE: Case =
-    Case::new("An entry cannot be written while the number of entries is not 0", without_procedure);
-pub const VALID_PDO: Case =
-    Case::new("The mapping of a valid PDO cannot be changed", valid_pdo).with_remark(
-        "The tool found no valid PDO in the public log, after its own cases; here the default PDOs are valid.",
-    );
-pub const TOO_MANY: Case = Case::new("More entries than there are cannot be enabled", too_many);
-pub const TOO_LONG: Case = Case::new("Entries of more than 64 bits cannot be enabled", too_long);
-pub const RECEIVE_OUTPUT: Case = Case::new("An output can be mapped to an RPDO", |bench| {
-    try_map(bench, Kind::Output, Direction::Receive)
-});
-pub const RECEIVE_INPUT: Case = Case::new("An input cannot be mapped to an RPDO", |bench| {
-    try_map(bench, Kind::Input, Direction::Receive)
-});
-pub const RECEIVE_UNMAPPABLE: Case =
-    Case::new("A value that cannot be mapped is refused by an RPDO", |bench| {
-        try_map(bench, Kind::Unmappable, Direction::Receive)
-    });
-pub const TRANSMIT_INPUT: Case = Case::new("An input can be mapped to a TPDO", |bench| {
-    try_map(bench, Kind::Input, Direction::Transmit)
-});
-pub const TRANSMIT_OUTPUT: Case =
-    Case::new("A value that is only an output cannot be mapped to a TPDO", |bench| {
-        try_map(bench, Kind::Output, Direction::Transmit)
-    });
-pub const TRANSMIT_UNMAPPABLE: Case =
-    Case::new("A value that cannot be mapped is refused by a TPDO", |bench| {
-        try_map(bench, Kind::Unmappable, Direction::Transmit)
-    });
-pub const DUMMY: Case = Case::new("A dummy can be mapped to an RPDO", dummy);
-
-const UNSUPPORTED_ACCESS: u32 = 0x0601_0000;
-const NO_OBJECT: u32 = 0x0602_0000;
-const CANNOT_BE_MAPPED: u32 = 0x0604_0041;
-const PDO_LENGTH: u32 = 0x0604_0042;
-const GENERAL: u32 = 0x0800_0000;
+const BOTH: [Direction; 2] = [Direction::Receive, Direction::Transmit];
 
 /// Against the procedure.
 const OUT_OF_ORDER: [u32; 3] = [UNSUPPORTED_ACCESS, CANNOT_BE_MAPPED, GENERAL];
 /// Too many or too long entries: the tool names both sets, in the head of the case and at the step.
 const TOO_MUCH: [u32; 4] = [UNSUPPORTED_ACCESS, NO_OBJECT, CANNOT_BE_MAPPED, PDO_LENGTH];
 const NOT_MAPPABLE: [u32; 2] = [NO_OBJECT, CANNOT_BE_MAPPED];
-
-fn all_pdos(bench: &Bench) -> Step<Vec<Pdo>> {
-    let receive = pdos(bench, Direction::Receive);
-    let transmit = pdos(bench, Direction::Transmit);
-    match (receive, transmit) {
-        (Ok(receive), Ok(transmit)) => Ok([receive, transmit].concat()),
-        (Ok(one), Err(_)) | (Err(_), Ok(one)) => Ok(one),
-        (Err(_), Err(_)) => bench.skip("the EDS has no PDO"),
-    }
-}
 
 impl Pdo {
     /// Makes the PDO invalid and its mapping empty; returns its COB-ID before.
@@ -122,8 +70,8 @@ fn dummy_bits(entry: u32) -> Option<u32> {
     Some(bits)
 }
 
-fn default_mapping(bench: &mut Bench) -> Step {
-    for pdo in all_pdos(bench)? {
+pub fn default_mapping(bench: &mut Bench) -> Step {
+    for pdo in pdos(bench, &BOTH)? {
         let entries = pdo.entries(bench)?;
         for entry in &entries {
             let address = ((entry >> 16) as u16, (entry >> 8) as u8);
@@ -144,15 +92,21 @@ fn default_mapping(bench: &mut Bench) -> Step {
     Ok(())
 }
 
-fn procedure(bench: &mut Bench) -> Step {
-    let mut tried = false;
-    let all = all_pdos(bench)?;
+/// The PDOs whose mapping can be changed and is not empty, with their entries; the case is skipped if there are none.
+fn mapped(bench: &mut Bench) -> Step<Vec<(Pdo, Vec<u32>)>> {
+    let all = pdos(bench, &BOTH)?;
+    let mut mapped = Vec::new();
     for pdo in dynamic(bench, all)? {
-        let mut entries = pdo.entries(bench)?;
-        if entries.is_empty() {
-            continue;
+        let entries = pdo.entries(bench)?;
+        if !entries.is_empty() {
+            mapped.push((pdo, entries));
         }
-        tried = true;
+    }
+    if mapped.is_empty() { bench.skip("no PDO is mapped by default") } else { Ok(mapped) }
+}
+
+pub fn procedure(bench: &mut Bench) -> Step {
+    for (pdo, mut entries) in mapped(bench)? {
         entries.reverse();
         let cob_id = pdo.open_mapping(bench)?;
         pdo.write_entries(bench, &entries)?;
@@ -161,46 +115,36 @@ fn procedure(bench: &mut Bench) -> Step {
         let new = pdo.entries(bench)?;
         bench.check(new == entries, format!("{entries:08X?}"))?;
     }
-    if tried { Ok(()) } else { bench.skip("no PDO is mapped by default") }
+    Ok(())
 }
 
-fn without_procedure(bench: &mut Bench) -> Step {
-    let mut tried = false;
-    let all = all_pdos(bench)?;
-    for pdo in dynamic(bench, all)? {
-        let Some(first) = pdo.entries(bench)?.first().copied() else { continue };
-        tried = true;
+pub fn without_procedure(bench: &mut Bench) -> Step {
+    for (pdo, entries) in mapped(bench)? {
         pdo.close(bench)?;
-        bench.refuses((pdo.mapping, 1), &first.to_le_bytes(), &OUT_OF_ORDER)?;
+        bench.refuses((pdo.mapping, 1), &entries[0].to_le_bytes(), &OUT_OF_ORDER)?;
     }
-    if tried { Ok(()) } else { bench.skip("no PDO is mapped by default") }
+    Ok(())
 }
 
-fn valid_pdo(bench: &mut Bench) -> Step {
-    let mut tried = false;
-    let all = all_pdos(bench)?;
-    for pdo in dynamic(bench, all)? {
-        let cob_id = bench.number(pdo.cob_id())? as u32;
-        if cob_id & INVALID != 0 {
-            continue;
-        }
-        tried = true;
+pub fn valid_pdo(bench: &mut Bench) -> Step {
+    let valid = valid(bench, &BOTH)?.into_iter().map(|(pdo, _)| pdo).collect();
+    for pdo in dynamic(bench, valid)? {
+        let entries = pdo.entries(bench)?;
         bench.refuses((pdo.mapping, 0), &[0], &OUT_OF_ORDER)?;
-        if let Some(first) = pdo.entries(bench)?.first() {
-            bench.refuses((pdo.mapping, 1), &first.to_le_bytes(), &OUT_OF_ORDER)?;
-        }
+        bench.refuses((pdo.mapping, 1), &entries[0].to_le_bytes(), &OUT_OF_ORDER)?;
     }
-    if tried { Ok(()) } else { bench.skip("no PDO is valid by default") }
+    Ok(())
 }
 
 /// Values of the data sheet, as they are mapped.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
+pub enum Kind {
     /// That a PDO can write.
     Output,
     /// That a PDO can read.
     Input,
-    Unmappable,
+    /// That cannot be mapped.
+    Fixed,
 }
 
 /// Whether a value is of this kind: strictly, if it must not be of the other one too.
@@ -210,7 +154,7 @@ fn is_of_kind(value: &Entry, kind: Kind, is_strict: bool) -> bool {
     match kind {
         Kind::Output => receives && !(is_strict && is_both),
         Kind::Input => transmits && !(is_strict && is_both),
-        Kind::Unmappable => !value.is_mappable && value.size().is_some(),
+        Kind::Fixed => !value.is_mappable && value.size().is_some(),
     }
 }
 
@@ -227,8 +171,8 @@ fn mappable(bench: &Bench, pdo: Pdo, is_longest: bool) -> Step<u32> {
     }
 }
 
-fn too_many(bench: &mut Bench) -> Step {
-    let all = all_pdos(bench)?;
+pub fn too_many(bench: &mut Bench) -> Step {
+    let all = pdos(bench, &BOTH)?;
     for pdo in dynamic(bench, all)? {
         let room = pdo.room(bench);
         let entry = mappable(bench, pdo, false)?;
@@ -239,9 +183,9 @@ fn too_many(bench: &mut Bench) -> Step {
     Ok(())
 }
 
-fn too_long(bench: &mut Bench) -> Step {
+pub fn too_long(bench: &mut Bench) -> Step {
     let mut tried = false;
-    let all = all_pdos(bench)?;
+    let all = pdos(bench, &BOTH)?;
     for pdo in dynamic(bench, all)? {
         let entry = mappable(bench, pdo, true)?;
         let count = 64 / (entry & 0xFF) + 1;
@@ -257,12 +201,12 @@ fn too_long(bench: &mut Bench) -> Step {
 }
 
 /// Maps a value of this kind as the only one of each PDO: taken if it suits the direction, refused otherwise.
-fn try_map(bench: &mut Bench, kind: Kind, direction: Direction) -> Step {
+pub fn map(bench: &mut Bench, kind: Kind, direction: Direction) -> Step {
     let is_taken = matches!(
         (kind, direction),
         (Kind::Output, Direction::Receive) | (Kind::Input, Direction::Transmit)
     );
-    let all = pdos(bench, direction)?;
+    let all = pdos(bench, &[direction])?;
     let dynamic = dynamic(bench, all)?;
     let found = bench.eds.entries().find(|value| is_of_kind(value, kind, !is_taken));
     let Some(entry) = found.map(Entry::mapping) else {
@@ -283,8 +227,8 @@ fn try_map(bench: &mut Bench, kind: Kind, direction: Direction) -> Step {
     Ok(())
 }
 
-fn dummy(bench: &mut Bench) -> Step {
-    let all = pdos(bench, Direction::Receive)?;
+pub fn dummy(bench: &mut Bench) -> Step {
+    let all = pdos(bench, &[Direction::Receive])?;
     let dynamic = dynamic(bench, all)?;
     let is_used = |index: &u32| {
         bench.eds.number("DummyUsage", &format!("Dummy{index:04X}")).is_some_and(|used| used == 1)

@@ -1,0 +1,190 @@
+//! The cases on a node in the process: all hold, and on a line that breaks a rule those that prove it fail.
+
+use std::{collections::VecDeque, time::Duration};
+
+use canopen_node::{Action, Frame};
+use conformance::{APPLICATION_LAYER, Bench, Broken, Line, Outcome, Report, eds::Eds};
+use example_io::application::{self as io, Application};
+use testkit::{
+    eds::{DataSheet, Product},
+    flash::BoardFlash,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
+
+const NODE: u8 = 0x40;
+const TO_SERVER: u16 = 0x640;
+const OF_SERVER: u16 = 0x5C0;
+
+/// What a line makes of a frame; `None`: it is lost.
+type Change = fn(Frame) -> Option<Frame>;
+
+/// The node, on a line that changes frames to it and from it.
+struct Saboteur {
+    rig: NodeRig<Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>,
+    to_node: Change,
+    of_node: Change,
+    received: VecDeque<(Duration, Frame)>,
+}
+
+impl Saboteur {
+    fn take_sent(&mut self) {
+        for (us, action) in self.rig.take_timed_actions() {
+            if let Action::Transmit(frame) = action
+                && let Some(frame) = (self.of_node)(frame)
+            {
+                self.received.push_back((Duration::from_micros(us), frame));
+            }
+        }
+    }
+}
+
+impl Line for Saboteur {
+    fn now(&self) -> Duration {
+        Duration::from_micros(self.rig.now())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
+        if let Some(frame) = (self.to_node)(*frame) {
+            self.rig.receive(&frame);
+            self.take_sent();
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, until: Duration) -> Result<Option<(Duration, Frame)>, Broken> {
+        while self.received.is_empty() && self.now() < until {
+            let left = (until - self.now()).as_micros() as u64;
+            self.rig.pass_us(left.min(1_000));
+            self.take_sent();
+        }
+        Ok(self.received.pop_front())
+    }
+
+    fn jitter(&self) -> Duration {
+        Duration::from_millis(1)
+    }
+}
+
+/// Runs the cases that begin with one of `wanted`; returns the numbers of those that fail.
+fn failures(wanted: &[&str], to_node: Change, of_node: Change) -> Vec<String> {
+    let device = device(ADDRESS).with_defaults(defaults(NODE));
+    let product = Product { file_name: "io.eds", vendor_name: "", description: "", device };
+    let entries = <io::Node>::entries(&device);
+    let sheet = DataSheet::new(product, entries, &Application::new()).eds();
+    let eds = Eds::parse(&sheet);
+    let rig = NodeRig::with_application(device, BoardFlash::blank(0), 0, Application::new());
+    let mut line = Saboteur { rig, to_node, of_node, received: VecDeque::new() };
+    let mut bench = Bench::new(&mut line, &eds, NODE);
+    let mut report = Report::new("node");
+    let wanted: Vec<_> = wanted.iter().map(|case| (*case).to_owned()).collect();
+    conformance::run(&mut bench, APPLICATION_LAYER, &wanted, &mut report, |_| ()).expect("a line");
+    let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
+    let failed = report.findings.into_iter().filter(|finding| failed(&finding.outcome));
+    failed.map(|finding| finding.number).collect()
+}
+
+fn unchanged(frame: Frame) -> Option<Frame> {
+    Some(frame)
+}
+
+/// The frame with another byte at a place.
+fn with_byte(frame: Frame, place: usize, byte: u8) -> Option<Frame> {
+    let mut data = frame.data().to_vec();
+    data[place] = byte;
+    Frame::new(frame.cob_id(), &data)
+}
+
+/// Asserts that exactly these cases fail of those that begin with one of `wanted`: `SDO 3 5, PDO 23`.
+#[track_caller]
+fn assert_found(wanted: &[&str], to_node: Change, of_node: Change, expected: &str) {
+    let number = |group: &str, place: &str| format!("{group} {place:0>2}");
+    let numbers = expected.split(", ").flat_map(|group| {
+        let places = group.find(|c: char| c.is_ascii_digit()).expect("a number");
+        let (name, places) = group.split_at(places);
+        places.split(' ').map(move |place| number(name.trim(), place))
+    });
+    assert_eq!(failures(wanted, to_node, of_node), numbers.collect::<Vec<_>>());
+}
+
+#[test]
+fn no_case_fails_on_an_honest_line() {
+    assert_eq!(failures(&[], unchanged, unchanged), [""; 0]);
+}
+
+#[test]
+fn wrong_abort_codes_are_found() {
+    let wrong: Change = |frame| match frame.data() {
+        [0x80, ..] if frame.cob_id() == OF_SERVER => with_byte(frame, 7, 0x07),
+        _ => Some(frame),
+    };
+    let expected = "SDO 3 5 6 7 8 9 10 17 26 27 28, PDO 23 24 25 26 28 29 32, OD 3 6, Emergency 3, \
+                    Synchronization 5 9, Testing other 1 3 5 7 10";
+    assert_found(&[], unchanged, wrong, expected);
+}
+
+#[test]
+fn wrong_values_segments_and_checksums_are_found() {
+    let value: Change = |frame| match *frame.data() {
+        [0x43, _, _, _, byte, ..] if frame.cob_id() == OF_SERVER => with_byte(frame, 4, byte ^ 1),
+        _ => Some(frame),
+    };
+    assert_found(&["SDO", "Emergency 01"], unchanged, value, "SDO 12 19, Emergency 1");
+    let toggle: Change = |frame| match *frame.data() {
+        [byte @ 0..0x20, ..] if frame.cob_id() == OF_SERVER => with_byte(frame, 0, byte ^ 0x10),
+        _ => Some(frame),
+    };
+    assert_found(&["SDO"], unchanged, toggle, "SDO 16 18 22 23");
+    let checksum: Change = |frame| match *frame.data() {
+        [command, byte, ..] if frame.cob_id() == OF_SERVER && command & 0xE3 == 0xC1 => {
+            with_byte(frame, 1, byte ^ 1)
+        }
+        _ => Some(frame),
+    };
+    assert_found(&["SDO"], unchanged, checksum, "SDO 19 22 23");
+}
+
+#[test]
+fn a_device_that_neither_stores_nor_restores_is_found() {
+    // The writes become reads, and the answers confirm writes.
+    let to_read: Change = |frame| match frame.data() {
+        [0x23, 0x10 | 0x11, 0x10, ..] if frame.cob_id() == TO_SERVER => with_byte(frame, 0, 0x40),
+        _ => Some(frame),
+    };
+    let to_confirmation: Change = |frame| match frame.data() {
+        [0x43, 0x10 | 0x11, 0x10, ..] if frame.cob_id() == OF_SERVER => with_byte(frame, 0, 0x60),
+        _ => Some(frame),
+    };
+    let wanted = ["Synchronization 10", "Testing other"];
+    let expected = "Synchronization 10, Testing other 1 2 3 4 5 6 7 8 9";
+    assert_found(&wanted, to_read, to_confirmation, expected);
+}
+
+#[test]
+fn missing_frames_are_found() {
+    let heartbeat: Change =
+        |frame| (frame.data() == [0] || frame.cob_id() != 0x740).then_some(frame);
+    let expected = "Heartbeat 2 7, State 1 2 3 4, Transition 1 2 3 4";
+    assert_found(&[], unchanged, heartbeat, expected);
+    let pdo: Change = |frame| (!(0x180..0x580).contains(&frame.cob_id())).then_some(frame);
+    assert_found(&[], unchanged, pdo, "PDO 4 5 6 7 8, Synchronization 3, State 3");
+    let emergency: Change = |frame| (frame.cob_id() != 0xC0).then_some(frame);
+    assert_found(&[], unchanged, emergency, "Emergency 4 5 6, Heartbeat 6 7");
+    let boot_up: Change = |frame| (frame.data() != [0]).then_some(frame);
+    assert_found(
+        &["Emergency", "Tr"],
+        unchanged,
+        boot_up,
+        "Emergency 1 2 3 4 5 6, Transition 1 2 3 4",
+    );
+}
+
+#[test]
+fn services_in_a_wrong_nmt_state_are_found() {
+    // Whatever the command but a reset, the node starts.
+    let start: Change = |frame| match frame.data() {
+        [1 | 2 | 0x80, _] if frame.cob_id() == 0 => with_byte(frame, 0, 1),
+        _ => Some(frame),
+    };
+    let expected = "PDO 10 11 12 13 14 16 17 18 19 20, State 2 4, Transition 2 3 4";
+    assert_found(&[], start, unchanged, expected);
+}
