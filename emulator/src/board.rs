@@ -184,11 +184,7 @@ impl Board {
                 return Stop::PowerCut;
             }
             if now >= event {
-                let request = {
-                    let mut chip = self.chip();
-                    chip.advance(now);
-                    chip.take_request()
-                };
+                let request = self.chip().advance(now);
                 match request {
                     Some(Request::Reset(cause)) => {
                         self.reset(cause);

@@ -78,7 +78,6 @@ pub struct Chip {
     cans_joined: Vec<Pins>,
     variant: ChipVariant,
     findings: Vec<Finding>,
-    request: Option<Request>,
     can_written: bool,
 }
 
@@ -99,14 +98,11 @@ impl Chip {
         unique_id: [u8; 12],
         variant: ChipVariant,
     ) -> Self {
-        let mut flash = Flash::new(part);
-        flash.set_timing(variant.flash_timing);
-        flash.let_cut_words_flip(variant.cut_words_flip);
         let mut chip = Self {
             part,
             rcc: Rcc::new(part, crystal, &variant),
             pwr: Pwr::new(part, variant.thresholds),
-            flash,
+            flash: Flash::new(part, &variant),
             iwdg: Iwdg::new(variant.lsi_hz),
             timers: timer::KINDS.iter().map(Timer::new).collect(),
             usarts: usart::KINDS.iter().map(Usart::new).collect(),
@@ -122,7 +118,6 @@ impl Chip {
             cans_joined: vec![Pins { transmit: true, receive: true }; part.cans()],
             variant,
             findings: Vec::new(),
-            request: None,
             can_written: false,
         };
         chip.follow_clocks(Time::ZERO);
@@ -167,10 +162,7 @@ impl Chip {
         self.usarts.iter_mut().map(Usart::take_sent).collect()
     }
 
-    /// A CAN controller: 1 for CAN1.
-    ///
-    /// # Panics
-    /// The part has no such controller.
+    /// A CAN controller: 1 for CAN1. Panics if the part has no such controller.
     pub fn can(&self, number: usize) -> &Bxcan {
         &self.cans[number - 1]
     }
@@ -219,20 +211,18 @@ impl Chip {
             .fold(Time::MAX, Time::min)
     }
 
-    pub fn advance(&mut self, now: Time) {
+    /// Carries out what is due, unless it is for the board to do.
+    pub fn advance(&mut self, now: Time) -> Option<Request> {
         if self.flash.power_cut_at().is_some_and(|cut| now >= cut) {
-            self.request = Some(Request::PowerCut);
-        } else if self.iwdg.deadline().is_some_and(|deadline| now >= deadline) {
-            self.request = Some(Request::Reset(ResetCause::Watchdog));
-        } else {
-            self.flash.advance(now);
-            self.timers.iter_mut().for_each(|timer| timer.advance(now));
-            self.adc.advance(now);
+            return Some(Request::PowerCut);
         }
-    }
-
-    pub fn take_request(&mut self) -> Option<Request> {
-        self.request.take()
+        if self.iwdg.deadline().is_some_and(|deadline| now >= deadline) {
+            return Some(Request::Reset(ResetCause::Watchdog));
+        }
+        self.flash.advance(now);
+        self.timers.iter_mut().for_each(|timer| timer.advance(now));
+        self.adc.advance(now);
+        None
     }
 
     /// Whether a CAN register was written since the last call: the bus should look before it goes on.
@@ -267,7 +257,6 @@ impl Chip {
         self.share_filters();
         self.follow_clocks(now);
         self.connect_cans(now);
-        self.request = None;
         self.can_written = false;
     }
 

@@ -215,10 +215,6 @@ impl Controller {
         self.clock
     }
 
-    pub fn bit_timing(&self) -> BitSegments {
-        self.bit_timing
-    }
-
     pub fn bit_rate(&self) -> u32 {
         self.bit_timing.bit_rate(self.clock.hz)
     }

@@ -260,23 +260,14 @@ mod tests {
             (standard(0x7E4, &[0x44, 0, 0, 0, 0, 0, 0, 0]), 121),
             (standard(0x705, &[0x7F]), 55),
             (standard(0x555, &[0x55; 8]), 109),
+            // 34 dominant bits, as the CRC of zeros is zero, and a stuff bit after each five.
+            (standard(0, &[]), 34 + 6 + 10),
             (Frame::remote(Id::Standard(0x123), 4), 44),
             (Frame::data(Id::Extended(0x7E5), &[]), 70),
             (Frame::data(Id::Extended(0x1FFF_FFFF), &[0xFF; 8]), 146),
         ] {
             assert_eq!(frame.wire_bits(), bits, "{frame}");
         }
-    }
-
-    #[test]
-    fn runs_of_five_are_broken_by_an_opposite_bit() {
-        // 000#: SOF and eleven zeros, RTR, IDE, r0, DLC make 19 dominant bits, and the CRC of zeros is zero: 34.
-        let frame = Frame::data(Id::Standard(0), &[]);
-        let stream = BitStream::new(&frame);
-        let wire: String =
-            (0..stream.length).map(|i| if stream.level(i).bit() { '1' } else { '0' }).collect();
-        assert_eq!(wire, "000001".repeat(6) + "0000");
-        assert_eq!(frame.wire_bits(), 34 + 6 + 10);
     }
 
     #[test]

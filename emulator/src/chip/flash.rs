@@ -13,7 +13,7 @@ use options::Options;
 pub use staging::PowerCut;
 pub use timing::Timing;
 
-use super::{Part, Problem, Width, map::Registers};
+use super::{ChipVariant, Part, Problem, Width, map::Registers};
 use crate::Time;
 
 const ACR: u32 = 0x00;
@@ -92,14 +92,14 @@ impl Flash {
     }
 
     /// Erased flash after power-on.
-    pub fn new(part: Part) -> Self {
+    pub fn new(part: Part, variant: &ChipVariant) -> Self {
         Self {
             part,
             array: Array::new(part),
             options: Options::new(part),
-            timing: Timing::Typical,
+            timing: variant.flash_timing,
             supply_mv: 3_300,
-            cut_words_flip: false,
+            cut_words_flip: variant.cut_words_flip,
             acr: 0,
             sr: 0,
             cr: CR_LOCK,

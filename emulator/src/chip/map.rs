@@ -140,7 +140,7 @@ impl Block {
             Self::Syscfg => (Apb::Two, 14),
             _ => return None,
         };
-        Some((rcc::enable(bus), bit))
+        Some((bus as u32, bit))
     }
 }
 

@@ -9,8 +9,6 @@ const CFGR: u32 = 0x08;
 const CIR: u32 = 0x0C;
 pub const AHB1ENR: u32 = 0x30;
 pub const AHB2ENR: u32 = 0x34;
-const APB1ENR: u32 = 0x40;
-const APB2ENR: u32 = 0x44;
 const CSR: u32 = 0x74;
 
 const HSION: u32 = 1 << 0;
@@ -75,21 +73,13 @@ pub struct Clocks {
     pub timclk2: Clock,
 }
 
-/// A peripheral bus.
+/// A peripheral bus, by the offset of the register with its enable bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Apb {
     /// APB1, from 4000_0000h on.
-    One,
+    One = 0x40,
     /// APB2, from 4001_0000h on.
-    Two,
-}
-
-/// The register with the enable bits of a bus.
-pub const fn enable(apb: Apb) -> u32 {
-    match apb {
-        Apb::One => APB1ENR,
-        Apb::Two => APB2ENR,
-    }
+    Two = 0x44,
 }
 
 #[derive(Debug)]
@@ -292,7 +282,7 @@ impl Rcc {
             (CFGR, 4 << 10 | 2),
             (AHB1ENR, self.reg(AHB1ENR) | 1),
             (AHB2ENR, 1 << 7),
-            (APB2ENR, 1 << 14),
+            (Apb::Two as u32, 1 << 14),
         ] {
             self.regs[offset as usize / 4] = value;
         }

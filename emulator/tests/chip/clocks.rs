@@ -267,8 +267,8 @@ fn the_watchdog_runs_out_after_its_periods_of_lsi() {
     assert_eq!(rig.at(start + Time::from_ms(1)).read(IWDG + 12), 0);
     rig.at(start + Time::from_ms(400)).write(IWDG, 0xAAAA);
     assert_eq!(rig.next_event(), start + Time::from_ms(1400));
-    rig.advance(start + Time::from_ms(1400));
-    assert_eq!(rig.take_request(), Some(Request::Reset(ResetCause::Watchdog)));
+    let request = rig.advance(start + Time::from_ms(1400));
+    assert_eq!(request, Some(Request::Reset(ResetCause::Watchdog)));
     assert_eq!(rig.findings(), []);
 }
 

@@ -293,8 +293,7 @@ fn a_power_cut_leaves_a_word_between_its_old_and_its_new_value() {
         rig.program(0x4004, 0x0F0F_0000);
         let cut = rig.next_event();
         assert!(cut > rig.now && cut < rig.now + Time::from_us(17), "seed {seed}");
-        rig.advance(cut);
-        assert_eq!(rig.take_request(), Some(Request::PowerCut), "seed {seed}");
+        assert_eq!(rig.advance(cut), Some(Request::PowerCut), "seed {seed}");
         rig.reset(ResetCause::PowerOn, cut);
         assert_eq!(rig.cells(0x4000), 0x1234_5678, "seed {seed}");
         let word = rig.cells(0x4004);

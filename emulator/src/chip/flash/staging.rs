@@ -41,11 +41,6 @@ impl Flash {
         self.supply_mv = mv;
     }
 
-    /// Makes interrupted words read differently at each power-on, from now on.
-    pub fn let_cut_words_flip(&mut self, flip: bool) {
-        self.cut_words_flip = flip;
-    }
-
     pub fn cut_power(&mut self, cut: PowerCut) {
         self.power_cut = Some(cut);
     }

@@ -57,7 +57,7 @@ impl Link {
 }
 
 /// A range of addresses handled by the chip.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Aperture {
     base: u32,
     chip: Arc<Mutex<Chip>>,
@@ -171,9 +171,9 @@ impl Space {
         };
         let flash_waits = variant.flash_waits;
         let at_zero = map(code("flash at 0", flash, link, flash_waits, 0));
+        let aperture = Aperture { base: 0, chip: Arc::clone(chip), link: Arc::clone(link) };
         let io = |name: &str, base: u32, length: u64| {
-            let aperture = Aperture { base, chip: Arc::clone(chip), link: Arc::clone(link) };
-            let region = Region::io(name, length, Arc::new(aperture));
+            let region = Region::io(name, length, Arc::new(Aperture { base, ..aperture.clone() }));
             Mapping::new(region, base.into()).with_perms(Perms::RW)
         };
         let mut mappings = vec![
@@ -198,7 +198,7 @@ impl Space {
         }
         Self {
             shared,
-            chip: Aperture { base: 0, chip: Arc::clone(chip), link: Arc::clone(link) },
+            chip: aperture,
             flash: Arc::clone(flash),
             ram: Arc::clone(ram),
             flash_waits,
@@ -220,8 +220,7 @@ impl Space {
             AtZero::Flash => code("flash at 0", &self.flash, &self.chip.link, self.flash_waits, 0),
             AtZero::Sram => memory("sram at 0", &self.ram, 0, Perms::RWX),
             AtZero::System => {
-                let (chip, link) = (Arc::clone(&self.chip.chip), Arc::clone(&self.chip.link));
-                let aperture = Arc::new(Aperture { base: SYSTEM_BASE, chip, link });
+                let aperture = Arc::new(Aperture { base: SYSTEM_BASE, ..self.chip.clone() });
                 let region = Region::io("system memory at 0", SYSTEM_LENGTH, aperture);
                 Mapping::new(region, 0).with_perms(Perms::RWX)
             }
