@@ -110,17 +110,20 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         Self::IS_USED && mem::take(&mut self.has_new_receives)
     }
 
-    /// Handles a frame that may be a PDO, SYNC or a heartbeat.
+    /// Handles a frame that may be a PDO, SYNC or a heartbeat; returns whether its lack may have a deadline, as that of
+    /// all but SYNC.
     pub fn handle_frame<A: Application>(
         &mut self,
         frame: &Frame,
         application: &mut A,
         errors: &mut Emergency,
         now: Instant,
-    ) {
-        if !self.pdos.handle_frame(frame, application, errors, now) {
+    ) -> bool {
+        let is_sync = self.pdos.handle_frame(frame, application, errors, now);
+        if !is_sync {
             self.consumer.handle_frame(frame, now, |event| application.handle(event));
         }
+        !is_sync
     }
 
     /// The time at which a heartbeat or an RPDO is missing.

@@ -17,9 +17,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             return;
         }
         let Self { product, emergency, .. } = self;
-        product.communication.handle_frame(frame, &mut product.application, emergency, now);
-        let is_watching = PRODUCERS > 0 || self.product.communication.pdos.late_at().is_some();
-        if is_watching || self.emergency.has_reports() {
+        let application = &mut product.application;
+        let has_deadline = product.communication.handle_frame(frame, application, emergency, now);
+        if has_deadline || emergency.has_reports() {
             self.agenda.add(Tasks::of(&[Task::Producers, Task::Messages]));
         }
         self.note_values();
