@@ -110,11 +110,14 @@ pub const APPLICATION_LAYER: &[Group] = &[
     states::TRANSITIONS,
 ];
 
+/// So many cases without a device that can be prepared for them end a run.
+const UNPREPARED: usize = 3;
+
 /// Runs the cases of `groups` whose number begins with one of `wanted`, or all if it is empty, and adds them to the
 /// report. `show` gets each finding when its case ends.
 ///
 /// # Errors
-/// The line has broken.
+/// The line has broken, or the device does not come back.
 pub fn run(
     bench: &mut Bench,
     groups: &[Group],
@@ -122,6 +125,7 @@ pub fn run(
     report: &mut Report,
     mut show: impl FnMut(&Finding),
 ) -> Result<(), Broken> {
+    let mut unprepared = 0;
     for group in groups {
         for (place, case) in group.cases.iter().enumerate() {
             let number = group.number(place);
@@ -130,7 +134,9 @@ pub fn run(
             }
             bench.begin();
             let from = bench.now();
-            let outcome = match (group.prepare)(bench).and_then(|()| (case.run)(bench)) {
+            let prepared = (group.prepare)(bench);
+            unprepared = if matches!(prepared, Err(Stop::Failed(_))) { unprepared + 1 } else { 0 };
+            let outcome = match prepared.and_then(|()| (case.run)(bench)) {
                 Ok(()) => Outcome::Passed,
                 Err(Stop::Failed(expected)) => Outcome::Failed(expected),
                 Err(Stop::Skipped(reason)) => Outcome::Skipped(reason),
@@ -141,6 +147,9 @@ pub fn run(
             let finding = Finding { number, group: group.name, case: *case, outcome, frames, took };
             show(&finding);
             report.findings.push(finding);
+            if unprepared == UNPREPARED {
+                return Err(Broken("the device cannot be prepared: is it there?".into()));
+            }
         }
     }
     Ok(())

@@ -77,7 +77,8 @@ fn failures(wanted: &[&str], to_node: Change, of_node: Change) -> Vec<String> {
     let mut bench = Bench::new(&mut line, &eds, NODE);
     let mut report = Report::new("node");
     let wanted: Vec<_> = wanted.iter().map(|case| (*case).to_owned()).collect();
-    conformance::run(&mut bench, APPLICATION_LAYER, &wanted, &mut report, |_| ()).expect("a line");
+    // A device that never boots up ends the run early.
+    let _ = conformance::run(&mut bench, APPLICATION_LAYER, &wanted, &mut report, |_| ());
     let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
     let failed = report.findings.into_iter().filter(|finding| failed(&finding.outcome));
     failed.map(|finding| finding.number).collect()
@@ -170,12 +171,7 @@ fn missing_frames_are_found() {
     let emergency: Change = |frame| (frame.cob_id() != 0xC0).then_some(frame);
     assert_found(&[], unchanged, emergency, "Emergency 4 5 6, Heartbeat 6 7");
     let boot_up: Change = |frame| (frame.data() != [0]).then_some(frame);
-    assert_found(
-        &["Emergency", "Tr"],
-        unchanged,
-        boot_up,
-        "Emergency 1 2 3 4 5 6, Transition 1 2 3 4",
-    );
+    assert_found(&["Emergency"], unchanged, boot_up, "Emergency 1 2 3");
 }
 
 #[test]

@@ -9,9 +9,11 @@ use std::{
 use ::conformance::{APPLICATION_LAYER, Bench, Broken, Line, Report, eds::Eds};
 use anyhow::{Context, ensure};
 use canopen_node::{BitRate, Frame, NodeId, Settings, nmt};
+use canopen_stm32f4::chip;
 use emulator::{
     Time,
-    can::{self, Adapter, Id},
+    board::{self, Board},
+    can::{self, Adapter, Clock, Id},
     chip::{Part, ResetCause},
     image::Image,
     network::{AdapterId, Network, Recording},
@@ -44,7 +46,7 @@ const QUICK: [&str; 6] =
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Run only this image: default or io; can be repeated
+    /// Run only this image: default, io or thermo; can be repeated
     #[arg(long, value_name = "NAME")]
     image: Vec<ImageName>,
     /// Run this program in place of an image of ours
@@ -56,6 +58,12 @@ pub struct Arguments {
     /// The chip on the board [default: that of the image; stm32f405 for --elf]
     #[arg(long)]
     chip: Option<Part>,
+    /// The CAN controller of --elf on the bus: can1, can2, or on some chips can3
+    #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "elf")]
+    controller: u8,
+    /// The crystal on the board of --elf, in MHz
+    #[arg(long, default_value_t = 8, value_name = "MHZ", value_parser = clap::value_parser!(u8).range(4..=26), requires = "elf")]
+    crystal: u8,
     /// Run the default image of every chip, quickly; the builds take minutes
     #[arg(long, conflicts_with_all = ["image", "elf", "chip"])]
     chips: bool,
@@ -83,6 +91,8 @@ enum ImageName {
     Default,
     /// The example `io`
     Io,
+    /// The example `thermo`
+    Thermo,
 }
 
 impl ImageName {
@@ -90,6 +100,7 @@ impl ImageName {
         match self {
             Self::Default => None,
             Self::Io => Some(Example::Io),
+            Self::Thermo => Some(Example::Thermo),
         }
     }
 
@@ -97,14 +108,25 @@ impl ImageName {
         match self {
             Self::Default => "eds/lss-slave.eds",
             Self::Io => "eds/io.eds",
+            Self::Thermo => "eds/thermo.eds",
+        }
+    }
+
+    /// The CAN controller on the bus and the crystal in MHz, as in the product's `pins.rs` and `device.rs`.
+    const fn board(self) -> (u8, u8) {
+        match self {
+            Self::Default | Self::Io => (1, 8),
+            Self::Thermo => (2, 12),
         }
     }
 }
 
-/// A program and its data sheet.
+/// A program, its board and its data sheet.
 struct Product {
     name: String,
     chip: Part,
+    controller: u8,
+    crystal_mhz: u8,
     image: Image,
     eds: Eds,
 }
@@ -143,19 +165,22 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         let chip = arguments.chip.unwrap_or(Part::Stm32f405);
         let name = elf.file_name().unwrap_or_default().to_string_lossy();
         let name = format!("{name} on {}", chip.name());
-        return Ok(vec![Product { name, chip, image: Image::load(elf)?, eds: read(eds)? }]);
+        let (controller, crystal_mhz) = (arguments.controller, arguments.crystal);
+        let (image, eds) = (Image::load(elf)?, read(eds)?);
+        return Ok(vec![Product { name, chip, controller, crystal_mhz, image, eds }]);
     }
     let images: Vec<(ImageName, Option<Part>)> = match &arguments.image[..] {
         _ if arguments.chips => Part::ALL.map(|chip| (ImageName::Default, Some(chip))).to_vec(),
         [] => [ImageName::Default, ImageName::Io].map(|name| (name, arguments.chip)).to_vec(),
         names => names.iter().map(|name| (*name, arguments.chip)).collect(),
     };
-    let product = |(name, chip): (ImageName, Option<Part>)| {
-        let chip = example::chip(chip, name.example());
-        let image = example::image(chip, name.example())?;
-        let eds = read(&workspace().join(name.eds()))?;
-        let name = format!("{} on {}", name.eds().trim_start_matches("eds/"), chip.name());
-        Ok(Product { name, chip, image, eds })
+    let product = |(product, chip): (ImageName, Option<Part>)| {
+        let chip = example::chip(chip, product.example());
+        let image = example::image(chip, product.example())?;
+        let eds = read(&workspace().join(product.eds()))?;
+        let name = format!("{} on {}", product.eds().trim_start_matches("eds/"), chip.name());
+        let (controller, crystal_mhz) = product.board();
+        Ok(Product { name, chip, controller, crystal_mhz, image, eds })
     };
     images.into_iter().map(product).collect()
 }
@@ -189,7 +214,10 @@ struct Bus {
 impl Bus {
     /// The board with a stored node-ID, after its start.
     fn new(product: &Product) -> Self {
-        let mut board = boards::board(product.chip, &product.image, 0);
+        let crystal = Clock { hz: u32::from(product.crystal_mhz) * 1_000_000, ppm: 0 };
+        let controller = product.controller.into();
+        let board = board::Settings { crystal, controller, ..board::Settings::default() };
+        let mut board = Board::new(product.chip, &product.image, board);
         let mut flash = board.flash();
         let settings = Settings::new(BIT_RATE.into()).with_node_id(NodeId::new(NODE));
         boards::store_settings(&mut flash, settings.with_heartbeat_ms(HEARTBEAT_MS));
