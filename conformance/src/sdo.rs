@@ -3,7 +3,7 @@
 use crate::abort::*;
 use crate::{
     Address, Bench, Case, Command, Group, Step,
-    bench::{abort_code, initiate, message},
+    bench::{abort_code, initiate, message, name},
     eds::{Entry, Kind},
 };
 
@@ -26,23 +26,31 @@ const CASES: &[Case] = &[
     Case::new("A value below the low limit is refused", too_low),
     Case::new("1200h holds the predefined COB-IDs", default_server),
     Case::new("1000h is read, in segments if the server chooses so", device_type_in_any_way),
-    Case::new("100Ch takes a download in segments", guard_time),
-    Case::new("1017h takes a download in segments", heartbeat_in_segments),
+    Case::new("100Ch takes a download in segments", |bench| segmented(bench, GUARD_TIME)),
+    Case::new("1017h takes a download in segments", |bench| segmented(bench, HEARTBEAT)),
     Case::new("A value of more than four bytes is uploaded in segments", upload_in_segments),
     Case::new("A segment with the wrong toggle bit is aborted", wrong_toggle),
     Case::new("A value in segments is that of the data sheet", text_in_segments),
     Case::new("1000h is read by a block upload without CRC", block_upload_of_device_type),
-    Case::new("100Ch takes a block download without CRC", guard_time),
-    Case::new("1017h takes a block download without CRC", |bench| block_download(bench, false)),
+    Case::new("100Ch takes a block download without CRC", |bench| {
+        block_download(bench, GUARD_TIME, false)
+    }),
+    Case::new("1017h takes a block download without CRC", |bench| {
+        block_download(bench, HEARTBEAT, false)
+    }),
     Case::new("A value of several segments is read by a block upload without CRC", |bench| {
         block_upload_of_text(bench, false)
     }),
     Case::new("A value of several segments is read by a block upload with CRC", |bench| {
         block_upload_of_text(bench, true)
     }),
-    Case::new("100Ch takes a block download with CRC", guard_time),
-    Case::new("1017h takes a block download with CRC", |bench| block_download(bench, true))
-        .with_remark("The tool writes 0, whose CRC is 0; this case writes 1000 and sends the CRC."),
+    Case::new("100Ch takes a block download with CRC", |bench| {
+        block_download(bench, GUARD_TIME, true)
+    }),
+    Case::new("1017h takes a block download with CRC", |bench| {
+        block_download(bench, HEARTBEAT, true)
+    })
+    .with_remark("The tool writes 0, whose CRC is 0; this case writes 1000 and sends the CRC."),
     Case::new("A block size of 128 is aborted", wrong_block_size),
     Case::new("A confirmation of segment 128 is aborted", wrong_sequence_number).with_remark(
         "The tool takes 0504 0001h for a device without block transfer and skips; here the case \
@@ -58,6 +66,7 @@ const CASES: &[Case] = &[
 ];
 
 const DEVICE_TYPE: Address = (0x1000, 0);
+const GUARD_TIME: Address = (0x100C, 0);
 const HEARTBEAT: Address = (0x1017, 0);
 const BLOCK_SIZE: u8 = 20;
 
@@ -180,21 +189,12 @@ fn default_server(bench: &mut Bench) -> Step {
     Ok(())
 }
 
-fn guard_time(bench: &mut Bench) -> Step {
-    bench.needs((0x100C, 0))?;
-    let data = bench.read((0x100C, 0))?;
-    match bench.download_segments((0x100C, 0), &data)? {
-        Ok(()) => Ok(()),
-        Err(_) => bench.fail("100Ch takes the value that it has"),
-    }
-}
-
-fn heartbeat_in_segments(bench: &mut Bench) -> Step {
-    bench.needs(HEARTBEAT)?;
-    let outcome = bench.download_segments(HEARTBEAT, &[0, 0])?;
-    bench.check(outcome.is_ok(), "1017h takes 0 in segments")?;
-    let time = bench.number(HEARTBEAT)?;
-    bench.check(time == 0, "1017h is 0 then")
+fn segmented(bench: &mut Bench, address: Address) -> Step {
+    bench.needs(address)?;
+    let outcome = bench.download_segments(address, &[0, 0])?;
+    bench.check(outcome.is_ok(), format!("{} takes 0 in segments", name(address)))?;
+    let time = bench.number(address)?;
+    bench.check(time == 0, "it is 0 then")
 }
 
 /// A readable value of more than four bytes: the longest text, or else a number.
@@ -294,10 +294,10 @@ fn block_upload_of_text(bench: &mut Bench, has_crc: bool) -> Step {
     bench.check(data == same, "the bytes of an upload in segments")
 }
 
-fn block_download(bench: &mut Bench, has_crc: bool) -> Step {
-    bench.needs(HEARTBEAT)?;
+fn block_download(bench: &mut Bench, address: Address, has_crc: bool) -> Step {
+    bench.needs(address)?;
     let data = if has_crc { 1000_u16.to_le_bytes() } else { [0, 0] };
-    let begin = initiate(if has_crc { 0xC6 } else { 0xC2 }, HEARTBEAT, 2);
+    let begin = initiate(if has_crc { 0xC6 } else { 0xC2 }, address, 2);
     let answer = bench.ask(begin)?;
     if abort_code(&answer) == Some(UNKNOWN_COMMAND) {
         return bench.skip("the device has no block transfer");
@@ -310,8 +310,8 @@ fn block_download(bench: &mut Bench, has_crc: bool) -> Step {
     // Five bytes of the last segment are unused.
     let answer = bench.ask(message(0xC1 | 5 << 2, &check))?;
     bench.check(answer[0] == 0xA1, "A1: the transfer is complete")?;
-    let time = bench.read(HEARTBEAT)?;
-    bench.check(time == data, "1017h has the new value")
+    let time = bench.read(address)?;
+    bench.check(time == data, "the new value")
 }
 
 fn wrong_block_size(bench: &mut Bench) -> Step {
