@@ -99,6 +99,11 @@ pub trait Application: Dictionary {
     /// given up. A client that makes longer pauses within a transfer needs a longer time.
     const SDO_TIMEOUT_MS: u16 = 1000;
 
+    /// Whether a master without LSS can set node-ID and bit rate by SDO: object 2FF0h with the pending node-ID, which the
+    /// next NMT reset communication activates, and the pending bit rate in kbit/s. 1010h stores both, sub-index 1 or 3. The
+    /// object takes no code otherwise.
+    const SETTINGS_BY_SDO: bool = false;
+
     /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
     /// the start.
     ///

@@ -11,6 +11,7 @@ mod periodic;
 mod process;
 mod product;
 mod receives;
+mod settings_object;
 mod verification;
 
 use core::array;
@@ -33,6 +34,7 @@ use objects::NodeObjects;
 use periodic::Periodic;
 use product::Product;
 pub use receives::Receives;
+use settings_object::Written;
 use verification::Verification;
 
 /// A CANopen node that an LSS master can configure.
@@ -81,6 +83,7 @@ struct Storing {
     /// An SDO request whose store has not begun.
     sdo_request: Option<SdoRequest>,
     verification: Verification,
+    written: Written,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -102,7 +105,7 @@ enum Requester {
 #[derive(Clone, Copy, Debug)]
 struct SdoRequest {
     download: Download,
-    /// The heartbeat time to store, if the download concerns it. Node-ID and bit rate belong to LSS and stay unchanged.
+    /// The heartbeat time to store, if the download concerns it.
     heartbeat_ms: u16,
 }
 
@@ -171,6 +174,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 lss_requests: 0,
                 sdo_request: None,
                 verification: Verification::new(),
+                written: Written::NOTHING,
             },
             agenda: Agenda::new(),
             periodic: Periodic::Free,
@@ -458,6 +462,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         })
         .chain(Communication::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
         .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
+        .chain(A::SETTINGS_BY_SDO.then(settings_object::entries).into_iter().flatten())
     }
 
     /// Performs a step of a task. Without an action the task is over.
@@ -558,10 +563,15 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 verification.clear();
             }
             verification.stage();
-            let settings = match Area::Communication.is_concerned(download.sub_index) {
+            let mut settings = match Area::Communication.is_concerned(download.sub_index) {
                 true => persistent.with_heartbeat_ms(heartbeat_ms),
                 false => persistent,
             };
+            // Their object is in this area.
+            let change = Area::Application.change(Some(download));
+            if A::SETTINGS_BY_SDO && change == Change::Renew {
+                settings = self.storing.written.apply(settings, &self.lss);
+            }
             (settings, Requester::Sdo(download))
         };
         self.storing.store = Store::Running(settings, requester);

@@ -59,6 +59,10 @@ pub enum Object {
     Application(u8),
     /// A value that an RPDO leaves out.
     Dummy,
+    /// The node-ID that the next reset communication activates.
+    PendingNodeId,
+    /// The bit rate in kbit/s that is to be stored. 0 is automatic detection.
+    PendingBitRate,
     SyncCobId,
     CommunicationCyclePeriod,
     SynchronousWindowLength,

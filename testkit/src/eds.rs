@@ -99,6 +99,9 @@ impl<'a> DataSheet<'a> {
         let rates = rates.join("\n");
         let receive_pdos = self.indices().filter(|i| (0x1400..0x1600).contains(i)).count();
         let transmit_pdos = self.indices().filter(|i| (0x1800..0x1A00).contains(i)).count();
+        let has_settings =
+            self.values.iter().any(|value| value.entry.object == Object::PendingNodeId);
+        let also_by_sdo = if has_settings { ", or by SDO in 2FF0h" } else { " only" };
         let granularity = if receive_pdos + transmit_pdos > 0 { 8 } else { 0 };
         // A dummy of 1 bit, a BOOLEAN, is not possible.
         let dummy = |data_type| u8::from(receive_pdos > 0 && data_type != DataType::Boolean as u8);
@@ -144,7 +147,7 @@ CompactPDO=0
 Lines=3
 Line1=Made from the tables of the firmware: change those instead.
 Line2=The serial number 1018h sub 4 differs in every device.
-Line3=Node-ID and bit rate are configured by LSS only.
+Line3=Node-ID and bit rate are configured by LSS{also_by_sdo}.
 ",
             device.address.vendor_id,
             device.name,

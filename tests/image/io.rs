@@ -168,6 +168,21 @@ fn the_temperature_is_sent_with_its_delta_and_its_event_timer() {
 }
 
 #[test]
+fn a_master_without_lss_gives_the_example_a_node_id_and_a_bit_rate() {
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [example_board(settings(1, BitRate::Kbit1000))]);
+    rig.collect(SAMPLE);
+    // Node-ID 9 and 250 kbit/s in 2FF0h, then 1010h.
+    write(&mut rig, &["2F F0 2F 01 09", "2B F0 2F 02 FA 00", "23 10 10 01 73 61 76 65"]);
+    assert_eq!(rig.sdo_client(1).download(0x2FF0, 1, &[128]), Err(0x0609_0030));
+    assert_eq!(rig.nmt("82 01"), ["709: 00"]);
+    rig.power_cycle(0);
+    rig.set_master_bit_rate(BitRate::Kbit250);
+    rig.collect(Time::from_ms(20));
+    let mut client = rig.sdo_client(9);
+    assert_eq!([1, 2].map(|sub_index| client.number(0x2FF0, sub_index)), [9, 250]);
+}
+
+#[test]
 fn a_larger_filter_constant_slows_the_temperature() {
     let times = ["2F 00 21 00 00", "2F 00 21 00 06"].map(|request| {
         let mut rig = operational();

@@ -41,6 +41,7 @@ mod sdo_machine;
 mod sdo_model;
 mod sdo_segmented;
 mod sdo_store;
+mod settings_by_sdo;
 mod settings_faults;
 mod settings_log;
 mod settings_power_cut;

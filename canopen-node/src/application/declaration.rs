@@ -27,6 +27,9 @@ const fn fault(entry: &Entry, before: Option<&Entry>) -> Option<&'static str> {
     if entry.index < 0x2001 || entry.index > 0x9FFF {
         return Some("its index must be 2001h to 9FFFh");
     }
+    if entry.index == 0x2FF0 {
+        return Some("this index is that of the node-ID and the bit rate");
+    }
     if entry.data_type.size() == 0 && entry.options.is_mappable() {
         return Some("only numbers can be mapped into a PDO");
     }

@@ -7,6 +7,7 @@ use lss_slave::bytes::copy;
 
 use super::{
     Action, Node, SdoRequest, Storing, Task, Tasks, areas::Download, communication::Communication,
+    settings_object,
 };
 use crate::{
     Device, Frame, Instant,
@@ -14,7 +15,7 @@ use crate::{
     bit_rate,
     emergency::Emergency,
     lss::{self, AddressPart},
-    nmt::{ErrorBehaviour, slave::NmtSlave},
+    nmt::{self, ErrorBehaviour, slave::NmtSlave},
     object_dictionary::{self, DataType, Entry, Object, TABLE},
     sdo::{self, Abort, Content, Message, Objects},
 };
@@ -45,7 +46,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
         let mut objects = NodeObjects {
             device: &self.product.device,
-            lss: &self.lss,
+            lss: &mut self.lss,
             bit_rate: &self.bit_rate,
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
@@ -93,7 +94,7 @@ pub(super) struct NodeObjects<
     const PRODUCERS: usize,
 > {
     pub device: &'a Device,
-    pub lss: &'a lss::Slave,
+    pub lss: &'a mut lss::Slave,
     pub bit_rate: &'a bit_rate::Control,
     pub nmt: &'a mut NmtSlave,
     pub emergency: &'a mut Emergency,
@@ -111,6 +112,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
         let of_communication = Communication::<TPDOS, RPDOS, PRODUCERS>::table(index);
         let table = match A::OBJECTS.first() {
+            _ if A::SETTINGS_BY_SDO && index == settings_object::INDEX => settings_object::ROWS,
             Some(first) if first.index <= index => A::OBJECTS,
             _ => of_communication.unwrap_or(TABLE),
         };
@@ -158,6 +160,12 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::HighestSubIndex(highest) => highest.into(),
             Object::CobIdSdoRequest => u32::from(sdo::REQUEST_COB_ID) + node_id,
             Object::CobIdSdoResponse => u32::from(sdo::RESPONSE_COB_ID) + node_id,
+            Object::PendingNodeId if A::SETTINGS_BY_SDO => {
+                settings_object::node_id(self.lss).into()
+            }
+            Object::PendingBitRate if A::SETTINGS_BY_SDO => {
+                settings_object::bit_rate(self.lss).into()
+            }
             object if Communication::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
                 self.communication.read(object, self.lss.active_node_id())?
             }
@@ -199,6 +207,20 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             }
             (Object::VerifyConfiguration(sub_index), value) => {
                 self.storing.verification.write(sub_index, value);
+                Ok(Some(confirmation))
+            }
+            (object @ (Object::PendingNodeId | Object::PendingBitRate), value)
+                if A::SETTINGS_BY_SDO =>
+            {
+                let is_operational = self.nmt.state() == nmt::State::Operational;
+                if self.device.lss_lock && is_operational {
+                    return Err(Abort::DeviceState);
+                }
+                let written = &mut self.storing.written;
+                match object {
+                    Object::PendingNodeId => written.set_node_id(self.lss, value as u8)?,
+                    _ => written.set_bit_rate(self.lss, value as u16)?,
+                }
                 Ok(Some(confirmation))
             }
             (object, value) => {

@@ -49,6 +49,7 @@ objects! {
 impl canopen_node::Application for Application {
     /// CiA 401, with digital inputs and outputs and analogue inputs.
     const DEVICE_TYPE: u32 = 0x0007_0191;
+    const SETTINGS_BY_SDO: bool = true;
     const TPDOS: &'static [Tpdo] = &[
         Tpdo::new(&[(0x6000, 1)]),
         Tpdo::new(&[(0x6401, 1)]).with_event_timer(1000).with_inhibit_time(100),

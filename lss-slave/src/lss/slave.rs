@@ -119,6 +119,21 @@ impl Slave {
         self.pending_bit_rate
     }
 
+    /// Makes this the pending node-ID, as configure node-ID does.
+    pub const fn configure_node_id(&mut self, node_id: Option<NodeId>) {
+        self.pending_node_id = node_id;
+    }
+
+    /// Makes this the pending bit rate, as configure bit timing does; returns whether the device offers it.
+    pub const fn configure_bit_rate(&mut self, rate: BitRateSetting) -> bool {
+        let is_offered = self.bit_rates.offers(rate);
+        if is_offered {
+            self.pending_bit_rate = rate;
+            self.is_bit_rate_configured = true;
+        }
+        is_offered
+    }
+
     /// Activates the pending bit rate and returns it. Unless a master has configured one since the latest activation,
     /// this is the `active` one.
     pub const fn activate_bit_rate(&mut self, active: BitRateSetting) -> BitRateSetting {
@@ -171,18 +186,14 @@ impl Slave {
             (Request::ConfigureNodeId(byte), Configuration) => {
                 let id = NodeId::from_lss(byte);
                 if let Ok(id) = id {
-                    self.pending_node_id = id;
+                    self.configure_node_id(id);
                 }
                 ConfigureNodeId { accepted: id.is_ok() }
             }
             (Request::ConfigureBitTiming { table, index }, Configuration) => {
-                let rate =
-                    BitRateSetting::from_table(table, index).filter(|&r| self.bit_rates.offers(r));
-                if let Some(rate) = rate {
-                    self.pending_bit_rate = rate;
-                    self.is_bit_rate_configured = true;
-                }
-                ConfigureBitTiming { accepted: rate.is_some() }
+                let rate = BitRateSetting::from_table(table, index);
+                let accepted = rate.is_some_and(|rate| self.configure_bit_rate(rate));
+                ConfigureBitTiming { accepted }
             }
             (Request::Inquire(part), Configuration) => Inquire(part, self.address_part(part)),
             (Request::InquireNodeId, Configuration) => InquireNodeId(self.active_node_id),
