@@ -3,6 +3,7 @@
 
 use std::{collections::BTreeMap, ops::Range};
 
+use example_io as io;
 use firmware::device::DEFAULTS;
 use testkit::eds::parse;
 
@@ -124,9 +125,11 @@ fn values(eds: &str) -> Vec<Value> {
 /// A board with the default image and one with the example, each with the values of its EDS. They have this node-ID and
 /// the heartbeat time of a new device.
 fn boards() -> [(ImageRig, Vec<Value>); 2] {
-    let settings = settings(NODE_ID, BitRate::Kbit1000).with_heartbeat_ms(DEFAULTS.heartbeat_ms);
-    let default = (board_with(0, settings), include_str!("../../eds/lss-slave.eds"));
-    let example = (example_board(settings), include_str!("../../eds/io.eds"));
+    let of = |defaults: Settings| {
+        settings(NODE_ID, BitRate::Kbit1000).with_heartbeat_ms(defaults.heartbeat_ms)
+    };
+    let default = (board_with(0, of(DEFAULTS)), include_str!("../../eds/lss-slave.eds"));
+    let example = (example_board(of(io::device::DEFAULTS)), include_str!("../../eds/io.eds"));
     [default, example].map(|(board, eds)| {
         let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
         rig.collect(Time::from_ms(20));

@@ -1,5 +1,7 @@
 //! Sessions of an LSS master with the release image on emulated boards, frame by frame.
 
+use firmware::device::DEFAULTS;
+
 use crate::rig::*;
 
 /// Restarts the board by NMT; returns its boot-up at its new bit rate.
@@ -31,7 +33,8 @@ fn a_new_board_gets_its_node_id_and_bit_rate_and_comes_back_with_them() {
     assert_eq!(rig.lss("4C, 04 01, 5E, 11 04, 13 00 02"), ["50", "5E FF", "11 00", "13 00"]);
     assert_eq!(rig.lss("17, 4C"), ["17 00"]);
     assert_eq!(rig.lss("04 00"), ["704: 00"], "boots up at once, at the previous bit rate");
-    assert_eq!(rig.collect(Time::from_ms(1500)), ["704: 7F"], "the default heartbeat");
+    let heartbeat = Time::from_ms(DEFAULTS.heartbeat_ms.into());
+    assert_eq!(rig.collect(heartbeat + Time::from_ms(20)), ["704: 7F"], "the default heartbeat");
     assert_eq!(reset_node(&mut rig, 0x04, BitRate::Kbit500), ["704: 00"]);
     rig.power_cycle(0);
     assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);

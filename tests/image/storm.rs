@@ -1,5 +1,6 @@
 //! A short storm of random frames against the release image and against the node; `cargo verify storm` makes long ones.
 
+use firmware::device::DEVICE;
 use testkit::{
     image::example,
     storm::{
@@ -15,7 +16,7 @@ const SEED: u64 = 11;
 
 #[test]
 fn in_a_storm_the_image_sends_and_stores_exactly_what_the_node_does() {
-    let mut storm = ImageStorm::new(blank_board(0), image(), SEED);
+    let mut storm = ImageStorm::new(blank_board(0), image(), DEVICE, SEED);
     storm.rage(40_000);
     assert!(storm.stores > 5, "{} stores", storm.stores);
     assert!(storm.resets > 5, "{} resets", storm.resets);

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use anyhow::{bail, ensure};
 use emulator::{chip::Part, image::Image};
-
+use firmware::device::DEVICE;
 use testkit::{
     boards,
     random::Random,
@@ -64,7 +64,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match arguments.example {
         None => {
             rage_at_node(arguments, NodeStorm::new(seed));
-            rage_at_image(arguments, &image, ImageStorm::new(board, &image, seed));
+            rage_at_image(arguments, &image, ImageStorm::new(board, &image, DEVICE, seed));
         }
         Some(Example::Thermo) => bail!("no storm knows the objects of `thermo`: choose `io`"),
         Some(Example::Io) => {

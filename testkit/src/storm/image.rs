@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 
 use canopen_node::{
-    Action, BitRate, Settings,
+    Action, BitRate, Device, Settings,
     application::NoApplication,
     lss::{self, Address},
     nmt,
@@ -12,7 +12,10 @@ use canopen_node::{
 use emulator::{
     Time, board::Board as Emulated, can::Frame, chip::ResetCause, image::Image, network::Recording,
 };
-use example_io::application::{self as io, Filter, Sample};
+use example_io::{
+    application::{self as io, Filter, Sample},
+    device::DEVICE,
+};
 use lss_master::InquireAddress;
 
 use super::{NODE_ID, RATE, Stormed, Target, is_pdo, lss_data, next};
@@ -20,7 +23,7 @@ use crate::{
     flash::BoardFlash,
     frames::{self, Frames},
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, from_the_wire, on_the_wire, settings},
-    node_rig::{self as model, NodeRig},
+    node_rig::NodeRig,
     random::Random,
     sdo::Client,
     stack,
@@ -70,11 +73,11 @@ pub type ExampleStorm =
     ImageStorm<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
 
 impl ImageStorm {
-    /// A board with stored settings: no node-ID, 1 Mbit/s.
-    pub fn new(board: Emulated, image: &Image, seed: u64) -> Self {
+    /// A board with this device and stored settings: no node-ID, 1 Mbit/s.
+    pub fn new(board: Emulated, image: &Image, device: Device, seed: u64) -> Self {
         let settings = settings(0xFF, RATE);
         let rig = rig(board, image, settings);
-        Self::with(rig, settings, seed, NoApplication, Box::new(|_| {}))
+        Self::with(rig, device, settings, seed, NoApplication, Box::new(|_| {}))
     }
 }
 
@@ -89,7 +92,8 @@ impl ExampleStorm {
         let sample = Box::new(move |io: &mut io::Application| {
             io.step(sample, &mut Filter::default());
         });
-        let mut storm = Self::with(rig, settings, seed, io::Application::new(), sample);
+        let application = io::Application::new();
+        let mut storm = Self::with(rig, DEVICE, settings, seed, application, sample);
         storm.first.extend(io::Application::end_times(NODE_ID));
         storm
     }
@@ -109,6 +113,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 {
     fn with(
         mut rig: ImageRig,
+        device: Device,
         stored: Settings,
         seed: u64,
         application: A,
@@ -117,11 +122,7 @@ impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
         rig.lss("04 01");
         let address = rig.carry_out(InquireAddress::new());
         rig.lss("04 00");
-        // The options of the firmware's `device.rs`.
-        let device = model::device(address)
-            .with_name("LSS slave")
-            .with_versions("1.0", "0.1.0")
-            .with_defaults(settings(0xFF, RATE).with_heartbeat_ms(1000));
+        let device = device.with_serial_number(address.serial_number);
         let flash = BoardFlash::with_content(flash_with(&[stored]), 0);
         let mut model = NodeRig::with_application(device, flash, 0, application);
         model.take_actions();
