@@ -117,7 +117,7 @@ const UNPREPARED: usize = 3;
 /// report. `show` gets each finding when its case ends.
 ///
 /// # Errors
-/// The line has broken, or the device does not come back.
+/// The line has broken, the device does not come back, or no case is wanted.
 pub fn run(
     bench: &mut Bench,
     groups: &[Group],
@@ -151,6 +151,9 @@ pub fn run(
                 return Err(Broken("the device cannot be prepared: is it there?".into()));
             }
         }
+    }
+    if report.findings.is_empty() {
+        return Err(Broken(format!("no case begins with {}", wanted.join(" or "))));
     }
     Ok(())
 }
