@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use canopen_node::Frame;
 
-use crate::{Broken, Line, Step, eds::Eds};
+use crate::{Broken, Line, Step, eds::Eds, lss::Target};
 
 /// Index and sub-index.
 pub type Address = (u16, u8);
@@ -65,12 +65,14 @@ pub struct Bench<'a> {
     pub eds: &'a Eds,
     /// The node-ID of the device.
     pub node: u8,
+    /// The devices for the LSS chapter; none unless a program sets them.
+    pub lss: Target,
     seen: Vec<(Duration, Seen)>,
 }
 
 impl<'a> Bench<'a> {
     pub fn new(line: &'a mut dyn Line, eds: &'a Eds, node: u8) -> Self {
-        Self { line, eds, node, seen: Vec::new() }
+        Self { line, eds, node, lss: Target::default(), seen: Vec::new() }
     }
 
     pub(crate) fn begin(&mut self) {

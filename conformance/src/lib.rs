@@ -30,6 +30,9 @@
 //! }
 //! ```
 //!
+//! [`lss::LSS`] lists the groups of CiA 305, which the certifier's tool does not test; they need the LSS addresses in
+//! [`Bench::lss`].
+//!
 //! A line is a [`Line`]: the emulated bus in virtual time for `cargo verify conformance`, an adapter for `cargo hil`.
 
 mod abort;
@@ -41,6 +44,7 @@ mod emergency;
 mod guarding;
 mod heartbeat;
 mod line;
+pub mod lss;
 mod other;
 mod pdo;
 mod report;

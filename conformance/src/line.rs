@@ -68,4 +68,28 @@ pub trait Line {
     fn power(&mut self, _is_on: bool) -> Result<bool, Broken> {
         Ok(false)
     }
+
+    /// Puts the first `count` devices of an LSS address on the bus, and takes the others off.
+    ///
+    /// # Errors
+    /// The line has broken.
+    fn attach(&mut self, count: usize) -> Result<bool, Broken> {
+        Ok(count == 1)
+    }
+
+    /// The number of queued frames that no device has acknowledged yet, or `None` if the line does not know it.
+    ///
+    /// # Errors
+    /// The line has broken.
+    fn unsent(&mut self) -> Result<Option<usize>, Broken> {
+        Ok(None)
+    }
+
+    /// Makes the storage medium of the device fail, or work again.
+    ///
+    /// # Errors
+    /// The line has broken.
+    fn fail_stores(&mut self, _fails: bool) -> Result<bool, Broken> {
+        Ok(false)
+    }
 }
