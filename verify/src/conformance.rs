@@ -6,9 +6,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-use ::conformance::{APPLICATION_LAYER, Bench, Broken, Line, Report, eds::Eds};
+use ::conformance::{
+    APPLICATION_LAYER, Bench, Broken, Line, Report,
+    eds::Eds,
+    lss::{Feature, LSS, Target},
+};
 use anyhow::{Context, ensure};
-use canopen_node::{BitRate, Frame, NodeId, Settings, nmt};
+use canopen_node::{BitRate, Frame, NodeId, Settings, lss::Address, nmt};
 use canopen_stm32f4::chip;
 use emulator::{
     Time,
@@ -32,14 +36,24 @@ const NODE: u8 = 5;
 const HEARTBEAT_MS: u16 = 1000;
 
 /// The cases of `--quick`.
-const QUICK: [&str; 6] =
-    ["SDO", "OD", "Emergency", "Heartbeat 01", "Testing other 0", "Transition 01"];
+const QUICK: [&str; 10] = [
+    "SDO",
+    "OD",
+    "Emergency",
+    "Heartbeat 01",
+    "Testing other 0",
+    "Transition 01",
+    "LSS states",
+    "LSS bit rate 0",
+    "LSS store",
+    "LSS frames",
+];
 
 /// Run the cases of a conformance test of CANopen against release images
 ///
 /// The cases have the numbers and purposes of CiA's Conformance Test Tool, and are driven by the data sheet of the
 /// image as the tool's are: docs/conformance-cases.md. They run on the emulated bus in virtual time; `cargo hil
-/// --conformance` runs the same cases on a real adapter.
+/// --conformance` runs the same cases on a real adapter. `--chapter lss` runs those of LSS, on up to five boards.
 ///
 /// Without options they run for the default image and for the example io. It ends with 0 if no case failed, with 1
 /// otherwise.
@@ -70,6 +84,15 @@ pub struct Arguments {
     /// Leave out the services that no chip can change: PDO, SYNC, guarding, and long waits for heartbeats
     #[arg(long)]
     quick: bool,
+    /// The cases of the certifier's tool, or those of LSS
+    #[arg(long, value_enum, default_value = "cia301")]
+    chapter: Chapter,
+    /// What the device lacks, for the LSS chapter; can be repeated or separated by commas
+    #[arg(long, value_name = "FEATURE", value_delimiter = ',')]
+    without: Vec<Feature>,
+    /// The number of boards on the bus, for the LSS chapter: 1 to 5
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=5))]
+    boards: u8,
     /// Run only the cases whose number begins so, such as "PDO 23" or PDO; can be repeated
     #[arg(long, value_name = "NUMBER")]
     case: Vec<String>,
@@ -82,6 +105,15 @@ pub struct Arguments {
     /// Show the frames of each case
     #[arg(long)]
     frames: bool,
+}
+
+/// A list of groups of cases.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Chapter {
+    /// The application layer, numbered as in the certifier's tool
+    Cia301,
+    /// LSS, which that tool does not test
+    Lss,
 }
 
 /// An image of this repository.
@@ -186,15 +218,20 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
 }
 
 fn test(product: &Product, arguments: &Arguments) -> anyhow::Result<Report> {
-    let mut bus = Bus::new(product);
+    let (groups, boards) = match arguments.chapter {
+        Chapter::Cia301 => (APPLICATION_LAYER, 1),
+        Chapter::Lss => (LSS, arguments.boards.into()),
+    };
+    let mut bus = Bus::new(product, boards);
     let mut bench = Bench::new(&mut bus, &product.eds, NODE);
+    bench.lss = Target::new(addresses(product, boards), BIT_RATE, arguments.without.clone());
     let mut report = Report::new(&product.name);
     let is_quick = arguments.quick || arguments.chips;
     let wanted = match &arguments.case[..] {
         [] if is_quick => QUICK.map(str::to_owned).to_vec(),
         wanted => wanted.to_vec(),
     };
-    ::conformance::run(&mut bench, APPLICATION_LAYER, &wanted, &mut report, |finding| {
+    ::conformance::run(&mut bench, groups, &wanted, &mut report, |finding| {
         println!("{}", finding.line());
         if arguments.frames {
             println!("{}", finding.frames().join("\n"));
@@ -203,36 +240,69 @@ fn test(product: &Product, arguments: &Arguments) -> anyhow::Result<Report> {
     Ok(report)
 }
 
-/// The emulated bus with one board, and the adapter on it.
+/// Unique ids whose serial numbers are 1E00h, 1275h, 2469h, 0010 1E00h and 8000 1234h: who has one between 1276h and
+/// 2468h? The first and the fourth differ in one bit.
+const UNIQUE_IDS: [[u8; 12]; 5] = [
+    *b"\0\0\0\0\x0AEMU\xB9\xD3\xF4\x52",
+    *b"\0\0\0\0\x07EMU\x12\xDB\xFC\x73",
+    *b"\0\0\0\0\x07EMU\x27\x1C\xFE\x41",
+    *b"\0\0\0\0\x07EMU\x81\xD6\x6B\x59",
+    *b"\0\0\0\0\x07EMU\x1D\xE0\xC7\xDF",
+];
+
+/// The LSS addresses of the first `count` boards.
+fn addresses(product: &Product, count: usize) -> Vec<Address> {
+    let number = |sub_index| {
+        let entry = product.eds.get((0x1018, sub_index));
+        let default = entry.and_then(|entry| entry.default(NODE)).unwrap_or_default();
+        default.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte))
+    };
+    let address = |id: &[u8; 12]| Address {
+        vendor_id: number(1),
+        product_code: number(2),
+        revision_number: number(3),
+        serial_number: Address::serial_number_of(id),
+    };
+    UNIQUE_IDS.iter().take(count).map(address).collect()
+}
+
+/// The emulated bus with its boards, and the adapter on it.
 struct Bus {
     network: Network,
     adapter: AdapterId,
-    /// The commands NMT reset node that the board may have received.
+    /// The number of boards that are on the bus: the first ones.
+    attached: usize,
+    /// The commands NMT reset node that a board may have received.
     resets: usize,
 }
 
 impl Bus {
-    /// The board with a stored node-ID, after its start.
-    fn new(product: &Product) -> Self {
+    /// The boards, each with a stored node-ID, after their start.
+    fn new(product: &Product, boards: usize) -> Self {
         let crystal = Clock { hz: u32::from(product.crystal_mhz) * 1_000_000, ppm: 0 };
         let controller = product.controller.into();
-        let board = board::Settings { crystal, controller, ..board::Settings::default() };
-        let mut board = Board::new(product.chip, &product.image, board);
-        let mut flash = board.flash();
-        let settings = Settings::new(BIT_RATE.into()).with_node_id(NodeId::new(NODE));
-        boards::store_settings(&mut flash, settings.with_heartbeat_ms(HEARTBEAT_MS));
-        board.set_flash(0, &flash);
         let mut network = Network::new();
         network.record(Recording::Off);
         let adapter = network.add_adapter(Adapter::new(bit_per_s(BIT_RATE)));
-        network.add_board(board);
+        for (unique_id, node) in UNIQUE_IDS.into_iter().take(boards).zip(NODE..) {
+            let settings = board::Settings { crystal, controller, unique_id, ..Default::default() };
+            let mut board = Board::new(product.chip, &product.image, settings);
+            let mut flash = board.flash();
+            let settings = Settings::new(BIT_RATE.into()).with_node_id(NodeId::new(node));
+            boards::store_settings(&mut flash, settings.with_heartbeat_ms(HEARTBEAT_MS));
+            board.set_flash(0, &flash);
+            network.add_board(board);
+        }
         network.run_for(boards::FIRST_START);
-        Self { network, adapter, resets: 0 }
+        Self { network, adapter, attached: boards, resets: 0 }
     }
 
-    /// Ends the run if the board has misused its chip, is locked up, or has restarted unasked.
+    /// Ends the run if a board has misused its chip, is locked up, or has restarted unasked.
     fn check(&self) -> Result<(), Broken> {
-        let board = self.network.board(0);
+        self.network.boards().iter().try_for_each(|board| self.check_board(board))
+    }
+
+    fn check_board(&self, board: &Board) -> Result<(), Broken> {
         let causes = board.resets().iter().map(|(_, cause)| *cause);
         let others = causes.filter(|cause| *cause != ResetCause::PowerOn).collect::<Vec<_>>();
         let is_asked = others.len() <= self.resets
@@ -295,10 +365,44 @@ impl Line for Bus {
     }
 
     fn power(&mut self, is_on: bool) -> Result<bool, Broken> {
-        match is_on {
-            true => self.network.power_on(0),
-            false => self.network.power_off(0),
+        for board in 0..self.attached {
+            match is_on {
+                true => self.network.power_on(board),
+                false => self.network.power_off(board),
+            }
         }
         Ok(true)
+    }
+
+    fn attach(&mut self, count: usize) -> Result<bool, Broken> {
+        let boards = self.network.boards().len();
+        if count != self.attached && count <= boards {
+            (count..boards).for_each(|board| self.network.power_off(board));
+            (0..count).for_each(|board| self.network.power_on(board));
+            self.attached = count;
+            self.network.run_for(boards::FIRST_START);
+        }
+        Ok(count <= boards)
+    }
+
+    fn unsent(&mut self) -> Result<Option<usize>, Broken> {
+        Ok(Some(self.network.adapter_mut(self.adapter).unsent()))
+    }
+
+    fn fail_stores(&mut self, fails: bool) -> Result<bool, Broken> {
+        let failing = if fails { u32::MAX } else { 0 };
+        self.network.board(0).chip().flash_mut().fail_programs(failing);
+        Ok(true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_boards_have_the_serial_numbers_of_the_lss_chapter() {
+        let serial_numbers = UNIQUE_IDS.map(|id| Address::serial_number_of(&id));
+        assert_eq!(serial_numbers, [0x1E00, 0x1275, 0x2469, 0x0010_1E00, 0x8000_1234]);
     }
 }
