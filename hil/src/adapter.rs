@@ -51,6 +51,14 @@ pub trait Adapter {
     /// Leaves the bus.
     fn close(&mut self) -> Result<(), Stop>;
     fn send(&mut self, frame: &Frame) -> Result<(), Stop>;
+    /// Sends a remote frame; false if this adapter cannot.
+    fn send_remote(&mut self, _cob_id: u16, _length: u8) -> Result<bool, Stop> {
+        Ok(false)
+    }
+    /// Sends a data frame with a 29-bit identifier; false if this adapter cannot.
+    fn send_extended(&mut self, _id: u32, _data: &[u8]) -> Result<bool, Stop> {
+        Ok(false)
+    }
     /// The next frame, if one comes within `wait`. Remote frames and those with 29-bit identifiers are skipped.
     fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop>;
     /// The adapter's errors, if it can report them.

@@ -3,6 +3,7 @@
 use std::{
     fs,
     path::{Path, PathBuf},
+    str::FromStr,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -10,9 +11,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-use ::conformance::{APPLICATION_LAYER, Bench, Broken, Line, Report, eds::Eds, ms};
-use anyhow::{Context, bail};
-use canopen_node::{BitRate, Frame, NodeId};
+use ::conformance::{
+    APPLICATION_LAYER, Bench, Broken, Line, Report,
+    eds::Eds,
+    lss::{Feature, LSS, Target},
+    ms,
+};
+use anyhow::{Context, bail, ensure};
+use canopen_node::{
+    BitRate, Frame, NodeId,
+    lss::{Address, REQUEST_COB_ID, RESPONSE_COB_ID},
+};
 
 use crate::{
     adapter::{Adapter, Mode, Place},
@@ -26,11 +35,61 @@ const SLICE: Duration = ms(50);
 /// How late this computer may see a frame, besides the adapter's latency.
 const PAUSE: Duration = ms(20);
 
+/// The node-ID that the device gets for the LSS chapter, unless another is given.
+const LSS_NODE: u8 = 5;
+/// The wait for an answer to an inquiry.
+const INQUIRY: Duration = ms(1_000);
+
+/// The cases to run.
+#[derive(Clone, Debug)]
+pub enum Subject {
+    /// CiA 301, with this data sheet.
+    ApplicationLayer(PathBuf),
+    Lss,
+}
+
+impl FromStr for Subject {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(if text == "lss" { Self::Lss } else { Self::ApplicationLayer(text.into()) })
+    }
+}
+
+/// What is known of the devices for the LSS chapter.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Identity {
+    /// The vendor-ID of the device, for the LSS chapter; what is not given of its LSS address is inquired
+    #[arg(long, value_name = "NUMBER", value_parser = number, requires = "conformance")]
+    vendor_id: Option<u32>,
+    /// Its product code
+    #[arg(long, value_name = "NUMBER", value_parser = number, requires = "conformance")]
+    product_code: Option<u32>,
+    /// Its revision number
+    #[arg(long, value_name = "NUMBER", value_parser = number, requires = "conformance")]
+    revision_number: Option<u32>,
+    /// Its serial number; several devices of one product on the bus are tested together
+    #[arg(long, value_name = "NUMBER", value_parser = number, value_delimiter = ',', requires = "conformance")]
+    serial_number: Vec<u32>,
+    /// What the device lacks, for the LSS chapter: identify, non-configured, fastscan, bit-timing, activate, store, sdo,
+    /// detect, rescue, further
+    #[arg(long, value_name = "FEATURE", value_delimiter = ',', requires = "conformance")]
+    without: Vec<Feature>,
+}
+
+/// A number in decimal, or in hexadecimal with 0x.
+fn number(text: &str) -> Result<u32, std::num::ParseIntError> {
+    match text.strip_prefix("0x") {
+        Some(digits) => u32::from_str_radix(digits, 16),
+        None => text.parse(),
+    }
+}
+
 /// What is tested, and how.
 pub struct Test<'a> {
     pub adapter: &'a Place,
-    /// The data sheet of the device.
-    pub eds: &'a Path,
+    pub subject: &'a Subject,
+    pub identity: &'a Identity,
     /// The node-ID of the device; `None`: it is the only node.
     pub node: Option<NodeId>,
     pub bit_rate: BitRate,
@@ -47,22 +106,35 @@ pub struct Test<'a> {
 /// # Errors
 /// The adapter does not work, or there is no device.
 pub fn run(test: &Test) -> anyhow::Result<bool> {
-    let text = fs::read_to_string(test.eds);
-    let text = text.with_context(|| format!("cannot read {}", test.eds.display()))?;
-    let eds = Eds::parse(&text);
+    let (eds, groups, name) = match test.subject {
+        Subject::Lss => (Eds::default(), LSS, "LSS".to_owned()),
+        Subject::ApplicationLayer(path) => {
+            let text = fs::read_to_string(path);
+            let text = text.with_context(|| format!("cannot read {}", path.display()))?;
+            (Eds::parse(&text), APPLICATION_LAYER, path.display().to_string())
+        }
+    };
     let mut adapter = test.adapter.connect()?;
-    adapter.open(adapter.fixed_rate().unwrap_or(test.bit_rate), Mode::Normal)?;
-    let mut report = Report::new(format!("{} at {}", test.eds.display(), adapter.description()));
+    let bit_rate = adapter.fixed_rate().unwrap_or(test.bit_rate);
+    adapter.open(bit_rate, Mode::Normal)?;
+    let mut report = Report::new(format!("{name} at {}", adapter.description()));
     let latency = adapter.latency().unwrap_or_default().max(test.latency);
     let is_interrupted = Arc::clone(&test.is_interrupted);
-    let mut line = AdapterLine { adapter, latency, is_interrupted, start: Instant::now() };
-    let node = match test.node {
-        Some(node) => node.get(),
-        None => only_node(&mut line)?,
+    let devices = test.identity.serial_number.len().max(1);
+    let mut line = AdapterLine { adapter, latency, is_interrupted, start: Instant::now(), devices };
+    let (node, target) = match (test.subject, test.node) {
+        (Subject::Lss, node) => {
+            let devices = addresses(&mut line, test.identity)?;
+            let target = Target::new(devices, bit_rate, test.identity.without.clone());
+            (node.map_or(LSS_NODE, NodeId::get), target)
+        }
+        (_, Some(node)) => (node.get(), Target::default()),
+        (_, None) => (only_node(&mut line)?, Target::default()),
     };
     println!("node {node}");
     let mut bench = Bench::new(&mut line, &eds, node);
-    ::conformance::run(&mut bench, APPLICATION_LAYER, test.cases, &mut report, |finding| {
+    bench.lss = target;
+    ::conformance::run(&mut bench, groups, test.cases, &mut report, |finding| {
         println!("{}", finding.line());
     })?;
     println!("\n{}", report.summary());
@@ -102,12 +174,71 @@ fn only_node(line: &mut AdapterLine) -> anyhow::Result<u8> {
     }
 }
 
+/// The LSS addresses of the devices. What is not given is inquired, of the only device.
+fn addresses(line: &mut AdapterLine, known: &Identity) -> anyhow::Result<Vec<Address>> {
+    let [first, ..] = known.serial_number[..] else {
+        return Ok(vec![inquired(line, known, None)?]);
+    };
+    let address = match (known.vendor_id, known.product_code, known.revision_number) {
+        (Some(vendor_id), Some(product_code), Some(revision_number)) => {
+            Address { vendor_id, product_code, revision_number, serial_number: first }
+        }
+        _ => inquired(line, known, Some(first))?,
+    };
+    let serial_numbers = known.serial_number.iter();
+    Ok(serial_numbers.map(|number| Address { serial_number: *number, ..address }).collect())
+}
+
+/// The LSS address of the only device, which must agree with what is known.
+fn inquired(
+    line: &mut AdapterLine,
+    known: &Identity,
+    serial_number: Option<u32>,
+) -> anyhow::Result<Address> {
+    let request = |command, mode| {
+        let frame = Frame::new(REQUEST_COB_ID, &[command, mode, 0, 0, 0, 0, 0, 0]);
+        frame.expect("eight bytes")
+    };
+    line.send(&request(0x04, 1))?;
+    // Some devices lose a request that follows too closely.
+    let until = line.now() + ms(50);
+    while line.receive(until)?.is_some() {}
+    let known = [known.vendor_id, known.product_code, known.revision_number, serial_number];
+    let mut address = [0; 4];
+    for ((part, known), command) in address.iter_mut().zip(known).zip(0x5A..) {
+        line.send(&request(command, 0))?;
+        let until = line.now() + INQUIRY;
+        let answer = loop {
+            let Some((_, frame)) = line.receive(until)? else { break None };
+            match *frame.data() {
+                [first, a, b, c, d, ..]
+                    if frame.cob_id() == RESPONSE_COB_ID && first == command =>
+                {
+                    break Some(u32::from_le_bytes([a, b, c, d]));
+                }
+                _ => {}
+            }
+        };
+        let number = answer.or(known);
+        *part = number.with_context(|| format!("{command:02X} is not answered"))?;
+        ensure!(
+            known.is_none_or(|known| known == *part),
+            "{command:02X} is answered {part:08X}h, not {:08X}h",
+            known.unwrap_or_default()
+        );
+    }
+    line.send(&request(0x04, 0))?;
+    Ok(address.into())
+}
+
 /// An adapter as the cases see it, on the computer's clock.
 struct AdapterLine {
     adapter: Box<dyn Adapter>,
     latency: Duration,
     is_interrupted: Arc<AtomicBool>,
     start: Instant,
+    /// The number of devices on the bus.
+    devices: usize,
 }
 
 impl From<Stop> for Broken {
@@ -151,5 +282,17 @@ impl Line for AdapterLine {
         }
         self.adapter.open(rate, Mode::Normal)?;
         Ok(true)
+    }
+
+    fn send_remote(&mut self, cob_id: u16, length: u8) -> Result<bool, Broken> {
+        Ok(self.adapter.send_remote(cob_id, length)?)
+    }
+
+    fn send_extended(&mut self, id: u32, data: &[u8]) -> Result<bool, Broken> {
+        Ok(self.adapter.send_extended(id, data)?)
+    }
+
+    fn attach(&mut self, count: usize) -> Result<bool, Broken> {
+        Ok(count == self.devices)
     }
 }

@@ -34,6 +34,7 @@ use canopen_stm32f4::chip;
 use adapter::Place;
 use bench::Bench;
 use bus::Bus;
+use conformance::{Identity, Subject};
 use person::Person;
 use probe::Probe;
 use report::Report;
@@ -75,9 +76,12 @@ struct Arguments {
     #[arg(long, value_name = "WHETHER", value_enum, default_value = "auto")]
     ask: Ask,
     /// Run the cases of a conformance test of CANopen in place of the sessions, on any device with this data sheet:
-    /// docs/conformance-cases.md. Its stored parameters become the defaults
+    /// docs/conformance-cases.md. Its stored parameters become the defaults. With `lss` in place of the data sheet: the
+    /// cases of LSS, on any LSS slave
     #[arg(long, value_name = "EDS", conflicts_with_all = ["quick", "session", "probe"])]
-    conformance: Option<PathBuf>,
+    conformance: Option<Subject>,
+    #[command(flatten)]
+    identity: Identity,
     /// The node-ID of that device, if there are others on the bus; without it all nodes are reset
     #[arg(long, value_name = "ID", value_parser = node_id, requires = "conformance")]
     node: Option<NodeId>,
@@ -104,6 +108,7 @@ const EXAMPLES: &str = "Examples:
   cargo hil --adapter slcan:/dev/ttyACM0 --report first-board
   cargo hil --adapter socketcan:can0 --quick
   cargo hil --adapter socketcan:can0 --conformance eds/io.eds --bit-rate 500 --report io
+  cargo hil --adapter socketcan:can0 --conformance lss --vendor-id 0x1A2 --product-code 7 --without rescue,detect
   cargo hil --adapter slcan:tcp:127.0.0.1:29536      with `cargo emulate` in another window";
 
 fn main() -> ExitCode {
@@ -140,10 +145,11 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     })
     .context("cannot wait for Ctrl-C")?;
 
-    if let Some(eds) = &arguments.conformance {
+    if let Some(subject) = &arguments.conformance {
         return conformance::run(&conformance::Test {
             adapter: &arguments.adapter,
-            eds,
+            subject,
+            identity: &arguments.identity,
             node: arguments.node,
             bit_rate: arguments.bit_rate,
             cases: &arguments.case,

@@ -289,11 +289,18 @@ impl Adapter for Slcan {
     }
 
     fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
-        let mut line = format!("t{:03X}{}", frame.cob_id(), frame.data().len());
-        for byte in frame.data() {
-            line += &format!("{byte:02X}");
-        }
-        self.write(format!("{line}\r").as_bytes())
+        let data = digits(frame.data());
+        self.write(format!("t{:03X}{}{data}\r", frame.cob_id(), frame.data().len()).as_bytes())
+    }
+
+    fn send_remote(&mut self, cob_id: u16, length: u8) -> Result<bool, Stop> {
+        self.write(format!("r{cob_id:03X}{length}\r").as_bytes())?;
+        Ok(true)
+    }
+
+    fn send_extended(&mut self, id: u32, data: &[u8]) -> Result<bool, Stop> {
+        self.write(format!("T{id:08X}{}{}\r", data.len(), digits(data)).as_bytes())?;
+        Ok(true)
     }
 
     fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
@@ -340,6 +347,11 @@ impl Adapter for Slcan {
             None => format!("{}, which reports no version", self.place),
         }
     }
+}
+
+/// Bytes in hexadecimal.
+fn digits(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }
 
 /// The flags in the answer to `F`, as the CANUSB has them: 4 bus warning, 20h error passive, 80h bus error.
