@@ -107,26 +107,6 @@ def test_bit_timing_is_configured_activated_and_stored(tmp_path):
         States(add_node(network, 5)).wait_for(PRE_OPERATIONAL)
 
 
-def test_the_node_is_what_its_eds_says():
-    # A board that is alone until python-canopen connects is error passive by then: its error register is 11h.
-    with Boards("--boards", 2, "--node-id", 5) as boards, connect(boards) as network:
-        node = add_node(network, 5)
-        of_every_board = [
-            variable
-            for entry in node.object_dictionary.values()
-            for variable in (entry.values() if hasattr(entry, "values") else [entry])
-            if variable.default is not None and variable.index > 0x20
-        ]
-        assert len(of_every_board) >= 15
-        for variable in of_every_board:
-            read = node.sdo.upload(variable.index, variable.subindex)
-            assert variable.decode_raw(read) == variable.default, variable.name
-        assert node.sdo[0x1008].raw == "LSS slave", "longer than 4 bytes: a segmented transfer"
-        assert tuple(node.sdo[0x1018][part].raw for part in (1, 2, 3, 4)) == identity(boards)
-        with pytest.raises(canopen.SdoAbortedError, match="0x06010002"):
-            node.sdo.download(0x1018, 1, bytes(4))
-
-
 def test_heartbeats_tell_the_nmt_states():
     with Boards("--node-id", 5) as boards, connect(boards) as network:
         node = add_node(network, 5)
