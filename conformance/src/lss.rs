@@ -198,7 +198,7 @@ impl Bench<'_> {
     fn attach(&mut self, count: usize) -> Step {
         let all = self.lss.devices.len();
         if count > all || !self.line().attach(count)? {
-            return self.skip(format!("it needs {count} devices on the bus, not {all}"));
+            return self.skip(format!("devices needed on the bus: {count}, there: {all}"));
         }
         Ok(())
     }
