@@ -44,14 +44,16 @@ const FIRST: usize = 20;
 const LAST: usize = 100;
 
 impl Finding {
-    /// One line with number, outcome and purpose; a second one with what was expected or why it was skipped.
+    /// One line with number, outcome and purpose; a second one with why it was skipped, or two with what was expected
+    /// and where the case is not the tool's.
     pub fn line(&self) -> String {
-        let Self { number, case: Case { purpose, .. }, .. } = self;
+        let Self { number, case: Case { purpose, remark, .. }, .. } = self;
         let line = |word: &str| format!("{number:<28} {word:<8} {purpose}");
         match &self.outcome {
             Outcome::Passed => line("passed"),
             Outcome::Failed(expected) => {
-                format!("{}\n{:37} expected: {expected}", line("FAILED"), "")
+                let failed = format!("{}\n{:37} expected: {expected}", line("FAILED"), "");
+                if remark.is_empty() { failed } else { format!("{failed}\n{:37} {remark}", "") }
             }
             Outcome::Skipped(reason) => format!("{}\n{:37} {reason}", line("skipped"), ""),
         }

@@ -32,8 +32,6 @@ use xtask::example::{self, Example};
 /// The bit rate and the node-ID of the board.
 const BIT_RATE: BitRate = BitRate::Kbit500;
 const NODE: u8 = 5;
-/// As `src/device.rs` of the images has it.
-const HEARTBEAT_MS: u16 = 1000;
 
 /// The cases of `--quick`.
 const QUICK: [&str; 10] = [
@@ -289,7 +287,7 @@ impl Bus {
             let mut board = Board::new(product.chip, &product.image, settings);
             let mut flash = board.flash();
             let settings = Settings::new(BIT_RATE.into()).with_node_id(NodeId::new(node));
-            boards::store_settings(&mut flash, settings.with_heartbeat_ms(HEARTBEAT_MS));
+            boards::store_settings(&mut flash, settings);
             board.set_flash(0, &flash);
             network.add_board(board);
         }
