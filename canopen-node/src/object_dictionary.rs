@@ -165,6 +165,10 @@ pub enum Access {
     Const,
     ReadOnly,
     ReadWrite,
+    /// `rwr`: a process input, which a TPDO can carry and no RPDO.
+    ReadWriteInput,
+    /// `rww`: a process output, which an RPDO can carry and no TPDO.
+    ReadWriteOutput,
     WriteOnly,
 }
 

@@ -24,9 +24,9 @@ pub enum Access {
     ReadOnly,
     ReadWrite,
     /// Read and write; in a PDO it is read.
-    ReadWriteRead,
+    ReadWriteInput,
     /// Read and write; in a PDO it is written.
-    ReadWriteWrite,
+    ReadWriteOutput,
     WriteOnly,
 }
 
@@ -177,8 +177,8 @@ impl Entry {
             "const" => Access::Const,
             "ro" => Access::ReadOnly,
             "rw" => Access::ReadWrite,
-            "rwr" => Access::ReadWriteRead,
-            "rww" => Access::ReadWriteWrite,
+            "rwr" => Access::ReadWriteInput,
+            "rww" => Access::ReadWriteOutput,
             "wo" => Access::WriteOnly,
             other => return Err(format!("AccessType={other}")),
         };
@@ -250,8 +250,8 @@ impl Entry {
     /// Whether the value may come in a RPDO, and whether it may go in a TPDO.
     pub fn pdo_directions(&self) -> (bool, bool) {
         use Access::*;
-        let receives = matches!(self.access, ReadWrite | ReadWriteWrite | WriteOnly);
-        let transmits = matches!(self.access, ReadWrite | ReadWriteRead | ReadOnly | Const);
+        let receives = matches!(self.access, ReadWrite | ReadWriteOutput | WriteOnly);
+        let transmits = matches!(self.access, ReadWrite | ReadWriteInput | ReadOnly | Const);
         (self.is_mappable && receives, self.is_mappable && transmits)
     }
 

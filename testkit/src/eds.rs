@@ -240,6 +240,8 @@ fn access(entry: &Entry) -> &'static str {
         Access::Const => "const",
         Access::ReadOnly => "ro",
         Access::ReadWrite => "rw",
+        Access::ReadWriteInput => "rwr",
+        Access::ReadWriteOutput => "rww",
         Access::WriteOnly => "wo",
     }
 }

@@ -42,10 +42,10 @@ objects! {
         4 "56 bits" i56: Integer56 = -2, rw, mappable;
     }
     0x2103 "Unsigned numbers of other lengths" {
-        1 "24 bits" u24: Unsigned24 = 0x12_3456, rw, mappable;
+        1 "24 bits" u24: Unsigned24 = 0x12_3456, rwr;
         2 "40 bits" u40: Unsigned40 = 40, rw, mappable;
         3 "48 bits" u48: Unsigned48 = 48, rw, mappable;
-        4 "56 bits" u56: Unsigned56 = 0xFF_FFFF_FFFF_FFFF, rw in 1..=72_057_594_037_927_935, mappable;
+        4 "56 bits" u56: Unsigned56 = 0xFF_FFFF_FFFF_FFFF, rww in 1..=72_057_594_037_927_935;
     }
     0x2104 "Percentages" {
         1 "First" first: u8 = 50, rw in 0..=100, stored;

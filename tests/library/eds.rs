@@ -156,8 +156,13 @@ fn each_kind_of_value_is_described_as_cia_306_says() {
              ObjectType=0x7 PDOMapping=1 ParameterName=24 bits",
         ),
         (
+            "2103sub1",
+            "AccessType=rwr DataType=0x0016 DefaultValue=1193046 ObjectType=0x7 PDOMapping=1 \
+             ParameterName=24 bits",
+        ),
+        (
             "2103sub4",
-            "AccessType=rw DataType=0x001A DefaultValue=72057594037927935 \
+            "AccessType=rww DataType=0x001A DefaultValue=72057594037927935 \
              HighLimit=72057594037927935 LowLimit=1 ObjectType=0x7 PDOMapping=1 \
              ParameterName=56 bits",
         ),

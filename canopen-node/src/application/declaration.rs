@@ -164,9 +164,18 @@ pub const fn longest(capacities: &[usize]) -> usize {
 ///
 /// A variable has one value with sub-index 0. An object with a name has values with sub-indices from 1; sub-index 0,
 /// the highest sub-index, is added. A value is declared by its sub-index, its name in the EDS, its field, its type and
-/// default, its access (`constant`, `ro`, `rw`, `wo`), optional limits of a number, and options: `mappable` into a PDO,
-/// `quiet` if a change of a mapped value alone shall not send an event-driven TPDO, `stored` by 1010h. The limits are a
-/// range of numbers or constants.
+/// default, its access (`constant`, `ro`, `rw`, `rwr`, `rww`, `wo`), optional limits of a number, and options: `mappable`
+/// into a PDO, `quiet` if a change of a mapped value alone shall not send an event-driven TPDO, `stored` by 1010h. The
+/// limits are a range of numbers or constants.
+///
+/// The access decides which PDOs can carry a mappable value. `rwr` is that of a process input and `rww` that of a process
+/// output (CiA 306): a client reads and writes both, and they are mappable without the option.
+///
+/// | access | TPDO | RPDO |
+/// |---|---|---|
+/// | `ro, mappable`, `constant, mappable`, `rwr` | yes | no |
+/// | `rww`, `wo, mappable` | no | yes |
+/// | `rw, mappable` | yes | yes |
 ///
 /// An array has a value for each of its sub-indices, with the same access, limits and options. In the EDS their names
 /// are numbered from 1; `Value` has a place in the array beside each of them:
@@ -437,7 +446,7 @@ macro_rules! objects {
                         sub_index: $sub_index,
                         data_type: <application::ValueOf<$type> as application::ValueType>::DATA_TYPE,
                         access: $crate::objects!(@access $access),
-                        options: object_dictionary::Options::NONE$(.$option())*,
+                        options: $crate::objects!(@options $access)$(.$option())*,
                         object: object_dictionary::Object::Application(0),
                     },
                     <$type as application::FieldType>::COUNT,
@@ -559,7 +568,12 @@ macro_rules! objects {
     (@access constant) => { object_dictionary::Access::Const };
     (@access ro) => { object_dictionary::Access::ReadOnly };
     (@access rw) => { object_dictionary::Access::ReadWrite };
+    (@access rwr) => { object_dictionary::Access::ReadWriteInput };
+    (@access rww) => { object_dictionary::Access::ReadWriteOutput };
     (@access wo) => { object_dictionary::Access::WriteOnly };
+    (@options rwr) => { object_dictionary::Options::NONE.mappable() };
+    (@options rww) => { object_dictionary::Options::NONE.mappable() };
+    (@options $access:ident) => { object_dictionary::Options::NONE };
     (@limits $type:ty) => { None };
     (@limits $type:ty, $limits:expr) => {{
         let limits: core::ops::RangeInclusive<application::Plain<$type>> = $limits;

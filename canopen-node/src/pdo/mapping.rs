@@ -72,8 +72,10 @@ impl NotMappable {
         match (self, direction) {
             (Self::Missing, _) => " does not exist",
             (Self::NotDeclared, _) => " is not declared as mappable",
-            (Self::WrongDirection, Direction::Transmit) => " cannot be read by a master",
-            (Self::WrongDirection, Direction::Receive) => " cannot be written by a master",
+            (Self::WrongDirection, Direction::Transmit) => " is no input: its access is wo or rww",
+            (Self::WrongDirection, Direction::Receive) => {
+                " is no output: its access is constant, ro or rwr"
+            }
         }
     }
 }
@@ -91,8 +93,13 @@ const fn find(
         let entry = &table[at];
         if entry.index == index && entry.sub_index == sub_index {
             let is_possible = match direction {
-                Direction::Transmit => !matches!(entry.access, Access::WriteOnly),
-                Direction::Receive => matches!(entry.access, Access::ReadWrite | Access::WriteOnly),
+                Direction::Transmit => {
+                    !matches!(entry.access, Access::WriteOnly | Access::ReadWriteOutput)
+                }
+                Direction::Receive => !matches!(
+                    entry.access,
+                    Access::Const | Access::ReadOnly | Access::ReadWriteInput
+                ),
             };
             return match (entry.options.is_mappable(), is_possible) {
                 (false, _) => Err(NotMappable::NotDeclared),
@@ -324,13 +331,15 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "TPDO 1: 6000h sub-index 2 cannot be read by a master")]
+    #[should_panic(expected = "TPDO 1: 6000h sub-index 2 is no input: its access is wo or rww")]
     fn the_error_names_the_object_that_a_tpdo_cannot_carry() {
         Mapping::declared(OBJECTS, Direction::Transmit, 1, &[(0x6000, 2)]);
     }
 
     #[test]
-    #[should_panic(expected = "RPDO 4: 6000h sub-index 1 cannot be written by a master")]
+    #[should_panic(
+        expected = "RPDO 4: 6000h sub-index 1 is no output: its access is constant, ro or rwr"
+    )]
     fn the_error_names_the_object_that_an_rpdo_cannot_carry() {
         Mapping::declared(OBJECTS, Direction::Receive, 4, &[(0x6000, 1)]);
     }

@@ -33,7 +33,7 @@ objects! {
         0 "Faulty sensors, a bit for each" faults: u8 = 0, ro;
     }
     0x6200 "Write output 8-bit" {
-        1 "Relays" relays: u8 = 0, rw in 0..=3, mappable;
+        1 "Relays" relays: u8 = 0, rww in 0..=3;
     }
     0x7130 "AI input process value" {
         1..=4 "Temperature in 0.1 degrees Celsius, sensor" temperatures: [i16; 4] = [0; 4], ro, mappable;
