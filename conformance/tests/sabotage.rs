@@ -120,8 +120,8 @@ fn wrong_abort_codes_are_found() {
         [0x80, ..] if frame.cob_id() == OF_SERVER => with_byte(frame, 7, 0x07),
         _ => Some(frame),
     };
-    let expected = "SDO 3 5 6 7 8 9 10 17 26 27 28, PDO 23 24 25 26 28 29 32, OD 3 6, Emergency 3, \
-                    Synchronization 5 9, Heartbeat 4, Testing other 1 3 5 7 10";
+    let expected = "SDO 3 4 5 6 7 8 9 10 11 17 26 27 28, PDO 23 24 25 26 28 29 31 32, OD 3 4 6, \
+                    Emergency 3, Synchronization 5 9, Heartbeat 4, Testing other 1 3 5 7 10";
     assert_found(&[], unchanged, wrong, expected);
 }
 

@@ -125,7 +125,8 @@ def check(node, variable):
     for limit in limits:
         assert refusal(node.sdo.download, *key, variable.encode_raw(limit)) is None, name
     if limits and is_number and len(variable) == 8:
-        assert refusal(node.sdo.download, *key, bytes([variable.max + 1])) in OUT_OF_RANGE, name
+        for beyond in {variable.min - 1, variable.max + 1} & set(range(256)):
+            assert refusal(node.sdo.download, *key, bytes([beyond])) in OUT_OF_RANGE, name
     return has_default, bool(limits)
 
 

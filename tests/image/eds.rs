@@ -77,16 +77,21 @@ impl Value {
         Some((base + number.expect("a number")).to_le_bytes()[..len].to_vec())
     }
 
-    /// The values of the type next to the limits, beyond them: those with limits are REAL32 or UNSIGNED8 from 0 on.
+    /// The values of the type next to the limits, beyond them: those with limits are REAL32, or UNSIGNED8 that
+    /// begins or ends with its type.
     fn beyond(&self) -> Vec<Vec<u8>> {
-        let limit = |key: &str| self.keys[key].parse::<f32>().expect("a number");
-        let (low, high) = (limit("LowLimit"), limit("HighLimit"));
+        let limits = ["LowLimit", "HighLimit"].map(|key| self.keys[key].as_str());
         if self.is_real() {
+            let [low, high] = limits.map(|limit| limit.parse::<f32>().expect("a number"));
             let numbers = [low.next_down(), high.next_up(), f32::NAN, f32::INFINITY];
             return numbers.map(|number| number.to_le_bytes().to_vec()).to_vec();
         }
-        assert_eq!((self.len(), low), (Some(1), 0.0));
-        vec![vec![high as u8 + 1]]
+        assert_eq!(self.len(), Some(1));
+        match limits.map(|limit| limit.parse::<u8>().expect("a number")) {
+            [0, high] => vec![vec![high + 1]],
+            [low, 0xFF] => vec![vec![low - 1]],
+            both => panic!("{}: {both:?}", self.name()),
+        }
     }
 
     fn name(&self) -> String {
@@ -177,7 +182,7 @@ fn every_value_of_the_image_is_writable_only_if_its_eds_says_so() {
             let name = value.name();
             let len = value.len().unwrap_or(4);
             let mut download = |len: usize| value.download(&mut rig, &vec![0; len]);
-            if !value.is("rw") && !value.is("wo") {
+            if value.is("ro") || value.is("const") {
                 assert_eq!(download(len), Err(READ_ONLY), "{name}");
                 continue;
             }
@@ -248,7 +253,7 @@ fn every_value_of_the_image_keeps_the_limits_of_its_eds() {
             limited.push(value.index);
         }
     }
-    assert_eq!(limited, [0x1029, 0x1019, 0x1029, 0x2100, 0x2101]);
+    assert_eq!(limited, [0x1029, 0x1019, 0x1029, 0x2100, 0x2101, 0x2FF0]);
 }
 
 #[test]

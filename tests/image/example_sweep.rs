@@ -67,7 +67,7 @@ impl Pair {
 fn indices() -> impl Iterator<Item = u16> {
     let single = [0x1000, 0x1001, 0x1003, 0x1008, 0x1014, 0x1015, 0x1016, 0x1017, 0x1020, 0x1029];
     let pdos = [0x1400, 0x1600, 0x1800, 0x1A00].into_iter().flat_map(|first| first..=first + 4);
-    let of_application = [0x2100, 0x2101, 0x2101, 0x2102, 0x6000, 0x6200, 0x6426, 0xFFFF];
+    let of_application = [0x2100, 0x2101, 0x2101, 0x2102, 0x2103, 0x6000, 0x6200, 0x6426, 0xFFFF];
     (0x1005..=0x1007).chain(single).chain(pdos).chain(of_application)
 }
 
@@ -76,12 +76,14 @@ const LIMITS: [u32; 18] =
     [0, 1, 2, 3, 9, 64, 65, 240, 241, 253, 254, 255, 0x80, 0x181, 0x580, 0x701, 0x7FF, 0x800];
 /// COB-IDs with other bits, and entries of mappings, legal ones and others.
 const COB_IDS: [u32; 4] = [0x4000_0081, 0x8000_0181, 0xA000_0000, u32::MAX];
-const ENTRIES: [u32; 8] = [
+const ENTRIES: [u32; 10] = [
     0x6000_0108,
     0x6200_0108,
     0x6401_0110,
     0x6200_0110,
     0x2100_0008,
+    0x2103_0108,
+    0x2103_0208,
     0x0005_0008,
     0x0007_0020,
     0x1F00_0108,

@@ -98,14 +98,17 @@ fn map_pdo(rig: &mut ImageRig, index: u16, cob_id: u32, mapped: &[u32]) {
     write(index, 1, &cob_id.to_le_bytes());
 }
 
-/// The LEDs and the temperature as entries of a mapping, and four bytes without effect.
-const LEDS: u32 = 0x6200_0108;
+/// The button, the temperature, and the values of the echo test as entries of a mapping, and four bytes without effect.
+const BUTTON: u32 = 0x6000_0108;
+const ECHO_SENT: u32 = 0x2103_0108;
+const ECHO_RETURNED: u32 = 0x2103_0208;
 const TEMPERATURE: u32 = 0x6401_0110;
 const DUMMY_32: u32 = 0x0007_0020;
 
-/// Makes node 1 echo an RPDO: TPDO 1 carries the LEDs 6200h in place of the button 6000h.
+/// Makes node 1 echo RPDO 1 by TPDO 1: they carry the values of the echo test 2103h in place of the LEDs and the button.
 fn echo(rig: &mut ImageRig) {
-    map_pdo(rig, 0x1800, 0x181, &[LEDS]);
+    map_pdo(rig, 0x1400, 0x201, &[ECHO_SENT]);
+    map_pdo(rig, 0x1800, 0x181, &[ECHO_RETURNED]);
 }
 
 #[test]
@@ -269,7 +272,7 @@ fn each_of_four_tpdos_has_its_event_timer_and_inhibit_time() {
     ] {
         let mut rig = node_1();
         for ((index, cob_id), (event_ms, inhibit_ms, _)) in (0x1800..).zip(0x181_u32..).zip(tpdos) {
-            map_pdo(&mut rig, index, 1 << 31 | cob_id, &[LEDS]);
+            map_pdo(&mut rig, index, 1 << 31 | cob_id, &[BUTTON]);
             let mut client = rig.sdo_client(1);
             for (sub_index, value) in [(3, 10 * inhibit_ms), (5, event_ms)] {
                 assert_eq!(client.download(index, sub_index, &u16::to_le_bytes(value)), Ok(()));
@@ -437,9 +440,9 @@ fn a_tpdo_follows_its_sync_within_20_us() {
 fn a_sync_and_its_four_tpdos_cost_few_cycles() {
     const ROUNDS: u64 = 200;
     let mut rig = node_1();
-    // TPDOs 3 and 4 carry the LEDs and the temperature, 1 and 2 the button and the temperature.
+    // TPDOs 3 and 4 carry the echo and the temperature, 1 and 2 the button and the temperature.
     for (index, cob_id) in [(0x1802, 0x381), (0x1803, 0x481)] {
-        map_pdo(&mut rig, index, cob_id, &[LEDS, TEMPERATURE]);
+        map_pdo(&mut rig, index, cob_id, &[ECHO_RETURNED, TEMPERATURE]);
     }
     for index in 0x1800..0x1804 {
         rig.sdo_client(1).download(index, 2, &[1]).expect("it is written");
@@ -532,15 +535,15 @@ fn busy_node() -> ImageRig {
     rig
 }
 
-/// The same with four PDOs each way: all RPDOs write the LEDs, and TPDOs 1, 3 and 4 echo them.
+/// The same with four PDOs each way: TPDOs 1, 3 and 4 echo all RPDOs.
 fn busier_node() -> ImageRig {
     let mut rig = busy_node();
     rig.nmt("80 01");
     for (index, cob_id) in [(0x1401, 0x301), (0x1402, 0x401), (0x1403, 0x501)] {
-        map_pdo(&mut rig, index, cob_id, &[LEDS, DUMMY_32]);
+        map_pdo(&mut rig, index, cob_id, &[ECHO_SENT, DUMMY_32]);
     }
     for (index, cob_id) in [(0x1802, 0x381), (0x1803, 0x481)] {
-        map_pdo(&mut rig, index, cob_id, &[LEDS, TEMPERATURE]);
+        map_pdo(&mut rig, index, cob_id, &[ECHO_RETURNED, TEMPERATURE]);
     }
     rig.nmt("01 01");
     rig.collect(SAMPLE);

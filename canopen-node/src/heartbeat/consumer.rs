@@ -10,7 +10,7 @@ use crate::{
     object_dictionary::{
         Access::{Const, ReadWrite},
         DataType::{Unsigned8, Unsigned32},
-        DefaultValue, Description, Entry, Object, row,
+        DefaultValue, Description, Entry, Name, Object, row,
     },
     sdo::Abort,
     settings::parameters::{HEADER, Packer, Parameter},
@@ -188,7 +188,10 @@ pub(crate) fn describe(entry: &Entry, default: DefaultValue) -> Description {
             let name = "Highest sub-index supported".into();
             Description { object: Some(NAME.into()), name, default, limits: None }
         }
-        _ => Description { object: None, name: NAME.into(), default, limits: None },
+        number => {
+            let name = Name { text: NAME, number: Some(number) };
+            Description { object: None, name, default, limits: None }
+        }
     }
 }
 

@@ -24,12 +24,12 @@ pub(super) const ROWS: &[Entry] = &[
 /// The rows with their descriptions.
 pub(super) fn entries() -> impl Iterator<Item = (Entry, Description)> {
     let describe = |entry: &Entry| {
-        let (object, name) = match entry.sub_index {
-            0 => (Some("Node-ID and bit rate".into()), "Highest sub-index supported"),
-            1 => (None, "Pending node-ID"),
-            _ => (None, "Pending bit rate in kbit/s"),
+        let (object, name, limits) = match entry.sub_index {
+            0 => (Some("Node-ID and bit rate".into()), "Highest sub-index supported", None),
+            1 => (None, "Pending node-ID", Some((1_u8.into(), u8::MAX.into()))),
+            _ => (None, "Pending bit rate in kbit/s", None),
         };
-        Description { object, name: name.into(), default: DefaultValue::Varies, limits: None }
+        Description { object, name: name.into(), default: DefaultValue::Varies, limits }
     };
     ROWS.iter().map(move |entry| (*entry, describe(entry)))
 }

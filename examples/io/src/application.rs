@@ -11,8 +11,8 @@ use canopen_node::{
 pub const TPDOS: usize = 4;
 /// The LEDs, and three for a master to map.
 pub const RPDOS: usize = 4;
-/// One node, such as the master.
-pub const PRODUCERS: usize = 1;
+/// Two nodes, such as the master and a neighbour.
+pub const PRODUCERS: usize = 2;
 
 /// The node with the application.
 pub type Node = canopen_node::Node<Application, TPDOS, RPDOS, PRODUCERS>;
@@ -32,11 +32,15 @@ objects! {
     0x2102 {
         0 "Transfer test" transfer_test: Domain = Domain, rw;
     }
+    0x2103 "Echo test" {
+        1 "Sent" echo_sent: u8 = 0, wo, mappable;
+        2 "Returned" echo_returned: u8 = 0, ro, mappable;
+    }
     0x6000 "Read input 8-bit" {
         1 "Button" inputs: u8 = 0, ro, mappable;
     }
     0x6200 "Write output 8-bit" {
-        1 "LEDs" outputs: u8 = 0, rw, mappable;
+        1 "LEDs" outputs: u8 = 0, rww;
     }
     0x6401 "Read analogue input 16-bit" {
         1 "Temperature in 0.1 degrees Celsius" temperature: i16 = 0, ro, mappable;
@@ -58,9 +62,12 @@ impl canopen_node::Application for Application {
 
     fn accept(&mut self, value: &Value) -> Result<(), Abort> {
         match value {
-            Value::outputs(4..) => Err(Abort::InvalidValue), // There are two LEDs.
-            _ => Ok(()),
+            Value::outputs(4..) => return Err(Abort::InvalidValue), // There are two LEDs.
+            // A master measures the way of a value from an RPDO to a TPDO.
+            Value::echo_sent(value) => self.echo_returned = *value,
+            _ => {}
         }
+        Ok(())
     }
 
     // The only domain is the transfer test. Its content is known to both sides, so that it takes no memory.

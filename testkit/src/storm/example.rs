@@ -36,8 +36,8 @@ const READABLE: [Address; 12] = [
 ];
 const TRANSFER_TEST: Address = (0x2102, 0);
 /// Values that can be mapped into TPDOs and RPDOs, as mapping entries; the last of each is wrong there.
-const TRANSMITTED: [u32; 4] = [0x6000_0108, 0x6200_0108, 0x6401_0110, 0x0007_0020];
-const RECEIVED: [u32; 4] = [0x6200_0108, 0x0005_0008, 0x0007_0020, 0x6000_0108];
+const TRANSMITTED: [u32; 4] = [0x6000_0108, 0x2103_0208, 0x6401_0110, 0x0007_0020];
+const RECEIVED: [u32; 5] = [0x6200_0108, 0x2103_0108, 0x0005_0008, 0x0007_0020, 0x6000_0108];
 
 impl Stormed for Application {
     const FIRST_SAMPLE: Time = Time::from_ms(12);
@@ -128,6 +128,7 @@ fn download_a_value(random: &mut Random) -> Vec<[u8; 8]> {
         1 => ((0x2101, 2), random.bytes::<8>().to_vec()),
         2 => ((0x2101, 3), (0..random.within(1..18)).map(|_| random.byte() % 128).collect()),
         3 => (TRANSFER_TEST, test_content(0).take(random.within(1..200) as usize).collect()),
+        4 => ((0x2103, 1), vec![random.byte()]),
         _ => ((0x6200, 1), vec![random.byte() % 5]),
     };
     download_by_any_service(random, address, &data)
@@ -154,9 +155,9 @@ fn configure_pdo(random: &mut Random, node_id: u8) -> Vec<[u8; 8]> {
     const NOT_VALID: u32 = 0x8000_0000;
     let is_tpdo = random.one_in(2);
     let (parameters, base, number, values) = if is_tpdo {
-        (0x1800, 0x180, TPDOS, &TRANSMITTED)
+        (0x1800, 0x180, TPDOS, &TRANSMITTED[..])
     } else {
-        (0x1400, 0x200, RPDOS, &RECEIVED)
+        (0x1400, 0x200, RPDOS, &RECEIVED[..])
     };
     let pdo = random.within(0..number as u64) as u16;
     let (parameter, mapping) = (parameters + pdo, parameters + pdo + 0x200);
@@ -170,7 +171,7 @@ fn configure_pdo(random: &mut Random, node_id: u8) -> Vec<[u8; 8]> {
         initiate(0x2F, (mapping, 0), 0),
     ];
     for entry in 1..=entries {
-        messages.push(initiate(0x23, (mapping, entry as u8), random.pick(&values[..])));
+        messages.push(initiate(0x23, (mapping, entry as u8), random.pick(values)));
     }
     messages.push(initiate(0x2F, (mapping, 0), entries));
     messages.push(initiate(0x23, (parameter, 1), cob_id));
