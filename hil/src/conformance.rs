@@ -241,10 +241,8 @@ struct AdapterLine {
     devices: usize,
 }
 
-impl From<Stop> for Broken {
-    fn from(stop: Stop) -> Self {
-        Self(stop.to_string())
-    }
+fn broken(stop: Stop) -> Broken {
+    Broken(stop.to_string())
 }
 
 impl Line for AdapterLine {
@@ -253,16 +251,16 @@ impl Line for AdapterLine {
     }
 
     fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
-        Ok(self.adapter.send(frame)?)
+        self.adapter.send(frame).map_err(broken)
     }
 
     fn receive(&mut self, until: Duration) -> Result<Option<(Duration, Frame)>, Broken> {
         loop {
             if self.is_interrupted.load(Ordering::Relaxed) {
-                return Err(Stop::Interrupted.into());
+                return Err(broken(Stop::Interrupted));
             }
             let wait = until.saturating_sub(self.now()).min(SLICE);
-            if let Some(received) = self.adapter.receive(wait)? {
+            if let Some(received) = self.adapter.receive(wait).map_err(broken)? {
                 let time = received.here.saturating_duration_since(self.start);
                 return Ok(Some((time, received.frame)));
             }
@@ -280,16 +278,16 @@ impl Line for AdapterLine {
         if self.adapter.fixed_rate().is_some() {
             return Ok(false);
         }
-        self.adapter.open(rate, Mode::Normal)?;
+        self.adapter.open(rate, Mode::Normal).map_err(broken)?;
         Ok(true)
     }
 
     fn send_remote(&mut self, cob_id: u16, length: u8) -> Result<bool, Broken> {
-        Ok(self.adapter.send_remote(cob_id, length)?)
+        self.adapter.send_remote(cob_id, length).map_err(broken)
     }
 
     fn send_extended(&mut self, id: u32, data: &[u8]) -> Result<bool, Broken> {
-        Ok(self.adapter.send_extended(id, data)?)
+        self.adapter.send_extended(id, data).map_err(broken)
     }
 
     fn attach(&mut self, count: usize) -> Result<bool, Broken> {

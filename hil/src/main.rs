@@ -1,18 +1,14 @@
 //! `cargo hil`: checks flashed boards through a CAN adapter (hardware in the loop), and reports.
 
-mod adapter;
 mod bench;
 mod board;
-mod bus;
 mod conformance;
 mod diagnosis;
 mod person;
 mod probe;
 mod registers;
 mod report;
-mod sdo;
 mod sessions;
-mod stop;
 
 use std::{
     io::{self, IsTerminal},
@@ -28,6 +24,7 @@ use std::{
 use anyhow::{Context, ensure};
 use clap::{Parser, builder::PossibleValuesParser};
 
+use can_bus::{adapter, bus, sdo, stop};
 use canopen_node::{BitRate, NodeId};
 use canopen_stm32f4::chip;
 

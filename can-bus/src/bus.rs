@@ -38,8 +38,11 @@ pub struct Bus {
     latency: Duration,
     rate: BitRate,
     is_interrupted: Arc<AtomicBool>,
-    /// Whether another master ends the run.
-    minds_masters: bool,
+    /// Whether a Ctrl-C waits.
+    holds_interrupt: bool,
+    /// The other masters that end the run.
+    minded: Masters,
+    pace: Pace,
     /// Frames that nodes sent, the oldest first.
     unasked: VecDeque<Received>,
     /// The last NMT state that each node has reported by a heartbeat.
@@ -50,6 +53,25 @@ pub struct Bus {
     master: Option<Master>,
     /// The beginning of the master's time.
     start: Instant,
+}
+
+/// The requests of other masters that end a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Masters {
+    /// Those of LSS, NMT and SDO.
+    All,
+    /// Those of LSS: a running network may have an NMT master and SDO clients.
+    Lss,
+    None,
+}
+
+/// How long a procedure waits for an answer that may fail to come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// Long enough for a computer that pauses.
+    Patient,
+    /// Long enough for slaves that look for frames once in 10 ms: a Fastscan takes seconds.
+    Quick,
 }
 
 /// The time of `bits` at `rate`.
@@ -65,16 +87,18 @@ impl Bus {
         is_interrupted: Arc<AtomicBool>,
     ) -> Self {
         Self {
-            adapter,
             latency,
             rate: BitRate::Kbit125,
             is_interrupted,
-            minds_masters: true,
+            holds_interrupt: false,
+            minded: Masters::All,
+            pace: Pace::Patient,
             unasked: VecDeque::new(),
             states: BTreeMap::new(),
             last_answer: None,
             master: None,
-            start: Instant::now(),
+            start: adapter.now(),
+            adapter,
         }
     }
 
@@ -121,11 +145,34 @@ impl Bus {
     /// Forgets a Ctrl-C and other masters: the boards must be restored in spite of both.
     pub fn insist(&mut self) {
         self.is_interrupted.store(false, Ordering::Relaxed);
-        self.minds_masters = false;
+        self.minded = Masters::None;
+    }
+
+    /// Minds only these masters from now on.
+    pub fn mind(&mut self, masters: Masters) {
+        self.minded = masters;
+    }
+
+    pub fn set_pace(&mut self, pace: Pace) {
+        self.pace = pace;
+        self.master = None;
+    }
+
+    /// Lets a Ctrl-C wait, or no longer.
+    pub fn hold_interrupt(&mut self, holds: bool) {
+        self.holds_interrupt = holds;
     }
 
     pub fn check_interrupt(&self) -> Result<(), Stop> {
-        if self.is_interrupted.load(Ordering::Relaxed) { Err(Stop::Interrupted) } else { Ok(()) }
+        match self.is_interrupted.load(Ordering::Relaxed) && !self.holds_interrupt {
+            true => Err(Stop::Interrupted),
+            false => Ok(()),
+        }
+    }
+
+    /// The adapter and its version, for a person.
+    pub fn description(&self) -> String {
+        self.adapter.description()
     }
 
     pub fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
@@ -154,12 +201,12 @@ impl Bus {
     pub fn receive(&mut self, until: Instant) -> Result<Option<Received>, Stop> {
         loop {
             self.check_interrupt()?;
-            let wait = until.saturating_duration_since(Instant::now()).min(SLICE);
+            let wait = until.saturating_duration_since(self.adapter.now()).min(SLICE);
             if let Some(received) = self.adapter.receive(wait)? {
                 self.note(&received)?;
                 return Ok(Some(received));
             }
-            if Instant::now() >= until {
+            if self.adapter.now() >= until {
                 return Ok(None);
             }
         }
@@ -171,7 +218,7 @@ impl Bus {
         wait: Duration,
         is_wanted: impl Fn(&Frame) -> bool,
     ) -> Result<Option<Received>, Stop> {
-        let until = Instant::now() + wait;
+        let until = self.adapter.now() + wait;
         while let Some(received) = self.receive(until)? {
             if is_wanted(&received.frame) {
                 return Ok(Some(received));
@@ -183,7 +230,7 @@ impl Bus {
 
     /// All frames of the next `span`.
     pub fn collect(&mut self, span: Duration) -> Result<Vec<Received>, Stop> {
-        let until = Instant::now() + span;
+        let until = self.adapter.now() + span;
         let mut all = Vec::new();
         while let Some(received) = self.receive(until)? {
             all.push(received);
@@ -241,8 +288,15 @@ impl Bus {
         procedure: P,
     ) -> Result<Result<P::Output, Error>, Stop> {
         let micros = |span: Duration| u32::try_from(span.as_micros()).unwrap_or(u32::MAX);
-        let (answer, margin) = (micros(self.patience()), micros(self.short()));
-        let new = || Master::new(Timing { answer, store: answer, margin, gap: 0 });
+        let answer = micros(self.patience());
+        let timing = match self.pace {
+            Pace::Patient => Timing { answer, store: answer, margin: micros(self.short()), gap: 0 },
+            Pace::Quick => {
+                let timing = Timing::default();
+                Timing { answer, margin: timing.margin + micros(self.latency()), ..timing }
+            }
+        };
+        let new = || Master::new(timing);
         let mut master = self.master.take().unwrap_or_else(new);
         let mut session = master.start(procedure);
         self.forget_answers();
@@ -257,7 +311,13 @@ impl Bus {
                         Some(answer) => session.handle_frame(&answer.frame, self.now()),
                         None => {
                             // The computer may have paused, and the adapter with it.
-                            self.flush()?;
+                            match self.pace {
+                                Pace::Patient => self.flush()?,
+                                Pace::Quick => {
+                                    self.adapter.settle()?;
+                                    self.pass(Duration::ZERO)?;
+                                }
+                            }
                             for late in self.take_unasked() {
                                 session.handle_frame(&late.frame, self.now());
                                 self.keep(late);
@@ -279,7 +339,9 @@ impl Bus {
 
     /// The master's time.
     fn now(&self) -> canopen_node::Instant {
-        canopen_node::Instant::from_micros(self.start.elapsed().as_micros() as u32)
+        canopen_node::Instant::from_micros(
+            self.adapter.now().duration_since(self.start).as_micros() as u32,
+        )
     }
 
     /// Waits until what was sent has left the adapter.
@@ -293,10 +355,10 @@ impl Bus {
 
     fn ask_within(&mut self, request: Request, wait: Duration) -> Result<Option<[u8; 8]>, Stop> {
         self.forget_answers();
-        let begin = Instant::now();
+        let begin = self.adapter.now();
         self.request(request)?;
         let answer = self.answer_to(request, wait)?;
-        self.last_answer = answer.map(|_| begin.elapsed());
+        self.last_answer = answer.map(|_| self.adapter.now().duration_since(begin));
         Ok(answer)
     }
 
@@ -333,9 +395,10 @@ impl Bus {
             (0x701..=0x77F, &[state]) => {
                 self.states.insert((frame.cob_id() & 0x7F) as u8, state);
             }
-            (nmt::COMMAND_COB_ID | lss::REQUEST_COB_ID | 0x601..=0x67F, _)
-                if self.minds_masters =>
-            {
+            (lss::REQUEST_COB_ID, _) if self.minded != Masters::None => {
+                return Err(Stop::OtherMaster(*frame));
+            }
+            (nmt::COMMAND_COB_ID | 0x601..=0x67F, _) if self.minded == Masters::All => {
                 return Err(Stop::OtherMaster(*frame));
             }
             _ => {}

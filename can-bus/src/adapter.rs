@@ -67,6 +67,10 @@ pub trait Adapter {
     fn settle(&mut self) -> Result<(), Stop> {
         Ok(())
     }
+    /// The time of this program, which passes while it waits for frames.
+    fn now(&self) -> Instant {
+        Instant::now()
+    }
     /// The clock of [`Received::at`], for a person.
     fn clock(&self) -> &'static str;
     /// The only bit rate that the adapter can be opened at.

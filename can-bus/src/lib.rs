@@ -1,0 +1,12 @@
+//! What programs with a CAN adapter share: SLCAN and SocketCAN, the bus as an LSS master sees it, an SDO client, and
+//! frames in words.
+
+#[cfg(feature = "adapters")]
+pub mod adapter;
+#[cfg(feature = "adapters")]
+pub mod bus;
+pub mod explain;
+#[cfg(feature = "adapters")]
+pub mod sdo;
+#[cfg(feature = "adapters")]
+pub mod stop;

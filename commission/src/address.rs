@@ -1,0 +1,94 @@
+//! LSS addresses and numbers as a person writes them.
+
+use std::ops::RangeInclusive;
+
+use canopen_node::{NodeId, lss::Address};
+
+/// The four parts in hexadecimal: `00000000:4C535334:00010000:515884C7`.
+pub fn text(address: &Address) -> String {
+    let Address { vendor_id, product_code, revision_number, serial_number } = address;
+    format!("{vendor_id:08X}:{product_code:08X}:{revision_number:08X}:{serial_number:08X}")
+}
+
+/// An LSS address as [`text`] writes it.
+pub fn address(text: &str) -> Result<Address, String> {
+    let part = |part: &str| u32::from_str_radix(part.trim_start_matches("0x"), 16).ok();
+    let parts: Option<Vec<u32>> = text.split(':').map(part).collect();
+    let parts = parts.and_then(|parts| <[u32; 4]>::try_from(parts).ok());
+    parts
+        .map(Address::from)
+        .ok_or_else(|| "vendor-ID:product code:revision:serial number, in hexadecimal".into())
+}
+
+/// A number in decimal, or in hexadecimal after `0x`.
+pub fn number(text: &str) -> Result<u32, String> {
+    let parsed = match text.strip_prefix("0x") {
+        Some(digits) => u32::from_str_radix(digits, 16),
+        None => text.parse(),
+    };
+    parsed.map_err(|_| "a number of 32 bits, such as 1276 or 0x4FC".into())
+}
+
+/// `FIRST..LAST`, or a single number.
+pub fn range(text: &str) -> Result<RangeInclusive<u32>, String> {
+    let (first, last) = text.split_once("..").unwrap_or((text, text));
+    let range = number(first)?..=number(last)?;
+    match range.is_empty() {
+        true => Err("the first number is greater than the last".into()),
+        false => Ok(range),
+    }
+}
+
+/// A byte in hexadecimal.
+pub fn byte(text: &str) -> Result<u8, String> {
+    u8::from_str_radix(text, 16).map_err(|_| "a byte in hexadecimal, such as 5E".into())
+}
+
+/// The node-ID that a board is to have, or none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Assigned(pub Option<NodeId>);
+
+/// A node-ID, or `none`.
+pub fn assigned(text: &str) -> Result<Assigned, String> {
+    match text {
+        "none" => Ok(Assigned(None)),
+        _ => {
+            let id = text.parse().ok().and_then(NodeId::new);
+            id.map(|id| Assigned(Some(id))).ok_or_else(|| "1 to 127, or none".into())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_read_as_it_is_written() {
+        let written = "00000000:4C535334:00010000:515884C7";
+        assert_eq!(address(written).as_ref().map(text), Ok(written.to_owned()));
+        assert_eq!(address("0x1:2:3:4").map(|address| address.vendor_id), Ok(1));
+        for wrong in ["", "1:2:3", "1:2:3:4:5", "1:2:3:x"] {
+            assert!(address(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn ranges_include_both_ends() {
+        assert_eq!(range("1276..2468"), Ok(1276..=2468));
+        assert_eq!(range("0x10..0x1F"), Ok(16..=31));
+        assert_eq!(range("7"), Ok(7..=7));
+        for wrong in ["", "2..1", "1..", "..", "1-2", "4294967296"] {
+            assert!(range(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_node_id_may_be_none() {
+        assert_eq!(assigned("none"), Ok(Assigned(None)));
+        assert_eq!(assigned("127"), Ok(Assigned(NodeId::new(127))));
+        for wrong in ["0", "128", "255", ""] {
+            assert!(assigned(wrong).is_err(), "{wrong}");
+        }
+    }
+}

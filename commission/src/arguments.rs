@@ -1,0 +1,93 @@
+//! The command line.
+
+use std::{ops::RangeInclusive, path::PathBuf};
+
+use can_bus::adapter::{Place, bit_rate};
+use canopen_node::{BitRate, lss::Address};
+use clap::{Parser, Subcommand};
+
+use crate::address::{self, Assigned};
+
+/// Commission a CANopen network: LSS (CiA 305) through a CAN adapter
+///
+/// Every command leaves all boards in LSS waiting state, also after an error and after Ctrl-C; only `lss raw` sends what
+/// you say. It ends with 0 if all was done, 1 if a board refuses or the network is not as it must be, 2 if the command
+/// line is wrong, 3 if nobody answers, 4 without a working adapter, 130 after Ctrl-C.
+#[derive(Parser)]
+#[command(name = "lss", version, verbatim_doc_comment)]
+pub struct Arguments {
+    /// The CAN adapter: `slcan:DEVICE[@BAUD]`, slcan:tcp:HOST:PORT, socketcan:INTERFACE; socketcan:INTERFACE@KBIT if
+    /// the interface is up and its bit rate must stay
+    #[arg(long, global = true, value_name = "ADAPTER", env = "LSS_ADAPTER")]
+    pub adapter: Option<Place>,
+    /// The bit rate of the network in kbit/s; by default that of the interface, or 125
+    #[arg(long, global = true, value_name = "KBIT", value_parser = bit_rate)]
+    pub bit_rate: Option<BitRate>,
+    /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
+    #[arg(long, global = true, value_name = "MS", default_value_t = 2)]
+    pub latency: u16,
+    /// Write all frames to FILE as `candump -l` does
+    #[arg(long, global = true, value_name = "FILE")]
+    pub log: Option<PathBuf>,
+    /// Print each frame in words, on the standard error
+    #[arg(long, global = true)]
+    pub explain: bool,
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The board that a command is for.
+#[derive(clap::Args, Clone, Copy)]
+pub struct Target {
+    /// The LSS address of the board, as `lss inquire` prints it; without it, the only board on the bus
+    #[arg(long, value_name = "V:P:R:S", value_parser = address::address)]
+    pub address: Option<Address>,
+}
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Ask a board for its LSS address and its node-ID
+    Inquire(Target),
+    /// Ask whether a board with an LSS address within ranges is there; changes no state
+    Identify(Ranges),
+    /// Give a board a node-ID
+    SetId {
+        /// 1 to 127, or none
+        #[arg(value_name = "ID", value_parser = address::assigned)]
+        id: Assigned,
+        #[command(flatten)]
+        target: Target,
+        /// Store it, too: it stays after a power cut
+        #[arg(long)]
+        store: bool,
+        /// Reset the communication of a board that has another node-ID, which takes the new one then
+        #[arg(long)]
+        reset: bool,
+    },
+    /// Let a board store its node-ID and its bit rate
+    Store(Target),
+    /// Send one LSS request and print the answers; zeros follow the bytes given
+    Raw {
+        /// The request in hexadecimal, such as 04 01
+        #[arg(value_name = "BYTE", required = true, num_args = 1..=8, value_parser = address::byte)]
+        bytes: Vec<u8>,
+    },
+}
+
+/// The LSS addresses that are asked for. Numbers are decimal, or hexadecimal after 0x.
+#[derive(clap::Args)]
+pub struct Ranges {
+    #[arg(long, value_name = "NUMBER", value_parser = address::number)]
+    pub vendor: u32,
+    #[arg(long, value_name = "NUMBER", value_parser = address::number)]
+    pub product: u32,
+    /// FIRST..LAST or one number; by default all
+    #[arg(long, value_name = "RANGE", value_parser = address::range, default_value = "0..0xFFFFFFFF")]
+    pub revision: RangeInclusive<u32>,
+    /// FIRST..LAST or one number; by default all
+    #[arg(long, value_name = "RANGE", value_parser = address::range, default_value = "0..0xFFFFFFFF")]
+    pub serial: RangeInclusive<u32>,
+    /// Print the LSS address of each board within the ranges, by ranges that are halved
+    #[arg(long)]
+    pub each: bool,
+}

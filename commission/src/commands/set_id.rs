@@ -1,0 +1,92 @@
+//! `lss set-id`: a node-ID for one board.
+
+use std::time::Duration;
+
+use canopen_node::{NodeId, lss::Request};
+use lss_master::InquireNodeId;
+
+use crate::{
+    address::{self, Assigned},
+    arguments::Target,
+    commands::inquire::{choose, id_text},
+    failure::Failure,
+    session::Session,
+};
+
+/// The NMT command reset communication.
+const RESET_COMMUNICATION: u8 = 130;
+/// The time that a board takes to boot up after a reset of its communication.
+const BOOT: Duration = Duration::from_secs(2);
+
+/// Makes a node-ID pending, and says when it takes effect. With `stores`, it stays after a power cut. With `resets`, it
+/// takes effect at once on a board that has another node-ID.
+pub fn set_id(
+    session: &mut Session<'_>,
+    Assigned(id): Assigned,
+    target: Target,
+    stores: bool,
+    resets: bool,
+) -> Result<(), Failure> {
+    let address = choose(session, target)?;
+    let before = session.carry_out(InquireNodeId)?;
+    if let Some(id) = id
+        && before != Some(id)
+        && is_taken(session, id)?
+    {
+        return Err(Failure::Refused(format!(
+            "another node has the node-ID {}: two with one node-ID disturb each other. Nothing was changed",
+            id.get()
+        )));
+    }
+    session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(id)))?;
+    if stores {
+        session.carry_out(Request::StoreConfiguration)?;
+    }
+    session.bus.take_unasked();
+    session.bus.request(Request::SwitchToWaiting)?;
+    let board = format!("board {}", address::text(&address));
+    let kept = if stores { ", stored" } else { ", until a power cut: `lss store` keeps it" };
+    match (before, id) {
+        // A board without a node-ID takes it when LSS configuration state ends (CiA 305).
+        (None, Some(id)) => wait_for_boot_up(session, id)?,
+        (Some(before), id) if before.get() != NodeId::to_lss(id) && resets => {
+            session.bus.nmt(RESET_COMMUNICATION, before.get())?;
+            if let Some(id) = id {
+                wait_for_boot_up(session, id)?;
+            }
+        }
+        (Some(before), id) if before.get() != NodeId::to_lss(id) => {
+            let (before, id) = (before.get(), id_text(id));
+            writeln!(
+                session.out,
+                "{board}: node-ID {before}, and {id} from NMT reset communication on (--reset){kept}"
+            )?;
+            return Ok(());
+        }
+        _ => {}
+    }
+    writeln!(session.out, "{board}: node-ID {}{kept}", id_text(id))?;
+    Ok(())
+}
+
+/// Whether a node answers with this node-ID, or sends of its own accord. Reads object 1000h, which every node has.
+pub fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
+    let id = u16::from(id.get());
+    session.bus.send_to(0x600 + id, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0])?;
+    let wait = session.bus.short();
+    let answer = session.bus.wait_for(wait, |frame| frame.cob_id() == 0x580 + id)?;
+    Ok(answer.is_some() || session.bus.states.contains_key(&(id as u8)))
+}
+
+fn wait_for_boot_up(session: &mut Session<'_>, id: NodeId) -> Result<(), Failure> {
+    let is_boot_up = |frame: &canopen_node::Frame| {
+        frame.cob_id() == 0x700 + u16::from(id.get()) && frame.data() == [0]
+    };
+    match session.bus.wait_for(BOOT, is_boot_up)? {
+        Some(_) => Ok(()),
+        None => Err(Failure::NoAnswer(format!(
+            "the board accepted node-ID {}, but sends no boot-up message",
+            id.get()
+        ))),
+    }
+}

@@ -1,0 +1,99 @@
+//! Why a command failed, in words that say what to do, and its exit code.
+
+use std::io;
+
+use can_bus::{explain::explain, stop::Stop};
+use canopen_node::lss::{REQUEST_COB_ID, RESPONSE_COB_ID, Request};
+use lss_master::Error;
+use thiserror::Error;
+
+/// Why a command failed.
+#[derive(Debug, Error)]
+pub enum Failure {
+    #[error(transparent)]
+    Stop(#[from] Stop),
+    /// Nobody answers.
+    #[error("{0}")]
+    NoAnswer(String),
+    /// A board refuses, or the network is not as it must be.
+    #[error("{0}")]
+    Refused(String),
+    #[error("cannot write: {0}")]
+    Write(#[from] io::Error),
+}
+
+impl Failure {
+    /// The exit code of the program.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Refused(_) | Self::Write(_) => 1,
+            Self::Stop(Stop::OtherMaster(_) | Stop::Bench(_)) => 1,
+            Self::NoAnswer(_) => 3,
+            Self::Stop(Stop::NoAdapter(_) | Stop::AdapterGone(_)) => 4,
+            Self::Stop(Stop::Interrupted) => 130,
+        }
+    }
+}
+
+/// The error of a procedure in words, without the service's name "LSS".
+pub fn words(error: Error) -> String {
+    match error {
+        Error::NoAnswer(request) => format!("no answer to {}", service(request)),
+        Error::Refused { request, code, manufacturer_code } => {
+            let [specifier, ..] = request.to_bytes();
+            let answer = [specifier, code, manufacturer_code.unwrap_or(0), 0, 0, 0, 0, 0];
+            format!("{} is {}", service(request), last_part(&explain(RESPONSE_COB_ID, &answer)))
+        }
+        error => error.to_string(),
+    }
+}
+
+fn service(request: Request) -> String {
+    let words = explain(REQUEST_COB_ID, &request.to_bytes());
+    words.trim_start_matches("LSS ").to_owned()
+}
+
+/// The words from "refused" on.
+fn last_part(words: &str) -> &str {
+    words.find("refused").map_or(words, |at| &words[at..])
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::NoAnswer(_) => Self::NoAnswer(words(error)),
+            error => Self::Refused(words(error)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_names_the_request_and_the_reason() {
+        let refused =
+            |request, code| words(Error::Refused { request, code, manufacturer_code: None });
+        assert_eq!(
+            refused(Request::ConfigureBitTiming { table: 0, index: 5 }, 1),
+            "configure bit timing: table 0, index 5 is refused: not supported"
+        );
+        assert_eq!(
+            refused(Request::StoreConfiguration, 2),
+            "store configuration is refused: the storage medium failed"
+        );
+        assert_eq!(words(Error::NoAnswer(Request::InquireNodeId)), "no answer to inquire node-ID");
+    }
+
+    #[test]
+    fn each_kind_of_failure_has_its_exit_code() {
+        let codes = [
+            Failure::Refused(String::new()),
+            Failure::NoAnswer(String::new()),
+            Stop::NoAdapter(String::new()).into(),
+            Stop::Interrupted.into(),
+        ];
+        assert_eq!(codes.map(|failure| failure.exit_code()), [1, 3, 4, 130]);
+    }
+}

@@ -1,0 +1,14 @@
+//! The commands of `lss`, which commissions a CANopen network, on any adapter of `can-bus`.
+
+mod address;
+mod arguments;
+mod commands;
+mod failure;
+mod progress;
+mod recorder;
+mod session;
+
+pub use arguments::Arguments;
+pub use failure::Failure;
+pub use recorder::Recorder;
+pub use session::Session;

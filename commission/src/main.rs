@@ -1,0 +1,49 @@
+//! `lss`: commissions a CANopen network through a CAN adapter.
+
+use std::{
+    io::{self, IsTerminal},
+    process::ExitCode,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use clap::{CommandFactory, Parser, error::ErrorKind};
+
+use can_bus::{bus::Bus, stop::Stop};
+use commission::{Arguments, Failure, Recorder, Session};
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let is_interrupted = Arc::new(AtomicBool::new(false));
+    match run(&arguments, is_interrupted) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            failure.exit_code().into()
+        }
+    }
+}
+
+fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Failure> {
+    let Some(place) = &arguments.adapter else {
+        let missing = ErrorKind::MissingRequiredArgument;
+        let words = "which CAN adapter? --adapter slcan:/dev/ttyACM0, or the variable LSS_ADAPTER";
+        Arguments::command().error(missing, words).exit()
+    };
+    let flag = Arc::clone(&is_interrupted);
+    let handled = ctrlc::set_handler(move || {
+        eprintln!("Ctrl-C: the boards leave LSS configuration state first");
+        flag.store(true, Ordering::Relaxed);
+    });
+    handled.map_err(|error| Stop::Bench(format!("cannot wait for Ctrl-C: {error}")))?;
+    let adapter = place.connect()?;
+    let adapter = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain)?;
+    let latency = Duration::from_millis(arguments.latency.into());
+    let bus = Bus::new(Box::new(adapter), latency, is_interrupted);
+    let mut out = io::stdout();
+    let shows_progress = io::stderr().is_terminal() && !arguments.explain;
+    Session::new(bus, &mut out, shows_progress).run(arguments)
+}

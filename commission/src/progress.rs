@@ -1,0 +1,43 @@
+//! A line on the terminal that says what takes so long.
+
+use std::{
+    io::{self, Write},
+    time::{Duration, Instant},
+};
+
+/// The time after which a command says what it does.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// The time between two changes of the line.
+const INTERVAL: Duration = Duration::from_millis(100);
+
+/// The line, if there is a terminal.
+pub struct Progress {
+    is_shown: bool,
+    next: Instant,
+    is_there: bool,
+}
+
+impl Progress {
+    pub fn new(is_shown: bool) -> Self {
+        Self { is_shown, next: Instant::now() + PATIENCE, is_there: false }
+    }
+
+    /// Says what is being done.
+    pub fn say(&mut self, what: impl FnOnce() -> String) {
+        let now = Instant::now();
+        if self.is_shown && now >= self.next {
+            // Without a terminal there is nobody to read it.
+            let _ = write!(io::stderr(), "\r\x1B[K{}", what());
+            self.next = now + INTERVAL;
+            self.is_there = true;
+        }
+    }
+
+    /// Clears the line.
+    pub fn clear(&mut self) {
+        if self.is_there {
+            let _ = write!(io::stderr(), "\r\x1B[K");
+            self.is_there = false;
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! A run of a command on a bus, which leaves all boards in LSS waiting state.
+
+use std::io::Write;
+
+use can_bus::bus::{Bus, Masters, Pace};
+use canopen_node::{BitRate, lss::Request};
+use lss_master::Procedure;
+
+use crate::{
+    arguments::{Arguments, Command},
+    commands,
+    failure::Failure,
+    progress::Progress,
+};
+
+/// The bit rate of new boards.
+const DEFAULT_RATE: BitRate = BitRate::Kbit125;
+
+/// The bus, and where the results go.
+pub struct Session<'a> {
+    pub bus: Bus,
+    pub out: &'a mut dyn Write,
+    pub progress: Progress,
+}
+
+impl<'a> Session<'a> {
+    pub fn new(bus: Bus, out: &'a mut dyn Write, shows_progress: bool) -> Self {
+        Self { bus, out, progress: Progress::new(shows_progress) }
+    }
+
+    /// Carries out the command, and leaves the bus.
+    pub fn run(&mut self, arguments: &Arguments) -> Result<(), Failure> {
+        // A running network has an NMT master and SDO clients.
+        self.bus.mind(Masters::Lss);
+        self.bus.set_pace(Pace::Quick);
+        let outcome = self.carry(arguments);
+        self.progress.clear();
+        // The user asks for each state that a raw request leads to.
+        if outcome.is_err() || !matches!(arguments.command, Command::Raw { .. }) {
+            self.end();
+        }
+        self.bus.leave();
+        self.out.flush()?;
+        outcome
+    }
+
+    fn carry(&mut self, arguments: &Arguments) -> Result<(), Failure> {
+        let rate = arguments.bit_rate.or(self.bus.fixed_rate()).unwrap_or(DEFAULT_RATE);
+        self.bus.open(rate)?;
+        match &arguments.command {
+            Command::Inquire(target) => commands::inquire(self, *target),
+            Command::Identify(ranges) => commands::identify(self, ranges),
+            Command::SetId { id, target, store, reset } => {
+                commands::set_id(self, *id, *target, *store, *reset)
+            }
+            Command::Store(target) => commands::store(self, *target),
+            Command::Raw { bytes } => commands::raw(self, bytes),
+        }
+    }
+
+    /// Brings all boards to LSS waiting state, also after Ctrl-C, as far as the adapter still works.
+    pub fn end(&mut self) {
+        self.bus.insist();
+        let _ = self.bus.request(Request::SwitchToWaiting).and_then(|()| self.bus.flush());
+    }
+
+    /// Carries out a procedure of the LSS master.
+    pub fn carry_out<P: Procedure>(&mut self, procedure: P) -> Result<P::Output, Failure> {
+        Ok(self.bus.carry_out(procedure)??)
+    }
+}

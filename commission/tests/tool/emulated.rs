@@ -1,0 +1,209 @@
+//! The adapter of emulated boards, in virtual time, and the outcome of a command on it.
+
+use std::{
+    cell::{Cell, RefCell, RefMut},
+    rc::Rc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use can_bus::{
+    adapter::{Adapter, HOST_CLOCK, Mode, Received, Status},
+    bus::Bus,
+    stop::Stop,
+};
+use canopen_node::{BitRate, Frame, NodeId, lss::Address, settings::Log};
+use clap::Parser;
+use commission::{Arguments, Session};
+use emulator::{Time, network::Network};
+use firmware::device::DEVICE;
+use testkit::{
+    flash::BoardFlash,
+    image::Firmware,
+    image_rig::{
+        ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, blank_board, board_with,
+        from_the_wire, on_the_wire, settings,
+    },
+};
+
+/// What happens at a frame that the tool sends.
+type Hook = Box<dyn FnMut(&Frame, &mut Network)>;
+
+/// Boards on a bus, and the tool's adapter.
+#[derive(Clone)]
+pub struct Boards {
+    rig: Rc<RefCell<ImageRig>>,
+    hook: Rc<RefCell<Option<Hook>>>,
+    pub is_interrupted: Arc<AtomicBool>,
+    known_errors: Rc<Cell<u64>>,
+    start: Instant,
+}
+
+/// The outcome of a command.
+pub struct Outcome {
+    pub text: String,
+    pub code: u8,
+    pub error: String,
+}
+
+impl Boards {
+    /// Boards with these node-IDs, FF: none, at `rate`. None of them sends a heartbeat, but a blank board once it has a
+    /// node-ID.
+    pub fn new(rate: BitRate, node_ids: &[u8]) -> Self {
+        let board = |(number, id): (usize, &u8)| match (*id, rate) {
+            (0xFF, BitRate::Kbit125) => blank_board(Firmware::Default, number as u8 + 1),
+            (id, rate) => board_with(Firmware::Default, number as u8 + 1, settings(id, rate)),
+        };
+        let mut rig = ImageRig::new(rate, node_ids.iter().enumerate().map(board));
+        rig.network.run_for(Time::from_ms(100));
+        Self {
+            rig: Rc::new(RefCell::new(rig)),
+            hook: Rc::default(),
+            is_interrupted: Arc::default(),
+            known_errors: Rc::default(),
+            start: Instant::now(),
+        }
+    }
+
+    /// Lets something happen at the frames that the tool sends.
+    pub fn at_each_frame(&self, hook: impl FnMut(&Frame, &mut Network) + 'static) {
+        *self.hook.borrow_mut() = Some(Box::new(hook));
+    }
+
+    /// Acts like Ctrl-C at the tool's frame with this number.
+    pub fn interrupt_at(&self, number: usize) {
+        let flag = Arc::clone(&self.is_interrupted);
+        let mut count = 0;
+        self.at_each_frame(move |_, _| {
+            count += 1;
+            if count == number {
+                flag.store(true, Ordering::Relaxed);
+            }
+        });
+    }
+
+    pub fn rig(&self) -> RefMut<'_, ImageRig> {
+        self.rig.borrow_mut()
+    }
+
+    /// Runs `lss` with these arguments.
+    pub fn lss(&self, arguments: &str) -> Outcome {
+        let words = ["lss"].into_iter().chain(arguments.split_whitespace());
+        let arguments = Arguments::try_parse_from(words).expect("a command line");
+        let adapter = Box::new(self.clone());
+        let latency = Duration::from_millis(1);
+        let bus = Bus::new(adapter, latency, Arc::clone(&self.is_interrupted));
+        let mut out = Vec::new();
+        let outcome = Session::new(bus, &mut out, false).run(&arguments);
+        let text = String::from_utf8(out).expect("UTF-8");
+        let (code, error) = match outcome {
+            Ok(()) => (0, String::new()),
+            Err(failure) => (failure.exit_code(), failure.to_string()),
+        };
+        println!("{text}{error}");
+        Outcome { text, code, error }
+    }
+
+    /// Asserts that no board is in LSS configuration state: none answers to inquire node-ID at `rate`.
+    #[track_caller]
+    pub fn assert_waiting(&self, rate: BitRate) {
+        let mut rig = self.rig();
+        rig.set_master_bit_rate(rate);
+        let master = rig.master;
+        rig.network.adapter_mut(master).open();
+        let answers = rig.lss("5E");
+        assert!(answers.0.iter().all(|frame| frame.cob_id() != 0x7E4), "{answers:?}");
+    }
+
+    /// What a board has stored: its node-ID, FF: none, and the index of its bit rate; `None` for a blank one.
+    pub fn stored(&self, board: usize) -> Option<(u8, u8)> {
+        let rig = self.rig();
+        let log = rig.network.board(board).flash()[SETTINGS_OFFSET as usize..][..SETTINGS_LENGTH]
+            .to_vec();
+        let settings = Log::open(BoardFlash::with_content(log, 0)).0.settings()?;
+        Some((NodeId::to_lss(settings.node_id), settings.bit_rate.index()))
+    }
+}
+
+/// The LSS address of the board with this number.
+pub fn address(board: usize) -> Address {
+    let serial_number = Address::serial_number_of(&[board as u8 + 1; 12]);
+    Address { serial_number, ..DEVICE.address }
+}
+
+/// The same as the tool writes it.
+pub fn address_text(board: usize) -> String {
+    let Address { vendor_id, product_code, revision_number, serial_number } = address(board);
+    format!("{vendor_id:08X}:{product_code:08X}:{revision_number:08X}:{serial_number:08X}")
+}
+
+impl Adapter for Boards {
+    fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
+        let mut rig = self.rig.borrow_mut();
+        let master = rig.master;
+        while rig.network.receive(master).is_some() {}
+        let adapter = rig.network.adapter_mut(master);
+        adapter.set_bit_rate(bit_per_s(rate));
+        match mode {
+            Mode::Normal => adapter.open(),
+            Mode::ListenOnly => adapter.listen_only(),
+        }
+        Ok(())
+    }
+
+    fn close(&mut self) -> Result<(), Stop> {
+        let mut rig = self.rig.borrow_mut();
+        let master = rig.master;
+        rig.network.adapter_mut(master).close();
+        Ok(())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
+        let mut rig = self.rig.borrow_mut();
+        let master = rig.master;
+        rig.network.send(master, on_the_wire(frame));
+        if let Some(hook) = &mut *self.hook.borrow_mut() {
+            hook(frame, &mut rig.network);
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
+        let mut rig = self.rig.borrow_mut();
+        let master = rig.master;
+        let received =
+            rig.network.run_until_received(master, Time::from_us(wait.as_micros() as u64));
+        let instant = |time: Time| Duration::from_micros(time.as_us());
+        Ok(received.and_then(|(time, frame)| {
+            let frame = from_the_wire(&frame)?;
+            Some(Received { frame, at: instant(time), here: self.start + instant(time) })
+        }))
+    }
+
+    fn status(&mut self) -> Result<Option<Status>, Stop> {
+        let mut rig = self.rig.borrow_mut();
+        let master = rig.master;
+        let errors = rig.network.adapter_mut(master).errors();
+        let has_errors = errors > self.known_errors.replace(errors);
+        Ok(Some(Status { is_error_passive: false, has_errors }))
+    }
+
+    fn now(&self) -> Instant {
+        self.start + Duration::from_micros(self.rig.borrow().network.now().as_us())
+    }
+
+    fn clock(&self) -> &'static str {
+        HOST_CLOCK
+    }
+
+    fn latency(&self) -> Option<Duration> {
+        None
+    }
+
+    fn description(&self) -> String {
+        "emulated boards".into()
+    }
+}

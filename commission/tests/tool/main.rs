@@ -1,0 +1,5 @@
+//! The commands of `lss` on emulated boards with the release image, in virtual time, and its failures.
+
+mod emulated;
+mod program;
+mod services;

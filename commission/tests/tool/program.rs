@@ -1,0 +1,45 @@
+//! The program `lss` itself: its adapters and its command line.
+
+use std::{
+    net::TcpListener,
+    process::{Command, Output},
+};
+
+fn lss(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_lss"))
+        .env_remove("LSS_ADAPTER")
+        .args(arguments)
+        .output()
+        .expect("it runs")
+}
+
+#[track_caller]
+fn assert_fails(arguments: &[&str], code: i32, words: &str) {
+    let output = lss(arguments);
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(error.contains(words), "{error}");
+    assert_eq!(output.status.code(), Some(code));
+}
+
+#[test]
+fn a_missing_adapter_is_told() {
+    assert_fails(&["inquire"], 2, "which CAN adapter? --adapter slcan:/dev/ttyACM0");
+    let adapter = "slcan:/dev/ttyNone";
+    assert_fails(&["inquire", "--adapter", adapter], 4, "no adapter: slcan:/dev/ttyNone");
+    assert_fails(&["inquire", "--adapter", "socketcan:none0"], 4, "no adapter: socketcan:none0");
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let adapter = format!("slcan:tcp:{}", listener.local_addr().expect("it is bound"));
+    drop(listener);
+    assert_fails(&["inquire", "--adapter", &adapter], 4, "no adapter: slcan:tcp:127.0.0.1:");
+}
+
+#[test]
+fn a_wrong_command_line_is_told() {
+    let adapter = ["--adapter", "slcan:/dev/ttyNone"];
+    let wrong = |rest: &[&str], words: &str| assert_fails(&[&adapter[..], rest].concat(), 2, words);
+    wrong(&["set-id", "128"], "1 to 127, or none");
+    wrong(&["raw", "xx"], "a byte in hexadecimal");
+    wrong(&["identify", "--vendor", "1", "--product", "2", "--serial", "2..1"], "is greater than");
+    wrong(&["store", "--address", "1:2:3"], "vendor-ID:product code:revision:serial number");
+    wrong(&["inquire", "--bit-rate", "100"], "is no bit rate of CiA 301");
+}
