@@ -15,8 +15,8 @@ struct Stamp([u32; 2]);
 pub(super) struct Verification {
     current: Stamp,
     persistent: Stamp,
-    /// What the store in progress makes persistent, if that changes.
-    staged: Option<Stamp>,
+    /// What the store in progress makes persistent; the stored one if that does not change, or if there is no store.
+    staged: Stamp,
 }
 
 impl Stamp {
@@ -30,7 +30,7 @@ impl Verification {
     const DATA_TYPE: u8 = DataType::Unsigned32 as u8;
 
     pub const fn new() -> Self {
-        Self { current: Stamp::NONE, persistent: Stamp::NONE, staged: None }
+        Self { current: Stamp::NONE, persistent: Stamp::NONE, staged: Stamp::NONE }
     }
 
     /// The value of a sub-index: 1 is the date, 2 the time.
@@ -60,21 +60,21 @@ impl Verification {
 
     /// Begins a store of the current stamp.
     pub const fn stage(&mut self) {
-        self.staged = Some(self.current);
+        self.staged = self.current;
     }
 
-    /// Ends the store in progress, if it concerns the stamp.
-    pub fn end_store(&mut self, is_done: bool) {
-        if let Some(staged) = self.staged.take()
-            && is_done
-        {
-            self.persistent = staged;
+    /// Ends the store in progress.
+    pub const fn end_store(&mut self, is_done: bool) {
+        if is_done {
+            self.persistent = self.staged;
+        } else {
+            self.staged = self.persistent;
         }
     }
 
     /// Packs the stamp of the store in progress, unless it is 0.
     pub fn save(&self, to: &mut Packer<'_>) {
-        let Stamp([date, time]) = self.staged.unwrap_or(Stamp::NONE);
+        let Stamp([date, time]) = self.staged;
         for (sub_index, number) in [(1, date), (2, time)] {
             if number != 0 {
                 let (data_type, value) = (Self::DATA_TYPE, &number.to_le_bytes());
@@ -88,7 +88,7 @@ impl Verification {
         match (parameter.sub_index, parameter.data_type, parameter.value) {
             (sub_index @ 1..=2, Self::DATA_TYPE, &[b0, b1, b2, b3]) => {
                 self.write(sub_index, u32::from_le_bytes([b0, b1, b2, b3]));
-                self.persistent = self.current;
+                (self.persistent, self.staged) = (self.current, self.current);
                 true
             }
             _ => false,
