@@ -46,6 +46,14 @@ pub struct Target {
 
 #[derive(Subcommand)]
 pub enum Command {
+    /// Find the bit rate of the network and who is there: listens at all bit rates first, then asks; changes no state
+    Find,
+    /// List all nodes: node-ID, LSS address, name, version, NMT state
+    List {
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
     /// Ask a board for its LSS address and its node-ID
     Inquire(Target),
     /// Ask whether a board with an LSS address within ranges is there; changes no state

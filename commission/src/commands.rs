@@ -1,13 +1,17 @@
 //! The commands, one a file.
 
+mod find;
 mod identify;
 mod inquire;
+mod list;
 mod raw;
 mod set_id;
 mod store;
 
+pub use find::find;
 pub use identify::identify;
 pub use inquire::inquire;
+pub use list::list;
 pub use raw::raw;
 pub use set_id::set_id;
 pub use store::store;

@@ -6,6 +6,7 @@ mod commands;
 mod failure;
 mod progress;
 mod recorder;
+mod scan;
 mod session;
 
 pub use arguments::Arguments;

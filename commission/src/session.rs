@@ -35,8 +35,14 @@ impl<'a> Session<'a> {
         self.bus.set_pace(Pace::Quick);
         let outcome = self.carry(arguments);
         self.progress.clear();
-        // The user asks for each state that a raw request leads to.
-        if outcome.is_err() || !matches!(arguments.command, Command::Raw { .. }) {
+        let is_over = match arguments.command {
+            // It changes no state.
+            Command::Find => true,
+            // The user asks for each state that a raw request leads to.
+            Command::Raw { .. } => outcome.is_ok(),
+            _ => false,
+        };
+        if !is_over {
             self.end();
         }
         self.bus.leave();
@@ -46,8 +52,13 @@ impl<'a> Session<'a> {
 
     fn carry(&mut self, arguments: &Arguments) -> Result<(), Failure> {
         let rate = arguments.bit_rate.or(self.bus.fixed_rate()).unwrap_or(DEFAULT_RATE);
+        if let Command::Find = arguments.command {
+            return commands::find(self, rate);
+        }
         self.bus.open(rate)?;
         match &arguments.command {
+            Command::Find => Ok(()),
+            Command::List { json } => commands::list(self, *json),
             Command::Inquire(target) => commands::inquire(self, *target),
             Command::Identify(ranges) => commands::identify(self, ranges),
             Command::SetId { id, target, store, reset } => {

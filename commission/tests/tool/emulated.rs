@@ -151,6 +151,7 @@ impl Adapter for Boards {
             Mode::Normal => adapter.open(),
             Mode::ListenOnly => adapter.listen_only(),
         }
+        self.known_errors.set(adapter.errors());
         Ok(())
     }
 

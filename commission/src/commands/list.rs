@@ -1,0 +1,159 @@
+//! `lss list`: every node, with and without a node-ID.
+
+use can_bus::sdo;
+use canopen_node::{NodeId, lss::Address, nmt::State};
+use lss_master::{InquireNodeId, Select};
+use serde::{Serialize, Serializer};
+
+use crate::{address, failure::Failure, scan, session::Session};
+
+/// A node, as far as it is known.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    pub node_id: Option<u8>,
+    #[serde(serialize_with = "as_text")]
+    pub lss_address: Option<Address>,
+    /// Object 1008h.
+    pub name: Option<String>,
+    /// Object 100Ah.
+    pub version: Option<String>,
+    /// The NMT state, if the node sends a heartbeat.
+    pub state: Option<&'static str>,
+    /// Another node has the same node-ID.
+    pub is_duplicate: bool,
+}
+
+fn as_text<S: Serializer>(address: &Option<Address>, serializer: S) -> Result<S::Ok, S::Error> {
+    address.as_ref().map(address::text).serialize(serializer)
+}
+
+/// Prints a row for each node, as a table or as JSON.
+pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
+    let rows = rows(session)?;
+    session.progress.clear();
+    if is_json {
+        let rate = session.bus.rate().kbit_per_s();
+        let network = serde_json::json!({ "bit_rate": rate, "nodes": rows });
+        writeln!(session.out, "{network:#}")?;
+    } else {
+        print(session, &rows)?;
+    }
+    if rows.is_empty() {
+        return Err(Failure::NoAnswer(format!(
+            "nobody answers at {}. `lss find` looks for the bit rate",
+            session.bus.rate()
+        )));
+    }
+    let duplicates = rows.iter().filter(|row| row.is_duplicate);
+    let duplicates = duplicates.filter_map(|row| row.lss_address.as_ref());
+    let duplicates: Vec<String> = duplicates.map(address::text).collect();
+    match duplicates.is_empty() {
+        true => Ok(()),
+        false => Err(Failure::Refused(format!(
+            "boards share a node-ID: give all but one another, with `lss set-id ID --reset --address` and one of {}",
+            duplicates.join(", ")
+        ))),
+    }
+}
+
+/// All nodes: those with a node-ID by SDO, the others by Fastscan. No state is changed.
+pub fn rows(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
+    let mut rows = Vec::new();
+    for (id, serial_numbers) in scan::nodes(session)? {
+        session.progress.say(|| format!("reading the identity of node {id}"));
+        rows.extend(node(session, id, &serial_numbers)?);
+    }
+    for address in scan::blank(session)? {
+        // The scan may be wrong if answers are lost.
+        session.carry_out(Select(address))?;
+        let node_id = session.carry_out(InquireNodeId)?;
+        rows.push(Row {
+            node_id: node_id.map(NodeId::get),
+            lss_address: Some(address),
+            name: None,
+            version: None,
+            state: None,
+            is_duplicate: false,
+        });
+    }
+    Ok(rows)
+}
+
+/// The rows of a node-ID: one, or one for each node that has it.
+fn node(session: &mut Session<'_>, id: u8, serial_numbers: &[u32]) -> Result<Vec<Row>, Failure> {
+    let is_duplicate = serial_numbers.len() > 1;
+    let mut numbers = [None; 3];
+    for (number, sub_index) in numbers.iter_mut().zip(1..) {
+        *number = sdo::read_number(&mut session.bus, id, 0x1018, sub_index)?.ok();
+    }
+    let mut text = |index| -> Result<Option<String>, Failure> {
+        // Two nodes that answer together spoil a transfer in segments.
+        if is_duplicate {
+            return Ok(None);
+        }
+        let value = sdo::read(&mut session.bus, id, index, 0)?.ok();
+        Ok(value.map(|bytes| String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_owned()))
+    };
+    let (name, version) = (text(0x1008)?, text(0x100A)?);
+    let state = session.bus.states.get(&id).copied().map(state);
+    let row = |serial_number: &u32| {
+        let address = match (numbers, *serial_number) {
+            // A node that does not tell a part has no LSS address that it could be selected by.
+            ([Some(vendor_id), Some(product_code), Some(revision_number)], 1..) => Some(Address {
+                vendor_id,
+                product_code,
+                revision_number,
+                serial_number: *serial_number,
+            }),
+            _ => None,
+        };
+        Row {
+            node_id: Some(id),
+            lss_address: address,
+            name: name.clone(),
+            version: version.clone(),
+            state,
+            is_duplicate,
+        }
+    };
+    Ok(serial_numbers.iter().map(row).collect())
+}
+
+/// The NMT state in a heartbeat.
+fn state(byte: u8) -> &'static str {
+    const OPERATIONAL: u8 = State::Operational as u8;
+    const PRE_OPERATIONAL: u8 = State::PreOperational as u8;
+    const STOPPED: u8 = State::Stopped as u8;
+    match byte {
+        0 => "boot-up",
+        OPERATIONAL => "operational",
+        PRE_OPERATIONAL => "pre-operational",
+        STOPPED => "stopped",
+        _ => "unknown",
+    }
+}
+
+fn print(session: &mut Session<'_>, rows: &[Row]) -> Result<(), Failure> {
+    let mut line = |cells: [&str; 5]| {
+        let [id, address, name, version, state] = cells;
+        let text = format!("{id:7}  {address:35}  {name:16}  {version:8}  {state}");
+        writeln!(session.out, "{}", text.trim_end())
+    };
+    line(["node-ID", "LSS address", "name", "version", "NMT state"])?;
+    for row in rows {
+        let id = match (row.node_id, row.is_duplicate) {
+            (None, _) => "none".into(),
+            (Some(id), false) => id.to_string(),
+            (Some(id), true) => format!("{id} twice"),
+        };
+        let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".into());
+        line([
+            &id,
+            &or_dash(row.lss_address.as_ref().map(address::text)),
+            &or_dash(row.name.clone()),
+            &or_dash(row.version.clone()),
+            row.state.unwrap_or("-"),
+        ])?;
+    }
+    Ok(())
+}

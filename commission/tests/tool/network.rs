@@ -1,0 +1,119 @@
+//! `lss find` and `lss list`.
+
+use canopen_node::BitRate;
+
+use crate::emulated::{Boards, address_text};
+
+const RATE: BitRate = BitRate::Kbit125;
+
+#[test]
+fn a_network_at_another_bit_rate_is_found_by_a_question() {
+    let boards = Boards::new(BitRate::Kbit250, &[5, 7]);
+    let outcome = boards.lss("find --bit-rate 500");
+    assert_eq!(outcome.code, 0);
+    assert_eq!(
+        outcome.text,
+        "adapter: emulated boards\n\
+         the network runs at 250 kbit/s, and not at 500 kbit/s: use --bit-rate 250\n\
+         answers to SDO: node 5, 7\n"
+    );
+    assert_eq!(boards.lss("list --bit-rate 250").code, 0);
+}
+
+#[test]
+fn a_network_with_heartbeats_is_found_by_listening_alone() {
+    let boards = Boards::new(RATE, &[0xFF, 9]);
+    assert_eq!(boards.lss(&format!("set-id 5 --address {}", address_text(0))).code, 0);
+    let errors = boards.rig().errors().len();
+    let outcome = boards.lss("find --bit-rate 1000");
+    assert_eq!(boards.rig().errors().len(), errors, "nobody is disturbed");
+    assert!(outcome.text.contains("the network runs at 125 kbit/s, and not at 1000 kbit/s"));
+    assert!(outcome.text.contains("heard: heartbeat of node 5: pre-operational ("));
+    assert!(outcome.text.contains("answers to SDO: node 5, 9\n"));
+}
+
+#[test]
+fn a_blank_board_is_found() {
+    let outcome = Boards::new(RATE, &[0xFF]).lss("find");
+    assert!(outcome.text.contains("the network runs at 125 kbit/s\n"), "{}", outcome.text);
+    assert!(outcome.text.contains("answers to LSS: at least one board without a node-ID\n"));
+}
+
+#[test]
+fn a_bus_without_a_board_has_its_words() {
+    let outcome = Boards::new(RATE, &[]).lss("find");
+    assert_eq!(outcome.code, 3);
+    assert!(outcome.error.starts_with("nobody acknowledges at any bit rate"), "{}", outcome.error);
+}
+
+#[test]
+fn all_nodes_are_listed_and_none_is_configured() {
+    let boards = Boards::new(RATE, &[5, 0xFF, 0xFF, 7, 0xFF]);
+    let outcome = boards.lss("list");
+    assert_eq!(outcome.code, 0);
+    let lines: Vec<&str> = outcome.text.lines().collect();
+    assert_eq!(lines.len(), 6, "{}", outcome.text);
+    assert!(lines[0].starts_with("node-ID  LSS address "));
+    assert!(lines[1].starts_with(&format!("5        {}  LSS slave ", address_text(0))));
+    assert!(lines[2].starts_with(&format!("7        {}  LSS slave ", address_text(3))));
+    let mut blank = [1, 2, 4].map(|board| format!("none     {}  -", address_text(board)));
+    blank.sort();
+    for (line, expected) in lines[3..].iter().zip(&blank) {
+        assert!(line.starts_with(expected), "{line}");
+    }
+    boards.assert_waiting(RATE);
+    for board in [1, 2, 4] {
+        let inquired = boards.lss(&format!("inquire --address {}", address_text(board)));
+        assert!(inquired.text.contains("node-ID          none\n"));
+    }
+}
+
+#[test]
+fn a_list_as_json_has_the_bit_rate_and_all_nodes() {
+    let outcome = Boards::new(RATE, &[5, 0xFF]).lss("list --json");
+    let json: serde_json::Value = serde_json::from_str(&outcome.text).expect("JSON");
+    assert_eq!(json["bit_rate"], 125);
+    assert_eq!(json["nodes"][0]["node_id"], 5);
+    assert_eq!(json["nodes"][0]["name"], "LSS slave");
+    assert_eq!(json["nodes"][1]["node_id"], serde_json::Value::Null);
+    assert_eq!(json["nodes"][1]["lss_address"], address_text(1));
+}
+
+#[test]
+fn two_boards_with_one_node_id_are_seen_and_can_be_told_apart() {
+    let boards = Boards::new(RATE, &[5, 5, 9]);
+    let outcome = boards.lss("list");
+    assert_eq!(outcome.code, 1);
+    for board in 0..2 {
+        let row = format!("5 twice  {}", address_text(board));
+        assert!(outcome.text.contains(&row), "{}", outcome.text);
+    }
+    assert!(outcome.error.starts_with("boards share a node-ID"));
+    boards.assert_waiting(RATE);
+    let set = format!("set-id 6 --reset --address {}", address_text(1));
+    assert_eq!(boards.lss(&set).code, 0);
+    assert_eq!(boards.lss("list").code, 0);
+}
+
+#[test]
+fn a_list_without_a_node_says_where_to_look() {
+    let outcome = Boards::new(RATE, &[]).lss("list");
+    assert_eq!(outcome.code, 3);
+    assert!(outcome.error.contains("`lss find` looks for the bit rate"));
+}
+
+#[test]
+fn ctrl_c_in_a_list_leaves_no_board_in_configuration_state() {
+    // Its last frames are those of the check of the boards found.
+    let boards = Boards::new(RATE, &[0xFF, 0xFF]);
+    let count = std::rc::Rc::new(std::cell::Cell::new(0));
+    let counted = std::rc::Rc::clone(&count);
+    boards.at_each_frame(move |_, _| counted.set(counted.get() + 1));
+    assert_eq!(boards.lss("list").code, 0);
+    for number in count.get() - 14..count.get() {
+        boards.interrupt_at(number);
+        let outcome = boards.lss("list");
+        assert_eq!(outcome.code, 130, "frame {number} of {}", count.get());
+        boards.assert_waiting(RATE);
+    }
+}
