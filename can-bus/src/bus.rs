@@ -145,6 +145,7 @@ impl Bus {
     /// Forgets a Ctrl-C and other masters: the boards must be restored in spite of both.
     pub fn insist(&mut self) {
         self.is_interrupted.store(false, Ordering::Relaxed);
+        self.holds_interrupt = false;
         self.minded = Masters::None;
     }
 

@@ -44,6 +44,11 @@ pub fn byte(text: &str) -> Result<u8, String> {
     u8::from_str_radix(text, 16).map_err(|_| "a byte in hexadecimal, such as 5E".into())
 }
 
+/// A node-ID.
+pub fn node_id(text: &str) -> Result<NodeId, String> {
+    text.parse().ok().and_then(NodeId::new).ok_or_else(|| "1 to 127".into())
+}
+
 /// The node-ID that a board is to have, or none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Assigned(pub Option<NodeId>);
@@ -52,10 +57,10 @@ pub struct Assigned(pub Option<NodeId>);
 pub fn assigned(text: &str) -> Result<Assigned, String> {
     match text {
         "none" => Ok(Assigned(None)),
-        _ => {
-            let id = text.parse().ok().and_then(NodeId::new);
-            id.map(|id| Assigned(Some(id))).ok_or_else(|| "1 to 127, or none".into())
-        }
+        _ => match node_id(text) {
+            Ok(id) => Ok(Assigned(Some(id))),
+            Err(words) => Err(format!("{words}, or none")),
+        },
     }
 }
 

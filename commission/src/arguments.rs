@@ -3,8 +3,9 @@
 use std::{ops::RangeInclusive, path::PathBuf};
 
 use can_bus::adapter::{Place, bit_rate};
-use canopen_node::{BitRate, lss::Address};
+use canopen_node::{BitRate, NodeId, lss::Address};
 use clap::{Parser, Subcommand};
+use clap_complete::Shell;
 
 use crate::address::{self, Assigned};
 
@@ -54,6 +55,24 @@ pub enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Give each board without a node-ID one that nobody has, store it and verify it by a reset
+    Assign {
+        /// The lowest node-ID to give
+        #[arg(long, value_name = "ID", value_parser = address::node_id, default_value = "1")]
+        first: NodeId,
+        /// The table of the network: its boards get their node-IDs first, and new boards come into it
+        #[arg(long, value_name = "FILE")]
+        table: Option<PathBuf>,
+    },
+    /// Switch all boards to another bit rate and store it; if one does not come, all go back
+    SetRate {
+        /// The new bit rate in kbit/s
+        #[arg(value_name = "KBIT", value_parser = bit_rate)]
+        rate: BitRate,
+        /// The switch delay in ms, in which each board and the adapter must change the bit rate
+        #[arg(long, value_name = "MS", default_value_t = 500, value_parser = clap::value_parser!(u16).range(20..=10_000))]
+        delay: u16,
+    },
     /// Ask a board for its LSS address and its node-ID
     Inquire(Target),
     /// Ask whether a board with an LSS address within ranges is there; changes no state
@@ -80,6 +99,8 @@ pub enum Command {
         #[arg(value_name = "BYTE", required = true, num_args = 1..=8, value_parser = address::byte)]
         bytes: Vec<u8>,
     },
+    /// Print the completion of the commands for a shell
+    Completion { shell: Shell },
 }
 
 /// The LSS addresses that are asked for. Numbers are decimal, or hexadecimal after 0x.

@@ -1,17 +1,21 @@
 //! The commands, one a file.
 
+mod assign;
 mod find;
 mod identify;
 mod inquire;
 mod list;
 mod raw;
 mod set_id;
+mod set_rate;
 mod store;
 
+pub use assign::assign;
 pub use find::find;
 pub use identify::identify;
 pub use inquire::inquire;
 pub use list::list;
 pub use raw::raw;
 pub use set_id::set_id;
+pub use set_rate::set_rate;
 pub use store::store;

@@ -8,8 +8,9 @@ mod progress;
 mod recorder;
 mod scan;
 mod session;
+mod table;
 
-pub use arguments::Arguments;
+pub use arguments::{Arguments, Command};
 pub use failure::Failure;
 pub use recorder::Recorder;
 pub use session::Session;

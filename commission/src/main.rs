@@ -13,7 +13,7 @@ use std::{
 use clap::{CommandFactory, Parser, error::ErrorKind};
 
 use can_bus::{bus::Bus, stop::Stop};
-use commission::{Arguments, Failure, Recorder, Session};
+use commission::{Arguments, Command, Failure, Recorder, Session};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -28,6 +28,10 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Failure> {
+    if let Command::Completion { shell } = arguments.command {
+        clap_complete::generate(shell, &mut Arguments::command(), "lss", &mut io::stdout());
+        return Ok(());
+    }
     let Some(place) = &arguments.adapter else {
         let missing = ErrorKind::MissingRequiredArgument;
         let words = "which CAN adapter? --adapter slcan:/dev/ttyACM0, or the variable LSS_ADAPTER";

@@ -57,8 +57,10 @@ impl<'a> Session<'a> {
         }
         self.bus.open(rate)?;
         match &arguments.command {
-            Command::Find => Ok(()),
+            Command::Find | Command::Completion { .. } => Ok(()),
             Command::List { json } => commands::list(self, *json),
+            Command::Assign { first, table } => commands::assign(self, *first, table.as_deref()),
+            Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),
             Command::Inquire(target) => commands::inquire(self, *target),
             Command::Identify(ranges) => commands::identify(self, ranges),
             Command::SetId { id, target, store, reset } => {

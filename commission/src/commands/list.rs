@@ -31,18 +31,18 @@ fn as_text<S: Serializer>(address: &Option<Address>, serializer: S) -> Result<S:
 pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
     let rows = rows(session)?;
     session.progress.clear();
+    if rows.is_empty() {
+        return Err(Failure::NoAnswer(format!(
+            "nobody answers at {}. `lss find` looks for the bit rate",
+            session.bus.rate()
+        )));
+    }
     if is_json {
         let rate = session.bus.rate().kbit_per_s();
         let network = serde_json::json!({ "bit_rate": rate, "nodes": rows });
         writeln!(session.out, "{network:#}")?;
     } else {
         print(session, &rows)?;
-    }
-    if rows.is_empty() {
-        return Err(Failure::NoAnswer(format!(
-            "nobody answers at {}. `lss find` looks for the bit rate",
-            session.bus.rate()
-        )));
     }
     let duplicates = rows.iter().filter(|row| row.is_duplicate);
     let duplicates = duplicates.filter_map(|row| row.lss_address.as_ref());

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// The NMT command reset communication.
-const RESET_COMMUNICATION: u8 = 130;
+pub const RESET_COMMUNICATION: u8 = 130;
 /// The time that a board takes to boot up after a reset of its communication.
 const BOOT: Duration = Duration::from_secs(2);
 
@@ -78,7 +78,8 @@ pub fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> 
     Ok(answer.is_some() || session.bus.states.contains_key(&(id as u8)))
 }
 
-fn wait_for_boot_up(session: &mut Session<'_>, id: NodeId) -> Result<(), Failure> {
+/// Waits until a node boots up with this node-ID.
+pub fn wait_for_boot_up(session: &mut Session<'_>, id: NodeId) -> Result<(), Failure> {
     let is_boot_up = |frame: &canopen_node::Frame| {
         frame.cob_id() == 0x700 + u16::from(id.get()) && frame.data() == [0]
     };

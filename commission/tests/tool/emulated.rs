@@ -15,7 +15,7 @@ use can_bus::{
     bus::Bus,
     stop::Stop,
 };
-use canopen_node::{BitRate, Frame, NodeId, lss::Address, settings::Log};
+use canopen_node::{BitRate, Frame, NodeId, lss::Address, nmt, settings::Log};
 use clap::Parser;
 use commission::{Arguments, Session};
 use emulator::{Time, network::Network};
@@ -28,6 +28,9 @@ use testkit::{
         from_the_wire, on_the_wire, settings,
     },
 };
+
+/// The NMT command reset node.
+const RESET_NODE: u8 = 0x81;
 
 /// What happens at a frame that the tool sends.
 type Hook = Box<dyn FnMut(&Frame, &mut Network)>;
@@ -89,8 +92,9 @@ impl Boards {
         self.rig.borrow_mut()
     }
 
-    /// Runs `lss` with these arguments.
+    /// Runs `lss` with these arguments. No board may be reset before an NMT reset node.
     pub fn lss(&self, arguments: &str) -> Outcome {
+        self.rig().network.forbid_misuse();
         let words = ["lss"].into_iter().chain(arguments.split_whitespace());
         let arguments = Arguments::try_parse_from(words).expect("a command line");
         let adapter = Box::new(self.clone());
@@ -166,6 +170,9 @@ impl Adapter for Boards {
         let mut rig = self.rig.borrow_mut();
         let master = rig.master;
         rig.network.send(master, on_the_wire(frame));
+        if (frame.cob_id(), frame.data().first()) == (nmt::COMMAND_COB_ID, Some(&RESET_NODE)) {
+            rig.network.permit_misuse();
+        }
         if let Some(hook) = &mut *self.hook.borrow_mut() {
             hook(frame, &mut rig.network);
         }

@@ -1,6 +1,8 @@
 //! The commands of `lss` on emulated boards with the release image, in virtual time, and its failures.
 
+mod assign;
 mod emulated;
 mod network;
 mod program;
 mod services;
+mod set_rate;

@@ -34,6 +34,13 @@ fn a_missing_adapter_is_told() {
 }
 
 #[test]
+fn the_completion_needs_no_adapter() {
+    let output = lss(&["completion", "bash"]);
+    assert!(output.status.success());
+    assert!(String::from_utf8_lossy(&output.stdout).contains("set-rate"));
+}
+
+#[test]
 fn a_wrong_command_line_is_told() {
     let adapter = ["--adapter", "slcan:/dev/ttyNone"];
     let wrong = |rest: &[&str], words: &str| assert_fails(&[&adapter[..], rest].concat(), 2, words);

@@ -1,0 +1,171 @@
+//! `lss assign`.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use canopen_node::BitRate;
+use emulator::Time;
+
+use crate::emulated::{Boards, address, address_text};
+
+const RATE: BitRate = BitRate::Kbit125;
+/// The index of that bit rate.
+const INDEX: u8 = 4;
+
+/// A file that does not exist yet.
+fn new_file(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    // It exists if the test ran before.
+    let _ = fs::remove_file(&path);
+    path
+}
+
+fn entry(id: u8, board: usize) -> String {
+    format!("[[node]]\nid = {id}\naddress = \"{}\"\n", address_text(board))
+}
+
+/// The stored node-IDs of the boards.
+fn ids(boards: &Boards, count: usize) -> Vec<Option<u8>> {
+    (0..count).map(|board| boards.stored(board).map(|(id, _)| id)).collect()
+}
+
+#[test]
+fn each_blank_board_gets_a_free_node_id_that_survives_a_power_cut() {
+    let boards = Boards::new(RATE, &[2, 0xFF, 0xFF, 4, 0xFF]);
+    let outcome = boards.lss("assign");
+    assert_eq!(outcome.code, 0);
+    // Fastscan finds the lowest serial number first.
+    let mut blank = [1, 2, 4];
+    blank.sort_by_key(|board| address(*board).serial_number);
+    let expected: Vec<String> = [1, 3, 5]
+        .iter()
+        .zip(blank)
+        .map(|(id, board)| {
+            format!("node {id}  {}  stored, verified by a reset", address_text(board))
+        })
+        .collect();
+    assert_eq!(outcome.text.lines().collect::<Vec<_>>(), expected);
+    for (id, board) in [1, 3, 5].into_iter().zip(blank) {
+        assert_eq!(boards.stored(board), Some((id, INDEX)));
+    }
+    boards.assert_waiting(RATE);
+    for board in 0..5 {
+        boards.rig().power_cycle(board);
+    }
+    let list = boards.lss("list");
+    assert_eq!((list.code, list.text.lines().count()), (0, 6));
+    assert!(!list.text.contains("none"));
+    assert_eq!(boards.lss("assign").text, "no board needs a node-ID\n");
+}
+
+#[test]
+fn node_ids_begin_at_the_first_and_may_run_out() {
+    let boards = Boards::new(RATE, &[0xFF, 0xFF]);
+    let outcome = boards.lss("assign --first 127");
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.contains("needs a node-ID, but none from 127 on is free"));
+    let mut stored = ids(&boards, 2);
+    stored.sort();
+    assert_eq!(stored, [None, Some(127)]);
+    boards.assert_waiting(RATE);
+}
+
+#[test]
+fn the_boards_of_a_table_get_their_node_ids_and_new_ones_come_into_it() {
+    let boards = Boards::new(RATE, &[0xFF, 0xFF, 30, 9]);
+    let path = new_file("network.toml");
+    let text = format!("# a network\n{}{}{}", entry(20, 1), entry(31, 2), entry(9, 3));
+    fs::write(&path, &text).expect("it can be written");
+    let outcome = boards.lss(&format!("assign --table {}", path.display()));
+    assert_eq!(outcome.code, 0);
+    assert_eq!(ids(&boards, 4), [Some(1), Some(20), Some(31), Some(9)]);
+    assert!(outcome.text.contains(&format!("node 9  {}  as in the table\n", address_text(3))));
+    let grown = fs::read_to_string(&path).expect("it is there");
+    assert_eq!(grown, format!("{text}\n{}", entry(1, 0)));
+    let again = boards.lss(&format!("assign --table {}", path.display()));
+    assert_eq!((again.code, again.text.matches("as in the table").count()), (0, 4));
+    boards.assert_waiting(RATE);
+}
+
+#[test]
+fn a_missing_board_of_a_table_is_named_and_keeps_its_node_id() {
+    let boards = Boards::new(RATE, &[0xFF, 9]);
+    let path = new_file("missing.toml");
+    // The board with number 7 is not there, and 8 is to have the node-ID of another.
+    fs::write(&path, entry(1, 7)).expect("it can be written");
+    let outcome = boards.lss(&format!("assign --table {}", path.display()));
+    assert_eq!(outcome.code, 1);
+    assert_eq!(outcome.error, format!("node 1 of the table is missing: {}", address_text(7)));
+    assert_eq!(boards.stored(0), Some((2, INDEX)));
+    boards.assert_waiting(RATE);
+}
+
+#[test]
+fn a_node_id_of_the_table_that_another_board_has_is_not_given_twice() {
+    let boards = Boards::new(RATE, &[0xFF, 9]);
+    let path = new_file("taken.toml");
+    fs::write(&path, entry(9, 0)).expect("it can be written");
+    let outcome = boards.lss(&format!("assign --table {}", path.display()));
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.starts_with("another board has node-ID 9"), "{}", outcome.error);
+    assert_eq!(boards.stored(1), Some((9, INDEX)));
+    boards.assert_waiting(RATE);
+}
+
+#[test]
+fn a_wrong_table_changes_nothing() {
+    let boards = Boards::new(RATE, &[0xFF]);
+    let path = new_file("wrong.toml");
+    fs::write(&path, "[[node]]\nid = 200\naddress = \"1:2:3:4\"\n").expect("it can be written");
+    let outcome = boards.lss(&format!("assign --table {}", path.display()));
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.ends_with("200 is no node-ID"), "{}", outcome.error);
+    assert_eq!(boards.stored(0), None);
+}
+
+#[test]
+fn after_ctrl_c_each_board_that_has_a_node_id_has_stored_it() {
+    // Around the end of the first scan, with the configuration.
+    let boards = Boards::new(RATE, &[0xFF, 0xFF]);
+    let configure = std::rc::Rc::new(std::cell::Cell::new((0, 0)));
+    let seen = std::rc::Rc::clone(&configure);
+    boards.at_each_frame(move |frame, _| {
+        let (count, at) = seen.get();
+        let is_first = at == 0 && frame.data().first() == Some(&0x11);
+        seen.set((count + 1, if is_first { count + 1 } else { at }));
+    });
+    assert_eq!(boards.lss("assign").code, 0);
+    let (_, configure) = configure.get();
+    for number in configure - 4..configure + 6 {
+        let boards = Boards::new(RATE, &[0xFF, 0xFF]);
+        boards.interrupt_at(number);
+        assert_eq!(boards.lss("assign").code, 130, "frame {number}");
+        boards.assert_waiting(RATE);
+        let stored = ids(&boards, 2).into_iter().flatten().count();
+        let list = boards.lss("list").text;
+        assert_eq!(list.matches("LSS slave").count(), stored, "frame {number}: {list}");
+        assert_eq!(boards.lss("assign").code, 0);
+    }
+}
+
+#[test]
+fn a_board_without_power_during_its_configuration_is_named() {
+    let boards = Boards::new(RATE, &[0xFF]);
+    boards.at_each_frame(|frame, network| {
+        if frame.data().first() == Some(&0x11) {
+            network.power_off(0);
+        }
+    });
+    let outcome = boards.lss("assign");
+    assert_eq!(outcome.code, 1);
+    assert_eq!(
+        outcome.error,
+        format!("board {}: no answer to configure node-ID: 1", address_text(0))
+    );
+    boards.at_each_frame(|_, _| ());
+    boards.rig().power_on(0);
+    boards.rig().network.run_for(Time::from_ms(100));
+    assert_eq!(boards.lss("assign").code, 0);
+}

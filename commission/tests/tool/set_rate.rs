@@ -1,0 +1,140 @@
+//! `lss set-rate`.
+
+use canopen_node::BitRate;
+use emulator::{Time, network::Source};
+
+use crate::emulated::{Boards, address_text};
+
+const OLD: BitRate = BitRate::Kbit125;
+const NEW: BitRate = BitRate::Kbit500;
+/// The indices of these bit rates.
+const OLD_INDEX: u8 = 4;
+const NEW_INDEX: u8 = 2;
+
+#[test]
+fn all_boards_follow_to_the_new_bit_rate_and_store_it() {
+    let boards = Boards::new(OLD, &[1, 2, 0xFF, 4, 5]);
+    let outcome = boards.lss("set-rate 500");
+    assert_eq!(outcome.code, 0);
+    assert_eq!(
+        outcome.text,
+        "plan: 5 boards from 125 kbit/s to 500 kbit/s\n\
+         all 5 boards answer at 500 kbit/s and have stored it\n"
+    );
+    for (board, id) in [1, 2, 0xFF, 4, 5].into_iter().enumerate() {
+        assert_eq!(boards.stored(board), Some((id, NEW_INDEX)));
+    }
+    boards.assert_waiting(NEW);
+    let list = boards.lss("list --bit-rate 500");
+    assert_eq!((list.code, list.text.lines().count()), (0, 6));
+}
+
+/// Runs `set-rate 500` on three boards, of which the second is pulled out at the first frame with this command
+/// specifier after `skipped` others; returns the error.
+fn pull_out(specifier: u8, mut skipped: usize) -> (Boards, String) {
+    let boards = Boards::new(OLD, &[1, 2, 3]);
+    let mut is_out = false;
+    boards.at_each_frame(move |frame, network| {
+        if frame.cob_id() == 0x7E5 && frame.data().first() == Some(&specifier) && !is_out {
+            if skipped == 0 {
+                network.cut_wire(Source::Board(1));
+                is_out = true;
+            }
+            skipped = skipped.saturating_sub(1);
+        }
+    });
+    let outcome = boards.lss("set-rate 500");
+    assert_eq!(outcome.code, 1, "{}", outcome.error);
+    assert!(outcome.error.contains(&address_text(1)), "{}", outcome.error);
+    boards.at_each_frame(|_, _| ());
+    (boards, outcome.error)
+}
+
+/// Asserts that the other boards are at the old bit rate, that they have it stored, and that they switch again.
+#[track_caller]
+fn assert_old(boards: &Boards) {
+    for board in [0, 2] {
+        assert_eq!(boards.stored(board).map(|(_, index)| index), Some(OLD_INDEX));
+    }
+    boards.assert_waiting(OLD);
+    let list = boards.lss("list");
+    for board in [0, 2] {
+        assert!(list.text.contains(&address_text(board)), "{}", list.text);
+    }
+}
+
+#[test]
+fn nothing_is_switched_if_a_board_is_pulled_out_before() {
+    for skipped in 0..2 {
+        let (boards, error) = pull_out(0x13, skipped);
+        assert!(error.ends_with("; nothing was switched"), "{error}");
+        assert_old(&boards);
+    }
+}
+
+#[test]
+fn all_others_go_back_if_a_board_is_pulled_out_at_the_switch() {
+    let (boards, error) = pull_out(0x15, 0);
+    assert!(error.starts_with("at 500 kbit/s: board "), "{error}");
+    assert!(error.contains("Nothing is stored; 2 boards are at 125 kbit/s again, missing: "));
+    assert_old(&boards);
+}
+
+#[test]
+fn all_others_go_back_if_a_board_is_pulled_out_at_the_store() {
+    for skipped in 0..2 {
+        let (boards, error) = pull_out(0x17, skipped);
+        assert!(error.contains("2 boards are at 125 kbit/s again, missing: "), "{error}");
+        assert_old(&boards);
+    }
+}
+
+#[test]
+fn a_board_that_is_only_deaf_for_the_switch_comes_back_too() {
+    let boards = Boards::new(OLD, &[1, 2, 3]);
+    boards.at_each_frame(|frame, network| {
+        if frame.cob_id() == 0x7E5 && frame.data().first() == Some(&0x15) {
+            network.cut_wire(Source::Board(1));
+            network.run_for(Time::from_ms(5));
+            network.mend_wire(Source::Board(1));
+        }
+    });
+    let outcome = boards.lss("set-rate 500");
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.ends_with("3 boards are at 125 kbit/s again"), "{}", outcome.error);
+    assert_old(&boards);
+    // Its pending bit rate is the old one, too: a store keeps it.
+    boards.at_each_frame(|_, _| ());
+    assert_eq!(boards.lss(&format!("store --address {}", address_text(1))).code, 0);
+    assert_eq!(boards.stored(1).map(|(_, index)| index), Some(OLD_INDEX));
+}
+
+#[test]
+fn ctrl_c_around_the_switch_leaves_all_boards_at_one_bit_rate() {
+    for specifier in [0x13, 0x15] {
+        let boards = Boards::new(OLD, &[1, 2, 3]);
+        let flag = std::sync::Arc::clone(&boards.is_interrupted);
+        boards.at_each_frame(move |frame, _| {
+            if frame.cob_id() == 0x7E5 && frame.data().first() == Some(&specifier) {
+                flag.store(true, std::sync::atomic::Ordering::Relaxed);
+            }
+        });
+        let outcome = boards.lss("set-rate 500");
+        assert_eq!(outcome.code, 130);
+        assert!(
+            outcome
+                .text
+                .ends_with("interrupted. Nothing is stored; 3 boards are at 125 kbit/s again\n")
+        );
+        boards.at_each_frame(|_, _| ());
+        assert_old(&boards);
+    }
+}
+
+#[test]
+fn a_network_that_is_at_the_bit_rate_and_one_with_nobody_are_told() {
+    let outcome = Boards::new(OLD, &[1]).lss("set-rate 125");
+    assert_eq!(outcome.code, 1);
+    assert_eq!(outcome.error, "125 kbit/s is the bit rate of the network already");
+    assert_eq!(Boards::new(OLD, &[]).lss("set-rate 500").code, 3);
+}
