@@ -1,5 +1,6 @@
 //! A NOR flash in memory. Its power can fail in every program and erase step; what was being programmed or erased then
-//! reads differently at each power-on. Its operations can fail, and its bits can stick.
+//! reads differently at each power-on. Its operations can fail, and its bits can stick. Each unit is programmed once
+//! after an erase, whatever its content is.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -37,8 +38,8 @@ struct Marginal {
 #[derive(Clone)]
 struct Chip {
     bytes: Vec<u8>,
-    /// The content if every program step had been completed.
-    intended: Vec<u8>,
+    /// The units that were programmed since their erase.
+    programmed: Vec<bool>,
     marginal: Vec<Marginal>,
     /// The content of each sector before its erase, which was interrupted.
     half_erased: [Option<Vec<u8>>; 2],
@@ -62,8 +63,9 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
 
     pub fn with_content(bytes: Vec<u8>, seed: u64) -> Self {
         assert_eq!(bytes.len(), 2 * ERASE);
+        let units = bytes.chunks(WRITE);
         Self(Rc::new(RefCell::new(Chip {
-            intended: bytes.clone(),
+            programmed: units.map(|unit| unit.iter().any(|&byte| byte != 0xFF)).collect(),
             marginal: Vec::new(),
             half_erased: [None, None],
             bytes,
@@ -82,7 +84,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         let duplicate = Self::with_content(self.content(), seed);
         {
             let (old, mut new) = (self.0.borrow(), duplicate.0.borrow_mut());
-            new.intended.clone_from(&old.intended);
+            new.programmed.clone_from(&old.programmed);
             new.marginal.clone_from(&old.marginal);
             new.half_erased.clone_from(&old.half_erased);
             new.stuck.clone_from(&old.stuck);
@@ -99,7 +101,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
     pub fn corrupt(&self, at: usize, byte: u8) {
         let mut chip = self.0.borrow_mut();
         chip.bytes[at] = byte;
-        chip.intended[at] = byte;
+        chip.programmed[at / WRITE] |= byte != 0xFF;
     }
 
     /// Makes the bits `mask` of the byte at `at` stick at `value`.
@@ -199,18 +201,17 @@ impl Chip {
 
     fn program(&mut self, at: usize, unit: &[u8]) -> Result<(), NorFlashErrorKind> {
         let place = at..at + unit.len();
-        let intended = &mut self.intended[place.clone()];
-        let is_blank = intended.iter().all(|&byte| byte == 0xFF);
+        let programmed = &mut self.programmed[at / unit.len()];
         // In a place that reads blank after a power cut in its first word.
         let was_cut =
             self.marginal.iter().any(|marginal| marginal.at == at && marginal.unit == unit);
-        assert!(is_blank || was_cut, "address {at:#x} is programmed twice");
+        assert!(!*programmed || was_cut, "address {at:#x} is programmed twice");
         let sector = at / (self.bytes.len() / 2);
         assert!(
             self.half_erased[sector].is_none(),
             "address {at:#x} is programmed after an incomplete erase"
         );
-        intended.copy_from_slice(unit);
+        *programmed = true;
         let before = self.bytes[place].to_vec();
         self.writes += 1;
         let succeeds = self.succeeds(Operation::Write);
@@ -257,7 +258,8 @@ impl Chip {
 
     fn erase_sector(&mut self, at: usize, len: usize) -> Result<(), NorFlashErrorKind> {
         self.erases += 1;
-        self.intended[at..at + len].fill(0xFF);
+        let unit_len = self.bytes.len() / self.programmed.len();
+        self.programmed[at / unit_len..(at + len) / unit_len].fill(false);
         self.marginal.retain(|marginal| !(at..at + len).contains(&marginal.at));
         let succeeds = self.succeeds(Operation::Erase);
         let half_erased = &mut self.half_erased[at / len];

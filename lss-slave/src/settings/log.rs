@@ -468,7 +468,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         // Later than any in the other bank.
         let places = bank.end.saturating_sub(bank.start) / record::LEN;
         let sequence = self.newest.record.sequence.wrapping_add(places);
-        self.write(bank.start, &record::mark_to_bytes(sequence))?;
+        self.write_part(bank.start, &record::mark_to_bytes(sequence), record::MARK_LEN)?;
         let range = bank.start.saturating_add(record::LEN)..bank.end;
         self.other = Space { range, sequence: sequence.wrapping_add(1), bank: bank.start };
         Ok(())
@@ -549,7 +549,8 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             crc = record::crc32_of_more(crc, bytes.get(..len).unwrap_or_default());
             if !is_kept(self, number, part) {
                 let (at, sequence) = self.space.take()?;
-                self.write_part(at, &record::part_to_bytes(sequence, number, &bytes))?;
+                let place = record::part_to_bytes(sequence, number, &bytes);
+                self.write_part(at, &place, PART_LEN)?;
             }
         }
         if new.is_none() && stored.is_some_and(|stored| stored.crc != !crc) {
@@ -559,7 +560,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         Ok(Some(Reference { first, len, crc: !crc, changes: keeps_some.then_some(changes) }))
     }
 
-    /// Writes a record or a mark to a blank place.
+    /// Writes a record to a blank place.
     fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
         let (whole, last) = bytes.split_at(record::LAST_AT);
         let (content, crc) = whole.split_at(record::CRC_AT);
@@ -576,11 +577,17 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         if is_written { Ok(()) } else { Err(Error::NotAsWritten) }
     }
 
-    /// Writes a part of the parameters to a blank place.
-    fn write_part(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
+    /// Writes a part of the parameters, or a mark, to a blank place; only the first `len` bytes of its data are written.
+    fn write_part(
+        &mut self,
+        at: u32,
+        bytes: &[u8; record::LEN as usize],
+        len: usize,
+    ) -> Result<(), Error> {
         const DATA_AT: usize = record::LEN as usize - record::LAST_AT;
         let (whole, last) = bytes.split_at(record::LAST_AT);
         let (sequence, data) = whole.split_at(DATA_AT);
+        let data = data.get(..len).unwrap_or(data);
         self.begin(at, sequence)?;
         // The data may read as those of a record, unless the last word is complete before them.
         for (offset, words) in [(record::LAST_AT, last), (DATA_AT, data)] {

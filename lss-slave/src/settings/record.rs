@@ -18,7 +18,9 @@ const COMMIT: [u8; 4] = *b"LSS1";
 const PART: [u8; 2] = *b"SP";
 /// The last word of the mark, which does not read as the commit word either.
 const MARK: [u8; 4] = *b"LSSE";
-/// A word that makes a mark invalid, and its place in the mark.
+/// The bytes of a mark between its sequence and its last word that are written; the others stay blank.
+pub const MARK_LEN: usize = 4;
+/// A word that makes a mark invalid, and its place in the mark, which is blank before.
 pub const VOID: [u8; 4] = [0; 4];
 pub const VOID_AT: u32 = 16;
 /// The number of bytes of a part of the parameters, for which 32 bytes of flash have room.
