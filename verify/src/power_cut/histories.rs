@@ -24,38 +24,47 @@ const GARBAGE: u8 = 0xA5;
 pub type Histories = (String, Box<dyn Fn(&mut Random) -> u64>);
 
 /// The histories that are tried, with at most these lives: those of settings, those of parameters.
-pub fn all((lives, of_parameters): (usize, usize)) -> [Histories; 7] {
+pub fn all((lives, of_parameters): (usize, usize)) -> [Histories; 11] {
     [
-        histories::<0, 128>(lives, BLANK),
-        histories::<0, 96>(lives, BLANK),
-        histories::<0, 128>(lives - 1, GARBAGE),
-        histories::<0, 256>(lives - 1, BLANK),
-        histories::<PACKED_LEN, 192>(of_parameters, BLANK),
-        histories::<PACKED_LEN, 256>(of_parameters, BLANK),
-        histories::<PACKED_LEN, 512>(of_parameters, BLANK),
+        histories::<0, 4, 128>(lives, BLANK),
+        histories::<0, 4, 96>(lives, BLANK),
+        histories::<0, 4, 128>(lives - 1, GARBAGE),
+        histories::<0, 4, 256>(lives - 1, BLANK),
+        histories::<PACKED_LEN, 4, 192>(of_parameters, BLANK),
+        histories::<PACKED_LEN, 4, 256>(of_parameters, BLANK),
+        histories::<PACKED_LEN, 4, 512>(of_parameters, BLANK),
+        // Units of a word are those of the board. Smaller ones have more steps.
+        histories::<0, 1, 128>(lives - 1, BLANK),
+        histories::<0, 2, 128>(lives - 1, BLANK),
+        histories::<PACKED_LEN, 1, 256>(of_parameters - 1, BLANK),
+        histories::<PACKED_LEN, 2, 256>(of_parameters - 1, BLANK),
     ]
 }
 
-/// The histories of a device with room for `P` bytes of parameters and two banks of `E` bytes.
-fn histories<const P: usize, const E: usize>(lives: usize, first: u8) -> Histories {
+/// The histories of a device with room for `P` bytes of parameters and two banks of `E` bytes, programmed in units of
+/// `W` bytes.
+fn histories<const P: usize, const W: usize, const E: usize>(lives: usize, first: u8) -> Histories {
     let content = if first == BLANK { "blank" } else { "garbage" };
     let stored = if P > 0 { ", parameters" } else { "" };
     let records = E / 32;
-    let name = format!("{lives} power-ons, 2 banks of {records} records, {content} first{stored}");
+    let unit = if W == 1 { "1 byte".to_owned() } else { format!("{W} bytes") };
+    let name = format!(
+        "unit of {unit}, {lives} power-ons, 2 banks of {records} records, {content} first{stored}"
+    );
     let run = move |random: &mut Random| {
-        let flash = Flash::<4, E>::with_content(vec![first; 2 * E], 0);
+        let flash = Flash::<W, E>::with_content(vec![first; 2 * E], 0);
         Device { flash, expected: Expected::<P>::nothing() }.go_on(lives, 2, random)
     };
     (name, Box::new(run))
 }
 
 /// A device between two lives: its flash, and what it must find there.
-struct Device<const P: usize, const E: usize> {
-    flash: Flash<4, E>,
+struct Device<const P: usize, const W: usize, const E: usize> {
+    flash: Flash<W, E>,
     expected: Expected<P>,
 }
 
-impl<const P: usize, const E: usize> Device<P, E> {
+impl<const P: usize, const W: usize, const E: usize> Device<P, W, E> {
     /// Runs every continuation with this number of lives and at most this number of cuts, and a final power-on; returns
     /// the number of cuts.
     fn go_on(&self, lives: usize, cuts: usize, random: &mut Random) -> u64 {
