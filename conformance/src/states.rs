@@ -1,5 +1,7 @@
 //! State 01..04 and Transition 01..04: the NMT slave (CiA 301, 7.3.2).
 
+use std::time::Duration;
+
 use crate::{
     Bench, Case, Command, Group, Step,
     bench::{hex, initiate, name},
@@ -7,6 +9,7 @@ use crate::{
     heartbeat::{check_state, set_producer},
     ms,
     pdo::{self, Direction},
+    synchronization,
 };
 
 pub const STATES: Group =
@@ -16,13 +19,13 @@ pub const TRANSITIONS: Group =
 
 const STATE_CASES: &[Case] = &[
     Case::new("Initialisation: boot-up, and the defaults of all parameters", initialisation),
-    Case::new("Pre-operational: SDO and heartbeat, but no PDO", |bench| {
+    Case::new("Pre-operational: SDO, SYNC and heartbeat, but no PDO", |bench| {
         services(bench, Command::EnterPreOperational, PRE_OPERATIONAL)
     }),
-    Case::new("Operational: SDO, heartbeat and PDO", |bench| {
+    Case::new("Operational: SDO, SYNC, heartbeat and PDO", |bench| {
         services(bench, Command::Start, OPERATIONAL)
     }),
-    Case::new("Stopped: heartbeat, but neither SDO nor PDO", |bench| {
+    Case::new("Stopped: heartbeat, but neither SDO nor SYNC nor PDO", |bench| {
         services(bench, Command::Stop, STOPPED)
     }),
 ];
@@ -44,6 +47,8 @@ const OPERATIONAL: u8 = 5;
 const STOPPED: u8 = 4;
 const HEARTBEAT_MS: u16 = 500;
 const TIMER_MS: u16 = 100;
+/// How long SYNC is waited for, and how long it must stay away.
+const SYNC_SPAN: Duration = ms(1_000);
 /// A number for the values of initialisation, always the same.
 const SEED: u32 = 0x2024_1301;
 
@@ -104,10 +109,14 @@ fn initialisation(bench: &mut Bench) -> Step {
             bench.download(entry.address, &entry.of_number((next(&mut random) & 0x7FFF).into()))?;
     }
     bench.reset(Command::ResetNode)?;
+    // Without 1011h the device keeps what was stored before.
+    let is_restored = bench.eds.get((0x1011, 1)).is_some();
     for (entry, before) in parameters.iter().zip(before) {
+        let default = entry.default(bench.node).filter(|_| is_restored);
+        let expected = default.unwrap_or(before);
         let after = bench.read(entry.address)?;
-        bench
-            .check(after == before, format!("{} is {} again", name(entry.address), hex(&before)))?;
+        let is_right = after == expected;
+        bench.check(is_right, format!("{} is {} again", name(entry.address), hex(&expected)))?;
     }
     if bench.eds.get((0x1017, 0)).is_some() {
         set_producer(bench, HEARTBEAT_MS)?;
@@ -116,15 +125,22 @@ fn initialisation(bench: &mut Bench) -> Step {
     Ok(())
 }
 
-/// Whether SDO, heartbeat and PDO work in an NMT state as they must.
+/// What a step gives, or `None` if the device lacks what it needs.
+fn if_possible<T>(step: Step<T>) -> Step<Option<T>> {
+    match step {
+        Ok(value) => Ok(Some(value)),
+        Err(crate::Stop::Skipped(_)) => Ok(None),
+        Err(stop) => Err(stop),
+    }
+}
+
+/// Whether SDO, heartbeat, PDO and the SYNC producer work in an NMT state as they must.
 fn services(bench: &mut Bench, command: Command, state: u8) -> Step {
     bench.needs((0x1017, 0))?;
     set_producer(bench, HEARTBEAT_MS)?;
-    let tpdo = match pdo::valid(bench, &[Direction::Transmit]) {
-        Ok(pdos) => pdos.first().copied(),
-        Err(crate::Stop::Skipped(_)) => None,
-        Err(stop) => return Err(stop),
-    };
+    let is_producer = if_possible(synchronization::produce(bench))?.is_some();
+    let tpdos = if_possible(pdo::valid(bench, &[Direction::Transmit]))?;
+    let tpdo = tpdos.and_then(|tpdos| tpdos.first().copied());
     if let Some((pdo, _)) = tpdo {
         pdo.set_transmission(bench, 254, TIMER_MS)?;
     }
@@ -134,6 +150,10 @@ fn services(bench: &mut Bench, command: Command, state: u8) -> Step {
     match state {
         STOPPED => bench.expect_silence(request)?,
         _ => drop(bench.ask(request)?),
+    }
+    if is_producer {
+        let is_there = !bench.collect(SYNC_SPAN, synchronization::COB_ID as u16)?.is_empty();
+        bench.check(is_there == (state != STOPPED), "SYNC, but not in NMT state stopped")?;
     }
     let Some((_, cob_id)) = tpdo else { return Ok(()) };
     let cob_id = cob_id as u16 & 0x7FF;

@@ -21,7 +21,7 @@ const CASES: &[Case] = &[
     Case::new("1010h keeps the overflow value", kept_overflow),
 ];
 
-const COB_ID: u32 = 0x80;
+pub const COB_ID: u32 = 0x80;
 /// Bit 30 of 1005h: the device produces SYNC.
 const PRODUCES: u32 = 1 << 30;
 /// 1006h, in microseconds.
@@ -43,24 +43,35 @@ fn set_period(bench: &mut Bench, us: u32) -> Step {
     bench.write((0x1006, 0), &us.to_le_bytes())
 }
 
+/// Sets the period 0, if there is one: then the counter overflow value can be changed.
+fn end_period(bench: &mut Bench) -> Step {
+    if bench.eds.get((0x1006, 0)).is_some() { set_period(bench, 0) } else { Ok(()) }
+}
+
 /// Makes the device a producer; the case is skipped if it cannot be one.
-fn produce(bench: &mut Bench, overflow: Option<u8>, us: u32) -> Step {
+pub fn produce(bench: &mut Bench) -> Step {
     bench.needs((0x1005, 0))?;
     bench.needs((0x1006, 0))?;
-    if let Some(overflow) = overflow {
-        bench.needs((0x1019, 0))?;
-        set_period(bench, 0)?;
-        bench.write((0x1019, 0), &[overflow])?;
-    }
-    set_period(bench, us)?;
+    set_period(bench, PERIOD_US)?;
     match bench.download((0x1005, 0), &(COB_ID | PRODUCES).to_le_bytes())? {
         Ok(()) => Ok(()),
-        Err(_) => bench.skip("the device only consumes SYNC: it refuses bit 30 of 1005h"),
+        Err(_) => {
+            set_period(bench, 0)?;
+            bench.skip("the device only consumes SYNC: it refuses bit 30 of 1005h")
+        }
     }
 }
 
+/// Makes the device a producer with this overflow value; the case is skipped if it cannot be one.
+fn produce_counted(bench: &mut Bench, overflow: u8) -> Step {
+    bench.needs((0x1019, 0))?;
+    end_period(bench)?;
+    bench.write((0x1019, 0), &[overflow])?;
+    produce(bench)
+}
+
 fn producer(bench: &mut Bench) -> Step {
-    produce(bench, None, PERIOD_US)?;
+    produce(bench)?;
     let count = bench.collect(ms(10_000), COB_ID as u16)?.len();
     bench.check((98..=102).contains(&count), "100 SYNCs in 10 s")?;
     set_cob_id(bench, 0)
@@ -85,14 +96,12 @@ fn every_tenth(bench: &mut Bench) -> Step {
 fn consumer(bench: &mut Bench) -> Step {
     bench.needs((0x1005, 0))?;
     set_cob_id(bench, 0)?;
-    match bench.eds.get((0x1006, 0)) {
-        Some(_) => set_period(bench, 0),
-        None => Ok(()),
-    }
+    end_period(bench)
 }
 
 fn wrong_overflow(bench: &mut Bench) -> Step {
     bench.needs((0x1019, 0))?;
+    end_period(bench)?;
     bench.refuses((0x1019, 0), &[1], WRONG_OVERFLOW)?;
     Ok(())
 }
@@ -106,13 +115,13 @@ fn counters(bench: &mut Bench, count: usize) -> Step<Vec<Vec<u8>>> {
 }
 
 fn no_counter(bench: &mut Bench) -> Step {
-    produce(bench, Some(0), PERIOD_US)?;
+    produce_counted(bench, 0)?;
     let counters = counters(bench, 3)?;
     bench.check(counters.iter().all(Vec::is_empty), "a SYNC without data")
 }
 
 fn counter(bench: &mut Bench) -> Step {
-    produce(bench, Some(5), PERIOD_US)?;
+    produce_counted(bench, 5)?;
     let counters = counters(bench, 10)?;
     let expected: Vec<Vec<u8>> = (1..=5).cycle().take(10).map(|counter| vec![counter]).collect();
     bench.check(counters == expected, "1, 2, 3, 4, 5, 1, and so on")
@@ -120,7 +129,7 @@ fn counter(bench: &mut Bench) -> Step {
 
 fn kept_counter(bench: &mut Bench) -> Step {
     bench.needs((0x1010, 1))?;
-    produce(bench, Some(5), PERIOD_US)?;
+    produce_counted(bench, 5)?;
     bench.write((0x1010, 1), b"save")?;
     bench.reset(Command::ResetNode)?;
     let counters = counters(bench, 3)?;
@@ -138,9 +147,7 @@ fn overflow_with_period(bench: &mut Bench) -> Step {
 fn kept_overflow(bench: &mut Bench) -> Step {
     bench.needs((0x1019, 0))?;
     bench.needs((0x1010, 1))?;
-    if bench.eds.get((0x1006, 0)).is_some() {
-        set_period(bench, 0)?;
-    }
+    end_period(bench)?;
     bench.write((0x1019, 0), &[5])?;
     bench.write((0x1010, 1), b"save")?;
     bench.reset(Command::ResetNode)?;

@@ -9,10 +9,12 @@ use canopen_node::Frame;
 use conformance::{APPLICATION_LAYER, Address, Bench, Broken, Line, Outcome, Report, eds::Eds, ms};
 
 const NODE: u8 = 5;
+const PRE_OPERATIONAL: u8 = 127;
+const STOPPED: u8 = 4;
 /// The objects with their data types and their defaults.
 const OBJECTS: [(Address, u8, u32); 9] = [
     ((0x1005, 0), 7, 0x80),
-    ((0x1006, 0), 7, 0),
+    ((0x1006, 0), 7, 5_000),
     ((0x100C, 0), 6, 0),
     ((0x100D, 0), 5, 0),
     ((0x1010, 1), 7, 1),
@@ -28,8 +30,11 @@ struct Device {
     now: Duration,
     objects: Objects,
     stored: Objects,
-    /// Breaks the rules of the services: no toggle, guarding beside the heartbeat, counters from 0 on.
+    /// Breaks the rules of the services: no toggle, guarding beside the heartbeat, counters from 0 on, and SYNC in NMT
+    /// state stopped.
     is_faulty: bool,
+    /// The NMT state, as in a heartbeat.
+    state: u8,
     toggle: u8,
     next_heartbeat: Duration,
     next_sync: Duration,
@@ -50,6 +55,7 @@ impl Device {
             objects: defaults(),
             stored: defaults(),
             is_faulty,
+            state: PRE_OPERATIONAL,
             toggle: 0,
             next_heartbeat: Duration::ZERO,
             next_sync: Duration::ZERO,
@@ -102,10 +108,11 @@ impl Device {
         let heartbeat = ms(self.value(0x1017).into());
         if !heartbeat.is_zero() && self.now >= self.next_heartbeat {
             self.next_heartbeat = self.now + heartbeat;
-            self.transmit(0x705, &[127]);
+            self.transmit(0x705, &[self.state]);
         }
         let period = Duration::from_micros(self.value(0x1006).into());
-        if self.value(0x1005) >> 30 == 1 && !period.is_zero() && self.now >= self.next_sync {
+        let produces = self.value(0x1005) >> 30 == 1 && (self.state != STOPPED || self.is_faulty);
+        if produces && !period.is_zero() && self.now >= self.next_sync {
             self.next_sync = self.now + period;
             self.counter = self.counter % self.value(0x1019).max(1) as u8 + 1;
             let counter = [self.counter - u8::from(self.is_faulty)];
@@ -126,7 +133,10 @@ impl Line for Device {
     fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
         match (frame.cob_id(), frame.data()) {
             (0x000, [0x81 | 0x82, _]) => self.reset(),
-            (0x605, request) => self.serve(request),
+            (0x000, [1, _]) => self.state = 5,
+            (0x000, [2, _]) => self.state = STOPPED,
+            (0x000, [0x80, _]) => self.state = PRE_OPERATIONAL,
+            (0x605, request) if self.state != STOPPED => self.serve(request),
             _ => {}
         }
         Ok(())
@@ -146,7 +156,7 @@ impl Line for Device {
 
     fn send_remote(&mut self, cob_id: u16, _: u8) -> Result<bool, Broken> {
         if cob_id == 0x705 && (self.value(0x1017) == 0 || self.is_faulty) {
-            self.transmit(0x705, &[127 | self.toggle]);
+            self.transmit(0x705, &[self.state | self.toggle]);
             self.toggle ^= if self.is_faulty { 0 } else { 0x80 };
             let life = self.value(0x100C) * self.value(0x100D);
             self.life_end = (life > 0).then(|| self.now + ms(life.into()));
@@ -165,7 +175,7 @@ fn not_passed(is_faulty: bool) -> Vec<String> {
     let mut device = Device::new(is_faulty);
     let mut bench = Bench::new(&mut device, &eds, NODE);
     let mut report = Report::new("device");
-    let wanted = ["Guarding", "Heartbeat versus", "Synchronization"].map(str::to_owned);
+    let wanted = ["Guarding", "Heartbeat versus", "Synchronization", "State"].map(str::to_owned);
     conformance::run(&mut bench, APPLICATION_LAYER, &wanted, &mut report, |_| ()).expect("a line");
     let others = report.findings.into_iter().filter(|finding| finding.outcome != Outcome::Passed);
     others.map(|finding| finding.number).collect()
@@ -187,6 +197,7 @@ fn a_device_that_breaks_their_rules_is_found() {
         "Guarding 03".into(),
         versus("05"),
         versus("07"),
+        "State 04".into(),
     ];
     assert_eq!(not_passed(true), expected);
 }
