@@ -21,13 +21,15 @@ const CASES: &[Case] = &[
     }),
     Case::new("1020h is stored, and cleared by a change of the configuration", configuration),
     Case::new("Restricted COB-IDs are refused", restricted).with_remark(
-        "The tool clears the flags of a COB-ID; this case keeps them, so that only the number \
-             can be refused.",
+        "The tool clears the flags of a COB-ID and writes it at once. This case keeps the flags and \
+         makes the service invalid first, so that only the number can be refused.",
     ),
 ];
 
 const STORE: u16 = 0x1010;
 const RESTORE: u16 = 0x1011;
+/// Bit 31 of the COB-ID of a service: the service does not exist.
+const INVALID: u32 = 1 << 31;
 
 /// Communication parameters that are not the defaults, as far as the data sheet lets them be written.
 fn changes(bench: &Bench) -> Vec<(Address, Vec<u8>)> {
@@ -62,6 +64,9 @@ fn needs(bench: &mut Bench, index: u16, sub_index: u8) -> Step {
     let abilities = bench.number((index, sub_index))?;
     if abilities & 1 == 0 {
         return bench.skip(format!("{} does nothing on command", name((index, sub_index))));
+    }
+    if index == STORE && abilities & 2 != 0 {
+        return bench.skip(format!("{} also stores without a command", name((index, sub_index))));
     }
     Ok(())
 }
@@ -162,9 +167,16 @@ fn restricted(bench: &mut Bench) -> Step {
         return bench.skip("the EDS has no COB-ID that can be written");
     }
     for address in addresses {
-        let before = bench.number(address)? as u32;
+        let mut before = bench.number(address)? as u32;
+        let has_valid_bit = !matches!(address.0, 0x1005 | 0x1012);
+        if has_valid_bit {
+            // The COB-ID of a valid service cannot be changed at all.
+            before |= INVALID;
+            bench.write(address, &before.to_le_bytes())?;
+        }
+        let flags = before & !0x7FF & if has_valid_bit { !INVALID } else { u32::MAX };
         for cob_id in restricted_cob_ids() {
-            let value = before & !0x7FF | cob_id;
+            let value = flags | cob_id;
             bench.refuses(
                 address,
                 &value.to_le_bytes(),

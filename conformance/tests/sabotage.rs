@@ -67,13 +67,23 @@ impl Line for Saboteur {
     }
 }
 
-/// Runs the cases that begin with one of `wanted`; returns the numbers of those that fail.
-fn failures(wanted: &[&str], to_node: Change, of_node: Change) -> Vec<String> {
+/// The data sheet of the node.
+fn right_sheet() -> String {
     let device = device(ADDRESS).with_defaults(defaults(NODE));
     let product = Product { file_name: "io.eds", vendor_name: "", description: "", device };
     let entries = Node::<Application, { io::TPDOS }, { io::RPDOS }, PRODUCERS>::entries(&device);
-    let sheet = DataSheet::new(product, entries, &Application::new()).eds();
-    let eds = Eds::parse(&sheet);
+    DataSheet::new(product, entries, &Application::new()).eds()
+}
+
+/// Runs the cases that begin with one of `wanted` by this data sheet; returns the numbers and the outcomes.
+fn outcomes(
+    sheet: &str,
+    wanted: &[&str],
+    to_node: Change,
+    of_node: Change,
+) -> Vec<(String, Outcome)> {
+    let device = device(ADDRESS).with_defaults(defaults(NODE));
+    let eds = Eds::parse(sheet);
     let rig = NodeRig::with_application(device, BoardFlash::blank(0), 0, Application::new());
     let mut line = Saboteur { rig, to_node, of_node, received: VecDeque::new() };
     let mut bench = Bench::new(&mut line, &eds, NODE);
@@ -81,9 +91,18 @@ fn failures(wanted: &[&str], to_node: Change, of_node: Change) -> Vec<String> {
     let wanted: Vec<_> = wanted.iter().map(|case| (*case).to_owned()).collect();
     // A device that never boots up ends the run early.
     let _ = conformance::run(&mut bench, APPLICATION_LAYER, &wanted, &mut report, |_| ());
-    let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
-    let failed = report.findings.into_iter().filter(|finding| failed(&finding.outcome));
-    failed.map(|finding| finding.number).collect()
+    report.findings.into_iter().map(|finding| (finding.number, finding.outcome)).collect()
+}
+
+/// The numbers of the cases that fail.
+fn failed(outcomes: Vec<(String, Outcome)>) -> Vec<String> {
+    let failed = outcomes.into_iter().filter(|(_, outcome)| matches!(outcome, Outcome::Failed(_)));
+    failed.map(|(number, _)| number).collect()
+}
+
+/// Runs the cases that begin with one of `wanted`; returns the numbers of those that fail.
+fn failures(wanted: &[&str], to_node: Change, of_node: Change) -> Vec<String> {
+    failed(outcomes(&right_sheet(), wanted, to_node, of_node))
 }
 
 fn unchanged(frame: Frame) -> Option<Frame> {
@@ -185,4 +204,26 @@ fn services_in_a_wrong_nmt_state_are_found() {
     };
     let expected = "PDO 10 11 12 13 14 16 17 18 19 20, State 2 4, Transition 2 3 4";
     assert_found(&[], start, unchanged, expected);
+}
+
+#[test]
+fn a_restricted_cob_id_that_is_taken_with_the_valid_bit_is_found() {
+    // From 780h on the node gets an allowed number.
+    let allowed: Change = |frame| match frame.data() {
+        [0x23, 0x00, 0x18, 1, 0x80..=0xFF, 7, _, 0..0x80] => with_byte(frame, 5, 3),
+        _ => Some(frame),
+    };
+    assert_found(&["Testing other 10"], allowed, unchanged, "Testing other 10");
+}
+
+#[test]
+fn the_cases_of_1010h_are_skipped_on_a_device_that_also_stores_by_itself() {
+    let by_itself: Change = |frame| match frame.data() {
+        [0x43, 0x10, 0x10, _, 1, ..] => with_byte(frame, 4, 3),
+        _ => Some(frame),
+    };
+    let outcomes = outcomes(&right_sheet(), &["Testing other"], unchanged, by_itself);
+    let skipped: Vec<bool> =
+        outcomes.iter().map(|(_, outcome)| matches!(outcome, Outcome::Skipped(_))).collect();
+    assert_eq!(skipped, [true, true, false, false, true, true, false, false, false, false]);
 }
