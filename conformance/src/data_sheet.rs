@@ -24,6 +24,7 @@ fn check(bench: &mut Bench) -> Step {
     }
     for entry in eds.entries() {
         value(entry, &mut faults);
+        default_mapping(eds, entry, &mut faults);
         if entry.is_mappable && entry.access == Access::ReadWrite {
             let (index, sub_index) = entry.address;
             bench.note(format!("{index:04X}h sub {sub_index} is mapped and rw: use rwr or rww"));
@@ -63,7 +64,7 @@ fn lists(eds: &Eds, faults: &mut Vec<String>) {
         ("OptionalObjects", |index| !(0x2000..0x6000).contains(&index)),
         ("ManufacturerObjects", |index| (0x2000..0x6000).contains(&index)),
     ] {
-        let count = eds.number(section, "SupportedObjects").unwrap_or(0);
+        let count = eds.number(section, "SupportedObjects").unwrap_or(0).min(0xFFFF);
         for place in 1..=count {
             match eds.number(section, &place.to_string()).map(u16::try_from) {
                 Some(Ok(index)) if is_its(index) => listed.push(index),
@@ -104,6 +105,22 @@ fn object(eds: &Eds, index: u16, faults: &mut Vec<String>) {
     let says = first.and_then(|entry| entry.default(1)).and_then(|bytes| bytes.first().copied());
     if !varies && says != highest {
         faults.push(format!("[{name}sub0] is {says:?}, but the highest sub-index {highest:?}"));
+    }
+}
+
+/// The entries of a mapping that count by default.
+fn default_mapping(eds: &Eds, entry: &Entry, faults: &mut Vec<String>) {
+    let (index, sub_index) = entry.address;
+    let is_rpdo = match index {
+        0x1600..=0x17FF => true,
+        0x1A00..=0x1BFF => false,
+        _ => return,
+    };
+    let count = eds.get((index, 0)).and_then(|count| count.number_default(1)).unwrap_or(0);
+    let default = entry.number_default(1).and_then(|default| u32::try_from(default).ok());
+    let (true, Some(default)) = ((1..=count).contains(&sub_index.into()), default) else { return };
+    if !eds.can_be_mapped(default, is_rpdo) {
+        faults.push(format!("[{index:04X}sub{sub_index:X}]: {default:08X}h cannot be mapped"));
     }
 }
 

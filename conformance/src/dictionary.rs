@@ -24,7 +24,8 @@ const CASES: &[Case] = &[
     .with_remark(DOMAIN),
     Case::new("Each value of manufacturer and profile is its default", |bench| {
         defaults(bench, 0x2000)
-    }),
+    })
+    .with_remark("The tool compares values with access ro and rw; this case also constant ones."),
     Case::new("Each value of manufacturer and profile takes what it holds", |bench| {
         access(bench, 0x2000, |entry| takes_its_value(entry) && entry.kind() != Kind::Domain)
     })

@@ -124,6 +124,25 @@ impl Eds {
         self.object(index).next().is_some()
     }
 
+    /// The numbers that map the dummies in use (CiA 301, 7.4.7.3).
+    pub fn dummies(&self) -> impl Iterator<Item = u32> {
+        let all = (1_u32..).zip([1, 8, 16, 32, 8, 16, 32]);
+        let is_used = |(index, _): &(u32, u32)| {
+            self.number("DummyUsage", &format!("Dummy{index:04X}")) == Some(1)
+        };
+        all.filter(is_used).map(|(index, bits)| index << 16 | bits)
+    }
+
+    /// Whether this number maps a whole value, or a dummy, in an RPDO or else in a TPDO.
+    pub fn can_be_mapped(&self, mapping: u32, is_rpdo: bool) -> bool {
+        let value = self.get(((mapping >> 16) as u16, (mapping >> 8) as u8));
+        let is_value = value.is_some_and(|value| {
+            let (receives, transmits) = value.pdo_directions();
+            value.mapping() == mapping && if is_rpdo { receives } else { transmits }
+        });
+        is_value || is_rpdo && self.dummies().any(|dummy| dummy == mapping)
+    }
+
     /// The indices of all objects.
     pub fn indices(&self) -> Vec<u16> {
         let mut all: Vec<u16> = self.entries.keys().map(|address| address.0).collect();
@@ -159,9 +178,9 @@ fn number(text: &str, node: u8) -> Option<i128> {
             }
             None => digits.parse().ok(),
         };
-        value.map(|value| sign * value)
+        value?.checked_mul(sign)
     };
-    text.split('+').map(part).sum()
+    text.split('+').try_fold(0_i128, |sum, summand| sum.checked_add(part(summand)?))
 }
 
 impl Entry {
@@ -247,18 +266,19 @@ impl Entry {
         self.flags & 1 == 1
     }
 
-    /// Whether the value may come in a RPDO, and whether it may go in a TPDO.
+    /// Whether the value may come in a RPDO, and whether it may go in a TPDO. One without a fixed length may not.
     pub fn pdo_directions(&self) -> (bool, bool) {
         use Access::*;
+        let is_mappable = self.is_mappable && self.size().is_some();
         let receives = matches!(self.access, ReadWrite | ReadWriteOutput | WriteOnly);
         let transmits = matches!(self.access, ReadWrite | ReadWriteInput | ReadOnly | Const);
-        (self.is_mappable && receives, self.is_mappable && transmits)
+        (is_mappable && receives, is_mappable && transmits)
     }
 
-    /// The number that maps the whole value in a PDO.
+    /// The number that maps the whole value in a PDO. A BOOLEAN has one bit there, and eight in an SDO.
     pub fn mapping(&self) -> u32 {
         let (index, sub_index) = self.address;
-        let bits = 8 * self.size().unwrap_or(0) as u32;
+        let bits = if self.data_type == 1 { 1 } else { 8 * self.size().unwrap_or(0) as u32 };
         u32::from(index) << 16 | u32::from(sub_index) << 8 | bits
     }
 
@@ -354,6 +374,13 @@ mod tests {
         assert_eq!(signed.range(), Some((-0x80_0000, 0x7F_FFFF)));
         assert_eq!(signed.pdo_directions(), (false, true));
         assert_eq!(signed.mapping(), 0x1018_0A18);
+    }
+
+    #[test]
+    fn a_sum_beyond_the_largest_number_is_none() {
+        assert_eq!(number("170141183460469231731687303715884105727", 1), Some(i128::MAX));
+        assert_eq!(number("170141183460469231731687303715884105727+1", 1), None);
+        assert_eq!(number("--170141183460469231731687303715884105728", 1), None);
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! The cases on a node in the process: all hold, and on a line that breaks a rule those that prove it fail.
+//! The cases on a node in the process: all hold, and with a line that breaks a rule, or with a wrong data sheet, those
+//! that prove it fail.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -9,6 +10,7 @@ use testkit::{
     eds::{DataSheet, Product},
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    random::Random,
 };
 
 const NODE: u8 = 0x40;
@@ -206,6 +208,45 @@ fn services_in_a_wrong_nmt_state_are_found() {
     assert_found(&[], start, unchanged, expected);
 }
 
+/// The abort of a download that the server has confirmed: the entries have too many bits.
+fn too_long(frame: Frame) -> Option<Frame> {
+    let mut data = frame.padded_data();
+    data[0] = 0x80;
+    data[4..].copy_from_slice(&0x0604_0042_u32.to_le_bytes());
+    Frame::new(frame.cob_id(), &data)
+}
+
+#[test]
+fn entries_of_more_than_64_bits_may_be_refused_at_the_entry_but_not_before_and_must_be_refused() {
+    // The third dummy of 32 bits, and the fifth value of 16 bits.
+    let at_the_entry: Change = |frame| match frame.data() {
+        [0x60, _, 0x16, 3, ..] | [0x60, _, 0x1A, 5, ..] => too_long(frame),
+        _ => Some(frame),
+    };
+    assert_eq!(failures(&["PDO 26"], unchanged, at_the_entry), [""; 0]);
+    let before: Change = |frame| match frame.data() {
+        [0x60, _, 0x16, 2, ..] => too_long(frame),
+        _ => Some(frame),
+    };
+    assert_found(&["PDO 26"], unchanged, before, "PDO 26");
+    let taken_by_rpdo: Change = |frame| match frame.data() {
+        [0x80, _, 0x16, 0, ..] => with_byte(frame, 0, 0x60),
+        _ => Some(frame),
+    };
+    assert_found(&["PDO 26"], unchanged, taken_by_rpdo, "PDO 26");
+}
+
+#[test]
+fn a_synchronous_tpdo_that_its_timer_sends_is_found() {
+    // A TPDO of type 254 with an event timer of 512 ms: one comes in each pause between two SYNCs.
+    let timer: Change = |frame| match frame.data() {
+        [0x2F, _, 0x18, 2, 0 | 1, ..] => with_byte(frame, 4, 254),
+        [0x2B, _, 0x18, 5, 0, 0, ..] => with_byte(frame, 5, 2),
+        _ => Some(frame),
+    };
+    assert_found(&["PDO"], timer, unchanged, "PDO 6 7 8");
+}
+
 #[test]
 fn a_restricted_cob_id_that_is_taken_with_the_valid_bit_is_found() {
     // From 780h on the node gets an allowed number.
@@ -226,4 +267,80 @@ fn the_cases_of_1010h_are_skipped_on_a_device_that_also_stores_by_itself() {
     let skipped: Vec<bool> =
         outcomes.iter().map(|(_, outcome)| matches!(outcome, Outcome::Skipped(_))).collect();
     assert_eq!(skipped, [true, true, false, false, true, true, false, false, false, false]);
+}
+
+/// The sheet with another value of a key, which its section has.
+fn with_key(sheet: &str, section: &str, key: &str, value: &str) -> String {
+    let (before, rest) = sheet.split_once(&format!("[{section}]")).expect("the section");
+    let (keys, after) = rest.split_once(&format!("{key}=")).expect("the key");
+    let (_, after) = after.split_once('\n').expect("a line");
+    format!("{before}[{section}]{keys}{key}={value}\n{after}")
+}
+
+#[test]
+fn a_data_sheet_that_is_not_that_of_the_device_is_found() {
+    for (section, key, value, expected) in [
+        ("1015", "DefaultValue", "7", &["OD 02", "State 01"][..]),
+        ("1A00sub1", "DefaultValue", "0x60000110", &["EDS checker", "PDO 21", "OD 02", "State 01"]),
+        ("6000sub1", "PDOMapping", "0", &["EDS checker", "PDO 21"]),
+        // A text, which has no fixed length.
+        ("2101sub3", "PDOMapping", "1", &["EDS checker"]),
+        // In a PDO a BOOLEAN has one bit.
+        ("6000sub1", "DataType", "0x0001", &["EDS checker", "PDO 21", "PDO 25"]),
+        ("DummyUsage", "Dummy0001", "1", &["PDO 33"]),
+        ("1600sub8", "DefaultValue", "0x620001FF", &["OD 02", "State 01"]),
+    ] {
+        let sheet = with_key(&right_sheet(), section, key, value);
+        let failed = failed(outcomes(&sheet, &[], unchanged, unchanged));
+        assert_eq!(failed, expected, "[{section}] {key}={value}");
+    }
+}
+
+#[test]
+fn no_data_sheet_makes_the_program_panic() {
+    const VALUES: [&str; 24] = [
+        "",
+        "0",
+        "1",
+        "3",
+        "255",
+        "-1",
+        "0xFF",
+        "0x0001",
+        "0x0008",
+        "0x0009",
+        "0x000F",
+        "0x0015",
+        "0x001B",
+        "0xFFFFFFFF",
+        "0x00070020",
+        "0x60000101",
+        "0x62000108",
+        "rw",
+        "ro",
+        "wo",
+        "rww",
+        "$NODEID+0x180",
+        "--170141183460469231731687303715884105728",
+        "170141183460469231731687303715884105727+1",
+    ];
+    let mut random = Random::from_environment();
+    let sheet = right_sheet();
+    for _ in 0..15 {
+        let mut lines: Vec<String> = sheet.lines().map(str::to_owned).collect();
+        for _ in 0..random.within(1..20) {
+            let line = random.within(0..lines.len() as u64) as usize;
+            let value = random.pick(&VALUES);
+            lines[line] = match lines[line].split_once('=') {
+                Some((key, _)) => format!("{key}={value}"),
+                // The highest sub-index of an object.
+                None => lines[line].replace("sub8]", "subFF]"),
+            };
+        }
+        let name = lines.iter().position(|line| line == "[1600sub8]");
+        if let (Some(line), true) = (name, random.one_in(2)) {
+            lines[line] = "[1600subFF]".into();
+        }
+        outcomes(&lines.join("\n"), &[], unchanged, unchanged);
+    }
 }

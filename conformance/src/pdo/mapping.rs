@@ -9,6 +9,8 @@ use crate::{
 };
 
 const BOTH: [Direction; 2] = [Direction::Receive, Direction::Transmit];
+/// The most entries of a mapping.
+const MOST_ENTRIES: u8 = 64;
 
 /// Against the procedure.
 const OUT_OF_ORDER: [u32; 3] = [UNSUPPORTED_ACCESS, CANNOT_BE_MAPPED, GENERAL];
@@ -26,8 +28,9 @@ impl Pdo {
 
     /// The mapping of the PDO: its entries that count.
     fn entries(self, bench: &mut Bench) -> Step<Vec<u32>> {
-        let count = bench.number((self.mapping, 0))? as u8;
-        (1..=count).map(|entry| Ok(bench.number((self.mapping, entry))? as u32)).collect()
+        let count = bench.number((self.mapping, 0))?;
+        bench.check(count <= MOST_ENTRIES.into(), format!("at most {MOST_ENTRIES} entries"))?;
+        (1..=count as u8).map(|entry| Ok(bench.number((self.mapping, entry))? as u32)).collect()
     }
 
     /// Writes entries, which must be taken, but not their number.
@@ -38,9 +41,27 @@ impl Pdo {
         Ok(())
     }
 
+    /// Writes the same entry at the first places, and then a number of entries. One of these writes must be refused: an
+    /// entry only if it passes 64 bits.
+    fn refuses_entries(self, bench: &mut Bench, entry: u32, places: u8, number: u8) -> Step {
+        let data = entry.to_le_bytes();
+        for place in 1..=places {
+            let address = (self.mapping, place);
+            if u32::from(place) * (entry & 0xFF) <= 64 {
+                bench.write(address, &data)?;
+            } else if let Err(code) = bench.download(address, &data)? {
+                let is_right = TOO_MUCH.contains(&code);
+                return bench.check(is_right, format!("{} refuses it as too much", name(address)));
+            }
+        }
+        bench.refuses((self.mapping, 0), &[number], &TOO_MUCH)?;
+        Ok(())
+    }
+
     /// The number of entries that the data sheet has room for.
     fn room(self, bench: &Bench) -> u8 {
-        bench.eds.object(self.mapping).map(|entry| entry.address.1).max().unwrap_or(0)
+        let places = bench.eds.object(self.mapping).map(|entry| entry.address.1);
+        places.filter(|place| *place <= MOST_ENTRIES).max().unwrap_or(0)
     }
 
     /// Whether the data sheet lets the mapping be changed.
@@ -59,30 +80,21 @@ fn dynamic(bench: &Bench, pdos: Vec<Pdo>) -> Step<Vec<Pdo>> {
     }
 }
 
-/// The bits of a dummy, if `entry` is one (CiA 301, 7.4.7.3).
-fn dummy_bits(entry: u32) -> Option<u32> {
-    let bits = match entry >> 16 {
-        1 | 2 | 5 => 8,
-        3 | 6 => 16,
-        4 | 7 => 32,
-        _ => return None,
-    };
-    Some(bits)
-}
-
 pub fn default_mapping(bench: &mut Bench) -> Step {
     for pdo in pdos(bench, &BOTH)? {
         let entries = pdo.entries(bench)?;
+        let numbers = std::iter::once(entries.len() as u32).chain(entries.iter().copied());
+        for (sub_index, number) in (0..=MOST_ENTRIES).zip(numbers) {
+            let address = (pdo.mapping, sub_index);
+            let default = bench.eds.get(address).and_then(|entry| entry.number_default(bench.node));
+            if let Some(default) = default {
+                let is_default = default == number.into();
+                bench.check(is_default, format!("{} is {default:X}h", name(address)))?;
+            }
+        }
         for entry in &entries {
-            let address = ((entry >> 16) as u16, (entry >> 8) as u8);
-            let is_dummy = dummy_bits(*entry).is_some() && pdo.direction == Direction::Receive;
-            let is_there = bench.eds.get(address).is_some_and(|value| {
-                let (receives, transmits) = value.pdo_directions();
-                let can_be = if pdo.direction == Direction::Receive { receives } else { transmits };
-                can_be && value.mapping() == *entry
-            });
             bench.check(
-                is_there || is_dummy,
+                bench.eds.can_be_mapped(*entry, pdo.direction == Direction::Receive),
                 format!("{entry:08X}h is a value that can be mapped"),
             )?;
         }
@@ -131,7 +143,9 @@ pub fn valid_pdo(bench: &mut Bench) -> Step {
     for pdo in dynamic(bench, valid)? {
         let entries = pdo.entries(bench)?;
         bench.refuses((pdo.mapping, 0), &[0], &OUT_OF_ORDER)?;
-        bench.refuses((pdo.mapping, 1), &entries[0].to_le_bytes(), &OUT_OF_ORDER)?;
+        if let Some(entry) = entries.first() {
+            bench.refuses((pdo.mapping, 1), &entry.to_le_bytes(), &OUT_OF_ORDER)?;
+        }
     }
     Ok(())
 }
@@ -158,44 +172,43 @@ fn is_of_kind(value: &Entry, kind: Kind, is_strict: bool) -> bool {
     }
 }
 
-/// The number that maps a value which can go with this PDO, of those with the fewest or the most bits.
-fn mappable(bench: &Bench, pdo: Pdo, is_longest: bool) -> Step<u32> {
+/// The numbers that map a value which can go with this PDO.
+fn mappable(bench: &Bench, pdo: Pdo) -> impl Iterator<Item = u32> {
     let kind = if pdo.direction == Direction::Receive { Kind::Output } else { Kind::Input };
-    let all =
-        bench.eds.entries().filter(|value| is_of_kind(value, kind, false)).map(Entry::mapping);
-    let bits = |entry: &u32| entry & 0xFF;
-    let found = if is_longest { all.max_by_key(bits) } else { all.min_by_key(bits) };
-    match found {
-        Some(entry) => Ok(entry),
-        None => bench.skip("the EDS has no value that can be mapped"),
-    }
+    bench.eds.entries().filter(move |value| is_of_kind(value, kind, false)).map(Entry::mapping)
+}
+
+fn bits(entry: &u32) -> u32 {
+    entry & 0xFF
 }
 
 pub fn too_many(bench: &mut Bench) -> Step {
+    let mut tried = false;
     let all = pdos(bench, &BOTH)?;
     for pdo in dynamic(bench, all)? {
+        let Some(entry) = mappable(bench, pdo).min_by_key(bits) else { continue };
+        tried = true;
         let room = pdo.room(bench);
-        let entry = mappable(bench, pdo, false)?;
         pdo.open_mapping(bench)?;
-        pdo.write_entries(bench, &vec![entry; (64 / (entry & 0xFF)).min(room.into()) as usize])?;
-        bench.refuses((pdo.mapping, 0), &[room + 1], &TOO_MUCH)?;
+        pdo.refuses_entries(bench, entry, room, room + 1)?;
     }
-    Ok(())
+    if tried { Ok(()) } else { bench.skip("the EDS has no value that can be mapped") }
 }
 
 pub fn too_long(bench: &mut Bench) -> Step {
     let mut tried = false;
     let all = pdos(bench, &BOTH)?;
     for pdo in dynamic(bench, all)? {
-        let entry = mappable(bench, pdo, true)?;
-        let count = 64 / (entry & 0xFF) + 1;
-        if count > pdo.room(bench).into() {
+        let dummies = bench.eds.dummies().filter(|_| pdo.direction == Direction::Receive);
+        // The last of the longest is found: a value rather than a dummy.
+        let Some(entry) = dummies.chain(mappable(bench, pdo)).max_by_key(bits) else { continue };
+        let count = (64 / bits(&entry) + 1) as u8;
+        if count > pdo.room(bench) {
             continue;
         }
         tried = true;
         pdo.open_mapping(bench)?;
-        pdo.write_entries(bench, &vec![entry; count as usize])?;
-        bench.refuses((pdo.mapping, 0), &[count as u8], &TOO_MUCH)?;
+        pdo.refuses_entries(bench, entry, count, count)?;
     }
     if tried { Ok(()) } else { bench.skip("the values that can be mapped never exceed 64 bits") }
 }
@@ -230,18 +243,14 @@ pub fn map(bench: &mut Bench, kind: Kind, direction: Direction) -> Step {
 pub fn dummy(bench: &mut Bench) -> Step {
     let all = pdos(bench, &[Direction::Receive])?;
     let dynamic = dynamic(bench, all)?;
-    let is_used = |index: &u32| {
-        bench.eds.number("DummyUsage", &format!("Dummy{index:04X}")).is_some_and(|used| used == 1)
-    };
-    let used: Vec<u32> = (1..=7).filter(is_used).collect();
+    let used: Vec<u32> = bench.eds.dummies().collect();
     if used.is_empty() {
         return bench.skip("[DummyUsage] of the EDS has none");
     }
     for pdo in dynamic {
-        for index in &used {
-            let entry = index << 16 | dummy_bits(index << 16).unwrap_or(0);
+        for entry in &used {
             pdo.open_mapping(bench)?;
-            pdo.write_entries(bench, &[entry])?;
+            pdo.write_entries(bench, &[*entry])?;
             bench.write((pdo.mapping, 0), &[1])?;
         }
     }
