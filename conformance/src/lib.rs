@@ -31,7 +31,7 @@
 //! ```
 //!
 //! [`lss::LSS`] lists the groups of CiA 305, which the certifier's tool does not test; they need the LSS addresses in
-//! [`Bench::lss`].
+//! `Bench::lss`.
 //!
 //! A line is a [`Line`]: the emulated bus in virtual time for `cargo verify conformance`, an adapter for `cargo hil`.
 
