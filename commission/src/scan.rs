@@ -57,6 +57,11 @@ fn sdo_answer(frame: &Frame) -> Option<u32> {
     }
 }
 
+/// Whether a board without a node-ID is there, although Fastscan has found none.
+pub fn is_anyone_without_fastscan(session: &mut Session<'_>) -> Result<bool, Failure> {
+    Ok(session.bus.probe(Request::IdentifyNonConfigured)?.is_some())
+}
+
 /// A request to which silence is an answer.
 struct Probe(Request);
 

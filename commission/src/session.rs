@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// The bit rate of new boards.
-const DEFAULT_RATE: BitRate = BitRate::Kbit125;
+pub const DEFAULT_RATE: BitRate = BitRate::Kbit125;
 
 /// The bus, and where the results go.
 pub struct Session<'a> {

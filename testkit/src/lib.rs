@@ -7,6 +7,7 @@ pub mod cargo;
 pub mod eds;
 #[cfg(feature = "image")]
 pub mod elf;
+pub mod emulated;
 #[cfg(feature = "image")]
 pub mod explain;
 pub mod flash;

@@ -58,6 +58,13 @@ pub fn assign(
         }
         session.bus.hold_interrupt(false);
     }
+    if new.is_empty() && scan::is_anyone_without_fastscan(session)? {
+        problems.push(
+            "a board without a node-ID does not answer to Fastscan: take all others without one off the bus and use \
+             `lss set-id ID --store`"
+                .into(),
+        );
+    }
     for (id, address) in &new {
         session.progress.say(|| format!("resetting node {}", id.get()));
         verify(session, *id, address)?;

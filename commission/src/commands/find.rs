@@ -5,7 +5,11 @@ use std::{collections::BTreeMap, time::Duration};
 use can_bus::explain::explain;
 use canopen_node::{BitRate, lss::Request};
 
-use crate::{failure::Failure, scan, session::Session};
+use crate::{
+    failure::Failure,
+    scan,
+    session::{DEFAULT_RATE, Session},
+};
 
 /// The wait for a frame on a bus where nodes send heartbeats, in general one a second.
 const HEARTBEAT: Duration = Duration::from_millis(1150);
@@ -33,8 +37,12 @@ pub fn find(session: &mut Session<'_>, expected: BitRate) -> Result<(), Failure>
     let rates: Vec<BitRate> = match session.bus.fixed_rate() {
         Some(rate) => vec![rate],
         None => {
-            let others = BitRate::ALL.into_iter().filter(|rate| *rate != expected);
-            [expected].into_iter().chain(others).collect()
+            // That of new boards first: some look for the network's bit rate, and could follow a question to a wrong one.
+            let first = [DEFAULT_RATE, expected];
+            let others = BitRate::ALL.into_iter().filter(|rate| !first.contains(rate));
+            let mut rates: Vec<BitRate> = first.into_iter().chain(others).collect();
+            rates.dedup();
+            rates
         }
     };
     let mut has_signals = false;

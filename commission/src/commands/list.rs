@@ -63,7 +63,18 @@ pub fn rows(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
         session.progress.say(|| format!("reading the identity of node {id}"));
         rows.extend(node(session, id, &serial_numbers)?);
     }
-    for address in scan::blank(session)? {
+    let blank = scan::blank(session)?;
+    if blank.is_empty() && scan::is_anyone_without_fastscan(session)? {
+        rows.push(Row {
+            node_id: None,
+            lss_address: None,
+            name: None,
+            version: None,
+            state: None,
+            is_duplicate: false,
+        });
+    }
+    for address in blank {
         // The scan may be wrong if answers are lost.
         session.carry_out(Select(address))?;
         let node_id = session.carry_out(InquireNodeId)?;

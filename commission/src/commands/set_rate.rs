@@ -76,8 +76,8 @@ fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
     for row in list::rows(session)? {
         let Some(address) = row.lss_address else {
             return Err(Failure::Refused(format!(
-                "node {} does not tell its LSS address: it cannot be switched with the others. Take it off the bus",
-                row.node_id.unwrap_or_default()
+                "{} does not tell its LSS address: it cannot be switched with the others. Take it off the bus",
+                row.node_id.map_or("a board without a node-ID".into(), |id| format!("node {id}"))
             )));
         };
         members.push(Member::new(address));

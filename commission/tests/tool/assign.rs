@@ -169,3 +169,18 @@ fn a_board_without_power_during_its_configuration_is_named() {
     boards.rig().network.run_for(Time::from_ms(100));
     assert_eq!(boards.lss("assign").code, 0);
 }
+
+#[test]
+fn a_board_without_fastscan_is_told_and_can_be_given_a_node_id() {
+    let boards = Boards::new(RATE, &[0xFF, 9]);
+    boards.unsupported.set(Some(0x51));
+    let outcome = boards.lss("assign");
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.contains("does not answer to Fastscan"), "{}", outcome.error);
+    let list = boards.lss("list");
+    assert!(list.text.contains("\nnone     -  "), "{}", list.text);
+    let outcome = boards.lss("set-rate 500");
+    assert!(outcome.error.starts_with("a board without a node-ID does not tell its LSS address"));
+    assert_eq!(boards.lss(&format!("set-id 5 --store --address {}", address_text(0))).code, 0);
+    assert_eq!(boards.lss("assign").text, "no board needs a node-ID\n");
+}

@@ -15,7 +15,12 @@ use can_bus::{
     bus::Bus,
     stop::Stop,
 };
-use canopen_node::{BitRate, Frame, NodeId, lss::Address, nmt, settings::Log};
+use canopen_node::{
+    BitRate, Frame, NodeId,
+    lss::{Address, REQUEST_COB_ID},
+    nmt,
+    settings::Log,
+};
 use clap::Parser;
 use commission::{Arguments, Session};
 use emulator::{Time, network::Network};
@@ -40,6 +45,8 @@ type Hook = Box<dyn FnMut(&Frame, &mut Network)>;
 pub struct Boards {
     rig: Rc<RefCell<ImageRig>>,
     hook: Rc<RefCell<Option<Hook>>>,
+    /// The LSS service that the boards do not support: requests with this command specifier are lost.
+    pub unsupported: Rc<Cell<Option<u8>>>,
     pub is_interrupted: Arc<AtomicBool>,
     known_errors: Rc<Cell<u64>>,
     start: Instant,
@@ -65,6 +72,7 @@ impl Boards {
         Self {
             rig: Rc::new(RefCell::new(rig)),
             hook: Rc::default(),
+            unsupported: Rc::default(),
             is_interrupted: Arc::default(),
             known_errors: Rc::default(),
             start: Instant::now(),
@@ -169,7 +177,13 @@ impl Adapter for Boards {
     fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         let mut rig = self.rig.borrow_mut();
         let master = rig.master;
-        rig.network.send(master, on_the_wire(frame));
+        let unsupported = self.unsupported.get();
+        if frame.cob_id() != REQUEST_COB_ID
+            || unsupported.is_none()
+            || frame.data().first() != unsupported.as_ref()
+        {
+            rig.network.send(master, on_the_wire(frame));
+        }
         if (frame.cob_id(), frame.data().first()) == (nmt::COMMAND_COB_ID, Some(&RESET_NODE)) {
             rig.network.permit_misuse();
         }

@@ -6,3 +6,4 @@ mod network;
 mod program;
 mod services;
 mod set_rate;
+mod slcan;

@@ -40,6 +40,14 @@ fn a_blank_board_is_found() {
 }
 
 #[test]
+fn blank_boards_do_not_follow_the_questions_to_another_bit_rate() {
+    let boards = Boards::new(RATE, &[0xFF, 0xFF]);
+    let outcome = boards.lss("find --bit-rate 500");
+    assert!(outcome.text.contains("the network runs at 125 kbit/s, and not at 500 kbit/s"));
+    assert_eq!(boards.lss("list").text.matches("none").count(), 2);
+}
+
+#[test]
 fn a_bus_without_a_board_has_its_words() {
     let outcome = Boards::new(RATE, &[]).lss("find");
     assert_eq!(outcome.code, 3);

@@ -14,12 +14,13 @@ use emulator::{
     chip::{Access, Width},
 };
 use testkit::{
+    emulated::Emulated,
     image::Firmware,
     image_rig::{ImageRig, board_with, settings},
 };
 
 use crate::{
-    emulated::{Emulated, new_folder},
+    folder::new_folder,
     lone::Program,
     proxy::{self, Fault},
     run::{self, Run},

@@ -2,12 +2,9 @@
 
 use std::fs;
 
-use testkit::cargo::workspace;
+use testkit::{cargo::workspace, emulated::Emulated};
 
-use crate::{
-    emulated::{Emulated, new_folder},
-    run,
-};
+use crate::{folder::new_folder, run};
 
 #[test]
 fn the_cases_of_a_conformance_test_run_over_an_adapter() {

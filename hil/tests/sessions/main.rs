@@ -2,7 +2,7 @@
 
 mod broken;
 mod conformance;
-mod emulated;
+mod folder;
 mod lone;
 mod proxy;
 mod run;

@@ -9,7 +9,7 @@ use std::{
 
 use serde_json::Value;
 
-use crate::emulated::new_folder;
+use crate::folder::new_folder;
 
 /// The outcome of a run.
 pub struct Run {

@@ -10,12 +10,13 @@ use std::{
 
 use canopen_node::settings::Log;
 use testkit::{
+    emulated::Emulated,
     flash::BoardFlash,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
 };
 
 use crate::{
-    emulated::{Emulated, new_folder},
+    folder::new_folder,
     lone::Program,
     proxy::{self, Fault},
     run::{self, Run},

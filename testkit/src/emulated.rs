@@ -1,17 +1,15 @@
 //! `cargo emulate` as a child process.
 
 use std::{
-    fs,
     io::{BufRead, BufReader, Write},
     net::SocketAddr,
-    path::{Path, PathBuf},
     process::{Child, Stdio},
     sync::mpsc,
     thread,
     time::Duration,
 };
 
-use testkit::cargo::cargo;
+use crate::cargo::cargo;
 
 /// The wait for the first line: the emulator and the firmware may have to be built.
 const BUILD: Duration = Duration::from_secs(1200);
@@ -51,7 +49,7 @@ impl Emulated {
         writeln!(console, "{command}").expect("it reads");
     }
 
-    /// The adapter of `cargo hil`.
+    /// The adapter, as on a command line.
     pub fn adapter(&self) -> String {
         format!("slcan:tcp:{}", self.address)
     }
@@ -63,13 +61,4 @@ impl Drop for Emulated {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
-}
-
-/// A new folder for a test.
-pub fn new_folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    // It exists if the test ran before.
-    let _ = fs::remove_dir_all(&path);
-    fs::create_dir_all(&path).expect("the folder can be made");
-    path
 }

@@ -1,0 +1,63 @@
+//! The program `lss` over SLCAN, with `cargo emulate` in real time.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+    thread,
+    time::Duration,
+};
+
+use testkit::emulated::Emulated;
+
+fn lss(boards: &Emulated, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lss"));
+    command.env("LSS_ADAPTER", boards.adapter()).args(arguments);
+    command
+}
+
+#[track_caller]
+fn text(output: &Output, code: i32) -> String {
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let (out, error) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "{out}{error}");
+    out
+}
+
+#[test]
+fn a_box_of_new_boards_becomes_a_running_network() {
+    let boards = Emulated::start(&["--boards", "2"]);
+    let run = |arguments: &[&str]| {
+        let output = lss(&boards, arguments).output().expect("it runs");
+        println!("{}", String::from_utf8_lossy(&output.stderr));
+        text(&output, 0)
+    };
+    let found = run(&["find", "--bit-rate", "500"]);
+    assert!(found.contains("the network runs at 125 kbit/s, and not at 500 kbit/s"), "{found}");
+    let assigned = run(&["assign"]);
+    assert_eq!(assigned.matches("stored, verified by a reset").count(), 2, "{assigned}");
+    let log = Path::new(env!("CARGO_TARGET_TMPDIR")).join("set-rate.log");
+    let switched = run(&["set-rate", "250", "--log", &log.to_string_lossy()]);
+    assert!(switched.ends_with("all 2 boards answer at 250 kbit/s and have stored it\n"));
+    let log = fs::read_to_string(log).expect("a log");
+    assert_eq!(log.matches(" can0 7E5#15").count(), 1, "{log}");
+    let listed = run(&["list", "--bit-rate", "250"]);
+    assert_eq!(listed.matches("LSS slave").count(), 2, "{listed}");
+}
+
+#[test]
+fn ctrl_c_ends_the_program_and_leaves_no_board_in_configuration_state() {
+    let boards = Emulated::start(&["--boards", "2", "--node-id", "5"]);
+    let arguments = ["list", "--explain"];
+    let child = lss(&boards, &arguments).stderr(std::process::Stdio::piped()).spawn();
+    let child = child.expect("it runs");
+    thread::sleep(Duration::from_millis(1500));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    assert!(killed.is_ok_and(|status| status.success()));
+    let output = child.wait_with_output().expect("it ends");
+    text(&output, 130);
+    let error = String::from_utf8_lossy(&output.stderr);
+    let last = error.lines().rfind(|line| line.contains("  7E5  "));
+    assert!(last.is_some_and(|line| line.ends_with("switch state global: waiting")), "{error}");
+    assert!(error.ends_with("error: interrupted\n"), "{error}");
+}
