@@ -154,6 +154,19 @@ impl fmt::Display for Place {
 }
 
 impl Place {
+    /// Whether it is an interface that the system has up, and whose bit rate is not named. To set its bit rate would
+    /// take it down.
+    pub fn is_up(&self) -> bool {
+        /// IFF_UP of Linux.
+        const UP: u32 = 1;
+        let Self::SocketCan { interface, fixed_rate: None } = self else { return false };
+        let flags = std::fs::read_to_string(format!("/sys/class/net/{interface}/flags"));
+        let flags = flags
+            .ok()
+            .and_then(|text| u32::from_str_radix(text.trim().trim_start_matches("0x"), 16).ok());
+        flags.is_some_and(|flags| flags & UP != 0)
+    }
+
     /// Connects to the adapter, which stays off the bus.
     pub fn connect(&self) -> Result<Box<dyn Adapter>, Stop> {
         Ok(match self {

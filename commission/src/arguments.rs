@@ -106,14 +106,16 @@ pub enum Command {
 /// The LSS addresses that are asked for. Numbers are decimal, or hexadecimal after 0x.
 #[derive(clap::Args)]
 pub struct Ranges {
+    /// The vendor-ID
     #[arg(long, value_name = "NUMBER", value_parser = address::number)]
     pub vendor: u32,
+    /// The product code
     #[arg(long, value_name = "NUMBER", value_parser = address::number)]
     pub product: u32,
-    /// FIRST..LAST or one number; by default all
+    /// Revision numbers: FIRST..LAST or one number; by default all
     #[arg(long, value_name = "RANGE", value_parser = address::range, default_value = "0..0xFFFFFFFF")]
     pub revision: RangeInclusive<u32>,
-    /// FIRST..LAST or one number; by default all
+    /// Serial numbers: FIRST..LAST or one number; by default all
     #[arg(long, value_name = "RANGE", value_parser = address::range, default_value = "0..0xFFFFFFFF")]
     pub serial: RangeInclusive<u32>,
     /// Print the LSS address of each board within the ranges, by ranges that are halved

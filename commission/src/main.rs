@@ -43,6 +43,12 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
         flag.store(true, Ordering::Relaxed);
     });
     handled.map_err(|error| Stop::Bench(format!("cannot wait for Ctrl-C: {error}")))?;
+    if place.is_up() {
+        let words = format!(
+            "{place} is up. {place}@125 uses it as it is, at 125 kbit/s; or take it down first, and `lss` sets its bit rate"
+        );
+        return Err(Stop::NoAdapter(words).into());
+    }
     let adapter = place.connect()?;
     let adapter = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain)?;
     let latency = Duration::from_millis(arguments.latency.into());

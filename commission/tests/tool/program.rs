@@ -33,6 +33,14 @@ fn a_missing_adapter_is_told() {
     assert_fails(&["inquire", "--adapter", &adapter], 4, "no adapter: slcan:tcp:127.0.0.1:");
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn an_interface_that_is_up_is_not_taken_down() {
+    let words = "socketcan:lo is up. socketcan:lo@125 uses it as it is";
+    assert_fails(&["list", "--adapter", "socketcan:lo"], 4, words);
+    assert_fails(&["list", "--adapter", "socketcan:lo@125"], 4, "it is no CAN interface");
+}
+
 #[test]
 fn the_completion_needs_no_adapter() {
     let output = lss(&["completion", "bash"]);

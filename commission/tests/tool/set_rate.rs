@@ -138,3 +138,43 @@ fn a_network_that_is_at_the_bit_rate_and_one_with_nobody_are_told() {
     assert_eq!(outcome.error, "125 kbit/s is the bit rate of the network already");
     assert_eq!(Boards::new(OLD, &[]).lss("set-rate 500").code, 3);
 }
+
+#[test]
+fn the_others_are_at_one_bit_rate_and_have_stored_it_whenever_a_board_is_pulled_out() {
+    // The LSS frames of a run without a fault from the first 13 on.
+    let frames = std::rc::Rc::new(std::cell::Cell::new((0, None)));
+    let seen = std::rc::Rc::clone(&frames);
+    let boards = Boards::new(OLD, &[1, 2, 3]);
+    boards.at_each_frame(move |frame, _| {
+        let (count, first) = seen.get();
+        let is_configure = frame.cob_id() == 0x7E5 && frame.data().first() == Some(&0x13);
+        seen.set((count + 1, first.or(is_configure.then_some(count))));
+    });
+    assert_eq!(boards.lss("set-rate 500").code, 0);
+    let (count, first) = frames.get();
+    let first = first.expect("a configuration");
+    assert!(count - first > 30, "{first} to {count}");
+
+    for pulled_at in first..count {
+        let boards = Boards::new(OLD, &[1, 2, 3]);
+        let mut number = 0;
+        boards.at_each_frame(move |_, network| {
+            if number == pulled_at {
+                network.cut_wire(Source::Board(1));
+            }
+            number += 1;
+        });
+        let outcome = boards.lss("set-rate 500");
+        boards.at_each_frame(|_, _| ());
+        let (rate, index) = if outcome.code == 0 { (NEW, NEW_INDEX) } else { (OLD, OLD_INDEX) };
+        for board in [0, 2] {
+            let stored = boards.stored(board).map(|(_, index)| index);
+            assert_eq!(stored, Some(index), "board {board}, pulled out at {pulled_at}");
+        }
+        boards.assert_waiting(rate);
+        let list = boards.lss(&format!("list --bit-rate {}", rate.kbit_per_s()));
+        for board in [0, 2] {
+            assert!(list.text.contains(&address_text(board)), "pulled out at {pulled_at}");
+        }
+    }
+}
