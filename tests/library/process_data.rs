@@ -266,7 +266,16 @@ fn an_object_that_cannot_be_mapped_is_refused() {
     let both =
         [0, 0x2100_0008, 0x1001_0008, 0x6000_0008, 0x6000_0408, 0x7000_0108, 0x6200_0108 + 1];
     let to_send = [0x0005_0008, 0x6200_0210, 0x6200_0320, 0x6000_0208, 0x6000_0110];
-    let to_receive = [0x6000_0108, 0x6000_0340, 0x0005_0010, 0x0005_0108, 0x0008_0008, 0x6200_0208];
+    let to_receive = [
+        0x6000_0108,
+        0x6000_0340,
+        0x0001_0001,
+        0x0001_0008,
+        0x0005_0010,
+        0x0005_0108,
+        0x0008_0008,
+        0x6200_0208,
+    ];
     for entry in both.into_iter().chain(to_send) {
         assert_eq!(mapping(&mut board, 0x1800, entry), Err(NOT_MAPPABLE), "TPDO {entry:08X}");
     }
@@ -276,7 +285,7 @@ fn an_object_that_cannot_be_mapped_is_refused() {
     for entry in [0x6000_0108, 0x6000_0340, 0x6200_0108] {
         assert_eq!(mapping(&mut board, 0x1800, entry), Ok(()), "TPDO {entry:08X}");
     }
-    for entry in [0x6200_0108, 0x6200_0210, 0x6200_0320, 0x0001_0008, 0x0007_0020] {
+    for entry in [0x6200_0108, 0x6200_0210, 0x6200_0320, 0x0002_0008, 0x0007_0020] {
         assert_eq!(mapping(&mut board, 0x1400, entry), Ok(()), "RPDO {entry:08X}");
     }
 }

@@ -27,9 +27,9 @@ pub(super) struct Mapping {
     mapped: [Option<&'static Entry>; MAX_MAPPED],
 }
 
-/// The objects whose bytes an RPDO leaves out (CiA 301, 7.4.7). Their index is that of their data type.
+/// The objects whose bytes an RPDO leaves out (CiA 301, 7.4.7). Their index is that of their data type. A BOOLEAN would
+/// be one bit, but a value has at least one byte.
 const DUMMIES: &[Entry] = &[
-    dummy(DataType::Boolean),
     dummy(DataType::Integer8),
     dummy(DataType::Integer16),
     dummy(DataType::Integer32),
