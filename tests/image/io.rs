@@ -171,6 +171,31 @@ fn the_temperature_is_sent_with_its_delta_and_its_event_timer() {
 }
 
 #[test]
+fn stored_deadlines_and_emergency_parameters_hold_after_a_power_cut() {
+    let mut rig = node_1();
+    // 1014h becomes 0FFh, by way of no COB-ID; then 1015h, 1006h, 1007h, 1400h sub 5, and 1010h sub 1.
+    let parameters = ["23 14 10 00 81 00 00 80", "23 14 10 00 FF 00 00 00", "2B 15 10 00 02 00"];
+    write(&mut rig, &parameters);
+    let deadlines = ["23 06 10 00 E8 03 00 00", "23 07 10 00 F4 01 00 00", "2B 00 14 05 32 00"];
+    write(&mut rig, &deadlines);
+    write(&mut rig, &["23 10 10 01 73 61 76 65"]);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["701: 00"]);
+    let stored = [(0x1014, 0xFF), (0x1015, 2), (0x1006, 1000), (0x1007, 500)];
+    assert_eq!(stored.map(|(index, _)| (index, read(&mut rig, index, 0))), stored);
+    assert_eq!(read(&mut rig, 0x1400, 5), 50);
+
+    rig.nmt("01 01");
+    rig.transmit(data(0x201, &[1]));
+    assert_eq!(of(0x0FF, &rig.collect(Time::from_ms(45))), SILENCE);
+    let late = of(0x0FF, &rig.collect(Time::from_ms(20)));
+    assert!(matches!(late.0[..], [late] if late.data()[..2] == [0x50, 0x82]), "{late:?}");
+    rig.transmit(data(0x201, &[1]));
+    let ended = of(0x0FF, &rig.collect(Time::from_ms(20)));
+    assert!(matches!(ended.0[..], [ended] if ended.data()[..2] == [0, 0]), "{ended:?}");
+}
+
+#[test]
 fn a_master_without_lss_gives_the_example_a_node_id_and_a_bit_rate() {
     let mut rig = ImageRig::new(BitRate::Kbit1000, [example_board(settings(1, BitRate::Kbit1000))]);
     rig.collect(SAMPLE);

@@ -2,7 +2,7 @@
 
 mod report;
 
-use std::{fs, io, path::Path};
+use std::{env, fs, io, path::Path, process::Command};
 
 use anyhow::{Context, ensure};
 use emulator::coverage::Record;
@@ -23,8 +23,8 @@ const SEED: &str = "7";
 
 /// Count the branches of the release image that its tests take
 ///
-/// Runs `cargo test --test image`, and the part of it that `cargo test --test image_io` runs with the example `io`. The
-/// emulator notes the outcome of each conditional branch, each condition of an IT block, each table branch and each
+/// Runs `cargo test --test image`, the part of it that `cargo test --test image_io` runs with the example `io`, and the
+/// cases of `cargo verify conformance`. The emulator notes the outcome of each conditional branch, each condition of an IT block, each table branch and each
 /// computed jump on every board with the firmware for the STM32F405, or with the example `io` for the STM32F407. A copy
 /// that the compiler has inlined counts as a branch of its own; dependencies and start-up code do not count. Fails if
 /// the share of outcomes that were taken is below the one that verify/src/coverage.rs states.
@@ -93,9 +93,18 @@ fn remove(directory: &Path) -> io::Result<()> {
     }
 }
 
-/// Runs the tests of the image with a record of the branches.
+/// Runs the tests of the image, and unless there is a filter the cases of conformance, with a record of the branches.
 fn test(directory: &Path, filter: &[String]) -> anyhow::Result<()> {
     let mut cargo = cargo();
     cargo.args(["test", "--test", "image", "--test", "image_io", "--"]).args(filter);
-    tool::run(cargo.env(COVERAGE, directory).env("SEED", SEED), "the tests of the image fail")
+    tool::run(cargo.env(COVERAGE, directory).env("SEED", SEED), "the tests of the image fail")?;
+    if !filter.is_empty() {
+        return Ok(());
+    }
+    for chapter in ["cia301", "lss"] {
+        let mut cases = Command::new(env::current_exe()?);
+        cases.args(["conformance", "--chapter", chapter]).env(COVERAGE, directory);
+        tool::run(&mut cases, "a case of conformance fails")?;
+    }
+    Ok(())
 }
