@@ -3,11 +3,10 @@
 use std::time::Duration;
 
 use canopen_node::Frame;
+pub use testkit::sdo_messages::Address;
+use testkit::sdo_messages::{expedited, initiate, segment};
 
 use crate::{Broken, Line, Step, eds::Eds, lss::Target};
-
-/// Index and sub-index.
-pub type Address = (u16, u8);
 
 /// The wait for an answer that must come. A store may erase a sector of flash first.
 const PATIENCE: Duration = ms(5_000);
@@ -324,7 +323,7 @@ impl<'a> Bench<'a> {
         }
         let mut data = Vec::new();
         for toggle in [0x00, 0x10].into_iter().cycle() {
-            let segment = self.ask(message(0x60 | toggle, &[]))?;
+            let segment = self.ask(segment(0x60 | toggle, &[]))?;
             if let Some(code) = abort_code(&segment) {
                 return Ok(Err(code));
             }
@@ -383,7 +382,7 @@ impl<'a> Bench<'a> {
             let part = &data[number * 7..data.len().min(number * 7 + 7)];
             let is_last = u8::from(number + 1 == count);
             let command = toggle | (7 - part.len() as u8) << 1 | is_last;
-            let answer = self.ask(message(command, part))?;
+            let answer = self.ask(segment(command, part))?;
             if let Some(code) = abort_code(&answer) {
                 return Ok(Err(code));
             }
@@ -434,24 +433,4 @@ pub fn abort_code(answer: &[u8; 8]) -> Option<u32> {
 fn codes(codes: &[u32]) -> String {
     let texts: Vec<_> = codes.iter().map(|code| format!("{code:08X}h")).collect();
     texts.join(" or ")
-}
-
-/// A message that begins a transfer.
-pub fn initiate(command: u8, (index, sub_index): Address, number: u32) -> [u8; 8] {
-    let ([i0, i1], [n0, n1, n2, n3]) = (index.to_le_bytes(), number.to_le_bytes());
-    [command, i0, i1, sub_index, n0, n1, n2, n3]
-}
-
-/// An expedited download of one to four bytes.
-pub fn expedited(address: Address, data: &[u8]) -> [u8; 8] {
-    let mut message = initiate(0x23 | (4 - data.len() as u8) << 2, address, 0);
-    message[4..][..data.len()].copy_from_slice(data);
-    message
-}
-
-/// A message without an object.
-pub fn message(command: u8, data: &[u8]) -> [u8; 8] {
-    let mut message = [command, 0, 0, 0, 0, 0, 0, 0];
-    message[1..][..data.len()].copy_from_slice(data);
-    message
 }

@@ -1,8 +1,10 @@
 //! OD 01..09: every value of the data sheet, by SDO (CiA 301, 7.4; CiA 306).
 
+use testkit::sdo_messages::initiate;
+
 use crate::{
     Bench, Case, Group, Step, abort,
-    bench::{hex, initiate, name},
+    bench::{hex, name},
     eds::{Entry, Kind},
 };
 

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+pub use canopen_node::object_dictionary::Access;
+
 use crate::bench::Address;
 
 /// The keys of a section with their values, by name in lower case.
@@ -15,19 +17,6 @@ pub struct Eds {
     entries: BTreeMap<Address, Entry>,
     /// What cannot be read, in words.
     pub faults: Vec<String>,
-}
-
-/// Who may read and write a value (CiA 306, `AccessType`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    Const,
-    ReadOnly,
-    ReadWrite,
-    /// Read and write; in a PDO it is read.
-    ReadWriteInput,
-    /// Read and write; in a PDO it is written.
-    ReadWriteOutput,
-    WriteOnly,
 }
 
 /// The data types of CiA 301 by what their values are.

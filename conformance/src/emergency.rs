@@ -1,6 +1,7 @@
 //! Emergency 01..06: emergency messages and their history (CiA 301, 7.2.7).
 
 use canopen_node::Frame;
+use testkit::sdo_messages::initiate;
 
 use crate::{
     Bench, Case, Command, Group, Step, abort, ms,
@@ -43,7 +44,7 @@ fn no_history(bench: &mut Bench) -> Step {
     bench.needs((0x1003, 0))?;
     let count = bench.number((0x1003, 0))?;
     bench.check(count == 0, "1003h sub 0 is 0")?;
-    bench.expect_abort(crate::bench::initiate(0x40, (0x1003, 1), 0), EMPTY)?;
+    bench.expect_abort(initiate(0x40, (0x1003, 1), 0), EMPTY)?;
     Ok(())
 }
 
@@ -83,7 +84,7 @@ fn register_after_message(bench: &mut Bench) -> Step {
     let Some(last) = messages.last() else { return bench.fail("an emergency message") };
     let expected = last.padded_data()[2];
     let register = bench.number((0x1001, 0))?;
-    bench.check(register == expected.into(), format!("1001h is {expected:02X}h"))
+    bench.check(register == u64::from(expected), format!("1001h is {expected:02X}h"))
 }
 
 fn history(bench: &mut Bench) -> Step {

@@ -111,7 +111,7 @@ fn write(bench: &mut Bench) -> Step {
     begin(bench)?;
     set_guarding(bench, GUARD_TIME_MS)?;
     let time = bench.number((0x100C, 0))?;
-    bench.check(time == GUARD_TIME_MS.into(), "100Ch has its new value")
+    bench.check(time == u64::from(GUARD_TIME_MS), "100Ch has its new value")
 }
 
 fn life_guarding(bench: &mut Bench) -> Step {

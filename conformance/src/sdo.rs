@@ -1,9 +1,14 @@
 //! SDO 01..30: the SDO server (CiA 301, 7.2.4), by raw messages.
 
+use testkit::{
+    sdo::crc,
+    sdo_messages::{initiate, segment},
+};
+
 use crate::abort::*;
 use crate::{
     Address, Bench, Case, Command, Group, Step,
-    bench::{abort_code, initiate, message, name},
+    bench::{abort_code, name},
     eds::{Entry, Kind},
 };
 
@@ -221,7 +226,7 @@ fn wrong_toggle(bench: &mut Bench) -> Step {
     let answer = bench.ask(initiate(0x40, address, 0))?;
     bench.check(matches!(answer[0], 0x40 | 0x41), "40 or 41: segments follow")?;
     // The first segment has toggle bit 0.
-    bench.expect_abort(message(0x70, &[]), &[WRONG_TOGGLE])?;
+    bench.expect_abort(segment(0x70, &[]), &[WRONG_TOGGLE])?;
     Ok(())
 }
 
@@ -247,7 +252,7 @@ fn block_upload(bench: &mut Bench, address: Address, has_crc: bool) -> Step<Vec<
     bench.check(is_upload, "C0, C2, C4 or C6: the answer to a block upload")?;
     let server_has_crc = answer[0] & 4 != 0;
     let mut data = Vec::new();
-    bench.say(message(0xA3, &[]))?;
+    bench.say(segment(0xA3, &[]))?;
     loop {
         let mut count = 0;
         let is_last = loop {
@@ -260,7 +265,7 @@ fn block_upload(bench: &mut Bench, address: Address, has_crc: bool) -> Step<Vec<
                 break is_last;
             }
         };
-        bench.say(message(0xA2, &[count, BLOCK_SIZE]))?;
+        bench.say(segment(0xA2, &[count, BLOCK_SIZE]))?;
         if is_last {
             break;
         }
@@ -274,7 +279,7 @@ fn block_upload(bench: &mut Bench, address: Address, has_crc: bool) -> Step<Vec<
     let expected = if has_crc && server_has_crc { crc(&data) } else { 0 };
     let is_right = u16::from_le_bytes([end[1], end[2]]) == expected;
     bench.check(is_right, format!("the CRC {expected:04X}h"))?;
-    bench.say(message(0xA1, &[]))?;
+    bench.say(segment(0xA1, &[]))?;
     let size = u32::from_le_bytes([answer[4], answer[5], answer[6], answer[7]]);
     let is_right = answer[0] & 2 == 0 || size as usize == data.len();
     bench.check(is_right, format!("{size} bytes, as the server said"))?;
@@ -304,11 +309,11 @@ fn block_download(bench: &mut Bench, address: Address, has_crc: bool) -> Step {
     }
     let is_download = matches!(answer[0], 0xA0 | 0xA4) && answer[1..4] == begin[1..4];
     bench.check(is_download && answer[4] > 0, "A0 or A4 and a block size")?;
-    let answer = bench.ask(message(0x81, &data))?;
+    let answer = bench.ask(segment(0x81, &data))?;
     bench.check(answer[..2] == [0xA2, 1], "A2 01: the block is confirmed")?;
     let check = if has_crc { crc(&data).to_le_bytes() } else { [0, 0] };
     // Five bytes of the last segment are unused.
-    let answer = bench.ask(message(0xC1 | 5 << 2, &check))?;
+    let answer = bench.ask(segment(0xC1 | 5 << 2, &check))?;
     bench.check(answer[0] == 0xA1, "A1: the transfer is complete")?;
     let time = bench.read(address)?;
     bench.check(time == data, "the new value")
@@ -325,10 +330,10 @@ fn wrong_sequence_number(bench: &mut Bench) -> Step {
     if abort_code(&answer) == Some(UNKNOWN_COMMAND) {
         return bench.skip("the device has no block transfer");
     }
-    let segment = bench.ask(message(0xA3, &[]))?;
-    bench.check(segment[0] == 0x81, "81: the only segment")?;
+    let only = bench.ask(segment(0xA3, &[]))?;
+    bench.check(only[0] == 0x81, "81: the only segment")?;
     let accepted = [UNKNOWN_COMMAND, WRONG_SEQUENCE_NUMBER, GENERAL];
-    bench.expect_abort(message(0xA2, &[128, BLOCK_SIZE]), &accepted)?;
+    bench.expect_abort(segment(0xA2, &[128, BLOCK_SIZE]), &accepted)?;
     Ok(())
 }
 
@@ -367,18 +372,4 @@ fn restored_channels(bench: &mut Bench, indices: std::ops::Range<u16>, is_saved:
         bench.check(after == expected, format!("{expected:08X}h after reset communication"))?;
     }
     Ok(())
-}
-
-/// The CRC of block transfer (CiA 301, 7.2.4.3.16).
-fn crc(data: &[u8]) -> u16 {
-    let bits = data.iter().flat_map(|byte| (0..8).rev().map(move |bit| u16::from(byte >> bit & 1)));
-    bits.fold(0, |crc, bit| crc << 1 ^ if crc >> 15 ^ bit == 1 { 0x1021 } else { 0 })
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn the_crc_of_the_digits_is_the_usual_check_value() {
-        assert_eq!(super::crc(b"123456789"), 0x31C3);
-    }
 }

@@ -2,9 +2,11 @@
 
 use std::time::Duration;
 
+use testkit::sdo_messages::initiate;
+
 use crate::{
     Bench, Case, Command, Group, Step,
-    bench::{hex, initiate, name},
+    bench::{hex, name},
     eds::Entry,
     heartbeat::{check_state, set_producer},
     ms,

@@ -32,7 +32,7 @@ const WRONG_OVERFLOW: &[u32] =
 fn default_cob_id(bench: &mut Bench) -> Step {
     bench.needs((0x1005, 0))?;
     let cob_id = bench.number((0x1005, 0))?;
-    bench.check(cob_id & 0x1FFF_FFFF == COB_ID.into(), "the COB-ID 80h")
+    bench.check(cob_id & 0x1FFF_FFFF == u64::from(COB_ID), "the COB-ID 80h")
 }
 
 fn set_cob_id(bench: &mut Bench, flags: u32) -> Step {

@@ -268,3 +268,11 @@ pub fn crc(data: &[u8]) -> u16 {
     }
     crc
 }
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_crc_of_the_digits_is_the_usual_check_value() {
+        assert_eq!(super::crc(b"123456789"), 0x31C3);
+    }
+}

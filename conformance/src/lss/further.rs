@@ -198,7 +198,7 @@ fn identify_order(bench: &mut Bench) -> Step {
 
 /// Fails if the answer takes more than `limit` ms, besides the frames themselves.
 fn measure(bench: &mut Bench, request: &[u8], limit: u64) -> Step {
-    let frames = ms(270) / bench.lss.rate.kbit_per_s().into();
+    let frames = ms(270) / u32::from(bench.lss.rate.kbit_per_s());
     bench.pass(ms(5))?;
     let begin = bench.now();
     bench.request_at_once(request)?;
