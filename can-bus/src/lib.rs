@@ -1,10 +1,11 @@
-//! What programs with a CAN adapter share: SLCAN and SocketCAN, the bus as an LSS master sees it, an SDO client, and
-//! frames in words.
+//! What programs with a CAN adapter share: SLCAN and SocketCAN, the bus as an LSS master sees it, an SDO client,
+//! frames in words, and electronic data sheets.
 
 #[cfg(feature = "adapters")]
 pub mod adapter;
 #[cfg(feature = "adapters")]
 pub mod bus;
+pub mod eds;
 pub mod explain;
 #[cfg(feature = "adapters")]
 pub mod sdo;

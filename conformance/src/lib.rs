@@ -39,7 +39,6 @@ mod abort;
 mod bench;
 mod data_sheet;
 mod dictionary;
-pub mod eds;
 mod emergency;
 mod guarding;
 mod heartbeat;
@@ -51,6 +50,8 @@ mod report;
 mod sdo;
 mod states;
 mod synchronization;
+
+pub use can_bus::eds;
 
 pub use bench::{Address, Bench, Command, Seen, Stop, ms};
 pub use line::{Broken, Line};

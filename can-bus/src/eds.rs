@@ -1,10 +1,11 @@
-//! A reader of electronic data sheets (CiA 306), as tolerant as other programs' are.
+//! A reader of electronic data sheets and of device configuration files (CiA 306), as tolerant as other programs' are.
 
 use std::collections::BTreeMap;
 
 pub use canopen_node::object_dictionary::Access;
 
-use crate::bench::Address;
+/// Index and sub-index.
+pub type Address = (u16, u8);
 
 /// The keys of a section with their values, by name in lower case.
 pub type Section = BTreeMap<String, String>;
@@ -44,6 +45,8 @@ pub struct Entry {
     default: Option<String>,
     low: Option<String>,
     high: Option<String>,
+    /// The value that a device configuration file gives to one device, as it stands there.
+    pub value: Option<String>,
 }
 
 impl Eds {
@@ -80,13 +83,61 @@ impl Eds {
             if section.contains_key("subnumber") && section.get("datatype").is_none() {
                 continue;
             }
-            match Entry::read(address, section) {
-                Ok(entry) => {
+            let entry = match Entry::read(address, section) {
+                Ok(entry) => entry,
+                Err(fault) => {
+                    self.faults.push(format!("[{name}]: {fault}"));
+                    continue;
+                }
+            };
+            match self.number(name, "CompactSubObj") {
+                Some(count @ 1..=254) => {
+                    let elements = self.compact(name, &entry, count as u8);
+                    self.entries.extend(elements.map(|entry| (entry.address, entry)));
+                }
+                _ => {
                     self.entries.insert(address, entry);
                 }
-                Err(fault) => self.faults.push(format!("[{name}]: {fault}")),
             }
         }
+    }
+
+    /// The values of an object whose elements share one section (CiA 306, CompactSubObj). Names and values that are not
+    /// the same for all have sections of their own.
+    fn compact(
+        &self,
+        section: &str,
+        of_all: &Entry,
+        count: u8,
+    ) -> impl Iterator<Item = Entry> + use<> {
+        let of_each = |kind: &str| self.section(&format!("{section}{kind}")).cloned();
+        let (names, values) = (of_each("Name"), of_each("Value"));
+        let text = |of_each: &Option<Section>, number: u8| {
+            of_each.as_ref()?.get(&number.to_string()).filter(|text| !text.is_empty()).cloned()
+        };
+        let (index, _) = of_all.address;
+        let number_of_elements = Entry {
+            address: (index, 0),
+            name: "NrOfObjects".into(),
+            object_type: 7,
+            data_type: 5,
+            access: Access::ReadOnly,
+            is_mappable: false,
+            flags: 0,
+            default: Some(count.to_string()),
+            low: None,
+            high: None,
+            value: None,
+        };
+        let of_all = of_all.clone();
+        let elements = (1..=count).map(move |number| Entry {
+            address: (index, number),
+            name: text(&names, number).unwrap_or_else(|| format!("{}{number}", of_all.name)),
+            object_type: 7,
+            value: text(&values, number).or_else(|| of_all.value.clone()),
+            ..of_all.clone()
+        });
+        [number_of_elements].into_iter().chain(elements)
     }
 
     /// A section by its name, whatever its case.
@@ -130,6 +181,23 @@ impl Eds {
             value.mapping() == mapping && if is_rpdo { receives } else { transmits }
         });
         is_value || is_rpdo && self.dummies().any(|dummy| dummy == mapping)
+    }
+
+    /// The name of a value, with that of its object if it is one of several: `Identity object.Vendor-ID`.
+    pub fn name(&self, entry: &Entry) -> String {
+        let object = self.section(&format!("{:04x}", entry.address.0));
+        let is_one_of_several = object.is_some_and(|section| {
+            section.contains_key("subnumber") || section.contains_key("compactsubobj")
+        });
+        match object.and_then(|section| section.get("parametername")) {
+            Some(object) if is_one_of_several => format!("{object}.{}", entry.name),
+            _ => entry.name.clone(),
+        }
+    }
+
+    /// The values with this name, with or without that of their object.
+    pub fn with_name(&self, name: &str) -> Vec<&Entry> {
+        self.entries().filter(|entry| entry.name == name || self.name(entry) == name).collect()
     }
 
     /// The indices of all objects.
@@ -201,6 +269,7 @@ impl Entry {
             default: text("defaultvalue"),
             low: text("lowlimit"),
             high: text("highlimit"),
+            value: text("parametervalue"),
         };
         match entry.shape() {
             Some(_) => Ok(entry),
@@ -273,7 +342,7 @@ impl Entry {
 
     /// The value of a new device with this node-ID, as on the bus.
     pub fn default(&self, node: u8) -> Option<Vec<u8>> {
-        self.bytes(self.default.as_deref()?, node)
+        self.parse(self.default.as_deref()?, node)
     }
 
     /// The default, if it is a number.
@@ -283,7 +352,7 @@ impl Entry {
 
     /// Whether there is a default that is not in the notation of its type.
     pub fn has_bad_default(&self) -> bool {
-        self.default.as_deref().is_some_and(|text| self.bytes(text, 1).is_none())
+        self.default.as_deref().is_some_and(|text| self.parse(text, 1).is_none())
     }
 
     /// The lowest value, if it is a number.
@@ -306,12 +375,103 @@ impl Entry {
         }
     }
 
+    /// The name of the data type.
+    pub fn type_name(&self) -> String {
+        let bits = self.shape().map_or(0, |shape| shape.1);
+        match self.kind() {
+            Kind::Unsigned if self.data_type == 1 => "BOOLEAN".into(),
+            Kind::Unsigned => format!("UNSIGNED{bits}"),
+            Kind::Integer => format!("INTEGER{bits}"),
+            Kind::Real => format!("REAL{bits}"),
+            Kind::Text => "VISIBLE_STRING".into(),
+            Kind::Octets => "OCTET_STRING".into(),
+            Kind::Domain => "DOMAIN".into(),
+        }
+    }
+
+    /// The limits in words if these bytes are beyond them.
+    pub fn beyond(&self, bytes: &[u8], node: u8) -> Option<String> {
+        let is_beyond = match self.kind() {
+            Kind::Real => {
+                let limit = |text: &Option<String>| self.real(&self.parse(text.as_deref()?, node)?);
+                let value = self.real(bytes)?;
+                limit(&self.low).is_some_and(|low| value < low)
+                    || limit(&self.high).is_some_and(|high| value > high)
+            }
+            _ => {
+                let value = self.value_of(bytes)?;
+                self.low(node).is_some_and(|low| value < low)
+                    || self.high(node).is_some_and(|high| value > high)
+            }
+        };
+        let limit = |text: &Option<String>| text.clone().unwrap_or_else(|| "any".into());
+        is_beyond.then(|| format!("{} to {}", limit(&self.low), limit(&self.high)))
+    }
+
+    /// The number in bytes from the bus, if they are of its length.
+    fn value_of(&self, bytes: &[u8]) -> Option<i128> {
+        let size = self.size().filter(|size| *size == bytes.len() && self.is_number())?;
+        let value = bytes.iter().rev().fold(0_i128, |value, byte| value << 8 | i128::from(*byte));
+        let is_negative = self.kind() == Kind::Integer && value >> (8 * size - 1) == 1;
+        Some(if is_negative { value - (1 << (8 * size)) } else { value })
+    }
+
+    /// The same for a REAL.
+    fn real(&self, bytes: &[u8]) -> Option<f64> {
+        match bytes.len() {
+            _ if self.kind() != Kind::Real => None,
+            4 => Some(f32::from_le_bytes(bytes.try_into().ok()?).into()),
+            8 => Some(f64::from_le_bytes(bytes.try_into().ok()?)),
+            _ => None,
+        }
+    }
+
+    /// Bytes from the bus for a person. COB-IDs, identities and mappings are easier to read in hexadecimal.
+    pub fn text(&self, bytes: &[u8]) -> String {
+        let is_communication = self.address.0 < 0x2000;
+        match self.kind() {
+            Kind::Text => {
+                let text = String::from_utf8_lossy(bytes);
+                format!("{:?}", text.trim_end_matches('\0'))
+            }
+            // Without the digits that a REAL32 does not have.
+            Kind::Real if let Ok(bytes) = bytes.try_into() => f32::from_le_bytes(bytes).to_string(),
+            Kind::Real if let Some(value) = self.real(bytes) => value.to_string(),
+            _ => match self.value_of(bytes) {
+                Some(value) if self.data_type == 7 && is_communication => format!("0x{value:08X}"),
+                Some(value) => value.to_string(),
+                None => bytes.iter().map(|byte| format!("{byte:02X}")).collect(),
+            },
+        }
+    }
+
+    /// Bytes from the bus in the notation of a device configuration file; `None` if the file cannot hold them. A REAL is
+    /// its bits: not every program reads decimals there.
+    pub fn notation(&self, bytes: &[u8]) -> Option<String> {
+        match self.kind() {
+            Kind::Text => {
+                let text = str::from_utf8(bytes).ok()?.trim_end_matches('\0');
+                let is_printable = text.chars().all(|c| c == ' ' || c.is_ascii_graphic());
+                (is_printable && text.trim() == text).then(|| text.to_owned())
+            }
+            Kind::Real => {
+                let size = self.size().filter(|size| *size == bytes.len())?;
+                let digits = bytes.iter().rev().map(|byte| format!("{byte:02X}"));
+                (size > 0).then(|| format!("0x{}", digits.collect::<String>()))
+            }
+            Kind::Domain => None,
+            _ => Some(self.text(bytes)),
+        }
+    }
+
     /// A number as on the bus, shortened to the type.
     pub fn of_number(&self, value: i128) -> Vec<u8> {
         value.to_le_bytes()[..self.size().unwrap_or(0)].to_vec()
     }
 
-    fn bytes(&self, text: &str, node: u8) -> Option<Vec<u8>> {
+    /// A value in the notation of CiA 306 as it is on the bus of the node with this node-ID; `None` if it is not of this
+    /// type.
+    pub fn parse(&self, text: &str, node: u8) -> Option<Vec<u8>> {
         let length = self.size();
         match self.kind() {
             Kind::Unsigned | Kind::Integer => {
@@ -370,6 +530,54 @@ mod tests {
         assert_eq!(number("170141183460469231731687303715884105727", 1), Some(i128::MAX));
         assert_eq!(number("170141183460469231731687303715884105727+1", 1), None);
         assert_eq!(number("--170141183460469231731687303715884105728", 1), None);
+    }
+
+    #[test]
+    fn the_elements_of_an_array_may_share_one_section() {
+        let eds = Eds::parse(
+            "[1003]\nParameterName=Errors\nObjectType=8\nDataType=7\nAccessType=rw\nCompactSubObj=3\n\
+             DefaultValue=5\n[1003Name]\nNrOfEntries=1\n2=Second\n[1003Value]\nNrOfEntries=1\n3=9\n",
+        );
+        assert!(eds.faults.is_empty(), "{:?}", eds.faults);
+        let all: Vec<_> = eds.entries().map(|entry| (eds.name(entry), &entry.value)).collect();
+        let nine = Some("9".to_owned());
+        let expected = [
+            ("Errors.NrOfObjects", &None),
+            ("Errors.Errors1", &None),
+            ("Errors.Second", &None),
+            ("Errors.Errors3", &nine),
+        ];
+        assert_eq!(all, expected.map(|(name, value)| (name.to_owned(), value)));
+        assert_eq!(eds.get((0x1003, 0)).unwrap().default(1), Some(vec![3]));
+        assert_eq!(eds.get((0x1003, 3)).unwrap().default(1), Some(vec![5, 0, 0, 0]));
+        assert_eq!(eds.with_name("Second").len(), 1);
+        assert_eq!(eds.with_name("Errors.Second").len(), 1);
+    }
+
+    #[test]
+    fn a_value_is_written_as_it_is_read_and_its_limits_are_known() {
+        let entry = |data_type: u8, limits: &str| {
+            let sheet =
+                format!("[2001]\nParameterName=R\nDataType={data_type}\nAccessType=rw\n{limits}");
+            Eds::parse(&sheet).get((0x2001, 0)).unwrap().clone()
+        };
+        let signed = entry(2, "LowLimit=-3\nHighLimit=3");
+        assert_eq!(signed.notation(&[0xFE]).as_deref(), Some("-2"));
+        assert_eq!(signed.beyond(&[0xFD], 1), None);
+        assert_eq!(signed.beyond(&[0xFC], 1).as_deref(), Some("-3 to 3"));
+        let real = entry(8, "LowLimit=0.5\nHighLimit=2");
+        let half = 0.5_f32.to_le_bytes();
+        assert_eq!(real.text(&half), "0.5");
+        assert_eq!(real.notation(&half).as_deref(), Some("0x3F000000"));
+        assert_eq!(real.parse("0x3F000000", 1), Some(half.to_vec()));
+        assert_eq!(real.beyond(&half, 1), None);
+        assert_eq!(real.beyond(&2.5_f32.to_le_bytes(), 1).as_deref(), Some("0.5 to 2"));
+        let text = entry(9, "");
+        assert_eq!(text.text(b"Ada\0"), "\"Ada\"");
+        assert_eq!(text.notation(b"Ada").as_deref(), Some("Ada"));
+        // A line of a file holds neither.
+        assert_eq!((text.notation(b"a\nb"), text.notation(b" a")), (None, None));
+        assert_eq!(entry(10, "").notation(&[1, 0xAB]).as_deref(), Some("01AB"));
     }
 
     #[test]
