@@ -129,6 +129,11 @@ impl Bus {
         self.adapter.fixed_rate()
     }
 
+    /// The adapter's time.
+    pub fn time(&self) -> Instant {
+        self.adapter.now()
+    }
+
     pub fn status(&mut self) -> Result<Option<Status>, Stop> {
         self.adapter.status()
     }

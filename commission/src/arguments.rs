@@ -47,8 +47,12 @@ pub struct Target {
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Find the bit rate of the network and who is there: listens at all bit rates first, then asks; changes no state
-    Find,
+    /// Find the bit rate of the network and who is there: listens at all bit rates, and changes no state
+    Find {
+        /// Ask at each bit rate if nobody is heard. It disturbs a network that runs but was silent
+        #[arg(long)]
+        ask: bool,
+    },
     /// List all nodes: node-ID, LSS address, name, version, NMT state
     List {
         /// Print JSON

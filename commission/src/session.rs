@@ -37,7 +37,7 @@ impl<'a> Session<'a> {
         self.progress.clear();
         let is_over = match arguments.command {
             // It changes no state.
-            Command::Find => true,
+            Command::Find { .. } => true,
             // The user asks for each state that a raw request leads to.
             Command::Raw { .. } => outcome.is_ok(),
             _ => false,
@@ -52,12 +52,12 @@ impl<'a> Session<'a> {
 
     fn carry(&mut self, arguments: &Arguments) -> Result<(), Failure> {
         let rate = arguments.bit_rate.or(self.bus.fixed_rate()).unwrap_or(DEFAULT_RATE);
-        if let Command::Find = arguments.command {
-            return commands::find(self, rate);
+        if let Command::Find { ask } = arguments.command {
+            return commands::find(self, rate, ask);
         }
         self.bus.open(rate)?;
         match &arguments.command {
-            Command::Find | Command::Completion { .. } => Ok(()),
+            Command::Find { .. } | Command::Completion { .. } => Ok(()),
             Command::List { json } => commands::list(self, *json),
             Command::Assign { first, table } => commands::assign(self, *first, table.as_deref()),
             Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),

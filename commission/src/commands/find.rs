@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use can_bus::explain::explain;
+use can_bus::{bus::bits, explain::explain};
 use canopen_node::{BitRate, lss::Request};
 
 use crate::{
@@ -16,6 +16,15 @@ const HEARTBEAT: Duration = Duration::from_millis(1150);
 
 /// The time in which a frame is repeated at any bit rate.
 const REPETITION: Duration = Duration::from_millis(20);
+/// The time in which a board that looks for the bit rate comes to that of a repeated frame, and the bits of these frames:
+/// the adapter must be error passive before they are valid for a listener.
+const SEARCH: Duration = Duration::from_millis(100);
+const SEARCH_BITS: u32 = 5_500;
+
+/// What a silent network gets to read.
+const QUIET: &str = "no frame at any bit rate. `lss find --ask` asks at each of them, which is right for boards that \
+    only wait to be asked. It is wrong for a network that runs and was silent for these seconds: a question at another \
+    bit rate disturbs it for a tenth of a second, and a node that sends then may switch itself off (bus-off)";
 
 /// What a bit rate showed.
 #[derive(Default)]
@@ -30,14 +39,14 @@ struct Sight {
     is_acknowledged: bool,
 }
 
-/// Finds the bit rate of the network: by listening to all bit rates first, then by questions that change no state. The
-/// adapter was expected to be at `expected`.
-pub fn find(session: &mut Session<'_>, expected: BitRate) -> Result<(), Failure> {
+/// Finds the bit rate of the network: by listening to all bit rates, and if it is silent and `asks`, by questions that
+/// change no state. The adapter was expected to be at `expected`.
+pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<(), Failure> {
     writeln!(session.out, "adapter: {}", session.bus.description())?;
     let rates: Vec<BitRate> = match session.bus.fixed_rate() {
         Some(rate) => vec![rate],
         None => {
-            // That of new boards first: some look for the network's bit rate, and could follow a question to a wrong one.
+            // The most likely ones first, where boards without an error to search from answer at once.
             let first = [DEFAULT_RATE, expected];
             let others = BitRate::ALL.into_iter().filter(|rate| !first.contains(rate));
             let mut rates: Vec<BitRate> = first.into_iter().chain(others).collect();
@@ -46,31 +55,69 @@ pub fn find(session: &mut Session<'_>, expected: BitRate) -> Result<(), Failure>
         }
     };
     let mut has_signals = false;
-    let mut heard_at = None;
     for &rate in &rates {
         session.progress.say(|| format!("listening at {rate}"));
-        let sight = listen(session, rate)?;
-        has_signals |= sight.has_errors || !sight.heard.is_empty();
+        let mut sight = listen(session, rate)?;
+        has_signals |= sight.has_errors;
         if !sight.heard.is_empty() {
-            heard_at = Some((rate, sight));
-            break;
+            ask(session, rate, &mut sight)?;
+            name(session, &mut sight)?;
+            return tell(session, rate, expected, &sight);
         }
     }
-    if let Some((rate, mut sight)) = heard_at {
-        ask(session, rate, &mut sight)?;
-        return tell(session, rate, expected, &sight);
+    if !asks {
+        return Err(Failure::NoAnswer(QUIET.into()));
     }
+    let (answers, has_errors) = ask_at_all(session, &rates)?;
+    for (rate, sight) in &answers {
+        tell(session, *rate, expected, sight)?;
+    }
+    match answers.len() {
+        0 => Err(Failure::NoAnswer(silence(has_signals, has_errors))),
+        1 => Ok(()),
+        _ => Err(Failure::Refused(
+            "boards at different bit rates disturb each other: leave those of one bit rate on the bus".into(),
+        )),
+    }
+}
+
+/// Asks at all bit rates; returns those at which somebody takes part, and whether there were errors.
+///
+/// A board that looks for the bit rate of its network may follow a question to another one than its own. The question
+/// at its own takes it back, and from then on it stays. So each bit rate is asked, whatever answers before, and each with
+/// an answer once more.
+fn ask_at_all(
+    session: &mut Session<'_>,
+    rates: &[BitRate],
+) -> Result<(Vec<(BitRate, Sight)>, bool), Failure> {
     let mut has_errors = false;
-    for &rate in &rates {
+    let mut candidates = Vec::new();
+    for &rate in rates {
         session.progress.say(|| format!("asking at {rate}"));
         let mut sight = Sight::default();
         ask(session, rate, &mut sight)?;
-        if sight.is_blank_there || !sight.nodes.is_empty() || sight.is_acknowledged {
-            return tell(session, rate, expected, &sight);
-        }
         has_errors |= sight.has_errors;
+        if sight.is_anyone_there() {
+            candidates.push(rate);
+        }
     }
-    Err(Failure::NoAnswer(silence(has_signals, has_errors)))
+    let mut answers = Vec::new();
+    for rate in candidates {
+        session.progress.say(|| format!("asking at {rate} again"));
+        let mut sight = Sight::default();
+        ask(session, rate, &mut sight)?;
+        if sight.is_anyone_there() {
+            name(session, &mut sight)?;
+            answers.push((rate, sight));
+        }
+    }
+    Ok((answers, has_errors))
+}
+
+impl Sight {
+    fn is_anyone_there(&self) -> bool {
+        self.is_blank_there || self.is_acknowledged || !self.nodes.is_empty()
+    }
 }
 
 /// Listens without a sign of life on the bus.
@@ -85,22 +132,34 @@ fn listen(session: &mut Session<'_>, rate: BitRate) -> Result<Sight, Failure> {
     Ok(sight)
 }
 
-/// Asks by identify non-configured remote slave, and each node for its serial number if somebody acknowledges.
+/// Asks by identify non-configured remote slave, again and again in the time in which a board comes that looks for the
+/// bit rate.
 fn ask(session: &mut Session<'_>, rate: BitRate, sight: &mut Sight) -> Result<(), Failure> {
     session.bus.open(rate)?;
-    // Shortly, since at a wrong bit rate the adapter repeats its frame and disturbs the bus.
-    sight.is_blank_there = session.bus.probe(Request::IdentifyNonConfigured)?.is_some();
-    let mut status = session.bus.status()?;
-    if status.is_some_and(|status| status.has_errors) {
+    let until = session.bus.time() + SEARCH + bits(SEARCH_BITS, rate);
+    let mut status;
+    loop {
+        sight.is_blank_there |= session.bus.probe(Request::IdentifyNonConfigured)?.is_some();
+        status = session.bus.status()?;
+        let has_errors = status.is_some_and(|status| status.has_errors || status.is_error_passive);
+        sight.has_errors |= has_errors;
+        let is_undisturbed = status.is_some() && !sight.has_errors;
+        if is_undisturbed || session.bus.time() >= until {
+            break;
+        }
         // A frame that nobody acknowledges is repeated without end.
         session.bus.pass(REPETITION)?;
-        status = session.bus.status()?;
     }
-    sight.has_errors = status.is_some_and(|status| status.has_errors || status.is_error_passive);
-    sight.is_acknowledged = status.is_some() && !sight.has_errors;
-    if !sight.has_errors || sight.is_blank_there || !sight.heard.is_empty() {
-        sight.nodes = scan::nodes(session)?.into_keys().collect();
+    sight.is_acknowledged = status.is_some_and(|status| !status.has_errors);
+    if status.is_none() && !sight.is_blank_there {
+        name(session, sight)?;
     }
+    Ok(())
+}
+
+/// Asks each node for its serial number.
+fn name(session: &mut Session<'_>, sight: &mut Sight) -> Result<(), Failure> {
+    sight.nodes = scan::nodes(session)?.into_keys().collect();
     Ok(())
 }
 

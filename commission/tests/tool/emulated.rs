@@ -67,7 +67,24 @@ impl Boards {
             (0xFF, BitRate::Kbit125) => blank_board(Firmware::Default, number as u8 + 1),
             (id, rate) => board_with(Firmware::Default, number as u8 + 1, settings(id, rate)),
         };
-        let mut rig = ImageRig::new(rate, node_ids.iter().enumerate().map(board));
+        Self::of(ImageRig::new(rate, node_ids.iter().enumerate().map(board)))
+    }
+
+    /// Boards with these node-IDs, FF: none, and these stored bit rates, which nobody has acknowledged yet. With a node-ID
+    /// they send a heartbeat each `heartbeat_ms`; 0: never.
+    pub fn unattended(firmware: Firmware, boards: &[(u8, BitRate)], heartbeat_ms: u16) -> Self {
+        let mut rig = ImageRig::new(BitRate::Kbit125, []);
+        rig.network.adapter_mut(rig.master).close();
+        for (number, (id, rate)) in boards.iter().enumerate() {
+            let settings = settings(*id, *rate).with_heartbeat_ms(heartbeat_ms);
+            let board = board_with(firmware, number as u8 + 1, settings);
+            let board = rig.network.add_board(board);
+            rig.boot(board, Time::ZERO);
+        }
+        Self::of(rig)
+    }
+
+    fn of(mut rig: ImageRig) -> Self {
         rig.network.run_for(Time::from_ms(100));
         Self {
             rig: Rc::new(RefCell::new(rig)),

@@ -2,6 +2,7 @@
 
 mod assign;
 mod emulated;
+mod find;
 mod network;
 mod program;
 mod services;

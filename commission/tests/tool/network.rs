@@ -9,7 +9,7 @@ const RATE: BitRate = BitRate::Kbit125;
 #[test]
 fn a_network_at_another_bit_rate_is_found_by_a_question() {
     let boards = Boards::new(BitRate::Kbit250, &[5, 7]);
-    let outcome = boards.lss("find --bit-rate 500");
+    let outcome = boards.lss("find --ask --bit-rate 500");
     assert_eq!(outcome.code, 0);
     assert_eq!(
         outcome.text,
@@ -34,7 +34,7 @@ fn a_network_with_heartbeats_is_found_by_listening_alone() {
 
 #[test]
 fn a_blank_board_is_found() {
-    let outcome = Boards::new(RATE, &[0xFF]).lss("find");
+    let outcome = Boards::new(RATE, &[0xFF]).lss("find --ask");
     assert!(outcome.text.contains("the network runs at 125 kbit/s\n"), "{}", outcome.text);
     assert!(outcome.text.contains("answers to LSS: at least one board without a node-ID\n"));
 }
@@ -42,14 +42,14 @@ fn a_blank_board_is_found() {
 #[test]
 fn blank_boards_do_not_follow_the_questions_to_another_bit_rate() {
     let boards = Boards::new(RATE, &[0xFF, 0xFF]);
-    let outcome = boards.lss("find --bit-rate 500");
+    let outcome = boards.lss("find --ask --bit-rate 500");
     assert!(outcome.text.contains("the network runs at 125 kbit/s, and not at 500 kbit/s"));
     assert_eq!(boards.lss("list").text.matches("none").count(), 2);
 }
 
 #[test]
 fn a_bus_without_a_board_has_its_words() {
-    let outcome = Boards::new(RATE, &[]).lss("find");
+    let outcome = Boards::new(RATE, &[]).lss("find --ask");
     assert_eq!(outcome.code, 3);
     assert!(outcome.error.starts_with("nobody acknowledges at any bit rate"), "{}", outcome.error);
 }

@@ -32,7 +32,7 @@ fn a_box_of_new_boards_becomes_a_running_network() {
         println!("{}", String::from_utf8_lossy(&output.stderr));
         text(&output, 0)
     };
-    let found = run(&["find", "--bit-rate", "500"]);
+    let found = run(&["find", "--ask", "--bit-rate", "500"]);
     assert!(found.contains("the network runs at 125 kbit/s, and not at 500 kbit/s"), "{found}");
     let assigned = run(&["assign"]);
     assert_eq!(assigned.matches("stored, verified by a reset").count(), 2, "{assigned}");
