@@ -176,6 +176,11 @@ impl Bus {
         }
     }
 
+    /// The time of the computer, or that of the emulated boards: the clock of [`Received::here`].
+    pub fn time(&self) -> Instant {
+        self.adapter.now()
+    }
+
     /// The adapter and its version, for a person.
     pub fn description(&self) -> String {
         self.adapter.description()

@@ -185,8 +185,52 @@ fn pdo(id: u16) -> String {
 fn emergency(node: u16, data: &[u8]) -> String {
     match data {
         [0, 0, ..] => format!("emergency of node {node}: error reset"),
-        [low, high, ..] => format!("emergency of node {node}: error code {high:02X}{low:02X}"),
+        &[low, high, ..] => {
+            let words = error_code(u16::from_le_bytes([low, high]));
+            format!("emergency of node {node}: error code {high:02X}{low:02X}, {words}")
+        }
         _ => format!("emergency of node {node}"),
+    }
+}
+
+/// The meaning of an emergency error code (CiA 301, table 26).
+pub fn error_code(code: u16) -> &'static str {
+    match code {
+        0x0000..=0x00FF => "error reset",
+        0x2100..=0x21FF => "current at the input",
+        0x2200..=0x22FF => "current inside the device",
+        0x2300..=0x23FF => "current at the output",
+        0x2000..=0x2FFF => "current",
+        0x3100..=0x31FF => "mains voltage",
+        0x3200..=0x32FF => "voltage inside the device",
+        0x3300..=0x33FF => "output voltage",
+        0x3000..=0x3FFF => "voltage",
+        0x4100..=0x41FF => "ambient temperature",
+        0x4200..=0x42FF => "device temperature",
+        0x4000..=0x4FFF => "temperature",
+        0x5000..=0x5FFF => "device hardware",
+        0x6100..=0x61FF => "internal software",
+        0x6200..=0x62FF => "user software",
+        0x6300..=0x63FF => "data set",
+        0x6000..=0x6FFF => "device software",
+        0x7000..=0x7FFF => "additional modules",
+        0x8110 => "CAN overrun: frames were lost",
+        0x8120 => "CAN is error passive",
+        0x8130 => "a heartbeat is missing",
+        0x8140 => "recovered from bus-off",
+        0x8150 => "another node sends with the same CAN-ID",
+        0x8210 => "a PDO is too short",
+        0x8220 => "a PDO is too long",
+        0x8230 => "the destination of a DAM MPDO is missing",
+        0x8240 => "SYNC has a wrong length",
+        0x8250 => "an RPDO is missing",
+        0x8100..=0x81FF => "communication",
+        0x8200..=0x82FF => "protocol error",
+        0x8000..=0x8FFF => "monitoring",
+        0x9000..=0x9FFF => "external error",
+        0xF000..=0xF0FF => "additional functions",
+        0xFF00..=0xFFFF => "device-specific",
+        _ => "generic error",
     }
 }
 
@@ -252,6 +296,27 @@ fn sdo_abort(data: &[u8; 8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_emergency_has_the_words_of_its_code_or_of_its_group() {
+        assert_eq!(
+            explain(0x085, &[0x20, 0x81, 0x11, 0, 0, 0, 0, 0]),
+            "emergency of node 5: error code 8120, CAN is error passive"
+        );
+        let words = [0x1000, 0x2310, 0x2400, 0x81AA, 0x82FF, 0x8F00, 0xFF01].map(error_code);
+        assert_eq!(
+            words,
+            [
+                "generic error",
+                "current at the output",
+                "current",
+                "communication",
+                "protocol error",
+                "monitoring",
+                "device-specific"
+            ]
+        );
+    }
 
     #[test]
     fn every_identifier_with_any_first_byte_and_length_has_a_sentence() {

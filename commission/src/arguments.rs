@@ -53,11 +53,15 @@ pub enum Command {
         #[arg(long)]
         ask: bool,
     },
-    /// List all nodes: node-ID, LSS address, name, version, NMT state
+    /// List all nodes: node-ID, LSS address, name, version, NMT state, bit rate
     List {
         /// Print JSON
         #[arg(long)]
         json: bool,
+        /// Go on until Ctrl-C: show states, heartbeats, boot-ups and emergencies. It only listens then, and asks each node
+        /// that appears once
+        #[arg(long, conflicts_with = "json")]
+        watch: bool,
     },
     /// Give each board without a node-ID one that nobody has, store it and verify it by a reset
     Assign {

@@ -9,13 +9,15 @@ mod raw;
 mod set_id;
 mod set_rate;
 mod store;
+mod watch;
 
 pub use assign::assign;
 pub use find::find;
 pub use identify::identify;
 pub use inquire::inquire;
-pub use list::list;
+pub use list::{Row, list, state};
 pub use raw::raw;
 pub use set_id::set_id;
 pub use set_rate::set_rate;
 pub use store::store;
+pub use watch::watch;

@@ -13,7 +13,7 @@ use std::{
 use clap::{CommandFactory, Parser, error::ErrorKind};
 
 use can_bus::{bus::Bus, stop::Stop};
-use commission::{Arguments, Command, Failure, Recorder, Session};
+use commission::{Arguments, Command, Failure, Recorder, Screen, Session};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -24,6 +24,14 @@ fn main() -> ExitCode {
             eprintln!("error: {failure}");
             failure.exit_code().into()
         }
+    }
+}
+
+/// The size of the terminal, or that of an old one if it does not tell.
+fn screen() -> (u16, u16) {
+    match terminal_size::terminal_size() {
+        Some((terminal_size::Width(width), terminal_size::Height(height))) => (width, height),
+        None => (80, 24),
     }
 }
 
@@ -38,8 +46,11 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
         Arguments::command().error(missing, words).exit()
     };
     let flag = Arc::clone(&is_interrupted);
+    let is_watching = matches!(arguments.command, Command::List { watch: true, .. });
     let handled = ctrlc::set_handler(move || {
-        eprintln!("Ctrl-C: the boards leave LSS configuration state first");
+        if !is_watching {
+            eprintln!("Ctrl-C: the boards leave LSS configuration state first");
+        }
         flag.store(true, Ordering::Relaxed);
     });
     handled.map_err(|error| Stop::Bench(format!("cannot wait for Ctrl-C: {error}")))?;
@@ -54,6 +65,9 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
     let latency = Duration::from_millis(arguments.latency.into());
     let bus = Bus::new(Box::new(adapter), latency, is_interrupted);
     let mut out = io::stdout();
+    let is_screen = out.is_terminal() && !arguments.explain;
     let shows_progress = io::stderr().is_terminal() && !arguments.explain;
-    Session::new(bus, &mut out, shows_progress).run(arguments)
+    let mut session = Session::new(bus, &mut out, shows_progress);
+    session.screen = is_screen.then_some(screen as Screen);
+    session.run(arguments)
 }

@@ -46,6 +46,20 @@ pub fn nodes(session: &mut Session<'_>) -> Result<BTreeMap<u8, Vec<u32>>, Failur
     Ok(nodes)
 }
 
+/// The different serial numbers that nodes with this node-ID tell, as in [`nodes`]. Other frames stay unasked.
+pub fn serial_numbers(session: &mut Session<'_>, id: u8) -> Result<Vec<u32>, Failure> {
+    let request = [0x40, 0x18, 0x10, SERIAL_NUMBER, 0, 0, 0, 0];
+    session.bus.send_to(0x600 + u16::from(id), &request)?;
+    let cob_id = 0x580 + u16::from(id);
+    let is_answer = |frame: &Frame| frame.cob_id() == cob_id && sdo_answer(frame).is_some();
+    let mut numbers = Vec::new();
+    let wait = session.bus.short();
+    while let Some(answer) = session.bus.wait_for(wait, is_answer)? {
+        numbers.extend(sdo_answer(&answer.frame).filter(|number| !numbers.contains(number)));
+    }
+    Ok(numbers)
+}
+
 /// The number in an answer for the serial number; 0 for an abort.
 fn sdo_answer(frame: &Frame) -> Option<u32> {
     match *frame.data() {

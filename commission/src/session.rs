@@ -16,16 +16,24 @@ use crate::{
 /// The bit rate of new boards.
 pub const DEFAULT_RATE: BitRate = BitRate::Kbit125;
 
+/// The width and the height of the terminal in characters.
+pub type Screen = fn() -> (u16, u16);
+
 /// The bus, and where the results go.
 pub struct Session<'a> {
     pub bus: Bus,
     pub out: &'a mut dyn Write,
     pub progress: Progress,
+    /// The terminal that the results go to; `None` if they go elsewhere.
+    pub screen: Option<Screen>,
+    /// All boards are in LSS waiting state, and no request follows.
+    pub all_wait: bool,
 }
 
 impl<'a> Session<'a> {
     pub fn new(bus: Bus, out: &'a mut dyn Write, shows_progress: bool) -> Self {
-        Self { bus, out, progress: Progress::new(shows_progress) }
+        let progress = Progress::new(shows_progress);
+        Self { bus, out, progress, screen: None, all_wait: false }
     }
 
     /// Carries out the command, and leaves the bus.
@@ -40,7 +48,7 @@ impl<'a> Session<'a> {
             Command::Find { .. } => true,
             // The user asks for each state that a raw request leads to.
             Command::Raw { .. } => outcome.is_ok(),
-            _ => false,
+            _ => self.all_wait,
         };
         if !is_over {
             self.end();
@@ -58,7 +66,8 @@ impl<'a> Session<'a> {
         self.bus.open(rate)?;
         match &arguments.command {
             Command::Find { .. } | Command::Completion { .. } => Ok(()),
-            Command::List { json } => commands::list(self, *json),
+            Command::List { watch: true, .. } => commands::watch(self),
+            Command::List { json, .. } => commands::list(self, *json),
             Command::Assign { first, table } => commands::assign(self, *first, table.as_deref()),
             Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),
             Command::Inquire(target) => commands::inquire(self, *target),

@@ -8,7 +8,7 @@ use serde::{Serialize, Serializer};
 use crate::{address, failure::Failure, scan, session::Session};
 
 /// A node, as far as it is known.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
     pub node_id: Option<u8>,
     #[serde(serialize_with = "as_text")]
@@ -21,6 +21,31 @@ pub struct Row {
     pub state: Option<&'static str>,
     /// Another node has the same node-ID.
     pub is_duplicate: bool,
+    /// In kbit/s: that of the adapter, at which the node answers.
+    pub bit_rate: u16,
+    /// In kbit/s: object 2000h of this repository's nodes, the bit rate that the node begins with at its next start.
+    pub home_bit_rate: Option<u16>,
+}
+
+impl Row {
+    pub fn id_text(&self) -> String {
+        match (self.node_id, self.is_duplicate) {
+            (None, _) => "none".into(),
+            (Some(id), false) => id.to_string(),
+            (Some(id), true) => format!("{id} twice"),
+        }
+    }
+
+    /// The bit rate, and that of the next start if it is another.
+    pub fn bit_rate_text(&self) -> String {
+        match self.home_bit_rate {
+            // 0: it is detected.
+            Some(home) if home != 0 && home != self.bit_rate => {
+                format!("{} (home {home})", self.bit_rate)
+            }
+            _ => self.bit_rate.to_string(),
+        }
+    }
 }
 
 fn as_text<S: Serializer>(address: &Option<Address>, serializer: S) -> Result<S::Ok, S::Error> {
@@ -58,6 +83,7 @@ pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
 
 /// All nodes: those with a node-ID by SDO, the others by Fastscan. No state is changed.
 pub fn rows(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
+    let bit_rate = session.bus.rate().kbit_per_s();
     let mut rows = Vec::new();
     for (id, serial_numbers) in scan::nodes(session)? {
         session.progress.say(|| format!("reading the identity of node {id}"));
@@ -65,14 +91,7 @@ pub fn rows(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
     }
     let blank = scan::blank(session)?;
     if blank.is_empty() && scan::is_anyone_without_fastscan(session)? {
-        rows.push(Row {
-            node_id: None,
-            lss_address: None,
-            name: None,
-            version: None,
-            state: None,
-            is_duplicate: false,
-        });
+        rows.push(Row { bit_rate, ..Row::default() });
     }
     for address in blank {
         // The scan may be wrong if answers are lost.
@@ -81,17 +100,19 @@ pub fn rows(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
         rows.push(Row {
             node_id: node_id.map(NodeId::get),
             lss_address: Some(address),
-            name: None,
-            version: None,
-            state: None,
-            is_duplicate: false,
+            bit_rate,
+            ..Row::default()
         });
     }
     Ok(rows)
 }
 
 /// The rows of a node-ID: one, or one for each node that has it.
-fn node(session: &mut Session<'_>, id: u8, serial_numbers: &[u32]) -> Result<Vec<Row>, Failure> {
+pub fn node(
+    session: &mut Session<'_>,
+    id: u8,
+    serial_numbers: &[u32],
+) -> Result<Vec<Row>, Failure> {
     let is_duplicate = serial_numbers.len() > 1;
     let mut numbers = [None; 3];
     for (number, sub_index) in numbers.iter_mut().zip(1..) {
@@ -107,6 +128,8 @@ fn node(session: &mut Session<'_>, id: u8, serial_numbers: &[u32]) -> Result<Vec
     };
     let (name, version) = (text(0x1008)?, text(0x100A)?);
     let state = session.bus.states.get(&id).copied().map(state);
+    let bit_rate = session.bus.rate().kbit_per_s();
+    let home_bit_rate = home_bit_rate(session, id)?;
     let row = |serial_number: &u32| {
         let address = match (numbers, *serial_number) {
             // A node that does not tell a part has no LSS address that it could be selected by.
@@ -125,13 +148,26 @@ fn node(session: &mut Session<'_>, id: u8, serial_numbers: &[u32]) -> Result<Vec
             version: version.clone(),
             state,
             is_duplicate,
+            bit_rate,
+            home_bit_rate,
         }
     };
     Ok(serial_numbers.iter().map(row).collect())
 }
 
+/// Object 2000h sub 5 of this repository's nodes. On another node that object is anything: there the bit rate in use, sub 6,
+/// is not the adapter's.
+fn home_bit_rate(session: &mut Session<'_>, id: u8) -> Result<Option<u16>, Failure> {
+    let Ok(in_use) = sdo::read(&mut session.bus, id, 0x2000, 6)? else { return Ok(None) };
+    if in_use != session.bus.rate().kbit_per_s().to_le_bytes() {
+        return Ok(None);
+    }
+    let home = sdo::read(&mut session.bus, id, 0x2000, 5)?.ok();
+    Ok(home.and_then(|bytes| Some(u16::from_le_bytes(bytes.try_into().ok()?))))
+}
+
 /// The NMT state in a heartbeat.
-fn state(byte: u8) -> &'static str {
+pub fn state(byte: u8) -> &'static str {
     const OPERATIONAL: u8 = State::Operational as u8;
     const PRE_OPERATIONAL: u8 = State::PreOperational as u8;
     const STOPPED: u8 = State::Stopped as u8;
@@ -144,26 +180,22 @@ fn state(byte: u8) -> &'static str {
     }
 }
 
-fn print(session: &mut Session<'_>, rows: &[Row]) -> Result<(), Failure> {
-    let mut line = |cells: [&str; 5]| {
-        let [id, address, name, version, state] = cells;
-        let text = format!("{id:7}  {address:35}  {name:16}  {version:8}  {state}");
+pub fn print(session: &mut Session<'_>, rows: &[Row]) -> Result<(), Failure> {
+    let mut line = |cells: [&str; 6]| {
+        let [id, address, name, version, state, rate] = cells;
+        let text = format!("{id:7}  {address:35}  {name:16}  {version:8}  {state:15}  {rate}");
         writeln!(session.out, "{}", text.trim_end())
     };
-    line(["node-ID", "LSS address", "name", "version", "NMT state"])?;
+    line(["node-ID", "LSS address", "name", "version", "NMT state", "kbit/s"])?;
     for row in rows {
-        let id = match (row.node_id, row.is_duplicate) {
-            (None, _) => "none".into(),
-            (Some(id), false) => id.to_string(),
-            (Some(id), true) => format!("{id} twice"),
-        };
         let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".into());
         line([
-            &id,
+            &row.id_text(),
             &or_dash(row.lss_address.as_ref().map(address::text)),
             &or_dash(row.name.clone()),
             &or_dash(row.version.clone()),
             row.state.unwrap_or("-"),
+            &row.bit_rate_text(),
         ])?;
     }
     Ok(())

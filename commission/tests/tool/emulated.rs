@@ -22,7 +22,7 @@ use canopen_node::{
     settings::Log,
 };
 use clap::Parser;
-use commission::{Arguments, Session};
+use commission::{Arguments, Recorder, Session};
 use emulator::{Time, network::Network};
 use firmware::device::DEVICE;
 use testkit::{
@@ -40,14 +40,20 @@ const RESET_NODE: u8 = 0x81;
 /// What happens at a frame that the tool sends.
 type Hook = Box<dyn FnMut(&Frame, &mut Network)>;
 
+/// What happens at a time.
+type Deed = (Time, Box<dyn FnOnce(&mut Network)>);
+
 /// Boards on a bus, and the tool's adapter.
 #[derive(Clone)]
 pub struct Boards {
     rig: Rc<RefCell<ImageRig>>,
     hook: Rc<RefCell<Option<Hook>>>,
+    deeds: Rc<RefCell<Vec<Deed>>>,
     /// The LSS service that the boards do not support: requests with this command specifier are lost.
     pub unsupported: Rc<Cell<Option<u8>>>,
     pub is_interrupted: Arc<AtomicBool>,
+    /// Whether the results go to a terminal of 80 by 24 characters.
+    pub has_screen: Rc<Cell<bool>>,
     known_errors: Rc<Cell<u64>>,
     start: Instant,
 }
@@ -89,8 +95,10 @@ impl Boards {
         Self {
             rig: Rc::new(RefCell::new(rig)),
             hook: Rc::default(),
+            deeds: Rc::default(),
             unsupported: Rc::default(),
             is_interrupted: Arc::default(),
+            has_screen: Rc::default(),
             known_errors: Rc::default(),
             start: Instant::now(),
         }
@@ -99,6 +107,18 @@ impl Boards {
     /// Lets something happen at the frames that the tool sends.
     pub fn at_each_frame(&self, hook: impl FnMut(&Frame, &mut Network) + 'static) {
         *self.hook.borrow_mut() = Some(Box::new(hook));
+    }
+
+    /// Lets something happen after a number of seconds, while the tool waits for frames.
+    pub fn after(&self, seconds: u64, deed: impl FnOnce(&mut Network) + 'static) {
+        let time = self.rig().network.now() + Time::from_ms(1000 * seconds);
+        self.deeds.borrow_mut().push((time, Box::new(deed)));
+    }
+
+    /// Acts like Ctrl-C after a number of seconds.
+    pub fn interrupt_after(&self, seconds: u64) {
+        let flag = Arc::clone(&self.is_interrupted);
+        self.after(seconds, move |_| flag.store(true, Ordering::Relaxed));
     }
 
     /// Acts like Ctrl-C at the tool's frame with this number.
@@ -122,11 +142,15 @@ impl Boards {
         self.rig().network.forbid_misuse();
         let words = ["lss"].into_iter().chain(arguments.split_whitespace());
         let arguments = Arguments::try_parse_from(words).expect("a command line");
-        let adapter = Box::new(self.clone());
+        let adapter =
+            Recorder::new(Box::new(self.clone()), arguments.log.as_deref(), arguments.explain);
+        let adapter = Box::new(adapter.expect("a log that can be written"));
         let latency = Duration::from_millis(1);
         let bus = Bus::new(adapter, latency, Arc::clone(&self.is_interrupted));
         let mut out = Vec::new();
-        let outcome = Session::new(bus, &mut out, false).run(&arguments);
+        let mut session = Session::new(bus, &mut out, false);
+        session.screen = self.has_screen.get().then_some(|| (80, 24));
+        let outcome = session.run(&arguments);
         let text = String::from_utf8(out).expect("UTF-8");
         let (code, error) = match outcome {
             Ok(()) => (0, String::new()),
@@ -213,6 +237,10 @@ impl Adapter for Boards {
     fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
         let mut rig = self.rig.borrow_mut();
         let master = rig.master;
+        let now = rig.network.now();
+        for (_, deed) in self.deeds.borrow_mut().extract_if(.., |(time, _)| *time <= now) {
+            deed(&mut rig.network);
+        }
         let received =
             rig.network.run_until_received(master, Time::from_us(wait.as_micros() as u64));
         let instant = |time: Time| Duration::from_micros(time.as_us());

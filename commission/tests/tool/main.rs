@@ -8,3 +8,4 @@ mod program;
 mod services;
 mod set_rate;
 mod slcan;
+mod watch;

@@ -77,6 +77,27 @@ fn all_nodes_are_listed_and_none_is_configured() {
 }
 
 #[test]
+fn a_list_has_the_bit_rate_in_use_and_the_home_rate_of_a_guest() {
+    let boards = Boards::new(RATE, &[5, 7, 0xFF]);
+    {
+        let mut rig = boards.rig();
+        rig.lss("04 01, 13 00 02, 17, 04 00");
+        // It starts at the stored rate, and finds that of the others.
+        rig.power_cycle(1);
+    }
+    let text = boards.lss("list").text;
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(lines[0].ends_with("  NMT state        kbit/s"), "{text}");
+    assert!(lines[1].ends_with("  125") && lines[3].ends_with("  125"), "{text}");
+    assert!(lines[2].ends_with("  125 (home 500)"), "{text}");
+    let outcome = boards.lss("list --json");
+    let json: serde_json::Value = serde_json::from_str(&outcome.text).expect("JSON");
+    let rates = |key: &str| [0, 1, 2].map(|node| json["nodes"][node][key].clone());
+    assert_eq!(rates("bit_rate"), [125, 125, 125]);
+    assert_eq!(rates("home_bit_rate"), [125.into(), 500.into(), serde_json::Value::Null]);
+}
+
+#[test]
 fn a_list_as_json_has_the_bit_rate_and_all_nodes() {
     let outcome = Boards::new(RATE, &[5, 0xFF]).lss("list --json");
     let json: serde_json::Value = serde_json::from_str(&outcome.text).expect("JSON");

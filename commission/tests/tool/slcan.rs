@@ -2,8 +2,9 @@
 
 use std::{
     fs,
+    io::{BufRead, BufReader},
     path::Path,
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
     thread,
     time::Duration,
 };
@@ -49,7 +50,7 @@ fn a_box_of_new_boards_becomes_a_running_network() {
 fn ctrl_c_ends_the_program_and_leaves_no_board_in_configuration_state() {
     let boards = Emulated::start(&["--boards", "2", "--node-id", "5"]);
     let arguments = ["list", "--explain"];
-    let child = lss(&boards, &arguments).stderr(std::process::Stdio::piped()).spawn();
+    let child = lss(&boards, &arguments).stderr(Stdio::piped()).spawn();
     let child = child.expect("it runs");
     thread::sleep(Duration::from_millis(1500));
     let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
@@ -60,4 +61,29 @@ fn ctrl_c_ends_the_program_and_leaves_no_board_in_configuration_state() {
     let last = error.lines().rfind(|line| line.contains("  7E5  "));
     assert!(last.is_some_and(|line| line.ends_with("switch state global: waiting")), "{error}");
     assert!(error.ends_with("error: interrupted\n"), "{error}");
+}
+
+#[test]
+fn ctrl_c_ends_a_watch_as_it_should() {
+    let boards = Emulated::start(&["--boards", "2", "--node-id", "5"]);
+    let arguments = ["list", "--watch", "--explain"];
+    let mut child = lss(&boards, &arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it runs");
+    // It stays open.
+    let mut lines = BufReader::new(child.stdout.take().expect("it is piped")).lines();
+    let table: Vec<String> = lines.by_ref().map_while(Result::ok).take(3).collect();
+    assert!(table[2].contains("LSS slave"), "{table:?}");
+    thread::sleep(Duration::from_millis(500));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    assert!(killed.is_ok_and(|status| status.success()));
+    let output = child.wait_with_output().expect("it ends");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{error}");
+    // Every line is a frame: nothing is an error.
+    let is_frame =
+        |line: &str| line.get(..9).is_some_and(|time| time.trim().parse::<f64>().is_ok());
+    assert!(error.lines().all(is_frame), "{error}");
 }
