@@ -129,7 +129,7 @@ impl Bus {
         self.adapter.fixed_rate()
     }
 
-    /// The adapter's time.
+    /// The adapter's time, the clock of [`Received::here`].
     pub fn time(&self) -> Instant {
         self.adapter.now()
     }
@@ -174,11 +174,6 @@ impl Bus {
             true => Err(Stop::Interrupted),
             false => Ok(()),
         }
-    }
-
-    /// The time of the computer, or that of the emulated boards: the clock of [`Received::here`].
-    pub fn time(&self) -> Instant {
-        self.adapter.now()
     }
 
     /// The adapter and its version, for a person.
