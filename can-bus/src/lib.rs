@@ -1,5 +1,5 @@
 //! What programs with a CAN adapter share: SLCAN and SocketCAN, the bus as an LSS master sees it, an SDO client,
-//! frames in words, and electronic data sheets.
+//! frames in words, electronic data sheets, and questions to the person.
 
 #[cfg(feature = "adapters")]
 pub mod adapter;
@@ -7,6 +7,8 @@ pub mod adapter;
 pub mod bus;
 pub mod eds;
 pub mod explain;
+#[cfg(feature = "adapters")]
+pub mod person;
 #[cfg(feature = "adapters")]
 pub mod sdo;
 #[cfg(feature = "adapters")]

@@ -64,14 +64,7 @@ pub enum Command {
         watch: bool,
     },
     /// Give each board without a node-ID one that nobody has, store it and verify it by a reset
-    Assign {
-        /// The lowest node-ID to give
-        #[arg(long, value_name = "ID", value_parser = address::node_id, default_value = "1")]
-        first: NodeId,
-        /// The table of the network: its boards get their node-IDs first, and new boards come into it
-        #[arg(long, value_name = "FILE")]
-        table: Option<PathBuf>,
-    },
+    Assign(Assign),
     /// Switch all boards to another bit rate and store it; if one does not come, all go back
     SetRate {
         /// The new bit rate in kbit/s
@@ -109,6 +102,23 @@ pub enum Command {
     },
     /// Print the completion of the commands for a shell
     Completion { shell: Shell },
+}
+
+/// How node-IDs are given.
+#[derive(clap::Args)]
+pub struct Assign {
+    /// The lowest node-ID to give
+    #[arg(long, value_name = "ID", value_parser = address::node_id, default_value = "1")]
+    pub first: NodeId,
+    /// The table of the network: its boards get their node-IDs first, and new boards come into it
+    #[arg(long, value_name = "FILE")]
+    pub table: Option<PathBuf>,
+    /// A new board takes over the place of a missing one of the same product without a question, if there is one of each
+    #[arg(long, requires = "table")]
+    pub yes: bool,
+    /// In the end, wait until somebody has switched the power off and on, and check that every board comes back
+    #[arg(long)]
+    pub power_check: bool,
 }
 
 /// The LSS addresses that are asked for. Numbers are decimal, or hexadecimal after 0x.

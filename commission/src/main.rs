@@ -12,7 +12,7 @@ use std::{
 
 use clap::{CommandFactory, Parser, error::ErrorKind};
 
-use can_bus::{bus::Bus, stop::Stop};
+use can_bus::{bus::Bus, person::Person, stop::Stop};
 use commission::{Arguments, Command, Failure, Recorder, Screen, Session};
 
 fn main() -> ExitCode {
@@ -69,5 +69,8 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
     let shows_progress = io::stderr().is_terminal() && !arguments.explain;
     let mut session = Session::new(bus, &mut out, shows_progress);
     session.screen = is_screen.then_some(screen as Screen);
+    if io::stdin().is_terminal() {
+        session.person = Person::at_standard_input();
+    }
     session.run(arguments)
 }

@@ -1,8 +1,11 @@
 //! A run of a command on a bus, which leaves all boards in LSS waiting state.
 
-use std::io::Write;
+use std::{io::Write, time::Duration};
 
-use can_bus::bus::{Bus, Masters, Pace};
+use can_bus::{
+    bus::{Bus, Masters, Pace},
+    person::{PATIENCE, Person},
+};
 use canopen_node::{BitRate, lss::Request};
 use lss_master::Procedure;
 
@@ -16,6 +19,9 @@ use crate::{
 /// The bit rate of new boards.
 pub const DEFAULT_RATE: BitRate = BitRate::Kbit125;
 
+/// The time between two looks at what the person writes.
+const GLANCE: Duration = Duration::from_millis(50);
+
 /// The width and the height of the terminal in characters.
 pub type Screen = fn() -> (u16, u16);
 
@@ -24,6 +30,7 @@ pub struct Session<'a> {
     pub bus: Bus,
     pub out: &'a mut dyn Write,
     pub progress: Progress,
+    pub person: Person,
     /// The terminal that the results go to; `None` if they go elsewhere.
     pub screen: Option<Screen>,
     /// All boards are in LSS waiting state, and no request follows.
@@ -33,7 +40,8 @@ pub struct Session<'a> {
 impl<'a> Session<'a> {
     pub fn new(bus: Bus, out: &'a mut dyn Write, shows_progress: bool) -> Self {
         let progress = Progress::new(shows_progress);
-        Self { bus, out, progress, screen: None, all_wait: false }
+        let person = Person::absent();
+        Self { bus, out, progress, person, screen: None, all_wait: false }
     }
 
     /// Carries out the command, and leaves the bus.
@@ -68,7 +76,7 @@ impl<'a> Session<'a> {
             Command::Find { .. } | Command::Completion { .. } => Ok(()),
             Command::List { watch: true, .. } => commands::watch(self),
             Command::List { json, .. } => commands::list(self, *json),
-            Command::Assign { first, table } => commands::assign(self, *first, table.as_deref()),
+            Command::Assign(assign) => commands::assign(self, assign),
             Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),
             Command::Inquire(target) => commands::inquire(self, *target),
             Command::Identify(ranges) => commands::identify(self, ranges),
@@ -78,6 +86,22 @@ impl<'a> Session<'a> {
             Command::Store(target) => commands::store(self, *target),
             Command::Raw { bytes } => commands::raw(self, bytes),
         }
+    }
+
+    /// Asks the person on the standard error, with all boards in LSS waiting state; `None` if nobody answers.
+    pub fn ask(&mut self, question: &str) -> Result<Option<String>, Failure> {
+        if !self.person.is_there() {
+            return Ok(None);
+        }
+        self.bus.request(Request::SwitchToWaiting)?;
+        self.progress.clear();
+        eprintln!("{question}");
+        let Self { bus, person, .. } = self;
+        let until = bus.time() + PATIENCE;
+        person.answer(|| -> Result<bool, Failure> {
+            bus.pass(GLANCE)?;
+            Ok(bus.time() < until)
+        })
     }
 
     /// Brings all boards to LSS waiting state, also after Ctrl-C, as far as the adapter still works.

@@ -1,5 +1,7 @@
 //! The table of a network, `network.toml`: which LSS address has which node-ID.
 
+mod replace;
+
 use std::{
     collections::BTreeSet,
     fs::{self, File},

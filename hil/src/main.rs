@@ -4,7 +4,6 @@ mod bench;
 mod board;
 mod conformance;
 mod diagnosis;
-mod person;
 mod probe;
 mod registers;
 mod report;
@@ -24,7 +23,7 @@ use std::{
 use anyhow::{Context, ensure};
 use clap::{Parser, builder::PossibleValuesParser};
 
-use can_bus::{adapter, bus, sdo, stop};
+use can_bus::{adapter, bus, person, sdo, stop};
 use canopen_node::{BitRate, NodeId};
 use canopen_stm32f4::chip;
 

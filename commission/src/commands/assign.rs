@@ -1,6 +1,6 @@
 //! `lss assign`: node-IDs for boards without one, and those of a table.
 
-use std::{collections::BTreeSet, path::Path};
+use std::collections::BTreeSet;
 
 use can_bus::sdo;
 use canopen_node::{
@@ -11,7 +11,12 @@ use lss_master::{Configure, Fastscan, InquireNodeId, Select};
 
 use crate::{
     address,
-    commands::set_id::{RESET_COMMUNICATION, wait_for_boot_up},
+    arguments::Assign,
+    commands::{
+        power,
+        replace::{Replacements, replace},
+        set_id::{RESET_COMMUNICATION, wait_for_boot_up},
+    },
     failure::Failure,
     scan,
     session::Session,
@@ -21,27 +26,39 @@ use crate::{
 /// The NMT command reset node.
 const RESET_NODE: u8 = 129;
 
-/// Gives node-IDs from `first` on that nobody has. The boards of the table get theirs first, and new ones come into it.
-pub fn assign(
-    session: &mut Session<'_>,
-    first: NodeId,
-    table: Option<&Path>,
-) -> Result<(), Failure> {
-    let mut table = table.map(Table::read).transpose()?;
+/// Gives node-IDs from `first` on that nobody has. The boards of the table get theirs first, a new one may take over the
+/// place of a missing one, and other new ones come into the table.
+pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure> {
+    let first = assign.first;
+    let mut table = assign.table.as_deref().map(Table::read).transpose()?;
     let mut taken: BTreeSet<u8> = scan::nodes(session)?.into_keys().collect();
     taken.extend(session.bus.states.keys());
     let mut new = Vec::new();
+    let mut missing = Vec::new();
     let mut problems = Vec::new();
     for (id, address) in table.iter().flat_map(|table| table.entries.clone()) {
         session.progress.say(|| format!("looking for node {} of the table", id.get()));
-        if let Some(problem) = known(session, id, address, &mut taken, &mut new)? {
-            problems.push(problem);
+        match session.carry_out(Select(address)) {
+            Ok(()) => problems.extend(known(session, id, address, &mut taken, &mut new)?),
+            Err(Failure::NoAnswer(_)) => missing.push((id, address)),
+            Err(failure) => return Err(failure),
         }
+    }
+    let mut held = Vec::new();
+    if let Some(table) = &mut table
+        && !missing.is_empty()
+    {
+        let replacements = replace(session, table, &missing, assign.yes)?;
+        let Replacements { done, held: boards, problems: places } = replacements;
+        taken.extend(done.iter().map(|(id, _)| id.get()));
+        new.extend(done);
+        problems.extend(places);
+        held = boards;
     }
     // The node-IDs of boards that are missing now stay theirs.
     let reserved = table.iter().flat_map(|table| table.entries.iter().map(|(id, _)| id.get()));
     taken.extend(reserved);
-    while let Some(address) = find_blank(session, new.len())? {
+    while let Some(address) = find_blank(session, new.len(), &held)? {
         let Some(id) = (first.get()..=127).find(|id| !taken.contains(id)).and_then(NodeId::new)
         else {
             return Err(Failure::Refused(format!(
@@ -58,7 +75,7 @@ pub fn assign(
         }
         session.bus.hold_interrupt(false);
     }
-    if new.is_empty() && scan::is_anyone_without_fastscan(session)? {
+    if new.is_empty() && held.is_empty() && scan::is_anyone_without_fastscan(session)? {
         problems.push(
             "a board without a node-ID does not answer to Fastscan: take all others without one off the bus and use \
              `lss set-id ID --store`"
@@ -72,19 +89,39 @@ pub fn assign(
     if new.is_empty() && problems.is_empty() {
         writeln!(session.out, "no board needs a node-ID")?;
     }
+    if assign.power_check
+        && let Err(failure) = power::check(session)
+    {
+        match failure {
+            Failure::Refused(words) | Failure::NoAnswer(words) => problems.push(words),
+            failure => return Err(failure),
+        }
+    }
     match problems.is_empty() {
         true => Ok(()),
         false => Err(Failure::Refused(problems.join("\n"))),
     }
 }
 
-/// Brings a board without a node-ID to LSS configuration state.
-fn find_blank(session: &mut Session<'_>, count: usize) -> Result<Option<Address>, Failure> {
+/// Brings a board without a node-ID to LSS configuration state, but none that is `held`.
+fn find_blank(
+    session: &mut Session<'_>,
+    count: usize,
+    held: &[Address],
+) -> Result<Option<Address>, Failure> {
     session.progress.say(|| format!("{count} boards have a node-ID now; looking for another"));
-    session.carry_out(Fastscan::new())
+    if held.is_empty() {
+        return session.carry_out(Fastscan::new());
+    }
+    // A Fastscan alone would find those that are held again and again.
+    let other = scan::blank(session)?.into_iter().find(|address| !held.contains(address));
+    if let Some(address) = other {
+        session.carry_out(Select(address))?;
+    }
+    Ok(other)
 }
 
-/// Gives a board of the table its node-ID; says what is wrong if that cannot be.
+/// Gives the selected board of the table its node-ID; says what is wrong if that cannot be.
 fn known(
     session: &mut Session<'_>,
     id: NodeId,
@@ -93,13 +130,6 @@ fn known(
     new: &mut Vec<(NodeId, Address)>,
 ) -> Result<Option<String>, Failure> {
     let text = address::text(&address);
-    match session.carry_out(Select(address)) {
-        Ok(()) => {}
-        Err(Failure::NoAnswer(_)) => {
-            return Ok(Some(format!("node {} of the table is missing: {text}", id.get())));
-        }
-        Err(failure) => return Err(failure),
-    }
     let before = session.carry_out(InquireNodeId)?;
     if before == Some(id) {
         writeln!(session.out, "node {}  {text}  as in the table", id.get())?;
@@ -123,7 +153,7 @@ fn known(
 
 /// Gives a node-ID to the board in LSS configuration state, and stores it. From here on a Ctrl-C waits: a board must not
 /// have a node-ID that is not stored.
-fn give(
+pub fn give(
     session: &mut Session<'_>,
     id: NodeId,
     address: Address,

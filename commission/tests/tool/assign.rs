@@ -15,19 +15,19 @@ const RATE: BitRate = BitRate::Kbit125;
 const INDEX: u8 = 4;
 
 /// A file that does not exist yet.
-fn new_file(name: &str) -> PathBuf {
+pub fn new_file(name: &str) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     // It exists if the test ran before.
     let _ = fs::remove_file(&path);
     path
 }
 
-fn entry(id: u8, board: usize) -> String {
+pub fn entry(id: u8, board: usize) -> String {
     format!("[[node]]\nid = {id}\naddress = \"{}\"\n", address_text(board))
 }
 
 /// The stored node-IDs of the boards.
-fn ids(boards: &Boards, count: usize) -> Vec<Option<u8>> {
+pub fn ids(boards: &Boards, count: usize) -> Vec<Option<u8>> {
     (0..count).map(|board| boards.stored(board).map(|(id, _)| id)).collect()
 }
 
@@ -93,11 +93,13 @@ fn the_boards_of_a_table_get_their_node_ids_and_new_ones_come_into_it() {
 fn a_missing_board_of_a_table_is_named_and_keeps_its_node_id() {
     let boards = Boards::new(RATE, &[0xFF, 9]);
     let path = new_file("missing.toml");
-    // The board with number 7 is not there, and 8 is to have the node-ID of another.
-    fs::write(&path, entry(1, 7)).expect("it can be written");
+    // It is of another product: no board that is here can take over its place.
+    let missing = "00000000:00000001:00010000:515884C7";
+    let text = format!("[[node]]\nid = 1\naddress = \"{missing}\"\n");
+    fs::write(&path, text).expect("it can be written");
     let outcome = boards.lss(&format!("assign --table {}", path.display()));
     assert_eq!(outcome.code, 1);
-    assert_eq!(outcome.error, format!("node 1 of the table is missing: {}", address_text(7)));
+    assert_eq!(outcome.error, format!("node 1 of the table is missing: {missing}"));
     assert_eq!(boards.stored(0), Some((2, INDEX)));
     boards.assert_waiting(RATE);
 }

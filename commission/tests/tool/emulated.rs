@@ -13,6 +13,7 @@ use std::{
 use can_bus::{
     adapter::{Adapter, HOST_CLOCK, Mode, Received, Status},
     bus::Bus,
+    person::Person,
     stop::Stop,
 };
 use canopen_node::{
@@ -54,6 +55,8 @@ pub struct Boards {
     pub is_interrupted: Arc<AtomicBool>,
     /// Whether the results go to a terminal of 80 by 24 characters.
     pub has_screen: Rc<Cell<bool>>,
+    /// What the person says, if there is one.
+    pub person: Rc<Cell<Option<&'static [&'static str]>>>,
     known_errors: Rc<Cell<u64>>,
     start: Instant,
 }
@@ -99,6 +102,7 @@ impl Boards {
             unsupported: Rc::default(),
             is_interrupted: Arc::default(),
             has_screen: Rc::default(),
+            person: Rc::default(),
             known_errors: Rc::default(),
             start: Instant::now(),
         }
@@ -150,6 +154,9 @@ impl Boards {
         let mut out = Vec::new();
         let mut session = Session::new(bus, &mut out, false);
         session.screen = self.has_screen.get().then_some(|| (80, 24));
+        if let Some(lines) = self.person.get() {
+            session.person = Person::who_says(lines);
+        }
         let outcome = session.run(&arguments);
         let text = String::from_utf8(out).expect("UTF-8");
         let (code, error) = match outcome {

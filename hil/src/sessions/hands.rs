@@ -19,11 +19,19 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     short_circuit(bench)
 }
 
+/// Whether there is a person who agrees.
+fn agrees(bench: &Bench, question: &str) -> bool {
+    if bench.person.is_there() {
+        println!("  ?       {question} [y = yes, Enter = no]");
+    }
+    bench.person.agrees(|| bench.bus.check_interrupt().is_err())
+}
+
 /// A stored node-ID is active after the power was away. The boot-up with it proves both.
 fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
     let has_probe = bench.probe.is_some();
     let question = "Can you switch the power of the first board off and on?";
-    if !has_probe && !bench.person.agrees(question, || bench.bus.check_interrupt().is_err()) {
+    if !has_probe && !agrees(bench, question) {
         bench.report.not_tried(
             "settings through a power cut",
             "nobody at hand to switch the power, and no --probe",
@@ -57,7 +65,7 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
 /// A short circuit leads to bus-off; the boards come back by themselves.
 fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
     let question = "May the bus be shorted? You would connect CANH and CANL with a wire for 2 s";
-    if !bench.person.agrees(question, || bench.bus.check_interrupt().is_err()) {
+    if !agrees(bench, question) {
         bench.report.not_tried("bus-off by a short circuit", "nobody has agreed to it");
         return Ok(());
     }
