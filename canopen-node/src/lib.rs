@@ -35,7 +35,7 @@
 //! LSS, bit rates and settings are those of the crate `lss-slave`, which serves other CANopen stacks too.
 //!
 //! # Features
-//! - `defmt`: `defmt::Format` for the public types.
+//! - `defmt`: `defmt::Format` for the public types, and the log of the [`runner`].
 
 #![no_std]
 #![forbid(unsafe_code)]
@@ -49,6 +49,7 @@ pub mod indicator;
 pub mod nmt;
 pub mod object_dictionary;
 pub mod pdo;
+pub mod runner;
 pub mod sdo;
 mod sync;
 

@@ -95,7 +95,7 @@ impl Board {
         if matches!(found, Found::Damaged | Found::ParametersDamaged) {
             node.handle_fault(Fault::SettingsLost);
         }
-        let can = Controller::new(can, pins, &mut self.rcc, node.receives());
+        let can = Controller::new(can, pins, &mut self.rcc);
         // The start may have erased a sector, so the first roll call comes later.
         self.watchdog.feed();
         (Runner::new(node, can, self.alarm), Storage { log }, self.watchdog)

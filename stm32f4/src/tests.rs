@@ -10,8 +10,9 @@ use core::sync::atomic::Ordering::Relaxed;
 use std::panic::catch_unwind;
 
 use canopen_node::{
-    BitRate, BusEvent, Frame, Instant, NodeId, Receives,
+    BitRate, Frame, Instant, NodeId, Receives,
     indicator::BusState,
+    runner::{BusError, Controller as _, Mode, Received, Sample},
     settings::{Found, Log},
 };
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
@@ -27,7 +28,7 @@ use stm32f4xx_hal::{
 };
 
 use crate::{
-    can::{CanPins, Controller, Received},
+    can::{CanPins, Controller},
     clock::{self, Alarm},
     crystal::{self, Crystal},
     flash::{FlashError, SettingsFlash},
@@ -129,12 +130,12 @@ fn receives(all: bool) -> Receives {
 }
 
 /// A controller that is in initialisation mode, as its driver waits for it, with empty mailboxes.
-fn controller() -> Controller<CAN1, 0, 0> {
+fn controller() -> Controller<CAN1> {
     const INITIALISATION: u32 = 1 << 0;
     set(CAN1.msr(), INITIALISATION);
     set(CAN1.tsr(), ALL_EMPTY);
     let pins = CanPins::new(Pin::<'B', 9>::new(), Pin::<'B', 8>::new(), &mut Rcc);
-    Controller::new(CAN1, pins, &mut Rcc, receives(true))
+    Controller::new(CAN1, pins, &mut Rcc)
 }
 
 fn frame(cob_id: u16) -> Frame {
@@ -155,10 +156,10 @@ fn each_filter_bank_gets_the_identifiers_of_its_list() {
     let _chip = memory::take();
     let mut can = controller();
     let first_bank = || CAN1.fb(0).fr1().read().bits() & 0xFFFF;
-    can.set_receives(receives(false));
+    can.set_receives(&receives(false));
     assert_eq!((CAN1.fm1r().read().bits(), CAN1.fa1r().read().bits()), (1, 1), "a list");
     assert_eq!(first_bank(), u32::from(canopen_node::lss::REQUEST_COB_ID) << 5);
-    can.set_bit_rate(BitRate::Kbit125, receives(true));
+    assert!(can.start(Mode::TakePart, BitRate::Kbit125, &receives(true)));
     assert_eq!((CAN1.fm1r().read().bits(), CAN1.fa1r().read().bits()), (0, 1), "a mask");
     assert_eq!(first_bank(), 0);
 }
@@ -175,11 +176,10 @@ fn the_transmit_pin_belongs_to_the_controller_unless_it_listens() {
     assert_eq!(mode(), 0b01);
     for _ in 0..2 {
         // It is at rest while the controller is reset: `plain_chip::rcc`.
-        can.set_bit_rate(BitRate::Kbit125, receives(true));
+        assert!(can.start(Mode::TakePart, BitRate::Kbit125, &receives(true)));
         assert_eq!(mode(), 0b10);
     }
-    can.listen(BitRate::Kbit250, receives(true));
-    assert!(can.is_listening());
+    assert!(can.start(Mode::Listen, BitRate::Kbit250, &receives(true)));
     assert_eq!(mode(), 0b01);
 }
 
@@ -199,18 +199,18 @@ fn frames_go_to_a_mailbox_or_wait_for_one() {
     let _chip = memory::take();
     let mailbox = |at| (CAN1.tx(at).tir().read().stid().bits(), CAN1.tx(at).tdlr().read().bits());
     let mut can = controller();
-    can.transmit(frame(0x181));
+    assert!(can.send(&frame(0x181)));
     assert_eq!(mailbox(0), (0x181, 0x0403_0201));
-    assert!(can.has_sent_all());
+    assert!(can.is_idle());
     set(CAN1.tsr(), 0);
-    can.transmit(frame(0x182));
+    assert!(!can.send(&frame(0x182)));
     assert_eq!(mailbox(0).0, 0x181);
-    assert!(!can.has_sent_all());
+    assert!(!can.is_idle());
     // Behind 181h, of which there are two then, and ahead of it.
     set(CAN1.tsr(), 0b110 << 26);
-    can.transmit(frame(0x181));
+    assert!(!can.send(&frame(0x181)));
     assert_eq!([mailbox(1).0, mailbox(2).0], [0, 0]);
-    can.transmit(frame(0x180));
+    assert!(can.send(&frame(0x180)));
     assert_eq!([mailbox(1).0, mailbox(2).0], [0, 0x180]);
 }
 
@@ -220,13 +220,13 @@ fn only_flags_that_were_seen_are_cleared_and_mailboxes_aborted() {
     let _chip = memory::take();
     let mut can = controller();
     set(CAN1.tsr(), ALL_EMPTY | ONE_SENT);
-    assert!(can.handle_transmitted());
+    assert!(can.take_sent());
     assert_eq!(CAN1.tsr().read().bits(), 1 << 8);
-    assert!(!can.handle_transmitted());
+    assert!(!can.take_sent());
     set(CAN1.tx(1).tir(), 0x7E4 << 21);
     can.drop_frames(|cob_id| cob_id != 0x7E4);
     assert_eq!(CAN1.tsr().read().bits(), 1 << 7 | 1 << 23);
-    can.stop_transmitting();
+    can.drop_frames(|_| true);
     assert_eq!(CAN1.tsr().read().bits(), 1 << 7 | 1 << 15 | 1 << 23);
 }
 
@@ -236,26 +236,30 @@ fn errors_of_the_bus_are_reported_and_counted() {
     const BUS_OFF: u32 = 1 << 2;
     let _chip = memory::take();
     let mut can = controller();
-    can.set_bit_rate(BitRate::Kbit125, receives(true));
+    assert!(can.start(Mode::TakePart, BitRate::Kbit125, &receives(true)));
     set(CAN1.esr(), 130 << 24 | 7 << 16 | FORM | BUS_OFF);
     assert_eq!(can.error_counters(), (7, 130));
     assert_eq!(can.bus_state(), BusState::BusOff);
-    assert_eq!(can.handle_status(), Some(BusEvent::FormError));
+    assert_eq!(can.take_error(), Some(BusError::Form));
     assert!(CAN1.ier().read().lecie().bit_is_clear());
     // The register holds 7 now, as software sets it.
-    assert_eq!(can.handle_status(), None);
+    assert_eq!(can.take_error(), None);
 }
 
 #[test]
-fn a_bus_that_stays_dominant_is_reported() {
+fn a_sample_shows_the_level_of_the_bus_and_whether_the_controller_sends() {
+    const RX: u32 = 1 << 11;
+    const TXM: u32 = 1 << 8;
     let _chip = memory::take();
     let mut can = controller();
-    can.set_bit_rate(BitRate::Kbit125, receives(true));
-    let mut events = (1..30).filter_map(|ms| can.watch(Instant::from_micros(ms * 1000)));
-    assert_eq!(events.next(), Some(BusEvent::HeldDominant));
-    assert!(can.watch_at().is_some());
-    can.look();
-    can.supervise();
+    for (register, is_recessive, is_transmitting) in
+        [(0, false, false), (RX, true, false), (RX | TXM, true, true), (TXM, false, true)]
+    {
+        set(CAN1.msr(), register);
+        assert_eq!(can.sample(), Some(Sample { is_recessive, is_transmitting }));
+    }
+    can.report_errors();
+    assert!(CAN1.ier().read().lecie().bit_is_set());
 }
 
 #[test]

@@ -35,6 +35,7 @@ mod process_data_receive;
 mod process_data_sixteen;
 mod process_data_stored;
 mod process_data_transmit;
+mod runner;
 mod sdo;
 mod sdo_block;
 mod sdo_machine;

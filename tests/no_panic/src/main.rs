@@ -1,11 +1,12 @@
-//! A program without a panic handler that calls all of the node, the settings log, the indicators and the LSS master with
-//! unknown values: it links only if the compiler has proved that none of these calls panics.
+//! A program without a panic handler that calls all of the node, its runner, the settings log, the indicators and the LSS
+//! master with unknown values: it links only if the compiler has proved that none of these calls panics.
 
 #![no_std]
 #![no_main]
 
 mod master;
 mod parameters;
+mod runner;
 
 use core::{
     hint::{black_box, spin_loop},
@@ -42,6 +43,7 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 extern "C" fn _start() -> ! {
     keep_settings();
     run_node();
+    runner::drive();
     parameters::keep();
     indicate();
     master::command();

@@ -1,14 +1,15 @@
-//! The frames that wait for a mailbox: the most urgent first, those of one COB-ID in the order of arrival.
+//! The frames that wait for the controller: the most urgent first, those of one COB-ID in the order of arrival.
 
 use core::{cmp::Reverse, iter};
 
-use canopen_node::{Frame, nmt};
+use crate::{Frame, nmt};
 
 /// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
 /// other frames fills the queue.
 const CAPACITY: usize = 16;
 
 /// The pending frames.
+#[derive(Debug)]
 pub struct TransmitQueue {
     places: [Waiting; CAPACITY],
     /// The occupied places, a bit for each.
@@ -17,7 +18,7 @@ pub struct TransmitQueue {
     arrivals: u32,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Waiting {
     frame: Frame,
     arrival: u32,
@@ -26,8 +27,8 @@ struct Waiting {
 impl TransmitQueue {
     /// An empty queue.
     pub const fn new() -> Self {
-        let frame = Frame::from_padded(0, 0, [0; 8]).expect("a frame");
-        Self { places: [Waiting { frame, arrival: 0 }; CAPACITY], occupied: 0, arrivals: 0 }
+        const NONE: Waiting = Waiting { frame: Frame::with_one_byte(0, 0), arrival: 0 };
+        Self { places: [NONE; CAPACITY], occupied: 0, arrivals: 0 }
     }
 
     /// Whether the queue is empty.
@@ -43,7 +44,7 @@ impl TransmitQueue {
     /// Drops the frames with these COB-IDs.
     pub fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
         let dropped = self.waiting().filter(|(_, waiting)| are_dropped(waiting.frame.cob_id()));
-        self.occupied &= !dropped.fold(0, |dropped, (at, _)| dropped | 1 << at);
+        self.occupied &= !dropped.fold(0, |dropped, (at, _)| dropped | bit(at));
     }
 
     /// Whether all waiting frames are less urgent than `frame`.
@@ -69,7 +70,7 @@ impl TransmitQueue {
         if is_new {
             self.arrivals = self.arrivals.wrapping_add(1);
             place.arrival = self.arrivals;
-            self.occupied |= 1 << at;
+            self.occupied |= bit(at);
         }
         true
     }
@@ -80,7 +81,7 @@ impl TransmitQueue {
         let urgency = |w: &Waiting| (w.frame.cob_id(), Reverse(now.wrapping_sub(w.arrival)));
         let first = self.waiting().min_by_key(|(_, waiting)| urgency(waiting));
         if let Some((at, _)) = first.filter(|(_, waiting)| send(&waiting.frame)) {
-            self.occupied &= !(1 << at);
+            self.occupied &= !bit(at);
         }
     }
 
@@ -93,6 +94,11 @@ impl TransmitQueue {
             self.places.get(at).map(|waiting| (at, waiting))
         })
     }
+}
+
+/// The bit of a place.
+const fn bit(at: usize) -> u16 {
+    1_u16.wrapping_shl(at as u32)
 }
 
 /// Whether only PDOs may have this COB-ID: 180h to 57Fh and 680h to 6DFh (CiA 301, 7.3.5).

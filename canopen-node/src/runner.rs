@@ -1,0 +1,424 @@
+//! What every board does around its node: it passes inputs to the node, carries out the actions, keeps the frames that
+//! wait for the controller, and watches the bus.
+//!
+//! A port writes a [`Controller`] and a [`System`]. On a board with interrupts each of them calls a `handle_` function of
+//! the [`Runner`]. A port to async drivers writes an [`AsyncController`] and an [`AsyncSystem`], and calls
+//! [`Runner::run_step`] in a loop, by any executor.
+
+mod asynchronous;
+mod bus;
+mod controller;
+mod queue;
+mod sampler;
+
+use core::mem;
+
+pub use asynchronous::{AsyncController, AsyncSystem};
+pub use controller::{BusError, Controller, Mode, Received, Sample};
+
+use crate::{
+    Action, Application, BitRate, BusEvent, Frame, Instant, Node, Settings,
+    application::NoApplication,
+    indicator::{self, BusState, Indicators, Lit},
+    lss::{self, State, StoreError},
+};
+use bus::Bus;
+use queue::TransmitQueue;
+
+/// Writes to the log, if there is one.
+macro_rules! log {
+    ($level:ident, $($argument:tt)+) => {
+        #[cfg(feature = "defmt")]
+        defmt::$level!($($argument)+)
+    };
+}
+
+/// What a board has beside its CAN controller: a clock and a reset.
+pub trait System {
+    /// The present time.
+    fn now(&self) -> Instant;
+
+    /// Resets the device as after a power cut.
+    fn reset(&mut self);
+
+    /// Sets the interrupt at which [`Runner::handle_alarm`] is called; replaces an earlier one. For boards with
+    /// interrupts.
+    fn set_alarm(&mut self, _at: Instant) {}
+
+    /// Has another task call [`Runner::take_store`]. For boards that store in a task of its own.
+    fn begin_store(&mut self) {}
+}
+
+/// The node with its controller and the rest of its board.
+#[derive(Debug)]
+pub struct Runner<
+    C: Controller,
+    S: System,
+    A: Application = NoApplication,
+    const TPDOS: usize = 0,
+    const RPDOS: usize = 0,
+    const PRODUCERS: usize = 0,
+> {
+    node: Node<A, TPDOS, RPDOS, PRODUCERS>,
+    bus: Bus<C>,
+    system: S,
+    queue: TransmitQueue,
+    may_transmit: bool,
+    /// The fault confinement state last seen.
+    bus_state: BusState,
+    indicators: Indicators,
+    /// The start of the indicators' next step.
+    step_at: Instant,
+    /// The indicators' steps since the last [`supervise`](Self::supervise), for [`run_step`](Self::run_step).
+    steps: u8,
+    /// A store that has not begun.
+    store: Option<Settings>,
+}
+
+impl<
+    C: Controller,
+    S: System,
+    A: Application,
+    const TPDOS: usize,
+    const RPDOS: usize,
+    const PRODUCERS: usize,
+> Runner<C, S, A, TPDOS, RPDOS, PRODUCERS>
+{
+    /// A node after power-on, and its controller, which takes part in the bus from now on, unless the node wants to
+    /// listen first.
+    pub fn new(node: Node<A, TPDOS, RPDOS, PRODUCERS>, can: C, mut system: S) -> Self {
+        let step_at = system.now();
+        let mut bus = Bus::new(can, node.bit_rate());
+        if !node.is_listening() {
+            bus.restart(&node.receives(), step_at);
+        }
+        system.set_alarm(step_at);
+        Self {
+            node,
+            bus,
+            system,
+            queue: TransmitQueue::new(),
+            may_transmit: true,
+            bus_state: BusState::Good,
+            indicators: Indicators::default(),
+            step_at,
+            steps: 0,
+            store: None,
+        }
+    }
+
+    /// The node.
+    pub const fn node(&self) -> &Node<A, TPDOS, RPDOS, PRODUCERS> {
+        &self.node
+    }
+
+    /// What the board has beside its controller.
+    pub const fn system_mut(&mut self) -> &mut S {
+        &mut self.system
+    }
+
+    /// Reads or changes the application's values.
+    pub fn application<R>(&mut self, access: impl FnOnce(&mut A) -> R) -> R {
+        let result = access(self.node.application_mut());
+        self.finish();
+        result
+    }
+
+    /// Reports an error of the application, as [`Node::report`] does.
+    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
+        self.node.report(code, register, information);
+        self.finish();
+    }
+
+    /// Ends an error of the application, as [`Node::end_report`] does.
+    pub fn end_report(&mut self, code: u16) {
+        self.node.end_report(code);
+        self.finish();
+    }
+
+    /// Sends a TPDO though no value has changed, as [`Node::send_tpdo`] does.
+    pub fn send_tpdo(&mut self, number: u8) {
+        self.node.send_tpdo(number);
+        self.finish();
+    }
+
+    /// Handles received frames.
+    pub fn handle_received(&mut self) {
+        while let Some(received) = self.bus.can.receive() {
+            self.bus.has_heard = true;
+            self.bus.sampler.note_frame();
+            match received {
+                Received::Frame(frame) => {
+                    let now = self.system.now();
+                    // Deadlines before the frame come first; but a frame found by a look counts at the rate where it
+                    // was found.
+                    if self.node.is_due(now) && !self.bus.is_listening() {
+                        self.act_until_nothing_is_due();
+                    }
+                    if let Some(action) = self.node.handle_frame(&frame, now) {
+                        self.act(action);
+                    }
+                }
+                Received::Other => self.node.handle_bus(BusEvent::Received, self.system.now()),
+                Received::Overrun => {
+                    log!(warn, "CAN: overrun, a received frame was lost");
+                    self.node.handle_bus(BusEvent::Overrun, self.system.now());
+                }
+            }
+            self.act_until_nothing_is_due();
+        }
+        self.finish();
+    }
+
+    /// Handles frames that were sent or dropped.
+    pub fn handle_transmitted(&mut self) {
+        let is_sent = self.bus.can.take_sent();
+        // The others are less urgent, and wait until it is sent.
+        self.queue.pop_if(|frame| self.bus.can.send(frame));
+        if is_sent {
+            self.node.handle_bus(BusEvent::Acknowledged, self.system.now());
+            if self.node.wants_to_send_more() && self.queue.is_empty() && self.bus.can.is_idle() {
+                self.node.handle_bus(BusEvent::NonePending, self.system.now());
+            }
+            self.finish();
+        }
+    }
+
+    /// Handles an error on the bus, or a change of the controller's error state.
+    pub fn handle_status(&mut self) {
+        let (transmit, receive) = self.bus.can.error_counters();
+        let counters = BusEvent::ErrorCounters { transmit, receive };
+        self.node.handle_bus(counters, self.system.now());
+        if let Some(error) = self.bus.can.take_error() {
+            self.bus.sample(self.system.now());
+            if let Some(event) = error.event() {
+                self.bus.has_heard = true;
+                self.node.handle_bus(event, self.system.now());
+            }
+        }
+        if !self.bus.is_listening() {
+            self.watch_bus();
+        }
+        self.finish();
+    }
+
+    fn watch_bus(&mut self) {
+        let state = self.bus.can.bus_state();
+        let before = mem::replace(&mut self.bus_state, state);
+        if state != before {
+            log!(
+                info,
+                "CAN: error counters: transmit {=u8}, receive {=u8}",
+                self.bus.can.error_counters().0,
+                self.bus.can.error_counters().1
+            );
+        }
+        match (before == BusState::BusOff, state == BusState::BusOff) {
+            (false, true) => {
+                log!(
+                    error,
+                    "CAN: bus-off, too many frames failed; check bit rate, wiring and termination"
+                );
+                self.node.handle_bus(BusEvent::BusOff, self.system.now());
+            }
+            (true, false) => {
+                log!(info, "CAN: recovered from bus-off");
+                self.node.handle_bus(BusEvent::BusOffRecovered, self.system.now());
+            }
+            _ => {}
+        }
+    }
+
+    /// Checks the controller. Must be called a few times a second: a controller need not report its recovery from bus-off,
+    /// may not have started, and as a listener may receive nothing on a dominant bus.
+    pub fn supervise(&mut self) {
+        let is_deaf = self.bus.is_listening()
+            && !self.bus.has_heard
+            && self.bus.can.sample().is_some_and(|sample| !sample.is_recessive);
+        self.bus.has_heard = false;
+        if is_deaf || !self.bus.is_started {
+            self.restart();
+        }
+        self.handle_status();
+    }
+
+    /// Does what is due now; returns the indicators to light, at the start of each of their steps.
+    pub fn handle_alarm(&mut self) -> Option<Lit> {
+        self.act_until_nothing_is_due();
+        let now = self.system.now();
+        if self.bus.sampler.is_due(now) {
+            self.bus.can.report_errors();
+            let sample = self.bus.can.sample();
+            let event =
+                sample.and_then(|sample| self.bus.sampler.take(sample, self.bus.bit_rate, now));
+            if let Some(event) = event {
+                self.node.handle_bus(event, now);
+            }
+        }
+        let is_step = self.step_at.has_come(now);
+        if is_step {
+            self.step_at = self.step_at.plus_micros(indicator::STEP_MS * 1000);
+            if self.bus.can.sample().is_some_and(|sample| self.bus.sampler.look(sample)) {
+                self.bus.sample(self.system.now());
+            }
+        }
+        self.finish();
+        is_step.then(|| self.indicate())
+    }
+
+    fn indicate(&mut self) -> Lit {
+        let is_lss_active = self.node.lss().state() == State::Configuration
+            || self.node.node_id().is_none()
+            || self.node.is_listening();
+        self.indicators.step(self.node.nmt_state(), is_lss_active, self.bus.can.bus_state())
+    }
+
+    /// The settings to store now, if any. Puts the parameters to store with them in place of the `persistent` ones, and
+    /// returns their length. [`handle_stored`](Self::handle_stored) must follow.
+    pub fn take_store(
+        &mut self,
+        persistent: &[u8],
+        parameters: &mut [u8],
+    ) -> Option<(Settings, usize)> {
+        let settings = self.store.take()?;
+        Some((settings, self.node.write_parameters(persistent, parameters)))
+    }
+
+    /// Passes the outcome of a store to the node.
+    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
+        self.node.handle_stored(outcome);
+        self.finish();
+    }
+
+    /// Completes the handling of every event.
+    #[inline(never)]
+    fn finish(&mut self) {
+        self.act_until_nothing_is_due();
+        self.system.set_alarm(self.alarm_at());
+    }
+
+    /// The time of the next [`handle_alarm`](Self::handle_alarm).
+    fn alarm_at(&self) -> Instant {
+        let mut next = self.step_at;
+        if let Some(of_node) = self.node.poll_at() {
+            next = next.earlier(of_node);
+        }
+        if let Some(of_sampler) = self.bus.sampler.next_at() {
+            next = next.earlier(of_sampler);
+        }
+        next
+    }
+
+    #[inline(always)] // It is called for each frame, most of which make nothing due.
+    fn act_until_nothing_is_due(&mut self) {
+        if self.node.is_due(self.system.now()) {
+            self.poll_node();
+        }
+    }
+
+    fn poll_node(&mut self) {
+        while let Some(action) = self.node.poll(self.system.now()) {
+            self.act(action);
+        }
+    }
+
+    #[inline(always)] // Most actions are frames.
+    fn act(&mut self, action: Action) {
+        match action {
+            Action::Transmit(frame) => self.transmit(frame),
+            action => self.carry_out(action),
+        }
+    }
+
+    #[inline(never)]
+    fn carry_out(&mut self, action: Action) {
+        match action {
+            Action::Transmit(_) => {}
+            Action::SetNodeId(_id) => {
+                log!(info, "node-ID {=u8} (255: none)", crate::NodeId::to_lss(_id));
+                self.drop_frames(|_, cob_id| cob_id != lss::RESPONSE_COB_ID);
+                self.set_receives();
+            }
+            Action::SetReceives => self.set_receives(),
+            Action::DropPdos if TPDOS > 0 => {
+                self.drop_frames(|node, cob_id| node.is_pdo(cob_id));
+            }
+            Action::DropPdos => {}
+            Action::StopTransmitting => {
+                self.may_transmit = false;
+                self.drop_frames(|_, _| true);
+            }
+            Action::SetBitRate(rate) => {
+                log!(info, "CAN: at {=u16} kbit/s", rate.kbit_per_s());
+                self.start(Mode::TakePart, rate);
+            }
+            Action::ResumeTransmitting => self.may_transmit = true,
+            Action::Listen(rate) => {
+                log!(debug, "CAN: listening at {=u16} kbit/s", rate.kbit_per_s());
+                self.may_transmit = false;
+                self.start(Mode::Listen, rate);
+            }
+            Action::Store(settings) => {
+                self.store = Some(settings);
+                self.system.begin_store();
+            }
+            Action::ResetDevice => {
+                log!(info, "NMT reset node, resetting");
+                self.system.reset();
+            }
+        }
+    }
+
+    /// Sends `frame` as soon as the bus allows it, unless transmitting is stopped.
+    #[inline(always)] // The way of an answer.
+    fn transmit(&mut self, frame: Frame) {
+        if !self.may_transmit {
+            return;
+        }
+        if !(self.queue.is_empty() && self.bus.can.send(&frame)) {
+            self.transmit_beside_others(frame);
+        }
+    }
+
+    /// Sends a frame while others are pending.
+    fn transmit_beside_others(&mut self, frame: Frame) {
+        if self.queue.is_behind(&frame) && self.bus.can.send(&frame) {
+            return;
+        }
+        if !self.queue.push(frame) {
+            log!(
+                warn,
+                "CAN: the transmit queue is full, frame {=u16:#x} was dropped",
+                frame.cob_id()
+            );
+        }
+    }
+
+    /// Drops the pending frames with these COB-IDs; a frame on the bus now continues.
+    fn drop_frames(
+        &mut self,
+        are_dropped: impl Fn(&Node<A, TPDOS, RPDOS, PRODUCERS>, u16) -> bool,
+    ) {
+        let are_dropped = |cob_id| are_dropped(&self.node, cob_id);
+        self.queue.drop_frames(are_dropped);
+        self.bus.can.drop_frames(are_dropped);
+    }
+
+    /// Drops the pending frames and runs the controller in this way.
+    fn start(&mut self, mode: Mode, bit_rate: BitRate) {
+        self.queue.clear();
+        (self.bus.mode, self.bus.bit_rate) = (mode, bit_rate);
+        self.restart();
+    }
+
+    fn restart(&mut self) {
+        self.bus.restart(&self.node.receives(), self.system.now());
+    }
+
+    #[inline(never)] // It has two callers.
+    fn set_receives(&mut self) {
+        let receives = self.node.receives();
+        self.bus.is_searching = receives.all;
+        self.bus.can.set_receives(&receives);
+    }
+}

@@ -1,0 +1,127 @@
+//! The CAN controller, as a port offers it.
+
+use crate::{BitRate, BusEvent, Frame, Receives, indicator::BusState};
+
+/// A CAN controller. No call may wait for the bus.
+pub trait Controller {
+    /// Runs at `bit_rate` from now on, drops what it was to send, leaves bus-off and lets the frames `receives` pass. It must
+    /// not wait for an idle bus, which may never come: the controller joins by itself.
+    ///
+    /// Returns whether it has started. If not, the runner tries again a few times a second.
+    #[must_use]
+    fn start<const RPDOS: usize, const PRODUCERS: usize>(
+        &mut self,
+        mode: Mode,
+        bit_rate: BitRate,
+        receives: &Receives<RPDOS, PRODUCERS>,
+    ) -> bool;
+
+    /// Lets the frames `receives` pass from now on; those already received stay. A controller that lets every frame pass
+    /// at all times need not do anything.
+    fn set_receives<const RPDOS: usize, const PRODUCERS: usize>(
+        &mut self,
+        _receives: &Receives<RPDOS, PRODUCERS>,
+    ) {
+    }
+
+    /// The oldest received frame, or a loss of frames.
+    fn receive(&mut self) -> Option<Received>;
+
+    /// Passes `frame` to the controller and returns whether it takes it. It must refuse a frame that would wait behind a
+    /// less urgent one, or that might overtake one of the same COB-ID: the frame is offered again when another was sent.
+    /// A controller with a single place refuses every frame until that is empty.
+    fn send(&mut self, frame: &Frame) -> bool;
+
+    /// Whether a frame was sent and acknowledged since the last call. A dropped one does not count.
+    fn take_sent(&mut self) -> bool;
+
+    /// Whether it has no frame to send.
+    fn is_idle(&mut self) -> bool;
+
+    /// Drops the frames to send with these COB-IDs; one on the bus now continues. It need not wait for that.
+    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool);
+
+    /// The latest error since the last call.
+    fn take_error(&mut self) -> Option<BusError>;
+
+    /// TEC and REC (ISO 11898-1).
+    fn error_counters(&self) -> (u8, u8);
+
+    /// The fault confinement state. The controller must recover from bus-off by itself.
+    fn bus_state(&self) -> BusState;
+
+    /// What the bus is like at this moment. `None` if the controller cannot tell: then no search begins while it cannot join
+    /// the bus, and a bus that is held dominant is not noticed.
+    fn sample(&self) -> Option<Sample> {
+        None
+    }
+
+    /// Called up to a thousand times a second while errors matter: a controller that reports only the first of many by an
+    /// interrupt reports the next one too.
+    fn report_errors(&mut self) {}
+}
+
+/// How a controller runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// It acknowledges, sends, and signals errors.
+    TakePart,
+    /// It receives silently: no dominant bit, not even an acknowledge.
+    Listen,
+}
+
+/// A result of reading received frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Received {
+    /// A frame.
+    Frame(Frame),
+    /// A frame of no use to any CANopen node: a remote frame, a 29-bit identifier, or a length code above 8.
+    Other,
+    /// A frame was lost because the controller was full.
+    Overrun,
+}
+
+impl From<Option<Frame>> for Received {
+    /// A frame that the port could convert, or one of no use.
+    fn from(frame: Option<Frame>) -> Self {
+        frame.map_or(Self::Other, Self::Frame)
+    }
+}
+
+/// The bus at one moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sample {
+    /// The level at the controller's receive pin.
+    pub is_recessive: bool,
+    /// Whether the controller is sending a frame.
+    pub is_transmitting: bool,
+}
+
+/// An error that a controller has detected (ISO 11898-1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BusError {
+    /// Six equal bits within a frame.
+    Stuff,
+    /// A wrong bit at a place of fixed level.
+    Form,
+    /// A frame that no other node acknowledged.
+    Acknowledge,
+    /// The controller sent a recessive bit and read a dominant one.
+    BitRecessive,
+    /// The controller sent a dominant bit and read a recessive one.
+    BitDominant,
+    /// A received frame with a wrong checksum.
+    Crc,
+}
+
+impl BusError {
+    /// The event for [`Node::handle_bus`](crate::Node::handle_bus), if the error says something about the bit rate.
+    pub const fn event(self) -> Option<BusEvent> {
+        match self {
+            Self::Stuff | Self::BitRecessive | Self::Crc => Some(BusEvent::Error),
+            Self::Form => Some(BusEvent::FormError),
+            Self::Acknowledge | Self::BitDominant => None,
+        }
+    }
+}

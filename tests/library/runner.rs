@@ -1,0 +1,464 @@
+//! The runner that all boards share, over a controller in memory: frames that wait, errors, samples of the bus, and
+//! async drivers without an executor.
+
+use std::{
+    cell::RefCell,
+    collections::VecDeque,
+    future::Future,
+    pin::{Pin, pin},
+    rc::Rc,
+    task::{Context, Poll, Waker},
+};
+
+use canopen_node::{
+    BitRate, Device, Frame, Instant, Node, NodeId, Receives,
+    indicator::BusState,
+    runner::{
+        AsyncController, AsyncSystem, BusError, Controller, Mode, Received, Runner, Sample, System,
+    },
+    settings::Log,
+};
+use testkit::{
+    flash::BoardFlash,
+    frames::{self, Frames, SILENCE},
+    node_rig::{ADDRESS, defaults, device},
+};
+
+/// The bus while nothing happens.
+const IDLE: Sample = Sample { is_recessive: true, is_transmitting: false };
+const DOMINANT: Sample = Sample { is_recessive: false, is_transmitting: false };
+
+type Storage = Log<BoardFlash, { <Node>::STORED_LEN }>;
+
+/// The rest of the board: a controller with a place for one frame, its bus, and a clock.
+struct Chip {
+    now_us: u32,
+    alarm_at_us: u32,
+    received: VecDeque<Received>,
+    /// The frame that waits for the bus.
+    place: Option<Frame>,
+    has_sent: bool,
+    /// Whether the others acknowledge at once.
+    is_bus_free: bool,
+    sent: Vec<Frame>,
+    /// The rates at which the controller was started.
+    starts: Vec<(Mode, u16)>,
+    refused_starts: usize,
+    error: Option<BusError>,
+    state: BusState,
+    sample: Sample,
+    resets: usize,
+}
+
+/// A handle to the chip, as the runner's controller and system.
+#[derive(Clone)]
+struct Handle(Rc<RefCell<Chip>>);
+
+impl Chip {
+    fn take_frame(&mut self, frame: Frame) {
+        self.place = Some(frame);
+        if self.is_bus_free {
+            self.complete();
+        }
+    }
+
+    fn complete(&mut self) {
+        self.sent.extend(self.place.take());
+        self.has_sent = true;
+    }
+}
+
+impl Controller for Handle {
+    fn start<const RPDOS: usize, const PRODUCERS: usize>(
+        &mut self,
+        mode: Mode,
+        bit_rate: BitRate,
+        _: &Receives<RPDOS, PRODUCERS>,
+    ) -> bool {
+        let mut chip = self.0.borrow_mut();
+        chip.place = None;
+        chip.starts.push((mode, bit_rate.kbit_per_s()));
+        chip.refused_starts = chip.refused_starts.saturating_sub(1);
+        chip.refused_starts == 0
+    }
+
+    fn receive(&mut self) -> Option<Received> {
+        self.0.borrow_mut().received.pop_front()
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        let mut chip = self.0.borrow_mut();
+        let is_empty = chip.place.is_none();
+        if is_empty {
+            chip.take_frame(*frame);
+        }
+        is_empty
+    }
+
+    fn take_sent(&mut self) -> bool {
+        std::mem::take(&mut self.0.borrow_mut().has_sent)
+    }
+
+    fn is_idle(&mut self) -> bool {
+        self.0.borrow().place.is_none()
+    }
+
+    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+        self.0.borrow_mut().place.take_if(|frame| are_dropped(frame.cob_id()));
+    }
+
+    fn take_error(&mut self) -> Option<BusError> {
+        self.0.borrow_mut().error.take()
+    }
+
+    fn error_counters(&self) -> (u8, u8) {
+        (0, 0)
+    }
+
+    fn bus_state(&self) -> BusState {
+        self.0.borrow().state
+    }
+
+    fn sample(&self) -> Option<Sample> {
+        Some(self.0.borrow().sample)
+    }
+}
+
+impl System for Handle {
+    fn now(&self) -> Instant {
+        Instant::from_micros(self.0.borrow().now_us)
+    }
+
+    fn reset(&mut self) {
+        self.0.borrow_mut().resets += 1;
+    }
+
+    fn set_alarm(&mut self, at: Instant) {
+        self.0.borrow_mut().alarm_at_us = at.as_micros();
+    }
+}
+
+/// Nothing wakes these futures: the tests poll them again.
+struct When<F>(F);
+
+impl<F: FnMut() -> bool + Unpin> Future for When<F> {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<()> {
+        if (self.0)() { Poll::Ready(()) } else { Poll::Pending }
+    }
+}
+
+impl AsyncController for Handle {
+    fn changed(&mut self) -> impl Future<Output = ()> {
+        let chip = self.0.clone();
+        When(move || {
+            let chip = chip.borrow();
+            !chip.received.is_empty() || chip.has_sent || chip.error.is_some()
+        })
+    }
+}
+
+impl AsyncSystem for Handle {
+    fn wait_until(&mut self, at: Instant) -> impl Future<Output = ()> {
+        let chip = self.0.clone();
+        chip.borrow_mut().alarm_at_us = at.as_micros();
+        When(move || at.has_come(Instant::from_micros(chip.borrow().now_us)))
+    }
+}
+
+/// A board with its runner.
+struct Board {
+    chip: Rc<RefCell<Chip>>,
+    runner: Runner<Handle, Handle>,
+}
+
+impl Board {
+    fn new(device: Device) -> Self {
+        let chip = Rc::new(RefCell::new(Chip {
+            now_us: 0,
+            alarm_at_us: 0,
+            received: VecDeque::new(),
+            place: None,
+            has_sent: false,
+            is_bus_free: true,
+            sent: Vec::new(),
+            starts: Vec::new(),
+            refused_starts: 0,
+            error: None,
+            state: BusState::Good,
+            sample: IDLE,
+            resets: 0,
+        }));
+        let handle = Handle(chip.clone());
+        Self { chip, runner: Runner::new(Node::new(device, None), handle.clone(), handle) }
+    }
+
+    /// A board with node-ID 5 that has sent its boot-up.
+    fn with_node_id() -> Self {
+        let mut board = Self::new(device(ADDRESS).with_defaults(defaults(5)));
+        board.pass_ms(1);
+        assert_eq!(board.take_sent(), ["705: 00"]);
+        board
+    }
+
+    fn chip(&self) -> std::cell::RefMut<'_, Chip> {
+        self.chip.borrow_mut()
+    }
+
+    fn take_sent(&self) -> Frames {
+        Frames(std::mem::take(&mut self.chip().sent))
+    }
+
+    fn take_starts(&self) -> Vec<(Mode, u16)> {
+        std::mem::take(&mut self.chip().starts)
+    }
+
+    /// Lets frames arrive together.
+    fn receive(&mut self, frames: &[&str]) {
+        let frames = frames.iter().map(|text| Received::Frame(frames::of_master(text)));
+        self.chip().received.extend(frames);
+        self.runner.handle_received();
+    }
+
+    fn handle_error(&mut self, error: BusError) {
+        self.chip().error = Some(error);
+        self.runner.handle_status();
+    }
+
+    /// Lets time pass, with every interrupt that comes.
+    fn pass_ms(&mut self, ms: u32) {
+        let end = Instant::from_micros(self.chip().now_us).plus_micros(1000 * ms);
+        loop {
+            let alarm_at = Instant::from_micros(self.chip().alarm_at_us);
+            if !alarm_at.has_come(end) {
+                break;
+            }
+            let now = Instant::from_micros(self.chip().now_us).later(alarm_at);
+            self.chip().now_us = now.as_micros();
+            self.runner.handle_alarm();
+            self.runner.handle_transmitted();
+        }
+        self.chip().now_us = end.as_micros();
+    }
+
+    /// Lets the frame in the controller leave, and those that follow, one after another.
+    fn free_bus(&mut self) {
+        while self.chip().place.is_some() {
+            self.chip().complete();
+            self.runner.handle_transmitted();
+        }
+    }
+}
+
+#[test]
+fn frames_wait_most_urgent_first_and_answers_in_order() {
+    let mut board = Board::with_node_id();
+    board.chip().is_bus_free = false;
+    board.receive(&["04 01", "5E", "5A", "605: 40 00 10 00 00 00 00 00", "5B"]);
+    assert_eq!(board.take_sent(), SILENCE);
+    board.free_bus();
+    // The first was in the controller when the others came.
+    let sent = board.take_sent().texts();
+    let [first, sdo, second, third] = &sent[..] else { panic!("{sent:?}") };
+    assert_eq!([&first[..7], &second[..7], &third[..7]], ["7E4: 5E", "7E4: 5A", "7E4: 5B"]);
+    assert_eq!(&sdo[..7], "585: 43");
+}
+
+#[test]
+fn only_lss_answers_outlive_a_reset_of_the_communication() {
+    let mut board = Board::with_node_id();
+    board.chip().is_bus_free = false;
+    board.receive(&["04 01", "5E", "605: 40 00 10 00 00 00 00 00", "5A", "000: 82 05"]);
+    board.free_bus();
+    let [first, boot_up, second] = &board.take_sent().texts()[..] else { panic!() };
+    assert_eq!([&first[..7], boot_up, &second[..7]], ["7E4: 5E", "705: 00", "7E4: 5A"]);
+}
+
+#[test]
+fn frames_that_find_no_room_are_dropped() {
+    let mut board = Board::with_node_id();
+    board.chip().is_bus_free = false;
+    board.receive(&["04 01"]);
+    (0..30).for_each(|_| board.receive(&["5E"]));
+    board.free_bus();
+    assert_eq!(board.take_sent().texts().len(), 1 + 16);
+}
+
+#[test]
+fn a_switch_starts_the_controller_at_the_new_rate_and_sends_nothing_meanwhile() {
+    let mut board = Board::with_node_id();
+    assert_eq!(board.take_starts(), [(Mode::TakePart, 1000)]);
+    board.receive(&["04 01", "13 00 02"]);
+    board.take_sent();
+    board.chip().is_bus_free = false;
+    board.receive(&["5E", "15 0A 00"]);
+    assert_eq!(board.chip().place, None, "the answer is dropped");
+    board.pass_ms(9);
+    assert_eq!(board.take_starts(), []);
+    board.pass_ms(2);
+    assert_eq!(board.take_starts(), [(Mode::TakePart, 500)]);
+    board.receive(&["5E"]);
+    assert_eq!(board.chip().place, None);
+    board.pass_ms(20);
+    board.chip().is_bus_free = true;
+    board.receive(&["5E"]);
+    assert_eq!(board.take_sent().texts().len(), 1);
+}
+
+#[test]
+fn a_controller_that_does_not_start_is_started_again() {
+    let mut board = Board::with_node_id();
+    board.receive(&["04 01", "13 00 03"]);
+    board.chip().refused_starts = 3;
+    board.take_starts();
+    board.receive(&["15 00 00"]);
+    board.pass_ms(1);
+    (0..5).for_each(|_| board.runner.supervise());
+    assert_eq!(board.take_starts(), [(Mode::TakePart, 250); 3]);
+}
+
+/// A board that searches for the bit rate after an error.
+fn searching() -> Board {
+    let mut board = Board::new(device(ADDRESS).with_defaults(defaults(0xFF)).with_rescue(true));
+    board.pass_ms(1);
+    assert_eq!(board.take_starts(), [(Mode::TakePart, 1000)]);
+    board
+}
+
+#[test]
+fn only_errors_that_tell_of_another_rate_begin_a_search() {
+    for (error, begins) in [
+        (BusError::Acknowledge, false),
+        (BusError::BitDominant, false),
+        (BusError::Stuff, true),
+        (BusError::Crc, true),
+        (BusError::BitRecessive, true),
+    ] {
+        let mut board = searching();
+        board.handle_error(error);
+        board.pass_ms(1);
+        let listens = board.take_starts().iter().any(|(mode, _)| *mode == Mode::Listen);
+        assert_eq!(listens, begins, "{error:?}");
+    }
+}
+
+#[test]
+fn traffic_without_a_frame_or_an_error_begins_a_search_unless_it_is_the_boards_own() {
+    for is_transmitting in [false, true] {
+        let mut board = searching();
+        for ms in 0..100 {
+            board.chip().sample = Sample { is_recessive: ms % 2 == 0, is_transmitting };
+            board.pass_ms(1);
+        }
+        let listens = board.take_starts().iter().any(|(mode, _)| *mode == Mode::Listen);
+        assert_eq!(listens, !is_transmitting);
+    }
+}
+
+#[test]
+fn a_bus_that_stays_dominant_ends_the_search() {
+    let mut board = searching();
+    board.handle_error(BusError::Stuff);
+    assert_eq!(board.take_starts().last().map(|(mode, _)| *mode), Some(Mode::Listen));
+    board.chip().sample = DOMINANT;
+    board.pass_ms(20);
+    assert_eq!(board.take_starts(), [(Mode::TakePart, 1000)]);
+}
+
+#[test]
+fn a_listener_that_hears_nothing_of_a_dominant_bus_is_started_again() {
+    let device = device(ADDRESS)
+        .with_defaults(defaults(0xFF).with_bit_rate(canopen_node::BitRateSetting::Automatic));
+    let mut board = Board::new(device.with_bit_rates(device.bit_rates.with_automatic()));
+    assert_eq!(board.take_starts(), [], "it listens first");
+    board.pass_ms(1);
+    assert_eq!(board.take_starts(), [(Mode::Listen, 1000)]);
+    board.runner.supervise();
+    assert_eq!(board.take_starts(), []);
+    board.chip().sample = DOMINANT;
+    board.runner.supervise();
+    assert_eq!(board.take_starts(), [(Mode::Listen, 1000)]);
+    board.chip().received.push_back(Received::Overrun);
+    board.runner.handle_received();
+    board.runner.supervise();
+    assert_eq!(board.take_starts(), [], "it has heard something");
+}
+
+#[test]
+fn a_command_to_reset_the_node_resets_the_device() {
+    let mut board = Board::with_node_id();
+    board.receive(&["000: 81 05"]);
+    assert_eq!(board.chip().resets, 1);
+}
+
+#[test]
+fn bus_off_and_the_recovery_are_reported() {
+    let mut board = Board::with_node_id();
+    board.chip().state = BusState::BusOff;
+    board.runner.handle_status();
+    board.chip().state = BusState::Good;
+    board.runner.supervise();
+    board.pass_ms(1);
+    assert_eq!(board.take_sent(), ["085: 40 81 11 00 00 00 00 00"]);
+}
+
+/// Polls the runner's futures once more each millisecond, and returns the number of steps of the indicators.
+fn run_ms(board: &mut Board, log: &mut Storage, ms: u32) -> usize {
+    let mut context = Context::from_waker(Waker::noop());
+    let mut steps = 0;
+    let end = board.chip().now_us + 1000 * ms;
+    while board.chip().now_us < end {
+        // A new future each time: the one before was dropped.
+        while pin!(board.runner.run_step(log)).poll(&mut context).is_ready() {
+            steps += 1;
+        }
+        board.chip().now_us += 1000;
+    }
+    steps
+}
+
+#[test]
+fn the_runner_over_async_drivers_answers_stores_and_lights_its_indicators() {
+    let mut board = Board::new(device(ADDRESS).with_defaults(defaults(0xFF)));
+    let (mut log, _) = Storage::open_with_parameters(BoardFlash::blank(0));
+    run_ms(&mut board, &mut log, 5);
+    for (request, answer) in
+        [("04 01", None), ("11 07", Some("11 00")), ("17", Some("17 00")), ("5E", Some("5E FF"))]
+    {
+        board.chip().received.push_back(Received::Frame(frames::request(request)));
+        run_ms(&mut board, &mut log, 1);
+        let sent = board.take_sent();
+        assert_eq!(sent.texts().first().map(|text| &text[5..10]), answer, "{request}");
+    }
+    assert_eq!(log.settings().and_then(|settings| settings.node_id), NodeId::new(7));
+    assert_eq!(run_ms(&mut board, &mut log, 1000), 20);
+}
+
+#[test]
+fn the_runner_over_async_drivers_supervises_the_controller_four_times_a_second() {
+    let mut board = Board::with_node_id();
+    let (mut log, _) = Storage::open_with_parameters(BoardFlash::blank(0));
+    board.receive(&["04 01", "13 00 03"]);
+    board.take_starts();
+    board.chip().refused_starts = 100;
+    board.receive(&["15 00 00"]);
+    run_ms(&mut board, &mut log, 1000);
+    assert!((4..=5).contains(&board.take_starts().len()));
+}
+
+#[test]
+fn a_step_that_is_dropped_at_every_poll_loses_no_frame() {
+    let mut board = Board::with_node_id();
+    let (mut log, _) = Storage::open_with_parameters(BoardFlash::blank(0));
+    board.chip().is_bus_free = false;
+    for request in ["04 01", "5E", "5A"] {
+        board.chip().received.push_back(Received::Frame(frames::request(request)));
+        run_ms(&mut board, &mut log, 1);
+    }
+    for _ in 0..2 {
+        board.chip().complete();
+        run_ms(&mut board, &mut log, 1);
+    }
+    assert_eq!(board.take_sent().texts().len(), 2);
+}

@@ -1,0 +1,91 @@
+//! Calls all of the runner, over a board of which nothing is known. `run_step` is not among the calls: an async function
+//! panics, by the compiler's own code, if it is polled after its end.
+
+use core::hint::black_box;
+
+use canopen_node::{
+    BitRate, Frame, Instant, Node, Receives,
+    indicator::BusState,
+    lss::StoreError,
+    runner::{BusError, Controller, Mode, Received, Runner, Sample, System},
+};
+
+use crate::{Objects, ObjectsNode, any, any_device, any_instant, any_settings};
+
+/// Calls a runner, which between the calls is in any state that its types allow.
+pub fn drive() {
+    let node: ObjectsNode =
+        Node::with_application(any_device(), any(Some(any_settings())), any(Objects::new()));
+    let mut runner = Runner::new(node, Board, Board);
+    let runner = black_box(&mut runner);
+    runner.handle_received();
+    runner.handle_transmitted();
+    runner.handle_status();
+    runner.supervise();
+    black_box(runner.handle_alarm());
+    black_box(runner.take_store(any(&[]), any(&mut [])));
+    runner.handle_stored(any(Err(StoreError::MediumAccess)));
+    runner.application(|objects| _ = black_box(objects));
+    runner.report(any(0), any(0), any([0; 5]));
+    runner.end_report(any(0));
+    runner.send_tpdo(any(0));
+}
+
+struct Board;
+
+impl Controller for Board {
+    fn start<const RPDOS: usize, const PRODUCERS: usize>(
+        &mut self,
+        mode: Mode,
+        bit_rate: BitRate,
+        receives: &Receives<RPDOS, PRODUCERS>,
+    ) -> bool {
+        black_box((mode, bit_rate, receives));
+        any(true)
+    }
+
+    fn receive(&mut self) -> Option<Received> {
+        any(None)
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        black_box(frame);
+        any(true)
+    }
+
+    fn take_sent(&mut self) -> bool {
+        any(true)
+    }
+
+    fn is_idle(&mut self) -> bool {
+        any(true)
+    }
+
+    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+        black_box(are_dropped(any(0)));
+    }
+
+    fn take_error(&mut self) -> Option<BusError> {
+        any(None)
+    }
+
+    fn error_counters(&self) -> (u8, u8) {
+        any((0, 0))
+    }
+
+    fn bus_state(&self) -> BusState {
+        any(BusState::Good)
+    }
+
+    fn sample(&self) -> Option<Sample> {
+        any(None)
+    }
+}
+
+impl System for Board {
+    fn now(&self) -> Instant {
+        any_instant()
+    }
+
+    fn reset(&mut self) {}
+}
