@@ -1,4 +1,6 @@
-//! An SDO client: reads of any length, and writes of up to four bytes (CiA 301, 7.2.4).
+//! An SDO client: reads and writes of any length (CiA 301, 7.2.4).
+
+use std::time::Duration;
 
 use crate::{bus::Bus, stop::Stop};
 
@@ -15,9 +17,20 @@ fn ask(
     request: [u8; 8],
     is_answer: impl Fn(&[u8; 8]) -> bool,
 ) -> Outcome<[u8; 8]> {
+    ask_within(bus, node, request, bus.patience(), is_answer)
+}
+
+/// The same with this wait for the answer.
+fn ask_within(
+    bus: &mut Bus,
+    node: u8,
+    request: [u8; 8],
+    wait: Duration,
+    is_answer: impl Fn(&[u8; 8]) -> bool,
+) -> Outcome<[u8; 8]> {
     let cob_id = 0x580 + u16::from(node);
     bus.send_to(0x600 + u16::from(node), &request)?;
-    let answer = bus.wait_for(bus.patience(), |frame| frame.cob_id() == cob_id)?;
+    let answer = bus.wait_for(wait, |frame| frame.cob_id() == cob_id)?;
     let Some(answer) = answer else { return Ok(Err("no answer".into())) };
     Ok(match <[u8; 8]>::try_from(answer.frame.data()) {
         Ok([0x80, _, _, _, a, b, c, d]) => {
@@ -81,4 +94,69 @@ pub fn write(
     let [a, b, c, d] = value.to_le_bytes();
     let request = [0x23 | (4 - len) << 2, low, high, sub_index, a, b, c, d];
     Ok(ask(bus, node, request, |answer| answer[0] == 0x60)?.map(drop))
+}
+
+/// Writes a value of any length: up to four bytes expedited, any other in segments. Waits for each answer for `wait`,
+/// since a device may store before it answers.
+pub fn download(
+    bus: &mut Bus,
+    node: u8,
+    (index, sub_index): (u16, u8),
+    data: &[u8],
+    wait: Duration,
+) -> Outcome<()> {
+    let [low, high] = index.to_le_bytes();
+    let is_expedited = (1..=4).contains(&data.len());
+    let mut request = [0x21, low, high, sub_index, 0, 0, 0, 0];
+    if is_expedited {
+        request[0] = 0x23 | (4 - data.len() as u8) << 2;
+        request[4..][..data.len()].copy_from_slice(data);
+    } else {
+        request[4..].copy_from_slice(&(data.len() as u32).to_le_bytes());
+    }
+    if let Err(why) = ask_within(bus, node, request, wait, |answer| answer[0] == 0x60)? {
+        return Ok(Err(why));
+    }
+    if is_expedited {
+        return Ok(Ok(()));
+    }
+    // An empty value has one segment without data.
+    let empty = data.is_empty().then_some(&[][..]);
+    let mut segments = data.chunks(7).chain(empty).peekable();
+    let mut toggle = 0;
+    while let Some(part) = segments.next() {
+        let is_last = u8::from(segments.peek().is_none());
+        let mut segment = [toggle | (7 - part.len() as u8) << 1 | is_last, 0, 0, 0, 0, 0, 0, 0];
+        segment[1..][..part.len()].copy_from_slice(part);
+        let is_answer = |answer: &[u8; 8]| answer[0] == 0x20 | toggle;
+        if let Err(why) = ask_within(bus, node, segment, wait, is_answer)? {
+            return Ok(Err(why));
+        }
+        toggle ^= 0x10;
+    }
+    Ok(Ok(()))
+}
+
+/// The error of a transfer, with the meaning of an abort code (CiA 301, 7.2.4.3.17).
+pub fn in_words(error: &str) -> String {
+    let code = error.strip_prefix("abort ").and_then(|code| u32::from_str_radix(code, 16).ok());
+    let meaning = match code {
+        Some(0x0601_0000) => "the object does not support this access",
+        Some(0x0601_0001) => "the object can only be written",
+        Some(0x0601_0002) => "the object can only be read",
+        Some(0x0602_0000) => "there is no such object",
+        Some(0x0604_0041) => "the object cannot be mapped",
+        Some(0x0604_0042) => "the mapped objects are too long for a PDO",
+        Some(0x0604_0043) => "the parameters are incompatible",
+        Some(0x0606_0000) => "the hardware fails",
+        Some(0x0607_0010 | 0x0607_0012 | 0x0607_0013) => "the length is wrong",
+        Some(0x0609_0011) => "there is no such sub-index",
+        Some(0x0609_0030) => "the value is invalid",
+        Some(0x0609_0031) => "the value is too high",
+        Some(0x0609_0032) => "the value is too low",
+        Some(0x0800_0020) => "it cannot be stored",
+        Some(0x0800_0021 | 0x0800_0022) => "not in the present state of the device",
+        _ => return error.to_owned(),
+    };
+    format!("{meaning} ({error})")
 }

@@ -45,6 +45,26 @@ pub struct Target {
     pub address: Option<Address>,
 }
 
+/// The desired state, and how much is done.
+#[derive(clap::Args)]
+pub struct Apply {
+    /// A table of the network (network.toml, as of `lss assign`), DCFs of nodes (*.dcf), or a list of them (nodelist.cpj)
+    #[arg(value_name = "FILE", required = true)]
+    pub files: Vec<PathBuf>,
+    /// Only print the plan; ends with 1 if anything differs
+    #[arg(long, visible_alias = "check")]
+    pub plan: bool,
+    /// Print the plan as JSON
+    #[arg(long, requires = "plan")]
+    pub json: bool,
+    /// Compare each value, also of nodes whose configuration stamp says that they have them
+    #[arg(long)]
+    pub full: bool,
+    /// Write a DCF for each node with the values that are on it, in the end, into this folder
+    #[arg(long, value_name = "FOLDER")]
+    pub write_dcf: Option<PathBuf>,
+}
+
 #[derive(Subcommand)]
 pub enum Command {
     /// Find the bit rate of the network and who is there: listens at all bit rates, and changes no state
@@ -65,6 +85,8 @@ pub enum Command {
     },
     /// Give each board without a node-ID one that nobody has, store it and verify it by a reset
     Assign(Assign),
+    /// Bring the network to the state that files describe: bit rate, node-IDs, values. Prints a plan first
+    Apply(Apply),
     /// Switch all boards to another bit rate and store it; if one does not come, all go back
     SetRate {
         /// The new bit rate in kbit/s

@@ -1,5 +1,6 @@
 //! The commands, one a file.
 
+mod apply;
 mod assign;
 mod find;
 mod identify;
@@ -13,6 +14,7 @@ mod set_rate;
 mod store;
 mod watch;
 
+pub use apply::apply;
 pub use assign::assign;
 pub use find::find;
 pub use identify::identify;

@@ -71,9 +71,12 @@ impl<'a> Session<'a> {
         if let Command::Find { ask } = arguments.command {
             return commands::find(self, rate, ask);
         }
+        if let Command::Apply(arguments_of_it) = &arguments.command {
+            return commands::apply(self, arguments.bit_rate, arguments_of_it);
+        }
         self.bus.open(rate)?;
         match &arguments.command {
-            Command::Find { .. } | Command::Completion { .. } => Ok(()),
+            Command::Find { .. } | Command::Apply(_) | Command::Completion { .. } => Ok(()),
             Command::List { watch: true, .. } => commands::watch(self),
             Command::List { json, .. } => commands::list(self, *json),
             Command::Assign(assign) => commands::assign(self, assign),

@@ -1,4 +1,4 @@
-//! The table of a network, `network.toml`: which LSS address has which node-ID.
+//! The table of a network, `network.toml`: which LSS address has which node-ID, and what else `lss apply` reads there.
 
 mod replace;
 
@@ -18,19 +18,46 @@ use crate::{address, failure::Failure};
 pub struct Table {
     path: PathBuf,
     pub entries: Vec<(NodeId, Address)>,
+    /// All node-IDs of the table, also those of boards that only a data sheet names.
+    pub ids: BTreeSet<u8>,
 }
 
+/// What stands in the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Content {
+pub struct Content {
+    /// In kbit/s.
+    pub bit_rate: Option<u16>,
     #[serde(default)]
-    node: Vec<Entry>,
+    pub node: Vec<Entry>,
 }
 
+/// A board of the table.
 #[derive(Deserialize)]
-struct Entry {
-    id: u8,
-    address: String,
+pub struct Entry {
+    pub id: u8,
+    pub address: Option<String>,
+    pub name: Option<String>,
+    /// Its data sheet.
+    pub eds: Option<PathBuf>,
+    /// Its data sheet with values, and maybe with its serial number.
+    pub dcf: Option<PathBuf>,
+    #[serde(default)]
+    pub values: toml::Table,
+    /// Keys of others.
+    #[serde(flatten)]
+    pub others: toml::Table,
+}
+
+impl Entry {
+    pub fn node_id(&self) -> Result<NodeId, String> {
+        NodeId::new(self.id).ok_or_else(|| format!("{} is no node-ID", self.id))
+    }
+
+    pub fn lss_address(&self) -> Result<Option<Address>, String> {
+        let Some(text) = &self.address else { return Ok(None) };
+        address::address(text).map(Some).map_err(|why| format!("{text}: {why}"))
+    }
 }
 
 impl Table {
@@ -41,8 +68,14 @@ impl Table {
             Err(error) if error.kind() == ErrorKind::NotFound => String::new(),
             text => text.map_err(|error| wrong(error.to_string()))?,
         };
-        let entries = parse(&text).map_err(wrong)?;
-        Ok(Self { path: path.to_owned(), entries })
+        let content = parse(&text).map_err(wrong)?;
+        let mut table = Self { path: path.to_owned(), entries: Vec::new(), ids: BTreeSet::new() };
+        for entry in content.node {
+            let id = entry.node_id().map_err(wrong)?;
+            table.ids.insert(id.get());
+            table.entries.extend(entry.lss_address().map_err(wrong)?.map(|address| (id, address)));
+        }
+        Ok(table)
     }
 
     /// Adds an entry at the end of the file, which otherwise stays as it is.
@@ -51,23 +84,25 @@ impl Table {
         let text = address::text(&address);
         write!(file, "\n[[node]]\nid = {}\naddress = \"{text}\"\n", id.get())?;
         self.entries.push((id, address));
+        self.ids.insert(id.get());
         Ok(())
     }
 }
 
-fn parse(text: &str) -> Result<Vec<(NodeId, Address)>, String> {
+/// Reads the content, in which no node-ID and no address is wrong or there twice.
+pub fn parse(text: &str) -> Result<Content, String> {
     let content: Content = toml::from_str(text).map_err(|error| error.to_string())?;
     let (mut ids, mut addresses) = (BTreeSet::new(), BTreeSet::new());
-    let mut entries = Vec::new();
-    for Entry { id, address } in content.node {
-        let node_id = NodeId::new(id).ok_or_else(|| format!("{id} is no node-ID"))?;
-        let parsed = address::address(&address).map_err(|why| format!("{address}: {why}"))?;
-        if !ids.insert(id) || !addresses.insert(address::text(&parsed)) {
-            return Err(format!("node-ID {id} or {address} is there twice"));
+    for entry in &content.node {
+        let id = entry.node_id()?.get();
+        let address = entry.lss_address()?.map(|address| address::text(&address));
+        let is_new = address.as_ref().is_none_or(|address| addresses.insert(address.clone()));
+        if !ids.insert(id) || !is_new {
+            let address = address.map_or_else(String::new, |address| format!(" or {address}"));
+            return Err(format!("node-ID {id}{address} is there twice"));
         }
-        entries.push((node_id, parsed));
     }
-    Ok(entries)
+    Ok(content)
 }
 
 #[cfg(test)]
@@ -78,9 +113,9 @@ mod tests {
     fn a_table_must_not_give_an_id_or_an_address_twice() {
         let node =
             |id: u8, address: &str| format!("[[node]]\nid = {id}\naddress = \"{address}\"\n");
-        assert_eq!(parse("").map(|entries| entries.len()), Ok(0));
+        assert_eq!(parse("").map(|content| content.node.len()), Ok(0));
         let two = node(5, "1:2:3:4") + &node(6, "1:2:3:5");
-        assert_eq!(parse(&two).map(|entries| entries.len()), Ok(2));
+        assert_eq!(parse(&two).map(|content| content.node.len()), Ok(2));
         for wrong in [
             node(5, "1:2:3:4") + &node(5, "1:2:3:5"),
             node(5, "1:2:3:4") + &node(6, "0x1:2:3:04"),

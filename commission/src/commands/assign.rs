@@ -56,7 +56,7 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
         held = boards;
     }
     // The node-IDs of boards that are missing now stay theirs.
-    let reserved = table.iter().flat_map(|table| table.entries.iter().map(|(id, _)| id.get()));
+    let reserved = table.iter().flat_map(|table| table.ids.clone());
     taken.extend(reserved);
     while let Some(address) = find_blank(session, new.len(), &held)? {
         let Some(id) = (first.get()..=127).find(|id| !taken.contains(id)).and_then(NodeId::new)

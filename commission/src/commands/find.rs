@@ -120,6 +120,25 @@ impl Sight {
     }
 }
 
+/// The first of these bit rates at which a frame is heard.
+pub fn heard_at(session: &mut Session<'_>, rates: &[BitRate]) -> Result<Option<BitRate>, Failure> {
+    for &rate in rates {
+        session.progress.say(|| format!("listening at {rate}"));
+        session.bus.listen(rate)?;
+        if session.bus.wait_for(HEARTBEAT, |_| true)?.is_some() {
+            return Ok(Some(rate));
+        }
+    }
+    Ok(None)
+}
+
+/// Whether somebody answers at a bit rate that may be wrong. The adapter stays there.
+pub fn answers_at(session: &mut Session<'_>, rate: BitRate) -> Result<bool, Failure> {
+    let mut sight = Sight::default();
+    ask(session, rate, &mut sight)?;
+    Ok(sight.is_blank_there || !sight.nodes.is_empty())
+}
+
 /// Listens without a sign of life on the bus.
 fn listen(session: &mut Session<'_>, rate: BitRate) -> Result<Sight, Failure> {
     session.bus.listen(rate)?;

@@ -144,27 +144,12 @@ impl Boards {
     /// Runs `lss` with these arguments. No board may be reset before an NMT reset node.
     pub fn lss(&self, arguments: &str) -> Outcome {
         self.rig().network.forbid_misuse();
-        let words = ["lss"].into_iter().chain(arguments.split_whitespace());
-        let arguments = Arguments::try_parse_from(words).expect("a command line");
-        let adapter =
-            Recorder::new(Box::new(self.clone()), arguments.log.as_deref(), arguments.explain);
-        let adapter = Box::new(adapter.expect("a log that can be written"));
-        let latency = Duration::from_millis(1);
-        let bus = Bus::new(adapter, latency, Arc::clone(&self.is_interrupted));
-        let mut out = Vec::new();
-        let mut session = Session::new(bus, &mut out, false);
-        session.screen = self.has_screen.get().then_some(|| (80, 24));
-        if let Some(lines) = self.person.get() {
-            session.person = Person::who_says(lines);
-        }
-        let outcome = session.run(&arguments);
-        let text = String::from_utf8(out).expect("UTF-8");
-        let (code, error) = match outcome {
-            Ok(()) => (0, String::new()),
-            Err(failure) => (failure.exit_code(), failure.to_string()),
-        };
-        println!("{text}{error}");
-        Outcome { text, code, error }
+        run(Box::new(self.clone()), &self.is_interrupted, arguments, |session| {
+            session.screen = self.has_screen.get().then_some(|| (80, 24));
+            if let Some(lines) = self.person.get() {
+                session.person = Person::who_says(lines);
+            }
+        })
     }
 
     /// Asserts that no board is in LSS configuration state: none answers to inquire node-ID at `rate`.
@@ -186,6 +171,31 @@ impl Boards {
         let settings = Log::open(BoardFlash::with_content(log, 0)).0.settings()?;
         Some((NodeId::to_lss(settings.node_id), settings.bit_rate.index()))
     }
+}
+
+/// Runs `lss` with these arguments on an adapter, in a session that `prepare` changes first.
+pub fn run(
+    adapter: Box<dyn Adapter>,
+    is_interrupted: &Arc<AtomicBool>,
+    arguments: &str,
+    prepare: impl FnOnce(&mut Session<'_>),
+) -> Outcome {
+    let words = ["lss"].into_iter().chain(arguments.split_whitespace());
+    let arguments = Arguments::try_parse_from(words).expect("a command line");
+    let adapter = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain);
+    let adapter = Box::new(adapter.expect("a log that can be written"));
+    let bus = Bus::new(adapter, Duration::from_millis(1), Arc::clone(is_interrupted));
+    let mut out = Vec::new();
+    let mut session = Session::new(bus, &mut out, false);
+    prepare(&mut session);
+    let outcome = session.run(&arguments);
+    let text = String::from_utf8(out).expect("UTF-8");
+    let (code, error) = match outcome {
+        Ok(()) => (0, String::new()),
+        Err(failure) => (failure.exit_code(), failure.to_string()),
+    };
+    println!("{text}{error}");
+    Outcome { text, code, error }
 }
 
 /// The LSS address of the board with this number.

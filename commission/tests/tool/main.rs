@@ -1,8 +1,10 @@
 //! The commands of `lss` on emulated boards with the release image, in virtual time, and its failures.
 
+mod apply;
 mod assign;
 mod emulated;
 mod find;
+mod in_process;
 mod network;
 mod power;
 mod program;

@@ -1,0 +1,261 @@
+//! `lss apply`: brings a network from the found to the desired state, and says before what it is going to do.
+
+mod dcf;
+mod found;
+mod node_ids;
+mod plan;
+mod values;
+mod wishes;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use canopen_node::{BitRate, NodeId, lss::Address};
+
+use crate::{address, arguments::Apply, commands::set_rate, failure::Failure, session::Session};
+use found::{Found, Values};
+use plan::Plan;
+use values::Done;
+use wishes::{Network, Node};
+
+/// The switch delay of another bit rate in ms, as that of `lss set-rate`.
+const SWITCH_DELAY: u16 = 500;
+
+/// Prints the plan, and carries it out. The user has `given` the bit rate at which the boards are now.
+pub fn apply(
+    session: &mut Session<'_>,
+    given: Option<BitRate>,
+    arguments: &Apply,
+) -> Result<(), Failure> {
+    // Wrong files do not concern the boards.
+    session.all_wait = true;
+    let network = Network::read(&arguments.files)?;
+    session.all_wait = false;
+    let mark = Mark::beside(&arguments.files[0]);
+    let stores_again = mark.is_there();
+    found::open(session, given, network.bit_rate)?;
+    let mut found = found::boards(session, &network)?;
+    if found.places.iter().all(Option::is_none) && found.unknown.is_empty() {
+        return Err(Failure::NoAnswer(format!(
+            "nobody answers at {}. `lss find` looks for the bit rate",
+            session.bus.rate()
+        )));
+    }
+    let trusts_stamps = !stores_again && !arguments.full;
+    let values = values(session, &network, &mut found, trusts_stamps)?;
+    session.progress.clear();
+    let plan = Plan::new(&network, &found, &values, session.bus.rate(), stores_again);
+    match arguments.json {
+        true => plan.print_json(session)?,
+        false => plan.print(session)?,
+    }
+    if !arguments.plan && plan.differs() {
+        mark.set()?;
+        let problems = work(session, &network, &mut found, stores_again, trusts_stamps)?;
+        session.progress.clear();
+        match problems.is_empty() {
+            true => mark.remove(),
+            false => found.problems.extend(problems),
+        }
+    }
+    if let Some(folder) = &arguments.write_dcf {
+        write_dcfs(session, &network, &mut found, folder, arguments.json)?;
+    }
+    match (found.problems.is_empty(), arguments.plan && plan.differs()) {
+        (true, false) => {
+            if !arguments.json {
+                writeln!(session.out, "the network is as the files say")?;
+            }
+            Ok(())
+        }
+        (true, true) => Err(Failure::Refused(format!(
+            "{} differ from the files: `lss apply` without --plan changes them",
+            plan.count()
+        ))),
+        (false, _) => Err(Failure::Refused(found.problems.join("\n"))),
+    }
+}
+
+/// Compares the values of the nodes that can be asked; those of the others are not known yet.
+fn values(
+    session: &mut Session<'_>,
+    network: &Network,
+    found: &mut Found,
+    trusts_stamps: bool,
+) -> Result<Vec<Option<Values>>, Failure> {
+    let mut all = Vec::new();
+    for (node, place) in network.nodes.iter().zip(&found.places) {
+        let id = place.filter(|place| !place.is_shared).and_then(|place| place.id);
+        let values = match id {
+            // The values that belong to the node-ID come with it.
+            Some(id) if id == node.id => found::values(session, id, node, trusts_stamps)?,
+            _ => {
+                all.push(None);
+                continue;
+            }
+        };
+        match values {
+            Ok(values) => all.push(Some(values)),
+            Err(why) => {
+                found.problems.push(why);
+                all.push(None);
+            }
+        }
+    }
+    Ok(all)
+}
+
+/// Carries the plan out: the bit rate, the node-IDs, the values. Returns what was left undone, in words.
+fn work(
+    session: &mut Session<'_>,
+    network: &Network,
+    found: &mut Found,
+    stores_again: bool,
+    trusts_stamps: bool,
+) -> Result<Vec<String>, Failure> {
+    let known = std::mem::take(&mut found.problems);
+    if let Some(rate) = network.bit_rate.filter(|rate| *rate != session.bus.rate()) {
+        match found.places.iter().all(Option::is_some) {
+            true => set_rate(session, rate, SWITCH_DELAY)?,
+            false => found.problems.push(format!(
+                "the bit rate stays {}, since a board is missing: it would be lost at {rate}",
+                session.bus.rate()
+            )),
+        }
+        session.bus.hold_interrupt(false);
+    }
+    let rate = session.bus.rate();
+    let before: Vec<_> =
+        found.places.iter().map(|place| place.and_then(|place| place.id)).collect();
+    node_ids::assign(
+        session,
+        network,
+        found,
+        network.bit_rate.filter(|wanted| *wanted == rate),
+        stores_again,
+    )?;
+    node_ids::unshare(found);
+    let mut problems = std::mem::replace(&mut found.problems, known);
+    for ((node, place), before) in network.nodes.iter().zip(&found.places).zip(before) {
+        let Some((place, id)) = place.and_then(|place| Some((place, place.id?))) else { continue };
+        // It still waits for its node-ID.
+        if id != node.id || place.is_shared {
+            continue;
+        }
+        let is_new = before != Some(id);
+        let outcome =
+            values_of(session, node, place.address, id, is_new, stores_again, trusts_stamps);
+        let done = match outcome {
+            Ok(Ok(done)) => done,
+            Ok(Err(why)) => {
+                problems.push(why);
+                continue;
+            }
+            Err(failure @ Failure::Stop(_)) => return Err(failure),
+            Err(failure) => {
+                problems.push(format!("{}: {failure}", node.words()));
+                continue;
+            }
+        };
+        let mut words = Vec::new();
+        if is_new || stores_again {
+            words.push("node-ID stored".to_owned());
+        }
+        match (done.written, done.is_stored) {
+            (0, false) => {}
+            (0, true) => words.push("values stored".into()),
+            (count, true) => words.push(format!("{count} values written and stored")),
+            (count, false) => {
+                words.push(format!(
+                    "{count} values written, until its next reset: it cannot store them"
+                ));
+            }
+        }
+        if is_new || done.is_verified {
+            words.push("verified by a reset".into());
+        }
+        if done.was_operational {
+            words.push("pre-operational since the reset".into());
+        }
+        if !words.is_empty() {
+            let address = address::text(&place.address);
+            writeln!(session.out, "{}  {address}  {}", node.words(), words.join(", "))?;
+        }
+    }
+    Ok(problems)
+}
+
+/// Brings a node to its values. One with a new node-ID is reset once: it has stored it.
+fn values_of(
+    session: &mut Session<'_>,
+    node: &Node,
+    address: Address,
+    id: NodeId,
+    is_new: bool,
+    stores_again: bool,
+    trusts_stamps: bool,
+) -> Result<Result<Done, String>, Failure> {
+    // A reset takes the values away from one that cannot store them.
+    if is_new && !node.can_store() {
+        values::reset(session, id, &address)?;
+    }
+    let done = values::apply(session, id, &address, node, stores_again, trusts_stamps)?;
+    if is_new && node.can_store() && done.as_ref().is_ok_and(|done| !done.is_verified) {
+        values::reset(session, id, &address)?;
+    }
+    Ok(done)
+}
+
+fn write_dcfs(
+    session: &mut Session<'_>,
+    network: &Network,
+    found: &mut Found,
+    folder: &Path,
+    is_quiet: bool,
+) -> Result<(), Failure> {
+    for (node, place) in network.nodes.iter().zip(&found.places) {
+        let Some(place) = place.filter(|place| place.id.is_some() && !place.is_shared) else {
+            continue;
+        };
+        match dcf::write(session, folder, node, place)? {
+            Ok(_) if is_quiet => {}
+            Ok(file) => writeln!(session.out, "{file}")?,
+            Err(why) => found.problems.push(why),
+        }
+    }
+    Ok(())
+}
+
+/// A file beside the first one that is there while the work is not finished: the next run trusts nothing that may not be
+/// stored.
+struct Mark(PathBuf);
+
+impl Mark {
+    fn beside(path: &Path) -> Self {
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(".unfinished");
+        Self(path.with_file_name(name))
+    }
+
+    fn is_there(&self) -> bool {
+        self.0.exists()
+    }
+
+    fn set(&self) -> Result<(), Failure> {
+        let text = "A run of `lss apply` has not finished. The next one lets all boards store again, and goes on.\n";
+        let written = fs::write(&self.0, text);
+        written.map_err(|error| {
+            Failure::Refused(format!(
+                "cannot write {}: {error}. Nothing was changed",
+                self.0.display()
+            ))
+        })
+    }
+
+    fn remove(&self) {
+        // If it stays, the next run stores again.
+        let _ = fs::remove_file(&self.0);
+    }
+}

@@ -1,0 +1,134 @@
+//! The configuration file of a device (DCF, CiA 306): its data sheet with the values that are on the node.
+
+use std::{collections::BTreeMap, fs, path::Path};
+
+use can_bus::{eds, sdo};
+use canopen_node::{BitRate, NodeId};
+
+use super::{
+    found::Place,
+    wishes::{Node, STAMP, Sheet},
+};
+use crate::{failure::Failure, session::Session};
+
+/// Writes `node_5.dcf` into the folder, with the values that configure the node; returns its name.
+pub fn write(
+    session: &mut Session<'_>,
+    folder: &Path,
+    node: &Node,
+    place: Place,
+) -> Result<Result<String, String>, Failure> {
+    let (Some(sheet), Some(id)) = (&node.sheet, place.id) else {
+        return Ok(Err(format!(
+            "{}: without eds or dcf there is no data sheet to write",
+            node.words()
+        )));
+    };
+    let mut values = BTreeMap::new();
+    for entry in sheet.eds.entries() {
+        // The stamp proves values of this board, and not those that a person may write into the file.
+        if !sheet.configures(entry) || !entry.can_be_read() || entry.address.0 == STAMP {
+            continue;
+        }
+        session
+            .progress
+            .say(|| format!("{}: reading {}", node.words(), node.value_words(entry.address)));
+        // Some objects cannot be read in each state, and a value without a notation cannot stand in the file.
+        let (index, sub_index) = entry.address;
+        let value = sdo::read(&mut session.bus, id.get(), index, sub_index)?;
+        let text = value.ok().and_then(|bytes| entry.notation(&bytes));
+        values.extend(text.map(|text| (entry.address, text)));
+    }
+    let name = format!("node_{}.dcf", id.get());
+    let rate = session.bus.rate();
+    let text = content(sheet, &values, &name, &commissioning(node, place, id, rate));
+    let path = folder.join(&name);
+    let written = fs::create_dir_all(folder).and_then(|()| fs::write(&path, text));
+    Ok(match written {
+        Ok(()) => Ok(path.display().to_string()),
+        Err(error) => Err(format!("cannot write {}: {error}", path.display())),
+    })
+}
+
+fn commissioning(node: &Node, place: Place, id: NodeId, rate: BitRate) -> String {
+    let name: String = node.name.as_deref().unwrap_or("").chars().filter(char::is_ascii).collect();
+    format!(
+        "[DeviceComissioning]\nNodeID={}\nNodeName={name}\nBaudrate={}\nNetNumber=1\nNetworkName=\nCANopenManager=0\n\
+         LSS_SerialNumber=0x{:08X}\n",
+        id.get(),
+        rate.kbit_per_s(),
+        place.address.serial_number
+    )
+}
+
+/// The data sheet with other values. It otherwise stays as it is.
+fn content(
+    sheet: &Sheet,
+    values: &BTreeMap<eds::Address, String>,
+    name: &str,
+    commissioning: &str,
+) -> String {
+    let of_compact = compact(sheet, values);
+    let mut text = String::new();
+    let mut section = String::new();
+    let mut is_left_out = false;
+    for line in sheet.text.lines() {
+        let line = line.trim_end();
+        if let Some(header) = line.trim().strip_prefix('[').and_then(|line| line.strip_suffix(']'))
+        {
+            section = header.to_ascii_lowercase();
+            is_left_out = matches!(&*section, "devicecomissioning" | "devicecommissioning")
+                || of_compact.contains_key(&*section);
+            if !is_left_out {
+                text += &format!("{line}\n");
+                text += &value_line(sheet, &section, values);
+            }
+            continue;
+        }
+        let key = line.split_once('=').map_or("", |(key, _)| key.trim()).to_ascii_lowercase();
+        match &*key {
+            _ if is_left_out => {}
+            "parametervalue" => {}
+            "lasteds" if section == "fileinfo" => {}
+            "filename" if section == "fileinfo" => {
+                let data_sheet = sheet.path.file_name().unwrap_or_default().to_string_lossy();
+                text += &format!("FileName={name}\nLastEDS={data_sheet}\n");
+            }
+            _ => text += &format!("{line}\n"),
+        }
+    }
+    for (section, lines) in of_compact {
+        text += &format!("\n[{section}]\n{lines}");
+    }
+    format!("{text}\n{commissioning}")
+}
+
+/// The line with the value of a section such as `2101sub1`.
+fn value_line(sheet: &Sheet, section: &str, values: &BTreeMap<eds::Address, String>) -> String {
+    let (index, sub_index) = section.split_once("sub").unwrap_or((section, "0"));
+    let address = (u16::from_str_radix(index, 16), u8::from_str_radix(sub_index, 16));
+    let is_compact = sheet.eds.number(section, "CompactSubObj").is_some_and(|count| count > 0);
+    match address {
+        (Ok(index), Ok(sub_index)) if section.len() >= 4 && !is_compact => values
+            .get(&(index, sub_index))
+            .map_or_else(String::new, |value| format!("ParameterValue={value}\n")),
+        _ => String::new(),
+    }
+}
+
+/// The sections with the values of objects whose elements share one section.
+fn compact(sheet: &Sheet, values: &BTreeMap<eds::Address, String>) -> BTreeMap<String, String> {
+    let mut sections = BTreeMap::new();
+    for index in sheet.eds.indices() {
+        let section = format!("{index:04x}");
+        if sheet.eds.number(&section, "CompactSubObj").is_none_or(|count| count <= 0) {
+            continue;
+        }
+        let of_object = values.range((index, 1)..=(index, 0xFE));
+        let lines: Vec<String> =
+            of_object.map(|((_, number), value)| format!("{number}={value}\n")).collect();
+        let text = format!("NrOfEntries={}\n{}", lines.len(), lines.concat());
+        sections.insert(format!("{section}value"), text);
+    }
+    sections
+}

@@ -1,0 +1,253 @@
+//! The found state of a network: which board is where, and which values it has.
+
+use can_bus::{
+    eds::{self, Kind},
+    sdo,
+};
+use canopen_node::{
+    BitRate, NodeId,
+    lss::{Address, Request},
+};
+use lss_master::{InquireNodeId, Select};
+
+use super::wishes::{Board, Network, Node, STAMP};
+use crate::{
+    address,
+    commands::{
+        find,
+        list::{self, Row},
+    },
+    failure::Failure,
+    session::{DEFAULT_RATE, Session},
+};
+
+/// Where a board is.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    pub address: Address,
+    pub id: Option<NodeId>,
+    /// Another board has the same node-ID: they answer to SDO together.
+    pub is_shared: bool,
+}
+
+/// The boards on the bus.
+pub struct Found {
+    /// By the number of the node in the files; `None` if it is missing.
+    pub places: Vec<Option<Place>>,
+    /// Boards that no file names.
+    pub unknown: Vec<Row>,
+    /// What is missing or not clear, in words.
+    pub problems: Vec<String>,
+}
+
+/// Opens the bus at the bit rate that the network has: `given` by the user, or that of the files. If a frame is heard at
+/// only the other of them, it is that: an earlier run has switched the network, or none yet. Nothing is asked at a bit
+/// rate that may be wrong but one question.
+pub fn open(
+    session: &mut Session<'_>,
+    given: Option<BitRate>,
+    wanted: Option<BitRate>,
+) -> Result<(), Failure> {
+    let first = session.bus.fixed_rate().or(given).or(wanted).unwrap_or(DEFAULT_RATE);
+    let second = match session.bus.fixed_rate() {
+        Some(_) => None,
+        None if given.is_none() => wanted.map(|_| DEFAULT_RATE),
+        None => wanted,
+    };
+    let Some(second) = second.filter(|second| *second != first) else {
+        session.bus.open(first)?;
+        return Ok(());
+    };
+    let heard = find::heard_at(session, &[first, second])?;
+    let rate = heard.unwrap_or(first);
+    if heard.is_none() && !find::answers_at(session, rate)? {
+        return Err(Failure::NoAnswer(format!(
+            "nobody answers at {rate}, and no frame is heard at {rate} and {second}. If the boards are at {second}: \
+             --bit-rate {}",
+            second.kbit_per_s()
+        )));
+    }
+    session.bus.open(rate)?;
+    Ok(())
+}
+
+/// Finds the boards of the files, and all others. All boards are in LSS waiting state then.
+pub fn boards(session: &mut Session<'_>, network: &Network) -> Result<Found, Failure> {
+    let mut unknown = list::rows(session)?;
+    let mut found = Found {
+        places: vec![None; network.nodes.len()],
+        unknown: Vec::new(),
+        problems: Vec::new(),
+    };
+    for (node, place) in network.nodes.iter().zip(&mut found.places) {
+        let Board::Address(address) = node.board else { continue };
+        session.progress.say(|| format!("looking for {}", node.words()));
+        let row = unknown.iter().position(|row| row.lss_address == Some(address));
+        *place = match row.map(|row| unknown.remove(row)) {
+            Some(row) => place_of(&row),
+            // A node that is stopped does not answer to SDO, and not each tells its LSS address there.
+            None => select(session, address)?,
+        };
+        match place {
+            Some(Place { id: Some(id), .. }) => {
+                let is_it = |row: &Row| row.lss_address.is_none() && row.node_id == Some(id.get());
+                unknown.retain(|row| !is_it(row));
+            }
+            Some(_) => {}
+            None => found.problems.push(format!(
+                "{} is missing: {}. Is it on the bus, and has it power?",
+                node.words(),
+                address::text(&address)
+            )),
+        }
+    }
+    session.bus.request(Request::SwitchToWaiting)?;
+    for (node, place) in network.nodes.iter().zip(&mut found.places) {
+        let Board::Kind { .. } = node.board else { continue };
+        match only(node, &unknown) {
+            Ok(row) => *place = place_of(&unknown.remove(row)),
+            Err(why) => found.problems.push(why),
+        }
+    }
+    found.unknown = unknown;
+    Ok(found)
+}
+
+fn place_of(row: &Row) -> Option<Place> {
+    let id = row.node_id.and_then(NodeId::new);
+    Some(Place { address: row.lss_address?, id, is_shared: row.is_duplicate })
+}
+
+fn select(session: &mut Session<'_>, address: Address) -> Result<Option<Place>, Failure> {
+    match session.carry_out(Select(address)) {
+        Ok(()) => {
+            let id = session.carry_out(InquireNodeId)?;
+            Ok(Some(Place { address, id, is_shared: false }))
+        }
+        Err(Failure::NoAnswer(_)) => Ok(None),
+        Err(failure) => Err(failure),
+    }
+}
+
+/// The row of the board that is meant by its kind alone: the one that has the node-ID, or the only one.
+fn only(node: &Node, rows: &[Row]) -> Result<usize, String> {
+    let Board::Kind { vendor_id, product_code, revision_number } = node.board else {
+        return Err(String::new());
+    };
+    let is_it = |row: &Row| {
+        row.lss_address.is_some_and(|address| {
+            (address.vendor_id, address.product_code) == (vendor_id, product_code)
+                && [0, address.revision_number].contains(&revision_number)
+        })
+    };
+    let all: Vec<usize> = (0..rows.len()).filter(|row| is_it(&rows[*row])).collect();
+    let has_id =
+        |row: &&usize| rows[**row].node_id == Some(node.id.get()) && !rows[**row].is_duplicate;
+    if let Some(row) = all.iter().find(has_id) {
+        return Ok(*row);
+    }
+    match all[..] {
+        [row] => Ok(row),
+        [] => Err(format!(
+            "{} is missing: no board {vendor_id:08X}:{product_code:08X}:{revision_number:08X} is there. Is it on the \
+             bus, and has it power?",
+            node.words()
+        )),
+        _ => {
+            let text = |row: &usize| rows[*row].lss_address.as_ref().map(address::text);
+            let boards: Vec<String> = all.iter().filter_map(text).collect();
+            Err(format!(
+                "{} may be each of {} boards, {}: say which one, by address = \"...\" in a table or LSS_SerialNumber in \
+                 the DCF",
+                node.words(),
+                boards.len(),
+                boards.join(", ")
+            ))
+        }
+    }
+}
+
+/// A value that is not as it must be.
+#[derive(Clone, Debug)]
+pub struct Change {
+    pub address: eds::Address,
+    /// `None`: it cannot be read.
+    pub found: Option<Vec<u8>>,
+    pub wanted: Vec<u8>,
+}
+
+/// The values of a node.
+#[derive(Clone, Debug, Default)]
+pub struct Values {
+    pub changes: Vec<Change>,
+    /// The stamp is another one, or there is none where one must be.
+    pub lacks_stamp: bool,
+}
+
+impl Values {
+    pub fn are_as_wanted(&self) -> bool {
+        self.changes.is_empty() && !self.lacks_stamp
+    }
+}
+
+/// Compares the values of the node with this node-ID with the wishes: by its stamp alone, if that proves them and
+/// `trusts_stamp`. The inner error says in words why that cannot be.
+pub fn values(
+    session: &mut Session<'_>,
+    id: NodeId,
+    node: &Node,
+    trusts_stamp: bool,
+) -> Result<Result<Values, String>, Failure> {
+    let mut values = Values::default();
+    if let Some(stamp) = node.stamp {
+        for (sub_index, number) in (1..).zip(stamp.numbers) {
+            match sdo::read_number(&mut session.bus, id.get(), STAMP, sub_index)? {
+                Ok(found) => values.lacks_stamp |= found != number,
+                Err(why) => return Ok(Err(unreadable(node, (STAMP, sub_index), &why))),
+            }
+            if values.lacks_stamp {
+                break;
+            }
+        }
+        if stamp.is_proof && trusts_stamp && !values.lacks_stamp {
+            return Ok(Ok(values));
+        }
+    }
+    for (count, (address, wanted)) in node.values.iter().enumerate() {
+        session.progress.say(|| {
+            format!("{}: reading value {} of {}", node.words(), count + 1, node.values.len())
+        });
+        let entry = node.entry(*address);
+        let found = match entry.is_some_and(|entry| entry.can_be_read()) {
+            false => None,
+            true => match sdo::read(&mut session.bus, id.get(), address.0, address.1)? {
+                Ok(found) => Some(found),
+                Err(why) => return Ok(Err(unreadable(node, *address, &why))),
+            },
+        };
+        let is_text = entry.is_some_and(|entry| entry.kind() == Kind::Text);
+        let is_same = found.as_ref().is_some_and(|found| match is_text {
+            true => without_zeros(found) == without_zeros(wanted),
+            false => found == wanted,
+        });
+        if !is_same {
+            values.changes.push(Change { address: *address, found, wanted: wanted.clone() });
+        }
+    }
+    Ok(Ok(values))
+}
+
+/// A text without the zeros behind it.
+fn without_zeros(text: &[u8]) -> &[u8] {
+    let end = text.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+    &text[..end]
+}
+
+fn unreadable(node: &Node, address: eds::Address, why: &str) -> String {
+    let words = sdo::in_words(why);
+    let hint = match why {
+        "no answer" => ". Is the node stopped (NMT)? `lss list` shows it",
+        _ => ". Is it the data sheet of this board?",
+    };
+    format!("{}: {} cannot be read: {words}{hint}", node.words(), node.value_words(address))
+}

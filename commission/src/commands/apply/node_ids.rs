@@ -1,0 +1,202 @@
+//! The node-IDs of a plan in an order in which no two boards ever have the same one, also after a power cut in between.
+
+use std::collections::BTreeMap;
+
+use canopen_node::{
+    BitRate, NodeId,
+    lss::{Address, Request},
+};
+use lss_master::{InquireNodeId, Select};
+
+use super::{
+    found::{Found, Place},
+    wishes::Network,
+};
+use crate::{
+    address,
+    commands::{
+        inquire::id_text,
+        set_id::{RESET_COMMUNICATION, wait_for_boot_up},
+    },
+    failure::Failure,
+    session::Session,
+};
+
+/// How many boards have each node-ID.
+type Taken = BTreeMap<NodeId, usize>;
+
+/// Gives each board of the plan its node-ID, and stores it: with `stores_again` also those that have it. They store
+/// the bit `rate` of the network, too, if it is known. The places follow; what cannot be done is among the problems of `found`.
+pub fn assign(
+    session: &mut Session<'_>,
+    network: &Network,
+    found: &mut Found,
+    rate: Option<BitRate>,
+    stores_again: bool,
+) -> Result<(), Failure> {
+    let mut taken = Taken::new();
+    let unknown = found.unknown.iter().filter_map(|row| NodeId::new(row.node_id?));
+    for id in found.places.iter().flatten().filter_map(|place| place.id).chain(unknown) {
+        *taken.entry(id).or_default() += 1;
+    }
+    let is_waiting = |number: &usize, found: &Found| {
+        let place = &found.places[*number];
+        place.is_some_and(|place| stores_again || place.id != Some(network.nodes[*number].id))
+    };
+    let mut waiting: Vec<usize> =
+        (0..network.nodes.len()).filter(|number| is_waiting(number, found)).collect();
+    let wanted = |number: usize| network.nodes[number].id;
+    while !waiting.is_empty() {
+        let is_possible = |number: &usize| {
+            let has_it =
+                found.places[*number].is_some_and(|place| place.id == Some(wanted(*number)));
+            has_it || !taken.contains_key(&wanted(*number))
+        };
+        // In a circle one board gives its node-ID up, and is without one for a while.
+        let (number, to) = match waiting.iter().position(is_possible) {
+            Some(next) => {
+                let number = waiting.remove(next);
+                (number, Some(wanted(number)))
+            }
+            None => {
+                let in_the_way = |number: &&usize| {
+                    let id = found.places[**number].and_then(|place| place.id);
+                    waiting.iter().any(|other| id == Some(wanted(*other)))
+                };
+                match waiting.iter().find(in_the_way) {
+                    Some(number) => (*number, None),
+                    None => break,
+                }
+            }
+        };
+        let node = &network.nodes[number];
+        session.progress.say(|| format!("{}: node-ID {}", node.words(), id_text(to)));
+        let Some(place) = &mut found.places[number] else { continue };
+        let before = place.id;
+        match give(session, place.address, before, to, rate, &taken) {
+            Ok(id) => {
+                place.id = id;
+                place.is_shared = false;
+                move_id(&mut taken, before, id);
+            }
+            Err(failure @ Failure::Stop(_)) => return Err(failure),
+            Err(failure) => {
+                found.problems.push(format!("{}: {failure}", node.words()));
+                // It may have taken it.
+                move_id(&mut taken, None, to);
+                waiting.retain(|other| *other != number);
+                // Its state is not known, so nothing else is done with it.
+                found.places[number] = None;
+            }
+        }
+    }
+    for number in waiting {
+        let id = wanted(number).get();
+        found.problems.push(format!(
+            "{}: another board has node-ID {id}. Give it another one: lss set-id ID --reset --store --address V:P:R:S",
+            network.nodes[number].words()
+        ));
+    }
+    Ok(())
+}
+
+fn move_id(taken: &mut Taken, from: Option<NodeId>, to: Option<NodeId>) {
+    if let Some(from) = from {
+        let count = taken.remove(&from).unwrap_or(0);
+        if count > 1 {
+            taken.insert(from, count - 1);
+        }
+    }
+    if let Some(to) = to {
+        *taken.entry(to).or_default() += 1;
+    }
+}
+
+/// Gives a node-ID to a board, stores it, and lets it take effect; returns it. A board that is to have none and refuses
+/// that gets one that nobody has. A Ctrl-C waits meanwhile: a board must not have a node-ID that is not stored.
+fn give(
+    session: &mut Session<'_>,
+    address: Address,
+    before: Option<NodeId>,
+    to: Option<NodeId>,
+    rate: Option<BitRate>,
+    taken: &Taken,
+) -> Result<Option<NodeId>, Failure> {
+    session.bus.check_interrupt()?;
+    session.bus.hold_interrupt(true);
+    let result = give_held(session, address, before, to, rate, taken);
+    session.bus.hold_interrupt(false);
+    result.map_err(|failure| match failure {
+        Failure::NoAnswer(why) | Failure::Refused(why) => Failure::Refused(format!(
+            "{why}. Board {}: is it still there? A further run goes on",
+            address::text(&address)
+        )),
+        failure => failure,
+    })
+}
+
+fn give_held(
+    session: &mut Session<'_>,
+    address: Address,
+    before: Option<NodeId>,
+    mut to: Option<NodeId>,
+    rate: Option<BitRate>,
+    taken: &Taken,
+) -> Result<Option<NodeId>, Failure> {
+    session.carry_out(Select(address))?;
+    let configured = configure(session, to, rate);
+    if to.is_none() && matches!(configured, Err(Failure::Refused(_))) {
+        to = (1..=127).rev().filter_map(NodeId::new).find(|id| !taken.contains_key(id));
+        configure(session, to, rate)?;
+    } else if let Err(failure) = configured {
+        // It must not take the node-ID at the end of LSS configuration state.
+        let _ = session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(before)));
+        return Err(failure);
+    }
+    session.bus.take_unasked();
+    session.bus.request(Request::SwitchToWaiting)?;
+    if let Some(before) = before.filter(|_| before != to) {
+        session.bus.nmt(RESET_COMMUNICATION, before.get())?;
+    }
+    match to {
+        _ if before == to => {}
+        Some(to) => wait_for_boot_up(session, to)?,
+        None => {
+            session.carry_out(Select(address))?;
+            if let Some(still) = session.carry_out(InquireNodeId)? {
+                let why = format!("it keeps node-ID {} after NMT reset communication", still.get());
+                return Err(Failure::Refused(why));
+            }
+            session.bus.request(Request::SwitchToWaiting)?;
+        }
+    }
+    Ok(to)
+}
+
+/// Makes a node-ID pending in the board in LSS configuration state, and the bit rate of the network, and stores both.
+fn configure(
+    session: &mut Session<'_>,
+    id: Option<NodeId>,
+    rate: Option<BitRate>,
+) -> Result<(), Failure> {
+    session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(id)))?;
+    if let Some(rate) = rate {
+        // It runs at this rate. One that cannot be told has it by switches.
+        match session.carry_out(Request::ConfigureBitTiming { table: 0, index: rate.index() }) {
+            Ok(()) | Err(Failure::Refused(_)) => {}
+            Err(failure) => return Err(failure),
+        }
+    }
+    session.carry_out(Request::StoreConfiguration)
+}
+
+/// The places of boards that share a node-ID with another are known to be alone after a further look.
+pub fn unshare(found: &mut Found) {
+    let places: Vec<Place> = found.places.iter().flatten().copied().collect();
+    let unknown: Vec<u8> = found.unknown.iter().filter_map(|row| row.node_id).collect();
+    for place in found.places.iter_mut().flatten() {
+        let Some(id) = place.id else { continue };
+        let count = places.iter().filter(|other| other.id == Some(id)).count();
+        place.is_shared = count > 1 || unknown.contains(&id.get());
+    }
+}

@@ -1,0 +1,216 @@
+//! The plan: per board what is there and what it will be, as text and as JSON.
+
+use can_bus::eds;
+use canopen_node::{BitRate, NodeId};
+use serde::Serialize;
+
+use super::{
+    found::{Found, Place, Values},
+    wishes::{Network, Node},
+};
+use crate::{
+    address, commands::inquire::id_text, commands::list::Row, failure::Failure, session::Session,
+};
+
+/// What differs in a network.
+#[derive(Serialize)]
+pub struct Plan {
+    bit_rate: Difference<u16>,
+    nodes: Vec<NodePlan>,
+    /// The boards that no file names. They stay as they are.
+    unknown: Vec<Row>,
+    problems: Vec<String>,
+    /// Whether there is something to do.
+    differs: bool,
+}
+
+#[derive(Serialize)]
+struct Difference<T> {
+    found: T,
+    wanted: T,
+}
+
+#[derive(Serialize)]
+struct NodePlan {
+    #[serde(skip)]
+    words: String,
+    name: Option<String>,
+    lss_address: Option<String>,
+    is_missing: bool,
+    node_id: Difference<Option<u8>>,
+    /// The values that differ; all if they can be compared only once the board has its node-ID.
+    values: Vec<ValuePlan>,
+    are_values_compared: bool,
+    lacks_stamp: bool,
+    stores_again: bool,
+    differs: bool,
+}
+
+#[derive(Serialize)]
+struct ValuePlan {
+    #[serde(skip)]
+    words: String,
+    index: u16,
+    sub_index: u8,
+    name: String,
+    /// `None`: it cannot be read, or not yet.
+    found: Option<String>,
+    wanted: String,
+}
+
+impl Plan {
+    /// The plan for these boards and their values, `None` for values that cannot be read yet. With `stores_again` all
+    /// boards store, since an earlier run did not finish.
+    pub fn new(
+        network: &Network,
+        found: &Found,
+        values: &[Option<Values>],
+        rate: BitRate,
+        stores_again: bool,
+    ) -> Self {
+        let nodes: Vec<NodePlan> = network
+            .nodes
+            .iter()
+            .zip(&found.places)
+            .zip(values)
+            .map(|((node, place), values)| {
+                NodePlan::new(node, *place, values.as_ref(), stores_again)
+            })
+            .collect();
+        let bit_rate = Difference {
+            found: rate.kbit_per_s(),
+            wanted: network.bit_rate.unwrap_or(rate).kbit_per_s(),
+        };
+        Self {
+            differs: bit_rate.found != bit_rate.wanted || nodes.iter().any(|node| node.differs),
+            bit_rate,
+            nodes,
+            unknown: found.unknown.clone(),
+            problems: found.problems.clone(),
+        }
+    }
+
+    pub fn differs(&self) -> bool {
+        self.differs
+    }
+
+    /// `2 of 3 boards`.
+    pub fn count(&self) -> String {
+        let changed = self.nodes.iter().filter(|node| node.differs).count();
+        format!("{changed} of {} boards", self.nodes.len())
+    }
+
+    pub fn print_json(&self, session: &mut Session<'_>) -> Result<(), Failure> {
+        let text = serde_json::to_string_pretty(self).map_err(std::io::Error::from)?;
+        Ok(writeln!(session.out, "{text}")?)
+    }
+
+    pub fn print(&self, session: &mut Session<'_>) -> Result<(), Failure> {
+        let out = &mut *session.out;
+        let Difference { found, wanted } = self.bit_rate;
+        match found == wanted {
+            true => writeln!(out, "  bit rate: {found} kbit/s")?,
+            false => writeln!(out, "~ bit rate: {found} -> {wanted} kbit/s")?,
+        }
+        for node in &self.nodes {
+            node.print(out)?;
+        }
+        for row in &self.unknown {
+            let address = row.lss_address.as_ref().map_or("-".into(), address::text);
+            let id = id_text(row.node_id.and_then(NodeId::new));
+            writeln!(out, "? {address}  node-ID {id}, not in the files: it stays as it is")?;
+        }
+        for problem in &self.problems {
+            writeln!(out, "! {problem}")?;
+        }
+        let changed =
+            |is_it: fn(&NodePlan) -> bool| self.nodes.iter().filter(|node| is_it(node)).count();
+        let values: usize = self.nodes.iter().map(|node| node.values.len()).sum();
+        writeln!(
+            out,
+            "plan: {} change, {} missing; {} node-IDs, {values} values",
+            self.count(),
+            changed(|node| node.is_missing),
+            changed(|node| !node.is_missing && node.node_id.found != node.node_id.wanted),
+        )?;
+        Ok(())
+    }
+}
+
+impl NodePlan {
+    fn new(node: &Node, place: Option<Place>, values: Option<&Values>, stores_again: bool) -> Self {
+        let found = place.and_then(|place| place.id).map(NodeId::get);
+        let node_id = Difference { found, wanted: Some(node.id.get()) };
+        let value = |address: eds::Address, found: Option<&Vec<u8>>, wanted: &Vec<u8>| {
+            let text = |bytes: &Vec<u8>| {
+                node.entry(address).map_or_else(String::new, |entry| entry.text(bytes))
+            };
+            let words = node.value_words(address);
+            ValuePlan {
+                name: words.split_once(' ').map_or("", |(_, name)| name).to_owned(),
+                words,
+                index: address.0,
+                sub_index: address.1,
+                found: found.map(text),
+                wanted: text(wanted),
+            }
+        };
+        let values_plan = match values {
+            Some(values) => {
+                let changes = values.changes.iter();
+                changes.map(|it| value(it.address, it.found.as_ref(), &it.wanted)).collect()
+            }
+            None => {
+                node.values.iter().map(|(address, wanted)| value(*address, None, wanted)).collect()
+            }
+        };
+        let lacks_stamp = values.is_some_and(|values| values.lacks_stamp);
+        let is_missing = place.is_none();
+        // Values that cannot be read yet may differ.
+        let values_differ = match values {
+            Some(values) => !values.are_as_wanted(),
+            None => !node.values.is_empty(),
+        };
+        Self {
+            words: node.words(),
+            name: node.name.clone(),
+            lss_address: place.map(|place| address::text(&place.address)),
+            is_missing,
+            differs: !is_missing
+                && (stores_again || node_id.found != node_id.wanted || values_differ),
+            node_id,
+            // Those of a missing board are not its plan.
+            values: if is_missing { Vec::new() } else { values_plan },
+            are_values_compared: values.is_some(),
+            lacks_stamp,
+            stores_again,
+        }
+    }
+
+    fn print(&self, out: &mut dyn std::io::Write) -> std::io::Result<()> {
+        let Some(address) = &self.lss_address else { return Ok(()) };
+        let sign = if self.differs { '~' } else { ' ' };
+        let no_change = if self.differs { "" } else { "  no change" };
+        writeln!(out, "{sign} {}  {address}{no_change}", self.words)?;
+        let Difference { found, wanted } = self.node_id;
+        if found != wanted {
+            let text = |id: Option<u8>| id_text(id.and_then(NodeId::new));
+            writeln!(out, "    ~ node-ID: {} -> {}", text(found), text(wanted))?;
+        }
+        if self.stores_again {
+            writeln!(out, "    ~ stores again, since an earlier run did not finish")?;
+        }
+        if !self.are_values_compared && !self.values.is_empty() {
+            let count = self.values.len();
+            writeln!(out, "    ~ {count} values, which are compared once it has its node-ID:")?;
+        }
+        for ValuePlan { words, found, wanted, .. } in &self.values {
+            let found = found.as_deref().unwrap_or("?");
+            writeln!(out, "    ~ {words}: {found} -> {wanted}")?;
+        }
+        if self.lacks_stamp && self.values.is_empty() {
+            writeln!(out, "    ~ the values are there; stores them, and the stamp that proves it")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,597 @@
+//! `lss apply`.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use canopen_node::BitRate;
+
+use crate::in_process::{Fault, Wire, address_text};
+
+const RATE: BitRate = BitRate::Kbit125;
+/// The data sheet of the boards.
+const EDS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../eds/io.eds");
+
+/// A folder for one test, without what an earlier run has left.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("apply").join(name);
+    let _ = fs::remove_dir_all(&path);
+    fs::create_dir_all(&path).expect("it can be made");
+    path
+}
+
+/// A file with this text in a folder for one test.
+fn file(test: &str, text: &str) -> PathBuf {
+    let path = folder(test).join("network.toml");
+    fs::write(&path, text).expect("it can be written");
+    path
+}
+
+fn node(id: u8, board: usize) -> String {
+    format!("[[node]]\nid = {id}\naddress = \"{}\"\n", address_text(board))
+}
+
+fn node_with(id: u8, board: usize, values: &str) -> String {
+    node_of(Path::new(EDS), id, board, values)
+}
+
+fn node_of(sheet: &Path, id: u8, board: usize, values: &str) -> String {
+    let sheet = sheet.display();
+    format!("{}eds = \"{sheet}\"\n[node.values]\n{values}\n", node(id, board))
+}
+
+/// A data sheet with some of the objects, which is read faster.
+fn short_sheet(test: &str, objects: &[&str]) -> PathBuf {
+    let text = fs::read_to_string(EDS).expect("the data sheet");
+    let is_kept = |section: &&str| {
+        let is_head = !section.starts_with(|first: char| first.is_ascii_digit());
+        is_head || objects.iter().any(|object| section.starts_with(object))
+    };
+    let sections = text.split("\n[").filter(is_kept);
+    let path = folder(&format!("{test}-sheet")).join("short.eds");
+    fs::write(&path, sections.collect::<Vec<_>>().join("\n[")).expect("it can be written");
+    path
+}
+
+/// Values of each kind, with a PDO.
+const VALUES: &str = "\"2100\" = 4\n\"2101:1\" = 1.25\n\"Calibration of the temperature.Inspector\" = \"Ada Lovelace\"\n\
+    \"Producer heartbeat time\" = 500\n\"1014\" = \"$NODEID+0x90\"\n\"2101sub2\" = -5\n\
+    \"1A02:0\" = 1\n\"1A02:1\" = 0x64010110\n\"1802:1\" = \"$NODEID+0x40000380\"\n\"1802:2\" = 1\n";
+
+/// Asserts that another run finds nothing to do, and writes nothing.
+#[track_caller]
+fn assert_done(wire: &Wire, file: &Path) {
+    for options in ["", "--plan", "--full"] {
+        let (outcome, writes) = wire.apply(file, options);
+        assert_eq!((outcome.code, writes), (0, 0), "{options}: {}{}", outcome.text, outcome.error);
+        assert!(outcome.text.contains("plan: 0 of "), "{}", outcome.text);
+    }
+    wire.assert_waiting();
+}
+
+#[test]
+fn node_ids_and_values_are_brought_to_the_table_and_a_second_run_writes_nothing() {
+    let wire = Wire::new(RATE, &[0xFF, 9, 12]);
+    let text = node_with(5, 0, VALUES) + &node(6, 1) + &node(12, 2);
+    let file = file("first", &text);
+    let (plan, writes) = wire.apply(&file, "--plan");
+    assert_eq!((plan.code, writes), (1, 0));
+    let (outcome, writes) = wire.apply(&file, "");
+    assert_eq!(outcome.code, 0);
+    assert!(writes > 20, "{writes}");
+    wire.power_cycle();
+    let ids = [5, 6, 12].map(|id| (Some(id), Some(id)));
+    assert_eq!(wire.ids(), ids);
+    assert_eq!(wire.value(0, 0x2100, 0), [4]);
+    assert_eq!(wire.value(0, 0x2101, 1), 1.25_f32.to_le_bytes());
+    assert_eq!(wire.value(0, 0x2101, 2), (-5_i64).to_le_bytes());
+    assert_eq!(wire.value(0, 0x2101, 3), b"Ada Lovelace");
+    assert_eq!(wire.value(0, 0x1014, 0), [0x95, 0, 0, 0]);
+    assert_eq!(wire.value(0, 0x1A02, 1), [0x10, 0x01, 0x01, 0x64]);
+    assert_eq!(wire.value(0, 0x1802, 1), [0x85, 0x03, 0, 0x40]);
+    assert_done(&wire, &file);
+}
+
+#[test]
+fn a_plan_says_what_is_there_and_what_it_will_be_and_changes_nothing() {
+    let wire = Wire::new(RATE, &[0xFF, 5]);
+    wire.set(1, 0x2100, 0, &[7]);
+    let text = node(6, 0) + "name = \"pump\"\n" + &node_with(5, 1, "\"2100\" = 4\n2101sub1 = 1");
+    let file = file("plan", &text);
+    let (outcome, writes) = wire.apply(&file, "--check");
+    assert_eq!((outcome.code, writes), (1, 0));
+    let expected = format!(
+        "  bit rate: 125 kbit/s\n\
+         ~ node 6 \"pump\"  {}\n    ~ node-ID: none -> 6\n\
+         ~ node 5  {}\n    ~ 2100 Filter constant of the temperature: 7 -> 4\n\
+         plan: 2 of 2 boards change, 0 missing; 1 node-IDs, 1 values\n",
+        address_text(0),
+        address_text(1)
+    );
+    assert_eq!(outcome.text, expected);
+    assert!(outcome.error.starts_with("2 of 2 boards differ from the files"), "{}", outcome.error);
+    assert_eq!(wire.ids()[0], (None, None));
+    let (outcome, writes) = wire.apply(&file, "--plan --json");
+    assert_eq!((outcome.code, writes), (1, 0));
+    let json: serde_json::Value = serde_json::from_str(&outcome.text).expect("JSON");
+    assert_eq!(json["differs"], true);
+    assert_eq!(json["nodes"][0]["node_id"]["found"], serde_json::Value::Null);
+    assert_eq!(json["nodes"][0]["node_id"]["wanted"], 6);
+    let value = &json["nodes"][1]["values"][0];
+    assert_eq!(
+        (&value["index"], &value["found"], &value["wanted"]),
+        (&0x2100.into(), &"7".into(), &"4".into())
+    );
+}
+
+#[test]
+fn boards_exchange_their_node_ids_and_never_share_one() {
+    // 5 and 6 change places, and so do 7, 8 and 9 in a circle; 10 follows into a free place.
+    let found = [5, 6, 7, 8, 9, 10, 11];
+    let wanted = [6, 5, 8, 9, 7, 11, 12];
+    let table: String = (0..7).map(|board| node(wanted[board], board)).collect();
+    for refused in [None, Some([0x11, 0xFF])] {
+        let wire = Wire::new(RATE, &found);
+        wire.world().refused = refused;
+        let file = file("exchange", &table);
+        assert_eq!(wire.apply(&file, "").0.code, 0);
+        assert_eq!(wire.ids(), wanted.map(|id| (Some(id), Some(id))));
+        // One board of each circle gives its node-ID up.
+        let parked = |frame: &&canopen_node::Frame| frame.data().starts_with(&[0x11, 0xFF]);
+        let count = wire.world().sent.iter().filter(parked).count();
+        assert_eq!(count, 2, "refused: {refused:?}");
+        assert_done(&wire, &file);
+    }
+}
+
+#[test]
+fn boards_that_share_a_node_id_get_their_own() {
+    let wire = Wire::new(RATE, &[5, 5, 5]);
+    wire.world().may_collide = true;
+    let values = "\"2100\" = 6";
+    let file = file(
+        "shared",
+        &(node_with(5, 0, values) + &node_with(6, 1, values) + &node_with(7, 2, values)),
+    );
+    assert_eq!(wire.apply(&file, "").0.code, 0);
+    assert_eq!(wire.ids(), [5, 6, 7].map(|id| (Some(id), Some(id))));
+    assert!((0..3).all(|board| wire.value(board, 0x2100, 0) == [6]));
+    wire.world().may_collide = false;
+    assert_done(&wire, &file);
+}
+
+/// Three boards that exchange node-IDs and have values; the table asks for this bit rate.
+fn exchange(test: &str, rate: u16) -> String {
+    let sheet = short_sheet(test, &["1010", "1020", "1802", "1A02", "2100", "2101"]);
+    let values = "\"2100\" = 4\n\"2101:3\" = \"Ada Lovelace\"\n\"1A02:0\" = 1\n\"1A02:1\" = 0x60000108\n\"1802:1\" = \"$NODEID+0x40000380\"\n";
+    format!(
+        "bit_rate = {rate}\n{}{}{}",
+        node_of(&sheet, 6, 0, values),
+        node(5, 1),
+        node_of(&sheet, 7, 2, "\"2100\" = 5")
+    )
+}
+
+fn assert_exchanged(wire: &Wire, what: &str) {
+    assert_eq!(wire.ids(), [6, 5, 7].map(|id| (Some(id), Some(id))), "{what}");
+    assert_eq!(wire.value(0, 0x2100, 0), [4], "{what}");
+    assert_eq!(wire.value(0, 0x2101, 3), b"Ada Lovelace", "{what}");
+    assert_eq!(wire.value(0, 0x1A02, 1), [0x08, 0x01, 0x00, 0x60], "{what}");
+    assert_eq!(wire.value(0, 0x1802, 1), [0x86, 0x03, 0, 0x40], "{what}");
+    assert_eq!(wire.value(2, 0x2100, 0), [5], "{what}");
+}
+
+/// Lets this go wrong at each write of a run in turn. The next run goes on, after a power failure of all boards or
+/// without one, and the run after it writes nothing.
+fn interrupt_at_each_write(name: &str, fault: Fault, power_fails: bool) {
+    let file = file(name, &exchange(name, 125));
+    for write in 0.. {
+        let wire = Wire::new(RATE, &[5, 6, 0xFF]);
+        wire.fail_at(write, fault);
+        let (outcome, _) = wire.apply(&file, "");
+        let what = format!("{fault:?} at write {write}");
+        if !wire.mend() {
+            assert_eq!(outcome.code, 0, "{what}: {}", outcome.error);
+            assert!(write > 30, "{write} writes");
+            return;
+        }
+        let possible: &[u8] = match fault {
+            // It comes too late at the last writes.
+            Fault::CtrlC => &[130, 0],
+            Fault::AdapterGone | Fault::AdapterGoneBehind => &[4],
+            // The last ones need no answer of this board.
+            Fault::BoardGone(_) => &[1, 0],
+        };
+        assert!(possible.contains(&outcome.code), "{what}: {} {}", outcome.code, outcome.error);
+        if fault == Fault::CtrlC {
+            wire.assert_waiting();
+        }
+        if power_fails {
+            wire.power_cycle();
+        }
+        let (outcome, _) = wire.apply(&file, "");
+        assert_eq!(outcome.code, 0, "{what}: {}", outcome.error);
+        wire.power_cycle();
+        assert_exchanged(&wire, &what);
+        let (outcome, writes) = wire.apply(&file, "");
+        assert_eq!((outcome.code, writes), (0, 0), "{what}: {}", outcome.text);
+    }
+}
+
+#[test]
+fn a_run_after_ctrl_c_at_any_write_goes_on() {
+    interrupt_at_each_write("ctrl-c", Fault::CtrlC, false);
+}
+
+#[test]
+fn a_run_after_the_adapter_was_gone_at_any_write_goes_on() {
+    interrupt_at_each_write("adapter", Fault::AdapterGone, false);
+}
+
+#[test]
+fn a_run_after_the_adapter_was_gone_behind_any_write_goes_on() {
+    interrupt_at_each_write("behind", Fault::AdapterGoneBehind, false);
+}
+
+#[test]
+fn a_run_after_a_power_failure_of_all_goes_on() {
+    interrupt_at_each_write("power", Fault::AdapterGone, true);
+}
+
+#[test]
+fn a_run_after_a_board_was_gone_at_any_write_goes_on() {
+    interrupt_at_each_write("board", Fault::BoardGone(0), false);
+}
+
+#[test]
+fn wrong_files_are_told_before_anything_is_sent() {
+    let wire = Wire::new(RATE, &[5]);
+    let sheet = |values: &str| node_with(5, 0, values);
+    let cases = [
+        (
+            sheet("\"2100\" = 9"),
+            "node 5: 2100 Filter constant of the temperature: 9 is not within 0 to 8",
+        ),
+        (sheet("\"2100\" = 300"), "2100 Filter constant of the temperature: 300 is no UNSIGNED8"),
+        (sheet("\"2100\" = 1.5"), "2100 Filter constant of the temperature: 1.5 is no UNSIGNED8"),
+        (
+            sheet("\"2101:3\" = 5"),
+            "2101:3 Calibration of the temperature.Inspector: write it in quotes",
+        ),
+        (sheet("\"2101:1\" = \"x\""), "2101:1 Calibration of the temperature.Gain: x is no REAL32"),
+        (sheet("\"1000\" = 5"), "1000 Device type can only be read"),
+        (sheet("\"1010:1\" = 5"), "is no value to set: `lss apply` stores by itself"),
+        (sheet("\"2FF0:1\" = 9"), "is no value to set: `lss apply` stores by itself, and node-ID"),
+        (sheet("\"5000\" = 5"), "\"5000\" is not in "),
+        (sheet("Gian = 5"), "\"Gian\" is not in "),
+        (sheet("\"Mapped object\" = 5"), "\"Mapped object\" is not in "),
+        (
+            sheet("\"COB-ID used by TPDO\" = 5"),
+            "several values are called \"COB-ID used by TPDO\": 1800:1 ",
+        ),
+        (sheet("\"1A00:1\" = 0x60000108"), "1A00:0 is missing: the number of mapped objects"),
+        (
+            node(5, 0) + "[node.values]\n\"2100\" = 1",
+            "node 5: values need the data sheet of the board: eds = ",
+        ),
+        (node(5, 0) + "eds = \"none.eds\"", "none.eds: No such file"),
+        (node(5, 0) + "vaules = 5", "node 5: \"vaules\" is no key of a node"),
+        (node(5, 0) + &node(6, 0), " is there twice"),
+        ("[[node]]\nid = 5\n".into(), "node 5: address = \"V:P:R:S\" says which board it is"),
+        ("bit_rate = 126\n".to_owned() + &node(5, 0), "126 is no bit rate of CiA 301 in kbit/s"),
+        (String::new(), "there is no node in the file"),
+        (
+            format!("[[node]]\nid = 5\naddress = \"1:2:3:4\"\neds = \"{EDS}\"\n"),
+            "io.eds is the data sheet of 00000000:4C535334, and not of 00000001:00000002:00000003:00000004",
+        ),
+    ];
+    for (text, why) in cases {
+        let (outcome, _) = wire.apply(&file("wrong", &text), "");
+        assert_eq!(outcome.code, 1, "{why}");
+        assert!(outcome.error.contains(why), "{why}: {}", outcome.error);
+        assert!(wire.world().sent.is_empty(), "{why}");
+    }
+    let (outcome, _) = wire.apply(&folder("wrong").join("network.yml"), "");
+    assert!(
+        outcome.error.ends_with("its name must end with .toml, .dcf or .cpj"),
+        "{}",
+        outcome.error
+    );
+    // All of them at once.
+    let (outcome, _) = wire.apply(&file("wrong", &sheet("\"2100\" = 9\n\"1000\" = 1")), "");
+    assert_eq!(outcome.error.lines().count(), 2, "{}", outcome.error);
+}
+
+#[test]
+fn missing_and_unknown_boards_are_named_and_the_others_are_done() {
+    let wire = Wire::new(RATE, &[0xFF, 9, 0xFF, 7]);
+    // Board 8 is not there, 1 and 2 are not in the table, and 3 is to have the node-ID of 1.
+    let file = file("missing", &(node(5, 0) + &node(6, 8) + &node(9, 3)));
+    for _ in 0..2 {
+        let (outcome, _) = wire.apply(&file, "");
+        assert_eq!(outcome.code, 1);
+        for (id, board) in [("9", 1), ("none", 2)] {
+            let line = format!(
+                "? {}  node-ID {id}, not in the files: it stays as it is\n",
+                address_text(board)
+            );
+            assert!(outcome.text.contains(&line), "{}", outcome.text);
+        }
+        let missing =
+            format!("node 6 is missing: {}. Is it on the bus, and has it power?", address_text(8));
+        assert!(outcome.error.contains(&missing), "{}", outcome.error);
+        assert!(outcome.error.contains("node 9: another board has node-ID 9. Give it another one"));
+        let ids = [Some(5), Some(9), None, Some(7)];
+        assert_eq!(wire.ids(), ids.map(|id| (id, id)));
+    }
+    wire.assert_waiting();
+}
+
+#[test]
+fn a_board_that_vanishes_is_told_and_the_others_are_done() {
+    let wire = Wire::new(RATE, &[0xFF, 0xFF]);
+    let file = file("vanishes", &(node(5, 0) + &node(6, 1)));
+    wire.fail_at(0, Fault::BoardGone(0));
+    let (outcome, _) = wire.apply(&file, "");
+    assert_eq!(outcome.code, 1);
+    let why = format!(
+        "node 5: no answer to configure node-ID: 5. Board {}: is it still there?",
+        address_text(0)
+    );
+    assert!(outcome.error.starts_with(&why), "{}", outcome.error);
+    assert_eq!(wire.ids()[1], (Some(6), Some(6)));
+}
+
+#[test]
+fn a_board_that_is_stopped_is_found_and_its_values_wait() {
+    let wire = Wire::new(RATE, &[5]);
+    let _ = wire.world().boards[0].rig.nmt("02 05");
+    let (outcome, writes) = wire.apply(&file("stopped", &node_with(5, 0, "\"2100\" = 1")), "");
+    assert_eq!((outcome.code, writes), (1, 0));
+    assert!(
+        outcome.error.contains("cannot be read: no answer. Is the node stopped (NMT)?"),
+        "{}",
+        outcome.error
+    );
+}
+
+#[test]
+fn a_value_that_the_board_does_not_store_is_told_at_each_run() {
+    let wire = Wire::new(RATE, &[5]);
+    let file = file("volatile", &node_with(5, 0, "\"6200:1\" = 3\n\"2100\" = 1"));
+    for _ in 0..2 {
+        let (outcome, writes) = wire.apply(&file, "");
+        assert_eq!(outcome.code, 1);
+        assert!(writes > 0);
+        let why = "6200:1 Write output 8-bit.LEDs is 0 after a reset, and not 3: the board does not store it";
+        assert!(outcome.error.contains(why), "{}", outcome.error);
+    }
+    assert_eq!(wire.value(0, 0x2100, 0), [1]);
+}
+
+#[test]
+fn what_a_board_refuses_is_told_with_its_reason() {
+    let wire = Wire::new(RATE, &[5]);
+    // The data sheet has no limit for these.
+    let (outcome, _) = wire.apply(&file("refused", &node_with(5, 0, "\"2101:1\" = 3.5")), "");
+    assert_eq!(outcome.code, 1);
+    let why = "node 5: 2101:1 Calibration of the temperature.Gain cannot be 3.5: the value is too high (abort 06090031)";
+    assert!(outcome.error.contains(why), "{}", outcome.error);
+}
+
+#[test]
+fn the_network_comes_to_the_bit_rate_of_the_table_and_new_boards_with_it() {
+    let file = file("rate", &exchange("rate", 500));
+    let wire = Wire::with_heartbeat(RATE, &[5, 6, 0xFF], 1000);
+    let (plan, writes) = wire.apply(&file, "--plan");
+    assert_eq!((plan.code, writes), (1, 0));
+    assert!(plan.text.starts_with("~ bit rate: 125 -> 500 kbit/s\n"), "{}", plan.text);
+    assert_eq!(wire.apply(&file, "").0.code, 0);
+    wire.power_cycle();
+    assert_exchanged(&wire, "500 kbit/s");
+    let rates: Vec<BitRate> =
+        wire.world().boards.iter().map(|board| board.rig.bit_rate()).collect();
+    assert_eq!(rates, [BitRate::Kbit500; 3]);
+    assert_done(&wire, &file);
+    // A network without a heartbeat is asked at the bit rate of the table alone.
+    let quiet = Wire::new(BitRate::Kbit125, &[5, 6, 0xFF]);
+    let (outcome, writes) = quiet.apply(&file, "");
+    assert_eq!((outcome.code, writes), (3, 0));
+    assert!(
+        outcome.error.ends_with("If the boards are at 125 kbit/s: --bit-rate 125"),
+        "{}",
+        outcome.error
+    );
+    assert_eq!(quiet.apply(&file, "--bit-rate 125").0.code, 0);
+    assert_exchanged(&quiet, "500 kbit/s, quiet");
+    assert_done(&quiet, &file);
+}
+
+#[test]
+fn a_run_after_the_adapter_was_gone_at_any_write_of_a_switch_goes_on() {
+    let file = file("switch", &format!("bit_rate = 500\n{}{}", node(5, 0), node(7, 1)));
+    for write in 0.. {
+        let wire = Wire::with_heartbeat(RATE, &[5, 6], 1000);
+        wire.fail_at(write, Fault::AdapterGone);
+        let (outcome, _) = wire.apply(&file, "--bit-rate 125");
+        if !wire.mend() {
+            assert_eq!(outcome.code, 0, "{}", outcome.error);
+            assert!(write > 8, "{write} writes");
+            return;
+        }
+        // The switch delays of a switch that has begun.
+        wire.world().pass_ms(1100);
+        let (outcome, _) = wire.apply(&file, "--bit-rate 125");
+        assert_eq!(outcome.code, 0, "write {write}: {}", outcome.error);
+        wire.power_cycle();
+        assert_eq!(wire.ids(), [5, 7].map(|id| (Some(id), Some(id))), "write {write}");
+        let rates: Vec<BitRate> =
+            wire.world().boards.iter().map(|board| board.rig.bit_rate()).collect();
+        assert_eq!(rates, [BitRate::Kbit500; 2], "write {write}");
+        let (outcome, writes) = wire.apply(&file, "");
+        assert_eq!((outcome.code, writes), (0, 0), "write {write}");
+    }
+}
+
+#[test]
+fn the_bit_rate_stays_while_a_board_is_missing() {
+    let wire = Wire::with_heartbeat(RATE, &[9], 1000);
+    let file = file("rate-missing", &format!("bit_rate = 500\n{}{}", node(5, 0), node(6, 8)));
+    let (outcome, _) = wire.apply(&file, "");
+    assert_eq!(outcome.code, 1);
+    let why =
+        "the bit rate stays 125 kbit/s, since a board is missing: it would be lost at 500 kbit/s";
+    assert!(outcome.error.contains(why), "{}", outcome.error);
+    assert_eq!(wire.ids(), [(Some(5), Some(5))]);
+    assert_eq!(wire.world().boards[0].rig.bit_rate(), RATE);
+}
+
+#[test]
+fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
+    let wire = Wire::new(RATE, &[0xFF, 0xFF]);
+    let first = file("dcf", &(node_with(5, 0, VALUES) + &node_with(6, 1, "\"2100\" = 1")));
+    let written = folder("dcf-written");
+    let (outcome, _) = wire.apply(&first, &format!("--write-dcf {}", written.display()));
+    assert_eq!(outcome.code, 0);
+    let dcf = written.join("node_5.dcf");
+    assert!(outcome.text.contains(&format!("{}\n", dcf.display())), "{}", outcome.text);
+    let text = fs::read_to_string(&dcf).expect("it is there");
+    for line in [
+        "FileName=node_5.dcf\nLastEDS=io.eds",
+        "[2100]\nParameterValue=4\nParameterName=Filter constant of the temperature",
+        "[2101sub1]\nParameterValue=0x3FA00000\n",
+        "[2101sub3]\nParameterValue=Ada Lovelace\n",
+        "[DeviceComissioning]\nNodeID=5\nNodeName=\nBaudrate=125\n",
+        "LSS_SerialNumber=0x00001000\n",
+    ] {
+        assert!(text.contains(line), "{line}");
+    }
+    assert!(!text.contains("[2FF0sub1]\nParameterValue"), "LSS sets the node-ID");
+    assert!(!text.contains("[1020sub1]\nParameterValue"), "the stamp is that of the files");
+    // The node is as its file says, but for the stamp of another file.
+    let (outcome, writes) = wire.apply(&dcf, "--plan");
+    assert_eq!((outcome.code, writes), (1, 0));
+    assert!(
+        outcome.text.contains("the values are there; stores them, and the stamp"),
+        "{}",
+        outcome.text
+    );
+    assert_eq!(wire.apply(&dcf, "").0.code, 0);
+    assert_done(&wire, &dcf);
+    // What somebody changes comes back.
+    wire.set(0, 0x2101, 1, &2.0_f32.to_le_bytes());
+    wire.set(0, 0x1017, 0, &[0, 0]);
+    let (outcome, _) = wire.apply(&dcf, "");
+    assert!(outcome.text.contains("    ~ 2101:1 Calibration of the temperature.Gain: 2 -> 1.25\n"));
+    assert!(outcome.text.contains("    ~ 1017 Producer heartbeat time: 0 -> 500\n"));
+    assert!(outcome.text.contains("2 values written and stored, verified by a reset\n"));
+    assert_done(&wire, &dcf);
+    // Both files name all boards.
+    let both = format!("apply {} {} --plan", dcf.display(), written.join("node_6.dcf").display());
+    let outcome = wire.lss(&both);
+    assert!(outcome.text.contains("plan: 1 of 2 boards change"), "{}", outcome.text);
+}
+
+/// The data sheet as a configuration file with a place in the network, and this value of 2100h.
+fn dcf(id: u8, value: u8) -> String {
+    let text = fs::read_to_string(EDS).expect("the data sheet");
+    let text = text.replace("[2100]\n", &format!("[2100]\nParameterValue={value}\n"));
+    format!("{text}\n[DeviceComissioning]\nNodeID=0x{id:02X}\nBaudrate=125\n")
+}
+
+#[test]
+fn a_dcf_without_a_serial_number_is_for_the_only_board_of_its_kind_or_for_the_one_with_its_node_id()
+{
+    let folder = folder("kind");
+    let path = folder.join("lamp.dcf");
+    fs::write(&path, dcf(5, 2)).expect("it can be written");
+    let wire = Wire::new(RATE, &[0xFF]);
+    assert_eq!(wire.apply(&path, "").0.code, 0);
+    assert_eq!(wire.ids(), [(Some(5), Some(5))]);
+    assert_eq!(wire.value(0, 0x2100, 0), [2]);
+    assert_done(&wire, &path);
+
+    let wire = Wire::new(RATE, &[0xFF, 9]);
+    let (outcome, writes) = wire.apply(&path, "");
+    assert_eq!((outcome.code, writes), (1, 0));
+    let start = "node 5 may be each of 2 boards, 00000000:4C535334:00010000:0000100";
+    assert!(outcome.error.starts_with(start), "{}", outcome.error);
+    assert!(outcome.error.ends_with("or LSS_SerialNumber in the DCF"), "{}", outcome.error);
+    // A table says which one.
+    let table = folder.join("network.toml");
+    fs::write(&table, node(5, 1) + "dcf = \"lamp.dcf\"\n").expect("it can be written");
+    assert_eq!(wire.apply(&table, "").0.code, 0);
+    assert_eq!(wire.value(1, 0x2100, 0), [2]);
+    // And then its node-ID does.
+    assert_done(&wire, &path);
+}
+
+#[test]
+fn a_list_of_nodes_names_their_files() {
+    let folder = folder("list");
+    fs::write(folder.join("a.dcf"), dcf(5, 2)).expect("it can be written");
+    fs::write(folder.join("b.dcf"), dcf(9, 7)).expect("it can be written");
+    let list = folder.join("nodelist.cpj");
+    let text = "[TOPOLOGY]\nNetName=Machine\nNodes=0x02\nNode5Present=0x01\nNode5Name=Lamp\nNode5DCFName=a.dcf\n\
+        Node9Present=0x01\nNode9DCFName=b.dcf\nNode10Present=0x00\nEDSBaseName=/eds\n";
+    fs::write(&list, text).expect("it can be written");
+    let wire = Wire::new(RATE, &[5, 9]);
+    let (outcome, _) = wire.apply(&list, "");
+    assert_eq!(outcome.code, 0);
+    assert!(outcome.text.contains("node 5 \"Lamp\"  "), "{}", outcome.text);
+    assert_eq!((wire.value(0, 0x2100, 0), wire.value(1, 0x2100, 0)), (vec![2], vec![7]));
+    assert_done(&wire, &list);
+}
+
+#[test]
+fn a_board_that_cannot_store_values_has_them_until_its_reset() {
+    let sheet = short_sheet("volatile-sheet", &["1017", "2100"]);
+    let file = file("cannot-store", &node_of(&sheet, 5, 0, "\"2100\" = 1"));
+    let wire = Wire::new(RATE, &[0xFF]);
+    let (outcome, _) = wire.apply(&file, "");
+    assert_eq!(outcome.code, 0);
+    let words = "node-ID stored, 1 values written, until its next reset: it cannot store them";
+    assert!(outcome.text.contains(words), "{}", outcome.text);
+    assert_done(&wire, &file);
+    wire.power_cycle();
+    assert_eq!(wire.apply(&file, "--plan").0.code, 1);
+}
+
+#[test]
+fn a_stamp_of_the_files_is_written_last_and_proves_nothing() {
+    let wire = Wire::new(RATE, &[5]);
+    let stamp = "\"1020:1\" = 15645\n\"1020:2\" = 7\n";
+    let before = file("stamp", &node_with(5, 0, &format!("\"2100\" = 1\n{stamp}")));
+    assert_eq!(wire.apply(&before, "").0.code, 0);
+    wire.power_cycle();
+    assert_eq!(wire.value(0, 0x1020, 1), 15645_u32.to_le_bytes());
+    assert_done(&wire, &before);
+    // The same stamp for other values: somebody has not counted it up.
+    let after = file("stamp", &node_with(5, 0, &format!("\"2100\" = 2\n{stamp}")));
+    assert_eq!(wire.apply(&after, "").0.code, 0);
+    assert_eq!(wire.value(0, 0x2100, 0), [2]);
+    assert_done(&wire, &after);
+}
+
+#[test]
+fn a_node_with_its_stamp_costs_two_reads_of_values() {
+    let wire = Wire::new(RATE, &[5]);
+    let file = file("stamped", &node_with(5, 0, VALUES));
+    assert_eq!(wire.apply(&file, "").0.code, 0);
+    let reads = |options: &str| {
+        let before = wire.world().sent.len();
+        assert_eq!(wire.apply(&file, options).0.code, 0);
+        // Without those of the list.
+        let is_read = |frame: &&canopen_node::Frame| {
+            let [command, low, high, ..] = *frame.data() else { return false };
+            let index = u16::from_le_bytes([low, high]);
+            frame.cob_id() == 0x605 && command == 0x40 && !matches!(index, 0x1008..=0x1018 | 0x2000)
+                || frame.cob_id() == 0x605 && command == 0x40 && index == 0x1014
+        };
+        wire.world().sent[before..].iter().filter(is_read).count()
+    };
+    assert_eq!(reads(""), 2);
+    // 1017h is not counted.
+    assert_eq!(reads("--full"), 2 + 9);
+}
