@@ -20,6 +20,8 @@ const RETRIES: u8 = 8;
 #[derive(Clone, Debug, Default)]
 pub struct Fastscan {
     known: [Option<u32>; 4],
+    /// Numbers to try first, and the serial number below which no slave with these is left.
+    likely: [Option<u32>; 4],
     is_skipping: bool,
     /// The parts as far as they are known now.
     found: [Option<u32>; 4],
@@ -35,6 +37,8 @@ enum State {
     #[default]
     SwitchToWaiting,
     Begin,
+    /// A part that is likely.
+    Likely(AddressPart, u32),
     /// The part's bits so far, and the bit that is asked for, as a mask.
     Bit(AddressPart, u32, u32),
     Confirm(AddressPart),
@@ -48,6 +52,7 @@ impl Fastscan {
     pub const fn new() -> Self {
         Self {
             known: [None; 4],
+            likely: [None; 4],
             is_skipping: false,
             found: [None; 4],
             doubtful: None,
@@ -60,6 +65,17 @@ impl Fastscan {
     #[must_use]
     pub const fn with_known(mut self, part: AddressPart, number: u32) -> Self {
         self.known[part as usize] = Some(number);
+        self
+    }
+
+    /// Begins with what this slave has, which was found by the last scan and has a node-ID now: tries its vendor-ID, its
+    /// product code and its revision number first, and looks above its serial number. A number that is right takes one
+    /// request in place of 33, any other one more. Slaves that came since are found, too, but may take longer.
+    #[must_use]
+    pub const fn after_slave(mut self, last: Address) -> Self {
+        let Address { vendor_id, product_code, revision_number, serial_number } = last;
+        self.likely =
+            [Some(vendor_id), Some(product_code), Some(revision_number), Some(serial_number)];
         self
     }
 
@@ -88,15 +104,49 @@ impl Fastscan {
     }
 
     fn scan(&mut self, part: AddressPart) -> Step<Option<Address>> {
-        match self.found[part as usize] {
-            Some(number) => self.confirm(part, number),
-            None => self.ask_bit(part, 0, 1 << 31),
+        match (self.found[part as usize], self.likely[part as usize]) {
+            (Some(number), _) => self.confirm(part, number),
+            (None, Some(number)) if part != AddressPart::SerialNumber => {
+                self.state = State::Likely(part, number);
+                fastscan(number, 0, part, self.after(part))
+            }
+            _ => self.ask_bit(part, 0, 1 << 31),
         }
     }
 
-    fn ask_bit(&mut self, part: AddressPart, number: u32, bit: u32) -> Step<Option<Address>> {
+    fn ask_bit(
+        &mut self,
+        part: AddressPart,
+        mut number: u32,
+        mut bit: u32,
+    ) -> Step<Option<Address>> {
+        // With 0 here it would be a slave below the last one.
+        while bit > 0 && self.is_above_last(part, number, bit) {
+            number |= bit;
+            bit >>= 1;
+        }
+        if bit == 0 {
+            self.found[part as usize] = Some(number);
+            return self.confirm(part, number);
+        }
         self.state = State::Bit(part, number, bit);
         fastscan(number, bit.trailing_zeros() as u8, part, part)
+    }
+
+    /// Whether the last slave has this bit set, and the same bits above it and the same other parts.
+    fn is_above_last(&self, part: AddressPart, number: u32, bit: u32) -> bool {
+        let is_same = |part: AddressPart| {
+            self.found[part as usize].is_none_or(|found| self.likely[part as usize] == Some(found))
+        };
+        let others = [AddressPart::VendorId, AddressPart::ProductCode, AddressPart::RevisionNumber];
+        match self.likely[AddressPart::SerialNumber as usize] {
+            Some(last) if part == AddressPart::SerialNumber => {
+                last & bit != 0
+                    && (last ^ number) & !(bit | bit.saturating_sub(1)) == 0
+                    && others.into_iter().all(is_same)
+            }
+            _ => false,
+        }
     }
 
     fn confirm(&mut self, part: AddressPart, number: u32) -> Step<Option<Address>> {
@@ -124,6 +174,7 @@ impl Fastscan {
             return Step::Done(Err(Error::Inconsistent));
         }
         self.retries -= 1;
+        self.likely[AddressPart::SerialNumber as usize] = None;
         if self.doubtful != Some(part) {
             self.doubtful = Some(part);
         } else if self.known[part as usize].is_some() {
@@ -170,17 +221,16 @@ impl Procedure for Fastscan {
             }
             State::Begin if is_answered => self.scan(AddressPart::VendorId),
             State::Begin => Step::Done(Ok(None)),
+            State::Likely(part, number) if is_answered => {
+                self.found[part as usize] = Some(number);
+                self.scan(self.after(part))
+            }
+            State::Likely(part, _) => self.ask_bit(part, 0, 1 << 31),
             State::Bit(part, mut number, bit) => {
                 if !is_answered {
                     number |= bit;
                 }
-                match bit >> 1 {
-                    0 => {
-                        self.found[part as usize] = Some(number);
-                        self.confirm(part, number)
-                    }
-                    bit => self.ask_bit(part, number, bit),
-                }
+                self.ask_bit(part, number, bit >> 1)
             }
             State::Confirm(AddressPart::SerialNumber) if is_answered => {
                 self.inquire(AddressPart::SerialNumber)

@@ -23,8 +23,9 @@ pub struct Timing {
     pub answer: u32,
     /// The wait for the answer to store configuration.
     pub store: u32,
-    /// The wait for an answer that may fail to come, beyond the time that others have taken: the variation of the
-    /// slaves' answer times. It decides how long a Fastscan takes. After contradictions it grows up to `answer`.
+    /// The wait for an answer that may fail to come, beyond the longest time that others have taken: the variation of the
+    /// slaves' answer times. It decides how long a Fastscan takes. After 16 answers it shrinks to half of the
+    /// variation that was seen, and after contradictions it grows up to `answer`.
     pub margin: u32,
     /// The pause after a request that has no answer. It grows, and stays so, if a slave seems to lose frames that come
     /// back to back.
@@ -39,12 +40,29 @@ impl Default for Timing {
     }
 }
 
+/// The number of single answers in a row after which only one slave is left in a scan.
+const SINGLES: u8 = 3;
+/// The least margin of a master that has seen many answers, in microseconds.
+const LEAST_MARGIN: u32 = 150;
+/// The number of answers that show how much the answer times vary.
+const ENOUGH: u8 = 16;
+
+/// The answer times of a kind of service, in microseconds.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    /// Slowly forgotten, both.
+    slowest: u32,
+    fastest: u32,
+    /// At most [`ENOUGH`].
+    count: u8,
+}
+
 /// An LSS master on one bus, which learns how fast the slaves answer.
 #[derive(Clone, Debug)]
 pub struct Master {
     timing: Timing,
-    /// The longest time to the answer of a single request and of identify remote slave; slowly forgotten.
-    slowest: [Option<u32>; 2],
+    /// For a single request, and for identify remote slave.
+    seen: [Option<Seen>; 2],
     /// Whether slaves have answered one request one after the other.
     is_staggered: bool,
     /// The number of requests without an answer that the adapter may still hold.
@@ -54,26 +72,50 @@ pub struct Master {
 impl Master {
     /// A master that knows nothing of the slaves.
     pub const fn new(timing: Timing) -> Self {
-        Self { timing, slowest: [None; 2], is_staggered: false, queued: 0 }
+        Self { timing, seen: [None; 2], is_staggered: false, queued: 0 }
     }
 
     /// Begins a procedure. A session that is dropped before its end may leave slaves in LSS configuration state.
     pub const fn start<P: Procedure>(&mut self, procedure: P) -> Session<'_, P> {
-        Session { master: self, procedure, state: State::Begin, doubt: 0 }
+        Session { master: self, procedure, state: State::Begin, doubt: 0, singles: 0 }
+    }
+
+    /// The longest time that a slave has taken lately to answer a single request, in microseconds. Frames and the
+    /// adapter are included.
+    pub const fn slowest_answer(&self) -> Option<u32> {
+        let [single, _] = &self.seen;
+        match single {
+            Some(seen) => Some(seen.slowest),
+            None => None,
+        }
+    }
+
+    const fn seen(&mut self, service: &Service) -> &mut Option<Seen> {
+        let [single, identify] = &mut self.seen;
+        if service.len() == 1 { single } else { identify }
     }
 
     /// The longest time to the answer of this service.
-    const fn slowest(&mut self, service: &Service) -> &mut Option<u32> {
-        let [single, identify] = &mut self.slowest;
-        if service.len() == 1 { single } else { identify }
+    fn slowest(&mut self, service: &Service) -> Option<u32> {
+        self.seen(service).map(|seen| seen.slowest)
+    }
+
+    /// Whether the answer times of this service are known well.
+    fn knows(&mut self, service: &Service) -> bool {
+        self.seen(service).is_some_and(|seen| seen.count == ENOUGH)
     }
 
     /// Learns from an answer.
     fn learn(&mut self, service: &Service, micros: u32) {
-        let slowest = self.slowest(service);
-        let known = slowest.unwrap_or(0);
-        let forgotten = known.saturating_sub(micros) / 32;
-        *slowest = Some(micros.max(known.saturating_sub(forgotten)));
+        let seen = self.seen(service);
+        let Seen { slowest, fastest, count } =
+            seen.unwrap_or(Seen { slowest: micros, fastest: micros, count: 0 });
+        let forgotten = |known: u32| known.abs_diff(micros) / 32;
+        *seen = Some(Seen {
+            slowest: micros.max(slowest.saturating_sub(forgotten(slowest))),
+            fastest: micros.min(fastest.saturating_add(forgotten(fastest))),
+            count: count.saturating_add(1).min(ENOUGH),
+        });
     }
 
     /// The time in which the queued requests leave.
@@ -83,10 +125,20 @@ impl Master {
 
     /// The time-out of a probe.
     fn probe_time_out(&mut self, service: &Service, doubt: u8) -> u32 {
-        let Some(slowest) = *self.slowest(service) else { return self.timing.answer };
+        let Some(Seen { slowest, fastest, count }) = *self.seen(service) else {
+            return self.timing.answer;
+        };
         // Later requests may have more stuff bits.
         let exchange = slowest.saturating_add(slowest / 16);
-        let margin = self.timing.margin.saturating_mul(4_u32.saturating_pow(doubt.into()));
+        let wide =
+            |exponent: u8| self.timing.margin.saturating_mul(4_u32.saturating_pow(exponent.into()));
+        let margin = match (doubt, count) {
+            (0, ENOUGH) => {
+                (slowest.saturating_sub(fastest) / 2).max(LEAST_MARGIN).min(self.timing.margin)
+            }
+            (doubt, ENOUGH) => wide(doubt.saturating_sub(1)),
+            (doubt, _) => wide(doubt),
+        };
         exchange.saturating_add(margin).min(self.timing.answer)
     }
 }
@@ -102,6 +154,8 @@ pub struct Session<'a, P: Procedure> {
     state: State,
     /// How little the silence of a probe is trusted.
     doubt: u8,
+    /// How often in a row a single answer came in a Fastscan when all were waited for.
+    singles: u8,
 }
 
 /// What a [`Session`] wants next.
@@ -132,6 +186,7 @@ impl<P: Procedure> Session<'_, P> {
             let step = match &mut self.state {
                 State::Begin => {
                     self.doubt = 0;
+                    self.singles = 0;
                     self.procedure.begin()
                 }
                 State::Pause(until) if !until.has_come(now) => return Output::Wait(*until),
@@ -142,23 +197,34 @@ impl<P: Procedure> Session<'_, P> {
                 State::Exchange(exchange) => match exchange.poll(self.master, now) {
                     Progress::Transmit(frame) => return Output::Transmit(frame),
                     Progress::Wait(until) => return Output::Wait(until),
-                    Progress::Over(outcome) => self.procedure.next(outcome),
+                    Progress::Over(outcome) => {
+                        self.singles = match exchange.is_single() {
+                            Some(true) => self.singles.saturating_add(1),
+                            Some(false) => 0,
+                            None => self.singles,
+                        };
+                        self.procedure.next(outcome)
+                    }
                 },
             };
+            // Slaves that answer at the same moment seem to be one.
+            let is_single = self.singles >= SINGLES;
             self.state = match step {
                 Step::Ask(service) => {
-                    State::Exchange(Exchange::new(service, None, self.master, now))
+                    State::Exchange(Exchange::new(service, None, is_single, self.master, now))
                 }
                 Step::Probe(service) => {
-                    State::Exchange(Exchange::new(service, Some(self.doubt), self.master, now))
+                    let doubt = Some(self.doubt);
+                    State::Exchange(Exchange::new(service, doubt, is_single, self.master, now))
                 }
                 Step::Pause(micros) => State::Pause(now.plus_micros(micros)),
                 Step::SetBitRate(rate) => {
-                    self.master.slowest = [None; 2];
+                    self.master.seen = [None; 2];
                     self.state = State::Pause(now);
                     return Output::SetBitRate(rate);
                 }
                 Step::SlowDown => {
+                    self.singles = 0;
                     self.doubt = GREATEST_DOUBT.min(self.doubt.saturating_add(1));
                     State::Pause(now)
                 }
@@ -200,6 +266,7 @@ struct Exchange {
     is_alone: bool,
     /// The end of the gap, or the time-out.
     until: Instant,
+    answers: u8,
     answer: Option<Result<u32, Error>>,
 }
 
@@ -210,19 +277,26 @@ enum Progress {
 }
 
 impl Exchange {
-    fn new(service: Service, doubt: Option<u8>, master: &mut Master, now: Instant) -> Self {
+    fn new(
+        service: Service,
+        doubt: Option<u8>,
+        is_single: bool,
+        master: &mut Master,
+        now: Instant,
+    ) -> Self {
         // The answers to the first question of all show how different the slaves are.
         let is_in_doubt =
             master.slowest(&service).is_none() || master.is_staggered || doubt > Some(0);
         Self {
             doubt,
-            awaits_all: is_in_doubt && may_many_answer(&service),
+            awaits_all: is_in_doubt && !is_single && may_many_answer(&service),
             repetitions: doubt.unwrap_or(ATTEMPTS - 1),
             gap: master.timing.gap,
             sent: 0,
             since: now,
             is_alone: master.queued == 0,
             until: now,
+            answers: 0,
             answer: None,
             service,
         }
@@ -279,6 +353,10 @@ impl Exchange {
         let wait = match (self.doubt, request) {
             (Some(doubt), _) => master.probe_time_out(&self.service, doubt),
             (None, Request::StoreConfiguration) => master.timing.store,
+            // Only a lost frame is asked for again.
+            (None, Request::Fastscan(_)) if self.repetitions < ATTEMPTS - 1 => {
+                master.probe_time_out(&self.service, 1)
+            }
             (None, _) => master.timing.answer,
         };
         self.until = now.plus_micros(wait.saturating_add(master.queue_time(&self.service)));
@@ -295,7 +373,24 @@ impl Exchange {
         if (self.is_alone || self.awaits_all) && request != Request::StoreConfiguration {
             master.learn(&self.service, now.micros_after(self.since));
         }
+        if self.doubt.is_none() && self.awaits_all && master.knows(&self.service) {
+            // Somebody answers: the others are not much slower.
+            let wait = master.probe_time_out(&self.service, 0);
+            self.until =
+                self.since.plus_micros(wait.saturating_add(master.queue_time(&self.service)));
+        }
+        self.answers = self.answers.saturating_add(1);
         self.answer = Some(number(request, data));
+    }
+
+    /// Whether a single answer came in a scan, of which each question is for slaves that have answered to the one before;
+    /// `None` if that is unknown.
+    fn is_single(&self) -> Option<bool> {
+        match self.service.last() {
+            Request::SwitchToWaiting => Some(false),
+            Request::Fastscan(_) if self.awaits_all && self.answers > 0 => Some(self.answers == 1),
+            _ => None,
+        }
     }
 
     fn has_answer(&self) -> bool {

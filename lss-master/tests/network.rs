@@ -131,6 +131,80 @@ fn each_of_127_slaves_gets_a_node_id() {
     assert_commissioned(&mut bus, &found);
 }
 
+/// Gives all slaves without a node-ID one, each scan after the slave found last; returns their addresses.
+fn commission_in_turn(bus: &mut RigBus, master: &mut Master) -> Vec<Address> {
+    let mut found = Vec::new();
+    let mut scan = Fastscan::new();
+    loop {
+        let id = found.len() as u8 + 1;
+        match bus.run(master, Assign::scan(scan.clone(), node_id(id))).expect("a slave or none") {
+            Some(address) => {
+                found.push(address);
+                scan = Fastscan::new().after_slave(address);
+            }
+            None => return found,
+        }
+    }
+}
+
+#[test]
+fn a_scan_after_a_slave_of_the_same_product_takes_a_quarter_of_the_requests() {
+    let mut bus = bus([address(0x0001_0000), address(0x8000_0000)]);
+    let mut master = master();
+    let configured = Assign::scan(Fastscan::new(), node_id(1));
+    assert_eq!(bus.run(&mut master, configured), Ok(Some(address(0x0001_0000))));
+    let before = bus.requests;
+    let next = Fastscan::new().after_slave(address(0x0001_0000));
+    assert_eq!(bus.run(&mut master, next), Ok(Some(address(0x8000_0000))));
+    assert_eq!(bus.requests - before, 1 + 1 + 3 + 33 + 1);
+}
+
+#[test]
+fn scans_in_turn_find_slaves_of_any_product_and_those_that_come_later() {
+    let mut random = Random::from_environment();
+    for _ in 0..10 {
+        let mut bus = bus(neighbours(&mut random, 12));
+        let found = commission_in_turn(&mut bus, &mut master());
+        assert_commissioned(&mut bus, &found);
+    }
+    let mut bus = bus([address(2), address(0x1_0001)]);
+    let mut master = master();
+    let last = address(0x1_0001);
+    for serial_number in [2, 0x1_0001] {
+        let configure = node_id((serial_number & 1) as u8 + 1);
+        let scan = Assign::address(address(serial_number), configure);
+        assert!(bus.run(&mut master, scan).is_ok());
+    }
+    let mut later = bus_of([NodeRig::with_address(address(1))]);
+    bus.slaves.append(&mut later.slaves);
+    let scan = Fastscan::new().after_slave(last);
+    assert_eq!(bus.run(&mut master, scan), Ok(Some(address(1))), "below the last one");
+}
+
+#[test]
+fn the_margin_shrinks_to_what_the_slaves_need() {
+    let mut random = Random::from_environment();
+    let mut bus = bus((0..127).map(|_| address(random.u32())));
+    let mut master = Master::new(Timing::default());
+    let found = commission_in_turn(&mut bus, &mut master);
+    let ms = bus.now() / 1000;
+    println!("{ms} ms, the slowest answer {:?} us", master.slowest_answer());
+    assert_commissioned(&mut bus, &found);
+    assert!(ms < 5_000, "with a margin of 10 ms it is a minute");
+}
+
+#[test]
+fn a_slave_that_is_much_slower_than_the_others_is_found_among_them() {
+    let mut random = Random::from_environment();
+    for slow in 0..6 {
+        let mut bus = bus((0..6).map(|_| address(random.u32())));
+        bus.slaves[slow].answer_us = 60_000;
+        let mut master = Master::new(Timing::default());
+        let found = commission_in_turn(&mut bus, &mut master);
+        assert_commissioned(&mut bus, &found);
+    }
+}
+
 #[test]
 fn known_parts_take_one_request_and_limit_the_scan_to_slaves_that_have_them() {
     let own: [u32; 4] = ADDRESS.into();

@@ -33,6 +33,7 @@ pub mod sdo_messages;
 #[cfg(feature = "image")]
 pub mod sessions;
 pub mod settings;
+pub mod slave_bus;
 pub mod soak;
 #[cfg(feature = "image")]
 pub mod stack;

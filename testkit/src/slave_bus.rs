@@ -1,0 +1,418 @@
+//! A bus within the process, in virtual time, as a master with a CAN adapter sees it: slaves with and without the faults
+//! that people meet, lost frames, cut power and another master.
+
+#[cfg(feature = "adapter")]
+mod adapter;
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    ops::Range,
+};
+
+use canopen_node::{
+    BitRate, BusEvent, Frame, NodeId,
+    lss::{REQUEST_COB_ID, RESPONSE_COB_ID},
+};
+
+use crate::{node_rig::NodeRig, random::Random};
+
+#[cfg(feature = "adapter")]
+pub use adapter::BusAdapter;
+
+/// No time that comes.
+const NEVER: u64 = u64::MAX;
+/// The bits of a frame without data, intermission included, and of a byte; with half of the most stuff bits.
+const FRAME_BITS: u64 = 51;
+const BYTE_BITS: u64 = 9;
+
+/// How a slave treats LSS requests. Times are in microseconds.
+#[derive(Clone, Debug)]
+pub struct Habits {
+    /// The time to an answer.
+    pub answer_us: Range<u64>,
+    /// The time between two looks at the one frame that it holds; others that come until then are lost. 0: it takes each
+    /// frame at once.
+    pub poll_us: u64,
+    /// The command specifiers that it does not know.
+    pub without: &'static [u8],
+    /// The time to the same answer once more; 0: none.
+    pub again_us: u64,
+    /// The time that a store takes.
+    pub store_us: u64,
+}
+
+impl Default for Habits {
+    /// Those of a board of ours.
+    fn default() -> Self {
+        Self { answer_us: 100..300, poll_us: 0, without: &[], again_us: 0, store_us: 1_000 }
+    }
+}
+
+/// Something that happens to a slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Happening {
+    PowerOff,
+    PowerOn,
+    /// It loses the connection to the bus, and its power stays.
+    PullOut,
+    PlugIn,
+}
+
+/// A slave on the bus.
+pub struct Slave {
+    pub rig: NodeRig,
+    pub habits: Habits,
+    pub is_powered: bool,
+    pub is_connected: bool,
+    /// The frame that waits for the next look.
+    held: Option<(u64, Frame)>,
+    /// The end of the store in progress.
+    stored_at: u64,
+    last_answer: u64,
+    /// The time of the next call.
+    due: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Source {
+    Tool,
+    OtherMaster,
+    Slave(usize),
+}
+
+/// A frame on its way.
+struct Flight {
+    frame: Frame,
+    source: Source,
+    rate: BitRate,
+    end: u64,
+}
+
+/// The bus.
+pub struct SlaveBus {
+    pub slaves: Vec<Slave>,
+    /// A slave misses a frame, or the tool does, with a probability of 1 in so many; 0: never.
+    pub lost: u64,
+    /// The time that a frame takes through the tool's adapter, in microseconds.
+    pub latency_us: u64,
+    /// The number of frames that the tool has sent.
+    pub requests: u64,
+    /// Those of different content that wanted the bus at one time with one COB-ID.
+    pub collisions: u64,
+    random: Random,
+    now: u64,
+    free_at: u64,
+    /// By time and in their order.
+    waiting: BTreeMap<(u64, u64), (Source, Frame)>,
+    count: u64,
+    flight: Option<Flight>,
+    happenings: BTreeMap<(u64, u64), (usize, Happening)>,
+    /// The tool's adapter.
+    rate: BitRate,
+    is_open: bool,
+    may_send: bool,
+    received: VecDeque<(u64, Frame)>,
+    is_unacknowledged: bool,
+}
+
+impl SlaveBus {
+    pub fn new(slaves: impl IntoIterator<Item = (NodeRig, Habits)>, random: Random) -> Self {
+        let mut bus = Self {
+            slaves: Vec::new(),
+            lost: 0,
+            latency_us: 0,
+            requests: 0,
+            collisions: 0,
+            random,
+            now: 0,
+            free_at: 0,
+            waiting: BTreeMap::new(),
+            count: 0,
+            flight: None,
+            happenings: BTreeMap::new(),
+            rate: BitRate::Kbit125,
+            is_open: false,
+            may_send: false,
+            received: VecDeque::new(),
+            is_unacknowledged: false,
+        };
+        for (mut rig, habits) in slaves {
+            rig.let_stores_take_time();
+            bus.slaves.push(Slave {
+                rig,
+                habits,
+                is_powered: true,
+                is_connected: true,
+                held: None,
+                stored_at: NEVER,
+                last_answer: 0,
+                due: 0,
+            });
+        }
+        (0..bus.slaves.len()).for_each(|number| bus.collect(number));
+        bus
+    }
+
+    /// Microseconds since the beginning.
+    pub fn now(&self) -> u64 {
+        self.now
+    }
+
+    /// Lets something happen to a slave at a time.
+    pub fn plan(&mut self, at: u64, slave: usize, happening: Happening) {
+        self.count += 1;
+        self.happenings.insert((at, self.count), (slave, happening));
+    }
+
+    /// Forgets all that was planned, and gives each slave its power and its connection.
+    pub fn calm(&mut self) {
+        self.happenings.clear();
+        for number in 0..self.slaves.len() {
+            if !self.slaves[number].is_powered {
+                self.happen(number, Happening::PowerOn);
+            }
+            self.happen(number, Happening::PlugIn);
+        }
+    }
+
+    /// Another master sends a frame at a time.
+    pub fn send_from_another_master(&mut self, at: u64, frame: Frame) {
+        self.enqueue(at, Source::OtherMaster, frame);
+    }
+
+    /// The active node-ID of each slave that has power.
+    pub fn node_ids(&self) -> Vec<Option<NodeId>> {
+        let powered = self.slaves.iter().filter(|slave| slave.is_powered);
+        powered.map(|slave| slave.rig.node.node_id()).collect()
+    }
+
+    /// Lets time pass; returns a frame that the tool receives, with the time of its end.
+    pub fn run(&mut self, until: u64) -> Option<(u64, Frame)> {
+        loop {
+            let delivered = self.received.front().map_or(NEVER, |(at, _)| at + self.latency_us);
+            let due = self.next_slave().map_or(NEVER, |(at, _)| at);
+            let happening = self.happenings.keys().next().map_or(NEVER, |(at, _)| *at);
+            let flight = self.flight.as_ref().map_or_else(|| self.next_start(), |on| on.end);
+            let next = [delivered, due, happening, flight].into_iter().min().unwrap_or(NEVER);
+            if next > until {
+                self.now = self.now.max(until);
+                return None;
+            }
+            self.now = self.now.max(next);
+            if next == delivered {
+                return self.received.pop_front();
+            } else if next == happening {
+                let (_, (slave, happening)) = self.happenings.pop_first()?;
+                self.happen(slave, happening);
+            } else if next == due {
+                let (_, number) = self.next_slave()?;
+                self.wake(number);
+            } else if let Some(flight) = self.flight.take() {
+                self.land(flight);
+            } else {
+                self.start();
+            }
+        }
+    }
+
+    fn next_slave(&self) -> Option<(u64, usize)> {
+        self.slaves.iter().enumerate().map(|(number, slave)| (slave.due, number)).min()
+    }
+
+    fn next_start(&self) -> u64 {
+        self.waiting.keys().next().map_or(NEVER, |(at, _)| (*at).max(self.free_at))
+    }
+
+    fn enqueue(&mut self, at: u64, source: Source, frame: Frame) {
+        self.count += 1;
+        self.waiting.insert((at, self.count), (source, frame));
+    }
+
+    /// Puts the most urgent frame on the bus. The same frames of several slaves are one.
+    fn start(&mut self) {
+        let now = self.now;
+        // Each sender keeps the order of its frames.
+        let mut senders = Vec::new();
+        let mut heads: Vec<((u64, u64), Source, Frame)> = Vec::new();
+        for (key, (source, frame)) in self.waiting.range(..=(now, u64::MAX)) {
+            if !senders.contains(source) {
+                senders.push(*source);
+                heads.push((*key, *source, *frame));
+            }
+        }
+        let first = heads.iter().min_by_key(|((_, count), _, frame)| (frame.cob_id(), *count));
+        let Some(&(key, source, frame)) = first else { return };
+        self.waiting.remove(&key);
+        if is_slave(source) {
+            for (key, other, waiting) in heads {
+                if other == source || waiting.cob_id() != frame.cob_id() {
+                    continue;
+                }
+                match waiting == frame && is_slave(other) {
+                    true => drop(self.waiting.remove(&key)),
+                    false => self.collisions += 1,
+                }
+            }
+        }
+        let rate = match source {
+            Source::Tool if !self.may_send => return,
+            Source::Tool | Source::OtherMaster => self.rate,
+            Source::Slave(number) => {
+                let slave = &self.slaves[number];
+                if !slave.is_powered || !slave.is_connected || !slave.rig.may_transmit {
+                    return;
+                }
+                slave.rig.bit_rate()
+            }
+        };
+        let bits = FRAME_BITS + BYTE_BITS * frame.data().len() as u64;
+        let end = now + bits * 1_000 / u64::from(rate.kbit_per_s());
+        self.free_at = end;
+        self.flight = Some(Flight { frame, source, rate, end });
+    }
+
+    /// Delivers a frame at its end.
+    fn land(&mut self, flight: Flight) {
+        let Flight { frame, source, rate, end } = flight;
+        let mut is_acknowledged = self.may_send && rate == self.rate && source != Source::Tool;
+        for number in 0..self.slaves.len() {
+            let slave = &mut self.slaves[number];
+            if source == Source::Slave(number) || !slave.is_powered || !slave.is_connected {
+                continue;
+            }
+            let receives = slave.rig.node.receives();
+            if slave.rig.bit_rate() != rate {
+                if receives.all {
+                    slave.rig.pass_us(end.saturating_sub(slave.rig.now()));
+                    slave.rig.see(BusEvent::Error);
+                    self.collect(number);
+                }
+                continue;
+            }
+            is_acknowledged |= slave.rig.may_transmit;
+            if !receives.contains(frame.cob_id()) || self.happens() {
+                continue;
+            }
+            self.deliver(number, &frame);
+        }
+        let hears = self.is_open && self.rate == rate && source != Source::Tool;
+        if hears && !self.happens() {
+            self.received.push_back((end, frame));
+        }
+        self.is_unacknowledged |= source == Source::Tool && !is_acknowledged;
+    }
+
+    fn happens(&mut self) -> bool {
+        self.lost > 0 && self.random.one_in(self.lost)
+    }
+
+    fn deliver(&mut self, number: usize, frame: &Frame) {
+        let now = self.now;
+        let slave = &mut self.slaves[number];
+        let is_lss = frame.cob_id() == REQUEST_COB_ID;
+        if is_lss
+            && slave.habits.without.iter().any(|specifier| frame.data().first() == Some(specifier))
+        {
+            return;
+        }
+        if is_lss && slave.habits.poll_us > 0 {
+            let next = (now / slave.habits.poll_us + 1) * slave.habits.poll_us;
+            slave.held.get_or_insert((next, *frame));
+            slave.due = slave.due.min(next);
+            return;
+        }
+        self.hand_over(number, frame);
+    }
+
+    fn hand_over(&mut self, number: usize, frame: &Frame) {
+        let slave = &mut self.slaves[number];
+        slave.rig.pass_us(self.now.saturating_sub(slave.rig.now()));
+        if slave.rig.node.receives().all {
+            slave.rig.report(BusEvent::Received);
+        }
+        slave.rig.receive(frame);
+        self.collect(number);
+    }
+
+    /// Does what is due in a slave.
+    fn wake(&mut self, number: usize) {
+        let now = self.now;
+        let slave = &mut self.slaves[number];
+        let frame = slave.held.take_if(|(at, _)| *at <= now);
+        if let Some((_, frame)) = frame {
+            self.hand_over(number, &frame);
+        }
+        let slave = &mut self.slaves[number];
+        slave.rig.pass_us(now.saturating_sub(slave.rig.now()));
+        if slave.stored_at <= now {
+            slave.stored_at = NEVER;
+            if slave.rig.is_storing() {
+                slave.rig.finish_store();
+            }
+        }
+        self.collect(number);
+    }
+
+    /// Takes what a slave wants to send, and notes when it acts next.
+    fn collect(&mut self, number: usize) {
+        let now = self.now;
+        let slave = &mut self.slaves[number];
+        let sent: Vec<Frame> = slave
+            .rig
+            .take_actions()
+            .into_iter()
+            .filter_map(|action| match action {
+                canopen_node::Action::Transmit(frame) => Some(frame),
+                _ => None,
+            })
+            .collect();
+        if slave.rig.is_storing() && slave.stored_at == NEVER {
+            slave.stored_at = now + slave.habits.store_us;
+        }
+        if !slave.is_powered {
+            slave.due = NEVER;
+            return;
+        }
+        let next = slave.rig.us_to_deadline().map_or(NEVER, |us| slave.rig.now() + us);
+        let held = slave.held.map_or(NEVER, |(at, _)| at);
+        slave.due = next.min(held).min(slave.stored_at);
+        for frame in sent {
+            let answer_us = match frame.cob_id() {
+                RESPONSE_COB_ID => self.random.within(self.slaves[number].habits.answer_us.clone()),
+                _ => 0,
+            };
+            let slave = &mut self.slaves[number];
+            slave.last_answer = slave.last_answer.max(now + answer_us);
+            let (at, again_us) = (slave.last_answer, slave.habits.again_us);
+            self.enqueue(at, Source::Slave(number), frame);
+            if again_us > 0 && frame.cob_id() == RESPONSE_COB_ID {
+                self.enqueue(at + again_us, Source::Slave(number), frame);
+            }
+        }
+    }
+
+    fn happen(&mut self, number: usize, happening: Happening) {
+        let now = self.now;
+        let slave = &mut self.slaves[number];
+        match happening {
+            Happening::PullOut => slave.is_connected = false,
+            Happening::PlugIn => slave.is_connected = true,
+            Happening::PowerOff => {
+                slave.is_powered = false;
+                (slave.held, slave.stored_at, slave.due) = (None, NEVER, NEVER);
+                self.waiting.retain(|_, (source, _)| *source != Source::Slave(number));
+            }
+            Happening::PowerOn => {
+                slave.rig.pass_us(now.saturating_sub(slave.rig.now()));
+                slave.rig.take_actions();
+                slave.rig.power_cycle();
+                slave.is_powered = true;
+                self.collect(number);
+            }
+        }
+    }
+}
+
+fn is_slave(source: Source) -> bool {
+    matches!(source, Source::Slave(_))
+}

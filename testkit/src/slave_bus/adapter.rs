@@ -1,0 +1,102 @@
+//! The tool's CAN adapter on the bus within the process.
+
+use std::{
+    cell::{RefCell, RefMut},
+    rc::Rc,
+    time::{Duration, Instant},
+};
+
+use can_bus::{
+    adapter::{Adapter, HOST_CLOCK, Mode, Received, Status},
+    stop::Stop,
+};
+use canopen_node::{BitRate, Frame};
+
+use super::{SlaveBus, Source};
+
+/// The adapter, and a handle to its bus.
+#[derive(Clone)]
+pub struct BusAdapter {
+    bus: Rc<RefCell<SlaveBus>>,
+    start: Instant,
+}
+
+impl BusAdapter {
+    pub fn new(bus: SlaveBus) -> Self {
+        Self { bus: Rc::new(RefCell::new(bus)), start: Instant::now() }
+    }
+
+    pub fn bus(&self) -> RefMut<'_, SlaveBus> {
+        self.bus.borrow_mut()
+    }
+
+    fn instant(&self, us: u64) -> Instant {
+        self.start + Duration::from_micros(us)
+    }
+}
+
+impl Adapter for BusAdapter {
+    fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
+        let mut bus = self.bus();
+        bus.waiting.retain(|_, (source, _)| *source != Source::Tool);
+        bus.received.clear();
+        bus.rate = rate;
+        bus.may_send = mode == Mode::Normal;
+        bus.is_open = true;
+        Ok(())
+    }
+
+    fn close(&mut self) -> Result<(), Stop> {
+        let mut bus = self.bus();
+        // What was sent before leaves first.
+        while bus.waiting.values().any(|(source, _)| *source == Source::Tool) {
+            let until = bus.now + 1_000;
+            bus.run(until);
+        }
+        (bus.is_open, bus.may_send) = (false, false);
+        Ok(())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
+        let mut bus = self.bus();
+        let at = bus.now + bus.latency_us;
+        bus.requests += 1;
+        bus.enqueue(at, Source::Tool, *frame);
+        Ok(())
+    }
+
+    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
+        let received = {
+            let mut bus = self.bus();
+            let until = bus.now + wait.as_micros() as u64;
+            bus.run(until)
+        };
+        let received = received.map(|(at, frame)| Received {
+            frame,
+            at: Duration::from_micros(at),
+            here: self.instant(self.bus().now),
+        });
+        Ok(received)
+    }
+
+    fn status(&mut self) -> Result<Option<Status>, Stop> {
+        let has_errors = std::mem::take(&mut self.bus().is_unacknowledged);
+        Ok(Some(Status { is_error_passive: false, has_errors }))
+    }
+
+    fn now(&self) -> Instant {
+        self.instant(self.bus.borrow().now)
+    }
+
+    fn clock(&self) -> &'static str {
+        HOST_CLOCK
+    }
+
+    fn latency(&self) -> Option<Duration> {
+        Some(Duration::from_micros(2 * self.bus.borrow().latency_us))
+    }
+
+    fn description(&self) -> String {
+        "slaves in the process".into()
+    }
+}
