@@ -58,7 +58,9 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
     // The node-IDs of boards that are missing now stay theirs.
     let reserved = table.iter().flat_map(|table| table.ids.clone());
     taken.extend(reserved);
-    while let Some(address) = find_blank(session, new.len(), &held)? {
+    let mut last = None;
+    while let Some(address) = find_blank(session, new.len(), last, &held)? {
+        last = Some(address);
         let Some(id) = (first.get()..=127).find(|id| !taken.contains(id)).and_then(NodeId::new)
         else {
             return Err(Failure::Refused(format!(
@@ -103,15 +105,18 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
     }
 }
 
-/// Brings a board without a node-ID to LSS configuration state, but none that is `held`.
+/// Brings a board without a node-ID to LSS configuration state, but none that is `held`. It looks for one like the last
+/// first.
 fn find_blank(
     session: &mut Session<'_>,
     count: usize,
+    last: Option<Address>,
     held: &[Address],
 ) -> Result<Option<Address>, Failure> {
     session.progress.say(|| format!("{count} boards have a node-ID now; looking for another"));
     if held.is_empty() {
-        return session.carry_out(Fastscan::new());
+        let scan = Fastscan::new();
+        return session.carry_out(last.map_or(scan.clone(), |last| scan.after_slave(last)));
     }
     // A Fastscan alone would find those that are held again and again.
     let other = scan::blank(session)?.into_iter().find(|address| !held.contains(address));
