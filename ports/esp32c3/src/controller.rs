@@ -1,0 +1,162 @@
+//! The TWAI controller, by the driver of esp-hal. What the driver does not offer comes from the registers: whether a
+//! frame was sent, aborts, the kind of an error, and recovery from bus-off.
+
+use canopen_node::{
+    BitRate, Frame, Receives,
+    indicator::BusState,
+    runner::{self, AsyncController, BusError, Mode, Received, Sample},
+};
+use esp_hal::{
+    Blocking,
+    gpio::{AnyPin, interconnect::InputSignal},
+    peripherals::TWAI0,
+    twai::{
+        BaudRate, ErrorKind, EspTwaiError, EspTwaiFrame, TimingConfig, Twai, TwaiConfiguration,
+        TwaiMode,
+    },
+};
+
+/// The controller with its pins, and its driver once it has started.
+pub struct Controller {
+    twai: TWAI0<'static>,
+    receive: InputSignal<'static>,
+    transmit: AnyPin<'static>,
+    driver: Option<Twai<'static, Blocking>>,
+    is_listening: bool,
+    /// The COB-ID of the frame in the only transmit buffer.
+    sending: Option<u16>,
+}
+
+impl Controller {
+    /// The controller on these pins of a transceiver.
+    pub fn new(
+        twai: TWAI0<'static>,
+        receive: impl Into<InputSignal<'static>>,
+        transmit: impl Into<AnyPin<'static>>,
+    ) -> Self {
+        let (receive, transmit) = (receive.into(), transmit.into());
+        Self { twai, receive, transmit, driver: None, is_listening: false, sending: None }
+    }
+}
+
+impl runner::Controller for Controller {
+    /// A new driver is the only way to another bit rate or mode; the controller is reset meanwhile.
+    fn start<const RPDOS: usize, const PRODUCERS: usize>(
+        &mut self,
+        mode: Mode,
+        bit_rate: BitRate,
+        _receives: &Receives<RPDOS, PRODUCERS>,
+    ) -> bool {
+        let Some(timing) = canopen_esp32c3::timing(bit_rate) else {
+            return false;
+        };
+        self.driver = None;
+        self.sending = None;
+        self.is_listening = mode == Mode::Listen;
+        // SAFETY: the driver that had the controller and the pin is gone.
+        let (twai, transmit) =
+            unsafe { (self.twai.clone_unchecked(), self.transmit.clone_unchecked()) };
+        let timing = TimingConfig {
+            baud_rate_prescaler: timing.prescaler,
+            sync_jump_width: timing.sync_jump_width,
+            tseg_1: timing.segment1,
+            tseg_2: timing.segment2,
+            triple_sample: false,
+        };
+        let mode = if self.is_listening { TwaiMode::ListenOnly } else { TwaiMode::Normal };
+        let receive = self.receive.clone();
+        let rate = BaudRate::Custom(timing);
+        self.driver = Some(TwaiConfiguration::new(twai, receive, transmit, rate, mode).start());
+        // The controller notes an error only for an interrupt, although none reaches the processor.
+        TWAI0::regs().int_ena().write(|w| w.bus_err_int_ena().set_bit());
+        true
+    }
+
+    fn receive(&mut self) -> Option<Received> {
+        match self.driver.as_mut()?.receive() {
+            Ok(frame) => Some(canopen_esp32c3::received(&frame)),
+            Err(nb::Error::Other(EspTwaiError::EmbeddedHAL(ErrorKind::Overrun))) => {
+                // The driver leaves the remains of the lost frame in their place.
+                TWAI0::regs().cmd().write(|w| w.release_buf().set_bit());
+                Some(Received::Overrun)
+            }
+            Err(_) => None,
+        }
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        let converted = EspTwaiFrame::new(embedded_can::Frame::id(frame), frame.data());
+        let is_taken = self.sending.is_none()
+            && self
+                .driver
+                .as_mut()
+                .zip(converted)
+                .is_some_and(|(driver, frame)| driver.transmit(&frame).is_ok());
+        if is_taken {
+            self.sending = Some(frame.cob_id());
+        }
+        is_taken
+    }
+
+    fn take_sent(&mut self) -> bool {
+        let status = TWAI0::regs().status().read();
+        self.sending.take_if(|_| status.tx_buf_st().bit_is_set()).is_some()
+            && status.tx_complete().bit_is_set()
+    }
+
+    fn is_idle(&mut self) -> bool {
+        self.sending.is_none()
+    }
+
+    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+        if self.sending.is_some_and(are_dropped) {
+            TWAI0::regs().cmd().write(|w| w.abort_tx().set_bit());
+        }
+    }
+
+    /// Also begins the recovery from bus-off: the controller waits in reset mode until then.
+    fn take_error(&mut self) -> Option<BusError> {
+        self.driver.as_mut()?;
+        let registers = TWAI0::regs();
+        if self.bus_state() == BusState::BusOff {
+            registers.mode().modify(|_, w| w.reset_mode().clear_bit());
+        }
+        let has_error = registers.int_raw().read().bus_err_int_st().bit_is_set();
+        has_error.then(|| canopen_esp32c3::error(registers.err_code_cap().read().bits() as u8))
+    }
+
+    /// The counters of a listener stand still: the driver has set one of them to 128, so that the controller cannot
+    /// send an error flag.
+    fn error_counters(&self) -> (u8, u8) {
+        match &self.driver {
+            Some(driver) if !self.is_listening => {
+                (driver.transmit_error_count(), driver.receive_error_count())
+            }
+            _ => (0, 0),
+        }
+    }
+
+    fn bus_state(&self) -> BusState {
+        if self.driver.is_none() || self.is_listening {
+            return BusState::Good;
+        }
+        let status = TWAI0::regs().status().read();
+        match (status.bus_off_st().bit_is_set(), status.err_st().bit_is_set()) {
+            (true, _) => BusState::BusOff,
+            (_, true) => BusState::Warning,
+            _ => BusState::Good,
+        }
+    }
+
+    fn sample(&self) -> Option<Sample> {
+        let is_transmitting =
+            self.sending.is_some() && TWAI0::regs().status().read().tx_st().bit_is_set();
+        Some(Sample { is_recessive: self.receive.is_input_high(), is_transmitting })
+    }
+}
+
+impl AsyncController for Controller {
+    /// Returns at once: the loop polls. The driver's own interrupt drops the kind of an error, and while the flash is
+    /// written no interrupt is served.
+    async fn changed(&mut self) {}
+}
