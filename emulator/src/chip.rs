@@ -1,9 +1,10 @@
-//! One STM32F4: its peripherals behind their addresses, independent of the engine that runs the CPU.
+//! One microcontroller: its peripherals behind their addresses, independent of the engine that runs the CPU.
 
 mod adc;
 mod can_pins;
 mod finding;
 mod flash;
+mod g4;
 mod gpio;
 mod iwdg;
 mod map;
@@ -32,17 +33,18 @@ use std::ops::BitOr;
 
 use iwdg::Iwdg;
 use map::{Block, Registers, is_on_apb};
-use rcc::{Apb, Rcc};
+use part::Family;
+use rcc::{Apb, Rcc, RccF4};
 use rng::Rng;
 use rtc::Rtc;
 pub use system::AtZero;
-use system::{Dbgmcu, Exti, Factory, Pwr, Syscfg};
+use system::{Dbgmcu, Exti, Factory, Power, Pwr, Syscfg};
 use timer::Timer;
 use usart::Usart;
 
 use crate::{
     Time,
-    can::{Bxcan, Clock, Pins, bxcan::Role},
+    can::{Bxcan, Can, Clock, Fdcan, Peripheral, Pins, bxcan::Role},
 };
 
 /// Something that the chip asks of its board.
@@ -56,13 +58,13 @@ pub enum Request {
 #[derive(Debug)]
 pub struct Chip {
     part: Part,
-    rcc: Rcc,
-    pwr: Pwr,
+    rcc: Box<dyn Rcc>,
+    pwr: Box<dyn Power>,
     flash: Flash,
     iwdg: Iwdg,
-    /// TIM1 to TIM14.
+    /// TIM1 to TIM14; an STM32G4 uses those that are as on an STM32F4.
     timers: Vec<Timer>,
-    /// USART1 to USART6.
+    /// USART1 to USART6 of an STM32F4.
     usarts: Vec<Usart>,
     rng: Rng,
     rtc: Rtc,
@@ -73,7 +75,7 @@ pub struct Chip {
     factory: Factory,
     adc: Adc,
     /// CAN1 and CAN2, on some parts CAN3.
-    cans: Vec<Bxcan>,
+    cans: Vec<Can>,
     /// Their pins as they know them.
     cans_joined: Vec<Pins>,
     variant: ChipVariant,
@@ -84,6 +86,8 @@ pub struct Chip {
 const ROLES: [Role; 3] = [Role::Master, Role::Slave, Role::Single];
 /// The first interrupts of CAN1, CAN2 and CAN3 (RM0090 table 61, for CAN3 the vector table of RM0430).
 const CAN_INTERRUPTS: [usize; 3] = [19, 63, 74];
+/// The first interrupt of FDCAN1 (RM0440 table 97).
+const FDCAN_INTERRUPT: usize = 21;
 
 impl Chip {
     /// A nominal chip with erased flash at power-on, with `crystal` at HSE.
@@ -98,10 +102,23 @@ impl Chip {
         unique_id: [u8; 12],
         variant: ChipVariant,
     ) -> Self {
+        let (rcc, pwr): (Box<dyn Rcc>, Box<dyn Power>) = match part.family() {
+            Family::F4 => (
+                Box::new(RccF4::new(part, crystal, &variant)),
+                Box::new(Pwr::new(part, variant.thresholds)),
+            ),
+            Family::G4 => (Box::new(g4::Rcc::new(crystal, &variant)), Box::new(g4::Pwr::new())),
+        };
+        let cans = match part.family() {
+            Family::F4 => {
+                ROLES[..part.cans()].iter().map(|&role| Can::Bxcan(Bxcan::new(role))).collect()
+            }
+            Family::G4 => vec![Can::Fdcan(Fdcan::new())],
+        };
         let mut chip = Self {
             part,
-            rcc: Rcc::new(part, crystal, &variant),
-            pwr: Pwr::new(part, variant.thresholds),
+            rcc,
+            pwr,
             flash: Flash::new(part, &variant),
             iwdg: Iwdg::new(variant.lsi_hz),
             timers: timer::KINDS.iter().map(Timer::new).collect(),
@@ -114,7 +131,7 @@ impl Chip {
             dbgmcu: Dbgmcu::new(part),
             factory: Factory::new(part, unique_id),
             adc: Adc::new(part),
-            cans: ROLES[..part.cans()].iter().map(|&role| Bxcan::new(role)).collect(),
+            cans,
             cans_joined: vec![Pins { transmit: true, receive: true }; part.cans()],
             variant,
             findings: Vec::new(),
@@ -163,24 +180,24 @@ impl Chip {
     }
 
     /// A CAN controller: 1 for CAN1. Panics if the part has no such controller.
-    pub fn can(&self, number: usize) -> &Bxcan {
-        &self.cans[number - 1]
+    pub fn can(&self, number: usize) -> &dyn Peripheral {
+        &*self.cans[number - 1]
     }
 
     /// A CAN controller, for the bus that it is on: 1 for CAN1.
     ///
     /// # Panics
     /// The part has no such controller.
-    pub fn can_mut(&mut self, number: usize) -> &mut Bxcan {
-        &mut self.cans[number - 1]
+    pub fn can_mut(&mut self, number: usize) -> &mut dyn Peripheral {
+        &mut *self.cans[number - 1]
     }
 
     /// All CAN controllers, CAN1 first.
-    pub fn cans(&self) -> &[Bxcan] {
+    pub fn cans(&self) -> &[Can] {
         &self.cans
     }
 
-    pub fn cans_mut(&mut self) -> &mut [Bxcan] {
+    pub fn cans_mut(&mut self) -> &mut [Can] {
         &mut self.cans
     }
 
@@ -190,7 +207,11 @@ impl Chip {
 
     /// Levels of the interrupt lines, bit n for interrupt n (RM0090 table 61).
     pub fn irqs(&self) -> u128 {
-        let cans = self.cans.iter().zip(CAN_INTERRUPTS);
+        let interrupts = match self.part.family() {
+            Family::F4 => CAN_INTERRUPTS,
+            Family::G4 => [FDCAN_INTERRUPT; 3],
+        };
+        let cans = self.cans.iter().zip(interrupts);
         let cans = cans.map(|(can, first)| u128::from(can.irq()) << first);
         u128::from(self.flash.irq()) << 4
             | u128::from(self.adc.irq()) << 18
@@ -232,7 +253,7 @@ impl Chip {
 
     /// Until when the CPU stalls that fetches from `pc`.
     pub fn stalled_until(&self, pc: u32, now: Time) -> Option<Time> {
-        match Block::of(pc) {
+        match Block::of(self.part.family(), pc) {
             (Block::Flash, offset) if !self.variant.cached_code => {
                 self.flash.busy_until(offset, now)
             }
@@ -290,7 +311,7 @@ impl Chip {
 
     pub fn read(&mut self, access: Access) -> Result<u32, BusFault> {
         let Access { address, width, now, .. } = access;
-        let (block, offset) = Block::of(address);
+        let (block, offset) = Block::of(self.part.family(), address);
         if !self.rcc.enabled(block) {
             self.report(access, None, Problem::ClockOff);
             return Ok(0);
@@ -319,7 +340,7 @@ impl Chip {
     fn registers(&mut self, block: Block) -> Option<&mut dyn Registers> {
         Some(match block {
             Block::FlashRegisters => &mut self.flash,
-            Block::Pwr => &mut self.pwr,
+            Block::Pwr => &mut *self.pwr,
             Block::Timer(timer) => &mut self.timers[timer],
             Block::Usart(usart) => &mut self.usarts[usart],
             Block::Rng => &mut self.rng,
@@ -346,7 +367,7 @@ impl Chip {
     /// Stores to a peripheral or into the flash.
     pub fn write(&mut self, access: Access, value: u32) -> Result<(), BusFault> {
         let Access { address, width, now, .. } = access;
-        let (block, offset) = Block::of(address);
+        let (block, offset) = Block::of(self.part.family(), address);
         let value = value & width.mask();
         if block == Block::Flash {
             if let Err(problem) = self.flash.program(offset, width, value, now) {
@@ -365,7 +386,7 @@ impl Chip {
         let shift = 8 * (address & 3);
         let word = match width {
             Width::Word => value,
-            _ if block == Block::FlashRegisters && !Flash::takes_narrow_writes(offset & !3) => {
+            _ if block == Block::FlashRegisters && !self.flash.takes_narrow_writes(offset & !3) => {
                 self.report(access, Some(value), Problem::Width);
                 return Ok(());
             }
@@ -393,7 +414,8 @@ impl Chip {
         value: u32,
         now: Time,
     ) -> Result<(), Problem> {
-        let is_backup_domain = block == Block::Rtc || block == Block::Rcc && offset == Rcc::BDCR;
+        let is_backup_domain =
+            block == Block::Rtc || block == Block::Rcc && self.rcc.is_backup_domain(offset);
         if is_backup_domain && !self.pwr.backup_domain_is_writable() {
             return Err(Problem::Misuse("the backup domain is written while DBP protects it"));
         }
@@ -432,7 +454,7 @@ impl Chip {
         if can == 0 {
             self.share_filters();
         }
-        let is_start = offset == 0 && value & 3 == 0;
+        let is_start = self.cans[can].is_start(offset, value);
         if is_start && !self.can_has_its_pins(can) {
             return Err(Problem::Misuse(
                 "a CAN controller leaves initialisation with no pins in its alternate function",
@@ -450,7 +472,7 @@ impl Chip {
     fn follow_clocks(&mut self, now: Time) {
         let clocks = self.clocks();
         for can in &mut self.cans {
-            can.set_clock(clocks.pclk1);
+            can.set_clock(clocks.can);
         }
         self.adc.set_clock(clocks.pclk2);
         for timer in &mut self.timers {
@@ -477,7 +499,9 @@ impl Chip {
     }
 
     fn check_latency(&self) -> Result<(), Problem> {
-        if self.flash.latency() < self.part.wait_states(self.clocks().hclk.hz) {
+        if self.flash.latency()
+            < self.part.wait_states(self.clocks().hclk.hz, self.pwr.is_boosted())
+        {
             return Err(Problem::Misuse("too few flash wait states for this HCLK"));
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! STM32F4 boards and a CAN bus on the host: deterministic, in virtual time, with picosecond resolution.
+//! STM32F4 and STM32G4 boards and a CAN bus on the host: deterministic, in virtual time, with picosecond resolution.
 
 pub mod board;
 pub mod can;

@@ -10,7 +10,7 @@ pub use trace::{Event, Recording, Source, What};
 use crate::{
     Time,
     board::{Board, Stop},
-    can::{Adapter, Bus, Bxcan, Controller, Frame, Station},
+    can::{Adapter, Bus, Controller, Frame, Station},
     chip::{Chip, ResetCause},
 };
 use trace::Trace;
@@ -363,7 +363,7 @@ impl Network {
         for (&number, chip) in numbers.iter().zip(&mut chips) {
             for (can, plug) in chip.cans_mut().iter_mut().zip(self.plugs[number]) {
                 if let Some(BusId(bus)) = plug {
-                    buses[bus].add(Source::Board(number), can);
+                    buses[bus].add(Source::Board(number), &mut **can);
                 }
             }
         }
@@ -380,19 +380,19 @@ impl Network {
         for (&number, chip) in numbers.iter().zip(&mut chips) {
             for (can, plug) in chip.cans_mut().iter_mut().zip(self.plugs[number]) {
                 if plug == Some(BusId::default()) {
-                    self.trace.take_notes(number, can);
+                    self.trace.take_notes(number, &mut **can);
                 } else {
                     can.take_notes();
                 }
             }
-            if chip.cans().iter().any(Bxcan::irq_changes) {
+            if chip.cans().iter().any(|can| can.irq_changes()) {
                 interrupted.push(number);
             }
         }
         drop(chips);
         for number in interrupted {
             self.run_board(number, reached, reached);
-            self.boards[number].chip().cans_mut().iter_mut().for_each(Bxcan::update_irq);
+            self.boards[number].chip().cans_mut().iter_mut().for_each(|can| can.update_irq());
             self.wake[number] = self.boards[number].wake_time();
         }
         reached

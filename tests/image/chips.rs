@@ -13,8 +13,8 @@ const MHZ: u32 = 1_000_000;
 
 #[test]
 fn the_firmware_relies_on_no_more_than_the_emulated_chips_have() {
-    assert_eq!(CHIPS.map(|chip| chip.feature), Part::ALL.map(Part::name));
-    for (chip, part) in CHIPS.into_iter().zip(Part::ALL) {
+    assert_eq!(CHIPS.map(|chip| chip.feature), Part::F4.map(Part::name));
+    for (chip, part) in CHIPS.into_iter().zip(Part::F4) {
         assert_eq!(chip.manual, part.manual(), "{part:?}");
         assert_eq!(chip.device_id, part.id_code() & 0xFFF, "{part:?}");
         assert_eq!(chip.ram_kb * 1024, part.ram_size(), "{part:?}");

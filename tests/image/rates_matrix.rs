@@ -209,7 +209,7 @@ fn understand_each_other(bit_rate: BitRate, board_ppm: i32, master_ppm: i32) -> 
         Clock { hz: APB1_HZ, ppm: master_ppm },
         BitSegments {
             prescaler: timing.prescaler,
-            segment_1: timing.segment1,
+            segment_1: timing.segment1.into(),
             segment_2: timing.segment2,
             jump_width: timing.sync_jump_width,
         },

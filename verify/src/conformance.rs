@@ -67,8 +67,8 @@ pub struct Arguments {
     /// The data sheet of --elf
     #[arg(long, value_name = "FILE", requires = "elf")]
     eds: Option<PathBuf>,
-    /// The chip on the board [default: that of the image; stm32f405 for --elf]
-    #[arg(long)]
+    /// The chip on the board [default: that of the image; stm32f405 for --elf, which can also run on stm32g431]
+    #[arg(long, value_parser = Part::any)]
     chip: Option<Part>,
     /// The CAN controller of --elf on the bus: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "elf")]
@@ -200,7 +200,7 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         return Ok(vec![Product { name, chip, controller, crystal_mhz, image, eds }]);
     }
     let images: Vec<(ImageName, Option<Part>)> = match &arguments.image[..] {
-        _ if arguments.chips => Part::ALL.map(|chip| (ImageName::Default, Some(chip))).to_vec(),
+        _ if arguments.chips => Part::F4.map(|chip| (ImageName::Default, Some(chip))).to_vec(),
         [] => [ImageName::Default, ImageName::Io].map(|name| (name, arguments.chip)).to_vec(),
         names => names.iter().map(|name| (*name, arguments.chip)).collect(),
     };

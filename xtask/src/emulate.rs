@@ -57,7 +57,7 @@ const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 /// The boards run the release firmware in real time until Ctrl-C. An adapter that is opened at a different bit rate
 /// from theirs disturbs the bus, as on a desk; an adapter that is closed drops its waiting frames.
 ///
-/// With --elf any program for an STM32F4 runs beside them. Its defmt or RTT log and what it sends by a USART are printed,
+/// With --elf any program for an STM32F4 or an STM32G431 runs beside them. Its defmt or RTT log and what it sends by a USART are printed,
 /// and at the end every access that the emulated board does not model or a chip does not tolerate.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -86,8 +86,8 @@ pub struct Arguments {
     /// Take commands from the standard input: switch the power, short the bus, set pins, voltages and the temperature
     #[arg(long)]
     console: bool,
-    /// The chip on the boards [default: stm32f405, or that of the example]
-    #[arg(long)]
+    /// The chip on the boards [default: stm32f405, or that of the example]; for --elf also stm32g431
+    #[arg(long, value_parser = Part::any)]
     chip: Option<Part>,
     /// The CAN controller on the bus, on the boards of --elf: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller)]
@@ -143,6 +143,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let controller = arguments.controller;
     controller::check(chip, controller)?;
     ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
+    ensure!(
+        arguments.boards == 0 || Part::F4.contains(&chip),
+        "there is no firmware of ours for {}: only --elf, with --boards 0",
+        chip.name()
+    );
     ensure!(
         arguments.boards > 0 || arguments.node_id.is_none(),
         "--node-id is stored in boards with our firmware only: set that of an --elf board over LSS"

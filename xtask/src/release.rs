@@ -43,7 +43,7 @@ pub struct Arguments {
 
 /// Writes the files.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let chips = if arguments.chips.is_empty() { &Part::ALL[..] } else { &arguments.chips };
+    let chips = if arguments.chips.is_empty() { &Part::F4[..] } else { &arguments.chips };
     for &chip in chips {
         write(chip, arguments).with_context(|| chip.name().to_owned())?;
     }

@@ -10,7 +10,9 @@ mod variant;
 
 pub use variant::{Acknowledge, CanVariant, TransmitLock};
 
-use super::{Clock, Controller, Event, Frame, Mode as BusMode, Pins, Station, stream::Level};
+use super::{
+    Clock, Controller, Event, Frame, Mode as BusMode, Note, Peripheral, Station, stream::Level,
+};
 use crate::Time;
 use filters::Filters;
 use mailbox::Mailboxes;
@@ -24,21 +26,6 @@ pub const TX: u8 = 1 << 0;
 pub const RX0: u8 = 1 << 1;
 pub const RX1: u8 = 1 << 2;
 pub const SCE: u8 = 1 << 3;
-
-/// An access by the program, or a change that it can see, that belongs in a trace of the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Note {
-    /// TXRQ was set in this mailbox, 0..=2.
-    Requested { mailbox: usize, frame: Frame },
-    /// ABRQ emptied this mailbox, whose frame was not sent.
-    Aborted { mailbox: usize, frame: Frame },
-    /// A new value was written to BTR.
-    BitTiming(u32),
-    /// INAK was set.
-    InitializationEntered,
-    /// INAK was cleared.
-    InitializationLeft,
-}
 
 /// The mode shown by INAK and SLAK (RM0090 32.4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -111,124 +98,9 @@ impl Bxcan {
         bxcan
     }
 
-    /// Selects the variant, nominal at first.
-    pub fn set_variant(&mut self, variant: CanVariant) {
-        self.behaviour = Behaviour::new(variant);
-    }
-
-    /// Connects its pins to the transceiver, or disconnects them, from `from` on. Both are connected at first.
-    pub fn connect(&mut self, pins: Pins, from: Time) {
-        self.controller.connect(pins, from);
-    }
-
     /// Takes the filters over that CAN1 has for CAN2.
     pub fn share_filters(&mut self, can1: &Self) {
         self.filters = can1.filters.used_as(self.role);
-    }
-
-    /// Resets every register. The clock stays, and a frame under way is cut off.
-    pub fn reset(&mut self) {
-        let old = std::mem::replace(self, Self::new(self.role));
-        self.controller = old.controller;
-        self.controller.reset();
-        self.controller.configure(bit_timing(BTR_RESET_VALUE), BusMode::default());
-        self.controller.watch(true);
-        if self.role == Role::Slave {
-            self.filters = old.filters;
-        }
-        self.notes = old.notes;
-        self.behaviour = old.behaviour;
-        self.behaviour.reset();
-    }
-
-    /// Sets the APB1 clock, in which the time quanta are counted.
-    pub fn set_clock(&mut self, clock: Clock) {
-        self.controller.set_clock(clock);
-    }
-
-    /// Levels of the interrupt lines as of the program's latest write or [`update_irq`](Self::update_irq).
-    pub fn irq(&self) -> u8 {
-        self.irq
-    }
-
-    /// Whether it is neither asleep nor about to be.
-    pub fn is_in_use(&self) -> bool {
-        self.mode != Mode::Sleep || self.mcr & (MCR_SLEEP | MCR_INRQ) != MCR_SLEEP
-    }
-
-    /// Updates the interrupt lines to the state of the bus.
-    ///
-    /// The bus runs ahead of a sleeping CPU. The lines change only when the CPU has slept until that time.
-    pub fn update_irq(&mut self) {
-        self.irq = self.interrupts();
-    }
-
-    /// Whether [`update_irq`](Self::update_irq) would change a line.
-    pub fn irq_changes(&self) -> bool {
-        self.interrupts() != self.irq
-    }
-
-    fn interrupts(&self) -> u8 {
-        let enabled = |bit, flag| self.ier & bit != 0 && flag;
-        let change = enabled(IER_ERRIE, self.latched & MSR_ERRI != 0)
-            || enabled(IER_WKUIE, self.latched & MSR_WKUI != 0)
-            || enabled(IER_SLKIE, self.latched & MSR_SLAKI != 0);
-        [
-            (TX, enabled(IER_TMEIE, self.mailboxes.any_completed())),
-            (RX0, self.fifos[0].irq(self.ier >> IER_FIFO_0)),
-            (RX1, self.fifos[1].irq(self.ier >> IER_FIFO_1)),
-            (SCE, change),
-        ]
-        .into_iter()
-        .fold(0, |lines, (line, is_high)| lines | if is_high { line } else { 0 })
-    }
-
-    /// The nominal bit rate in bit/s, from BTR and the clock.
-    pub fn bit_rate(&self) -> u32 {
-        self.controller.bit_rate()
-    }
-
-    pub fn is_silent(&self) -> bool {
-        self.controller.mode().silent
-    }
-
-    /// The notes since the last call, in order of time.
-    pub fn take_notes(&mut self) -> Vec<(Time, Note)> {
-        std::mem::take(&mut self.notes)
-    }
-
-    /// The word at `offset` from the base address; `None` where the reference manual has no register.
-    pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
-        Some(match offset {
-            MCR => self.mcr,
-            MSR => self.msr(now),
-            TSR => self.mailboxes.tsr(self.mcr & MCR_TXFP != 0),
-            RF0R => self.fifos[0].rfr(now),
-            RF1R => self.fifos[1].rfr(now),
-            IER => self.ier,
-            ESR => self.esr(),
-            BTR => self.btr,
-            TRANSMIT_MAILBOXES..RECEIVE_MAILBOXES => {
-                let (mailbox, word) = place(offset - TRANSMIT_MAILBOXES);
-                self.mailboxes.read(mailbox, word)
-            }
-            RECEIVE_MAILBOXES..0x1D0 => {
-                let (fifo, word) = place(offset - RECEIVE_MAILBOXES);
-                self.fifos[fifo].read(word, now)
-            }
-            FILTERS.. if self.role != Role::Slave => return self.filters.read(offset - FILTERS),
-            _ => return None,
-        })
-    }
-
-    /// Writes a word at `offset` from the base address.
-    ///
-    /// Returns false where there is no register, if a reserved bit is set, or if the frame is to carry a time stamp
-    /// (TGT), which is not modelled.
-    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
-        let modelled = self.write_register(offset, value, now);
-        self.update_irq();
-        modelled
     }
 
     fn write_register(&mut self, offset: u32, value: u32, now: Time) -> bool {
@@ -382,5 +254,103 @@ impl Bxcan {
         if requested == Mode::Sleep && self.ier & IER_SLKIE != 0 {
             self.latched |= MSR_SLAKI;
         }
+    }
+}
+
+impl Peripheral for Bxcan {
+    fn set_variant(&mut self, variant: CanVariant) {
+        self.behaviour = Behaviour::new(variant);
+    }
+
+    fn reset(&mut self) {
+        let old = std::mem::replace(self, Self::new(self.role));
+        self.controller = old.controller;
+        self.controller.reset();
+        self.controller.configure(bit_timing(BTR_RESET_VALUE), BusMode::default());
+        self.controller.watch(true);
+        if self.role == Role::Slave {
+            self.filters = old.filters;
+        }
+        self.notes = old.notes;
+        self.behaviour = old.behaviour;
+        self.behaviour.reset();
+    }
+
+    fn set_clock(&mut self, clock: Clock) {
+        self.controller.set_clock(clock);
+    }
+
+    fn irq(&self) -> u8 {
+        self.irq
+    }
+
+    fn interrupts(&self) -> u8 {
+        let enabled = |bit, flag| self.ier & bit != 0 && flag;
+        let change = enabled(IER_ERRIE, self.latched & MSR_ERRI != 0)
+            || enabled(IER_WKUIE, self.latched & MSR_WKUI != 0)
+            || enabled(IER_SLKIE, self.latched & MSR_SLAKI != 0);
+        [
+            (TX, enabled(IER_TMEIE, self.mailboxes.any_completed())),
+            (RX0, self.fifos[0].irq(self.ier >> IER_FIFO_0)),
+            (RX1, self.fifos[1].irq(self.ier >> IER_FIFO_1)),
+            (SCE, change),
+        ]
+        .into_iter()
+        .fold(0, |lines, (line, is_high)| lines | if is_high { line } else { 0 })
+    }
+
+    fn update_irq(&mut self) {
+        self.irq = self.interrupts();
+    }
+
+    /// Whether it is neither asleep nor about to be.
+    fn is_in_use(&self) -> bool {
+        self.mode != Mode::Sleep || self.mcr & (MCR_SLEEP | MCR_INRQ) != MCR_SLEEP
+    }
+
+    fn bit_rate(&self) -> u32 {
+        self.controller.bit_rate()
+    }
+
+    fn is_silent(&self) -> bool {
+        self.controller.mode().silent
+    }
+
+    fn is_start(&self, offset: u32, value: u32) -> bool {
+        offset == MCR && value & (MCR_INRQ | MCR_SLEEP) == 0
+    }
+
+    fn read(&self, offset: u32, now: Time) -> Option<u32> {
+        Some(match offset {
+            MCR => self.mcr,
+            MSR => self.msr(now),
+            TSR => self.mailboxes.tsr(self.mcr & MCR_TXFP != 0),
+            RF0R => self.fifos[0].rfr(now),
+            RF1R => self.fifos[1].rfr(now),
+            IER => self.ier,
+            ESR => self.esr(),
+            BTR => self.btr,
+            TRANSMIT_MAILBOXES..RECEIVE_MAILBOXES => {
+                let (mailbox, word) = place(offset - TRANSMIT_MAILBOXES);
+                self.mailboxes.read(mailbox, word)
+            }
+            RECEIVE_MAILBOXES..0x1D0 => {
+                let (fifo, word) = place(offset - RECEIVE_MAILBOXES);
+                self.fifos[fifo].read(word, now)
+            }
+            FILTERS.. if self.role != Role::Slave => return self.filters.read(offset - FILTERS),
+            _ => return None,
+        })
+    }
+
+    /// Returns false also if a reserved bit is set, or if the frame is to carry a time stamp (TGT).
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> bool {
+        let modelled = self.write_register(offset, value, now);
+        self.update_irq();
+        modelled
+    }
+
+    fn take_notes(&mut self) -> Vec<(Time, Note)> {
+        std::mem::take(&mut self.notes)
     }
 }

@@ -34,6 +34,20 @@ pub enum ErrorKind {
     Crc,
 }
 
+impl ErrorKind {
+    /// Its last error code in ESR (RM0090 32.9.2) and PSR (RM0440 44.4.12).
+    pub(super) fn code(self) -> u32 {
+        match self {
+            Self::Stuff => 1,
+            Self::Form => 2,
+            Self::Acknowledgement => 3,
+            Self::BitRecessive => 4,
+            Self::BitDominant => 5,
+            Self::Crc => 6,
+        }
+    }
+}
+
 /// An event for the owner, at the sample point or bit boundary where it happens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
@@ -56,7 +70,9 @@ pub enum Event {
     CounterRaised,
     /// The transmit error counter passed 255: the controller left the bus.
     BusOff,
-    /// Bus-off recovery has finished after 128 times 11 recessive bits: the counters are zero.
+    /// During bus-off recovery 11 recessive bits have passed.
+    BusIdle,
+    /// Bus-off recovery has finished, in which 11 recessive bits passed 128 times or more: the counters are zero.
     Recovered,
     /// The first 11 recessive bits since the start have passed.
     Joined,
@@ -99,6 +115,8 @@ pub struct Controller {
     /// An acknowledgement error went uncounted; a dominant bit in the passive error flag makes it count.
     unacknowledged: bool,
     counters: ErrorCounters,
+    /// How often 11 recessive bits pass in bus-off recovery.
+    recovery: u8,
     stopping: bool,
     watching: bool,
     events: VecDeque<Event>,
@@ -136,6 +154,7 @@ impl Controller {
             frame_start: Time::ZERO,
             unacknowledged: false,
             counters: ErrorCounters::default(),
+            recovery: 128,
             stopping: false,
             watching: false,
             events: VecDeque::new(),
@@ -159,6 +178,11 @@ impl Controller {
         self.spans = Spans::new(self.clock, bit_timing);
     }
 
+    /// Sets how often 11 recessive bits pass in bus-off recovery, 128 at first.
+    pub fn set_recovery(&mut self, sequences: u8) {
+        self.recovery = sequences;
+    }
+
     /// Begins to take part after 11 recessive bits, or after bus-off recovery if the controller is bus-off.
     ///
     /// Cancels a waiting stop; does nothing if the controller runs.
@@ -174,7 +198,7 @@ impl Controller {
         }
     }
 
-    /// Begins bus-off recovery: 128 times 11 recessive bits. Does nothing in any other state.
+    /// Begins bus-off recovery: 128 times 11 recessive bits, or more. Does nothing in any other state.
     pub fn recover(&mut self, now: Time) {
         if self.phase == Phase::BusOff {
             self.start = self.start.max(now);
@@ -191,11 +215,21 @@ impl Controller {
         }
     }
 
+    /// Stops at once, whatever is under way; the counters stay.
+    pub fn halt(&mut self) {
+        self.transmission = None;
+        self.phase = Phase::Stopped;
+        self.stopping = false;
+        self.driven = Level::Recessive;
+        self.next = Level::Recessive;
+    }
+
     /// Stops at once, whatever is under way, and clears counters, offer and unread events: a hardware reset.
     pub fn reset(&mut self) {
         let (now, wire, mut line) = (self.now, self.wire, std::mem::take(&mut self.line));
         line.reset();
-        *self = Self { now, wire, line, ..Self::new(self.clock, self.bit_timing) };
+        let recovery = self.recovery;
+        *self = Self { now, wire, line, recovery, ..Self::new(self.clock, self.bit_timing) };
     }
 
     /// Whether a stopped controller reports [`Event::Activity`]; a start ends it.
@@ -240,6 +274,14 @@ impl Controller {
         }
     }
 
+    /// During bus-off recovery, how often 11 recessive bits have passed.
+    pub fn recovered_sequences(&self) -> Option<u8> {
+        match self.phase {
+            Phase::Recovering { sequences, .. } => Some(sequences),
+            _ => None,
+        }
+    }
+
     /// Whether one of its frames is under way.
     pub fn is_transmitting(&self) -> bool {
         self.transmission.is_some()
@@ -281,13 +323,6 @@ impl Controller {
 
     pub(super) fn take_event(&mut self) -> Option<Event> {
         self.events.pop_front()
-    }
-
-    fn halt(&mut self) {
-        self.phase = Phase::Stopped;
-        self.stopping = false;
-        self.driven = Level::Recessive;
-        self.next = Level::Recessive;
     }
 
     fn may_transmit(&self) -> bool {

@@ -26,11 +26,11 @@ impl Clock {
 pub struct BitSegments {
     /// Clock periods in a time quantum, 1..=1024.
     pub prescaler: u16,
-    /// Quanta from the synchronisation segment to the sample point (propagation and phase segment 1), 1..=16.
-    pub segment_1: u8,
-    /// Quanta from the sample point to the end of the bit, 1..=8.
+    /// Quanta from the synchronisation segment to the sample point (propagation and phase segment 1), 1..=256.
+    pub segment_1: u16,
+    /// Quanta from the sample point to the end of the bit, 1..=128.
     pub segment_2: u8,
-    /// Resynchronisation jump width in quanta, 1..=4.
+    /// Resynchronisation jump width in quanta, 1..=128.
     pub jump_width: u8,
 }
 

@@ -3,20 +3,20 @@
 use super::{Chip, Problem, map::Registers};
 use crate::{
     Time,
-    can::{Bxcan, Pins},
+    can::{Can, Pins},
 };
 
-impl Registers for Bxcan {
+impl Registers for Can {
     fn reset(&mut self, _: Time) {
-        Bxcan::reset(self);
+        (**self).reset();
     }
 
     fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
-        Bxcan::read(self, offset, now)
+        (**self).load(offset, now)
     }
 
     fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
-        if Bxcan::write(self, offset, value, now) { Ok(()) } else { Err(Problem::Unmodelled) }
+        if (**self).write(offset, value, now) { Ok(()) } else { Err(Problem::Unmodelled) }
     }
 }
 
@@ -50,7 +50,7 @@ impl Chip {
 
     /// Lets CAN2 have the filters that CAN1 has for it.
     pub(super) fn share_filters(&mut self) {
-        if let [can1, can2, ..] = self.cans.as_mut_slice() {
+        if let [Can::Bxcan(can1), Can::Bxcan(can2), ..] = self.cans.as_mut_slice() {
             can2.share_filters(can1);
         }
     }

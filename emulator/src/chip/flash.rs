@@ -1,6 +1,7 @@
-//! The flash interface (RM0090 chapter 3): keys, programming, erasing, timing and faults.
+//! The flash interface (RM0090 chapter 3, RM0440 chapter 3): keys, programming, erasing, timing and faults.
 
 mod array;
+mod double_word;
 mod options;
 mod staging;
 mod timing;
@@ -13,7 +14,7 @@ use options::Options;
 pub use staging::PowerCut;
 pub use timing::Timing;
 
-use super::{ChipVariant, Part, Problem, Width, map::Registers};
+use super::{ChipVariant, Part, Problem, Width, map::Registers, part::Family};
 use crate::Time;
 
 const ACR: u32 = 0x00;
@@ -37,6 +38,8 @@ const CR_SER: u32 = 1 << 1;
 /// MER and MER1.
 const CR_MER: u32 = 1 << 2 | 1 << 15;
 const CR_STRT: u32 = 1 << 16;
+/// OPTSTRT and FSTPG of an STM32G4.
+const CR_UNMODELLED: u32 = 1 << 17 | 1 << 18;
 const CR_EOPIE: u32 = 1 << 24;
 const CR_LOCK: u32 = 1 << 31;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
@@ -71,6 +74,8 @@ pub struct Flash {
     /// A wrong key has closed FLASH_CR until the next reset.
     is_jammed: bool,
     stale_data_cache: bool,
+    /// The first word of a double word, with its offset.
+    first_word: Option<(u32, u32)>,
     operation: Option<Operation>,
     operations: Vec<Range<Time>>,
     power_cut: Option<PowerCut>,
@@ -86,9 +91,21 @@ impl Flash {
     /// Offset of FLASH_SR.
     pub(super) const SR: u32 = 0x0C;
 
-    /// Whether the register accepts writes of bytes and half-words; all but the keys do (RM0090 3.9).
-    pub(super) fn takes_narrow_writes(offset: u32) -> bool {
-        !matches!(offset, KEYR | OPTKEYR)
+    /// Whether the register accepts writes of bytes and half-words; on an STM32F4 all but the keys do (RM0090 3.9).
+    pub(super) fn takes_narrow_writes(&self, offset: u32) -> bool {
+        self.part.family() == Family::F4 && !matches!(offset, KEYR | OPTKEYR)
+    }
+
+    /// The offset that the register of this offset has on an STM32F4, if it has one.
+    fn register(&self, offset: u32) -> Option<u32> {
+        match (self.part.family(), offset) {
+            (Family::F4, offset) => Some(offset),
+            (Family::G4, 0x00) => Some(ACR),
+            (Family::G4, 0x08) => Some(KEYR),
+            (Family::G4, 0x10) => Some(Self::SR),
+            (Family::G4, 0x14) => Some(CR),
+            (Family::G4, _) => None,
+        }
     }
 
     /// Erased flash after power-on.
@@ -106,6 +123,7 @@ impl Flash {
             is_half_open: false,
             is_jammed: false,
             stale_data_cache: false,
+            first_word: None,
             operation: None,
             operations: Vec::new(),
             power_cut: None,
@@ -235,6 +253,9 @@ impl Flash {
             return Ok(());
         }
         self.cr = value & 0x0301_FFFF;
+        if self.part.family() == Family::G4 && value & CR_UNMODELLED != 0 {
+            return Err(Problem::Unmodelled);
+        }
         if value & CR_STRT != 0 {
             return self.start_erase(now);
         }
@@ -274,8 +295,10 @@ impl Flash {
             self.cr &= !CR_STRT;
             return Err(Problem::Unmodelled);
         }
-        // SNB leaves four numbers out between the banks.
+        // SNB leaves four numbers out between the banks. PNB has seven bits.
+        let is_paged = self.part.family() == Family::G4;
         let sector = match self.cr >> 3 & 0x1F {
+            _ if is_paged => Some(self.cr >> 3 & 0x7F),
             12..16 if self.part.has_two_banks() => None,
             number @ 16.. if self.part.has_two_banks() => Some(number - 4),
             number => Some(number),
@@ -292,7 +315,11 @@ impl Flash {
             self.sr |= SR_WRPERR;
             return Ok(());
         }
-        let time = self.timing.erase(self.array.place(sector).1, self.cr >> 8 & 3);
+        let time = if is_paged {
+            self.timing.erase_page()
+        } else {
+            self.timing.erase(self.array.place(sector).1, self.cr >> 8 & 3)
+        };
         let before = self.array.bytes()[range.clone()].to_vec();
         self.array.erase(range.clone());
         if self.failing_erases > 0 {
@@ -303,7 +330,7 @@ impl Flash {
         self.stale_data_cache = self.acr & ACR_DCEN != 0 || self.stale_data_cache;
         let end = now + time;
         self.begin(Operation { end, range, before, kind: Kind::Erase }, now);
-        self.check_parallelism()
+        if is_paged { Ok(()) } else { self.check_parallelism() }
     }
 
     /// A store of the CPU to flash address `offset`: programs it or sets the appropriate error flag.
@@ -317,6 +344,10 @@ impl Flash {
         self.advance(now);
         let now = self.operation.as_ref().map_or(now, |operation| operation.end);
         self.advance(now);
+        if self.part.family() == Family::G4 {
+            self.program_double_word(offset, width, value, now);
+            return self.misuse_of_double_words();
+        }
         let size = 1 << (self.cr >> 8 & 3);
         if self.refused_programs > 0 {
             self.refused_programs -= 1;
@@ -363,6 +394,10 @@ impl Registers for Flash {
             let seed = self.power_cut.map_or(self.operations(), |cut| cut.seed);
             let start = operation.range.start;
             match operation.kind {
+                // What ECC makes of the cells is not known.
+                Kind::Program if self.part.family() == Family::G4 => {
+                    self.array.tear_unit(start, &operation.before, seed);
+                }
                 Kind::Program => {
                     if self.cut_words_flip {
                         self.array.add_marginal(start, &operation.before, seed);
@@ -380,13 +415,14 @@ impl Registers for Flash {
         self.sr = 0;
         self.cr = CR_LOCK;
         (self.is_half_open, self.is_jammed) = (false, false);
+        self.first_word = None;
         self.stale_data_cache = false;
     }
 
     fn read(&mut self, offset: u32, now: Time) -> Option<u32> {
         self.advance(now);
         let busy = if self.operation.is_some() { SR_BSY } else { 0 };
-        match offset {
+        match self.register(offset)? {
             ACR => Some(self.acr),
             KEYR | OPTKEYR => Some(0),
             Self::SR => Some(self.sr | busy),
@@ -399,7 +435,7 @@ impl Registers for Flash {
 
     fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
         self.advance(now);
-        match offset {
+        match self.register(offset).ok_or(Problem::Unmodelled)? {
             ACR => return self.write_acr(value),
             KEYR => return self.write_key(value),
             Self::SR => self.sr &= !value,

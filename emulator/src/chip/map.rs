@@ -1,11 +1,12 @@
 //! The address map: the properties of an access and the block that each address belongs to.
 
 use super::{
-    Problem,
+    Problem, g4,
+    part::Family,
     rcc::{self, Apb},
     timer, usart,
 };
-use crate::Time;
+use crate::{Time, can::fdcan};
 
 pub const FLASH_BASE: u32 = 0x0800_0000;
 pub const RAM_BASE: u32 = 0x2000_0000;
@@ -89,11 +90,18 @@ pub(super) enum Block {
 }
 
 /// The place of a peripheral: its bus, and the kilobyte there. That is also the number of its bits in the bus's RCC
-/// registers.
+/// registers, but for a few of the STM32G4.
 pub(super) type Place = (Apb, u32);
 
 impl Block {
-    pub fn of(address: u32) -> (Self, u32) {
+    pub fn of(family: Family, address: u32) -> (Self, u32) {
+        match family {
+            Family::F4 => Self::of_f4(address),
+            Family::G4 => Self::of_g4(address),
+        }
+    }
+
+    fn of_f4(address: u32) -> (Self, u32) {
         let block = match address {
             0x4000_0000..0x4001_0000 => Self::at((Apb::One, address >> 10 & 0x3F)),
             0x4001_0000..0x4002_0000 => Self::at((Apb::Two, address >> 10 & 0x3F)),
@@ -103,6 +111,30 @@ impl Block {
             0xE004_2000..0xE004_2400 => Self::Dbgmcu,
             0x1FFF_0000..0x2000_0000 => Self::Factory,
             0x5006_0800..0x5006_0C00 => Self::Rng,
+            FLASH_BASE..CCM_BASE => return (Self::Flash, address - FLASH_BASE),
+            _ => Self::Unknown,
+        };
+        (block, address & 0x3FF)
+    }
+
+    /// The blocks of an STM32G4 that are modelled (RM0440 2.2.2). The message RAM follows the registers of FDCAN1.
+    fn of_g4(address: u32) -> (Self, u32) {
+        let block = match address {
+            0x4000_0000..0x4000_0C00 | 0x4000_1000..0x4000_1800 | 0x4000_7000..0x4000_7400 => {
+                Self::at((Apb::One, address >> 10 & 0x3F))
+            }
+            // TIM15 to TIM17 count as TIM9 to TIM11 do, and have their places and interrupts.
+            0x4001_4000..0x4001_4C00 => Self::at((Apb::Two, address >> 10 & 0x3F)),
+            0x4000_3000..0x4000_3400 => Self::Iwdg,
+            0x4000_6400..0x4000_6800 => Self::Can(0),
+            0x4000_A400..0x4000_A800 => return (Self::Can(0), fdcan::RAM + (address & 0x3FF)),
+            0x4001_0000..0x4001_0400 => Self::Syscfg,
+            0x4001_0400..0x4001_0800 => Self::Exti,
+            0x4002_1000..0x4002_1400 => Self::Rcc,
+            0x4002_2000..0x4002_2400 => Self::FlashRegisters,
+            0x4800_0000..0x4800_1C00 => Self::Gpio((address >> 10 & 0xF) as usize),
+            0xE004_2000..0xE004_2400 => Self::Dbgmcu,
+            0x1FFF_0000..0x2000_0000 => Self::Factory,
             FLASH_BASE..CCM_BASE => return (Self::Flash, address - FLASH_BASE),
             _ => Self::Unknown,
         };
@@ -128,9 +160,13 @@ impl Block {
 
     /// RCC's register with the bit that enables the block, and the number of the bit, which is that of its reset too.
     /// The reset of ADC1 is that of all ADCs.
-    pub fn gate(self) -> Option<(u32, u32)> {
+    pub fn gate(self, family: Family) -> Option<(u32, u32)> {
+        let is_g4 = family == Family::G4;
         let (bus, bit) = match self {
+            Self::Gpio(port) if is_g4 => return Some((g4::AHB2ENR, port as u32)),
             Self::Gpio(port) => return Some((rcc::AHB1ENR, port as u32)),
+            Self::Rng | Self::Adc | Self::Usart(_) if is_g4 => return None,
+            Self::Syscfg if is_g4 => (Apb::Two, 0),
             Self::Rng => return Some((rcc::AHB2ENR, 6)),
             Self::Timer(timer) => timer::KINDS[timer].place,
             Self::Usart(usart) => usart::KINDS[usart].place,
@@ -140,7 +176,13 @@ impl Block {
             Self::Syscfg => (Apb::Two, 14),
             _ => return None,
         };
-        Some((bus as u32, bit))
+        let register = match (bus, is_g4) {
+            (Apb::One, false) => rcc::APB1ENR,
+            (Apb::Two, false) => rcc::APB2ENR,
+            (Apb::One, true) => g4::APB1ENR1,
+            (Apb::Two, true) => g4::APB2ENR,
+        };
+        Some((register, bit))
     }
 }
 

@@ -1,4 +1,4 @@
-//! The STM32F4 parts that can be put on a board, and their differences.
+//! The parts that can be put on a board, and their differences: those of the STM32F4, and one STM32G4.
 
 use std::{error, fmt, str::FromStr};
 
@@ -35,6 +35,15 @@ pub enum Part {
     Stm32f469,
     /// STM32F479xI: as the F469, with cryptographic processor.
     Stm32f479,
+    /// STM32G431xB: 170 MHz, 128 KB flash, 32 KB RAM, FDCAN.
+    Stm32g431,
+}
+
+/// Parts with the same registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Family {
+    F4,
+    G4,
 }
 
 #[derive(Debug)]
@@ -42,17 +51,18 @@ pub struct UnknownPart;
 
 impl fmt::Display for UnknownPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the chips are {}", Part::ALL.map(Part::name).join(", "))
+        write!(f, "the chips are {}", Part::F4.map(Part::name).join(", "))
     }
 }
 
 impl error::Error for UnknownPart {}
 
+/// Reads the name of an STM32F4; [`Part::any`] knows every part.
 impl FromStr for Part {
     type Err = UnknownPart;
 
     fn from_str(name: &str) -> Result<Self, UnknownPart> {
-        Self::ALL.into_iter().find(|part| part.name() == name).ok_or(UnknownPart)
+        Self::F4.into_iter().find(|part| part.name() == name).ok_or(UnknownPart)
     }
 }
 
@@ -74,11 +84,13 @@ enum Line {
     F446,
     /// F469, F479 (RM0386).
     F469,
+    /// G431 (RM0440).
+    G431,
 }
 
 impl Part {
-    /// Every part, in the order of their numbers.
-    pub const ALL: [Self; 14] = [
+    /// Every STM32F4, in the order of their numbers.
+    pub const F4: [Self; 14] = [
         Self::Stm32f405,
         Self::Stm32f407,
         Self::Stm32f412,
@@ -95,6 +107,14 @@ impl Part {
         Self::Stm32f479,
     ];
 
+    /// The part of this name.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn any(name: &str) -> Result<Self, UnknownPart> {
+        if name == Self::Stm32g431.name() { Ok(Self::Stm32g431) } else { name.parse() }
+    }
+
     const fn line(self) -> Line {
         match self {
             Self::Stm32f405 | Self::Stm32f407 | Self::Stm32f415 | Self::Stm32f417 => Line::F405,
@@ -103,6 +123,14 @@ impl Part {
             Self::Stm32f427 | Self::Stm32f429 | Self::Stm32f437 | Self::Stm32f439 => Line::F427,
             Self::Stm32f446 => Line::F446,
             Self::Stm32f469 | Self::Stm32f479 => Line::F469,
+            Self::Stm32g431 => Line::G431,
+        }
+    }
+
+    pub(super) const fn family(self) -> Family {
+        match self.line() {
+            Line::G431 => Family::G4,
+            _ => Family::F4,
         }
     }
 
@@ -123,17 +151,18 @@ impl Part {
             Self::Stm32f446 => "stm32f446",
             Self::Stm32f469 => "stm32f469",
             Self::Stm32f479 => "stm32f479",
+            Self::Stm32g431 => "stm32g431",
         }
     }
 
     /// The number of the reference manual.
     pub const fn manual(self) -> &'static str {
-        ["RM0090", "RM0402", "RM0430", "RM0090", "RM0390", "RM0386"][self.line() as usize]
+        ["RM0090", "RM0402", "RM0430", "RM0090", "RM0390", "RM0386", "RM0440"][self.line() as usize]
     }
 
     /// Bytes of flash at 0x0800_0000.
     pub const fn flash_size(self) -> u32 {
-        [1024, 1024, 1536, 2048, 512, 2048][self.line() as usize] * KB
+        [1024, 1024, 1536, 2048, 512, 2048, 128][self.line() as usize] * KB
     }
 
     /// Bytes of flash per bank: the CPU stalls only when it needs the busy bank.
@@ -154,14 +183,15 @@ impl Part {
         }
     }
 
-    /// Bytes of SRAM at 0x2000_0000 (SRAM1, SRAM2 and SRAM3 adjoin).
+    /// Bytes of SRAM at 0x2000_0000 (SRAM1, SRAM2 and SRAM3 adjoin, and on the G431 the core-coupled memory).
     pub const fn ram_size(self) -> u32 {
-        [128, 256, 320, 192, 128, 320][self.line() as usize] * KB
+        [128, 256, 320, 192, 128, 320, 32][self.line() as usize] * KB
     }
 
-    /// Bytes of core-coupled memory at 0x1000_0000, or 0: data only, no code.
+    /// Bytes of core-coupled memory at 0x1000_0000, or 0: data only, no code. That of the G431 is modelled only in the
+    /// place where it adjoins the SRAM.
     pub const fn ccm_size(self) -> u32 {
-        [64, 0, 0, 64, 0, 64][self.line() as usize] * KB
+        [64, 0, 0, 64, 0, 64, 0][self.line() as usize] * KB
     }
 
     /// DBGMCU_IDCODE (chapter "Debug support" of the manual): device in bits 11..0, revision in bits 31..16.
@@ -173,6 +203,7 @@ impl Part {
             Line::F427 => 0x2003_0419,
             Line::F446 => 0x1000_0421,
             Line::F469 => 0x1000_0434,
+            Line::G431 => 0x2001_0468,
         }
     }
 
@@ -182,6 +213,7 @@ impl Part {
             Line::F405 => (168 * MHZ, 42 * MHZ, 84 * MHZ),
             Line::F412 | Line::F413 => (100 * MHZ, 50 * MHZ, 100 * MHZ),
             Line::F427 | Line::F446 | Line::F469 => (180 * MHZ, 45 * MHZ, 90 * MHZ),
+            Line::G431 => (170 * MHZ, 170 * MHZ, 170 * MHZ),
         }
     }
 
@@ -202,7 +234,11 @@ impl Part {
 
     /// PWR_CR after a reset.
     pub(super) const fn power_after_reset(self) -> u32 {
-        [0x4000, 0x8000, 0x8000, 0xC000, 0xC000, 0xC000][self.line() as usize]
+        match self.line() {
+            Line::F405 => 0x4000,
+            Line::F412 | Line::F413 => 0x8000,
+            _ => 0xC000,
+        }
     }
 
     /// The bits of PWR_CR that can be written.
@@ -210,13 +246,15 @@ impl Part {
         match self.line() {
             Line::F405 => 0x43F3,
             Line::F412 | Line::F413 => 0x0030_EFF3,
-            Line::F427 | Line::F446 | Line::F469 => 0x000F_EFF3,
+            _ => 0x000F_EFF3,
         }
     }
 
-    /// The flash wait states that `hclk_hz` needs at 2.7..3.6 V (chapter "Embedded flash memory interface").
-    pub const fn wait_states(self, hclk_hz: u32) -> u32 {
+    /// The flash wait states that `hclk_hz` needs at 2.7..3.6 V (chapter "Embedded flash memory interface"), on the G431
+    /// in range 1 with boost or without.
+    pub(super) const fn wait_states(self, hclk_hz: u32, is_boosted: bool) -> u32 {
         match self.line() {
+            Line::G431 if is_boosted => hclk_hz.saturating_sub(1) / (34 * MHZ),
             Line::F412 if hclk_hz <= 30 * MHZ => 0,
             Line::F412 if hclk_hz <= 64 * MHZ => 1,
             Line::F412 if hclk_hz <= 90 * MHZ => 2,
@@ -253,12 +291,12 @@ impl Part {
 
     /// The number of GPIO ports, from A on.
     pub const fn gpio_ports(self) -> usize {
-        [9, 8, 8, 11, 8, 11][self.line() as usize]
+        [9, 8, 8, 11, 8, 11, 7][self.line() as usize]
     }
 
     /// The number of CAN controllers.
     pub const fn cans(self) -> usize {
-        [2, 2, 3, 2, 2, 2][self.line() as usize]
+        [2, 2, 3, 2, 2, 2, 1][self.line() as usize]
     }
 
     /// The pins that can carry a CAN controller (CAN1 as 0), receive and transmit, with their alternate functions. Each
@@ -281,7 +319,7 @@ impl Part {
         match (can, self.line()) {
             (0, Line::F405 | Line::F427 | Line::F469) => &[A, B, D, I],
             (0, Line::F412 | Line::F413) => &[A, B_8, D, G],
-            (0, Line::F446) => &[A, B, D],
+            (0, Line::F446 | Line::G431) => &[A, B, D],
             (1, Line::F412 | Line::F413) => &[B_LOW, B_HIGH, G_HIGH],
             (1, _) => &[B_LOW, B_HIGH],
             (2, Line::F413) => &[A_11, B_11],

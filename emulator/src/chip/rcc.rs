@@ -1,6 +1,8 @@
 //! RCC (RM0090 chapter 7): oscillators, PLL, prescalers, peripheral clocks and resets, reset flags.
 
-use super::{ChipVariant, Part, Problem, StartUp, map::Block};
+use std::fmt;
+
+use super::{ChipVariant, Part, Problem, StartUp, map::Block, part::Family};
 use crate::{Time, can::Clock};
 
 const CR: u32 = 0x00;
@@ -9,6 +11,8 @@ const CFGR: u32 = 0x08;
 const CIR: u32 = 0x0C;
 pub const AHB1ENR: u32 = 0x30;
 pub const AHB2ENR: u32 = 0x34;
+pub const APB1ENR: u32 = 0x40;
+pub const APB2ENR: u32 = 0x44;
 const CSR: u32 = 0x74;
 
 const HSION: u32 = 1 << 0;
@@ -30,7 +34,7 @@ const BDCR_WRITABLE: u32 = 0x0001_8305;
 const CSSF: u32 = 1 << 7;
 
 /// The internal oscillator, assumed to be exact.
-const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
+pub(super) const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ResetCause {
@@ -63,8 +67,10 @@ pub struct Clocks {
     pub sysclk: Clock,
     /// CPU, AHB and SysTick.
     pub hclk: Clock,
-    /// APB1: CAN, IWDG's registers, PWR.
+    /// APB1: IWDG's registers, PWR.
     pub pclk1: Clock,
+    /// The time quanta of CAN: APB1, or what an STM32G4 has selected for FDCAN.
+    pub can: Clock,
     /// The timers of APB1: its clock, or twice that if APB1 is slower than AHB.
     pub timclk1: Clock,
     /// APB2: ADC, SYSCFG, EXTI.
@@ -73,17 +79,109 @@ pub struct Clocks {
     pub timclk2: Clock,
 }
 
-/// A peripheral bus, by the offset of the register with its enable bits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Apb {
-    /// APB1, from 4000_0000h on.
-    One = 0x40,
-    /// APB2, from 4001_0000h on.
-    Two = 0x44,
+impl Clocks {
+    /// The clocks from SYSCLK, the divider of AHB and those of APB1 and APB2 after it, as powers of two. CAN is on APB1.
+    pub(super) fn divided(sysclk: Clock, ahb: u32, apb1: u32, apb2: u32) -> Self {
+        let divided = |shift: u32| Clock { hz: sysclk.hz >> shift, ..sysclk };
+        Self {
+            sysclk,
+            hclk: divided(ahb),
+            pclk1: divided(ahb + apb1),
+            can: divided(ahb + apb1),
+            timclk1: divided(ahb + apb1.saturating_sub(1)),
+            pclk2: divided(ahb + apb2),
+            timclk2: divided(ahb + apb2.saturating_sub(1)),
+        }
+    }
 }
 
+/// The divider that HPRE selects, as a power of two.
+pub(super) fn hclk_shift(hpre: u32) -> u32 {
+    match hpre & 0xF {
+        0..8 => 0,
+        code @ 8..12 => code - 7,
+        code => code - 6,
+    }
+}
+
+/// The divider that PPRE1 or PPRE2 selects, as a power of two.
+pub(super) fn apb_shift(ppre: u32) -> u32 {
+    if ppre & 4 == 0 { 0 } else { (ppre & 3) + 1 }
+}
+
+/// A peripheral bus: APB1, from 4000_0000h on, or APB2, from 4001_0000h on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Apb {
+    One,
+    Two,
+}
+
+/// What the chip needs of RCC, whatever its registers are.
+pub trait Rcc: fmt::Debug + Send {
+    fn family(&self) -> Family;
+
+    /// Resets every register; reset flags accumulate until RMVF or a power-on.
+    fn reset(&mut self, cause: ResetCause);
+
+    /// A register as it was written.
+    fn reg(&self, offset: u32) -> u32;
+
+    fn enabled(&self, block: Block) -> bool {
+        block.gate(self.family()).is_none_or(|(register, bit)| self.reg(register) >> bit & 1 == 1)
+    }
+
+    fn held_in_reset(&self, block: Block) -> bool {
+        let gate = block.gate(self.family());
+        gate.is_some_and(|(register, bit)| self.reg(register - 0x20) >> bit & 1 == 1)
+    }
+
+    /// The value of a register, or `None` if the part does not have it.
+    fn read(&self, offset: u32, now: Time) -> Option<u32>;
+
+    /// Writes a register. A write that a real chip would not accept is ignored, as there, and returned as a problem.
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem>;
+
+    /// Whether the register belongs to the backup domain.
+    fn is_backup_domain(&self, offset: u32) -> bool;
+
+    fn clocks(&self) -> Clocks;
+
+    /// Stops the crystal at `now`. The clock security system, if it is on, switches to HSI and interrupts (RM0090
+    /// 7.2.7).
+    fn stop_crystal(&mut self, now: Time);
+
+    /// Allows the crystal to oscillate again from `now` on.
+    fn start_crystal(&mut self, now: Time);
+
+    /// Whether SYSCLK has stopped because its crystal has.
+    fn is_stopped(&self) -> bool;
+
+    /// Starts LSI on behalf of the watchdog, which keeps it on.
+    fn force_lsi(&mut self, now: Time);
+
+    /// Sets the clocks of the boot loader: 60 MHz by crystal and PLL, and CSS; USB and GPIOA have clocks.
+    fn leave_loader(&mut self, _: Time) {
+        unimplemented!("only the boot loader of an STM32F4 is modelled")
+    }
+
+    /// The frequency of the clock that the RTC gets, with LSI of `lsi_hz`; 0 if it gets none.
+    fn rtc_clock(&self, _: u32) -> u32 {
+        0
+    }
+
+    fn backup_domain_held_in_reset(&self) -> bool {
+        false
+    }
+
+    /// The level of the non-maskable interrupt: the clock security system has detected a failure of the crystal.
+    fn nmi(&self) -> bool {
+        false
+    }
+}
+
+/// The RCC of an STM32F4.
 #[derive(Debug)]
-pub struct Rcc {
+pub struct RccF4 {
     part: Part,
     crystal: Clock,
     /// The crystal oscillates when switched on.
@@ -96,9 +194,9 @@ pub struct Rcc {
     lsi_ready: Time,
 }
 
-impl Rcc {
+impl RccF4 {
     /// The offset of the backup domain's register.
-    pub const BDCR: u32 = 0x70;
+    const BDCR: u32 = 0x70;
 
     /// The state after power-on, with `crystal` as HSE.
     pub fn new(part: Part, crystal: Clock, variant: &ChipVariant) -> Self {
@@ -117,8 +215,95 @@ impl Rcc {
         rcc
     }
 
-    /// Resets every register; reset flags accumulate until RMVF or a power-on.
-    pub fn reset(&mut self, cause: ResetCause) {
+    fn write_cr(&mut self, old: u32, value: u32, now: Time) -> Result<(), Problem> {
+        let on_pll = self.reg(CFGR) & 3 == 2;
+        if (on_pll && value & PLLON == 0) || (self.sysclk_needs_hse() && value & HSEON == 0) {
+            return Err(Problem::Misuse("a clock that SYSCLK depends on was switched off"));
+        }
+        let starts = |bit: u32| value & bit != 0 && old & bit == 0;
+        if starts(HSEON) {
+            self.start_hse(now);
+        }
+        self.regs[CR as usize / 4] = value;
+        if value & HSEON == 0 {
+            self.hse_ready = Time::MAX;
+        }
+        for (ready, bit) in self.pll_ready.iter_mut().zip([PLLON, PLLI2SON, PLLSAION]) {
+            if value & bit == 0 {
+                *ready = Time::MAX;
+            } else if starts(bit) {
+                *ready = now + self.start_up.pll();
+            }
+        }
+        if starts(PLLON) { self.check_pll() } else { Ok(()) }
+    }
+
+    fn start_hse(&mut self, now: Time) {
+        let ready = now.as_ps().saturating_add(self.hse_start.as_ps());
+        self.hse_ready = if self.crystal_works { Time::from_ps(ready) } else { Time::MAX };
+    }
+
+    fn sysclk_needs_hse(&self) -> bool {
+        match self.reg(CFGR) & 3 {
+            1 => true,
+            2 => self.reg(PLLCFGR) >> 22 & 1 == 1,
+            _ => false,
+        }
+    }
+
+    fn exists(&self, offset: u32) -> bool {
+        match offset {
+            0x00..=0x18 | 0x20 | 0x24 | 0x30..=0x38 | 0x40 | 0x44 | 0x50..=0x58 | 0x60 | 0x64 => {
+                true
+            }
+            Self::BDCR | CSR | 0x80 | 0x84 => true,
+            0x88 => self.part.has_overdrive(),
+            0x8C => self.part.has_dedicated_clocks(),
+            0x90 | 0x94 => self.part.has_clock_gating(),
+            _ => false,
+        }
+    }
+
+    fn pll_source(&self) -> Clock {
+        if self.reg(PLLCFGR) >> 22 & 1 == 1 { self.crystal } else { HSI }
+    }
+
+    /// The nominal frequencies of the PLL's input and its VCO.
+    fn pll(&self) -> (u64, u64) {
+        let pllcfgr = self.reg(PLLCFGR);
+        let source = u64::from(self.pll_source().hz);
+        let m = u64::from(pllcfgr & 0x3F).max(2);
+        let n = u64::from(pllcfgr >> 6 & 0x1FF);
+        (source / m, source * n / m)
+    }
+
+    fn check_pll(&self) -> Result<(), Problem> {
+        let (input, vco) = self.pll();
+        if !(950_000..=2_100_000).contains(&input) {
+            return Err(Problem::Misuse("PLL input outside 0.95..2.1 MHz"));
+        }
+        if !(100_000_000..=432_000_000).contains(&vco) {
+            return Err(Problem::Misuse("PLL VCO outside 100..432 MHz"));
+        }
+        Ok(())
+    }
+
+    fn check_limits(&self) -> Result<(), Problem> {
+        let clocks = self.clocks();
+        let (sysclk, pclk1, pclk2) = self.part.clock_limits();
+        if clocks.sysclk.hz > sysclk || clocks.pclk1.hz > pclk1 || clocks.pclk2.hz > pclk2 {
+            return Err(Problem::Misuse("SYSCLK, APB1 or APB2 above the part's limit"));
+        }
+        Ok(())
+    }
+}
+
+impl Rcc for RccF4 {
+    fn family(&self) -> Family {
+        Family::F4
+    }
+
+    fn reset(&mut self, cause: ResetCause) {
         let flags = match cause {
             ResetCause::PowerOn => 0,
             _ => self.reg(CSR) & 0xFE00_0000,
@@ -151,16 +336,7 @@ impl Rcc {
         self.regs[offset as usize / 4]
     }
 
-    pub fn enabled(&self, block: Block) -> bool {
-        block.gate().is_none_or(|(register, bit)| self.reg(register) >> bit & 1 == 1)
-    }
-
-    pub fn held_in_reset(&self, block: Block) -> bool {
-        block.gate().is_some_and(|(register, bit)| self.reg(register - 0x20) >> bit & 1 == 1)
-    }
-
-    /// The value of a register, or `None` if the part does not have it.
-    pub fn read(&self, offset: u32, now: Time) -> Option<u32> {
+    fn read(&self, offset: u32, now: Time) -> Option<u32> {
         if !self.exists(offset) {
             return None;
         }
@@ -186,8 +362,7 @@ impl Rcc {
         })
     }
 
-    /// Writes a register. A write that a real chip would not accept is ignored, as there, and returned as a problem.
-    pub fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
+    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
         if !self.exists(offset) {
             return Err(Problem::Unmodelled);
         }
@@ -237,62 +412,24 @@ impl Rcc {
         if offset == CFGR { self.check_limits() } else { Ok(()) }
     }
 
-    fn write_cr(&mut self, old: u32, value: u32, now: Time) -> Result<(), Problem> {
-        let on_pll = self.reg(CFGR) & 3 == 2;
-        if (on_pll && value & PLLON == 0) || (self.sysclk_needs_hse() && value & HSEON == 0) {
-            return Err(Problem::Misuse("a clock that SYSCLK depends on was switched off"));
-        }
-        let starts = |bit: u32| value & bit != 0 && old & bit == 0;
-        if starts(HSEON) {
-            self.start_hse(now);
-        }
-        self.regs[CR as usize / 4] = value;
-        if value & HSEON == 0 {
-            self.hse_ready = Time::MAX;
-        }
-        for (ready, bit) in self.pll_ready.iter_mut().zip([PLLON, PLLI2SON, PLLSAION]) {
-            if value & bit == 0 {
-                *ready = Time::MAX;
-            } else if starts(bit) {
-                *ready = now + self.start_up.pll();
+    fn is_backup_domain(&self, offset: u32) -> bool {
+        offset == Self::BDCR
+    }
+
+    fn clocks(&self) -> Clocks {
+        let cfgr = self.reg(CFGR);
+        let sysclk = match cfgr & 3 {
+            0 => HSI,
+            1 => self.crystal,
+            _ => {
+                let divider = 2 * (u64::from(self.reg(PLLCFGR) >> 16 & 3) + 1);
+                Clock { hz: (self.pll().1 / divider) as u32, ..self.pll_source() }
             }
-        }
-        if starts(PLLON) { self.check_pll() } else { Ok(()) }
+        };
+        Clocks::divided(sysclk, hclk_shift(cfgr >> 4), apb_shift(cfgr >> 10), apb_shift(cfgr >> 13))
     }
 
-    fn start_hse(&mut self, now: Time) {
-        let ready = now.as_ps().saturating_add(self.hse_start.as_ps());
-        self.hse_ready = if self.crystal_works { Time::from_ps(ready) } else { Time::MAX };
-    }
-
-    fn sysclk_needs_hse(&self) -> bool {
-        match self.reg(CFGR) & 3 {
-            1 => true,
-            2 => self.reg(PLLCFGR) >> 22 & 1 == 1,
-            _ => false,
-        }
-    }
-
-    /// Sets the clocks of the boot loader: 60 MHz by crystal and PLL, and CSS; USB and GPIOA have clocks.
-    pub fn leave_loader(&mut self, now: Time) {
-        let input_divider = self.crystal.hz / 1_000_000;
-        for (offset, value) in [
-            (PLLCFGR, 5 << 24 | 1 << 22 | 1 << 16 | 240 << 6 | input_divider),
-            (CR, 0x83 | HSEON | CSSON | PLLON),
-            (CFGR, 4 << 10 | 2),
-            (AHB1ENR, self.reg(AHB1ENR) | 1),
-            (AHB2ENR, 1 << 7),
-            (Apb::Two as u32, 1 << 14),
-        ] {
-            self.regs[offset as usize / 4] = value;
-        }
-        self.hse_ready = now;
-        self.pll_ready[0] = now;
-    }
-
-    /// Stops the crystal at `now`. The clock security system, if it is on, switches to HSI and interrupts (RM0090
-    /// 7.2.7).
-    pub fn stop_crystal(&mut self, now: Time) {
+    fn stop_crystal(&mut self, now: Time) {
         self.crystal_works = false;
         let was_ready = now >= self.hse_ready;
         self.hse_ready = Time::MAX;
@@ -312,25 +449,41 @@ impl Rcc {
         self.regs[CIR as usize / 4] |= CSSF;
     }
 
-    /// Allows the crystal to oscillate again from `now` on.
-    pub fn start_crystal(&mut self, now: Time) {
+    fn start_crystal(&mut self, now: Time) {
         self.crystal_works = self.crystal.hz > 0;
         if self.reg(CR) & HSEON != 0 {
             self.start_hse(now);
         }
     }
 
-    /// Whether SYSCLK has stopped because its crystal has.
-    pub fn is_stopped(&self) -> bool {
+    fn is_stopped(&self) -> bool {
         !self.crystal_works && self.sysclk_needs_hse()
     }
 
-    pub fn backup_domain_held_in_reset(&self) -> bool {
-        self.reg(Self::BDCR) & BDRST != 0
+    fn force_lsi(&mut self, now: Time) {
+        if self.reg(CSR) & LSION == 0 {
+            self.regs[CSR as usize / 4] |= LSION;
+            self.lsi_ready = now + self.start_up.lsi();
+        }
     }
 
-    /// The frequency of the clock that the RTC gets, with LSI of `lsi_hz`; 0 if it gets none.
-    pub fn rtc_clock(&self, lsi_hz: u32) -> u32 {
+    fn leave_loader(&mut self, now: Time) {
+        let input_divider = self.crystal.hz / 1_000_000;
+        for (offset, value) in [
+            (PLLCFGR, 5 << 24 | 1 << 22 | 1 << 16 | 240 << 6 | input_divider),
+            (CR, 0x83 | HSEON | CSSON | PLLON),
+            (CFGR, 4 << 10 | 2),
+            (AHB1ENR, self.reg(AHB1ENR) | 1),
+            (AHB2ENR, 1 << 7),
+            (APB2ENR, 1 << 14),
+        ] {
+            self.regs[offset as usize / 4] = value;
+        }
+        self.hse_ready = now;
+        self.pll_ready[0] = now;
+    }
+
+    fn rtc_clock(&self, lsi_hz: u32) -> u32 {
         let divider = self.reg(CFGR) >> 16 & 0x1F;
         match self.reg(Self::BDCR) & (RTCEN | RTCSEL) {
             RTC_ON_LSI if self.reg(CSR) & LSION != 0 => lsi_hz,
@@ -339,91 +492,11 @@ impl Rcc {
         }
     }
 
-    /// The level of the non-maskable interrupt: the clock security system has detected a failure of the crystal.
-    pub fn nmi(&self) -> bool {
+    fn backup_domain_held_in_reset(&self) -> bool {
+        self.reg(Self::BDCR) & BDRST != 0
+    }
+
+    fn nmi(&self) -> bool {
         self.reg(CIR) & CSSF != 0
-    }
-
-    /// Starts LSI on behalf of the watchdog, which keeps it on.
-    pub fn force_lsi(&mut self, now: Time) {
-        if self.reg(CSR) & LSION == 0 {
-            self.regs[CSR as usize / 4] |= LSION;
-            self.lsi_ready = now + self.start_up.lsi();
-        }
-    }
-
-    fn exists(&self, offset: u32) -> bool {
-        match offset {
-            0x00..=0x18 | 0x20 | 0x24 | 0x30..=0x38 | 0x40 | 0x44 | 0x50..=0x58 | 0x60 | 0x64 => {
-                true
-            }
-            Self::BDCR | CSR | 0x80 | 0x84 => true,
-            0x88 => self.part.has_overdrive(),
-            0x8C => self.part.has_dedicated_clocks(),
-            0x90 | 0x94 => self.part.has_clock_gating(),
-            _ => false,
-        }
-    }
-
-    fn pll_source(&self) -> Clock {
-        if self.reg(PLLCFGR) >> 22 & 1 == 1 { self.crystal } else { HSI }
-    }
-
-    /// The nominal frequencies of the PLL's input and its VCO.
-    fn pll(&self) -> (u64, u64) {
-        let pllcfgr = self.reg(PLLCFGR);
-        let source = u64::from(self.pll_source().hz);
-        let m = u64::from(pllcfgr & 0x3F).max(2);
-        let n = u64::from(pllcfgr >> 6 & 0x1FF);
-        (source / m, source * n / m)
-    }
-
-    fn check_pll(&self) -> Result<(), Problem> {
-        let (input, vco) = self.pll();
-        if !(950_000..=2_100_000).contains(&input) {
-            return Err(Problem::Misuse("PLL input outside 0.95..2.1 MHz"));
-        }
-        if !(100_000_000..=432_000_000).contains(&vco) {
-            return Err(Problem::Misuse("PLL VCO outside 100..432 MHz"));
-        }
-        Ok(())
-    }
-
-    fn check_limits(&self) -> Result<(), Problem> {
-        let clocks = self.clocks();
-        let (sysclk, pclk1, pclk2) = self.part.clock_limits();
-        if clocks.sysclk.hz > sysclk || clocks.pclk1.hz > pclk1 || clocks.pclk2.hz > pclk2 {
-            return Err(Problem::Misuse("SYSCLK, APB1 or APB2 above the part's limit"));
-        }
-        Ok(())
-    }
-
-    pub fn clocks(&self) -> Clocks {
-        let cfgr = self.reg(CFGR);
-        let sysclk = match cfgr & 3 {
-            0 => HSI,
-            1 => self.crystal,
-            _ => {
-                let divider = 2 * (u64::from(self.reg(PLLCFGR) >> 16 & 3) + 1);
-                Clock { hz: (self.pll().1 / divider) as u32, ..self.pll_source() }
-            }
-        };
-        let ahb = match cfgr >> 4 & 0xF {
-            0..8 => 0,
-            code @ 8..12 => code - 7,
-            code => code - 6,
-        };
-        let apb = |code: u32| if code & 4 == 0 { 0 } else { (code & 3) + 1 };
-        let divided = |shift: u32| Clock { hz: sysclk.hz >> shift, ..sysclk };
-        let apb1 = apb(cfgr >> 10 & 7);
-        let apb2 = apb(cfgr >> 13 & 7);
-        Clocks {
-            sysclk,
-            hclk: divided(ahb),
-            pclk1: divided(ahb + apb1),
-            timclk1: divided(ahb + apb1.saturating_sub(1)),
-            pclk2: divided(ahb + apb2),
-            timclk2: divided(ahb + apb2.saturating_sub(1)),
-        }
     }
 }

@@ -1,7 +1,7 @@
 //! The chip's external circuit: the supply and the crystal.
 
 use super::Chip;
-use crate::{Time, can::Bxcan};
+use crate::Time;
 
 impl Chip {
     /// Sets the supply in mV. It affects only the voltage detector and the checks of legal settings; a reset at low
@@ -21,7 +21,7 @@ impl Chip {
         self.follow_clocks(now);
         if self.is_stopped() {
             // The controllers have no clock and their pins are constant; they are assumed to be recessive.
-            self.cans.iter_mut().for_each(Bxcan::reset);
+            self.cans.iter_mut().for_each(|can| can.reset());
             self.share_filters();
         }
     }

@@ -1,7 +1,27 @@
 //! Small blocks: PWR, SYSCFG, EXTI, DBGMCU, and the factory data (unique id, flash size).
 
-use super::{Part, Problem, Thresholds, adc, map::Registers};
+use std::fmt;
+
+use super::{Part, Problem, Thresholds, adc, map::Registers, part::Family};
 use crate::Time;
+
+/// What the chip needs of PWR, whatever its registers are.
+pub trait Power: Registers + fmt::Debug + Send {
+    /// Whether DBP lets the program write to the backup domain.
+    fn backup_domain_is_writable(&self) -> bool;
+
+    fn set_supply(&mut self, mv: u32);
+
+    fn supply(&self) -> u32;
+
+    /// The highest HCLK in Hz at the present voltage scale.
+    fn max_hclk(&self) -> u32;
+
+    /// Whether range 1 of an STM32G4 is boosted.
+    fn is_boosted(&self) -> bool {
+        false
+    }
+}
 
 /// PWR (RM0090 chapter 5): the voltage detector, and the voltage scale and over-drive bits that clock set-up waits for,
 /// which take effect at once.
@@ -32,32 +52,32 @@ impl Pwr {
         Self { part, thresholds, supply_mv: 3_300, is_low: true, cr, csr: 0 }
     }
 
-    /// Whether DBP lets the program write to the RTC and to RCC_BDCR.
-    pub fn backup_domain_is_writable(&self) -> bool {
-        self.cr & Self::DBP != 0
-    }
-
-    pub fn set_supply(&mut self, mv: u32) {
-        self.supply_mv = mv;
-        self.detect();
-    }
-
-    pub fn supply(&self) -> u32 {
-        self.supply_mv
-    }
-
     /// Lets the voltage detector compare the supply with its level.
     fn detect(&mut self) {
         self.is_low = self.thresholds.detects(self.cr >> 5 & 7, self.supply_mv, self.is_low);
     }
 
-    /// The highest HCLK in Hz at the present voltage scale.
-    pub fn max_hclk(&self) -> u32 {
-        self.part.voltage_limit(self.cr >> 14 & 3, self.cr & Self::OVERDRIVE == Self::OVERDRIVE)
-    }
-
     fn pvdo(&self) -> u32 {
         if self.cr & Self::PVDE != 0 && self.is_low { Self::PVDO } else { 0 }
+    }
+}
+
+impl Power for Pwr {
+    fn backup_domain_is_writable(&self) -> bool {
+        self.cr & Self::DBP != 0
+    }
+
+    fn set_supply(&mut self, mv: u32) {
+        self.supply_mv = mv;
+        self.detect();
+    }
+
+    fn supply(&self) -> u32 {
+        self.supply_mv
+    }
+
+    fn max_hclk(&self) -> u32 {
+        self.part.voltage_limit(self.cr >> 14 & 3, self.cr & Self::OVERDRIVE == Self::OVERDRIVE)
     }
 }
 
@@ -208,6 +228,7 @@ impl Registers for Dbgmcu {
 /// whose handlers return at once.
 #[derive(Debug)]
 pub struct Factory {
+    family: Family,
     unique_id: [u8; 12],
     flash_kb: u16,
 }
@@ -221,16 +242,32 @@ impl Factory {
     const OTP: u32 = 0x1FFF_7800;
     const UNIQUE_ID: u32 = 0x1FFF_7A10;
     const FLASH_SIZE: u32 = 0x1FFF_7A22;
+    /// The same of an STM32G4 (RM0440 chapter 48).
+    const UNIQUE_ID_G4: u32 = 0x1FFF_7590;
+    const FLASH_SIZE_G4: u32 = 0x1FFF_75E0;
     /// The calibration of the voltage reference, then of the temperature sensor (data sheet).
     const CALIBRATION: u32 = 0x1FFF_7A2A;
 
     /// The data of one chip.
     pub fn new(part: Part, unique_id: [u8; 12]) -> Self {
-        Self { unique_id, flash_kb: (part.flash_size() / 1024) as u16 }
+        let flash_kb = (part.flash_size() / 1024) as u16;
+        Self { family: part.family(), unique_id, flash_kb }
     }
 
     /// One byte, or `None` if its content is unknown.
     pub fn byte(&self, address: u32) -> Option<u8> {
+        match self.family {
+            Family::F4 => self.byte_f4(address),
+            Family::G4 => {
+                let id = address.wrapping_sub(Self::UNIQUE_ID_G4) as usize;
+                let size = address.wrapping_sub(Self::FLASH_SIZE_G4) as usize;
+                let bytes = self.flash_kb.to_le_bytes();
+                self.unique_id.get(id).or(bytes.get(size)).copied()
+            }
+        }
+    }
+
+    fn byte_f4(&self, address: u32) -> Option<u8> {
         let id = address.wrapping_sub(Self::UNIQUE_ID) as usize;
         match address {
             Self::VECTORS..Self::HANDLER => {

@@ -80,7 +80,7 @@ impl Rsemu {
         let ccm = Arc::new(RamStore::new(part.ccm_size().into()));
         let config = Config::CORTEX_M4F.with_priority_bits(4);
         let cpu = ArmV7m::new(config);
-        let space = Space::new(&chip, &link, &flash, &ram, &ccm, variant);
+        let space = Space::new(&chip, &link, [&flash, &ram, &ccm], part, variant);
         cpu.attach_space(space.shared());
         Self {
             cpu,

@@ -5,7 +5,7 @@ use std::fmt;
 use super::AdapterId;
 use crate::{
     Time,
-    can::{self, Bxcan, Controller, ErrorKind, Frame, bxcan::Note},
+    can::{self, Controller, ErrorKind, Frame, Note, Peripheral},
     chip::ResetCause,
 };
 
@@ -195,12 +195,12 @@ impl Trace {
     }
 
     /// Records an action of a board's program on its controller.
-    pub fn take_notes(&mut self, board: usize, bxcan: &mut Bxcan) {
-        for (time, note) in bxcan.take_notes() {
+    pub fn take_notes(&mut self, board: usize, can: &mut dyn Peripheral) {
+        for (time, note) in can.take_notes() {
             let what = match note {
                 Note::Requested { mailbox, frame } => What::Requested { mailbox, frame },
                 Note::Aborted { mailbox, frame } => What::Aborted { mailbox, frame },
-                Note::BitTiming(btr) => What::BitTiming { btr, bit_rate: bxcan.bit_rate() },
+                Note::BitTiming(btr) => What::BitTiming { btr, bit_rate: can.bit_rate() },
                 Note::InitializationEntered => What::InitializationEntered,
                 Note::InitializationLeft => What::InitializationLeft,
             };

@@ -32,7 +32,7 @@ fn at_128_mhz(part: Part) -> Rig {
 
 #[test]
 fn the_pll_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
-    for part in Part::ALL.into_iter().filter(|part| part.clock_limits().0 > 128_000_000) {
+    for part in Part::F4.into_iter().filter(|part| part.clock_limits().0 > 128_000_000) {
         let mut rig = at_128_mhz(part);
         let clocks = rig.clocks();
         assert_eq!(clocks.hclk, Clock { hz: 128_000_000, ppm: 20 });
@@ -295,7 +295,7 @@ fn a_byte_on_apb_is_repeated_in_every_lane_and_one_on_ahb_is_not() {
 
 #[test]
 fn the_factory_data_is_readable_in_any_width() {
-    for part in Part::ALL {
+    for part in Part::F4 {
         let mut rig = Rig::new(part);
         assert_eq!(rig.read(0x1FFF_7A10).to_le_bytes(), *b"uniq");
         assert_eq!(rig.read(0x1FFF_7A18).to_le_bytes(), *b"d 12");

@@ -208,7 +208,7 @@ impl Rig {
     pub fn run(&mut self, span: Time) {
         self.now += span;
         for ((bus, adapter), can) in self.buses.iter_mut().zip(self.chip.cans_mut()) {
-            let stations: &mut [&mut dyn Station] = &mut [&mut *can, adapter];
+            let stations: &mut [&mut dyn Station] = &mut [&mut **can, adapter];
             while bus.advance(self.now, stations, &mut |_, _, _| {}) < self.now {}
             can.update_irq();
         }

@@ -28,6 +28,7 @@ pub fn its_log_is_read_and_its_led_blinks_every_millisecond(driver: Driver) {
     let (pin, text) = match driver {
         Driver::Embassy => (Pin('C', 13), "embassy-stm32 is ready"),
         Driver::Bxcan => (Pin('D', 12), "bxcan is ready"),
+        Driver::Fdcan => (Pin('C', 13), "embassy-stm32 is ready"),
     };
     let blinks = changes(&mut rig.network, pin);
     assert!((19..=21).contains(&blinks), "{blinks}");

@@ -41,6 +41,17 @@ pub fn a_fifo_keeps_three_frames_in_their_order_and_a_fourth_replaces_the_newest
     assert_eq!(rig.receive_all(), [standard(0x123, &[9])], "as before the overrun");
 }
 
+/// RM0440 44.3.4.
+pub fn a_full_fifo_of_fdcan_keeps_the_first_three_frames(driver: Driver) {
+    let frames = numbered(4);
+    let mut rig = sent(driver, &frames);
+    assert_eq!(rig.waiting(0), 3);
+    assert_eq!(rig.receive_all(), frames[..3]);
+    rig.send(frames[3]);
+    rig.run_us(300);
+    assert_eq!(rig.receive_all(), frames[3..]);
+}
+
 pub fn a_full_fifo_leaves_the_other_one_room(driver: Driver) {
     let mut rig = Rig::joined(driver, RATE, 0);
     rig.set_filters(&[(0, MASK_32, [0x100, 0x700, 0, 0]), (1, MASK_32, [0x200, 0x700, 0, 0])]);

@@ -15,13 +15,22 @@ use crate::command::*;
 
 pub const MSR: u32 = 0x004;
 const RF0R: u32 = 0x00C;
-pub const ESR: u32 = 0x018;
+const ESR: u32 = 0x018;
+/// Registers of FDCAN (RM0440 44.4.11, 44.4.12, 44.4.23).
+const ECR: u32 = 0x040;
+const PSR: u32 = 0x044;
+const ACT: u32 = 0b11 << 3;
+const RXF0S: u32 = 0x090;
+const TXBRP: u32 = 0x0C8;
 
-/// Bits of MSR: sleep mode, transmission, reception.
+/// Bits of MSR: sleep mode, transmission.
 pub const SLAK: u32 = 1 << 1;
 pub const TXM: u32 = 1 << 8;
-/// Bit of ESR: bus-off.
-pub const BOFF: u32 = 1 << 2;
+
+/// The state of error confinement as ESR shows it: warning, error passive, bus-off.
+pub const WARNING: u32 = 1 << 0;
+pub const PASSIVE: u32 = 1 << 1;
+pub const BUS_OFF: u32 = 1 << 2;
 
 /// The longest time for a command that waits for the bus, and for the start of the program.
 const PATIENCE: Time = Time::from_ms(50);
@@ -35,6 +44,8 @@ pub enum Driver {
     Embassy,
     /// The crate bxcan.
     Bxcan,
+    /// The driver of embassy-stm32 for FDCAN.
+    Fdcan,
 }
 
 /// A program of `emulator/foreign/`, which is built once.
@@ -85,13 +96,14 @@ pub struct Rig {
 impl Rig {
     /// A board that has started; its controller and the adapter are off the bus.
     pub fn new(driver: Driver) -> Self {
-        let image = match driver {
-            Driver::Embassy => image("embassy", "embassy"),
-            Driver::Bxcan => image("bxcan", "bxcan"),
+        let (part, image) = match driver {
+            Driver::Embassy => (Part::Stm32f405, image("embassy", "embassy")),
+            Driver::Bxcan => (Part::Stm32f405, image("bxcan", "bxcan")),
+            Driver::Fdcan => (Part::Stm32g431, image("fdcan", "fdcan")),
         };
         let mut network = Network::new();
         network.record(Recording::Off);
-        let board = network.add_board(Board::new(Part::Stm32f405, image, Settings::default()));
+        let board = network.add_board(Board::new(part, image, Settings::default()));
         let adapter = network.add_adapter(adapter(1_000_000));
         network.adapter_mut(adapter).close();
         let control = image.symbol("REMOTE_CONTROL").expect("the program has the words");
@@ -113,6 +125,10 @@ impl Rig {
         self.call(CONFIGURE, &[bit_rate, modes]);
         self.accept_everything();
         self.call(ENABLE, &[]);
+        // Its driver does not wait for the bus.
+        if self.driver == Driver::Fdcan {
+            self.wait("the bus", |rig| rig.can_register(PSR) & ACT != 0);
+        }
     }
 
     pub fn accept_everything(&mut self) {
@@ -177,7 +193,11 @@ impl Rig {
 
     /// The number of the mailbox, and the frame that had to make room, unless the driver refuses the frame.
     pub fn transmit(&mut self, frame: Frame) -> Option<(u32, Option<Frame>)> {
-        let [answer, mailbox, replaced @ .., _] = self.call(TRANSMIT, &words(frame));
+        let pending = self.pending();
+        let [answer, mut mailbox, replaced @ .., _] = self.call(TRANSMIT, &words(frame));
+        if self.driver == Driver::Fdcan && self.pending() != pending {
+            mailbox = (self.pending() & !pending).trailing_zeros();
+        }
         (answer != REFUSED).then(|| (mailbox, (answer == REPLACED).then(|| from_words(replaced))))
     }
 
@@ -207,7 +227,15 @@ impl Rig {
         self.call(ABORT, &[mailbox])[0] == 1
     }
 
+    /// The transmit buffers of FDCAN with a request.
+    fn pending(&self) -> u32 {
+        if self.driver == Driver::Fdcan { self.can_register(TXBRP) } else { 0 }
+    }
+
     pub fn is_idle(&mut self) -> bool {
+        if self.driver == Driver::Fdcan {
+            return self.pending() == 0;
+        }
         self.call(IS_IDLE, &[])[0] == 1
     }
 
@@ -234,8 +262,28 @@ impl Rig {
 
     /// The transmit and receive error counters.
     pub fn error_counters(&self) -> (u32, u32) {
+        if self.driver == Driver::Fdcan {
+            let ecr = self.can_register(ECR);
+            return (ecr & 0xFF, ecr >> 8 & 0x7F);
+        }
         let esr = self.can_register(ESR);
         (esr >> 16 & 0xFF, esr >> 24)
+    }
+
+    /// The state of error confinement.
+    pub fn error_state(&self) -> u32 {
+        if self.driver == Driver::Fdcan {
+            let psr = self.can_register(PSR);
+            return psr >> 6 & WARNING | psr >> 4 & PASSIVE | psr >> 5 & BUS_OFF;
+        }
+        self.can_register(ESR) & (WARNING | PASSIVE | BUS_OFF)
+    }
+
+    pub fn is_transmitting(&self) -> bool {
+        match self.driver {
+            Driver::Fdcan => self.can_register(PSR) & ACT == ACT,
+            _ => self.can_register(MSR) & TXM != 0,
+        }
     }
 
     /// Adds an adapter on the bus.
@@ -245,7 +293,10 @@ impl Rig {
 
     /// The number of messages in a FIFO.
     pub fn waiting(&self, fifo: u32) -> u32 {
-        self.can_register(RF0R + 4 * fifo) & 3
+        match self.driver {
+            Driver::Fdcan => self.can_register(RXF0S + 8 * fifo) & 3,
+            _ => self.can_register(RF0R + 4 * fifo) & 3,
+        }
     }
 }
 

@@ -4,7 +4,7 @@ use emulator::can::{Frame, Id};
 
 use crate::{
     command::ONE_SHOT,
-    rig::{Driver, MSR, Rig, TXM, extended, standard},
+    rig::{Driver, Rig, extended, standard},
 };
 
 /// At this rate commands are quick in comparison to a frame.
@@ -78,6 +78,20 @@ pub fn a_fourth_frame_takes_the_place_of_the_least_urgent(driver: Driver) {
     assert_eq!(rig.heard(), [d, c, a]);
 }
 
+/// The comparison of embassy-stm32 0.6.0 is the wrong way round.
+pub fn a_full_queue_gives_up_a_more_urgent_frame_for_a_less_urgent_one(driver: Driver) {
+    let mut rig = on_a_busy_bus(driver, 0);
+    let frames = [0x300, 0x200, 0x400].map(|id| standard(id, &[id as u8]));
+    for frame in frames {
+        assert!(matches!(rig.transmit(frame), Some((_, None))));
+    }
+    assert_eq!(rig.transmit(standard(0x100, &[])), None);
+    let (_, replaced) = rig.transmit(standard(0x310, &[])).expect("it takes it");
+    assert_eq!(replaced, Some(frames[0]));
+    rig.run_us(5_000);
+    assert_eq!(rig.heard(), [frames[1], standard(0x310, &[]), frames[2]]);
+}
+
 pub fn a_frame_that_waits_can_be_aborted_and_an_empty_mailbox_cannot(driver: Driver) {
     let mut rig = on_a_busy_bus(driver, 0);
     assert!((0..3).all(|mailbox| !rig.abort(mailbox)));
@@ -93,7 +107,7 @@ pub fn a_frame_under_way_is_sent_in_spite_of_an_abort(driver: Driver) {
     let mut rig = Rig::joined(driver, RATE, 0);
     let frame = standard(0x300, &[1, 2, 3]);
     rig.transmit(frame);
-    rig.wait("the frame", |rig| rig.can_register(MSR) & TXM != 0);
+    rig.wait("the frame", |rig| rig.is_transmitting());
     let aborted = rig.abort(0);
     rig.run_us(1_000);
     assert_eq!(rig.heard(), [frame]);
@@ -106,7 +120,7 @@ pub fn the_end_of_a_transmission_interrupts(driver: Driver) {
     rig.receive_all();
     let [before, ..] = rig.interrupts();
     rig.transmit(standard(0x300, &[1]));
-    rig.wait("the frame", |rig| rig.can_register(MSR) & TXM != 0);
+    rig.wait("the frame", |rig| rig.is_transmitting());
     assert_eq!(rig.interrupts()[0], before);
     rig.run_us(1_000);
     assert_eq!(rig.interrupts()[0], before + 1);

@@ -1,7 +1,13 @@
 //! The three transmit mailboxes and TSR (RM0090 32.7.1, 32.9.2).
 
 use super::Frame;
-use crate::{Time, can::Id};
+use crate::{
+    Time,
+    can::{
+        Id,
+        requests::{PLACES, Requests},
+    },
+};
 
 const TIR_TXRQ: u32 = 1 << 0;
 const TIR_RTR: u32 = 1 << 1;
@@ -25,8 +31,6 @@ struct Mailbox {
     words: [u32; 4],
     /// RQCP, TXOK, ALST, TERR and ABRQ.
     status: u32,
-    /// The time and the running number of the transmit request, while the mailbox is not empty.
-    request: Option<(Time, u64)>,
 }
 
 impl Mailbox {
@@ -46,18 +50,14 @@ impl Mailbox {
     }
 
     fn complete(&mut self, status: u32) {
-        self.request = None;
         self.status = self.status & !ABRQ | RQCP | status;
     }
 }
 
 #[derive(Debug, Default)]
 pub struct Mailboxes {
-    mailboxes: [Mailbox; 3],
-    requests: u64,
-    /// The mailbox whose frame was offered to the controller, or is under way.
-    scheduled: Option<usize>,
-    sending: Option<usize>,
+    mailboxes: [Mailbox; PLACES],
+    requests: Requests,
 }
 
 impl Mailboxes {
@@ -68,17 +68,17 @@ impl Mailboxes {
 
     /// TIR, TDTR, TDLR or TDHR.
     pub fn read(&self, mailbox: usize, word: usize) -> u32 {
-        let mailbox = &self.mailboxes[mailbox];
-        mailbox.words[word] | u32::from(word == 0 && mailbox.request.is_some())
+        let is_requested = word == 0 && self.requests.is_pending(mailbox);
+        self.mailboxes[mailbox].words[word] | u32::from(is_requested)
     }
 
     /// Writes TIR, TDTR, TDLR or TDHR of an empty mailbox; others are protected. Returns the frame to send if TXRQ is
     /// set.
-    pub fn write(&mut self, mailbox: usize, word: usize, value: u32, now: Time) -> Option<Frame> {
-        let mailbox = &mut self.mailboxes[mailbox];
-        if mailbox.request.is_some() {
+    pub fn write(&mut self, number: usize, word: usize, value: u32, now: Time) -> Option<Frame> {
+        if self.requests.is_pending(number) {
             return None;
         }
+        let mailbox = &mut self.mailboxes[number];
         mailbox.words[word] = match word {
             0 => value & !TIR_TXRQ,
             1 => value & TDTR_WRITABLE,
@@ -87,33 +87,32 @@ impl Mailboxes {
         if word != 0 || value & TIR_TXRQ == 0 {
             return None;
         }
-        self.requests += 1;
-        mailbox.request = Some((now, self.requests));
         mailbox.status = 0;
-        Some(mailbox.frame())
+        let frame = mailbox.frame();
+        self.requests.add(number, frame, now);
+        Some(frame)
     }
 
     /// TSR; `chronological` is TXFP.
     pub fn tsr(&self, chronological: bool) -> u32 {
-        let order = self.order(chronological);
+        let order = self.requests.order(chronological);
         let mut tsr = 0;
         for (number, mailbox) in self.mailboxes.iter().enumerate() {
             tsr |= mailbox.status << (8 * number);
-            tsr |= u32::from(mailbox.request.is_none()) << TME_SHIFT << number;
+            tsr |= u32::from(!self.requests.is_pending(number)) << TME_SHIFT << number;
         }
         let lowest = order.last().copied();
         if let (true, Some(lowest)) = (order.len() > 1, lowest) {
             tsr |= 1 << LOW_SHIFT << lowest;
         }
-        let free = self.mailboxes.iter().position(|mailbox| mailbox.request.is_none());
-        tsr | (free.or(lowest).unwrap_or(0) as u32) << CODE_SHIFT
+        tsr | (self.requests.free().or(lowest).unwrap_or(0) as u32) << CODE_SHIFT
     }
 
     /// Writes TSR: clears status and requests aborts. Returns the frames that were aborted at once; a frame that is
     /// under way or chosen next is finished first.
-    pub fn write_tsr(&mut self, value: u32, chosen: bool) -> [Option<Frame>; 3] {
-        let spared = if chosen { self.scheduled } else { self.sending };
-        let mut aborted = [None; 3];
+    pub fn write_tsr(&mut self, value: u32, chosen: bool) -> [Option<Frame>; PLACES] {
+        let spared = self.requests.spared(chosen);
+        let mut aborted = [None; PLACES];
         for (number, mailbox) in self.mailboxes.iter_mut().enumerate() {
             let bits = value >> (8 * number);
             let cleared = if bits & RQCP != 0 {
@@ -122,11 +121,11 @@ impl Mailboxes {
                 bits & (TXOK | ALST | TERR)
             };
             mailbox.status &= !cleared;
-            if bits & ABRQ != 0 && mailbox.request.is_some() {
+            if bits & ABRQ != 0 && self.requests.is_pending(number) {
                 if spared == Some(number) {
                     mailbox.status |= ABRQ;
                 } else {
-                    aborted[number] = Some(mailbox.frame());
+                    aborted[number] = self.requests.remove(number);
                     mailbox.complete(0);
                 }
             }
@@ -136,11 +135,12 @@ impl Mailboxes {
 
     /// Empties mailboxes whose abort waited for a start of transmission that did not happen.
     /// Returns their frames.
-    pub fn finish_aborts(&mut self) -> [Option<Frame>; 3] {
-        let mut aborted = [None; 3];
+    pub fn finish_aborts(&mut self) -> [Option<Frame>; PLACES] {
+        let mut aborted = [None; PLACES];
+        let sending = self.requests.spared(false);
         for (number, mailbox) in self.mailboxes.iter_mut().enumerate() {
-            if mailbox.status & ABRQ != 0 && self.sending != Some(number) {
-                aborted[number] = Some(mailbox.frame());
+            if mailbox.status & ABRQ != 0 && sending != Some(number) {
+                aborted[number] = self.requests.remove(number);
                 mailbox.complete(0);
             }
         }
@@ -149,19 +149,18 @@ impl Mailboxes {
 
     /// Chooses the next mailbox to send: its frame and the time of its request.
     pub fn schedule(&mut self, chronological: bool) -> Option<(Frame, Time)> {
-        self.scheduled = self.order(chronological).first().copied();
-        let mailbox = &self.mailboxes[self.scheduled?];
-        mailbox.request.map(|(since, _)| (mailbox.frame(), since))
+        self.requests.schedule(chronological)
     }
 
     /// Notes that the scheduled frame is under way.
     pub fn started(&mut self) {
-        self.sending = self.scheduled;
+        self.requests.started();
     }
 
     /// Notes that the frame under way was sent; `stamp` is its time stamp, if time stamps are on.
     pub fn transmitted(&mut self, stamp: Option<u16>) {
-        if let Some(sent) = self.sending.take() {
+        if let Some(sent) = self.requests.ended() {
+            self.requests.remove(sent);
             let mailbox = &mut self.mailboxes[sent];
             if let Some(stamp) = stamp {
                 mailbox.words[1] = mailbox.words[1] & 0xFFFF | u32::from(stamp) << 16;
@@ -174,24 +173,13 @@ impl Mailboxes {
     /// Notes that the frame under way was not sent, for the reason ALST or TERR. Its mailbox becomes empty if it is
     /// one-shot.
     pub fn failed(&mut self, reason: u32, one_shot: bool) {
-        if let Some(failed) = self.sending.take() {
+        if let Some(failed) = self.requests.ended() {
             let mailbox = &mut self.mailboxes[failed];
             mailbox.status = mailbox.status & !(ALST | TERR) | reason;
             if one_shot {
+                self.requests.remove(failed);
                 mailbox.complete(0);
             }
         }
-    }
-
-    /// Numbers of the mailboxes that are not empty, highest priority first: by identifier and then number, or by order
-    /// of request.
-    fn order(&self, chronological: bool) -> Vec<usize> {
-        let mut order: Vec<usize> =
-            (0..3).filter(|&number| self.mailboxes[number].request.is_some()).collect();
-        order.sort_by_key(|&number| match self.mailboxes[number].request {
-            Some((_, request)) if chronological => request,
-            _ => u64::from(self.mailboxes[number].frame().arbitration()),
-        });
-        order
     }
 }

@@ -1,6 +1,6 @@
 //! Offsets, bits, fields and reset values of the control and status registers (RM0090 32.9.2 and 32.9.5).
 
-use crate::can::{BitSegments, ErrorKind};
+use crate::can::BitSegments;
 
 pub const MCR: u32 = 0x000;
 pub const MSR: u32 = 0x004;
@@ -65,20 +65,8 @@ pub fn bit_timing(btr: u32) -> BitSegments {
     let field = |shift: u32, width: u32| (btr >> shift & ((1 << width) - 1)) + 1;
     BitSegments {
         prescaler: field(0, 10) as u16,
-        segment_1: field(16, 4) as u8,
+        segment_1: field(16, 4) as u16,
         segment_2: field(20, 3) as u8,
         jump_width: field(24, 2) as u8,
-    }
-}
-
-/// ESR.LEC (RM0090 32.9.2).
-pub fn error_code(kind: ErrorKind) -> u32 {
-    match kind {
-        ErrorKind::Stuff => 1,
-        ErrorKind::Form => 2,
-        ErrorKind::Acknowledgement => 3,
-        ErrorKind::BitRecessive => 4,
-        ErrorKind::BitDominant => 5,
-        ErrorKind::Crc => 6,
     }
 }

@@ -1,7 +1,7 @@
 //! The peripheral's reaction to events of the bus.
 
 use super::{
-    Bxcan, Controller, Event, Frame, Station,
+    Bxcan, Controller, Event, Frame, Peripheral, Station,
     mailbox::{ALST, TERR},
     registers::*,
 };
@@ -88,7 +88,7 @@ impl Station for Bxcan {
                 self.offer();
             }
             Event::Error { kind, transmitting } => {
-                self.lec = error_code(kind) << 4;
+                self.lec = kind.code() << 4;
                 if transmitting {
                     self.transmission_failed(TERR);
                 } else {
@@ -104,7 +104,7 @@ impl Station for Bxcan {
                     self.follow_request(now);
                 }
             }
-            Event::BusOff | Event::Recovered | Event::CounterRaised => {}
+            Event::BusOff | Event::BusIdle | Event::Recovered | Event::CounterRaised => {}
         }
         let is_frame = matches!(event, Event::Received(_) | Event::Error { .. });
         if is_frame && self.controller.mode().silent && self.behaviour.locks() {

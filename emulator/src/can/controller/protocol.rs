@@ -12,7 +12,6 @@ use crate::{
 
 /// Recessive bits after which a controller takes part, and which make one step of bus-off recovery.
 const IDLE_BITS: u8 = 11;
-const RECOVERY_SEQUENCES: u8 = 128;
 /// Positions of the RTR bit, the last of the arbitration field, in the base and the extended format.
 const BASE_RTR: u8 = 12;
 const EXTENDED_RTR: u8 = 32;
@@ -356,10 +355,11 @@ impl Controller {
             return;
         }
         self.phase = Phase::Recovering { sequences: sequences + 1, recessive: 0 };
+        self.events.push_back(Event::BusIdle);
         if sequences == 0 {
             self.events.push_back(Event::Joined);
         }
-        if sequences + 1 == RECOVERY_SEQUENCES {
+        if sequences + 1 == self.recovery {
             self.counters = ErrorCounters::default();
             self.transmitter = false;
             self.events.push_back(Event::Recovered);

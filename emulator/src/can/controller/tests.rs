@@ -306,8 +306,12 @@ fn recovery_restarts_a_sequence_at_each_dominant_bit() {
     line.controller.recover(line.now);
     line.bits("1111111111 0");
     line.bits(&"1".repeat(128 * 11 - 1));
-    assert_eq!(line.take(), [Event::Joined]);
+    let mut expected = vec![Event::BusIdle; 128];
+    expected[1] = Event::Joined;
+    assert_eq!(line.take(), expected, "after 127 sequences");
+    assert_eq!(line.controller.recovered_sequences(), Some(127));
     line.bits("1");
-    assert_eq!(line.take(), [Event::Recovered]);
+    assert_eq!(line.take(), [Event::BusIdle, Event::Recovered]);
+    assert_eq!(line.controller.recovered_sequences(), None);
     assert_eq!(line.counters(), (0, 0));
 }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::chip::Part;
+use crate::chip::{Part, part::Family};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StuckBits {
@@ -11,6 +11,9 @@ pub struct StuckBits {
     pub mask: u8,
     pub value: u8,
 }
+
+/// The length of a page of an STM32G4.
+const PAGE: u32 = 2 * 1024;
 
 /// Cells between two values, because their programming was interrupted.
 #[derive(Debug)]
@@ -69,11 +72,12 @@ impl Array {
         if self.part.has_two_banks() { (sector / 12, sector % 12) } else { (0, sector) }
     }
 
-    /// The byte range of sector number `sector` (RM0090 tables 5 and 6), if the part has it.
+    /// The byte range of sector number `sector` (RM0090 tables 5 and 6), if the part has it; on an STM32G4 of a page.
     pub fn sector(&self, sector: u32) -> Option<Range<usize>> {
         const KB: u32 = 1024;
         let (bank, index) = self.place(sector);
         let (start, length) = match index {
+            _ if self.part.family() == Family::G4 => (sector * PAGE, PAGE),
             0..4 => (index * 16 * KB, 16 * KB),
             4 => (64 * KB, 64 * KB),
             _ => ((index - 4) * 128 * KB, 128 * KB),
@@ -158,6 +162,18 @@ impl Array {
         for (cell, &old) in self.bytes[start..].iter_mut().zip(before) {
             let cleared = old & !*cell;
             *cell = old & !(cleared & random.next() as u8);
+        }
+        self.apply_stuck(start..start + before.len());
+    }
+
+    /// The result of an interrupted program operation with ECC: the old content, the new one, or anything.
+    pub fn tear_unit(&mut self, start: usize, before: &[u8], seed: u64) {
+        let mut random = Random(seed);
+        let cells = &mut self.bytes[start..start + before.len()];
+        match random.next() % 3 {
+            0 => cells.copy_from_slice(before),
+            1 => {}
+            _ => cells.iter_mut().for_each(|cell| *cell = random.next() as u8),
         }
         self.apply_stuck(start..start + before.len());
     }

@@ -21,6 +21,22 @@ impl Timing {
         }
     }
 
+    /// The time to program a double word of an STM32G4 (STM32G431 data sheet, flash memory characteristics).
+    pub const fn program_double_word(self) -> Time {
+        match self {
+            Self::Typical => Time::from_ns(81_700),
+            Self::Worst => Time::from_ns(83_400),
+        }
+    }
+
+    /// The time to erase a page of 2 KB of an STM32G4.
+    pub const fn erase_page(self) -> Time {
+        match self {
+            Self::Typical => Time::from_us(22_000),
+            Self::Worst => Time::from_us(24_500),
+        }
+    }
+
     /// The erase time of a sector, by its number in its bank and PSIZE (0 = x8, 1 = x16, 2 = x32).
     pub const fn erase(self, sector: u32, psize: u32) -> Time {
         let typical = match (sector, psize) {

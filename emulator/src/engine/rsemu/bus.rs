@@ -14,7 +14,9 @@ use rsemu::core::{
 
 use super::accelerator::Accelerator;
 use crate::{
-    chip::{Access, AtZero, BusFault, CCM_BASE, Chip, ChipVariant, FLASH_BASE, RAM_BASE, Width},
+    chip::{
+        Access, AtZero, BusFault, CCM_BASE, Chip, ChipVariant, FLASH_BASE, Part, RAM_BASE, Width,
+    },
     engine::clock::CycleClock,
 };
 
@@ -160,9 +162,8 @@ impl Space {
     pub fn new(
         chip: &Arc<Mutex<Chip>>,
         link: &Arc<Link>,
-        flash: &Arc<RamStore>,
-        ram: &Arc<RamStore>,
-        ccm: &Arc<RamStore>,
+        [flash, ram, ccm]: [&Arc<RamStore>; 3],
+        part: Part,
         variant: ChipVariant,
     ) -> Self {
         let shared = Arc::new(AddressSpace::new("cortex-m4", 32));
@@ -185,6 +186,9 @@ impl Space {
             io("ahb2", 0x5000_0000, 0x6_1000),
             io("dbgmcu", 0xE004_2000, 0x400),
         ];
+        if part == Part::Stm32g431 {
+            mappings.push(io("ahb2 with gpio", 0x4800_0000, 0x2000));
+        }
         if !ccm.is_empty() {
             mappings.push(memory("ccm", ccm, CCM_BASE, Perms::RW));
         }

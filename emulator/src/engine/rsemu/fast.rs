@@ -24,7 +24,7 @@ use crate::chip::{CCM_BASE, FLASH_BASE, RAM_BASE};
 /// The peripherals on APB and AHB1.
 const PERIPHERALS: Range<u32> = 0x4000_0000..0x4008_0000;
 /// Those of them that may answer with a bus fault: the flash's.
-const MAY_FAULT: Range<u32> = 0x4002_3C00..0x4002_4000;
+const MAY_FAULT: Range<u32> = 0x4002_2000..0x4002_4000;
 
 /// What loads, stores and fetches reach.
 pub struct Memories<'a> {

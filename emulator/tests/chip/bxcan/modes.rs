@@ -3,8 +3,8 @@
 use emulator::{
     Time,
     can::{
-        Level,
-        bxcan::{Acknowledge, CanVariant, Note, TransmitLock},
+        Level, Note,
+        bxcan::{Acknowledge, CanVariant, TransmitLock},
     },
 };
 

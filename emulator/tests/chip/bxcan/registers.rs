@@ -1,6 +1,6 @@
 //! Reset values, and the restrictions on writes.
 
-use emulator::{Time, can::bxcan::Note, chip::Problem};
+use emulator::{Time, can::Note, chip::Problem};
 
 use crate::rig::{
     BTR, ESR, FA1R, FFA1R, FM1R, FMR, FS1R, HALF_MEGABIT, IER, INRQ, MCR, MEGABIT, MSR, RF0R, RF1R,

@@ -2,7 +2,7 @@
 
 use emulator::{
     Time,
-    can::bxcan::{CanVariant, Note},
+    can::{Note, bxcan::CanVariant},
 };
 
 use crate::rig::{ESR, IER, INRQ, MCR, MSR, NART, Rig, TI0R, TSR, TTCM, TXFP, standard};

@@ -52,7 +52,8 @@ impl Machine {
             store
         };
         let (flash, ram, ccm) = (store(FLASH_LENGTH), store(RAM_LENGTH), store(RAM_LENGTH));
-        let space = Space::new(&chip, &link, &flash, &ram, &ccm, ChipVariant::default());
+        let space =
+            Space::new(&chip, &link, [&flash, &ram, &ccm], Part::Stm32f405, ChipVariant::default());
         Self { flash, ram, ccm, space }
     }
 

@@ -1,0 +1,237 @@
+//! Clocks, reset and flash of an STM32G431, as seen by a program (RM0440 chapters 3, 6 and 7).
+
+use emulator::{
+    Time,
+    can::Clock,
+    chip::{BusFault, Part, PowerCut, Problem, Request, ResetCause, Timing, Width},
+};
+
+use crate::rig::Rig;
+
+const CR: u32 = 0x4002_1000;
+const CFGR: u32 = 0x4002_1008;
+const PLLCFGR: u32 = 0x4002_100C;
+const AHB2ENR: u32 = 0x4002_104C;
+const APB1RSTR1: u32 = 0x4002_1038;
+const APB1ENR1: u32 = 0x4002_1058;
+const CCIPR: u32 = 0x4002_1088;
+const BDCR: u32 = 0x4002_1090;
+const CSR: u32 = 0x4002_1094;
+const PWR_CR1: u32 = 0x4000_7000;
+const PWR_CR5: u32 = 0x4000_7080;
+const ACR: u32 = 0x4002_2000;
+const KEYR: u32 = 0x4002_2008;
+const FLASH_SR: u32 = 0x4002_2010;
+const FLASH_CR: u32 = 0x4002_2014;
+const FLASH: u32 = 0x0800_0000;
+
+const PG: u32 = 1 << 0;
+const PER: u32 = 1 << 1;
+const STRT: u32 = 1 << 16;
+const PROGERR: u32 = 1 << 3;
+const PGAERR: u32 = 1 << 5;
+const SIZERR: u32 = 1 << 6;
+const PGSERR: u32 = 1 << 7;
+
+/// PLL with 8 MHz / 2 * `n`, a fourth for Q and a half for R, which is SYSCLK.
+fn on_pll(n: u32, wait_states: u32, boost: bool) -> Rig {
+    let mut rig = Rig::new(Part::Stm32g431);
+    rig.write(APB1ENR1, 1 << 28);
+    if boost {
+        rig.write(PWR_CR5, 0);
+    }
+    let pllcfgr = 3 | 1 << 4 | n << 8 | 1 << 20 | 1 << 21 | 1 << 24;
+    rig.write_all(&[(ACR, wait_states), (CR, 1 << 16 | 1 << 8), (PLLCFGR, pllcfgr)]);
+    rig.at_us(10_000).write(CR, 1 << 24 | 1 << 16 | 1 << 8);
+    rig.at_us(11_000).write(CFGR, 4 << 8 | 3);
+    rig
+}
+
+/// 7.2 and 7.4.27, FDCANSEL.
+#[test]
+fn fdcan_is_clocked_by_crystal_pll_or_apb1() {
+    let mut rig = on_pll(80, 4, true);
+    assert_eq!(rig.read(CR) & 0x0202_0400, 0x0202_0400, "all are ready");
+    assert_eq!(rig.read(CFGR) & 0xF, 0xF);
+    assert_eq!(rig.findings(), []);
+    assert_eq!(rig.clocks().hclk.hz, 160_000_000);
+    for (selection, hz) in [(0, 8_000_000), (1, 80_000_000), (2, 80_000_000)] {
+        rig.write(CCIPR, selection << 24);
+        assert_eq!(rig.clocks().can, Clock { hz, ppm: 20 });
+    }
+    rig.write(CFGR, 3);
+    assert_eq!(rig.clocks().can.hz, 160_000_000);
+}
+
+/// 3.3.3, wait states, and 6.1.5, ranges.
+#[test]
+fn speed_needs_wait_states_and_above_150_mhz_the_boost() {
+    let problems = |n, wait_states, boost| on_pll(n, wait_states, boost).problems();
+    let few = Problem::Misuse("too few flash wait states for this HCLK");
+    let fast = Problem::Misuse("HCLK above the limit of the voltage scale (PWR_CR.VOS)");
+    assert_eq!(problems(80, 5, false), [fast]);
+    assert_eq!(problems(80, 3, true), [few]);
+    assert_eq!(problems(34, 2, false), []);
+    assert_eq!(problems(34, 1, false), [few]);
+    assert_eq!(problems(34, 1, true), [], "68 MHz");
+}
+
+#[test]
+fn misuse_of_the_clocks_is_found() {
+    for (register, value) in [
+        (CFGR, 3),
+        (CFGR, 2),
+        (CR, 1 << 8 | 1 << 19),
+        (PWR_CR1 + 0x84, 0),
+        (BDCR, 1),
+        (0x4002_10A0, 0),
+    ] {
+        let mut rig = Rig::new(Part::Stm32g431);
+        rig.write_all(&[(APB1ENR1, 1 << 28), (PWR_CR1, 1 << 8 | 1 << 9), (register, value)]);
+        assert_eq!(rig.findings().len(), 1, "{register:08x}");
+    }
+    let mut rig = Rig::new(Part::Stm32g431);
+    rig.write_all(&[(PLLCFGR, 2 | 127 << 8), (CR, 1 << 24 | 1 << 8)]);
+    assert_eq!(rig.problems(), [Problem::Misuse("PLL VCO outside 96..344 MHz")]);
+    rig.read(0x4800_0000);
+    assert_eq!(rig.problems()[1], Problem::ClockOff, "GPIOA");
+}
+
+#[test]
+fn a_reset_shows_its_cause_and_the_watchdog_starts_lsi() {
+    let mut rig = Rig::new(Part::Stm32g431);
+    assert_eq!(rig.read(CSR), 3 << 26);
+    rig.write(CSR, 1 << 23);
+    assert_eq!(rig.read(CSR), 0);
+    rig.write_all(&[(AHB2ENR, 1), (0x4800_0018, 1), (0x4000_3000, 0xCCCC)]);
+    assert_eq!(rig.at_us(100).read(CSR), 0b11);
+    let at = rig.next_event();
+    assert_eq!(at.as_ms(), 512);
+    assert_eq!(rig.advance(at), Some(Request::Reset(ResetCause::Watchdog)));
+    rig.reset_now(ResetCause::Watchdog);
+    assert_eq!((rig.read(CSR), rig.read(AHB2ENR)), (1 << 29 | 1 << 26, 0));
+}
+
+#[test]
+fn rcc_resets_a_timer_and_the_unique_id_has_its_place() {
+    const TIM2_ARR: u32 = 0x4000_002C;
+    let mut rig = Rig::new(Part::Stm32g431);
+    rig.write_all(&[(APB1ENR1, 1), (TIM2_ARR, 5)]);
+    assert_eq!(rig.read(TIM2_ARR), 5);
+    rig.write_all(&[(APB1RSTR1, 1), (APB1RSTR1, 0)]);
+    assert_eq!(rig.read(TIM2_ARR), u32::MAX);
+    let id = [0, 4, 8].map(|offset| rig.read(0x1FFF_7590 + offset).to_le_bytes());
+    assert_eq!(id.concat(), *b"unique id 12");
+    assert_eq!(rig.load(0x1FFF_75E0, Width::Half), 128);
+    assert_eq!(rig.findings(), []);
+}
+
+fn unlocked() -> Rig {
+    let mut rig = Rig::new(Part::Stm32g431);
+    rig.write_all(&[(KEYR, 0x4567_0123), (KEYR, 0xCDEF_89AB)]);
+    rig
+}
+
+impl Rig {
+    fn program_both(&mut self, offset: u32, value: u64) {
+        self.write(FLASH_CR, PG);
+        self.write(FLASH + offset, value as u32);
+        self.write(FLASH + offset + 4, (value >> 32) as u32);
+    }
+
+    fn finish(&mut self) {
+        self.now = self.flash().operation_end().expect("it is busy");
+        self.write(FLASH_CR, 0);
+    }
+
+    fn double_word(&self, offset: usize) -> u64 {
+        let bytes = &self.flash().bytes()[offset..offset + 8];
+        u64::from_le_bytes(bytes.try_into().expect("eight bytes"))
+    }
+}
+
+/// 3.3.7.
+#[test]
+fn a_double_word_is_programmed_once_after_an_erase_or_cleared() {
+    let mut rig = unlocked();
+    rig.program_both(0x1000, 0x1122_3344_5566_7788);
+    assert_eq!(rig.flash().operations(), 1);
+    assert_eq!(rig.read(FLASH_SR), 1 << 16);
+    rig.finish();
+    assert_eq!(rig.double_word(0x1000), 0x1122_3344_5566_7788);
+    rig.program_both(0x1000, 0x1122_3344_5566_7780);
+    assert_eq!((rig.read(FLASH_SR), rig.problems().len()), (PROGERR, 1));
+    rig.program_both(0x1008, 0);
+    assert_eq!(rig.read(FLASH_SR), PROGERR | PGSERR, "the error was not cleared");
+    rig.write(FLASH_SR, PROGERR | PGSERR);
+    rig.program_both(0x1000, 0);
+    rig.finish();
+    assert_eq!(rig.double_word(0x1000), 0);
+    rig.write_all(&[(FLASH_CR, PER | 2 << 3), (FLASH_CR, PER | 2 << 3 | STRT)]);
+    rig.finish();
+    assert_eq!(rig.double_word(0x1000), u64::MAX);
+}
+
+/// 3.3.8, errors.
+#[test]
+fn what_is_not_a_double_word_is_an_error() {
+    for (stores, error) in [
+        (&[(0x1004, Width::Word)][..], PGAERR),
+        (&[(0x1000, Width::Word), (0x1000, Width::Word)], PGAERR),
+        (&[(0x1000, Width::Half)], SIZERR),
+        (&[(0x1000, Width::Byte)], SIZERR),
+    ] {
+        let mut rig = unlocked();
+        rig.write(FLASH_CR, PG);
+        for (offset, width) in stores {
+            rig.store(FLASH + offset, *width, 0).expect("no bus error");
+        }
+        assert_eq!(rig.read(FLASH_SR), error);
+        assert_eq!(rig.double_word(0x1000), u64::MAX);
+    }
+    let mut rig = unlocked();
+    rig.write(FLASH, 0);
+    assert_eq!(rig.read(FLASH_SR), PGSERR, "without PG");
+    assert_eq!(rig.store(KEYR, Width::Word, 1), Err(BusFault));
+}
+
+#[test]
+fn an_erase_sets_its_page_in_the_time_of_the_data_sheet() {
+    for (page, timing, us) in [(0, Timing::Typical, 22_000), (63, Timing::Worst, 24_500)] {
+        let mut rig = unlocked();
+        rig.flash_mut().load(0, &[0; 128 * 1024]);
+        rig.flash_mut().set_timing(timing);
+        rig.write_all(&[(FLASH_CR, PER | page << 3), (FLASH_CR, PER | page << 3 | STRT)]);
+        rig.finish();
+        assert_eq!(rig.now, Time::from_us(us));
+        let erased = page as usize * 2048..(page as usize + 1) * 2048;
+        for (offset, byte) in rig.flash().bytes().iter().enumerate() {
+            assert_eq!(*byte == 0xFF, erased.contains(&offset), "{offset:x}");
+        }
+    }
+    let mut rig = unlocked();
+    rig.write_all(&[(FLASH_CR, PER | 64 << 3), (FLASH_CR, PER | 64 << 3 | STRT)]);
+    assert_eq!(rig.read(FLASH_SR), PGSERR, "there is no page 64");
+}
+
+#[test]
+fn an_interrupted_double_word_reads_as_before_as_new_or_as_anything() {
+    let value = 0x1122_3344_5566_7788;
+    let mut kinds = [0; 3];
+    for seed in 0..60 {
+        let mut rig = unlocked();
+        rig.flash_mut().cut_power(PowerCut { operation: 0, seed });
+        rig.program_both(0x1000, value);
+        let at = rig.next_event();
+        assert_eq!(rig.advance(at), Some(Request::PowerCut));
+        rig.at(at).reset_now(ResetCause::PowerOn);
+        let kind = match rig.double_word(0x1000) {
+            u64::MAX => 0,
+            read if read == value => 1,
+            _ => 2,
+        };
+        kinds[kind] += 1;
+        assert_eq!(rig.double_word(0x1008), u64::MAX);
+    }
+    assert!(kinds.iter().all(|count| *count > 5), "{kinds:?}");
+}
