@@ -1,5 +1,5 @@
 //! What programs with a CAN adapter share: SLCAN and SocketCAN, the bus as an LSS master sees it, an SDO client,
-//! frames in words, electronic data sheets, and questions to the person.
+//! frames in words, electronic data sheets, drawings, and questions to the person.
 
 #[cfg(feature = "adapters")]
 pub mod adapter;
@@ -13,3 +13,4 @@ pub mod person;
 pub mod sdo;
 #[cfg(feature = "adapters")]
 pub mod stop;
+pub mod svg;

@@ -30,6 +30,9 @@ pub struct Arguments {
     /// Write all frames to FILE as `candump -l` does
     #[arg(long, global = true, value_name = "FILE")]
     pub log: Option<PathBuf>,
+    /// Draw what was done with each board, and when, as an SVG picture
+    #[arg(long, global = true, value_name = "FILE")]
+    pub svg: Option<PathBuf>,
     /// Print each frame in words, on the standard error
     #[arg(long, global = true)]
     pub explain: bool,
@@ -124,6 +127,19 @@ pub enum Command {
     },
     /// Print the completion of the commands for a shell
     Completion { shell: Shell },
+}
+
+impl Command {
+    /// The command in the title of a picture.
+    pub fn title(&self) -> String {
+        match self {
+            Self::List { .. } => "lss list".into(),
+            Self::Assign(_) => "lss assign".into(),
+            Self::Apply(_) => "lss apply".into(),
+            Self::SetRate { rate, .. } => format!("lss set-rate {}", rate.kbit_per_s()),
+            _ => "lss".into(),
+        }
+    }
 }
 
 /// How node-IDs are given.

@@ -5,6 +5,7 @@ mod arguments;
 mod commands;
 mod failure;
 mod live;
+mod picture;
 mod progress;
 mod recorder;
 mod scan;

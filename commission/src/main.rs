@@ -61,13 +61,15 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
         return Err(Stop::NoAdapter(words).into());
     }
     let adapter = place.connect()?;
-    let adapter = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain)?;
+    let mut adapter = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain)?;
+    let record = arguments.svg.is_some().then(|| adapter.keep());
     let latency = Duration::from_millis(arguments.latency.into());
     let bus = Bus::new(Box::new(adapter), latency, is_interrupted);
     let mut out = io::stdout();
     let is_screen = out.is_terminal() && !arguments.explain;
     let shows_progress = io::stderr().is_terminal() && !arguments.explain;
     let mut session = Session::new(bus, &mut out, shows_progress);
+    session.record = record;
     session.screen = is_screen.then_some(screen as Screen);
     if io::stdin().is_terminal() {
         session.person = Person::at_standard_input();

@@ -1,9 +1,11 @@
 //! An adapter that writes down each frame: for `candump` and in words.
 
 use std::{
+    cell::RefCell,
     fs::File,
     io::Write,
     path::Path,
+    rc::Rc,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
@@ -17,6 +19,28 @@ use canopen_node::{BitRate, Frame};
 /// The name of the bus in a log.
 const INTERFACE: &str = "can0";
 
+/// What an adapter did, with the time since the start.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    pub at: Duration,
+    pub what: What,
+}
+
+#[derive(Clone, Debug)]
+pub enum What {
+    Opened(BitRate),
+    Sent(Frame),
+    Received(Frame),
+}
+
+/// The record of a run, for a picture.
+#[derive(Clone, Debug, Default)]
+pub struct Record {
+    pub entries: Rc<RefCell<Vec<Entry>>>,
+    /// The time of day at the start, since 1970.
+    pub time_of_day: Duration,
+}
+
 /// An adapter, and the record of its frames.
 pub struct Recorder {
     adapter: Box<dyn Adapter>,
@@ -25,6 +49,7 @@ pub struct Recorder {
     start: Instant,
     /// The time of day at the start.
     time_of_day: Duration,
+    record: Option<Record>,
 }
 
 impl Recorder {
@@ -41,7 +66,20 @@ impl Recorder {
         let log = log.map(create).transpose()?;
         let start = adapter.now();
         let time_of_day = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Ok(Self { adapter, log, explains, start, time_of_day })
+        Ok(Self { adapter, log, explains, start, time_of_day, record: None })
+    }
+
+    /// Keeps everything from now on.
+    pub fn keep(&mut self) -> Record {
+        let record = Record { time_of_day: self.time_of_day, ..Record::default() };
+        self.record.insert(record).clone()
+    }
+
+    fn note(&self, here: Instant, what: What) {
+        if let Some(Record { entries, .. }) = &self.record {
+            let at = here.saturating_duration_since(self.start);
+            entries.borrow_mut().push(Entry { at, what });
+        }
     }
 
     fn record(&mut self, frame: &Frame, here: Instant) -> Result<(), Stop> {
@@ -78,7 +116,9 @@ pub fn words(frame: &Frame) -> String {
 
 impl Adapter for Recorder {
     fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
-        self.adapter.open(rate, mode)
+        self.adapter.open(rate, mode)?;
+        self.note(self.adapter.now(), What::Opened(rate));
+        Ok(())
     }
 
     fn close(&mut self) -> Result<(), Stop> {
@@ -88,6 +128,7 @@ impl Adapter for Recorder {
     fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         let now = self.adapter.now();
         self.record(frame, now)?;
+        self.note(now, What::Sent(*frame));
         self.adapter.send(frame)
     }
 
@@ -95,6 +136,7 @@ impl Adapter for Recorder {
         let received = self.adapter.receive(wait)?;
         if let Some(received) = &received {
             self.record(&received.frame, received.here)?;
+            self.note(received.here, What::Received(received.frame));
         }
         Ok(received)
     }

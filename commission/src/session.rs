@@ -1,10 +1,15 @@
 //! A run of a command on a bus, which leaves all boards in LSS waiting state.
 
-use std::{io::Write, time::Duration};
+use std::{
+    fs::{self, File},
+    io::Write,
+    time::Duration,
+};
 
 use can_bus::{
     bus::{Bus, Masters, Pace},
     person::{PATIENCE, Person},
+    stop::Stop,
 };
 use canopen_node::{BitRate, lss::Request};
 use lss_master::Procedure;
@@ -13,7 +18,9 @@ use crate::{
     arguments::{Arguments, Command},
     commands,
     failure::Failure,
+    picture::{self, Caption},
     progress::Progress,
+    recorder::Record,
 };
 
 /// The bit rate of new boards.
@@ -35,17 +42,38 @@ pub struct Session<'a> {
     pub screen: Option<Screen>,
     /// All boards are in LSS waiting state, and no request follows.
     pub all_wait: bool,
+    /// What the adapter did, for a picture.
+    pub record: Option<Record>,
 }
 
 impl<'a> Session<'a> {
     pub fn new(bus: Bus, out: &'a mut dyn Write, shows_progress: bool) -> Self {
         let progress = Progress::new(shows_progress);
         let person = Person::absent();
-        Self { bus, out, progress, person, screen: None, all_wait: false }
+        Self { bus, out, progress, person, screen: None, all_wait: false, record: None }
     }
 
-    /// Carries out the command, and leaves the bus.
+    /// Carries out the command, leaves the bus, and draws what happened.
     pub fn run(&mut self, arguments: &Arguments) -> Result<(), Failure> {
+        let Some(path) = &arguments.svg else { return self.work(arguments) };
+        let cannot = |error| Stop::Bench(format!("cannot write {}: {error}", path.display()));
+        // Before the work: a file that is there keeps its content.
+        File::options().append(true).create(true).open(path).map_err(cannot)?;
+        let outcome = self.work(arguments);
+        if let Some(Record { entries, time_of_day }) = &self.record {
+            let adapter = self.bus.description();
+            let caption = Caption {
+                title: arguments.command.title(),
+                line: format!("{adapter}, from {}", picture::date_and_time(*time_of_day)),
+                failure: outcome.as_ref().err().map(ToString::to_string),
+            };
+            let svg = picture::draw(&entries.borrow(), &caption);
+            fs::write(path, svg).map_err(cannot)?;
+        }
+        outcome
+    }
+
+    fn work(&mut self, arguments: &Arguments) -> Result<(), Failure> {
         // A running network has an NMT master and SDO clients.
         self.bus.mind(Masters::Lss);
         self.bus.set_pace(Pace::Quick);

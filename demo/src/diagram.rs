@@ -1,8 +1,9 @@
 //! A timing diagram of a bit-rate switch, drawn from the record of a run: senders, times and rates.
 
-use std::fmt::Write;
+use std::{fmt::Write, time::Duration};
 
 use anyhow::Context;
+use can_bus::svg::Scale;
 use emulator::{
     Time,
     can::{Frame, Id},
@@ -35,9 +36,9 @@ pub fn draw(events: &[Event]) -> anyhow::Result<String> {
     let is_shown =
         |event: &&Event| t0.saturating_sub(MARGIN) <= event.time && event.time <= t2 + MARGIN;
     let shown: Vec<&Event> = events.iter().filter(is_shown).collect();
-    let scale = Scale::new(&shown, [t0, t1, t2]);
-    let [x0, x1, x2] = [t0, t1, t2].map(|time| scale.x(time));
-    let width = scale.x(Time::MAX) + RIGHT;
+    let scale = scale(&shown, [t0, t1, t2]);
+    let [x0, x1, x2] = [t0, t1, t2].map(|time| scale.x(span(time)));
+    let width = scale.x(Duration::MAX) + RIGHT;
     let boards = events.iter().filter_map(|event| match event.source {
         Source::Board(number) => Some(number + 1),
         Source::Adapter(_) => None,
@@ -120,10 +121,10 @@ fn draw_event(
     scale: &Scale,
 ) -> anyhow::Result<()> {
     let y = lane(source);
-    let end = scale.x(event.time);
+    let end = scale.x(span(event.time));
     match &event.what {
         What::Frame { frame, start, bit_rate, .. } => {
-            let (x, rate) = (scale.x(*start), bit_rate / 1000);
+            let (x, rate) = (scale.x(span(*start)), bit_rate / 1000);
             let (width, middle) = (end - x, (x + end) / 2.0);
             let (corner, above, below) = (y - BOX_HEIGHT / 2.0, y - 18.0, y + 26.0);
             writeln!(
@@ -169,34 +170,19 @@ fn short(frame: &Frame) -> String {
     data.iter().fold(format!("{}:", frame.id), |text, byte| format!("{text} {byte:02X}"))
 }
 
-/// Maps instants to places in the diagram: in proportion between two instants of interest, up to a greatest distance.
-struct Scale(Vec<(Time, f64)>);
-
-impl Scale {
-    fn new(events: &[&Event], others: [Time; 3]) -> Self {
-        let mut times: Vec<Time> = others.into();
-        for event in events {
-            match event.what {
-                What::Frame { start, .. } => times.extend([start, event.time]),
-                What::BitTiming { .. } => times.push(event.time),
-                _ => {}
-            }
+/// The scale of the time, with all instants of interest.
+fn scale(events: &[&Event], others: [Time; 3]) -> Scale {
+    let mut times: Vec<Time> = others.into();
+    for event in events {
+        match event.what {
+            What::Frame { start, .. } => times.extend([start, event.time]),
+            What::BitTiming { .. } => times.push(event.time),
+            _ => {}
         }
-        times.sort();
-        let mut x = LEFT;
-        let mut before = times[0];
-        let at = |time: Time| {
-            let ms = (time - before).as_us() as f64 / 1000.0;
-            x += (ms * PER_MS).min(LONGEST_GAP);
-            before = time;
-            (time, x)
-        };
-        Self(times.into_iter().map(at).collect())
     }
+    Scale::new(times.into_iter().map(span).collect(), LEFT, 1000.0 * PER_MS, LONGEST_GAP)
+}
 
-    /// The place of an instant passed to [`new`](Self::new), or of the last one before it.
-    fn x(&self, time: Time) -> f64 {
-        let known = self.0.iter().rev().find(|(known, _)| *known <= time);
-        known.map_or(LEFT, |(_, x)| *x)
-    }
+fn span(time: Time) -> Duration {
+    Duration::from_nanos(time.as_ns())
 }

@@ -182,11 +182,13 @@ pub fn run(
 ) -> Outcome {
     let words = ["lss"].into_iter().chain(arguments.split_whitespace());
     let arguments = Arguments::try_parse_from(words).expect("a command line");
-    let adapter = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain);
-    let adapter = Box::new(adapter.expect("a log that can be written"));
-    let bus = Bus::new(adapter, Duration::from_millis(1), Arc::clone(is_interrupted));
+    let recorder = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain);
+    let mut recorder = recorder.expect("a log that can be written");
+    let record = arguments.svg.is_some().then(|| recorder.keep());
+    let bus = Bus::new(Box::new(recorder), Duration::from_millis(1), Arc::clone(is_interrupted));
     let mut out = Vec::new();
     let mut session = Session::new(bus, &mut out, false);
+    session.record = record;
     prepare(&mut session);
     let outcome = session.run(&arguments);
     let text = String::from_utf8(out).expect("UTF-8");

@@ -6,6 +6,7 @@ mod emulated;
 mod find;
 mod in_process;
 mod network;
+mod picture;
 mod power;
 mod program;
 mod replace;

@@ -1,5 +1,7 @@
 //! The report as one HTML page, with the answer times and the switches of the bit rate drawn as SVG.
 
+use can_bus::svg::{bar, escape, label};
+
 use super::{Answer, Outcome, Report, Switch, text};
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}\
@@ -38,22 +40,6 @@ pub fn whole(report: &Report) -> String {
         escape(text::summary(report).trim()),
         histograms(&report.answers),
         switches(&report.switches)
-    )
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-fn label(x: f64, y: f64, anchor: &str, text: &str) -> String {
-    format!("<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{}</text>\n", escape(text))
-}
-
-/// A rectangle that shows `title` under the pointer.
-fn bar(x: f64, y: f64, [width, height]: [f64; 2], color: &str, title: &str) -> String {
-    format!(
-        "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{color}\">\
-         <title>{title}</title></rect>\n"
     )
 }
 
@@ -143,14 +129,4 @@ fn switches(switches: &[Switch]) -> String {
                        the light one at the new; it must send in neither. Green: a frame of the master was \
                        acknowledged; red: it was not.";
     drawing("Switches of the bit rate", explanation, switches.len() as f64 * ROW + 10.0, &content)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn text_is_no_markup() {
-        assert_eq!(escape("<a> & \"b\""), "&lt;a&gt; &amp; &quot;b&quot;");
-    }
 }

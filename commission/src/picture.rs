@@ -1,0 +1,399 @@
+//! A picture of a run, as SVG: the network, what was done with each board and when, and what each has got.
+
+mod history;
+
+use std::{fmt::Write, time::Duration};
+
+use can_bus::svg::{Scale, bar, escape, label};
+
+use crate::recorder::Entry;
+use history::{Board, History, Kind, Lane};
+
+const WIDTH: f64 = 1200.0;
+const MARGIN: f64 = 16.0;
+/// The wire of the bus, and the boxes at it.
+const WIRE: f64 = 30.0;
+const BOX: f64 = 56.0;
+const BOX_WIDTH: f64 = 322.0;
+const BADGE: f64 = 44.0;
+/// The time axis.
+const LEFT: f64 = 402.0;
+const PLOT: f64 = 514.0;
+const RIGHT: f64 = LEFT + PLOT;
+/// The words on what a board has got.
+const WORDS: f64 = RIGHT + 24.0;
+/// The rows: where the first one begins, and how high each is.
+const TOP: f64 = 124.0;
+const ROW: f64 = 46.0;
+const BOX_HEIGHT: f64 = 38.0;
+/// The least width of a step, and of a boot-up.
+const LEAST: f64 = 4.0;
+const BOOT: f64 = 8.0;
+/// A silence is drawn as if it was this long at most.
+const SILENCE: Duration = Duration::from_secs(1);
+/// The least distance of two marks on the time axis.
+const MARKS: f64 = 54.0;
+/// The characters of a line below the rows.
+const LINE: usize = 165;
+
+/// What the picture says besides the frames.
+pub struct Caption {
+    /// The command.
+    pub title: String,
+    /// The adapter, and when the run began.
+    pub line: String,
+    /// Why the command failed.
+    pub failure: Option<String>,
+}
+
+/// Draws the run.
+pub fn draw(entries: &[Entry], caption: &Caption) -> String {
+    let mut history = History::of(entries);
+    history.boards.sort_by_key(|board| board.id.unwrap_or(0xFF));
+    let scale = scale(&history);
+    let bottom = TOP + ROW * (history.boards.len() + 1) as f64;
+    let failure = caption.failure.as_deref().map(wrap).unwrap_or_default();
+    let height = bottom + 34.0 + 18.0 * failure.len() as f64;
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" font-family=\"sans-serif\" \
+         font-size=\"12\">\n<rect x=\"0.5\" y=\"0.5\" width=\"{}\" height=\"{}\" rx=\"6\" fill=\"white\" \
+         stroke=\"#ccc\"/>\n",
+        WIDTH - 1.0,
+        height - 1.0
+    );
+    let title = format!(
+        "<text x=\"{MARGIN}\" y=\"30\" font-size=\"18\">{}</text>\n",
+        escape(&caption.title)
+    );
+    svg += &title;
+    svg += &gray(MARGIN, 50.0, "start", &caption.line);
+    svg += &legend();
+    svg += &axis(&history, &scale, bottom);
+    svg += &network(&history, bottom);
+    svg += &lane(&history.master, &scale, center(0));
+    for (row, board) in history.boards.iter().enumerate() {
+        svg += &lane(&board.lane, &scale, center(row + 1));
+        let (y, [first, second]) = (center(row + 1), outcome(board, &history));
+        let color = if board.problem.is_some() { "#c92a2a" } else { "#222" };
+        svg += &colored(WORDS, y - 3.0, color, &first);
+        svg += &gray(WORDS, y + 13.0, "start", &second);
+    }
+    for (line, y) in failure.iter().zip((0..).map(|line| bottom + 42.0 + 18.0 * f64::from(line))) {
+        svg += &colored(MARGIN, y, "#c92a2a", line);
+    }
+    svg + "</svg>\n"
+}
+
+/// The middle of a row; the first one is the master's.
+fn center(row: usize) -> f64 {
+    TOP + ROW * (row as f64 + 0.5)
+}
+
+fn gray(x: f64, y: f64, anchor: &str, text: &str) -> String {
+    label(x, y, anchor, text).replace("<text ", "<text fill=\"#666\" ")
+}
+
+fn colored(x: f64, y: f64, color: &str, text: &str) -> String {
+    label(x, y, "start", text).replace("<text ", &format!("<text fill=\"{color}\" "))
+}
+
+/// The color of a step, and its name in the legend.
+fn look(kind: Kind) -> (&'static str, &'static str) {
+    match kind {
+        Kind::Search => ("#a9c1dd", "Fastscan"),
+        Kind::Check => ("#8d7bb8", "asked"),
+        Kind::Configure => ("#1b4f9c", "configured"),
+        Kind::Store => ("#e8860c", "stored"),
+        Kind::Reset => ("#868e96", "reset or switch"),
+        Kind::BootUp => ("#2b8a3e", "boot-up"),
+        Kind::Problem => ("#e03131", "no answer, or refused"),
+    }
+}
+
+fn legend() -> String {
+    let kinds = [
+        Kind::Search,
+        Kind::Check,
+        Kind::Configure,
+        Kind::Store,
+        Kind::Reset,
+        Kind::BootUp,
+        Kind::Problem,
+    ];
+    let mut x = MARGIN;
+    let mut svg = String::new();
+    for kind in kinds {
+        let (color, name) = look(kind);
+        svg += &mark(kind, x, 66.0, color, name);
+        svg += &gray(x + 16.0, 76.0, "start", name);
+        x += 34.0 + 6.4 * name.len() as f64;
+    }
+    svg += &gray(x + 6.0, 76.0, "start", "below: each frame, to the board and from it");
+    svg
+}
+
+/// A step of no length.
+fn mark(kind: Kind, x: f64, y: f64, color: &str, title: &str) -> String {
+    match kind {
+        Kind::BootUp => format!(
+            "<path d=\"M {x:.1} {} l {} -6 l {} 6 l -{} 6 z\" fill=\"{color}\"><title>{}</title></path>\n",
+            y + 6.0,
+            BOOT / 2.0,
+            BOOT / 2.0,
+            BOOT / 2.0,
+            escape(title)
+        ),
+        _ => bar(x, y, [10.0, 12.0], color, title),
+    }
+}
+
+/// The scale of the time, on which silences are shortened.
+fn scale(history: &History) -> Scale {
+    let lanes = history.boards.iter().map(|board| &board.lane).chain([&history.master]);
+    let mut times = vec![Duration::ZERO, history.end];
+    for lane in lanes {
+        // Heartbeats are no reason for a long axis.
+        let requests = lane.frames.iter().filter(|(_, is_request)| *is_request);
+        times.extend(requests.map(|(at, _)| *at));
+        times.extend(lane.steps.iter().flat_map(|step| [step.from, step.to]));
+    }
+    times.sort_unstable();
+    let gaps = times.windows(2).map(|pair| pair[1].saturating_sub(pair[0]).min(SILENCE));
+    let length: Duration = gaps.sum();
+    let per_second = (PLOT - 20.0) / length.as_secs_f64().max(0.001);
+    Scale::new(times, LEFT, per_second, SILENCE.as_secs_f64() * per_second)
+}
+
+/// The bit rates, the marks of the time axis with their lines, and the silences that are shortened.
+fn axis(history: &History, scale: &Scale, bottom: f64) -> String {
+    let mut svg = String::new();
+    for (number, (from, rate)) in history.rates.iter().enumerate() {
+        let next = history.rates.get(number + 1);
+        let (x, to) = (scale.x(*from), next.map_or(RIGHT, |(at, _)| scale.x(*at)));
+        let color = ["#f3f6fa", "#fdf3e4"][number % 2];
+        svg += &bar(x, TOP - 36.0, [to - x, bottom - TOP + 36.0], color, &rate.to_string());
+        // A short stay has no room for its name.
+        if to - x > 70.0 {
+            svg += &label(x + 4.0, TOP - 24.0, "start", &rate.to_string());
+        }
+    }
+    let mut last = f64::MIN;
+    let shortened: Vec<_> = scale.shortened().collect();
+    for (from, to) in &shortened {
+        let (x, end) = (scale.x(*from), scale.x(*to));
+        let seconds = (*to - *from).as_secs_f64();
+        svg += &bar(
+            x,
+            TOP,
+            [end - x, bottom - TOP],
+            "#e9ecef",
+            &format!("{seconds:.1} s without a request"),
+        );
+    }
+    let total = history.end.as_secs_f64();
+    let length: f64 = (scale.x(history.end) - LEFT).max(1.0);
+    let shown: f64 = total
+        - shortened.iter().map(|(from, to)| (*to - *from - SILENCE).as_secs_f64()).sum::<f64>();
+    let steps =
+        [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0];
+    let step =
+        steps.into_iter().find(|step| step / shown.max(0.001) * length >= MARKS).unwrap_or(1000.0);
+    let decimals = if step < 0.1 { 2 } else { usize::from(step < 1.0) };
+    for number in 0..=(total / step) as u32 {
+        let time = Duration::from_secs_f64(f64::from(number) * step);
+        let x = scale.x(time);
+        if x < last + MARKS || shortened.iter().any(|(from, to)| *from < time && time < *to) {
+            continue;
+        }
+        last = x;
+        let text = format!("{:.decimals$} s", time.as_secs_f64());
+        let _ = writeln!(
+            svg,
+            "<line x1=\"{x:.1}\" y1=\"{TOP}\" x2=\"{x:.1}\" y2=\"{bottom}\" stroke=\"#d0d5db\"/>"
+        );
+        svg += &gray(x, TOP - 6.0, "middle", &text);
+        svg += &gray(x, bottom + 16.0, "middle", &text);
+    }
+    svg
+}
+
+/// The wire of the bus, with the adapter and a box for each board.
+fn network(history: &History, bottom: f64) -> String {
+    let (top, end) =
+        (center(0), if history.boards.is_empty() { bottom } else { bottom - ROW / 2.0 });
+    let mut svg = format!(
+        "<path d=\"M {WIRE} {top} V {end}\" stroke=\"#495057\" stroke-width=\"3\" fill=\"none\"/>\n"
+    );
+    svg += &station(0, ["#f1f3f5", "#495057"], "LSS", ["adapter", ""], true);
+    for (row, board) in history.boards.iter().enumerate() {
+        let colors = match (board.has_answered, board.before == Some(board.id)) {
+            (false, _) => ["#fde8e8", "#c92a2a"],
+            (true, true) => ["#f1f3f5", "#495057"],
+            (true, false) => ["#e6f4ea", "#2b8a3e"],
+        };
+        let badge = board.id.map_or("-".into(), |id| id.to_string());
+        let name = board.name();
+        let before = match board.before {
+            Some(Some(id)) => format!("before: node-ID {id}"),
+            Some(None) => "before: no node-ID".into(),
+            None => String::new(),
+        };
+        svg += &station(row + 1, colors, &badge, [&name, &before], board.has_answered);
+    }
+    svg
+}
+
+/// A station on the wire.
+fn station(
+    row: usize,
+    [fill, color]: [&str; 2],
+    badge: &str,
+    [first, second]: [&str; 2],
+    is_there: bool,
+) -> String {
+    let y = center(row);
+    let top = y - BOX_HEIGHT / 2.0;
+    let dashes = if is_there { "" } else { " stroke-dasharray=\"5 4\"" };
+    let mut svg = format!(
+        "<path d=\"M {WIRE} {y} H {BOX}\" stroke=\"#495057\" stroke-width=\"2\"{dashes}/>\n\
+         <rect x=\"{BOX}\" y=\"{top}\" width=\"{BOX_WIDTH}\" height=\"{BOX_HEIGHT}\" rx=\"5\" fill=\"{fill}\" \
+         stroke=\"{color}\"{dashes}/>\n\
+         <text x=\"{}\" y=\"{}\" text-anchor=\"middle\" font-size=\"16\" font-weight=\"bold\" fill=\"{color}\">{}</text>\n",
+        BOX + BADGE / 2.0,
+        y + 6.0,
+        escape(badge)
+    );
+    let x = BOX + BADGE + 4.0;
+    match second {
+        "" => svg += &label(x, y + 4.0, "start", first),
+        _ => {
+            svg += &label(x, y - 3.0, "start", first);
+            svg += &gray(x, y + 13.0, "start", second);
+        }
+    }
+    svg
+}
+
+/// The steps of a station, and its frames below them.
+fn lane(lane: &Lane, scale: &Scale, y: f64) -> String {
+    let mut svg =
+        format!("<path d=\"M {LEFT} {y} H {RIGHT}\" stroke=\"#b8bfc7\" fill=\"none\"/>\n");
+    // Steps that are too short to be seen stand side by side.
+    let mut free = f64::MIN;
+    for step in &lane.steps {
+        let (color, _) = look(step.kind);
+        let title = format!("{:.3} s: {}", step.from.as_secs_f64(), step.words);
+        let least = if step.kind == Kind::BootUp { BOOT } else { LEAST };
+        let x = scale.x(step.from).max(free);
+        let width = (scale.x(step.to) - x).max(least);
+        svg += &match step.kind {
+            Kind::BootUp => mark(step.kind, x, y - 16.0, color, &title),
+            _ => bar(x, y - 15.0, [width, 12.0], color, &title),
+        };
+        free = x + width + 0.5;
+    }
+    for (is_request, color, top) in [(true, "#1b4f9c", y + 3.0), (false, "#2b8a3e", y + 11.0)] {
+        let mut path = String::new();
+        let mut last = f64::MIN;
+        for (at, _) in lane.frames.iter().filter(|(_, request)| *request == is_request) {
+            let x = scale.x(*at);
+            // What is closer cannot be seen.
+            if x >= last + 0.7 {
+                let _ = write!(path, "M{x:.1} {top}v6");
+                last = x;
+            }
+        }
+        if !path.is_empty() {
+            let _ = writeln!(svg, "<path d=\"{path}\" stroke=\"{color}\" stroke-width=\"0.7\"/>");
+        }
+    }
+    svg
+}
+
+/// What a board has got, in two lines.
+fn outcome(board: &Board, history: &History) -> [String; 2] {
+    let requests = board.lane.frames.iter().filter(|(_, is_request)| *is_request).count();
+    let answers = board.lane.frames.len() - requests;
+    let frames = format!("frames: {requests} to it, {answers} from it");
+    if let Some(problem) = &board.problem {
+        return [problem.clone(), frames];
+    }
+    let mut words = match (board.before, board.id) {
+        (Some(before), id) if before == id => match id {
+            Some(id) => format!("node-ID {id} as before"),
+            None => "no node-ID".into(),
+        },
+        (_, Some(id)) => format!("got node-ID {id}"),
+        (_, None) => "no node-ID".into(),
+    };
+    let final_rate = history.rates.last().map(|(_, rate)| *rate);
+    if let Some(rate) = board.rate.filter(|rate| Some(*rate) == final_rate) {
+        words += &format!(", {rate}");
+    }
+    if board.is_stored {
+        words += ", stored";
+    }
+    let boots = board.lane.steps.iter().filter(|step| step.kind == Kind::BootUp).count();
+    let frames = match boots {
+        0 => frames,
+        1 => format!("{frames}, 1 boot-up"),
+        _ => format!("{frames}, {boots} boot-ups"),
+    };
+    [words, frames]
+}
+
+/// The lines of a text.
+fn wrap(text: &str) -> Vec<String> {
+    let mut lines = Vec::new();
+    for paragraph in text.lines() {
+        let mut line = String::new();
+        for word in paragraph.split(' ') {
+            if line.len() + word.len() >= LINE {
+                lines.push(std::mem::take(&mut line));
+            }
+            if !line.is_empty() {
+                line.push(' ');
+            }
+            line += word;
+        }
+        lines.push(line);
+    }
+    lines
+}
+
+/// A time since 1970 as a date and a time of day.
+pub fn date_and_time(since_1970: Duration) -> String {
+    let (days, seconds) = (since_1970.as_secs() / 86_400, since_1970.as_secs() % 86_400);
+    // Years that begin in March have their leap day at the end; 400 of them have 146,097 days.
+    let day = days + 719_468;
+    let (era, of_era) = (day / 146_097, day % 146_097);
+    let year = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year + year / 4 - year / 100);
+    let month = (5 * of_year + 2) / 153;
+    let of_month = of_year - (153 * month + 2) / 5 + 1;
+    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
+    format!("{:04}-{month:02}-{of_month:02} {hours:02}:{minutes:02} UTC", era * 400 + year + next)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_has_its_date() {
+        let text = |seconds| date_and_time(Duration::from_secs(seconds));
+        assert_eq!(text(0), "1970-01-01 00:00 UTC");
+        assert_eq!(text(951_827_696), "2000-02-29 12:34 UTC");
+        assert_eq!(text(1_740_787_199), "2025-02-28 23:59 UTC");
+        assert_eq!(text(4_107_542_400), "2100-03-01 00:00 UTC");
+    }
+
+    #[test]
+    fn a_long_text_has_lines() {
+        let words = "word ".repeat(100);
+        assert!(wrap(&words).iter().all(|line| line.len() <= LINE));
+        assert_eq!(wrap(&words).join(" ").trim_end(), words.trim_end());
+        assert_eq!(wrap("one\ntwo"), ["one", "two"]);
+    }
+}
