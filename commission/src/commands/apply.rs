@@ -16,7 +16,7 @@ use canopen_node::{BitRate, NodeId, lss::Address};
 
 use crate::{address, arguments::Apply, commands::set_rate, failure::Failure, session::Session};
 use found::{Found, Values};
-use plan::Plan;
+use plan::{Plan, counted};
 use values::Done;
 use wishes::{Network, Node};
 
@@ -89,15 +89,17 @@ fn values(
     for (node, place) in network.nodes.iter().zip(&found.places) {
         let id = place.filter(|place| !place.is_shared).and_then(|place| place.id);
         let values = match id {
-            // The values that belong to the node-ID come with it.
-            Some(id) if id == node.id => found::values(session, id, node, trusts_stamps)?,
-            _ => {
+            Some(id) => found::values(session, id, node, trusts_stamps)?,
+            None => {
                 all.push(None);
                 continue;
             }
         };
         match values {
-            Ok(values) => all.push(Some(values)),
+            Ok(mut values) => {
+                values.changes.retain_mut(|change| id.is_none_or(|id| change.remains(node, id)));
+                all.push(Some(values));
+            }
             Err(why) => {
                 found.problems.push(why);
                 all.push(None);
@@ -166,12 +168,11 @@ fn work(
         match (done.written, done.is_stored) {
             (0, false) => {}
             (0, true) => words.push("values stored".into()),
-            (count, true) => words.push(format!("{count} values written and stored")),
-            (count, false) => {
-                words.push(format!(
-                    "{count} values written, until its next reset: it cannot store them"
-                ));
-            }
+            (count, true) => words.push(format!("{} written and stored", counted(count, "value"))),
+            (count, false) => words.push(format!(
+                "{} written, until the next reset: it cannot store them",
+                counted(count, "value")
+            )),
         }
         if is_new || done.is_verified {
             words.push("verified by a reset".into());
@@ -219,7 +220,12 @@ fn write_dcfs(
         let Some(place) = place.filter(|place| place.id.is_some() && !place.is_shared) else {
             continue;
         };
-        match dcf::write(session, folder, node, place)? {
+        if node.sheet.is_none() && !is_quiet {
+            let words = node.words();
+            writeln!(session.out, "no DCF of {words}: the files have no data sheet of it (eds)")?;
+        }
+        let Some(sheet) = &node.sheet else { continue };
+        match dcf::write(session, folder, node, sheet, place)? {
             Ok(_) if is_quiet => {}
             Ok(file) => writeln!(session.out, "{file}")?,
             Err(why) => found.problems.push(why),

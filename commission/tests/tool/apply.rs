@@ -7,7 +7,12 @@ use std::{
 
 use canopen_node::BitRate;
 
-use crate::in_process::{Fault, Wire, address_text};
+use testkit::image::Firmware;
+
+use crate::{
+    emulated::{self, Boards},
+    in_process::{Fault, Wire, address_text},
+};
 
 const RATE: BitRate = BitRate::Kbit125;
 /// The data sheet of the boards.
@@ -105,7 +110,7 @@ fn a_plan_says_what_is_there_and_what_it_will_be_and_changes_nothing() {
         "  bit rate: 125 kbit/s\n\
          ~ node 6 \"pump\"  {}\n    ~ node-ID: none -> 6\n\
          ~ node 5  {}\n    ~ 2100 Filter constant of the temperature: 7 -> 4\n\
-         plan: 2 of 2 boards change, 0 missing; 1 node-IDs, 1 values\n",
+         plan: 2 of 2 boards change, 0 missing; 1 node-ID, 1 value\n",
         address_text(0),
         address_text(1)
     );
@@ -123,6 +128,23 @@ fn a_plan_says_what_is_there_and_what_it_will_be_and_changes_nothing() {
         (&value["index"], &value["found"], &value["wanted"]),
         (&0x2100.into(), &"7".into(), &"4".into())
     );
+}
+
+#[test]
+fn a_plan_compares_values_before_a_board_gets_another_node_id() {
+    let wire = Wire::new(RATE, &[5]);
+    wire.set(0, 0x2101, 3, b"Ada");
+    let values =
+        "\"2101:3\" = \"Eve\"\n\"1014\" = \"$NODEID+0x80\"\n\"1800:1\" = \"$NODEID+0x40000200\"";
+    let (outcome, writes) = wire.apply(&file("follows", &node_with(7, 0, values)), "--plan");
+    assert_eq!((outcome.code, writes), (1, 0));
+    let expected = format!(
+        "~ node 7  {}\n    ~ node-ID: 5 -> 7\n\
+         \x20   ~ 1800:1 TPDO communication parameter 1.COB-ID used by TPDO: 0x40000187 -> 0x40000207\n\
+         \x20   ~ 2101:3 Calibration of the temperature.Inspector: \"Ada\" -> \"Eve\"\nplan: ",
+        address_text(0)
+    );
+    assert!(outcome.text.contains(&expected), "{}", outcome.text);
 }
 
 #[test]
@@ -163,8 +185,8 @@ fn boards_that_share_a_node_id_get_their_own() {
 
 /// Three boards that exchange node-IDs and have values; the table asks for this bit rate.
 fn exchange(test: &str, rate: u16) -> String {
-    let sheet = short_sheet(test, &["1010", "1020", "1802", "1A02", "2100", "2101"]);
-    let values = "\"2100\" = 4\n\"2101:3\" = \"Ada Lovelace\"\n\"1A02:0\" = 1\n\"1A02:1\" = 0x60000108\n\"1802:1\" = \"$NODEID+0x40000380\"\n";
+    let sheet = short_sheet(test, &["1010", "1020", "1800", "1A00", "2100", "2101"]);
+    let values = "\"2100\" = 4\n\"2101:3\" = \"Ada Lovelace\"\n\"1A00:0\" = 1\n\"1A00:1\" = 0x64010110\n\"1800:1\" = \"$NODEID+0x40000280\"\n";
     format!(
         "bit_rate = {rate}\n{}{}{}",
         node_of(&sheet, 6, 0, values),
@@ -177,8 +199,8 @@ fn assert_exchanged(wire: &Wire, what: &str) {
     assert_eq!(wire.ids(), [6, 5, 7].map(|id| (Some(id), Some(id))), "{what}");
     assert_eq!(wire.value(0, 0x2100, 0), [4], "{what}");
     assert_eq!(wire.value(0, 0x2101, 3), b"Ada Lovelace", "{what}");
-    assert_eq!(wire.value(0, 0x1A02, 1), [0x08, 0x01, 0x00, 0x60], "{what}");
-    assert_eq!(wire.value(0, 0x1802, 1), [0x86, 0x03, 0, 0x40], "{what}");
+    assert_eq!(wire.value(0, 0x1A00, 1), [0x10, 0x01, 0x01, 0x64], "{what}");
+    assert_eq!(wire.value(0, 0x1800, 1), [0x86, 0x02, 0, 0x40], "{what}");
     assert_eq!(wire.value(2, 0x2100, 0), [5], "{what}");
 }
 
@@ -206,6 +228,14 @@ fn interrupt_at_each_write(name: &str, fault: Fault, power_fails: bool) {
         assert!(possible.contains(&outcome.code), "{what}: {} {}", outcome.code, outcome.error);
         if fault == Fault::CtrlC {
             wire.assert_waiting();
+            // A node-ID in use is stored, and no PDO is off.
+            assert!(
+                wire.ids().iter().all(|(active, stored)| active == stored),
+                "{what}: {:?}",
+                wire.ids()
+            );
+            let is_on = wire.ids()[0].0.is_none() || wire.value(0, 0x1800, 1)[3] & 0x80 == 0;
+            assert!(is_on, "{what}");
         }
         if power_fails {
             wire.power_cycle();
@@ -386,7 +416,11 @@ fn the_network_comes_to_the_bit_rate_of_the_table_and_new_boards_with_it() {
     let wire = Wire::with_heartbeat(RATE, &[5, 6, 0xFF], 1000);
     let (plan, writes) = wire.apply(&file, "--plan");
     assert_eq!((plan.code, writes), (1, 0));
-    assert!(plan.text.starts_with("~ bit rate: 125 -> 500 kbit/s\n"), "{}", plan.text);
+    assert!(
+        plan.text.starts_with("~ bit rate: 125 -> 500 kbit/s, of all boards on the bus\n"),
+        "{}",
+        plan.text
+    );
     assert_eq!(wire.apply(&file, "").0.code, 0);
     wire.power_cycle();
     assert_exchanged(&wire, "500 kbit/s");
@@ -551,7 +585,7 @@ fn a_board_that_cannot_store_values_has_them_until_its_reset() {
     let wire = Wire::new(RATE, &[0xFF]);
     let (outcome, _) = wire.apply(&file, "");
     assert_eq!(outcome.code, 0);
-    let words = "node-ID stored, 1 values written, until its next reset: it cannot store them";
+    let words = "node-ID stored, 1 value written, until the next reset: it cannot store them";
     assert!(outcome.text.contains(words), "{}", outcome.text);
     assert_done(&wire, &file);
     wire.power_cycle();
@@ -594,4 +628,47 @@ fn a_node_with_its_stamp_costs_two_reads_of_values() {
     assert_eq!(reads(""), 2);
     // 1017h is not counted.
     assert_eq!(reads("--full"), 2 + 9);
+}
+
+#[test]
+fn one_file_serves_assign_and_apply() {
+    let wire = Wire::new(RATE, &[0xFF, 0xFF, 0xFF]);
+    let text =
+        format!("bit_rate = 125\n{}[[node]]\nid = 1\neds = \"{EDS}\"\n", node_with(5, 0, VALUES));
+    let file = file("one-file", &text);
+    // A node that has no address keeps its node-ID; `lss apply` asks which board it is.
+    let outcome = wire.lss(&format!("assign --table {}", file.display()));
+    assert_eq!(outcome.code, 0, "{}", outcome.error);
+    let mut ids = wire.ids();
+    ids.sort_unstable();
+    assert_eq!(ids, [2, 3, 5].map(|id| (Some(id), Some(id))));
+    let (outcome, _) = wire.apply(&file, "");
+    assert!(outcome.error.contains("node 1: address = "), "{}", outcome.error);
+    let grown = fs::read_to_string(&file).expect("it is there");
+    fs::write(&file, grown.replace(&format!("[[node]]\nid = 1\neds = \"{EDS}\"\n"), ""))
+        .expect("it can be written");
+    assert_eq!(wire.apply(&file, "").0.code, 0);
+    assert_eq!(wire.value(0, 0x2100, 0), [4]);
+    assert_done(&wire, &file);
+}
+
+#[test]
+fn boards_with_the_release_image_are_brought_to_the_table_and_keep_it_without_power() {
+    let boards = Boards::unattended(Firmware::Io, &[(5, RATE), (6, RATE), (0xFF, RATE)], 1000);
+    let node = |id: u8, board: usize| {
+        format!("[[node]]\nid = {id}\naddress = \"{}\"\n", emulated::address_text(board))
+    };
+    let values = format!("eds = \"{EDS}\"\n[node.values]\n{VALUES}");
+    let text = format!("bit_rate = 500\n{}{values}\n{}{}", node(6, 0), node(5, 1), node(7, 2));
+    let file = file("image", &text);
+    let apply = |options: &str| boards.lss(&format!("apply {} {options}", file.display()));
+    assert_eq!(apply("").code, 0);
+    for board in 0..3 {
+        boards.rig().power_cycle(board);
+        assert_eq!(boards.stored(board), Some(([6, 5, 7][board], 2)), "board {board}");
+    }
+    let outcome = apply("--full");
+    assert_eq!(outcome.code, 0);
+    assert!(outcome.text.contains("plan: 0 of 3 boards change"), "{}", outcome.text);
+    boards.assert_waiting(BitRate::Kbit500);
 }

@@ -16,14 +16,10 @@ pub fn write(
     session: &mut Session<'_>,
     folder: &Path,
     node: &Node,
+    sheet: &Sheet,
     place: Place,
 ) -> Result<Result<String, String>, Failure> {
-    let (Some(sheet), Some(id)) = (&node.sheet, place.id) else {
-        return Ok(Err(format!(
-            "{}: without eds or dcf there is no data sheet to write",
-            node.words()
-        )));
-    };
+    let Some(id) = place.id else { return Ok(Err(format!("{} has no node-ID", node.words()))) };
     let mut values = BTreeMap::new();
     for entry in sheet.eds.entries() {
         // The stamp proves values of this board, and not those that a person may write into the file.

@@ -176,6 +176,18 @@ pub struct Change {
     pub wanted: Vec<u8>,
 }
 
+impl Change {
+    /// Whether the change remains when the board gets its node-ID. A value that is the default for the node-ID that it
+    /// has `now` follows.
+    pub fn remains(&mut self, node: &Node, now: NodeId) -> bool {
+        let default = |id: NodeId| node.entry(self.address)?.default(id.get());
+        if self.found.is_some() && self.found == default(now) {
+            self.found = default(node.id);
+        }
+        self.found.as_ref() != Some(&self.wanted)
+    }
+}
+
 /// The values of a node.
 #[derive(Clone, Debug, Default)]
 pub struct Values {

@@ -110,7 +110,9 @@ impl Plan {
         let Difference { found, wanted } = self.bit_rate;
         match found == wanted {
             true => writeln!(out, "  bit rate: {found} kbit/s")?,
-            false => writeln!(out, "~ bit rate: {found} -> {wanted} kbit/s")?,
+            false => {
+                writeln!(out, "~ bit rate: {found} -> {wanted} kbit/s, of all boards on the bus")?
+            }
         }
         for node in &self.nodes {
             node.print(out)?;
@@ -128,13 +130,23 @@ impl Plan {
         let values: usize = self.nodes.iter().map(|node| node.values.len()).sum();
         writeln!(
             out,
-            "plan: {} change, {} missing; {} node-IDs, {values} values",
+            "plan: {} change, {} missing; {}, {}",
             self.count(),
             changed(|node| node.is_missing),
-            changed(|node| !node.is_missing && node.node_id.found != node.node_id.wanted),
+            counted(
+                changed(|node| !node.is_missing && node.node_id.found != node.node_id.wanted),
+                "node-ID"
+            ),
+            counted(values, "value"),
         )?;
         Ok(())
     }
+}
+
+/// `1 value`, `2 values`.
+pub fn counted(count: usize, what: &str) -> String {
+    let plural = if count == 1 { "" } else { "s" };
+    format!("{count} {what}{plural}")
 }
 
 impl NodePlan {
@@ -201,8 +213,8 @@ impl NodePlan {
             writeln!(out, "    ~ stores again, since an earlier run did not finish")?;
         }
         if !self.are_values_compared && !self.values.is_empty() {
-            let count = self.values.len();
-            writeln!(out, "    ~ {count} values, which are compared once it has its node-ID:")?;
+            let count = counted(self.values.len(), "value");
+            writeln!(out, "    ~ {count} to compare once it has its node-ID:")?;
         }
         for ValuePlan { words, found, wanted, .. } in &self.values {
             let found = found.as_deref().unwrap_or("?");
