@@ -91,22 +91,61 @@ impl Procedure for Probe {
     }
 }
 
-/// The LSS addresses of the boards without a node-ID that support Fastscan. All of them stay in LSS waiting state.
+/// The LSS addresses of the boards without a node-ID that support Fastscan. They end in LSS configuration state.
 ///
 /// A Fastscan as a master does it ends with one board in LSS configuration state. This one asks for both values of each
-/// bit, and never for the last confirmation: it finds them all, and changes no state.
+/// bit, and never for the last confirmation: it finds them all. Then all that are found go to LSS configuration state,
+/// where they do not answer to Fastscan. Who still answers was missed, since an answer was lost or late.
 pub fn blank(session: &mut Session<'_>) -> Result<Vec<Address>, Failure> {
-    for _ in 0..RETRIES {
-        session.carry_out(Request::SwitchToWaiting)?;
-        let mut found = Vec::new();
-        if scan(session, [0; 4], AddressPart::VendorId, &mut found)? {
+    let mut found: Vec<Address> = Vec::new();
+    let mut contradictions = 0;
+    while contradictions < RETRIES {
+        let before = found.len();
+        let mut more = Vec::new();
+        gather(session, &mut found)?;
+        let is_consistent = scan(session, [0; 4], AddressPart::VendorId, &mut more)?;
+        more.retain(|address| !found.contains(address));
+        if is_consistent && more.is_empty() {
             return Ok(found);
         }
+        found.append(&mut more);
+        contradictions += u8::from(!is_consistent || found.len() <= before);
     }
     Err(Failure::Refused(
         "the answers to Fastscan contradict each other: too many are lost or too late (--latency)"
             .into(),
     ))
+}
+
+/// Brings all boards that were found to LSS configuration state, and no other; forgets those that are not there.
+fn gather(session: &mut Session<'_>, found: &mut Vec<Address>) -> Result<(), Failure> {
+    let mut silent = Vec::new();
+    'again: loop {
+        session.carry_out(Request::SwitchToWaiting)?;
+        for (number, address) in found.iter().enumerate() {
+            if !join(session, address)? {
+                // A board that is there already would not answer again: from the beginning.
+                if silent.contains(address) {
+                    found.remove(number);
+                } else {
+                    silent.push(*address);
+                }
+                continue 'again;
+            }
+        }
+        return Ok(());
+    }
+}
+
+/// Brings a board to LSS configuration state, and leaves the others where they are.
+fn join(session: &mut Session<'_>, address: &Address) -> Result<bool, Failure> {
+    session.carry_out(Request::Select(AddressPart::VendorId, address.vendor_id))?;
+    session.carry_out(Request::Select(AddressPart::ProductCode, address.product_code))?;
+    session.carry_out(Request::Select(AddressPart::RevisionNumber, address.revision_number))?;
+    match session.carry_out(Request::Select(AddressPart::SerialNumber, address.serial_number)) {
+        Err(Failure::NoAnswer(_)) => Ok(false),
+        outcome => outcome.map(|()| true),
+    }
 }
 
 /// Finds the boards whose parts before `part` are the `known` ones; false if the answers contradict each other.
@@ -116,7 +155,8 @@ fn scan(
     part: AddressPart,
     found: &mut Vec<Address>,
 ) -> Result<bool, Failure> {
-    if !begin(session)? {
+    // Silence in the beginning ends the search: it is asked for twice.
+    if !begin(session)? && !begin(session)? {
         return Ok(part == AddressPart::VendorId);
     }
     for before in (0..part as u8).filter_map(AddressPart::new) {

@@ -18,7 +18,7 @@ use can_bus::{
 };
 use canopen_node::{
     BitRate, Frame, NodeId,
-    lss::{Address, REQUEST_COB_ID},
+    lss::{Address, REQUEST_COB_ID, RESPONSE_COB_ID},
     nmt,
     settings::Log,
 };
@@ -52,6 +52,8 @@ pub struct Boards {
     deeds: Rc<RefCell<Vec<Deed>>>,
     /// The LSS service that the boards do not support: requests with this command specifier are lost.
     pub unsupported: Rc<Cell<Option<u8>>>,
+    /// The number of LSS answers until one is lost; 0: none.
+    pub answers_until_loss: Rc<Cell<usize>>,
     pub is_interrupted: Arc<AtomicBool>,
     /// Whether the results go to a terminal of 80 by 24 characters.
     pub has_screen: Rc<Cell<bool>>,
@@ -100,6 +102,7 @@ impl Boards {
             hook: Rc::default(),
             deeds: Rc::default(),
             unsupported: Rc::default(),
+            answers_until_loss: Rc::default(),
             is_interrupted: Arc::default(),
             has_screen: Rc::default(),
             person: Rc::default(),
@@ -265,6 +268,13 @@ impl Adapter for Boards {
         let instant = |time: Time| Duration::from_micros(time.as_us());
         Ok(received.and_then(|(time, frame)| {
             let frame = from_the_wire(&frame)?;
+            if frame.cob_id() == RESPONSE_COB_ID {
+                let left = self.answers_until_loss.get();
+                self.answers_until_loss.set(left.saturating_sub(1));
+                if left == 1 {
+                    return None;
+                }
+            }
             Some(Received { frame, at: instant(time), here: self.start + instant(time) })
         }))
     }

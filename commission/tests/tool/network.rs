@@ -132,6 +132,29 @@ fn a_list_without_a_node_says_where_to_look() {
 }
 
 #[test]
+fn a_board_is_listed_although_an_answer_of_it_is_lost() {
+    let boards = Boards::new(RATE, &[0xFF, 0xFF, 0xFF]);
+    boards.answers_until_loss.set(usize::MAX);
+    let complete = boards.lss("list");
+    let count = usize::MAX - boards.answers_until_loss.get();
+    assert!(count > 200, "{count} answers");
+    for lost in (1..=count).step_by(17) {
+        boards.answers_until_loss.set(lost);
+        let outcome = boards.lss("list");
+        assert_eq!(boards.answers_until_loss.get(), 0);
+        let lines =
+            |text: &str| text.lines().map(str::to_owned).collect::<std::collections::BTreeSet<_>>();
+        assert_eq!(
+            lines(&outcome.text),
+            lines(&complete.text),
+            "answer {lost} is lost: {}",
+            outcome.error
+        );
+        boards.assert_waiting(RATE);
+    }
+}
+
+#[test]
 fn ctrl_c_in_a_list_leaves_no_board_in_configuration_state() {
     // Its last frames are those of the check of the boards found.
     let boards = Boards::new(RATE, &[0xFF, 0xFF]);
