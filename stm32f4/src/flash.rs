@@ -14,7 +14,7 @@ const SECTORS: u32 = 2;
 const SECTOR_LEN: u32 = 16 * 1024;
 
 /// The greatest number of bytes that stored parameters may take.
-pub const CAPACITY: usize = capacity(SECTOR_LEN as usize);
+pub const CAPACITY: usize = capacity(SECTOR_LEN as usize, SettingsFlash::WRITE_SIZE);
 
 /// The width of programming and erasing, as PSIZE has it (RM0090, 3.6.2).
 #[derive(Clone, Copy)]

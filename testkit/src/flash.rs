@@ -1,6 +1,10 @@
 //! A NOR flash in memory. Its power can fail in every program and erase step; what was being programmed or erased then
 //! reads differently at each power-on. Its operations can fail, and its bits can stick. Each unit is programmed once
 //! after an erase, whatever its content is.
+//!
+//! A unit of 8 bytes or more has an error-correcting code: if it is torn, or if the erase of its sector was interrupted,
+//! it reads as blank, as written, as anything or as an error, differently each time. A torn unit that is programmed once
+//! more is refused, or completed with the same content.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -13,7 +17,8 @@ use super::random::Random;
 /// Two sectors of 16 KB, written a word at a time, as on the board.
 pub type BoardFlash = Flash<4, 0x4000>;
 
-/// A flash of two sectors of `ERASE` bytes, written in units of `WRITE` bytes; clones are handles to the same chip.
+/// A flash of sectors of `ERASE` bytes, two unless said otherwise, written in units of `WRITE` bytes; clones are handles
+/// to the same chip.
 #[derive(Clone)]
 pub struct Flash<const WRITE: usize, const ERASE: usize>(Rc<RefCell<Chip>>);
 
@@ -40,9 +45,13 @@ struct Chip {
     bytes: Vec<u8>,
     /// The units that were programmed since their erase.
     programmed: Vec<bool>,
+    /// Units have an error-correcting code.
+    has_ecc: bool,
     marginal: Vec<Marginal>,
     /// The content of each sector before its erase, which was interrupted.
-    half_erased: [Option<Vec<u8>>; 2],
+    half_erased: Vec<Option<Vec<u8>>>,
+    /// The number of the power-on.
+    power_on: u64,
     /// The bits that are stuck at 0 (at 1), by address.
     stuck: Vec<(usize, u8, bool)>,
     random: Random,
@@ -61,13 +70,21 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         Self::with_content(vec![0xFF; 2 * ERASE], seed)
     }
 
+    /// A new, blank chip with this number of sectors in each half.
+    pub fn blank_with_sectors(sectors: usize, seed: u64) -> Self {
+        Self::with_content(vec![0xFF; 2 * sectors * ERASE], seed)
+    }
+
+    /// The length of `bytes` is that of all sectors.
     pub fn with_content(bytes: Vec<u8>, seed: u64) -> Self {
-        assert_eq!(bytes.len(), 2 * ERASE);
+        assert!(bytes.len().is_multiple_of(2 * ERASE));
         let units = bytes.chunks(WRITE);
         Self(Rc::new(RefCell::new(Chip {
             programmed: units.map(|unit| unit.iter().any(|&byte| byte != 0xFF)).collect(),
             marginal: Vec::new(),
-            half_erased: [None, None],
+            has_ecc: WRITE >= 8,
+            half_erased: vec![None; bytes.len() / ERASE],
+            power_on: seed,
             bytes,
             stuck: Vec::new(),
             random: Random::from_seed(seed),
@@ -199,22 +216,38 @@ impl Chip {
         self.powered
     }
 
+    fn sector_len(&self) -> usize {
+        self.bytes.len() / self.half_erased.len()
+    }
+
     fn program(&mut self, at: usize, unit: &[u8]) -> Result<(), NorFlashErrorKind> {
         let place = at..at + unit.len();
+        let sector = at / self.sector_len();
         let programmed = &mut self.programmed[at / unit.len()];
         // In a place that reads blank after a power cut in its first word.
         let was_cut =
             self.marginal.iter().any(|marginal| marginal.at == at && marginal.unit == unit);
         assert!(!*programmed || was_cut, "address {at:#x} is programmed twice");
-        let sector = at / (self.bytes.len() / 2);
         assert!(
             self.half_erased[sector].is_none(),
             "address {at:#x} is programmed after an incomplete erase"
         );
         *programmed = true;
-        let before = self.bytes[place].to_vec();
         self.writes += 1;
         let succeeds = self.succeeds(Operation::Write);
+        let before = self.bytes[place.clone()].to_vec();
+        if self.has_ecc {
+            self.bytes[place].copy_from_slice(unit);
+            let is_refused = was_cut && self.random.one_in(2);
+            if succeeds && !is_refused {
+                self.marginal.retain(|marginal| marginal.at != at);
+                return Ok(());
+            }
+            if !was_cut {
+                self.marginal.push(Marginal { at, before, unit: unit.to_vec() });
+            }
+            return Err(NorFlashErrorKind::Other);
+        }
         // In a power cut the step may also have been completed or not begun.
         let tear = if self.powered { 0 } else { self.random.within(0..4) };
         for (at, byte) in (at..).zip(unit) {
@@ -233,9 +266,36 @@ impl Chip {
         if succeeds { Ok(()) } else { Err(NorFlashErrorKind::Other) }
     }
 
+    /// What a unit with an error-correcting code reads as this time. From one power-on to the next all of a sector
+    /// whose erase was interrupted may read as blank, or all as before, and so may a torn unit.
+    fn tear(&mut self, at: usize, unit: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        let sector = at / self.sector_len();
+        let torn = if self.half_erased[sector].is_some() {
+            sector
+        } else if self.marginal.iter().any(|marginal| marginal.at == at) {
+            at
+        } else {
+            return Ok(());
+        };
+        let all = Random::from_seed(self.power_on ^ torn as u64).within(0..4);
+        let random = &mut self.random;
+        match if all < 2 { all } else { random.within(0..5) } {
+            0 => unit.fill(0xFF),
+            1 => {}
+            2 => unit.iter_mut().for_each(|byte| *byte |= random.byte()),
+            3 => unit.fill_with(|| random.byte()),
+            _ => return Err(NorFlashErrorKind::Other),
+        }
+        Ok(())
+    }
+
     /// Makes interrupted cells read as either value, or as any mixture.
     fn flip(&mut self) {
-        let sector_len = self.bytes.len() / 2;
+        self.power_on = self.random.u64();
+        if self.has_ecc {
+            return;
+        }
+        let sector_len = self.sector_len();
         for (sector, before) in self.bytes.chunks_mut(sector_len).zip(&self.half_erased) {
             before.iter().for_each(|before| sector.copy_from_slice(before));
         }
@@ -249,7 +309,7 @@ impl Chip {
                 };
             }
         }
-        for sector in 0..2 {
+        for sector in 0..self.half_erased.len() {
             if self.half_erased[sector].is_some() {
                 self.erase_some(sector * sector_len, sector_len);
             }
@@ -269,7 +329,9 @@ impl Chip {
             return Ok(());
         }
         half_erased.get_or_insert_with(|| self.bytes[at..at + len].to_vec());
-        self.erase_some(at, len);
+        if !self.has_ecc {
+            self.erase_some(at, len);
+        }
         Err(NorFlashErrorKind::Other)
     }
 
@@ -291,7 +353,7 @@ impl<const WRITE: usize, const ERASE: usize> ErrorType for Flash<WRITE, ERASE> {
 }
 
 impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for Flash<WRITE, ERASE> {
-    const READ_SIZE: usize = 1;
+    const READ_SIZE: usize = if WRITE < 8 { 1 } else { WRITE };
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         check_read(self, offset, bytes.len()).expect("the log reads inside of the flash");
@@ -301,6 +363,11 @@ impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for Flash<WRITE, ERASE
         }
         let at = offset as usize;
         bytes.copy_from_slice(&chip.bytes[at..at + bytes.len()]);
+        if chip.has_ecc {
+            for (at, unit) in (at..).step_by(WRITE).zip(bytes.chunks_mut(WRITE)) {
+                chip.tear(at, unit)?;
+            }
+        }
         if !chip.stuck.is_empty() {
             bytes.iter_mut().zip(at..).for_each(|(byte, at)| *byte = chip.byte(at));
         }
@@ -308,7 +375,7 @@ impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for Flash<WRITE, ERASE
     }
 
     fn capacity(&self) -> usize {
-        2 * ERASE
+        self.0.borrow().bytes.len()
     }
 }
 

@@ -11,6 +11,9 @@ use super::{
     settings::{Content, open_with_parameters, parameters, settings},
 };
 
+/// The starts in a row that may be cut while they format a flash with wide units.
+pub const MOST_CUT_FORMATS: usize = 2;
+
 /// The number of stores in the lives after the first cut.
 const LATER_STORES: usize = 4;
 
@@ -24,6 +27,8 @@ pub struct Expected<const P: usize> {
     attempted: Vec<Content>,
     /// The number of the next store.
     next: u16,
+    /// A start was complete.
+    pub is_formatted: bool,
 }
 
 impl<const P: usize> Expected<P> {
@@ -37,7 +42,7 @@ impl<const P: usize> Expected<P> {
 
     /// The expectation for a device with this content.
     pub fn of(known: Content) -> Self {
-        Self { known, attempted: Vec::new(), next: 1 }
+        Self { known, attempted: Vec::new(), next: 1, is_formatted: false }
     }
 
     /// The content after the next store: of settings, of parameters, of both, or one without parameters.
@@ -85,6 +90,7 @@ impl<const P: usize> Expected<P> {
         assert!(!matches!(found, Found::MediumFailed(_)), "{found:?}");
         self.known = read;
         self.attempted.clear();
+        self.is_formatted = true;
         for _ in 0..stores {
             let new = self.next();
             let erases = flash.erases();
@@ -125,6 +131,23 @@ pub fn store<const P: usize, const W: usize, const E: usize>(
     log.store_with_parameters(settings, &new.1).is_ok()
 }
 
+/// What runs with each kind of flash.
+pub trait EachKind {
+    /// Runs with program units of `W` bytes and sectors of `E` bytes, which have room for four places, or for six where
+    /// units are wide.
+    fn run<const W: usize, const E: usize>(&mut self);
+}
+
+/// Runs this with every kind of flash.
+pub fn with_each_kind(each: &mut impl EachKind) {
+    each.run::<1, 128>();
+    each.run::<2, 128>();
+    each.run::<4, 128>();
+    each.run::<8, { 6 * 48 }>();
+    each.run::<16, { 6 * 64 }>();
+    each.run::<32, { 6 * 96 }>();
+}
+
 /// Cuts the power in each step of a life of a device with this content of its flash, and then in one of `every` steps
 /// of the next life; a third life checks.
 pub fn cut_twice<const P: usize, const W: usize, const E: usize>(
@@ -152,14 +175,59 @@ pub fn cut_twice<const P: usize, const W: usize, const E: usize>(
     }
 }
 
-/// Cuts the power in any step of each life in this number of random histories, in banks of 256 bytes.
-pub fn cut_at_random<const P: usize>(histories: usize, most_steps: u64, most_stores: u64) {
+/// Cuts the power in each step, and then in one of the next life, while the log moves from a bank that is nearly full to
+/// the other one, and erases the first. A bank has this number of sectors. Returns the number of cuts.
+pub fn cut_while_moving<const P: usize, const W: usize, const E: usize>(
+    sectors: usize,
+    random: &mut Random,
+) -> u64 {
+    /// The stores in a life, of which at least one moves.
+    const STORES: usize = 12;
+    let flash = Flash::<W, E>::blank_with_sectors(sectors, 0);
+    let mut expected = Expected::<P>::nothing();
+    expected.power_on(&flash, 0);
+    let formatted = flash.erases();
+    let mut before = (flash.duplicate(0), expected.clone());
+    let mut is_near = false;
+    while flash.erases() == formatted {
+        if is_near {
+            before = (flash.duplicate(0), expected.clone());
+        }
+        is_near = !is_near;
+        expected.power_on(&flash, STORES / 4);
+    }
+    let (flash, expected) = before;
+    let steps = expected.steps(&flash, STORES);
+    for cut in 0..steps {
+        let flash = flash.duplicate(random.u64());
+        let mut expected = expected.clone();
+        flash.cut_power_after(cut);
+        expected.live(&flash, STORES);
+        flash.power_on();
+        flash.cut_power_after(random.within(0..30) as usize);
+        expected.live(&flash, STORES);
+        flash.power_on();
+        expected.live(&flash, STORES);
+        assert_ne!(flash.erases(), 0, "it has moved");
+    }
+    2 * steps as u64
+}
+
+/// Cuts the power in any step of each life in this number of random histories, in banks of this number of sectors.
+pub fn cut_at_random<const P: usize, const W: usize, const E: usize>(
+    sectors: usize,
+    histories: usize,
+    most_steps: u64,
+    most_stores: u64,
+) {
     let mut random = Random::from_environment();
     for _ in 0..histories {
-        let flash = Flash::<4, 256>::blank(random.u64());
+        let flash = Flash::<W, E>::blank_with_sectors(sectors, random.u64());
         let mut expected = Expected::<P>::nothing();
-        for _ in 0..20 {
-            flash.cut_power_after(random.within(0..most_steps) as usize);
+        for life in 0..20 {
+            if life < MOST_CUT_FORMATS || W <= 4 || expected.is_formatted {
+                flash.cut_power_after(random.within(0..most_steps) as usize);
+            }
             expected.live(&flash, random.within(0..most_stores) as usize);
             flash.power_on();
         }

@@ -64,7 +64,7 @@ fn parameters_of_any_length_are_found_again_also_in_the_other_bank() {
 
 #[test]
 fn parameters_up_to_the_capacity_of_a_bank_can_be_stored_after_every_start() {
-    const CAPACITY: usize = parameters::capacity(512);
+    const CAPACITY: usize = parameters::capacity(512, 4);
     let flash = Chip::blank(0);
     let mut last = (None, Vec::new());
     for n in 1..20 {

@@ -79,7 +79,7 @@ fn as_many_cut_starts_in_a_row_as_a_bank_has_places_for_copies_lose_nothing() {
 
 #[test]
 fn random_histories_with_any_number_of_cuts_lose_nothing() {
-    cut_at_random::<LEN>(500, 100, 20);
+    cut_at_random::<LEN, 4, 256>(1, 500, 100, 20);
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn two_cuts_in_any_steps_lose_no_parameters() {
 
 #[test]
 fn random_histories_of_parameters_with_any_number_of_cuts_lose_nothing() {
-    cut_at_random::<WITH_PARAMETERS>(400, 150, 16);
+    cut_at_random::<WITH_PARAMETERS, 4, 256>(1, 400, 150, 16);
 }
 
 /// Cuts the power in each step of a store of a record, behind parameters of these lengths if there is room for them.

@@ -2,7 +2,7 @@
 
 mod histories;
 
-use std::time::Instant;
+use std::{collections::BTreeMap, time::Instant};
 
 use anyhow::Context;
 use emulator::{board, chip::Part};
@@ -23,7 +23,9 @@ const QUICK: usize = 12;
 /// In the library: every history of four power-ons (--long: six) with up to three stores each. The power fails in any
 /// one or two of the program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase
 /// anything. The same for stores of parameters, in turn with stores of settings, in three power-ons (--long: four).
-/// Both also for flash that is programmed in units of 1 and 2 bytes, with a power-on less.
+/// Both also for flash that is programmed in units of 1, 2, 8, 16 and 32 bytes, with a power-on less. Units of 8 bytes
+/// and more have an error-correcting code: where they are torn they read differently each time, or as an error. With
+/// each unit also in sectors of 2 KB and 16 KB: the power fails in each step while the log moves, and again soon after.
 ///
 /// In the release image on an emulated board: two commissionings by LSS, from a blank flash, from one with a half that is
 /// nearly full, and from one with a half that has to be erased; with the example `io`, two stores of parameters by 1010h
@@ -68,8 +70,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut random = Random::from_seed(seed);
 
     println!("\nThe settings log, cut in each step and in each pair of steps");
-    for (what, run) in histories::all(arguments.lives()) {
-        print(&what, run(&mut random));
+    let mut of_units = BTreeMap::new();
+    for histories in histories::all(arguments.lives()) {
+        let cuts = (histories.run)(&mut random);
+        print(&histories.description, cuts);
+        *of_units.entry(histories.unit).or_default() += cuts;
+    }
+    for (unit, cuts) in of_units {
+        print(&format!("program unit {unit}, all of these"), cuts);
     }
 
     let settings = board::Settings::default();

@@ -15,6 +15,10 @@
 //! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the bus
 //!   cannot afford. It is the bank without the newest record, after that record is certain or its bank is full.
 //! - The first place of a bank is written when its erase is complete, and only then may others follow.
+//!
+//! So it is in flash whose program unit is a word or less; for the other rules of wider units see [`wide`].
+
+mod wide;
 
 use core::{error, fmt, mem, ops::Range};
 
@@ -23,7 +27,7 @@ use embedded_storage::nor_flash::NorFlash;
 use super::{
     Settings,
     parameters::{self, HEADER, Parameter},
-    record::{self, Changes, PART_LEN, Record, Reference},
+    record::{self, Changes, OtherBank, PART_LEN, Record, Reference},
 };
 use crate::bytes::copy;
 
@@ -62,6 +66,8 @@ pub struct Log<F, const STORED_LEN: usize = 0> {
     has_taken_all: bool,
     /// The last record was written but could not be read back. A later `open` may find it valid.
     is_doubtful: bool,
+    /// What the next record says of the other bank where units are wide.
+    other_is: OtherBank,
     /// The blank space in the bank with the newest record.
     space: Space,
     /// The blank space in the other bank; empty if its erase is not known to be complete.
@@ -125,22 +131,22 @@ impl Space {
     const NONE: Self = Self { range: 0..0, sequence: 0, bank: 0 };
 
     /// The number of places.
-    fn len(&self) -> u32 {
-        self.range.end.saturating_sub(self.range.start) / record::LEN
+    fn len<F: Layout>(&self) -> u32 {
+        self.range.end.saturating_sub(self.range.start) / F::PLACE
     }
 
     /// The sequence number of the last of them.
-    fn last_sequence(&self) -> u32 {
-        self.sequence.wrapping_add(self.len()).wrapping_sub(1)
+    fn last_sequence<F: Layout>(&self) -> u32 {
+        self.sequence.wrapping_add(self.len::<F>()).wrapping_sub(1)
     }
 
     /// The address and the sequence number of the next place.
-    fn take(&mut self) -> Result<(u32, u32), Error> {
-        if self.len() == 0 {
+    fn take<F: Layout>(&mut self) -> Result<(u32, u32), Error> {
+        if self.len::<F>() == 0 {
             return Err(Error::Full);
         }
         let place = (self.range.start, self.sequence);
-        self.range.start = self.range.start.saturating_add(record::LEN);
+        self.range.start = self.range.start.saturating_add(F::PLACE);
         self.sequence = self.sequence.wrapping_add(1);
         Ok(place)
     }
@@ -162,18 +168,18 @@ impl Newest {
         flash: &mut F,
         number: u16,
     ) -> Result<Option<[u8; PART_LEN]>, Error> {
-        let mut end = self.place();
+        let mut end = self.place::<F>();
         let mut reference = self.record.parameters;
         // Each reference lies before the one from which it was found.
         while let Some(Reference { first, changes, .. }) = reference.filter(|it| it.end() <= end) {
             let Some(Changes { parts, others }) = changes else {
                 let place = u32::from(first).saturating_add(number.into());
                 let is_there = reference.is_some_and(|it| place < it.end());
-                let bytes = read(flash, self.address(place))?;
+                let bytes = read(flash, self.address::<F>(place))?;
                 return Ok(is_there.then_some(record::part_from_bytes(&bytes).1));
             };
             for place in first..first.saturating_add(parts) {
-                let bytes = read(flash, self.address(place.into()))?;
+                let bytes = read(flash, self.address::<F>(place.into()))?;
                 let (found, part) = record::part_from_bytes(&bytes);
                 if found == number {
                     return Ok(Some(part));
@@ -183,7 +189,7 @@ impl Newest {
                 break;
             }
             end = others.into();
-            reference = Reference::of_record(&read(flash, self.address(end))?);
+            reference = Reference::of_record(&read(flash, self.address::<F>(end))?);
         }
         Ok(None)
     }
@@ -195,7 +201,12 @@ impl Newest {
         };
         let mut found = u32::MAX;
         for (number, len) in parts(len) {
-            let Some(part) = self.part(flash, number)? else {
+            let part = match self.part(flash, number) {
+                // A wide unit that cannot be read is damaged.
+                Err(_) if F::IS_WIDE => None,
+                part => part?,
+            };
+            let Some(part) = part else {
                 return Ok(false);
             };
             found = record::crc32_of_more(found, part.get(..len).unwrap_or_default());
@@ -203,12 +214,12 @@ impl Newest {
         Ok(!found == crc)
     }
 
-    fn place(&self) -> u32 {
-        self.at.saturating_sub(self.bank) / record::LEN
+    fn place<F: Layout>(&self) -> u32 {
+        self.at.saturating_sub(self.bank) / F::PLACE
     }
 
-    fn address(&self, place: u32) -> u32 {
-        place.saturating_mul(record::LEN).saturating_add(self.bank)
+    fn address<F: Layout>(&self, place: u32) -> u32 {
+        place.saturating_mul(F::PLACE).saturating_add(self.bank)
     }
 }
 
@@ -224,11 +235,26 @@ fn part_of(packed: &[u8], number: u16) -> Option<[u8; PART_LEN]> {
     (copy(packed, usize::from(number).saturating_mul(PART_LEN), &mut part) > 0).then_some(part)
 }
 
+/// The 32 bytes of a place.
 fn read<F: NorFlash>(flash: &mut F, at: u32) -> Result<[u8; record::LEN as usize], Error> {
     let mut bytes = [0; record::LEN as usize];
+    if F::IS_WIDE {
+        wide::read(flash, at.saturating_add(F::WRITE_SIZE as u32), &mut bytes)?;
+        return Ok(bytes);
+    }
     flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
     Ok(bytes)
 }
+
+/// The places of a flash.
+trait Layout: NorFlash {
+    /// A program unit is larger than a word.
+    const IS_WIDE: bool = record::is_wide(Self::WRITE_SIZE);
+    /// The number of bytes that a place takes.
+    const PLACE: u32 = record::place_len(Self::WRITE_SIZE);
+}
+
+impl<F: NorFlash> Layout for F {}
 
 /// The result of the search in one bank.
 struct Bank {
@@ -279,10 +305,11 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     pub fn open_with_parameters(flash: F) -> (Self, Found) {
         const {
             assert!(
-                4usize.is_multiple_of(F::WRITE_SIZE),
-                "the commit word, 4 bytes, must be writable alone"
+                matches!(F::WRITE_SIZE, 1 | 2 | 4 | 8 | 16 | 32),
+                "the program unit must be 1, 2, 4, 8, 16 or 32 bytes"
             );
-            assert!((record::LEN as usize).is_multiple_of(F::READ_SIZE));
+            let read_at_once = if F::IS_WIDE { F::WRITE_SIZE } else { record::LEN as usize };
+            assert!(read_at_once.is_multiple_of(F::READ_SIZE));
             assert!(STORED_LEN < u16::MAX as usize, "the parameters take too many bytes");
         }
         let record = Record { sequence: 0, settings: None, parameters: None };
@@ -293,10 +320,12 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             taken_len: 0,
             has_taken_all: false,
             is_doubtful: false,
+            other_is: OtherBank::Used,
             space: Space::NONE,
             other: Space::NONE,
         };
-        let found = log.find().unwrap_or_else(Found::MediumFailed);
+        let found = if F::IS_WIDE { log.find_wide() } else { log.find() };
+        let found = found.unwrap_or_else(Found::MediumFailed);
         (log, found)
     }
 
@@ -385,8 +414,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     }
 
     fn find(&mut self) -> Result<Found, Error> {
-        let erase_size = F::ERASE_SIZE as u32;
-        let bank_len = self.flash.capacity() as u32 / 2 / erase_size * erase_size;
+        let bank_len = self.bank_len();
         let first = self.search(0..bank_len)?;
         let second = self.search(bank_len..bank_len.saturating_mul(2))?;
         let second_is_newer = match (&first.newest, &second.newest) {
@@ -414,7 +442,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let is_certain = bank.is_certain && is_intact && !is_interrupted
             || self.append(newest.record.settings, None, false).is_ok();
         match other.erased {
-            Some(sequence) if record::is_newer(sequence, self.space.last_sequence()) => {
+            Some(sequence) if record::is_newer(sequence, self.space.last_sequence::<F>()) => {
                 self.other = other.space(other.range.start, sequence);
             }
             _ => self.erase(other.range)?,
@@ -427,6 +455,12 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             (true, true) => Found::Interrupted,
             (true, false) => Found::Complete,
         })
+    }
+
+    /// The number of bytes that are erased with a bank.
+    fn bank_len(&self) -> u32 {
+        let erase_size = F::ERASE_SIZE as u32;
+        self.flash.capacity() as u32 / 2 / erase_size * erase_size
     }
 
     fn search(&mut self, range: Range<u32>) -> Result<Bank, Error> {
@@ -489,11 +523,24 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             Err(Error::Full) => {}
             outcome => return outcome,
         }
+        self.put_in_other(settings, new)
+    }
+
+    /// Appends a record in the other bank, with all its parameters.
+    fn put_in_other(
+        &mut self,
+        settings: Option<Settings>,
+        new: Option<&[u8]>,
+    ) -> Result<(), Error> {
         mem::swap(&mut self.space, &mut self.other);
         let outcome = self.append(settings, new, true);
-        match outcome {
-            Ok(()) => self.other = Space::NONE,
-            Err(_) => mem::swap(&mut self.space, &mut self.other),
+        // A doubtful record there would be newer than the old one in this bank.
+        let has_moved =
+            outcome.is_ok() || self.is_doubtful && self.append(self.settings(), None, true).is_ok();
+        if has_moved {
+            self.other = Space::NONE;
+        } else {
+            mem::swap(&mut self.space, &mut self.other);
         }
         outcome
     }
@@ -506,13 +553,27 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         new: Option<&[u8]>,
         in_other: bool,
     ) -> Result<(), Error> {
+        let outcome = self.append_once(settings, new, in_other);
+        if F::IS_WIDE { self.pass_torn_places(outcome, settings, new, in_other) } else { outcome }
+    }
+
+    fn append_once(
+        &mut self,
+        settings: Option<Settings>,
+        new: Option<&[u8]>,
+        in_other: bool,
+    ) -> Result<(), Error> {
         let parameters = match new {
             None if !in_other => self.newest.record.parameters,
             _ => self.append_parameters(new, in_other)?,
         };
-        let (at, sequence) = self.space.take()?;
+        let (at, sequence) = self.take()?;
         let record = Record { sequence, settings, parameters };
-        self.write(at, &record.to_bytes())?;
+        if F::IS_WIDE {
+            self.write_wide(at, record, in_other)?;
+        } else {
+            self.write(at, &record.to_bytes())?;
+        }
         self.newest = Newest { record, at, bank: self.space.bank };
         Ok(())
     }
@@ -535,10 +596,10 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let changed = parts(len).filter(|(number, _)| !is_kept(self, *number, new_part(*number)));
         // In the release image, `count` would keep its panic.
         let changed = changed.fold(0_u16, |count, _| count.saturating_add(1));
-        if u32::from(changed) >= self.space.len() {
+        if u32::from(changed) >= self.space.len::<F>() {
             return Err(Error::Full);
         }
-        let first = self.space.range.start.saturating_sub(self.space.bank) / record::LEN;
+        let first = self.space.range.start.saturating_sub(self.space.bank) / F::PLACE;
         let first = first.try_into().map_err(|_| Error::Full)?;
         let mut crc = u32::MAX;
         for (number, len) in parts(len) {
@@ -549,16 +610,29 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             let bytes = part.ok_or(Error::NotAsWritten)?;
             crc = record::crc32_of_more(crc, bytes.get(..len).unwrap_or_default());
             if !is_kept(self, number, part) {
-                let (at, sequence) = self.space.take()?;
+                let (at, sequence) = self.take()?;
                 let place = record::part_to_bytes(sequence, number, &bytes);
-                self.write_part(at, &place, PART_LEN)?;
+                if F::IS_WIDE {
+                    self.write_once(at, &place)?;
+                } else {
+                    self.write_part(at, &place, PART_LEN)?;
+                }
             }
         }
         if new.is_none() && stored.is_some_and(|stored| stored.crc != !crc) {
             return Err(Error::NotAsWritten);
         }
-        let changes = Changes { parts: changed, others: old.place() as u16 };
+        let changes = Changes { parts: changed, others: old.place::<F>() as u16 };
         Ok(Some(Reference { first, len, crc: !crc, changes: keeps_some.then_some(changes) }))
+    }
+
+    /// The address and the sequence number of the next place.
+    fn take(&mut self) -> Result<(u32, u32), Error> {
+        let place = self.space.take::<F>()?;
+        if F::IS_WIDE {
+            self.begin_wide(place.0)?;
+        }
+        Ok(place)
     }
 
     /// Writes a record to a blank place.

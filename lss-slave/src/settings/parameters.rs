@@ -7,11 +7,13 @@ use crate::bytes::copy;
 #[doc(hidden)]
 pub const HEADER: usize = 6;
 
-/// The most bytes of parameters for which a bank of the settings log of `bank_len` bytes has room. They take half of it
-/// with their record, so that others can be stored without an erase.
-pub const fn capacity(bank_len: usize) -> usize {
-    let places = bank_len / 2 / record::LEN as usize;
-    places.saturating_sub(1) * record::PART_LEN
+/// The most bytes of parameters for which a bank of the settings log of `bank_len` bytes has room, in flash with a
+/// program unit of `write_size` bytes. They take half of it with their record, so that others can be stored without an
+/// erase.
+pub const fn capacity(bank_len: usize, write_size: usize) -> usize {
+    let places = bank_len / record::place_len(write_size) as usize;
+    let for_starts = if record::is_wide(write_size) { record::RESERVE as usize } else { 0 };
+    (places.saturating_sub(for_starts) / 2).saturating_sub(1) * record::PART_LEN
 }
 
 /// The value of an object, to be stored or as it was stored.

@@ -8,11 +8,27 @@ use crate::{BitRateSetting, NodeId, bytes::copy};
 
 /// The size of a record in bytes.
 pub const LEN: u32 = 32;
+
+/// Whether a program unit of this many bytes is larger than a word.
+pub const fn is_wide(write_size: usize) -> bool {
+    write_size > 4
+}
+
+/// The number of bytes that a place takes where the program unit has this many: a record, and where units are wide, one
+/// before and one after it.
+pub const fn place_len(write_size: usize) -> u32 {
+    if is_wide(write_size) { LEN + 2 * write_size as u32 } else { LEN }
+}
+
 /// The places of the CRC and of the last word.
 pub const CRC_AT: usize = 24;
 pub const LAST_AT: usize = 28;
+/// The number of places at the end of a bank that only starts use, where units are wide.
+pub const RESERVE: u32 = 8;
 /// The commit word, the last word of a record.
-const COMMIT: [u8; 4] = *b"LSS1";
+pub const COMMIT: [u8; 4] = *b"LSS1";
+/// The place of the byte that says how the other bank is, where units are wide.
+const OTHER_BANK_AT: usize = 22;
 /// The last bytes of a part of the parameters. A bit is 0 in them that is 1 in the commit word, so they do not read as
 /// its end, also if that is incomplete.
 const PART: [u8; 2] = *b"SP";
@@ -94,6 +110,36 @@ impl Record {
 /// Whether the last word was begun.
 pub fn is_certain(bytes: &[u8; LEN as usize]) -> bool {
     !bytes.ends_with(&[0xFF; 4])
+}
+
+/// What a record says of the other bank where units are wide.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OtherBank {
+    /// It may hold anything.
+    Used = 0,
+    /// It may be erased: the record before, which says that it is used, is certain.
+    Doomed = 1,
+    /// It was erased completely, and no erase has begun since.
+    Erased = 2,
+}
+
+impl OtherBank {
+    /// What a record says.
+    pub fn of_record(bytes: &[u8; LEN as usize]) -> Self {
+        match bytes.get(OTHER_BANK_AT) {
+            Some(1) => Self::Doomed,
+            Some(2) => Self::Erased,
+            _ => Self::Used,
+        }
+    }
+
+    /// The record with this, and its CRC anew.
+    pub fn add_to(self, mut bytes: [u8; LEN as usize]) -> [u8; LEN as usize] {
+        copy(&[self as u8], 0, bytes.get_mut(OTHER_BANK_AT..).unwrap_or_default());
+        let crc = bytes.first_chunk().map(crc_of).unwrap_or_default();
+        copy(&crc, 0, bytes.get_mut(CRC_AT..).unwrap_or_default());
+        bytes
+    }
 }
 
 /// The word that makes a record of this content valid: its CRC-32, but never a word that reads blank.

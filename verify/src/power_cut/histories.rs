@@ -1,10 +1,10 @@
-//! Power cuts in the settings log on a flash in memory: all short histories, with one or two cuts in any of their
-//! steps.
+//! Power cuts in the settings log on a flash in memory of every program unit: all short histories, with one or two cuts
+//! in any of their steps, and moves to the other bank in sectors as large as those of a chip.
 
 use canopen_node::settings::Log;
 use testkit::{
     flash::{BoardFlash, Flash},
-    power_cut::Expected,
+    power_cut::{Expected, cut_while_moving},
     random::Random,
     settings::settings,
 };
@@ -19,13 +19,18 @@ const PACKED_LEN: usize = 40;
 const BLANK: u8 = 0xFF;
 const GARBAGE: u8 = 0xA5;
 
-/// All histories of one kind: their description, and what runs them, panics if settings are lost, and returns the number
-/// of power cuts.
-pub type Histories = (String, Box<dyn Fn(&mut Random) -> u64>);
+/// All histories of one kind.
+pub struct Histories {
+    /// The program unit of the flash in bytes.
+    pub unit: usize,
+    pub description: String,
+    /// Runs them, panics if settings are lost, and returns the number of power cuts.
+    pub run: Box<dyn Fn(&mut Random) -> u64>,
+}
 
 /// The histories that are tried, with at most these lives: those of settings, those of parameters.
-pub fn all((lives, of_parameters): (usize, usize)) -> [Histories; 11] {
-    [
+pub fn all((lives, of_parameters): (usize, usize)) -> Vec<Histories> {
+    let mut all = vec![
         histories::<0, 4, 128>(lives, BLANK),
         histories::<0, 4, 96>(lives, BLANK),
         histories::<0, 4, 128>(lives - 1, GARBAGE),
@@ -38,7 +43,42 @@ pub fn all((lives, of_parameters): (usize, usize)) -> [Histories; 11] {
         histories::<0, 2, 128>(lives - 1, BLANK),
         histories::<PACKED_LEN, 1, 256>(of_parameters - 1, BLANK),
         histories::<PACKED_LEN, 2, 256>(of_parameters - 1, BLANK),
+        // Eight places are kept for starts where units are larger.
+        histories::<0, 8, { 11 * 48 }>(lives - 1, BLANK),
+        histories::<0, 16, { 11 * 64 }>(lives - 1, BLANK),
+        histories::<0, 32, { 11 * 96 }>(lives - 1, BLANK),
+        histories::<0, 8, { 12 * 48 }>(lives - 1, GARBAGE),
+        histories::<PACKED_LEN, 8, { 14 * 48 }>(of_parameters - 1, BLANK),
+        histories::<PACKED_LEN, 16, { 14 * 64 }>(of_parameters - 1, BLANK),
+        histories::<PACKED_LEN, 32, { 14 * 96 }>(of_parameters - 1, BLANK),
+    ];
+    all.extend(moves::<1>());
+    all.extend(moves::<2>());
+    all.extend(moves::<4>());
+    all.extend(moves::<8>());
+    all.extend(moves::<16>());
+    all.extend(moves::<32>());
+    all
+}
+
+/// Moves from one bank to the other in flash that is programmed in units of `W` bytes.
+fn moves<const W: usize>() -> [Histories; 3] {
+    let moves = |sectors: &str, run: fn(&mut Random) -> u64| Histories {
+        unit: W,
+        description: format!("{}, moves between banks of {sectors}", unit(W)),
+        run: Box::new(run),
+    };
+    [
+        moves("2 sectors of 2 KB", |random| cut_while_moving::<0, W, 0x800>(2, random)),
+        moves("a sector of 16 KB", |random| cut_while_moving::<0, W, 0x4000>(1, random)),
+        moves("2 sectors of 2 KB, parameters", |random| {
+            cut_while_moving::<PACKED_LEN, W, 0x800>(2, random)
+        }),
     ]
+}
+
+fn unit(bytes: usize) -> String {
+    if bytes == 1 { "unit of 1 byte".to_owned() } else { format!("unit of {bytes} bytes") }
 }
 
 /// The histories of a device with room for `P` bytes of parameters and two banks of `E` bytes, programmed in units of
@@ -46,16 +86,16 @@ pub fn all((lives, of_parameters): (usize, usize)) -> [Histories; 11] {
 fn histories<const P: usize, const W: usize, const E: usize>(lives: usize, first: u8) -> Histories {
     let content = if first == BLANK { "blank" } else { "garbage" };
     let stored = if P > 0 { ", parameters" } else { "" };
-    let records = E / 32;
-    let unit = if W == 1 { "1 byte".to_owned() } else { format!("{W} bytes") };
-    let name = format!(
-        "unit of {unit}, {lives} power-ons, 2 banks of {records} records, {content} first{stored}"
+    let places = E / if W > 4 { 32 + 2 * W } else { 32 };
+    let description = format!(
+        "{}, {lives} power-ons, 2 banks of {places} places, {content} first{stored}",
+        unit(W)
     );
     let run = move |random: &mut Random| {
         let flash = Flash::<W, E>::with_content(vec![first; 2 * E], 0);
         Device { flash, expected: Expected::<P>::nothing() }.go_on(lives, 2, random)
     };
-    (name, Box::new(run))
+    Histories { unit: W, description, run: Box::new(run) }
 }
 
 /// A device between two lives: its flash, and what it must find there.
