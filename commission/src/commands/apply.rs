@@ -53,7 +53,15 @@ pub fn apply(
     }
     if !arguments.plan && plan.differs() {
         mark.set()?;
-        let problems = work(session, &network, &mut found, stores_again, trusts_stamps)?;
+        let problems = work(session, &network, &mut found, stores_again, trusts_stamps);
+        let problems = match problems {
+            Err(failure @ Failure::Stop(_)) => {
+                session.progress.clear();
+                writeln!(session.out, "not finished: start `lss apply` again, and it goes on")?;
+                return Err(failure);
+            }
+            problems => problems?,
+        };
         session.progress.clear();
         match problems.is_empty() {
             true => mark.remove(),

@@ -7,7 +7,7 @@ use std::{
 
 use canopen_node::BitRate;
 
-use testkit::image::Firmware;
+use testkit::{image::Firmware, random::Random};
 
 use crate::{
     emulated::{self, Boards},
@@ -272,6 +272,58 @@ fn a_run_after_a_power_failure_of_all_goes_on() {
 #[test]
 fn a_run_after_a_board_was_gone_at_any_write_goes_on() {
     interrupt_at_each_write("board", Fault::BoardGone(0), false);
+}
+
+#[test]
+fn random_networks_come_to_their_tables_through_random_faults() {
+    let mut random = Random::from_environment();
+    let sheet = short_sheet("random", &["1010", "1020", "2100"]);
+    let path = folder("random").join("network.toml");
+    for _ in 0..20 {
+        let count = random.within(2..6) as usize;
+        // Node-IDs out of a few, so that boards are in each other's way.
+        let mut ids = || {
+            let mut free: Vec<u8> = (1..=6).collect();
+            let mut take = || free.remove(random.within(0..free.len() as u64) as usize);
+            (0..count).map(|_| take()).collect::<Vec<u8>>()
+        };
+        let (found, wanted) = (ids(), ids());
+        let found: Vec<u8> =
+            found.iter().map(|id| if random.one_in(4) { 0xFF } else { *id }).collect();
+        let filter: Vec<u8> = (0..count).map(|_| random.within(0..9) as u8).collect();
+        let node = |board: usize| {
+            node_of(&sheet, wanted[board], board, &format!("\"2100\" = {}", filter[board]))
+        };
+        fs::write(&path, (0..count).map(node).collect::<String>()).expect("it can be written");
+        let wire = Wire::new(RATE, &found);
+        for _ in 0..random.within(0..5) {
+            let board = random.within(0..count as u64) as usize;
+            let faults = [
+                Fault::CtrlC,
+                Fault::AdapterGone,
+                Fault::AdapterGoneBehind,
+                Fault::BoardGone(board),
+            ];
+            let fault = faults[random.within(0..4) as usize];
+            wire.fail_at(random.within(0..40) as usize, fault);
+            let _ = wire.apply(&path, "");
+            wire.mend();
+            if random.one_in(3) {
+                wire.power_cycle();
+            }
+        }
+        let what = format!("from {found:?} to {wanted:?}");
+        let (outcome, _) = wire.apply(&path, "");
+        assert_eq!(outcome.code, 0, "{what}: {}", outcome.error);
+        wire.power_cycle();
+        let ids: Vec<_> = wanted.iter().map(|id| (Some(*id), Some(*id))).collect();
+        assert_eq!(wire.ids(), ids, "{what}");
+        for (board, filter) in filter.iter().enumerate() {
+            assert_eq!(wire.value(board, 0x2100, 0), [*filter], "{what}");
+        }
+        let (outcome, writes) = wire.apply(&path, "");
+        assert_eq!((outcome.code, writes), (0, 0), "{what}: {}", outcome.text);
+    }
 }
 
 #[test]
@@ -671,4 +723,42 @@ fn boards_with_the_release_image_are_brought_to_the_table_and_keep_it_without_po
     assert_eq!(outcome.code, 0);
     assert!(outcome.text.contains("plan: 0 of 3 boards change"), "{}", outcome.text);
     boards.assert_waiting(BitRate::Kbit500);
+}
+
+#[test]
+fn a_node_that_was_operational_is_told() {
+    let wire = Wire::with_heartbeat(RATE, &[5], 100);
+    let _ = wire.world().boards[0].rig.nmt("01 05");
+    let file = file("operational", &node_with(5, 0, "\"2100\" = 1"));
+    let (outcome, _) = wire.apply(&file, "");
+    assert_eq!(outcome.code, 0);
+    let end =
+        "  1 value written and stored, verified by a reset, pre-operational since the reset\n";
+    assert!(outcome.text.contains(end), "{}", outcome.text);
+    assert_done(&wire, &file);
+}
+
+#[test]
+fn what_must_not_change_in_a_pdo_in_use_changes_while_it_is_off() {
+    let wire = Wire::new(RATE, &[5]);
+    // The default COB-ID is that of the PDO afterwards.
+    let file = file("inhibit", &node_with(5, 0, "\"1800:3\" = 100\n\"1801:2\" = 1"));
+    assert_eq!(wire.apply(&file, "").0.code, 0);
+    assert_eq!(wire.value(0, 0x1800, 3), [100, 0]);
+    assert_eq!(wire.value(0, 0x1800, 1), [0x85, 0x01, 0, 0x40]);
+    assert_eq!(wire.value(0, 0x1801, 2), [1]);
+    assert_done(&wire, &file);
+}
+
+#[test]
+fn a_board_of_another_revision_is_told() {
+    let wire = Wire::new(RATE, &[5]);
+    let text = address_text(0).replace(":00010000:", ":00020000:");
+    let (outcome, _) =
+        wire.apply(&file("revision", &format!("[[node]]\nid = 5\naddress = \"{text}\"\n")), "");
+    let why = format!(
+        "node 5 is missing: {text}. But {} is there, with another revision number",
+        address_text(0)
+    );
+    assert!(outcome.error.starts_with(&why), "{}", outcome.error);
 }

@@ -95,9 +95,13 @@ pub fn boards(session: &mut Session<'_>, network: &Network) -> Result<Found, Fai
             }
             Some(_) => {}
             None => found.problems.push(format!(
-                "{} is missing: {}. Is it on the bus, and has it power?",
+                "{} is missing: {}. {}",
                 node.words(),
-                address::text(&address)
+                address::text(&address),
+                other_revision(&unknown, |other| Address {
+                    revision_number: address.revision_number,
+                    ..other
+                } == address)
             )),
         }
     }
@@ -111,6 +115,18 @@ pub fn boards(session: &mut Session<'_>, network: &Network) -> Result<Found, Fai
     }
     found.unknown = unknown;
     Ok(found)
+}
+
+/// What to do if a board is missing: one that `is_it` but for its revision number may be there.
+fn other_revision(rows: &[Row], is_it: impl Fn(Address) -> bool) -> String {
+    let mut boards = rows.iter().filter_map(|row| row.lss_address);
+    match boards.find(|address| is_it(*address)) {
+        Some(board) => format!(
+            "But {} is there, with another revision number: if it is the one, write that into the file",
+            address::text(&board)
+        ),
+        None => "Is it on the bus, and has it power?".into(),
+    }
 }
 
 fn place_of(row: &Row) -> Option<Place> {
@@ -149,9 +165,10 @@ fn only(node: &Node, rows: &[Row]) -> Result<usize, String> {
     match all[..] {
         [row] => Ok(row),
         [] => Err(format!(
-            "{} is missing: no board {vendor_id:08X}:{product_code:08X}:{revision_number:08X} is there. Is it on the \
-             bus, and has it power?",
-            node.words()
+            "{} is missing: no board {vendor_id:08X}:{product_code:08X}:{revision_number:08X} is there. {}",
+            node.words(),
+            other_revision(rows, |other| (other.vendor_id, other.product_code)
+                == (vendor_id, product_code))
         )),
         _ => {
             let text = |row: &usize| rows[*row].lss_address.as_ref().map(address::text);

@@ -531,26 +531,28 @@ impl Sheet {
         Some(format!("{}: {} is not within {limits}", self.words(entry), entry.text(bytes)))
     }
 
-    /// A PDO is switched off while its mapping changes, so its COB-ID must be known: that of the wishes, or the default.
+    /// A PDO is switched off while its mapping, inhibit time or SYNC start value change, so its COB-ID must be known: that
+    /// of the wishes, or the default.
     fn complete_pdos(
         &self,
         node: u8,
         values: &mut BTreeMap<eds::Address, Vec<u8>>,
         problems: &mut Vec<String>,
     ) {
-        let mappings: Vec<u16> = values
-            .keys()
-            .map(|(index, _)| *index)
-            .filter(|index| matches!(index, 0x1600..=0x17FF | 0x1A00..=0x1BFF))
-            .collect();
-        for mapping in mappings {
-            let cob_id = (mapping - 0x200, 1);
-            if !values.contains_key(&(mapping, 0)) {
+        let wished: Vec<eds::Address> = values.keys().copied().collect();
+        for address in wished {
+            let (index, sub_index) = address;
+            let is_mapping = matches!(index, 0x1600..=0x17FF | 0x1A00..=0x1BFF);
+            let is_fixed =
+                matches!(index, 0x1400..=0x15FF | 0x1800..=0x19FF) && matches!(sub_index, 3 | 6);
+            if is_mapping && !values.contains_key(&(index, 0)) {
                 problems.push(format!(
-                    "{mapping:04X}:0 is missing: the number of mapped objects belongs to a mapping"
+                    "{}: {index:04X}:0 is missing: the number of mapped objects belongs to a mapping",
+                    address_words(address, Some(self))
                 ));
             }
-            if values.contains_key(&cob_id) {
+            let cob_id = (if is_mapping { index - 0x200 } else { index }, 1);
+            if !is_mapping && !is_fixed || values.contains_key(&cob_id) {
                 continue;
             }
             match self.eds.get(cob_id).and_then(|entry| entry.default(node)) {
@@ -558,7 +560,8 @@ impl Sheet {
                     values.insert(cob_id, default);
                 }
                 None => problems.push(format!(
-                    "{:04X}:1 is missing: the PDO is off while its mapping changes, and needs its COB-ID then",
+                    "{}: {:04X}:1 is missing: the PDO is off while this changes, and needs its COB-ID then",
+                    address_words(address, Some(self)),
                     cob_id.0
                 )),
             }
