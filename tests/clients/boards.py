@@ -85,6 +85,14 @@ class Boards:
         """The adapter's channel in python-can."""
         return f"socket://{self.address}"
 
+    def lss(self, *arguments):
+        """Runs the tool `lss` of this repository on the bus; returns what it printed."""
+        command = ["cargo", "run", "--quiet", "--package", "commission", "--"]
+        adapter = "--adapter", f"slcan:tcp:{self.address}"
+        tool = subprocess.run([*command, *adapter, *arguments], cwd=WORKSPACE, capture_output=True, text=True)
+        assert tool.returncode == 0, tool.stderr
+        return tool.stdout
+
     def run_script(self, script, *arguments):
         """Runs a script of this folder on the bus; returns its exit code, what it printed and its complaints."""
         command = [sys.executable, HERE / script, self.channel, *map(str, arguments)]

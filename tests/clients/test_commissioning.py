@@ -7,7 +7,7 @@ import pytest
 from boards import EDS, Boards
 
 # The number of boards and the master's time-out in seconds, which is longer for more boards on one computer.
-BUSES = [(1, 0.1), (32, 0.15)]
+BUSES = [(1, 0.1), (5, 0.1)]
 
 
 def commission(boards, timeout):
@@ -62,4 +62,4 @@ def test_a_node_id_in_use_is_not_given_again(tmp_path):
         assert sorted(after) == [1, 3]
         with boards.connect() as network:
             assert serial_numbers_by_sdo(network, count) == after | {2: before[2]}
-        assert commission(boards, timeout) == ({}, "no blank board\n")
+        assert commission(boards, timeout) == ({}, "0 boards have got a node-ID\n")
