@@ -67,8 +67,8 @@ pub struct Arguments {
     /// The data sheet of --elf
     #[arg(long, value_name = "FILE", requires = "elf")]
     eds: Option<PathBuf>,
-    /// The chip on the board [default: that of the image; stm32f405 for --elf, which can also run on stm32g431]
-    #[arg(long, value_parser = Part::any)]
+    /// The chip on the board [default: that of the image; stm32f405 for --elf]
+    #[arg(long)]
     chip: Option<Part>,
     /// The CAN controller of --elf on the bus: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "elf")]

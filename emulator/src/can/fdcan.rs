@@ -6,7 +6,7 @@ mod memory;
 mod registers;
 mod station;
 
-use super::{Clock, Controller, Frame, Mode, Note, Peripheral, requests::Requests};
+use super::{Clock, Controller, Frame, Level, Mode, Note, Peripheral, requests::Requests};
 use crate::Time;
 use memory::{DEPTH, Fifo, Memory};
 pub(crate) use registers::RAM;
@@ -158,6 +158,7 @@ impl Fdcan {
     }
 
     fn write_register(&mut self, offset: u32, value: u32, now: Time) -> bool {
+        let value = if offset == TEST { value & !TEST_RX } else { value };
         if is_protected(offset) && !self.is_configurable() {
             return value == self.reg(offset);
         }
@@ -371,6 +372,7 @@ impl Peripheral for Fdcan {
             TXBCR => self.cancelling,
             TXEFS if self.reg(IR) & IR_TEFL != 0 => self.events.status() | 1 << 25,
             TXEFS => self.events.status(),
+            TEST if self.controller.wire_level() == Level::Recessive => self.reg(TEST) | TEST_RX,
             RXF0A | RXF1A | TXEFA | TXBAR => 0,
             CREL | ENDN | CCCR | NBTP | TOCV | IR | HPMS | TXBTO | TXBCF | CKDIV => {
                 self.reg(offset)

@@ -333,6 +333,19 @@ fn reads_of_psr_and_ecr_by_the_program_clear_what_they_show() {
     assert_eq!(rig.read(PSR) & 0x1F, 1 << 3, "idle after a good frame");
 }
 
+/// 44.4.4, RX.
+#[test]
+fn test_shows_the_level_of_the_receive_pin() {
+    let mut rig = Rig::on_the_bus(&[], 0);
+    assert_eq!(rig.read(TEST), 1 << 7);
+    let now = rig.now;
+    rig.buses[0].0.set_short(Some(Short::Dominant), now);
+    rig.run_us(1);
+    assert_eq!(rig.read(TEST), 0);
+    rig.write(TEST, 1 << 7);
+    assert_eq!(rig.problems(), []);
+}
+
 /// 44.4.16 and 44.4.17.
 #[test]
 fn ils_chooses_the_line_and_ile_enables_it() {

@@ -56,6 +56,8 @@ pub const RESET_VALUES: [(u32, u32); 9] = [
 ];
 
 pub const TEST_LBCK: u32 = 1 << 4;
+/// The level of the receive pin.
+pub const TEST_RX: u32 = 1 << 7;
 
 pub const CCCR_INIT: u32 = 1 << 0;
 pub const CCCR_CCE: u32 = 1 << 1;
