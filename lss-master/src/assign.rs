@@ -5,7 +5,7 @@ use lss_slave::{
     lss::{Address, Request},
 };
 
-use crate::{Error, Fastscan, Outcome, Procedure, Service, Step};
+use crate::{Error, Fastscan, Outcome, Procedure, SelectAlone, Step};
 
 /// Makes a node-ID and a bit rate pending and stores them, in the slaves in LSS configuration state.
 #[derive(Clone, Copy, Debug)]
@@ -69,7 +69,7 @@ pub struct Assign {
 
 #[derive(Clone, Debug)]
 enum Target {
-    Address(Address),
+    Address(Address, SelectAlone),
     Scan(Fastscan),
 }
 
@@ -84,7 +84,7 @@ enum State {
 impl Assign {
     /// For the slave with this LSS address, with or without a node-ID.
     pub const fn address(address: Address, configure: Configure) -> Self {
-        Self::new(Target::Address(address), configure)
+        Self::new(Target::Address(address, SelectAlone::new(address)), configure)
     }
 
     /// For a slave without a node-ID.
@@ -127,13 +127,18 @@ impl Assign {
     }
 }
 
+/// The step of a selection, which ends with this address.
+fn found(step: Step<()>, address: Address) -> Step<Option<Address>> {
+    step.or_end(|result| Step::Done(result.map(|()| Some(address))))
+}
+
 impl Procedure for Assign {
     type Output = Option<Address>;
 
     fn begin(&mut self) -> Step<Self::Output> {
         self.state = State::Find;
         let step = match &mut self.target {
-            Target::Address(address) => Step::Ask(Service::Select(*address)),
+            Target::Address(address, select) => found(select.begin(), *address),
             Target::Scan(scan) => scan.begin(),
         };
         self.after_find(step)
@@ -143,7 +148,7 @@ impl Procedure for Assign {
         match self.state {
             State::Find => {
                 let step = match &mut self.target {
-                    Target::Address(address) => Step::Done(outcome.map(|_| Some(*address))),
+                    Target::Address(address, select) => found(select.next(outcome), *address),
                     Target::Scan(scan) => scan.next(outcome),
                 };
                 self.after_find(step)

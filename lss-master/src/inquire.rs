@@ -5,7 +5,7 @@ use lss_slave::{
     lss::{Address, AddressPart, Request},
 };
 
-use crate::{Identify, Outcome, Procedure, Service, Step};
+use crate::{Error, Identify, Outcome, Procedure, Service, Step};
 
 /// A single request, which must be answered unless it has no answer.
 impl Procedure for Request {
@@ -33,6 +33,56 @@ impl Procedure for Select {
 
     fn next(&mut self, outcome: Outcome) -> Step<()> {
         Step::Done(outcome.map(drop))
+    }
+}
+
+/// The same as [`Select`], and then it asks who is in LSS configuration state: a slave that missed the switch to LSS waiting state would take each request that follows.
+/// In that case it begins again. A slave that does not answer to this question is taken to be alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SelectAlone {
+    address: Address,
+    retries: u8,
+    is_selected: bool,
+}
+
+impl SelectAlone {
+    /// How often it begins again.
+    const RETRIES: u8 = 2;
+
+    /// The selection of this slave.
+    pub const fn new(address: Address) -> Self {
+        Self { address, retries: Self::RETRIES, is_selected: false }
+    }
+
+    fn select(&mut self) -> Step<()> {
+        self.is_selected = false;
+        Step::Ask(Service::Select(self.address))
+    }
+}
+
+impl Procedure for SelectAlone {
+    type Output = ();
+
+    fn begin(&mut self) -> Step<()> {
+        self.retries = Self::RETRIES;
+        self.select()
+    }
+
+    fn next(&mut self, outcome: Outcome) -> Step<()> {
+        match (self.is_selected, outcome) {
+            (false, Ok(_)) => {
+                self.is_selected = true;
+                Step::probe(Request::Inquire(AddressPart::SerialNumber))
+            }
+            (false, Err(error)) => Step::Done(Err(error)),
+            (true, Ok(None)) => Step::Done(Ok(())),
+            (true, Ok(Some(number))) if number == self.address.serial_number => Step::Done(Ok(())),
+            (true, _) if self.retries > 0 => {
+                self.retries -= 1;
+                self.select()
+            }
+            (true, _) => Step::Done(Err(Error::Inconsistent)),
+        }
     }
 }
 

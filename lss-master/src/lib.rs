@@ -39,8 +39,8 @@
 //!
 //! # Where to begin
 //! - [`Master::start`] begins a [`Procedure`], and [`Session`] documents the calls that carry it out.
-//! - Single services: any [`Request`](lss_slave::lss::Request), [`Select`], [`InquireAddress`], [`InquireNodeId`],
-//!   [`Identify`].
+//! - Single services: any [`Request`](lss_slave::lss::Request), [`Select`], [`SelectAlone`], [`InquireAddress`],
+//!   [`InquireNodeId`], [`Identify`].
 //! - Who is there: [`Fastscan`] finds slaves without a node-ID, [`Find`] all of a product.
 //! - What they are to be: [`Configure`], [`Assign`], [`SwitchBitRate`].
 //! - [`Timing`] says how long the master waits; it adapts to slow slaves.
@@ -67,7 +67,7 @@ pub use assign::{Assign, Configure};
 pub use error::Error;
 pub use fastscan::Fastscan;
 pub use find::Find;
-pub use inquire::{InquireAddress, InquireNodeId, Select};
+pub use inquire::{InquireAddress, InquireNodeId, Select, SelectAlone};
 pub use lss_slave::Instant;
 pub use master::{Master, Output, Session, Timing};
 pub use procedure::{Outcome, Procedure, Step};

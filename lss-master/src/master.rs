@@ -2,7 +2,7 @@
 
 use lss_slave::{
     BitRate, Frame, Instant,
-    lss::{RESPONSE_COB_ID, Request},
+    lss::{AddressPart, RESPONSE_COB_ID, Request},
 };
 
 use crate::{
@@ -40,6 +40,8 @@ impl Default for Timing {
     }
 }
 
+/// The question who is in LSS configuration state.
+const WHO: Request = Request::Inquire(AddressPart::SerialNumber);
 /// The number of single answers in a row after which only one slave is left in a scan.
 const SINGLES: u8 = 3;
 /// The least margin of a master that has seen many answers, in microseconds.
@@ -287,9 +289,11 @@ impl Exchange {
         // The answers to the first question of all show how different the slaves are.
         let is_in_doubt =
             master.slowest(&service).is_none() || master.is_staggered || doubt > Some(0);
+        // Another slave in LSS configuration state would take each request that follows.
+        let is_who = service.last() == WHO;
         Self {
             doubt,
-            awaits_all: is_in_doubt && !is_single && may_many_answer(&service),
+            awaits_all: is_in_doubt && !is_single && may_many_answer(&service) || is_who,
             repetitions: doubt.unwrap_or(ATTEMPTS - 1),
             gap: master.timing.gap,
             sent: 0,
@@ -373,14 +377,17 @@ impl Exchange {
         if (self.is_alone || self.awaits_all) && request != Request::StoreConfiguration {
             master.learn(&self.service, now.micros_after(self.since));
         }
-        if self.doubt.is_none() && self.awaits_all && master.knows(&self.service) {
+        let is_known = master.knows(&self.service) || request == WHO;
+        if self.doubt.is_none() && self.awaits_all && is_known {
             // Somebody answers: the others are not much slower.
             let wait = master.probe_time_out(&self.service, 0);
             self.until =
                 self.since.plus_micros(wait.saturating_add(master.queue_time(&self.service)));
         }
         self.answers = self.answers.saturating_add(1);
-        self.answer = Some(number(request, data));
+        let number = number(request, data);
+        let contradicts = request == WHO && self.answer.is_some_and(|answer| answer != number);
+        self.answer = Some(if contradicts { Err(Error::Inconsistent) } else { number });
     }
 
     /// Whether a single answer came in a scan, of which each question is for slaves that have answered to the one before;

@@ -2,7 +2,7 @@
 
 use lss_master::{
     Assign, Configure, Error, Fastscan, Find, Identify, InquireAddress, InquireNodeId, Master,
-    Member, Select, SwitchBitRate, Timing,
+    Member, Select, SelectAlone, SwitchBitRate, Timing,
 };
 use lss_slave::{
     BitRate, NodeId,
@@ -298,6 +298,36 @@ fn select_changes_the_slave_in_configuration_state() {
     let error = bus.run(&mut master, Select(address(3)));
     assert_eq!(error, Err(Error::NoAnswer(Request::Select(AddressPart::SerialNumber, 3))));
     assert_eq!(bus.in_configuration(), 0);
+}
+
+#[test]
+fn slaves_that_are_in_configuration_state_together_are_noticed() {
+    let mut bus = bus([address(1), address(2)]);
+    let mut master = master();
+    bus.slaves[1].answer_us = 300;
+    assert_eq!(bus.run(&mut master, SelectAlone::new(address(1))), Ok(()));
+    assert_eq!(bus.run(&mut master, Request::SwitchToConfiguration), Ok(()));
+    let who = Request::Inquire(AddressPart::SerialNumber);
+    assert_eq!(bus.run(&mut master, who), Err(Error::Inconsistent));
+}
+
+#[test]
+fn a_slave_that_misses_the_switch_to_waiting_state_is_not_configured_with_the_next() {
+    let selected = |is_alone: bool| {
+        let mut bus = bus([address(1), address(2)]);
+        // It misses what follows the switch to configuration state at once.
+        bus.slaves[0].answer_us = 150;
+        bus.slaves[0].loses_requests = true;
+        let mut master = master();
+        assert_eq!(bus.run(&mut master, Request::SwitchToConfiguration), Ok(()));
+        let outcome = match is_alone {
+            true => bus.run(&mut master, SelectAlone::new(address(2))),
+            false => bus.run(&mut master, Select(address(2))),
+        };
+        assert_eq!(outcome, Ok(()));
+        bus.in_configuration()
+    };
+    assert_eq!((selected(false), selected(true)), (2, 1));
 }
 
 #[test]
