@@ -1,10 +1,13 @@
 //! Who is on the bus: the nodes by SDO, and the boards without a node-ID by Fastscan, without a change of state.
 
-use std::collections::BTreeMap;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
 
 use can_bus::bus::bits;
 use canopen_node::{
-    Frame,
+    Frame, NodeId,
     lss::{Address, AddressPart, FastscanStep, Request},
 };
 use lss_master::{Outcome, Procedure, Step};
@@ -20,30 +23,88 @@ const BEGIN: u8 = 0x80;
 /// How often a Fastscan is repeated that contradicts itself.
 const RETRIES: u8 = 3;
 
+/// The time between two looks for answers.
+const SLICE: Duration = Duration::from_millis(2);
+/// How often nodes that do not answer are asked: a frame may be lost.
+const ROUNDS: usize = 2;
+
 /// The nodes that answer, by node-ID: the different serial numbers; 0 for a node that refuses to tell its own.
 pub fn nodes(session: &mut Session<'_>) -> Result<BTreeMap<u8, Vec<u32>>, Failure> {
     session.bus.take_unasked();
-    let span = bits(EXCHANGE_BITS, session.bus.rate()) + session.bus.latency() / 2;
-    for id in 1..=127_u8 {
-        session.progress.say(|| format!("asking node {id} of 127"));
-        let request = [0x40, 0x18, 0x10, SERIAL_NUMBER, 0, 0, 0, 0];
-        session.bus.send_to(0x600 + u16::from(id), &request)?;
-        session.bus.pass(span)?;
+    let mut answers = Vec::new();
+    for round in 0..ROUNDS {
+        let is_silent = |id: &u8| answers.iter().all(|(other, _)| other != id);
+        let silent: Vec<u8> = (1..=127).filter(is_silent).collect();
+        ask_identity(session, &silent, SERIAL_NUMBER)?;
+        if round + 1 == ROUNDS {
+            session.bus.flush()?;
+            let wait = session.bus.short();
+            session.bus.pass(wait)?;
+        }
+        answers.extend(identities(session, SERIAL_NUMBER));
     }
-    session.bus.flush()?;
-    let wait = session.bus.short();
-    session.bus.pass(wait)?;
     let mut nodes: BTreeMap<u8, Vec<u32>> = BTreeMap::new();
-    for received in session.bus.take_unasked() {
-        let cob_id = received.frame.cob_id();
-        if let (0x581..=0x5FF, Some(number)) = (cob_id, sdo_answer(&received.frame)) {
-            let numbers = nodes.entry((cob_id & 0x7F) as u8).or_default();
-            if !numbers.contains(&number) {
-                numbers.push(number);
-            }
+    for (id, number) in answers {
+        let numbers = nodes.entry(id).or_default();
+        if !numbers.contains(&number) {
+            numbers.push(number);
         }
     }
     Ok(nodes)
+}
+
+/// Asks these nodes for a part of object 1018h, one after the other without a pause for the answers.
+fn ask_identity(session: &mut Session<'_>, ids: &[u8], sub_index: u8) -> Result<(), Failure> {
+    let span = bits(EXCHANGE_BITS, session.bus.rate()) + session.bus.latency() / 2;
+    for id in ids {
+        session.progress.say(|| format!("asking node {id} of 127"));
+        let request = [0x40, 0x18, 0x10, sub_index, 0, 0, 0, 0];
+        session.bus.send_to(0x600 + u16::from(*id), &request)?;
+        session.bus.pass(span)?;
+    }
+    Ok(())
+}
+
+/// The answers so far with their node-IDs, 0 for a refusal.
+fn identities(session: &mut Session<'_>, sub_index: u8) -> Vec<(u8, u32)> {
+    let answers = session.bus.take_unasked().into_iter().filter_map(|received| {
+        let cob_id = received.frame.cob_id();
+        let number = sdo_answer(&received.frame, sub_index)?;
+        matches!(cob_id, 0x581..=0x5FF).then_some(((cob_id & 0x7F) as u8, number))
+    });
+    answers.collect()
+}
+
+/// Those of the nodes that tell exactly the LSS address that they have here, each with all four parts.
+pub fn known(
+    session: &mut Session<'_>,
+    entries: &[(NodeId, Address)],
+    nodes: &BTreeMap<u8, Vec<u32>>,
+) -> Result<BTreeSet<u8>, Failure> {
+    let serial_number = |(id, address): &(NodeId, Address)| {
+        // A node that does not tell its serial number is asked by LSS.
+        address.serial_number != 0
+            && nodes.get(&id.get()).is_some_and(|numbers| **numbers == [address.serial_number])
+    };
+    let rest: Vec<&(NodeId, Address)> =
+        entries.iter().filter(|entry| serial_number(entry)).collect();
+    let mut known: BTreeSet<u8> = rest.iter().map(|(id, _)| id.get()).collect();
+    for (sub_index, part) in (1..SERIAL_NUMBER).zip(0..3) {
+        let ids: Vec<u8> = known.iter().copied().collect();
+        ask_identity(session, &ids, sub_index)?;
+        let mut answers = identities(session, sub_index);
+        let until = session.bus.time() + session.bus.patience();
+        while answers.len() < ids.len() && session.bus.time() < until {
+            session.bus.pass(SLICE)?;
+            answers.extend(identities(session, sub_index));
+        }
+        let tells = |(id, address): &&&(NodeId, Address)| {
+            let parts: [u32; 4] = (*address).into();
+            known.contains(&id.get()) && answers.contains(&(id.get(), parts[part]))
+        };
+        known = rest.iter().filter(tells).map(|(id, _)| id.get()).collect();
+    }
+    Ok(known)
 }
 
 /// The different serial numbers that nodes with this node-ID tell, as in [`nodes`]. Other frames stay unasked.
@@ -51,19 +112,22 @@ pub fn serial_numbers(session: &mut Session<'_>, id: u8) -> Result<Vec<u32>, Fai
     let request = [0x40, 0x18, 0x10, SERIAL_NUMBER, 0, 0, 0, 0];
     session.bus.send_to(0x600 + u16::from(id), &request)?;
     let cob_id = 0x580 + u16::from(id);
-    let is_answer = |frame: &Frame| frame.cob_id() == cob_id && sdo_answer(frame).is_some();
+    let is_answer =
+        |frame: &Frame| frame.cob_id() == cob_id && sdo_answer(frame, SERIAL_NUMBER).is_some();
     let mut numbers = Vec::new();
     let wait = session.bus.short();
     while let Some(answer) = session.bus.wait_for(wait, is_answer)? {
-        numbers.extend(sdo_answer(&answer.frame).filter(|number| !numbers.contains(number)));
+        numbers.extend(
+            sdo_answer(&answer.frame, SERIAL_NUMBER).filter(|number| !numbers.contains(number)),
+        );
     }
     Ok(numbers)
 }
 
-/// The number in an answer for the serial number; 0 for an abort.
-fn sdo_answer(frame: &Frame) -> Option<u32> {
+/// The number in an answer for a part of object 1018h; 0 for an abort.
+fn sdo_answer(frame: &Frame, part: u8) -> Option<u32> {
     match *frame.data() {
-        [command, 0x18, 0x10, SERIAL_NUMBER, a, b, c, d] => Some(match command {
+        [command, 0x18, 0x10, sub_index, a, b, c, d] if sub_index == part => Some(match command {
             0x80 => 0,
             _ => u32::from_le_bytes([a, b, c, d]),
         }),

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use can_bus::sdo;
+use can_bus::{bus::Masters, sdo};
 use canopen_node::{
     NodeId,
     lss::{Address, Request},
 };
-use lss_master::{Configure, Fastscan, InquireNodeId, Select};
+use lss_master::{Configure, Fastscan, InquireNodeId, SelectAlone};
 
 use crate::{
     address,
@@ -15,7 +15,7 @@ use crate::{
     commands::{
         power,
         replace::{Replacements, replace},
-        set_id::{RESET_COMMUNICATION, wait_for_boot_up},
+        set_id::{ATTEMPTS, RESET_COMMUNICATION, boots_up, silent, wait_for_boot_up},
     },
     failure::Failure,
     scan,
@@ -31,14 +31,23 @@ const RESET_NODE: u8 = 129;
 pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure> {
     let first = assign.first;
     let mut table = assign.table.as_deref().map(Table::read).transpose()?;
-    let mut taken: BTreeSet<u8> = scan::nodes(session)?.into_keys().collect();
+    let nodes = scan::nodes(session)?;
+    let mut problems = Vec::new();
+    let is_shared = nodes.iter().any(|node| shared(node).is_some());
+    let entries = table.iter().flat_map(|table| table.entries.clone()).collect::<Vec<_>>();
+    let as_known = scan::known(session, &entries, &nodes)?;
+    let mut taken: BTreeSet<u8> = nodes.into_keys().collect();
     taken.extend(session.bus.states.keys());
     let mut new = Vec::new();
     let mut missing = Vec::new();
-    let mut problems = Vec::new();
-    for (id, address) in table.iter().flat_map(|table| table.entries.clone()) {
+    for (id, address) in entries {
+        if as_known.contains(&id.get()) {
+            let text = address::text(&address);
+            writeln!(session.out, "node {}  {text}  as in the table", id.get())?;
+            continue;
+        }
         session.progress.say(|| format!("looking for node {} of the table", id.get()));
-        match session.carry_out(Select(address)) {
+        match session.carry_out(SelectAlone::new(address)) {
             Ok(()) => problems.extend(known(session, id, address, &mut taken, &mut new)?),
             Err(Failure::NoAnswer(_)) => missing.push((id, address)),
             Err(failure) => return Err(failure),
@@ -61,6 +70,8 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
     let mut last = None;
     while let Some(address) = find_blank(session, new.len(), last, &held)? {
         last = Some(address);
+        // A board may have come since.
+        taken.extend(session.bus.states.keys());
         let Some(id) = (first.get()..=127).find(|id| !taken.contains(id)).and_then(NodeId::new)
         else {
             return Err(Failure::Refused(format!(
@@ -87,6 +98,9 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
     for (id, address) in &new {
         session.progress.say(|| format!("resetting node {}", id.get()));
         verify(session, *id, address)?;
+    }
+    if !new.is_empty() || is_shared {
+        problems.extend(part(session, &new, &mut taken)?);
     }
     if new.is_empty() && problems.is_empty() {
         writeln!(session.out, "no board needs a node-ID")?;
@@ -121,7 +135,7 @@ fn find_blank(
     // A Fastscan alone would find those that are held again and again.
     let other = scan::blank(session)?.into_iter().find(|address| !held.contains(address));
     if let Some(address) = other {
-        session.carry_out(Select(address))?;
+        session.carry_out(SelectAlone::new(address))?;
     }
     Ok(other)
 }
@@ -167,9 +181,15 @@ pub fn give(
     session.bus.check_interrupt()?;
     session.bus.hold_interrupt(true);
     if let Err(failure) = session.carry_out(Configure::node_id(Some(id))) {
-        // It must not take the node-ID at the end of LSS configuration state.
+        // It must not take the node-ID at the end of LSS configuration state, nor must others that another master has
+        // brought there.
+        session.bus.mind(Masters::None);
         let _ = session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(before)));
-        return Err(Failure::Refused(format!("board {}: {failure}", address::text(&address))));
+        session.bus.mind(Masters::Lss);
+        return Err(match failure {
+            Failure::Stop(stop) => stop.into(),
+            failure => Failure::Refused(format!("board {}: {failure}", address::text(&address))),
+        });
     }
     session.bus.take_unasked();
     session.bus.request(Request::SwitchToWaiting)?;
@@ -181,9 +201,18 @@ pub fn give(
 
 /// Resets a node, and checks that the board is there with its node-ID again.
 fn verify(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<(), Failure> {
-    session.bus.take_unasked();
-    session.bus.nmt(RESET_NODE, id.get())?;
-    wait_for_boot_up(session, id)?;
+    let mut boots = false;
+    for _ in 0..ATTEMPTS {
+        session.bus.take_unasked();
+        session.bus.nmt(RESET_NODE, id.get())?;
+        boots = boots_up(session, id)?;
+        if boots {
+            break;
+        }
+    }
+    if !boots {
+        return Err(silent(id));
+    }
     let text = address::text(address);
     match sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)? {
         Ok(number) if number != address.serial_number => Err(Failure::Refused(format!(
@@ -193,4 +222,46 @@ fn verify(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<()
         // A node need not tell its serial number.
         _ => Ok(writeln!(session.out, "node {}  {text}  stored, verified by a reset", id.get())?),
     }
+}
+
+/// The words for a node-ID that several nodes have.
+fn shared((id, serial_numbers): (&u8, &Vec<u32>)) -> Option<String> {
+    let numbers: Vec<String> =
+        serial_numbers.iter().map(|number| format!("{number:08X}")).collect();
+    let words = || {
+        format!(
+            "{} boards have node-ID {id}, with the serial numbers {}: give all but one another (lss set-id --reset)",
+            numbers.len(),
+            numbers.join(", ")
+        )
+    };
+    (numbers.len() > 1).then(words)
+}
+
+/// Gives another node-ID to each new board whose node-ID a board has that came later; says who shares one still.
+fn part(
+    session: &mut Session<'_>,
+    new: &[(NodeId, Address)],
+    taken: &mut BTreeSet<u8>,
+) -> Result<Vec<String>, Failure> {
+    let nodes = scan::nodes(session)?;
+    taken.extend(nodes.keys().chain(session.bus.states.keys()));
+    let mut is_moved = false;
+    for (id, address) in new {
+        let is_shared = nodes.get(&id.get()).is_some_and(|numbers| numbers.len() > 1);
+        let free = (1..=127).find(|id| !taken.contains(id)).and_then(NodeId::new);
+        let (true, Some(other)) = (is_shared, free) else { continue };
+        session.carry_out(SelectAlone::new(*address))?;
+        give(session, other, *address, Some(*id))?;
+        session.bus.hold_interrupt(false);
+        taken.insert(other.get());
+        is_moved = true;
+        let (text, id, other) = (address::text(address), id.get(), other.get());
+        writeln!(
+            session.out,
+            "node {other}  {text}  stored; another board came with node-ID {id}"
+        )?;
+    }
+    let nodes = if is_moved { scan::nodes(session)? } else { nodes };
+    Ok(nodes.iter().filter_map(shared).collect())
 }

@@ -6,7 +6,7 @@ use canopen_node::{
     NodeId,
     lss::{Address, AddressPart, RESPONSE_COB_ID, Request},
 };
-use lss_master::{InquireAddress, InquireNodeId, Select};
+use lss_master::{InquireAddress, InquireNodeId, SelectAlone};
 
 use crate::{address, arguments::Target, failure::Failure, session::Session};
 
@@ -38,7 +38,7 @@ pub fn choose(session: &mut Session<'_>, target: Target) -> Result<Address, Fail
         None => only(session)?,
     };
     let rate = session.bus.rate();
-    session.carry_out(Select(address)).map_err(|failure| match failure {
+    session.carry_out(SelectAlone::new(address)).map_err(|failure| match failure {
         Failure::NoAnswer(_) => Failure::NoAnswer(format!(
             "no board with the LSS address {} answers at {rate}. Is the bit rate right (--bit-rate)?",
             address::text(&address)

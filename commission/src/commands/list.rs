@@ -2,7 +2,7 @@
 
 use can_bus::sdo;
 use canopen_node::{NodeId, lss::Address, nmt::State};
-use lss_master::{InquireNodeId, Select};
+use lss_master::{InquireNodeId, SelectAlone};
 use serde::{Serialize, Serializer};
 
 use crate::{address, failure::Failure, scan, session::Session};
@@ -95,7 +95,7 @@ pub fn rows(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
     }
     for address in blank {
         // The scan may be wrong if answers are lost.
-        session.carry_out(Select(address))?;
+        session.carry_out(SelectAlone::new(address))?;
         let node_id = session.carry_out(InquireNodeId)?;
         rows.push(Row {
             node_id: node_id.map(NodeId::get),

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use can_bus::person;
 use canopen_node::{NodeId, lss::Address};
-use lss_master::{InquireNodeId, Select};
+use lss_master::{InquireNodeId, SelectAlone};
 
 use crate::{
     address,
@@ -153,7 +153,7 @@ fn take_over(
     board: Address,
     replacements: &mut Replacements,
 ) -> Result<(), Failure> {
-    session.carry_out(Select(board))?;
+    session.carry_out(SelectAlone::new(board))?;
     let before = session.carry_out(InquireNodeId)?;
     give(session, id, board, before)?;
     table.replace(id, board)?;

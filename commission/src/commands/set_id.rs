@@ -17,6 +17,8 @@ use crate::{
 pub const RESET_COMMUNICATION: u8 = 130;
 /// The time that a board takes to boot up after a reset of its communication.
 const BOOT: Duration = Duration::from_secs(2);
+/// How often a lost frame is made up for.
+pub const ATTEMPTS: usize = 3;
 
 /// Makes a node-ID pending, and says when it takes effect. With `stores`, it stays after a power cut. With `resets`, it
 /// takes effect at once on a board that has another node-ID.
@@ -71,23 +73,41 @@ pub fn set_id(
 
 /// Whether a node answers with this node-ID, or sends of its own accord. Reads object 1000h, which every node has.
 pub fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
+    Ok(is_there(session, id)? || session.bus.states.contains_key(&id.get()))
+}
+
+/// Whether a node answers with this node-ID.
+fn is_there(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
     let id = u16::from(id.get());
     session.bus.send_to(0x600 + id, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0])?;
     let wait = session.bus.short();
-    let answer = session.bus.wait_for(wait, |frame| frame.cob_id() == 0x580 + id)?;
-    Ok(answer.is_some() || session.bus.states.contains_key(&(id as u8)))
+    Ok(session.bus.wait_for(wait, |frame| frame.cob_id() == 0x580 + id)?.is_some())
 }
 
-/// Waits until a node boots up with this node-ID.
+/// Waits until a node boots up with this node-ID; ends LSS configuration state again if it does not.
 pub fn wait_for_boot_up(session: &mut Session<'_>, id: NodeId) -> Result<(), Failure> {
+    for _ in 0..ATTEMPTS {
+        // The boot-up message may be lost.
+        if boots_up(session, id)? || is_there(session, id)? {
+            return Ok(());
+        }
+        session.bus.request(Request::SwitchToWaiting)?;
+    }
+    Err(silent(id))
+}
+
+/// Whether a node boots up with this node-ID.
+pub fn boots_up(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
     let is_boot_up = |frame: &canopen_node::Frame| {
         frame.cob_id() == 0x700 + u16::from(id.get()) && frame.data() == [0]
     };
-    match session.bus.wait_for(BOOT, is_boot_up)? {
-        Some(_) => Ok(()),
-        None => Err(Failure::NoAnswer(format!(
-            "the board accepted node-ID {}, but sends no boot-up message",
-            id.get()
-        ))),
-    }
+    Ok(session.bus.wait_for(BOOT, is_boot_up)?.is_some())
+}
+
+/// A board that does not boot up with its node-ID.
+pub fn silent(id: NodeId) -> Failure {
+    Failure::NoAnswer(format!(
+        "the board accepted node-ID {}, but sends no boot-up message",
+        id.get()
+    ))
 }

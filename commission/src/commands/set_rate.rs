@@ -5,7 +5,7 @@ use canopen_node::{
     BitRate,
     lss::{Address, Request},
 };
-use lss_master::{Member, Select, SwitchBitRate};
+use lss_master::{Member, SelectAlone, SwitchBitRate};
 
 use crate::{
     address,
@@ -114,7 +114,8 @@ fn go_back(
     for Member { address, .. } in members {
         // One that did not follow may still have the new bit rate pending.
         let index = Request::ConfigureBitTiming { table: 0, index: to.index() };
-        let back = session.carry_out(Select(*address)).and_then(|()| session.carry_out(index));
+        let back =
+            session.carry_out(SelectAlone::new(*address)).and_then(|()| session.carry_out(index));
         if back.is_err() {
             missing.push(address::text(address));
         }
@@ -128,7 +129,7 @@ fn go_back(
 }
 
 fn store(session: &mut Session<'_>, address: Address) -> Result<(), Failure> {
-    session.carry_out(Select(address))?;
+    session.carry_out(SelectAlone::new(address))?;
     session.carry_out(Request::StoreConfiguration)
 }
 

@@ -8,7 +8,7 @@ use canopen_node::{
     BitRate, NodeId,
     lss::{Address, Request},
 };
-use lss_master::{InquireNodeId, Select};
+use lss_master::{InquireNodeId, SelectAlone};
 
 use super::wishes::{Board, Network, Node, STAMP};
 use crate::{
@@ -135,7 +135,7 @@ fn place_of(row: &Row) -> Option<Place> {
 }
 
 fn select(session: &mut Session<'_>, address: Address) -> Result<Option<Place>, Failure> {
-    match session.carry_out(Select(address)) {
+    match session.carry_out(SelectAlone::new(address)) {
         Ok(()) => {
             let id = session.carry_out(InquireNodeId)?;
             Ok(Some(Place { address, id, is_shared: false }))

@@ -6,7 +6,7 @@ use canopen_node::{
     BitRate, NodeId,
     lss::{Address, Request},
 };
-use lss_master::{InquireNodeId, Select};
+use lss_master::{InquireNodeId, SelectAlone};
 
 use super::{
     found::{Found, Place},
@@ -143,7 +143,7 @@ fn give_held(
     rate: Option<BitRate>,
     taken: &Taken,
 ) -> Result<Option<NodeId>, Failure> {
-    session.carry_out(Select(address))?;
+    session.carry_out(SelectAlone::new(address))?;
     let configured = configure(session, to, rate);
     if to.is_none() && matches!(configured, Err(Failure::Refused(_))) {
         to = (1..=127).rev().filter_map(NodeId::new).find(|id| !taken.contains_key(id));
@@ -162,7 +162,7 @@ fn give_held(
         _ if before == to => {}
         Some(to) => wait_for_boot_up(session, to)?,
         None => {
-            session.carry_out(Select(address))?;
+            session.carry_out(SelectAlone::new(address))?;
             if let Some(still) = session.carry_out(InquireNodeId)? {
                 let why = format!("it keeps node-ID {} after NMT reset communication", still.get());
                 return Err(Failure::Refused(why));
