@@ -10,7 +10,7 @@ use std::{
 };
 
 use canopen_node::{
-    BitRate, BusEvent, Frame, NodeId,
+    BitRate, BusEvent, Frame,
     lss::{REQUEST_COB_ID, RESPONSE_COB_ID},
 };
 
@@ -178,12 +178,6 @@ impl SlaveBus {
     /// Another master sends a frame at a time.
     pub fn send_from_another_master(&mut self, at: u64, frame: Frame) {
         self.enqueue(at, Source::OtherMaster, frame);
-    }
-
-    /// The active node-ID of each slave that has power.
-    pub fn node_ids(&self) -> Vec<Option<NodeId>> {
-        let powered = self.slaves.iter().filter(|slave| slave.is_powered);
-        powered.map(|slave| slave.rig.node.node_id()).collect()
     }
 
     /// Lets time pass; returns a frame that the tool receives, with the time of its end.

@@ -2,6 +2,7 @@
 
 mod bench;
 mod chip_variants;
+mod commission;
 mod conformance;
 mod coverage;
 mod figures;
@@ -34,6 +35,7 @@ struct Arguments {
 enum Command {
     Bench(bench::Arguments),
     ChipVariants(chip_variants::Arguments),
+    Commission(commission::Arguments),
     Conformance(conformance::Arguments),
     Coverage(coverage::Arguments),
     Figures(figures::Arguments),
@@ -51,6 +53,7 @@ fn main() -> ExitCode {
     xtask::run(|| match Arguments::parse().command {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::ChipVariants(arguments) => chip_variants::run(&arguments),
+        Command::Commission(arguments) => commission::run(&arguments),
         Command::Conformance(arguments) => conformance::run(&arguments),
         Command::Coverage(arguments) => coverage::run(&arguments),
         Command::Figures(_) => figures::run(),
