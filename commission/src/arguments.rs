@@ -13,7 +13,8 @@ use crate::address::{self, Assigned};
 ///
 /// Every command leaves all boards in LSS waiting state, also after an error and after Ctrl-C; only `lss raw` sends what
 /// you say. It ends with 0 if all was done, 1 if a board refuses or the network is not as it must be, 2 if the command
-/// line is wrong, 3 if nobody answers, 4 without a working adapter, 130 after Ctrl-C.
+/// line is wrong, 3 if nobody answers, 4 without a working adapter, 130 after Ctrl-C, which is the good end only of
+/// `lss list --watch`: 0.
 #[derive(Parser)]
 #[command(name = "lss", version, verbatim_doc_comment)]
 pub struct Arguments {

@@ -16,6 +16,8 @@ use crate::{
 const KEPT: usize = 100;
 /// More than a heartbeat is late because of other frames and the computer.
 const JITTER: Duration = Duration::from_millis(100);
+/// The emergency of this repository's nodes at another bit rate than their home rate (docs/bit-rates.md).
+const GUEST_ERROR_CODE: u16 = 0xFF10;
 /// The heartbeat of node guarding has a toggle bit.
 const STATE: u8 = 0x7F;
 
@@ -25,7 +27,8 @@ pub struct Node {
     pub row: Row,
     pub boot_ups: u32,
     pub emergencies: u32,
-    pub last_emergency: Option<u16>,
+    /// The last emergency in words.
+    pub last_emergency: Option<String>,
     pub last_heartbeat: Option<Instant>,
     /// The time from one heartbeat to the next; `None` if it sends none or if it is not known.
     interval: Option<Duration>,
@@ -75,10 +78,7 @@ impl Network {
         let id = (cob_id & 0x7F) as u8;
         match (cob_id, received.frame.data()) {
             (0x701..=0x77F, &[byte]) => self.heartbeat(id, byte & STATE, at),
-            (0x081..=0x0FF, &[low, high, ..]) => {
-                self.node(id, at);
-                self.emergency(id, u16::from_le_bytes([low, high]), at);
-            }
+            (0x081..=0x0FF, data) => self.emergency(id, data, at),
             _ => {}
         }
     }
@@ -112,11 +112,21 @@ impl Network {
         }
     }
 
-    fn emergency(&mut self, id: u8, code: u16, at: Instant) {
-        let node = self.nodes.entry(id).or_default();
+    fn emergency(&mut self, id: u8, data: &[u8], at: Instant) {
+        let &[low, high, _, ref rest @ ..] = data else { return };
+        let code = u16::from_le_bytes([low, high]);
+        let node = self.node(id, at);
+        let words = match *rest {
+            // The code is the manufacturer's: only nodes of this repository mean that by it.
+            [a, b, c, d, _] if code == GUEST_ERROR_CODE && node.row.home_bit_rate.is_some() => {
+                let [rate, home] = [[a, b], [c, d]].map(u16::from_le_bytes);
+                format!("at {rate} kbit/s, and not at its home rate {home} kbit/s")
+            }
+            _ => error_code(code).to_owned(),
+        };
         node.emergencies += 1;
-        node.last_emergency = Some(code);
-        self.event(at, format!("node {id}: emergency {code:04X}h, {}", error_code(code)));
+        node.last_emergency = Some(format!("{code:04X}h {words}"));
+        self.event(at, format!("node {id}: emergency {code:04X}h, {words}"));
     }
 
     /// The node; one that is not known yet appears.
@@ -281,6 +291,14 @@ mod tests {
         assert_eq!(watched.network.nodes[&9].emergencies, 2);
         assert_eq!(watched.network.next_unasked(), Some(9));
         assert_eq!(watched.network.next_unasked(), None);
+        let guest = [0x10, 0xFF, 0x81, 125, 0, 0xF4, 1, 0];
+        assert_eq!(watched.at(0, 0x089, &guest), ["node 9: emergency FF10h, device-specific"]);
+        let ours = Row { home_bit_rate: Some(500), ..Row::default() };
+        watched.network.identify(9, vec![ours], watched.start);
+        let words = "at 125 kbit/s, and not at its home rate 500 kbit/s";
+        let expected = format!("node 9: emergency FF10h, {words}");
+        assert_eq!(watched.at(0, 0x089, &guest)[1..], [expected]);
+        assert_eq!(watched.network.nodes[&9].last_emergency, Some(format!("FF10h {words}")));
         // SYNC and node 0 are nobody.
         assert_eq!(watched.at(0, 0x080, &[]), [""; 0]);
         assert_eq!(watched.at(0, 0x700, &[0]), [""; 0]);

@@ -151,6 +151,7 @@ fn known(
     let text = address::text(&address);
     let before = session.carry_out(InquireNodeId)?;
     if before == Some(id) {
+        session.progress.clear();
         writeln!(session.out, "node {}  {text}  as in the table", id.get())?;
         return Ok(None);
     }
@@ -214,6 +215,7 @@ fn verify(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<()
         return Err(silent(id));
     }
     let text = address::text(address);
+    session.progress.clear();
     match sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)? {
         Ok(number) if number != address.serial_number => Err(Failure::Refused(format!(
             "node {} is not board {text}: its serial number is {number:08X}",

@@ -158,6 +158,7 @@ fn take_over(
     give(session, id, board, before)?;
     table.replace(id, board)?;
     session.bus.hold_interrupt(false);
+    session.progress.clear();
     let (board_text, missing) = (address::text(&board), address::text(&missing));
     writeln!(session.out, "node {}  {board_text}  takes over the place of {missing}", id.get())?;
     replacements.done.push((id, board));

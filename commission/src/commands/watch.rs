@@ -44,6 +44,14 @@ pub fn watch(session: &mut Session<'_>) -> Result<(), Failure> {
     }
     if session.screen.is_none() {
         list::print(session, &rows)?;
+        if rows.is_empty() {
+            let rate = session.bus.rate();
+            writeln!(
+                session.out,
+                "nobody answers at {rate} yet. `lss find` looks for the bit rate"
+            )?;
+        }
+        session.out.flush()?;
     }
     let mut network = Network::new(rows, start);
     for received in session.bus.take_unasked() {
@@ -139,7 +147,7 @@ fn draw(
     let here = network.nodes.values().filter(|node| !node.is_gone).count();
     let mut lines = vec![
         format!(
-            "{rate}, {here} nodes, {} boards without a node-ID. Ctrl-C ends",
+            "{rate}, nodes: {here}, boards without a node-ID: {}. Ctrl-C ends",
             network.blank.len()
         ),
         line([
@@ -163,7 +171,7 @@ fn draw(
     let cut = |line: &String| -> String { line.chars().take(width.into()).collect() };
     let text: Vec<String> = lines.iter().map(cut).collect();
     // To the first place; each line clears the rest of its own, and the last one what is below.
-    write!(session.out, "\x1B[H{}\x1B[K\x1B[J", text.join("\x1B[K\r\n"))?;
+    write!(session.out, "\x1B[H{}\x1B[K\x1B[J", text.join("\x1B[K\n"))?;
     session.out.flush()?;
     Ok(())
 }
@@ -172,10 +180,8 @@ fn row(node: &Node, now: Instant) -> String {
     let age = |at| format!("{:.1} s", now.saturating_duration_since(at).as_secs_f64());
     let state = if node.is_gone { "vanished" } else { node.row.state.unwrap_or("-") };
     let serial = node.row.lss_address.map(|address| format!("{:08X}", address.serial_number));
-    let emergency = node.last_emergency.map(|code| {
-        let words = can_bus::explain::error_code(code);
-        format!("{code:04X}h {words} ({})", node.emergencies)
-    });
+    let emergency = node.last_emergency.as_ref();
+    let emergency = emergency.map(|words| format!("{words} ({})", node.emergencies));
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".into());
     line([
         &node.row.id_text(),

@@ -45,7 +45,10 @@ fn an_interface_that_is_up_is_not_taken_down() {
 fn the_completion_needs_no_adapter() {
     let output = lss(&["completion", "bash"]);
     assert!(output.status.success());
-    assert!(String::from_utf8_lossy(&output.stdout).contains("set-rate"));
+    let script = String::from_utf8_lossy(&output.stdout);
+    for word in ["set-rate", "--watch", "--power-check", "--yes", "--svg"] {
+        assert!(script.contains(word), "{word}");
+    }
 }
 
 #[test]
@@ -55,6 +58,8 @@ fn a_wrong_command_line_is_told() {
     wrong(&["set-id", "128"], "1 to 127, or none");
     wrong(&["raw", "xx"], "a byte in hexadecimal");
     wrong(&["identify", "--vendor", "1", "--product", "2", "--serial", "2..1"], "is greater than");
+    wrong(&["list", "--watch", "--json"], "cannot be used with");
+    wrong(&["assign", "--yes"], "--table <FILE>");
     wrong(&["store", "--address", "1:2:3"], "vendor-ID:product code:revision:serial number");
     wrong(&["inquire", "--bit-rate", "100"], "is no bit rate of CiA 301");
 }

@@ -133,10 +133,10 @@ fn a_terminal_shows_the_table_and_draws_it_again() {
         drawing.replace("\x1B[K", "").replace("\x1B[J", "").lines().map(str::to_owned).collect()
     };
     let first = lines(drawings[0]);
-    assert_eq!(first[0], "125 kbit/s, 2 nodes, 1 boards without a node-ID. Ctrl-C ends");
+    assert_eq!(first[0], "125 kbit/s, nodes: 2, boards without a node-ID: 1. Ctrl-C ends");
     assert!(first[3].starts_with("7        pre-operational "), "{first:?}");
     let last = lines(drawings[drawings.len() - 1]);
-    assert_eq!(last[0], "125 kbit/s, 1 nodes, 1 boards without a node-ID. Ctrl-C ends");
+    assert_eq!(last[0], "125 kbit/s, nodes: 1, boards without a node-ID: 1. Ctrl-C ends");
     assert!(last[2].starts_with("5        pre-operational      0."), "{last:?}");
     assert!(last[3].starts_with("7        vanished             "), "{last:?}");
     assert!(last[4].starts_with("none     -                        -         0  125 "), "{last:?}");
@@ -152,6 +152,7 @@ fn a_watch_without_a_node_waits_for_one_and_ctrl_c_in_its_list_ends_it() {
     boards.interrupt_after(30);
     let outcome = boards.lss("list --watch");
     assert_eq!(outcome.code, 0);
+    assert!(outcome.text.contains("\nnobody answers at 125 kbit/s yet. `lss find` looks for the"));
     let expected = [
         "node 5 appears".to_owned(),
         "node 5: boot-up (1)".into(),
