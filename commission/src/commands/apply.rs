@@ -36,7 +36,7 @@ pub fn apply(
     let mark = Mark::beside(&arguments.files[0]);
     let stores_again = mark.is_there();
     found::open(session, given, network.bit_rate)?;
-    let mut found = found::boards(session, &network)?;
+    let mut found = found::boards(session, &network, arguments.plan)?;
     if found.places.iter().all(Option::is_none) && found.unknown.is_empty() {
         return Err(Failure::NoAnswer(format!(
             "nobody answers at {}. `lss find` looks for the bit rate",
@@ -117,7 +117,7 @@ fn values(
     Ok(all)
 }
 
-/// Carries the plan out: the bit rate, the node-IDs, the values. Returns what was left undone, in words.
+/// Carries the plan out: the node-IDs, the bit rate, the values. Returns what was left undone, in words.
 fn work(
     session: &mut Session<'_>,
     network: &Network,
@@ -126,6 +126,14 @@ fn work(
     trusts_stamps: bool,
 ) -> Result<Vec<String>, Failure> {
     let known = std::mem::take(&mut found.problems);
+    let before: Vec<_> =
+        found.places.iter().map(|place| place.and_then(|place| place.id)).collect();
+    let rate = network.bit_rate.filter(|rate| *rate == session.bus.rate());
+    node_ids::assign(session, network, found, rate, stores_again)?;
+    node_ids::unshare(found);
+    for row in found::late(session, found)? {
+        plan::print_unknown(&mut *session.out, &row)?;
+    }
     if let Some(rate) = network.bit_rate.filter(|rate| *rate != session.bus.rate()) {
         match found.places.iter().all(Option::is_some) {
             true => set_rate(session, rate, SWITCH_DELAY)?,
@@ -136,17 +144,6 @@ fn work(
         }
         session.bus.hold_interrupt(false);
     }
-    let rate = session.bus.rate();
-    let before: Vec<_> =
-        found.places.iter().map(|place| place.and_then(|place| place.id)).collect();
-    node_ids::assign(
-        session,
-        network,
-        found,
-        network.bit_rate.filter(|wanted| *wanted == rate),
-        stores_again,
-    )?;
-    node_ids::unshare(found);
     let mut problems = std::mem::replace(&mut found.problems, known);
     for ((node, place), before) in network.nodes.iter().zip(&found.places).zip(before) {
         let Some((place, id)) = place.and_then(|place| Some((place, place.id?))) else { continue };

@@ -83,12 +83,25 @@ pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
 
 /// All nodes: those with a node-ID by SDO, the others by Fastscan. No state is changed.
 pub fn rows(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
-    let bit_rate = session.bus.rate().kbit_per_s();
+    let mut rows = nodes(session)?;
+    rows.extend(blank(session)?);
+    Ok(rows)
+}
+
+/// Those with a node-ID.
+pub fn nodes(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
     let mut rows = Vec::new();
     for (id, serial_numbers) in scan::nodes(session)? {
         session.progress.say(|| format!("reading the identity of node {id}"));
         rows.extend(node(session, id, &serial_numbers)?);
     }
+    Ok(rows)
+}
+
+/// Those without one.
+pub fn blank(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
+    let bit_rate = session.bus.rate().kbit_per_s();
+    let mut rows = Vec::new();
     let blank = scan::blank(session)?;
     if blank.is_empty() && scan::is_anyone_without_fastscan(session)? {
         rows.push(Row { bit_rate, ..Row::default() });

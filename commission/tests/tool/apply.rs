@@ -418,7 +418,7 @@ fn a_board_that_vanishes_is_told_and_the_others_are_done() {
     let (outcome, _) = wire.apply(&file, "");
     assert_eq!(outcome.code, 1);
     let why = format!(
-        "node 5: no answer to configure node-ID: 5. Board {}: is it still there?",
+        "node 5: no answer to configure node-ID: 5. Board {}: is it still there, and ",
         address_text(0)
     );
     assert!(outcome.error.starts_with(&why), "{}", outcome.error);
@@ -761,4 +761,36 @@ fn a_board_of_another_revision_is_told() {
         address_text(0)
     );
     assert!(outcome.error.starts_with(&why), "{}", outcome.error);
+}
+
+#[test]
+fn a_board_without_fastscan_is_found_by_its_address() {
+    let boards = Boards::new(RATE, &[0xFF, 9]);
+    boards.unsupported.set(Some(0x51));
+    let address = emulated::address_text(0);
+    let file = file("no-fastscan", &format!("[[node]]\nid = 5\naddress = \"{address}\"\n"));
+    let outcome = boards.lss(&format!("apply {}", file.display()));
+    assert_eq!(outcome.code, 0);
+    assert_eq!(boards.stored(0), Some((5, 4)));
+    // The other one is none of the file, and the only such one.
+    assert_eq!(outcome.text.matches("\n? ").count(), 1, "{}", outcome.text);
+    assert!(outcome.text.contains(&format!("\n? {}  node-ID 9, ", emulated::address_text(1))));
+    boards.assert_waiting(RATE);
+}
+
+#[test]
+fn known_boards_without_a_node_id_are_not_scanned() {
+    let wire = Wire::new(RATE, &[0xFF; 6]);
+    let table: String = (0..5).map(|board| node(board as u8 + 1, board)).collect();
+    let file = file("known", &table);
+    let (outcome, _) = wire.apply(&file, "");
+    assert_eq!(outcome.code, 0);
+    let unknown =
+        format!("? {}  node-ID none, not in the files: it stays as it is\n", address_text(5));
+    assert!(outcome.text.contains(&unknown), "{}", outcome.text);
+    let is_scan = |frame: &&canopen_node::Frame| frame.data().first() == Some(&0x51);
+    let scans = wire.world().sent.iter().filter(is_scan).count();
+    // Each bit of the unknown one.
+    assert!((100..300).contains(&scans), "{scans}");
+    assert_done(&wire, &file);
 }

@@ -36,6 +36,8 @@ pub struct Found {
     pub places: Vec<Option<Place>>,
     /// Boards that no file names.
     pub unknown: Vec<Row>,
+    /// The boards without a node-ID are among them.
+    pub is_scanned: bool,
     /// What is missing or not clear, in words.
     pub problems: Vec<String>,
 }
@@ -72,49 +74,82 @@ pub fn open(
 }
 
 /// Finds the boards of the files, and all others. All boards are in LSS waiting state then.
-pub fn boards(session: &mut Session<'_>, network: &Network) -> Result<Found, Failure> {
-    let mut unknown = list::rows(session)?;
-    let mut found = Found {
-        places: vec![None; network.nodes.len()],
-        unknown: Vec::new(),
-        problems: Vec::new(),
-    };
-    for (node, place) in network.nodes.iter().zip(&mut found.places) {
+///
+/// A Fastscan takes long if it finds boards that the files name. So unless the plan is all that is wanted (`is_plan`), it
+/// waits until they have their node-IDs: [`late`].
+pub fn boards(
+    session: &mut Session<'_>,
+    network: &Network,
+    is_plan: bool,
+) -> Result<Found, Failure> {
+    let mut unknown = list::nodes(session)?;
+    let mut places = vec![None; network.nodes.len()];
+    for (node, place) in network.nodes.iter().zip(&mut places) {
         let Board::Address(address) = node.board else { continue };
         session.progress.say(|| format!("looking for {}", node.words()));
         let row = unknown.iter().position(|row| row.lss_address == Some(address));
         *place = match row.map(|row| unknown.remove(row)) {
             Some(row) => place_of(&row),
-            // A node that is stopped does not answer to SDO, and not each tells its LSS address there.
+            // It has no node-ID, or is stopped, or does not tell its LSS address by SDO.
             None => select(session, address)?,
         };
-        match place {
-            Some(Place { id: Some(id), .. }) => {
-                let is_it = |row: &Row| row.lss_address.is_none() && row.node_id == Some(id.get());
-                unknown.retain(|row| !is_it(row));
-            }
-            Some(_) => {}
-            None => found.problems.push(format!(
-                "{} is missing: {}. {}",
-                node.words(),
-                address::text(&address),
-                other_revision(&unknown, |other| Address {
-                    revision_number: address.revision_number,
-                    ..other
-                } == address)
-            )),
+        if let Some(Place { id: Some(id), .. }) = place {
+            let is_it = |row: &Row| row.lss_address.is_none() && row.node_id == Some(id.get());
+            unknown.retain(|row| !is_it(row));
         }
     }
     session.bus.request(Request::SwitchToWaiting)?;
+    let is_blank = |place: &Option<Place>| place.is_some_and(|place| place.id.is_none());
+    let is_clear =
+        |node: &Node| matches!(node.board, Board::Address(_)) || only(node, &unknown).is_ok();
+    let is_scanned = is_plan || !places.iter().any(is_blank) || !network.nodes.iter().all(is_clear);
+    if is_scanned {
+        unknown.extend(others(session, &places)?);
+    }
+    let mut found = Found { places, unknown, is_scanned, problems: Vec::new() };
     for (node, place) in network.nodes.iter().zip(&mut found.places) {
-        let Board::Kind { .. } = node.board else { continue };
-        match only(node, &unknown) {
-            Ok(row) => *place = place_of(&unknown.remove(row)),
-            Err(why) => found.problems.push(why),
+        match node.board {
+            Board::Kind { .. } => match only(node, &found.unknown) {
+                Ok(row) => *place = place_of(&found.unknown.remove(row)),
+                Err(why) => found.problems.push(why),
+            },
+            Board::Address(address) if place.is_none() => {
+                let is_it = |other| {
+                    Address { revision_number: address.revision_number, ..other } == address
+                };
+                found.problems.push(format!(
+                    "{} is missing: {}. {}",
+                    node.words(),
+                    address::text(&address),
+                    other_revision(&found.unknown, is_it)
+                ));
+            }
+            Board::Address(_) => {}
         }
     }
-    found.unknown = unknown;
     Ok(found)
+}
+
+/// The boards without a node-ID that no file names, if they have not been looked for before.
+pub fn late(session: &mut Session<'_>, found: &mut Found) -> Result<Vec<Row>, Failure> {
+    if found.is_scanned {
+        return Ok(Vec::new());
+    }
+    found.is_scanned = true;
+    others(session, &found.places)
+}
+
+/// The boards without a node-ID beside these.
+fn others(session: &mut Session<'_>, places: &[Option<Place>]) -> Result<Vec<Row>, Failure> {
+    let mut rows = list::blank(session)?;
+    let known: Vec<Address> = places.iter().flatten().map(|place| place.address).collect();
+    // One that tells its address by LSS alone, and is known by that.
+    let has_blank = places.iter().flatten().any(|place| place.id.is_none());
+    rows.retain(|row| match row.lss_address {
+        Some(address) => !known.contains(&address),
+        None => !has_blank,
+    });
+    Ok(rows)
 }
 
 /// What to do if a board is missing: one that `is_it` but for its revision number may be there.

@@ -128,7 +128,7 @@ fn give(
     session.bus.hold_interrupt(false);
     result.map_err(|failure| match failure {
         Failure::NoAnswer(why) | Failure::Refused(why) => Failure::Refused(format!(
-            "{why}. Board {}: is it still there? A further run goes on",
+            "{why}. Board {}: is it still there, and not locked while NMT operational? A further run goes on",
             address::text(&address)
         )),
         failure => failure,

@@ -118,9 +118,7 @@ impl Plan {
             node.print(out)?;
         }
         for row in &self.unknown {
-            let address = row.lss_address.as_ref().map_or("-".into(), address::text);
-            let id = id_text(row.node_id.and_then(NodeId::new));
-            writeln!(out, "? {address}  node-ID {id}, not in the files: it stays as it is")?;
+            print_unknown(out, row)?;
         }
         for problem in &self.problems {
             writeln!(out, "! {problem}")?;
@@ -141,6 +139,13 @@ impl Plan {
         )?;
         Ok(())
     }
+}
+
+/// A board that no file names.
+pub fn print_unknown(out: &mut dyn std::io::Write, row: &Row) -> std::io::Result<()> {
+    let address = row.lss_address.as_ref().map_or("-".into(), address::text);
+    let id = id_text(row.node_id.and_then(NodeId::new));
+    writeln!(out, "? {address}  node-ID {id}, not in the files: it stays as it is")
 }
 
 /// `1 value`, `2 values`.
