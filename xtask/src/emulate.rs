@@ -86,7 +86,7 @@ pub struct Arguments {
     /// Take commands from the standard input: switch the power, short the bus, set pins, voltages and the temperature
     #[arg(long)]
     console: bool,
-    /// The chip on the boards [default: stm32f405, or that of the example]; for --elf also stm32g431
+    /// The chip on the boards [default: stm32f405, or that of the example]; with stm32g431 only on those of --elf
     #[arg(long, value_parser = Part::any)]
     chip: Option<Part>,
     /// The CAN controller on the bus, on the boards of --elf: can1, can2, or on some chips can3
@@ -140,14 +140,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     })?;
     let address = listener.local_addr()?;
     let chip = example::chip(arguments.chip, arguments.example);
+    let chip_of_ours = arguments.chip.filter(|chip| Part::F4.contains(chip));
+    let chip_of_ours = example::chip(chip_of_ours, arguments.example);
     let controller = arguments.controller;
     controller::check(chip, controller)?;
     ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
-    ensure!(
-        arguments.boards == 0 || Part::F4.contains(&chip),
-        "there is no firmware of ours for {}: only --elf, with --boards 0",
-        chip.name()
-    );
     ensure!(
         arguments.boards > 0 || arguments.node_id.is_none(),
         "--node-id is stored in boards with our firmware only: set that of an --elf board over LSS"
@@ -158,10 +155,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);
-    let image =
-        (arguments.boards > 0).then(|| example::image(chip, arguments.example)).transpose()?;
+    let image = (arguments.boards > 0)
+        .then(|| example::image(chip_of_ours, arguments.example))
+        .transpose()?;
     for (number, (preset, image)) in presets.into_iter().zip(image.iter().cycle()).enumerate() {
-        let mut board = boards::board(chip, image, number);
+        let mut board = boards::board(chip_of_ours, image, number);
         memory.restore(&mut board, image, number, preset)?;
         network.add_board(board);
     }
