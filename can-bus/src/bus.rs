@@ -288,6 +288,12 @@ impl Bus {
         }
     }
 
+    /// The longest time that a slave has taken to answer an LSS request at this bit rate, if any has answered.
+    pub fn slowest_answer(&self) -> Option<Duration> {
+        let micros = self.master.as_ref()?.slowest_answer()?;
+        Some(Duration::from_micros(micros.into()))
+    }
+
     /// Carries out a procedure of the LSS master.
     pub fn carry_out<P: Procedure>(
         &mut self,

@@ -33,6 +33,12 @@ impl Progress {
         }
     }
 
+    /// Says something that stays, on the standard error.
+    pub fn note(&mut self, words: &str) {
+        self.clear();
+        eprintln!("{words}");
+    }
+
     /// Clears the line.
     pub fn clear(&mut self) {
         if self.is_there {

@@ -26,6 +26,9 @@ use crate::{
 /// The bit rate of new boards.
 pub const DEFAULT_RATE: BitRate = BitRate::Kbit125;
 
+/// The answer time from which on a slave is slow.
+const SLOW: Duration = Duration::from_millis(50);
+
 /// The time between two looks at what the person writes.
 const GLANCE: Duration = Duration::from_millis(50);
 
@@ -42,6 +45,8 @@ pub struct Session<'a> {
     pub screen: Option<Screen>,
     /// All boards are in LSS waiting state, and no request follows.
     pub all_wait: bool,
+    /// The answer time of a slow slave that the person was told of.
+    pub slow_answer: Option<Duration>,
     /// What the adapter did, for a picture.
     pub record: Option<Record>,
 }
@@ -50,7 +55,16 @@ impl<'a> Session<'a> {
     pub fn new(bus: Bus, out: &'a mut dyn Write, shows_progress: bool) -> Self {
         let progress = Progress::new(shows_progress);
         let person = Person::absent();
-        Self { bus, out, progress, person, screen: None, all_wait: false, record: None }
+        Self {
+            bus,
+            out,
+            progress,
+            person,
+            screen: None,
+            all_wait: false,
+            slow_answer: None,
+            record: None,
+        }
     }
 
     /// Carries out the command, leaves the bus, and draws what happened.
@@ -143,6 +157,15 @@ impl<'a> Session<'a> {
 
     /// Carries out a procedure of the LSS master.
     pub fn carry_out<P: Procedure>(&mut self, procedure: P) -> Result<P::Output, Failure> {
-        Ok(self.bus.carry_out(procedure)??)
+        let outcome = self.bus.carry_out(procedure)?;
+        let slowest = self.bus.slowest_answer().unwrap_or_default();
+        if slowest > SLOW.max(2 * self.slow_answer.unwrap_or_default()) {
+            self.slow_answer = Some(slowest);
+            let ms = slowest.as_millis();
+            self.progress.note(&format!(
+                "a slave takes {ms} ms to answer: each question waits as long for it"
+            ));
+        }
+        Ok(outcome?)
     }
 }

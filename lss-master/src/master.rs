@@ -55,6 +55,8 @@ struct Seen {
     /// Slowly forgotten, both.
     slowest: u32,
     fastest: u32,
+    /// Never forgotten.
+    longest: u32,
     /// At most [`ENOUGH`].
     count: u8,
 }
@@ -82,12 +84,12 @@ impl Master {
         Session { master: self, procedure, state: State::Begin, doubt: 0, singles: 0 }
     }
 
-    /// The longest time that a slave has taken lately to answer a single request, in microseconds. Frames and the
-    /// adapter are included.
+    /// The longest time that a slave has taken to answer a single request at this bit rate, in microseconds. Frames and
+    /// the adapter are included.
     pub const fn slowest_answer(&self) -> Option<u32> {
         let [single, _] = &self.seen;
         match single {
-            Some(seen) => Some(seen.slowest),
+            Some(seen) => Some(seen.longest),
             None => None,
         }
     }
@@ -110,12 +112,13 @@ impl Master {
     /// Learns from an answer.
     fn learn(&mut self, service: &Service, micros: u32) {
         let seen = self.seen(service);
-        let Seen { slowest, fastest, count } =
-            seen.unwrap_or(Seen { slowest: micros, fastest: micros, count: 0 });
+        let first = Seen { slowest: micros, fastest: micros, longest: micros, count: 0 };
+        let Seen { slowest, fastest, longest, count } = seen.unwrap_or(first);
         let forgotten = |known: u32| known.abs_diff(micros) / 32;
         *seen = Some(Seen {
             slowest: micros.max(slowest.saturating_sub(forgotten(slowest))),
             fastest: micros.min(fastest.saturating_add(forgotten(fastest))),
+            longest: micros.max(longest),
             count: count.saturating_add(1).min(ENOUGH),
         });
     }
@@ -127,7 +130,7 @@ impl Master {
 
     /// The time-out of a probe.
     fn probe_time_out(&mut self, service: &Service, doubt: u8) -> u32 {
-        let Some(Seen { slowest, fastest, count }) = *self.seen(service) else {
+        let Some(Seen { slowest, fastest, count, .. }) = *self.seen(service) else {
             return self.timing.answer;
         };
         // Later requests may have more stuff bits.
@@ -294,7 +297,12 @@ impl Exchange {
         Self {
             doubt,
             awaits_all: is_in_doubt && !is_single && may_many_answer(&service) || is_who,
-            repetitions: doubt.unwrap_or(ATTEMPTS - 1),
+            repetitions: match doubt {
+                None => ATTEMPTS - 1,
+                // Nobody has answered yet, perhaps because the frames came back to back.
+                Some(0) if service.len() > 1 && master.slowest(&service).is_none() => 1,
+                Some(doubt) => doubt,
+            },
             gap: master.timing.gap,
             sent: 0,
             since: now,
@@ -331,7 +339,7 @@ impl Exchange {
         self.repetitions -= 1;
         // The first attempt may have an answer yet.
         self.awaits_all |= may_many_answer(&self.service);
-        if self.doubt.is_none() && self.service.len() > 1 {
+        if self.service.len() > 1 {
             // A slave may have lost frames that came back to back.
             self.gap = self.gap.saturating_mul(4).max(master.timing.margin);
         }

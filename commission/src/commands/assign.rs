@@ -7,7 +7,7 @@ use canopen_node::{
     NodeId,
     lss::{Address, Request},
 };
-use lss_master::{Configure, Fastscan, InquireNodeId, SelectAlone};
+use lss_master::{Configure, Fastscan, Find, Identify, InquireNodeId, SelectAlone};
 
 use crate::{
     address,
@@ -88,12 +88,15 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
         }
         session.bus.hold_interrupt(false);
     }
-    if new.is_empty() && held.is_empty() && scan::is_anyone_without_fastscan(session)? {
-        problems.push(
-            "a board without a node-ID does not answer to Fastscan: take all others without one off the bus and use \
-             `lss set-id ID --store`"
-                .into(),
-        );
+    if held.is_empty() && scan::is_anyone_without_fastscan(session)? {
+        let given = without_fastscan(session, table.as_mut(), first, &mut taken, &mut new)?;
+        if !given || scan::is_anyone_without_fastscan(session)? {
+            problems.push(
+                "a board without a node-ID does not answer to Fastscan, nor to identify remote slave with a product of \
+                 the table: take all others without one off the bus and use `lss set-id ID --store`"
+                    .into(),
+            );
+        }
     }
     for (id, address) in &new {
         session.progress.say(|| format!("resetting node {}", id.get()));
@@ -266,4 +269,43 @@ fn part(
     }
     let nodes = if is_moved { scan::nodes(session)? } else { nodes };
     Ok(nodes.iter().filter_map(shared).collect())
+}
+
+/// Gives node-IDs to boards that do not support Fastscan, found by identify remote slave: those of the products that the
+/// table or this run knows. Returns whether there were any.
+fn without_fastscan(
+    session: &mut Session<'_>,
+    mut table: Option<&mut Table>,
+    first: NodeId,
+    taken: &mut BTreeSet<u8>,
+    new: &mut Vec<(NodeId, Address)>,
+) -> Result<bool, Failure> {
+    let entries = table.iter().flat_map(|table| table.entries.clone());
+    let products: BTreeSet<(u32, u32)> = entries
+        .chain(new.iter().copied())
+        .map(|(_, address)| (address.vendor_id, address.product_code))
+        .collect();
+    let mut is_any = false;
+    for (vendor_id, product_code) in products {
+        let mut within = Identify::product(vendor_id, product_code);
+        session.progress.say(|| format!("identifying boards of product {product_code:08X}"));
+        while let Some(address) = session.carry_out(Find::new(within.clone()))? {
+            session.carry_out(SelectAlone::new(address))?;
+            let is_blank = session.carry_out(InquireNodeId)?.is_none();
+            let free = (first.get()..=127).find(|id| !taken.contains(id)).and_then(NodeId::new);
+            if let (true, Some(id)) = (is_blank, free) {
+                give(session, id, address, None)?;
+                taken.insert(id.get());
+                new.push((id, address));
+                if let Some(table) = &mut table {
+                    table.add(id, address)?;
+                }
+                session.bus.hold_interrupt(false);
+                is_any = true;
+            }
+            let Some(next) = address.serial_number.checked_add(1) else { break };
+            within.serial_numbers = next..=u32::MAX;
+        }
+    }
+    Ok(is_any)
 }

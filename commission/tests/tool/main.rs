@@ -4,6 +4,7 @@ mod apply;
 mod assign;
 mod emulated;
 mod find;
+mod foreign;
 mod in_process;
 mod network;
 mod picture;
