@@ -57,8 +57,8 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
     if let Some(table) = &mut table
         && !missing.is_empty()
     {
-        let replacements = replace(session, table, &missing, assign.yes)?;
-        let Replacements { done, held: boards, problems: places } = replacements;
+        let replacements = replace(session, table, &missing, assign.yes, &taken)?;
+        let Replacements { done, held: boards, problems: places, .. } = replacements;
         taken.extend(done.iter().map(|(id, _)| id.get()));
         new.extend(done);
         problems.extend(places);

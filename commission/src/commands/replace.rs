@@ -26,6 +26,8 @@ pub struct Replacements {
     pub held: Vec<Address>,
     /// Why a place is still empty.
     pub problems: Vec<String>,
+    /// The node-IDs of the nodes that are there.
+    taken: BTreeSet<u8>,
 }
 
 /// Finds a new board for each `missing` one. It must be of the same vendor and product. With `is_agreed` it takes over if
@@ -35,8 +37,9 @@ pub fn replace(
     table: &mut Table,
     missing: &[Board],
     is_agreed: bool,
+    taken: &BTreeSet<u8>,
 ) -> Result<Replacements, Failure> {
-    let mut replacements = Replacements::default();
+    let mut replacements = Replacements { taken: taken.clone(), ..Replacements::default() };
     let new = new_boards(session, table)?;
     let product = |address: &Address| (address.vendor_id, address.product_code);
     let products: BTreeSet<_> = missing.iter().map(|(_, address)| product(address)).collect();
@@ -155,6 +158,15 @@ fn take_over(
 ) -> Result<(), Failure> {
     session.carry_out(SelectAlone::new(board))?;
     let before = session.carry_out(InquireNodeId)?;
+    if before != Some(id) && replacements.taken.contains(&id.get()) {
+        replacements.problems.push(format!(
+            "board {} cannot take over node-ID {}, which another board has: give that another one (lss set-id)",
+            address::text(&board),
+            id.get()
+        ));
+        replacements.held.push(board);
+        return Ok(());
+    }
     give(session, id, board, before)?;
     table.replace(id, board)?;
     session.bus.hold_interrupt(false);

@@ -154,6 +154,21 @@ fn a_board_that_was_used_before_takes_over_too() {
 }
 
 #[test]
+fn a_place_whose_node_id_another_board_has_is_not_taken_over() {
+    // Board 2 has the node-ID of the missing one, and the person does not choose it.
+    let boards = Boards::new(RATE, &[0xFF, 9, 5]);
+    // Nodes with a node-ID are listed first.
+    boards.person.set(Some(&["2"]));
+    let (outcome, path) = assign(&boards, "taken-place.toml", &two_known(), "");
+    assert_eq!(outcome.code, 1);
+    let words = format!("board {} cannot take over node-ID 5, which another", address_text(0));
+    assert!(outcome.error.starts_with(&words), "{}", outcome.error);
+    assert_eq!(ids(&boards, 3), [None, Some(9), Some(5)]);
+    assert_eq!(content(&path), two_known());
+    assert_eq!(boards.lss("list").code, 0);
+}
+
+#[test]
 fn after_ctrl_c_the_table_has_a_board_that_has_stored_its_place() {
     let frames = std::rc::Rc::new(std::cell::Cell::new((0, None)));
     let seen = std::rc::Rc::clone(&frames);
