@@ -12,7 +12,10 @@ use testkit::{
         with_each_kind,
     },
     random::Random,
-    settings::{Content, open, open_with_parameters, parameters as packed, settings},
+    settings::{
+        Content, open, open_with_parameters, parameters as packed, record as handmade, sealed,
+        settings,
+    },
 };
 
 /// The longest parameters, which take two places.
@@ -28,7 +31,7 @@ fn two_cuts_in_any_steps_lose_nothing_with_any_unit() {
     struct Cuts;
     impl EachKind for Cuts {
         fn run<const W: usize, const E: usize>(&mut self) {
-            let every = if W < 4 { 61 } else { 13 };
+            let every = if W < 4 { 97 } else { 17 };
             cut_twice::<0, W, E>(&vec![0xFF; 2 * least(W) * E], 10, every);
             cut_twice::<0, W, E>(&vec![0xA5; 4 * E], 4, every);
             cut_twice::<WITH_PARAMETERS, W, E>(&vec![0xFF; 6 * E], 9, 3 * every);
@@ -60,25 +63,33 @@ fn many_cut_starts_in_a_row_lose_nothing_with_any_unit() {
     struct Cuts;
     impl EachKind for Cuts {
         fn run<const W: usize, const E: usize>(&mut self) {
-            let mut random = Random::from_environment();
-            for _ in 0..500 {
-                let flash = Flash::<W, E>::blank_with_sectors(least(W), random.u64());
-                let mut expected = Expected::<0>::nothing();
-                let mut cut_starts = 0;
-                for life in 0..40 {
-                    let stores = if random.one_in(3) { random.within(0..4) } else { 0 };
-                    let may_cut = life < MOST_CUT_FORMATS || expected.is_formatted;
-                    if may_cut && cut_starts < most_cut_starts(W) {
-                        flash.cut_power_after(random.within(0..20 + 8 * stores) as usize);
-                    }
-                    let is_complete = expected.power_on(&flash, stores as usize);
-                    cut_starts = if is_complete { 0 } else { cut_starts + 1 };
-                    flash.power_on();
-                }
-            }
+            cut_starts_in_a_row::<0, W, E>(least(W), 500);
+            cut_starts_in_a_row::<WITH_PARAMETERS, W, E>(least(W) + 1, 200);
         }
     }
     with_each_kind(&mut Cuts);
+}
+
+fn cut_starts_in_a_row<const P: usize, const W: usize, const E: usize>(
+    sectors: usize,
+    histories: usize,
+) {
+    let mut random = Random::from_environment();
+    for _ in 0..histories {
+        let flash = Flash::<W, E>::blank_with_sectors(sectors, random.u64());
+        let mut expected = Expected::<P>::nothing();
+        let mut cut_starts = 0;
+        for life in 0..40 {
+            let stores = if random.one_in(3) { random.within(0..4) } else { 0 };
+            let may_cut = life < MOST_CUT_FORMATS || expected.is_formatted;
+            if may_cut && cut_starts < most_cut_starts(W) {
+                flash.cut_power_after(random.within(0..20 + 8 * stores) as usize);
+            }
+            let is_complete = expected.power_on(&flash, stores as usize);
+            cut_starts = if is_complete { 0 } else { cut_starts + 1 };
+            flash.power_on();
+        }
+    }
 }
 
 #[test]
@@ -154,6 +165,31 @@ fn parameters_up_to_the_capacity_can_be_stored_after_every_start_with_any_unit()
     with_each_kind(&mut Stores);
     assert_eq!(parameters::capacity(0x4000, 4), 6120);
     assert_eq!(parameters::capacity(0x4000, 8), 165 * 24);
+}
+
+#[test]
+fn the_place_in_flash_with_wide_units_is_the_documented_one() {
+    let flash = Flash::<16, 0x800>::blank(0);
+    let (mut log, ..) = open_with_parameters::<WITH_PARAMETERS, 16, 0x800>(&flash);
+    let other_is = |place: usize| flash.content()[place * 64 + 16 + 22];
+    assert_eq!([0, 1, 2].map(other_is), [0, 1, 2], "used, doomed, erased");
+    let parameters = packed(5, 18);
+    log.store_with_parameters(settings(5), &parameters).unwrap();
+
+    let content = flash.content();
+    let (part, record) = (&content[3 * 64..4 * 64], &content[4 * 64..5 * 64]);
+    assert_eq!([&part[..16], &record[..16]], [[0; 16]; 2], "they are begun");
+    assert_eq!(part[16..20], 35_u32.to_le_bytes(), "the sequence begins with the places of a bank");
+    assert_eq!(part[20..44], parameters);
+    assert_eq!(part[44..48], *b"\0\0SP");
+    assert_eq!(part[48..], [0xFF; 16]);
+    let mut expected = handmade(36, 1, 5, settings(5).bit_rate.index(), 5);
+    expected[10..22].copy_from_slice(&record[26..38]);
+    expected[22] = 2;
+    assert_eq!(record[16..48], sealed(expected));
+    assert_eq!(record[48..56], record[40..48], "it is certain");
+    assert_eq!(record[56..], [0xFF; 8]);
+    assert_eq!(content[5 * 64..], [0xFF; 0x1000 - 5 * 64]);
 }
 
 #[test]

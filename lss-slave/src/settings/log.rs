@@ -52,7 +52,7 @@ pub enum Found {
 /// The settings log, on a flash that holds nothing else.
 ///
 /// The flash is used as two banks of equal size, each a multiple of the erase size; a bank of 16 KB has room for 512
-/// records. A store that finds no room in one bank continues in the other, which the `open` before has erased.
+/// records, or for 341, 256 or 170 where the program unit has 8, 16 or 32 bytes. A store that finds no room in one bank continues in the other, which the `open` before has erased.
 ///
 /// `STORED_LEN` is the greatest number of bytes of the packed parameters. It must not exceed the
 /// [`capacity`](parameters::capacity) of a bank: then a store finds the flash full.
