@@ -11,7 +11,7 @@ use testkit::{image::Firmware, random::Random};
 
 use crate::{
     emulated::{self, Boards},
-    in_process::{Fault, Wire, address_text},
+    in_process::{At, Fault, Wire, address_text},
 };
 
 const RATE: BitRate = BitRate::Kbit125;
@@ -210,7 +210,7 @@ fn interrupt_at_each_write(name: &str, fault: Fault, power_fails: bool) {
     let file = file(name, &exchange(name, 125));
     for write in 0.. {
         let wire = Wire::new(RATE, &[5, 6, 0xFF]);
-        wire.fail_at(write, fault);
+        wire.fail_at(At::Write(write), fault);
         let (outcome, _) = wire.apply(&file, "");
         let what = format!("{fault:?} at write {write}");
         if !wire.mend() {
@@ -275,6 +275,35 @@ fn a_run_after_a_board_was_gone_at_any_write_goes_on() {
 }
 
 #[test]
+fn a_run_after_an_interruption_at_any_frame_goes_on() {
+    let sheet = short_sheet("frame", &["1010", "1020", "2100"]);
+    let text = node_of(&sheet, 6, 0, "\"2100\" = 4") + &node(5, 1);
+    for fault in [Fault::CtrlC, Fault::AdapterGone] {
+        for frame in 0.. {
+            let file = file("frame", &text);
+            let wire = Wire::new(RATE, &[5, 6]);
+            wire.fail_at(At::Frame(frame), fault);
+            let (outcome, _) = wire.apply(&file, "");
+            let what = format!("{fault:?} at frame {frame}");
+            if !wire.mend() {
+                assert_eq!(outcome.code, 0, "{what}: {}", outcome.error);
+                assert!(frame > 40, "{frame} frames");
+                break;
+            }
+            if fault == Fault::CtrlC {
+                wire.assert_waiting();
+            }
+            assert_eq!(wire.apply(&file, "").0.code, 0, "{what}");
+            wire.power_cycle();
+            assert_eq!(wire.ids(), [6, 5].map(|id| (Some(id), Some(id))), "{what}");
+            assert_eq!(wire.value(0, 0x2100, 0), [4], "{what}");
+            let (outcome, writes) = wire.apply(&file, "");
+            assert_eq!((outcome.code, writes), (0, 0), "{what}: {}", outcome.text);
+        }
+    }
+}
+
+#[test]
 fn random_networks_come_to_their_tables_through_random_faults() {
     let mut random = Random::from_environment();
     let sheet = short_sheet("random", &["1010", "1020", "2100"]);
@@ -305,7 +334,7 @@ fn random_networks_come_to_their_tables_through_random_faults() {
                 Fault::BoardGone(board),
             ];
             let fault = faults[random.within(0..4) as usize];
-            wire.fail_at(random.within(0..40) as usize, fault);
+            wire.fail_at(At::Frame(random.within(0..150) as usize), fault);
             let _ = wire.apply(&path, "");
             wire.mend();
             if random.one_in(3) {
@@ -414,7 +443,7 @@ fn missing_and_unknown_boards_are_named_and_the_others_are_done() {
 fn a_board_that_vanishes_is_told_and_the_others_are_done() {
     let wire = Wire::new(RATE, &[0xFF, 0xFF]);
     let file = file("vanishes", &(node(5, 0) + &node(6, 1)));
-    wire.fail_at(0, Fault::BoardGone(0));
+    wire.fail_at(At::Write(0), Fault::BoardGone(0));
     let (outcome, _) = wire.apply(&file, "");
     assert_eq!(outcome.code, 1);
     let why = format!(
@@ -499,7 +528,7 @@ fn a_run_after_the_adapter_was_gone_at_any_write_of_a_switch_goes_on() {
     let file = file("switch", &format!("bit_rate = 500\n{}{}", node(5, 0), node(7, 1)));
     for write in 0.. {
         let wire = Wire::with_heartbeat(RATE, &[5, 6], 1000);
-        wire.fail_at(write, Fault::AdapterGone);
+        wire.fail_at(At::Write(write), Fault::AdapterGone);
         let (outcome, _) = wire.apply(&file, "--bit-rate 125");
         if !wire.mend() {
             assert_eq!(outcome.code, 0, "{}", outcome.error);

@@ -50,6 +50,13 @@ pub enum Fault {
     BoardGone(usize),
 }
 
+/// When it goes wrong: at a write, or at a frame from the first write on, from 0 on.
+#[derive(Clone, Copy, Debug)]
+pub enum At {
+    Write(usize),
+    Frame(usize),
+}
+
 /// The boards, the bus, and the tool's adapter.
 #[derive(Clone)]
 pub struct Wire {
@@ -71,8 +78,10 @@ pub struct World {
     writes: usize,
     /// Whether two boards may be one node, as at the beginning of a test.
     pub may_collide: bool,
-    /// The fault, and the number of writes before it.
-    fault: Option<(Fault, usize)>,
+    /// The fault, and when it comes.
+    fault: Option<(Fault, At)>,
+    /// There was a write.
+    has_begun: bool,
     /// An LSS request that the boards refuse: its command specifier, and the byte behind it.
     pub refused: Option<[u8; 2]>,
     is_adapter_gone: bool,
@@ -136,6 +145,7 @@ impl Wire {
             writes: 0,
             may_collide: false,
             fault: None,
+            has_begun: false,
             refused: None,
             is_adapter_gone: false,
         };
@@ -163,14 +173,15 @@ impl Wire {
         (outcome, writes)
     }
 
-    /// Lets something go wrong at the write with this number, from 0 on.
-    pub fn fail_at(&self, write: usize, fault: Fault) {
-        let mut world = self.world();
-        world.fault = Some((fault, world.writes + write));
+    /// Lets something go wrong.
+    pub fn fail_at(&self, at: At, fault: Fault) {
+        self.world().fault = Some((fault, at));
     }
 
-    /// Mends what went wrong; true if something did.
+    /// Mends what went wrong, before another run; true if something did.
     pub fn mend(&self) -> bool {
+        // It may have come at the last frame.
+        self.is_interrupted.store(false, Ordering::Relaxed);
         let mut world = self.world();
         let has_happened = world.fault.take().is_none();
         world.is_adapter_gone = false;
@@ -272,6 +283,22 @@ impl World {
         }
     }
 
+    /// The fault that comes at this frame.
+    fn fault_at(&mut self, frame: &Frame) -> Option<Fault> {
+        let (fault, at) = self.fault?;
+        let next = match at {
+            At::Write(count) if is_write(frame) => count.checked_sub(1).map(At::Write),
+            // From here on each frame counts.
+            At::Frame(count) if is_write(frame) || self.has_begun => {
+                self.has_begun = true;
+                count.checked_sub(1).map(At::Frame)
+            }
+            at => Some(at),
+        };
+        self.fault = next.map(|at| (fault, at));
+        next.is_none().then_some(fault)
+    }
+
     fn deliver(&mut self, frame: &Frame) {
         let Some(rate) = self.rate else { return };
         let span = FRAME_BITS * 1000 / u64::from(rate.kbit_per_s());
@@ -314,9 +341,8 @@ impl Adapter for Wire {
     fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         let is_interrupted = Arc::clone(&self.is_interrupted);
         let mut world = self.world();
-        let fault = world.fault.filter(|(_, write)| is_write(frame) && world.writes == *write);
-        if let Some((fault, _)) = fault {
-            world.fault = None;
+        let fault = world.fault_at(frame);
+        if let Some(fault) = fault {
             match fault {
                 Fault::CtrlC => is_interrupted.store(true, Ordering::Relaxed),
                 Fault::AdapterGone => world.is_adapter_gone = true,
@@ -330,7 +356,7 @@ impl Adapter for Wire {
         world.sent.push(*frame);
         world.writes += usize::from(is_write(frame));
         world.deliver(frame);
-        if matches!(fault, Some((Fault::AdapterGoneBehind, _))) {
+        if fault == Some(Fault::AdapterGoneBehind) {
             world.is_adapter_gone = true;
         }
         Ok(())
