@@ -4,6 +4,7 @@ mod dcf;
 mod found;
 mod node_ids;
 mod plan;
+mod sheet;
 mod values;
 mod wishes;
 
@@ -53,6 +54,7 @@ pub fn apply(
     }
     if !arguments.plan && plan.differs() {
         mark.set()?;
+        let before = found.problems.clone();
         let problems = work(session, &network, &mut found, stores_again, trusts_stamps);
         let problems = match problems {
             Err(failure @ Failure::Stop(_)) => {
@@ -65,7 +67,10 @@ pub fn apply(
         session.progress.clear();
         match problems.is_empty() {
             true => mark.remove(),
-            false => found.problems.extend(problems),
+            // Some of them are known since the plan.
+            false => found
+                .problems
+                .extend(problems.into_iter().filter(|problem| !before.contains(problem))),
         }
     }
     if let Some(folder) = &arguments.write_dcf {

@@ -1,18 +1,21 @@
 //! `lss apply`.
 
+mod files;
+mod interrupted;
+
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
 use canopen_node::BitRate;
-
-use testkit::{image::Firmware, random::Random};
+use testkit::image::Firmware;
 
 use crate::{
     emulated::{self, Boards},
-    in_process::{At, Fault, Wire, address_text},
+    in_process::{Wire, address_text},
 };
+use interrupted::{assert_exchanged, exchange};
 
 const RATE: BitRate = BitRate::Kbit125;
 /// The data sheet of the boards.
@@ -183,237 +186,6 @@ fn boards_that_share_a_node_id_get_their_own() {
     assert_done(&wire, &file);
 }
 
-/// Three boards that exchange node-IDs and have values; the table asks for this bit rate.
-fn exchange(test: &str, rate: u16) -> String {
-    let sheet = short_sheet(test, &["1010", "1020", "1800", "1A00", "2100", "2101"]);
-    let values = "\"2100\" = 4\n\"2101:3\" = \"Ada Lovelace\"\n\"1A00:0\" = 1\n\"1A00:1\" = 0x64010110\n\"1800:1\" = \"$NODEID+0x40000280\"\n";
-    format!(
-        "bit_rate = {rate}\n{}{}{}",
-        node_of(&sheet, 6, 0, values),
-        node(5, 1),
-        node_of(&sheet, 7, 2, "\"2100\" = 5")
-    )
-}
-
-fn assert_exchanged(wire: &Wire, what: &str) {
-    assert_eq!(wire.ids(), [6, 5, 7].map(|id| (Some(id), Some(id))), "{what}");
-    assert_eq!(wire.value(0, 0x2100, 0), [4], "{what}");
-    assert_eq!(wire.value(0, 0x2101, 3), b"Ada Lovelace", "{what}");
-    assert_eq!(wire.value(0, 0x1A00, 1), [0x10, 0x01, 0x01, 0x64], "{what}");
-    assert_eq!(wire.value(0, 0x1800, 1), [0x86, 0x02, 0, 0x40], "{what}");
-    assert_eq!(wire.value(2, 0x2100, 0), [5], "{what}");
-}
-
-/// Lets this go wrong at each write of a run in turn. The next run goes on, after a power failure of all boards or
-/// without one, and the run after it writes nothing.
-fn interrupt_at_each_write(name: &str, fault: Fault, power_fails: bool) {
-    let file = file(name, &exchange(name, 125));
-    for write in 0.. {
-        let wire = Wire::new(RATE, &[5, 6, 0xFF]);
-        wire.fail_at(At::Write(write), fault);
-        let (outcome, _) = wire.apply(&file, "");
-        let what = format!("{fault:?} at write {write}");
-        if !wire.mend() {
-            assert_eq!(outcome.code, 0, "{what}: {}", outcome.error);
-            assert!(write > 30, "{write} writes");
-            return;
-        }
-        let possible: &[u8] = match fault {
-            // It comes too late at the last writes.
-            Fault::CtrlC => &[130, 0],
-            Fault::AdapterGone | Fault::AdapterGoneBehind => &[4],
-            // The last ones need no answer of this board.
-            Fault::BoardGone(_) => &[1, 0],
-        };
-        assert!(possible.contains(&outcome.code), "{what}: {} {}", outcome.code, outcome.error);
-        if fault == Fault::CtrlC {
-            wire.assert_waiting();
-            // A node-ID in use is stored, and no PDO is off.
-            assert!(
-                wire.ids().iter().all(|(active, stored)| active == stored),
-                "{what}: {:?}",
-                wire.ids()
-            );
-            let is_on = wire.ids()[0].0.is_none() || wire.value(0, 0x1800, 1)[3] & 0x80 == 0;
-            assert!(is_on, "{what}");
-        }
-        if power_fails {
-            wire.power_cycle();
-        }
-        let (outcome, _) = wire.apply(&file, "");
-        assert_eq!(outcome.code, 0, "{what}: {}", outcome.error);
-        wire.power_cycle();
-        assert_exchanged(&wire, &what);
-        let (outcome, writes) = wire.apply(&file, "");
-        assert_eq!((outcome.code, writes), (0, 0), "{what}: {}", outcome.text);
-    }
-}
-
-#[test]
-fn a_run_after_ctrl_c_at_any_write_goes_on() {
-    interrupt_at_each_write("ctrl-c", Fault::CtrlC, false);
-}
-
-#[test]
-fn a_run_after_the_adapter_was_gone_at_any_write_goes_on() {
-    interrupt_at_each_write("adapter", Fault::AdapterGone, false);
-}
-
-#[test]
-fn a_run_after_the_adapter_was_gone_behind_any_write_goes_on() {
-    interrupt_at_each_write("behind", Fault::AdapterGoneBehind, false);
-}
-
-#[test]
-fn a_run_after_a_power_failure_of_all_goes_on() {
-    interrupt_at_each_write("power", Fault::AdapterGone, true);
-}
-
-#[test]
-fn a_run_after_a_board_was_gone_at_any_write_goes_on() {
-    interrupt_at_each_write("board", Fault::BoardGone(0), false);
-}
-
-#[test]
-fn a_run_after_an_interruption_at_any_frame_goes_on() {
-    let sheet = short_sheet("frame", &["1010", "1020", "2100"]);
-    let text = node_of(&sheet, 6, 0, "\"2100\" = 4") + &node(5, 1);
-    for fault in [Fault::CtrlC, Fault::AdapterGone] {
-        for frame in 0.. {
-            let file = file("frame", &text);
-            let wire = Wire::new(RATE, &[5, 6]);
-            wire.fail_at(At::Frame(frame), fault);
-            let (outcome, _) = wire.apply(&file, "");
-            let what = format!("{fault:?} at frame {frame}");
-            if !wire.mend() {
-                assert_eq!(outcome.code, 0, "{what}: {}", outcome.error);
-                assert!(frame > 40, "{frame} frames");
-                break;
-            }
-            if fault == Fault::CtrlC {
-                wire.assert_waiting();
-            }
-            assert_eq!(wire.apply(&file, "").0.code, 0, "{what}");
-            wire.power_cycle();
-            assert_eq!(wire.ids(), [6, 5].map(|id| (Some(id), Some(id))), "{what}");
-            assert_eq!(wire.value(0, 0x2100, 0), [4], "{what}");
-            let (outcome, writes) = wire.apply(&file, "");
-            assert_eq!((outcome.code, writes), (0, 0), "{what}: {}", outcome.text);
-        }
-    }
-}
-
-#[test]
-fn random_networks_come_to_their_tables_through_random_faults() {
-    let mut random = Random::from_environment();
-    let sheet = short_sheet("random", &["1010", "1020", "2100"]);
-    let path = folder("random").join("network.toml");
-    for _ in 0..20 {
-        let count = random.within(2..6) as usize;
-        // Node-IDs out of a few, so that boards are in each other's way.
-        let mut ids = || {
-            let mut free: Vec<u8> = (1..=6).collect();
-            let mut take = || free.remove(random.within(0..free.len() as u64) as usize);
-            (0..count).map(|_| take()).collect::<Vec<u8>>()
-        };
-        let (found, wanted) = (ids(), ids());
-        let found: Vec<u8> =
-            found.iter().map(|id| if random.one_in(4) { 0xFF } else { *id }).collect();
-        let filter: Vec<u8> = (0..count).map(|_| random.within(0..9) as u8).collect();
-        let node = |board: usize| {
-            node_of(&sheet, wanted[board], board, &format!("\"2100\" = {}", filter[board]))
-        };
-        fs::write(&path, (0..count).map(node).collect::<String>()).expect("it can be written");
-        let wire = Wire::new(RATE, &found);
-        for _ in 0..random.within(0..5) {
-            let board = random.within(0..count as u64) as usize;
-            let faults = [
-                Fault::CtrlC,
-                Fault::AdapterGone,
-                Fault::AdapterGoneBehind,
-                Fault::BoardGone(board),
-            ];
-            let fault = faults[random.within(0..4) as usize];
-            wire.fail_at(At::Frame(random.within(0..150) as usize), fault);
-            let _ = wire.apply(&path, "");
-            wire.mend();
-            if random.one_in(3) {
-                wire.power_cycle();
-            }
-        }
-        let what = format!("from {found:?} to {wanted:?}");
-        let (outcome, _) = wire.apply(&path, "");
-        assert_eq!(outcome.code, 0, "{what}: {}", outcome.error);
-        wire.power_cycle();
-        let ids: Vec<_> = wanted.iter().map(|id| (Some(*id), Some(*id))).collect();
-        assert_eq!(wire.ids(), ids, "{what}");
-        for (board, filter) in filter.iter().enumerate() {
-            assert_eq!(wire.value(board, 0x2100, 0), [*filter], "{what}");
-        }
-        let (outcome, writes) = wire.apply(&path, "");
-        assert_eq!((outcome.code, writes), (0, 0), "{what}: {}", outcome.text);
-    }
-}
-
-#[test]
-fn wrong_files_are_told_before_anything_is_sent() {
-    let wire = Wire::new(RATE, &[5]);
-    let sheet = |values: &str| node_with(5, 0, values);
-    let cases = [
-        (
-            sheet("\"2100\" = 9"),
-            "node 5: 2100 Filter constant of the temperature: 9 is not within 0 to 8",
-        ),
-        (sheet("\"2100\" = 300"), "2100 Filter constant of the temperature: 300 is no UNSIGNED8"),
-        (sheet("\"2100\" = 1.5"), "2100 Filter constant of the temperature: 1.5 is no UNSIGNED8"),
-        (
-            sheet("\"2101:3\" = 5"),
-            "2101:3 Calibration of the temperature.Inspector: write it in quotes",
-        ),
-        (sheet("\"2101:1\" = \"x\""), "2101:1 Calibration of the temperature.Gain: x is no REAL32"),
-        (sheet("\"1000\" = 5"), "1000 Device type can only be read"),
-        (sheet("\"1010:1\" = 5"), "is no value to set: `lss apply` stores by itself"),
-        (sheet("\"2FF0:1\" = 9"), "is no value to set: `lss apply` stores by itself, and node-ID"),
-        (sheet("\"5000\" = 5"), "\"5000\" is not in "),
-        (sheet("Gian = 5"), "\"Gian\" is not in "),
-        (sheet("\"Mapped object\" = 5"), "\"Mapped object\" is not in "),
-        (
-            sheet("\"COB-ID used by TPDO\" = 5"),
-            "several values are called \"COB-ID used by TPDO\": 1800:1 ",
-        ),
-        (sheet("\"1A00:1\" = 0x60000108"), "1A00:0 is missing: the number of mapped objects"),
-        (
-            node(5, 0) + "[node.values]\n\"2100\" = 1",
-            "node 5: values need the data sheet of the board: eds = ",
-        ),
-        (node(5, 0) + "eds = \"none.eds\"", "none.eds: No such file"),
-        (node(5, 0) + "vaules = 5", "node 5: \"vaules\" is no key of a node"),
-        (node(5, 0) + &node(6, 0), " is there twice"),
-        ("[[node]]\nid = 5\n".into(), "node 5: address = \"V:P:R:S\" says which board it is"),
-        ("bit_rate = 126\n".to_owned() + &node(5, 0), "126 is no bit rate of CiA 301 in kbit/s"),
-        (String::new(), "there is no node in the file"),
-        (
-            format!("[[node]]\nid = 5\naddress = \"1:2:3:4\"\neds = \"{EDS}\"\n"),
-            "io.eds is the data sheet of 00000000:4C535334, and not of 00000001:00000002:00000003:00000004",
-        ),
-    ];
-    for (text, why) in cases {
-        let (outcome, _) = wire.apply(&file("wrong", &text), "");
-        assert_eq!(outcome.code, 1, "{why}");
-        assert!(outcome.error.contains(why), "{why}: {}", outcome.error);
-        assert!(wire.world().sent.is_empty(), "{why}");
-    }
-    let (outcome, _) = wire.apply(&folder("wrong").join("network.yml"), "");
-    assert!(
-        outcome.error.ends_with("its name must end with .toml, .dcf or .cpj"),
-        "{}",
-        outcome.error
-    );
-    // All of them at once.
-    let (outcome, _) = wire.apply(&file("wrong", &sheet("\"2100\" = 9\n\"1000\" = 1")), "");
-    assert_eq!(outcome.error.lines().count(), 2, "{}", outcome.error);
-}
-
 #[test]
 fn missing_and_unknown_boards_are_named_and_the_others_are_done() {
     let wire = Wire::new(RATE, &[0xFF, 9, 0xFF, 7]);
@@ -437,21 +209,6 @@ fn missing_and_unknown_boards_are_named_and_the_others_are_done() {
         assert_eq!(wire.ids(), ids.map(|id| (id, id)));
     }
     wire.assert_waiting();
-}
-
-#[test]
-fn a_board_that_vanishes_is_told_and_the_others_are_done() {
-    let wire = Wire::new(RATE, &[0xFF, 0xFF]);
-    let file = file("vanishes", &(node(5, 0) + &node(6, 1)));
-    wire.fail_at(At::Write(0), Fault::BoardGone(0));
-    let (outcome, _) = wire.apply(&file, "");
-    assert_eq!(outcome.code, 1);
-    let why = format!(
-        "node 5: no answer to configure node-ID: 5. Board {}: is it still there, and ",
-        address_text(0)
-    );
-    assert!(outcome.error.starts_with(&why), "{}", outcome.error);
-    assert_eq!(wire.ids()[1], (Some(6), Some(6)));
 }
 
 #[test]
@@ -524,32 +281,6 @@ fn the_network_comes_to_the_bit_rate_of_the_table_and_new_boards_with_it() {
 }
 
 #[test]
-fn a_run_after_the_adapter_was_gone_at_any_write_of_a_switch_goes_on() {
-    let file = file("switch", &format!("bit_rate = 500\n{}{}", node(5, 0), node(7, 1)));
-    for write in 0.. {
-        let wire = Wire::with_heartbeat(RATE, &[5, 6], 1000);
-        wire.fail_at(At::Write(write), Fault::AdapterGone);
-        let (outcome, _) = wire.apply(&file, "--bit-rate 125");
-        if !wire.mend() {
-            assert_eq!(outcome.code, 0, "{}", outcome.error);
-            assert!(write > 8, "{write} writes");
-            return;
-        }
-        // The switch delays of a switch that has begun.
-        wire.world().pass_ms(1100);
-        let (outcome, _) = wire.apply(&file, "--bit-rate 125");
-        assert_eq!(outcome.code, 0, "write {write}: {}", outcome.error);
-        wire.power_cycle();
-        assert_eq!(wire.ids(), [5, 7].map(|id| (Some(id), Some(id))), "write {write}");
-        let rates: Vec<BitRate> =
-            wire.world().boards.iter().map(|board| board.rig.bit_rate()).collect();
-        assert_eq!(rates, [BitRate::Kbit500; 2], "write {write}");
-        let (outcome, writes) = wire.apply(&file, "");
-        assert_eq!((outcome.code, writes), (0, 0), "write {write}");
-    }
-}
-
-#[test]
 fn the_bit_rate_stays_while_a_board_is_missing() {
     let wire = Wire::with_heartbeat(RATE, &[9], 1000);
     let file = file("rate-missing", &format!("bit_rate = 500\n{}{}", node(5, 0), node(6, 8)));
@@ -560,103 +291,6 @@ fn the_bit_rate_stays_while_a_board_is_missing() {
     assert!(outcome.error.contains(why), "{}", outcome.error);
     assert_eq!(wire.ids(), [(Some(5), Some(5))]);
     assert_eq!(wire.world().boards[0].rig.bit_rate(), RATE);
-}
-
-#[test]
-fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
-    let wire = Wire::new(RATE, &[0xFF, 0xFF]);
-    let first = file("dcf", &(node_with(5, 0, VALUES) + &node_with(6, 1, "\"2100\" = 1")));
-    let written = folder("dcf-written");
-    let (outcome, _) = wire.apply(&first, &format!("--write-dcf {}", written.display()));
-    assert_eq!(outcome.code, 0);
-    let dcf = written.join("node_5.dcf");
-    assert!(outcome.text.contains(&format!("{}\n", dcf.display())), "{}", outcome.text);
-    let text = fs::read_to_string(&dcf).expect("it is there");
-    for line in [
-        "FileName=node_5.dcf\nLastEDS=io.eds",
-        "[2100]\nParameterValue=4\nParameterName=Filter constant of the temperature",
-        "[2101sub1]\nParameterValue=0x3FA00000\n",
-        "[2101sub3]\nParameterValue=Ada Lovelace\n",
-        "[DeviceComissioning]\nNodeID=5\nNodeName=\nBaudrate=125\n",
-        "LSS_SerialNumber=0x00001000\n",
-    ] {
-        assert!(text.contains(line), "{line}");
-    }
-    assert!(!text.contains("[2FF0sub1]\nParameterValue"), "LSS sets the node-ID");
-    assert!(!text.contains("[1020sub1]\nParameterValue"), "the stamp is that of the files");
-    // The node is as its file says, but for the stamp of another file.
-    let (outcome, writes) = wire.apply(&dcf, "--plan");
-    assert_eq!((outcome.code, writes), (1, 0));
-    assert!(
-        outcome.text.contains("the values are there; stores them, and the stamp"),
-        "{}",
-        outcome.text
-    );
-    assert_eq!(wire.apply(&dcf, "").0.code, 0);
-    assert_done(&wire, &dcf);
-    // What somebody changes comes back.
-    wire.set(0, 0x2101, 1, &2.0_f32.to_le_bytes());
-    wire.set(0, 0x1017, 0, &[0, 0]);
-    let (outcome, _) = wire.apply(&dcf, "");
-    assert!(outcome.text.contains("    ~ 2101:1 Calibration of the temperature.Gain: 2 -> 1.25\n"));
-    assert!(outcome.text.contains("    ~ 1017 Producer heartbeat time: 0 -> 500\n"));
-    assert!(outcome.text.contains("2 values written and stored, verified by a reset\n"));
-    assert_done(&wire, &dcf);
-    // Both files name all boards.
-    let both = format!("apply {} {} --plan", dcf.display(), written.join("node_6.dcf").display());
-    let outcome = wire.lss(&both);
-    assert!(outcome.text.contains("plan: 1 of 2 boards change"), "{}", outcome.text);
-}
-
-/// The data sheet as a configuration file with a place in the network, and this value of 2100h.
-fn dcf(id: u8, value: u8) -> String {
-    let text = fs::read_to_string(EDS).expect("the data sheet");
-    let text = text.replace("[2100]\n", &format!("[2100]\nParameterValue={value}\n"));
-    format!("{text}\n[DeviceComissioning]\nNodeID=0x{id:02X}\nBaudrate=125\n")
-}
-
-#[test]
-fn a_dcf_without_a_serial_number_is_for_the_only_board_of_its_kind_or_for_the_one_with_its_node_id()
-{
-    let folder = folder("kind");
-    let path = folder.join("lamp.dcf");
-    fs::write(&path, dcf(5, 2)).expect("it can be written");
-    let wire = Wire::new(RATE, &[0xFF]);
-    assert_eq!(wire.apply(&path, "").0.code, 0);
-    assert_eq!(wire.ids(), [(Some(5), Some(5))]);
-    assert_eq!(wire.value(0, 0x2100, 0), [2]);
-    assert_done(&wire, &path);
-
-    let wire = Wire::new(RATE, &[0xFF, 9]);
-    let (outcome, writes) = wire.apply(&path, "");
-    assert_eq!((outcome.code, writes), (1, 0));
-    let start = "node 5 may be each of 2 boards, 00000000:4C535334:00010000:0000100";
-    assert!(outcome.error.starts_with(start), "{}", outcome.error);
-    assert!(outcome.error.ends_with("or LSS_SerialNumber in the DCF"), "{}", outcome.error);
-    // A table says which one.
-    let table = folder.join("network.toml");
-    fs::write(&table, node(5, 1) + "dcf = \"lamp.dcf\"\n").expect("it can be written");
-    assert_eq!(wire.apply(&table, "").0.code, 0);
-    assert_eq!(wire.value(1, 0x2100, 0), [2]);
-    // And then its node-ID does.
-    assert_done(&wire, &path);
-}
-
-#[test]
-fn a_list_of_nodes_names_their_files() {
-    let folder = folder("list");
-    fs::write(folder.join("a.dcf"), dcf(5, 2)).expect("it can be written");
-    fs::write(folder.join("b.dcf"), dcf(9, 7)).expect("it can be written");
-    let list = folder.join("nodelist.cpj");
-    let text = "[TOPOLOGY]\nNetName=Machine\nNodes=0x02\nNode5Present=0x01\nNode5Name=Lamp\nNode5DCFName=a.dcf\n\
-        Node9Present=0x01\nNode9DCFName=b.dcf\nNode10Present=0x00\nEDSBaseName=/eds\n";
-    fs::write(&list, text).expect("it can be written");
-    let wire = Wire::new(RATE, &[5, 9]);
-    let (outcome, _) = wire.apply(&list, "");
-    assert_eq!(outcome.code, 0);
-    assert!(outcome.text.contains("node 5 \"Lamp\"  "), "{}", outcome.text);
-    assert_eq!((wire.value(0, 0x2100, 0), wire.value(1, 0x2100, 0)), (vec![2], vec![7]));
-    assert_done(&wire, &list);
 }
 
 #[test]
@@ -709,28 +343,6 @@ fn a_node_with_its_stamp_costs_two_reads_of_values() {
     assert_eq!(reads(""), 2);
     // 1017h is not counted.
     assert_eq!(reads("--full"), 2 + 9);
-}
-
-#[test]
-fn one_file_serves_assign_and_apply() {
-    let wire = Wire::new(RATE, &[0xFF, 0xFF, 0xFF]);
-    let text =
-        format!("bit_rate = 125\n{}[[node]]\nid = 1\neds = \"{EDS}\"\n", node_with(5, 0, VALUES));
-    let file = file("one-file", &text);
-    // A node that has no address keeps its node-ID; `lss apply` asks which board it is.
-    let outcome = wire.lss(&format!("assign --table {}", file.display()));
-    assert_eq!(outcome.code, 0, "{}", outcome.error);
-    let mut ids = wire.ids();
-    ids.sort_unstable();
-    assert_eq!(ids, [2, 3, 5].map(|id| (Some(id), Some(id))));
-    let (outcome, _) = wire.apply(&file, "");
-    assert!(outcome.error.contains("node 1: address = "), "{}", outcome.error);
-    let grown = fs::read_to_string(&file).expect("it is there");
-    fs::write(&file, grown.replace(&format!("[[node]]\nid = 1\neds = \"{EDS}\"\n"), ""))
-        .expect("it can be written");
-    assert_eq!(wire.apply(&file, "").0.code, 0);
-    assert_eq!(wire.value(0, 0x2100, 0), [4]);
-    assert_done(&wire, &file);
 }
 
 #[test]

@@ -7,7 +7,8 @@ use canopen_node::{BitRate, NodeId};
 
 use super::{
     found::Place,
-    wishes::{Node, STAMP, Sheet},
+    sheet::Sheet,
+    wishes::{Node, STAMP},
 };
 use crate::{failure::Failure, session::Session};
 

@@ -1,0 +1,228 @@
+//! The data sheet of a board as the wishes need it: who the board is, and which bytes a value of the user is.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use can_bus::{
+    adapter,
+    eds::{self, Eds, Entry, Kind},
+};
+use canopen_node::{BitRate, NodeId, lss::Address};
+use toml::Value as Toml;
+
+use super::wishes::Board;
+
+/// The node-ID and the bit rate in boards of this repository, which LSS sets.
+const SETTINGS_BY_SDO: (u16, &str) = (0x2FF0, "Node-ID and bit rate");
+
+/// A data sheet, and its file.
+pub struct Sheet {
+    pub eds: Eds,
+    pub text: String,
+    pub path: PathBuf,
+}
+
+/// `2101:1`, or `2100` for an object with one value.
+pub fn address_words((index, sub_index): eds::Address, sheet: Option<&Sheet>) -> String {
+    let is_alone = sheet.is_some_and(|sheet| sheet.eds.object(index).count() == 1);
+    match sub_index {
+        0 if is_alone => format!("{index:04X}"),
+        _ => format!("{index:04X}:{sub_index:X}"),
+    }
+}
+
+pub fn read_text(path: &Path) -> Result<String, String> {
+    let bytes = fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    // Older files are in Latin-1.
+    let latin = |bytes: Vec<u8>| bytes.into_iter().map(char::from).collect();
+    Ok(String::from_utf8(bytes).unwrap_or_else(|error| latin(error.into_bytes())))
+}
+
+impl Sheet {
+    pub fn read(path: &Path) -> Result<Self, String> {
+        let text = read_text(path)?;
+        let eds = Eds::parse(&text);
+        if eds.section("DeviceInfo").is_none() {
+            return Err(format!("{} is no data sheet: there is no [DeviceInfo]", path.display()));
+        }
+        Ok(Self { eds, text, path: path.to_owned() })
+    }
+
+    /// The section on the place of the device in its network. CiA 306 spells it with one m.
+    pub fn commissioning(&self) -> Option<&eds::Section> {
+        let section = |name| self.eds.section(name);
+        section("DeviceComissioning").or_else(|| section("DeviceCommissioning"))
+    }
+
+    fn commissioning_number(&self, key: &str) -> Option<i128> {
+        let number = |section| self.eds.number(section, key);
+        number("DeviceComissioning").or_else(|| number("DeviceCommissioning"))
+    }
+
+    pub fn node_id(&self) -> Result<NodeId, String> {
+        let id = self.commissioning_number("NodeID").and_then(|id| u8::try_from(id).ok());
+        id.and_then(NodeId::new).ok_or_else(|| {
+            "NodeID in [DeviceComissioning] must say which node-ID the board is to have, 1 to 127".into()
+        })
+    }
+
+    pub fn bit_rate(&self) -> Result<Option<BitRate>, String> {
+        let Some(rate) = self.commissioning_number("Baudrate") else { return Ok(None) };
+        adapter::bit_rate(&rate.to_string()).map(Some)
+    }
+
+    pub fn board(&self) -> Board {
+        let of_device = |key| {
+            let number = self.eds.number("DeviceInfo", key);
+            number.and_then(|number| u32::try_from(number).ok()).unwrap_or(0)
+        };
+        let (vendor_id, product_code) = (of_device("VendorNumber"), of_device("ProductNumber"));
+        let revision_number = of_device("RevisionNumber");
+        let serial_number = self.commissioning_number("LSS_SerialNumber");
+        match serial_number.and_then(|number| u32::try_from(number).ok()) {
+            Some(serial_number @ 1..) => {
+                Board::Address(Address { vendor_id, product_code, revision_number, serial_number })
+            }
+            _ => Board::Kind { vendor_id, product_code, revision_number },
+        }
+    }
+
+    /// Whether a value configures the board, and neither acts nor belongs to LSS.
+    pub fn configures(&self, entry: &Entry) -> bool {
+        let (index, _) = entry.address;
+        let (settings, name) = SETTINGS_BY_SDO;
+        let is_settings = index == settings && self.eds.name(entry).starts_with(name);
+        entry.can_be_written()
+            && entry.kind() != Kind::Domain
+            && !entry.acts_on_write()
+            && !matches!(index, 0x1003 | 0x1010 | 0x1011)
+            && !is_settings
+    }
+
+    /// The values of a configuration file.
+    pub fn values(&self, node: u8, problems: &mut Vec<String>) -> BTreeMap<eds::Address, Vec<u8>> {
+        let mut values = BTreeMap::new();
+        for entry in self.eds.entries().filter(|entry| self.configures(entry)) {
+            let Some(text) = &entry.value else { continue };
+            match entry.parse(text, node).ok_or_else(|| self.no_value(entry, text)) {
+                Ok(bytes) => match self.beyond(entry, &bytes, node) {
+                    Some(why) => problems.push(why),
+                    None => {
+                        values.insert(entry.address, bytes);
+                    }
+                },
+                Err(why) => problems.push(why),
+            }
+        }
+        values
+    }
+
+    /// A wish of the table: where it is, and its bytes.
+    pub fn wish(
+        &self,
+        key: &str,
+        value: &Toml,
+        node: u8,
+    ) -> Result<(eds::Address, Vec<u8>), String> {
+        let entry = self.named(key)?;
+        let words = self.words(entry);
+        if !entry.can_be_written() {
+            return Err(format!("{words} can only be read"));
+        }
+        if !self.configures(entry) {
+            return Err(format!(
+                "{words} is no value to set: `lss apply` stores by itself, and node-ID and bit rate are keys"
+            ));
+        }
+        let text = match (value, entry.kind()) {
+            (Toml::String(text), _) => text.clone(),
+            (_, Kind::Text | Kind::Octets) => return Err(format!("{words}: write it in quotes")),
+            (Toml::Integer(number), _) => number.to_string(),
+            (Toml::Float(number), Kind::Real) => number.to_string(),
+            (Toml::Boolean(is_set), Kind::Unsigned) => u8::from(*is_set).to_string(),
+            _ => return Err(self.no_value(entry, &value.to_string())),
+        };
+        let bytes = entry.parse(&text, node).ok_or_else(|| self.no_value(entry, &text))?;
+        match self.beyond(entry, &bytes, node) {
+            Some(why) => Err(why),
+            None => Ok((entry.address, bytes)),
+        }
+    }
+
+    /// The value with this name, or with this index and sub-index.
+    fn named(&self, key: &str) -> Result<&Entry, String> {
+        match self.eds.with_name(key)[..] {
+            [entry] => return Ok(entry),
+            [] => {}
+            ref several => {
+                let words: Vec<String> = several.iter().map(|entry| self.words(entry)).collect();
+                return Err(format!("several values are called \"{key}\": {}", words.join(", ")));
+            }
+        }
+        let digits = key.strip_prefix("0x").unwrap_or(key);
+        let (index, sub_index) =
+            digits.split_once(':').or_else(|| digits.split_once("sub")).unwrap_or((digits, "0"));
+        let address = (u16::from_str_radix(index, 16), u8::from_str_radix(sub_index, 16));
+        let entry = match address {
+            (Ok(index), Ok(sub_index)) => self.eds.get((index, sub_index)),
+            _ => None,
+        };
+        entry.ok_or_else(|| {
+            let file = self.path.display();
+            format!("\"{key}\" is not in {file}: write a name of it, or \"2101:1\" for index and sub-index")
+        })
+    }
+
+    fn words(&self, entry: &Entry) -> String {
+        format!("{} {}", address_words(entry.address, Some(self)), self.eds.name(entry))
+    }
+
+    fn no_value(&self, entry: &Entry, text: &str) -> String {
+        format!("{}: {text} is no {}", self.words(entry), entry.type_name())
+    }
+
+    fn beyond(&self, entry: &Entry, bytes: &[u8], node: u8) -> Option<String> {
+        let limits = entry.beyond(bytes, node)?;
+        Some(format!("{}: {} is not within {limits}", self.words(entry), entry.text(bytes)))
+    }
+
+    /// A PDO is switched off while its mapping, inhibit time or SYNC start value change, so its COB-ID must be known: that
+    /// of the wishes, or the default.
+    pub fn complete_pdos(
+        &self,
+        node: u8,
+        values: &mut BTreeMap<eds::Address, Vec<u8>>,
+        problems: &mut Vec<String>,
+    ) {
+        let wished: Vec<eds::Address> = values.keys().copied().collect();
+        for address in wished {
+            let (index, sub_index) = address;
+            let is_mapping = matches!(index, 0x1600..=0x17FF | 0x1A00..=0x1BFF);
+            let is_fixed =
+                matches!(index, 0x1400..=0x15FF | 0x1800..=0x19FF) && matches!(sub_index, 3 | 6);
+            if is_mapping && !values.contains_key(&(index, 0)) {
+                problems.push(format!(
+                    "{}: {index:04X}:0 is missing: the number of mapped objects belongs to a mapping",
+                    address_words(address, Some(self))
+                ));
+            }
+            let cob_id = (if is_mapping { index - 0x200 } else { index }, 1);
+            if !is_mapping && !is_fixed || values.contains_key(&cob_id) {
+                continue;
+            }
+            match self.eds.get(cob_id).and_then(|entry| entry.default(node)) {
+                Some(default) => {
+                    values.insert(cob_id, default);
+                }
+                None => problems.push(format!(
+                    "{}: {:04X}:1 is missing: the PDO is off while this changes, and needs its COB-ID then",
+                    address_words(address, Some(self)),
+                    cob_id.0
+                )),
+            }
+        }
+    }
+}
