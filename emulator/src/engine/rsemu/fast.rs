@@ -23,8 +23,8 @@ use crate::chip::{CCM_BASE, FLASH_BASE, RAM_BASE};
 
 /// The peripherals on APB and AHB1.
 const PERIPHERALS: Range<u32> = 0x4000_0000..0x4008_0000;
-/// Those of them that may answer with a bus fault: the flash's.
-const MAY_FAULT: Range<u32> = 0x4002_2000..0x4002_4000;
+/// Those of them that may answer with a bus fault: the flash's of an STM32F4 and of an STM32G4.
+const MAY_FAULT: [Range<u32>; 2] = [0x4002_3C00..0x4002_4000, 0x4002_2000..0x4002_2400];
 
 /// What loads, stores and fetches reach.
 pub struct Memories<'a> {
@@ -54,7 +54,7 @@ impl<'a> Memories<'a> {
 
     fn is_peripheral(&self, address: u32, size: Size) -> bool {
         PERIPHERALS.contains(&address)
-            && !MAY_FAULT.contains(&address)
+            && !MAY_FAULT.iter().any(|range| range.contains(&address))
             && !self.is_guarded(address, size.bytes())
             && address.is_multiple_of(size.bytes())
     }
