@@ -19,10 +19,13 @@ pub use controller::{BusError, Controller, Mode, Received, Sample};
 use crate::{
     Action, Application, BitRate, BusEvent, Frame, Instant, Node, Settings,
     application::NoApplication,
+    emergency::Fault,
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
+    settings::{Found, Log},
 };
 use bus::Bus;
+use embedded_storage::nor_flash::NorFlash;
 use queue::TransmitQueue;
 
 /// Writes to the log, if there is one.
@@ -31,6 +34,27 @@ macro_rules! log {
         #[cfg(feature = "defmt")]
         defmt::$level!($($argument)+)
     };
+}
+
+/// Passes the stored parameters to a node before all other calls, and reports a loss of its settings. `found` is what the
+/// log was found with; returns that, or a failure.
+pub fn restore<
+    F: NorFlash,
+    A: Application,
+    const TPDOS: usize,
+    const RPDOS: usize,
+    const PRODUCERS: usize,
+    const STORED_LEN: usize,
+>(
+    node: &mut Node<A, TPDOS, RPDOS, PRODUCERS>,
+    log: &mut Log<F, STORED_LEN>,
+    found: Found,
+) -> Found {
+    let restored = log.restore(|parameter| node.restore(parameter));
+    if matches!(found, Found::Damaged | Found::ParametersDamaged) {
+        node.handle_fault(Fault::SettingsLost);
+    }
+    restored.map_or_else(Found::MediumFailed, |()| found)
 }
 
 /// What a board has beside its CAN controller: a clock and a reset.

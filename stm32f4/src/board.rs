@@ -1,11 +1,6 @@
 //! The board after a reset: watchdog, clocks, supply, settings and identity.
 
-use canopen_node::{
-    Application, Device, Node, NodeId,
-    emergency::Fault,
-    lss::Address,
-    settings::{Found, Log},
-};
+use canopen_node::{Application, Device, Node, NodeId, lss::Address, runner, settings::Log};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Input},
     pac::{DBGMCU, FLASH, IWDG, PWR, RCC, TIM2},
@@ -85,16 +80,11 @@ impl Board {
         can: C,
         pins: CanPins<C>,
     ) -> (Runner<C, A, TPDOS, RPDOS, PRODUCERS>, Storage<STORED_LEN>, Watchdog) {
-        let (mut log, mut found) = Log::open_with_parameters(self.flash);
+        let (mut log, found) = Log::open_with_parameters(self.flash);
         let stored = log.settings();
         let mut node = Node::with_application(device, stored, application);
-        if let Err(error) = log.restore(|parameter| node.restore(parameter)) {
-            found = Found::MediumFailed(error);
-        }
+        let found = runner::restore(&mut node, &mut log, found);
         crate::log::found(found, &stored.unwrap_or(device.defaults));
-        if matches!(found, Found::Damaged | Found::ParametersDamaged) {
-            node.handle_fault(Fault::SettingsLost);
-        }
         let can = Controller::new(can, pins, &mut self.rcc);
         // The start may have erased a sector, so the first roll call comes later.
         self.watchdog.feed();

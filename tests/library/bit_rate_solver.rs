@@ -230,3 +230,12 @@ fn only_40_mhz_makes_every_rate_exact_with_crystals_of_half_a_per_cent() {
     };
     assert_eq!(whole_mhz().filter(suits).collect::<Vec<_>>(), [40 * MHZ]);
 }
+
+#[test]
+fn the_table_has_the_timing_of_each_rate_at_its_index() {
+    let table = BitTiming::table(40 * MHZ);
+    for rate in BitRate::ALL {
+        assert_eq!(table[usize::from(rate.index())], BitTiming::solve(rate, 40 * MHZ));
+    }
+    assert_eq!(table.iter().flatten().count(), BitRate::ALL.len());
+}

@@ -14,9 +14,10 @@ use canopen_node::{
     BitRate, Device, Frame, Instant, Node, NodeId, Receives,
     indicator::BusState,
     runner::{
-        AsyncController, AsyncSystem, BusError, Controller, Mode, Received, Runner, Sample, System,
+        self, AsyncController, AsyncSystem, BusError, Controller, Mode, Received, Runner, Sample,
+        System,
     },
-    settings::Log,
+    settings::{Found, Log},
 };
 use testkit::{
     flash::BoardFlash,
@@ -383,6 +384,37 @@ fn a_listener_that_hears_nothing_of_a_dominant_bus_is_started_again() {
     board.runner.handle_received();
     board.runner.supervise();
     assert_eq!(board.take_starts(), [], "it has heard something");
+}
+
+#[test]
+fn the_last_error_code_of_a_controller_names_the_error() {
+    use BusError::*;
+    let errors = [Stuff, Form, Acknowledge, BitRecessive, BitDominant, Crc];
+    for (code, error) in (1..).zip(errors) {
+        assert_eq!(BusError::from_code(code), Some(error));
+    }
+    assert_eq!([0, 7, 255].map(BusError::from_code), [None; 3]);
+}
+
+#[test]
+fn filters_get_the_cob_ids_in_full_lists() {
+    let receives =
+        Receives { all: false, services: [1, 2, 3, 4], rpdos: [5, 6], heartbeats: [7, 8, 9] };
+    assert!(receives.lists().eq([[1, 2, 3, 4], [5, 6, 7, 8], [9, 9, 9, 9]]));
+    assert!(receives.lists().eq([[1, 2, 3], [4, 5, 6], [7, 8, 9]]));
+}
+
+#[test]
+fn a_loss_of_the_settings_is_reported() {
+    let flash = BoardFlash::with_content(vec![0; 0x8000], 0);
+    let (mut log, found) = Storage::open_with_parameters(flash);
+    let mut board = Board::with_node_id();
+    let mut node: Node = Node::new(device(ADDRESS).with_defaults(defaults(5)), None);
+    assert_eq!(runner::restore(&mut node, &mut log, found), Found::Damaged);
+    board.runner = Runner::new(node, Handle(board.chip.clone()), Handle(board.chip.clone()));
+    board.pass_ms(1);
+    let sent = board.take_sent().texts();
+    assert!(sent.iter().any(|text| text.starts_with("085: ")), "{sent:?}");
 }
 
 #[test]

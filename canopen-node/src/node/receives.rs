@@ -1,5 +1,7 @@
 //! The COB-IDs that a node receives.
 
+use core::{array, iter};
+
 /// The COB-IDs of the frames that a node uses. An unused place repeats the COB-ID of LSS requests, 7E5h.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -19,6 +21,18 @@ impl<const RPDOS: usize, const PRODUCERS: usize> Receives<RPDOS, PRODUCERS> {
     pub fn iter(&self) -> impl Iterator<Item = u16> {
         let others = self.rpdos.iter().chain(&self.heartbeats);
         self.services.iter().chain(others).copied()
+    }
+
+    /// The same in lists of `N`, for filters with that many places; an unused place repeats the first of its list.
+    pub fn lists<const N: usize>(&self) -> impl Iterator<Item = [u16; N]> {
+        let mut cob_ids = self.iter();
+        iter::from_fn(move || {
+            let first = cob_ids.next()?;
+            Some(array::from_fn(|at| match at {
+                0 => first,
+                _ => cob_ids.next().unwrap_or(first),
+            }))
+        })
     }
 
     /// Whether the node uses frames of this COB-ID: for a controller without filters.

@@ -116,6 +116,19 @@ pub enum BusError {
 }
 
 impl BusError {
+    /// The error with this last error code, 1 to 6, as the registers of bxCAN, FDCAN and C_CAN have it; others are none.
+    pub const fn from_code(code: u8) -> Option<Self> {
+        match code {
+            1 => Some(Self::Stuff),
+            2 => Some(Self::Form),
+            3 => Some(Self::Acknowledge),
+            4 => Some(Self::BitRecessive),
+            5 => Some(Self::BitDominant),
+            6 => Some(Self::Crc),
+            _ => None,
+        }
+    }
+
     /// The event for [`Node::handle_bus`](crate::Node::handle_bus), if the error says something about the bit rate.
     pub const fn event(self) -> Option<BusEvent> {
         match self {

@@ -91,6 +91,18 @@ impl BitTiming {
         best
     }
 
+    /// The best bit timing for each rate, by index of the bit timing table of LSS, for a constant: to solve takes long.
+    pub const fn table(clock_hz: u32) -> [Option<Self>; 10] {
+        let mut table = [None; 10];
+        let mut at = 0;
+        while at < BitRate::ALL.len() {
+            let rate = BitRate::ALL[at];
+            table[rate.index() as usize] = Self::solve(rate, clock_hz);
+            at += 1;
+        }
+        table
+    }
+
     /// The crystal error that two nodes on a short bus tolerate, in opposite directions and in ppm. A resynchronisation
     /// corrects the drift of 10 bits, and the drift of the 13 bits that an error flag can last does not pass the sample
     /// point (ISO 11898-1).

@@ -1,18 +1,18 @@
 //! Bit timing of the bxCAN: the register values of the bit rates.
 
-use canopen_node::{BitRate, bit_rate::BitTiming};
+use canopen_node::bit_rate::BitTiming;
 
 use crate::chip::APB1_HZ;
 
 /// The CAN_BTR values by index of the bit timing table; 0 for a rate that this clock cannot make and the node never
 /// requests.
 pub const BTR: [u32; 10] = {
+    let timings = BitTiming::table(APB1_HZ);
     let mut values = [0; 10];
     let mut i = 0;
-    while i < BitRate::ALL.len() {
-        let rate = BitRate::ALL[i];
-        if let Some(timing) = BitTiming::solve(rate, APB1_HZ) {
-            values[rate.index() as usize] = register(timing);
+    while i < timings.len() {
+        if let Some(timing) = timings[i] {
+            values[i] = register(timing);
         }
         i += 1;
     }

@@ -203,15 +203,7 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
         let status = can.esr().read();
         // SAFETY: the value that software sets to detect the next error.
         can.esr().write(|w| unsafe { w.lec().bits(SET_BY_SOFTWARE) });
-        let error = match status.lec().bits() {
-            1 => Some(BusError::Stuff),
-            2 => Some(BusError::Form),
-            3 => Some(BusError::Acknowledge),
-            4 => Some(BusError::BitRecessive),
-            5 => Some(BusError::BitDominant),
-            6 => Some(BusError::Crc),
-            _ => None,
-        };
+        let error = BusError::from_code(status.lec().bits());
         can.ier().modify(|_, w| {
             // Bus-off is reported once, although the interrupt persists.
             w.bofie().bit(status.boff().bit_is_clear());
