@@ -34,7 +34,8 @@ impl Emulated {
         let stdout = BufReader::new(child.stdout.take().expect("it is piped"));
         let (sender, lines) = mpsc::channel();
         thread::spawn(move || {
-            stdout.lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
+            // To the end, though nobody may want the log of a program.
+            stdout.lines().map_while(Result::ok).for_each(|line| _ = sender.send(line));
         });
         let description = lines.recv_timeout(BUILD).expect("it starts");
         let address =

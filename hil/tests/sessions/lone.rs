@@ -13,7 +13,7 @@ use crate::run::{self, Run};
 const LIMIT: Duration = Duration::from_secs(20);
 
 /// Another program with an adapter on the bus.
-pub struct Program(TcpStream);
+pub struct Program(pub TcpStream);
 
 impl Program {
     pub fn connect(address: SocketAddr) -> Self {

@@ -4,6 +4,7 @@ mod broken;
 mod conformance;
 mod folder;
 mod lone;
+mod port;
 mod proxy;
 mod run;
 mod whole;

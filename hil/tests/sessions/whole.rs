@@ -23,7 +23,7 @@ use crate::{
 };
 
 /// The session with a person who is there.
-const HANDS: [&str; 5] = ["--session", "hands", "--ask", "always", "--quick"];
+pub const HANDS: [&str; 5] = ["--session", "hands", "--ask", "always", "--quick"];
 
 /// The settings in the flash file of the first board: node-ID or FF, and the index of the bit rate.
 fn stored(folder: &Path) -> (u8, u8) {

@@ -1,0 +1,183 @@
+//! The bxCAN as the runner drives it, by the driver of embassy-stm32. The registers are accessed for what that does not
+//! offer: error counters, the level of the bus, and to abort a frame or to change the bit rate without a wait.
+
+use canopen_node::{
+    BitRate, Frame, Receives,
+    bit_rate::BitTiming,
+    indicator::BusState,
+    runner::{AsyncController, BusError, Controller, Mode, Received, Sample},
+};
+use embassy_futures::{
+    poll_once,
+    select::{Either, select, select_array},
+};
+use embassy_stm32::{
+    can::{
+        Can, CanRx, CanTx, Fifo, Frame as CanFrame, Mailbox, StandardId,
+        enums::{self, TryReadError},
+        filter::{ListEntry16, Mask32},
+        frame::Envelope,
+        util::NominalBitTiming,
+    },
+    pac::{CAN1, can::regs::Ier},
+    peripherals, rcc,
+};
+
+use crate::chip::CAN_HZ;
+
+const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CAN_HZ);
+const MAILBOXES: [Mailbox; 3] = [Mailbox::Mailbox0, Mailbox::Mailbox1, Mailbox::Mailbox2];
+
+/// The CAN controller.
+pub struct Bxcan {
+    can: Can<'static>,
+    sender: CanTx<'static>,
+    receiver: CanRx<'static>,
+    /// The interrupts as the driver has enabled them.
+    interrupts: Ier,
+    /// The COB-IDs in the mailboxes, but for aborted frames: the driver does not tell these from sent ones.
+    sending: [Option<u16>; 3],
+    received: Option<Envelope>,
+    error: Option<BusError>,
+}
+
+impl Bxcan {
+    pub fn new(mut can: Can<'static>) -> Self {
+        let (sender, receiver) = can.split();
+        let interrupts = CAN1.ier().read();
+        Self { can, sender, receiver, interrupts, sending: [None; 3], received: None, error: None }
+    }
+}
+
+impl Controller for Bxcan {
+    /// Resets the controller, as the driver waits for the end of a frame before it changes the bit rate.
+    fn start<const R: usize, const P: usize>(
+        &mut self,
+        mode: Mode,
+        bit_rate: BitRate,
+        receives: &Receives<R, P>,
+    ) -> bool {
+        let Some(timing) = TIMINGS[usize::from(bit_rate.index())].and_then(to_driver) else {
+            return false;
+        };
+        rcc::enable_and_reset::<peripherals::CAN1>();
+        CAN1.ier().write_value(self.interrupts);
+        self.sending = [None; 3];
+        self.can.modify_config().set_bit_timing(timing).set_silent(mode == Mode::Listen);
+        self.set_receives(receives);
+        // The first poll begins, and the controller joins the bus by itself.
+        let _ = poll_once(self.can.enable());
+        true
+    }
+
+    fn set_receives<const R: usize, const P: usize>(&mut self, receives: &Receives<R, P>) {
+        let entry =
+            |id| ListEntry16::data_frames_with_id(StandardId::new(id).unwrap_or(StandardId::MAX));
+        let mut filters = self.can.modify_filters();
+        filters.clear();
+        if receives.all {
+            filters.enable_bank(0, Fifo::Fifo0, Mask32::accept_all());
+            return;
+        }
+        for (bank, list) in (0..).zip(receives.lists::<4>()) {
+            filters.enable_bank(bank, Fifo::Fifo0, list.map(entry));
+        }
+    }
+
+    fn receive(&mut self) -> Option<Received> {
+        loop {
+            match self.received.take().map_or_else(|| self.receiver.try_read(), Ok) {
+                Ok(Envelope { frame, .. }) => {
+                    // The driver panics at the data of a frame with a length code above 8.
+                    let is_valid = frame.header().len() <= 8;
+                    return Some(is_valid.then(|| Frame::received(&frame)).flatten().into());
+                }
+                Err(TryReadError::BusError(error)) => self.error = convert(error),
+                Err(TryReadError::Empty) => return None,
+            }
+        }
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        // Otherwise the driver takes a less urgent frame out of its mailbox.
+        let is_full = self.sending.iter().all(Option::is_some);
+        if is_full || self.sending.iter().flatten().any(|cob_id| *cob_id <= frame.cob_id()) {
+            return false;
+        }
+        let Ok(copy) = CanFrame::new_standard(frame.cob_id(), frame.data()) else { return false };
+        let Ok(status) = self.sender.try_write(&copy) else { return false };
+        self.sending[status.mailbox() as usize] = Some(frame.cob_id());
+        true
+    }
+
+    fn take_sent(&mut self) -> bool {
+        let is_empty = |mailbox| poll_once(self.sender.flush(mailbox)).is_ready();
+        let mailboxes = MAILBOXES.into_iter().zip(&mut self.sending);
+        mailboxes.filter_map(|(mailbox, sending)| sending.take_if(|_| is_empty(mailbox))).count()
+            > 0
+    }
+
+    fn is_idle(&mut self) -> bool {
+        self.sender.is_idle()
+    }
+
+    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+        for (mailbox, sending) in self.sending.iter_mut().enumerate() {
+            if sending.take_if(|cob_id| are_dropped(*cob_id)).is_some() {
+                CAN1.tsr().write(|w| w.set_abrq(mailbox, true));
+            }
+        }
+    }
+
+    fn take_error(&mut self) -> Option<BusError> {
+        self.error.take()
+    }
+
+    fn error_counters(&self) -> (u8, u8) {
+        let status = CAN1.esr().read();
+        (status.tec(), status.rec())
+    }
+
+    fn bus_state(&self) -> BusState {
+        let status = CAN1.esr().read();
+        match (status.boff(), status.ewgf()) {
+            (true, _) => BusState::BusOff,
+            (_, true) => BusState::Warning,
+            _ => BusState::Good,
+        }
+    }
+
+    fn sample(&self) -> Option<Sample> {
+        let status = CAN1.msr().read();
+        Some(Sample { is_recessive: status.rx(), is_transmitting: status.txm() })
+    }
+}
+
+impl AsyncController for Bxcan {
+    async fn changed(&mut self) {
+        let (sender, sending) = (&self.sender, self.sending);
+        let sent = MAILBOXES.map(async |mailbox| match sending[mailbox as usize] {
+            Some(_) => sender.flush(mailbox).await,
+            None => core::future::pending().await,
+        });
+        match select(self.receiver.read(), select_array(sent)).await {
+            Either::First(Ok(envelope)) => self.received = Some(envelope),
+            Either::First(Err(error)) => self.error = convert(error),
+            Either::Second(_) => {}
+        }
+    }
+}
+
+/// The errors have the order of the last error code.
+fn convert(error: enums::BusError) -> Option<BusError> {
+    BusError::from_code(error as u8 + 1)
+}
+
+fn to_driver(timing: BitTiming) -> Option<NominalBitTiming> {
+    Some(NominalBitTiming {
+        prescaler: timing.prescaler.try_into().ok()?,
+        seg1: timing.segment1.try_into().ok()?,
+        seg2: timing.segment2.try_into().ok()?,
+        sync_jump_width: timing.sync_jump_width.try_into().ok()?,
+    })
+}
