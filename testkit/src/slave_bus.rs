@@ -39,12 +39,21 @@ pub struct Habits {
     pub again_us: u64,
     /// The time that a store takes.
     pub store_us: u64,
+    /// The NMT state in its boot-up message; 0 is right.
+    pub boot_up: u8,
 }
 
 impl Default for Habits {
     /// Those of a board of ours.
     fn default() -> Self {
-        Self { answer_us: 100..300, poll_us: 0, without: &[], again_us: 0, store_us: 1_000 }
+        Self {
+            answer_us: 100..300,
+            poll_us: 0,
+            without: &[],
+            again_us: 0,
+            store_us: 1_000,
+            boot_up: 0,
+        }
     }
 }
 
@@ -351,12 +360,16 @@ impl SlaveBus {
     fn collect(&mut self, number: usize) {
         let now = self.now;
         let slave = &mut self.slaves[number];
+        let boot_up = slave.habits.boot_up;
         let sent: Vec<Frame> = slave
             .rig
             .take_actions()
             .into_iter()
             .filter_map(|action| match action {
-                canopen_node::Action::Transmit(frame) => Some(frame),
+                canopen_node::Action::Transmit(frame) => match (frame.cob_id(), frame.data()) {
+                    (0x701..=0x77F, [0]) => Frame::new(frame.cob_id(), &[boot_up]),
+                    _ => Some(frame),
+                },
                 _ => None,
             })
             .collect();

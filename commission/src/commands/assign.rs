@@ -15,7 +15,7 @@ use crate::{
     commands::{
         power,
         replace::{Replacements, replace},
-        set_id::{ATTEMPTS, RESET_COMMUNICATION, boots_up, silent, wait_for_boot_up},
+        set_id::{ATTEMPTS, RESET_COMMUNICATION, boots_up, is_there, silent, wait_for_boot_up},
     },
     failure::Failure,
     scan,
@@ -214,9 +214,14 @@ fn verify(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<()
             break;
         }
     }
-    if !boots {
+    if !boots && !is_there(session, id)? {
         return Err(silent(id));
     }
+    // Some slaves send another message than the boot-up message.
+    let how = match boots {
+        true => "stored, verified by a reset",
+        false => "stored; it answers after a reset, but sends no boot-up message",
+    };
     let text = address::text(address);
     session.progress.clear();
     match sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)? {
@@ -225,7 +230,7 @@ fn verify(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<()
             id.get()
         ))),
         // A node need not tell its serial number.
-        _ => Ok(writeln!(session.out, "node {}  {text}  stored, verified by a reset", id.get())?),
+        _ => Ok(writeln!(session.out, "node {}  {text}  {how}", id.get())?),
     }
 }
 

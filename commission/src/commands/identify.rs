@@ -14,7 +14,8 @@ pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failur
     };
     if !session.carry_out(within.clone())? {
         return Err(Failure::NoAnswer(format!(
-            "no board within these ranges answers at {}. Is the bit rate right (--bit-rate)?",
+            "no board within these ranges answers at {}. Is the bit rate right (--bit-rate)? Some slaves do not support \
+             identify remote slave",
             session.bus.rate()
         )));
     }

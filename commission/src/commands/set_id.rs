@@ -77,7 +77,7 @@ pub fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> 
 }
 
 /// Whether a node answers with this node-ID.
-fn is_there(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
+pub fn is_there(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
     let id = u16::from(id.get());
     session.bus.send_to(0x600 + id, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0])?;
     let wait = session.bus.short();

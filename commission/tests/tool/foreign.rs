@@ -158,6 +158,14 @@ fn slaves_without_identify_are_served() {
 }
 
 #[test]
+fn slaves_without_a_boot_up_message_get_a_node_id() {
+    let slaves = Slaves::new([Habits { boot_up: 0x7F, ..Habits::default() }]);
+    let text = slaves.done("assign");
+    assert!(text.contains("stored; it answers after a reset, but sends no boot-up message"));
+    slaves.assert_assigned();
+}
+
+#[test]
 fn slaves_without_fastscan_are_found_by_identify_if_their_product_is_known() {
     let without = &[FASTSCAN];
     let slaves = Slaves::new([(); 3].map(|()| Habits { without, ..Habits::default() }));
