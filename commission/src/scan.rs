@@ -140,6 +140,11 @@ pub fn is_anyone_without_fastscan(session: &mut Session<'_>) -> Result<bool, Fai
     Ok(session.bus.probe(Request::IdentifyNonConfigured)?.is_some())
 }
 
+/// The same after a scan that has found boards, whose answer times are known.
+pub fn is_another_without_fastscan(session: &mut Session<'_>) -> Result<bool, Failure> {
+    session.carry_out(Probe(Request::IdentifyNonConfigured))
+}
+
 /// A request to which silence is an answer.
 struct Probe(Request);
 

@@ -88,7 +88,12 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
         }
         session.bus.hold_interrupt(false);
     }
-    if held.is_empty() && scan::is_anyone_without_fastscan(session)? {
+    let is_anyone_left = match new.is_empty() {
+        _ if !held.is_empty() => false,
+        true => scan::is_anyone_without_fastscan(session)?,
+        false => scan::is_another_without_fastscan(session)?,
+    };
+    if is_anyone_left {
         let given = without_fastscan(session, table.as_mut(), first, &mut taken, &mut new)?;
         if !given || scan::is_anyone_without_fastscan(session)? {
             problems.push(
