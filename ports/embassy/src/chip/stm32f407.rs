@@ -1,11 +1,10 @@
 //! The board STM32F407G-DISC1: clocks, pins, and the place of the settings.
 
 use embassy_stm32::{
-    Config, Peripherals, bind_interrupts,
-    can::{Can, Rx0InterruptHandler, Rx1InterruptHandler, SceInterruptHandler, TxInterruptHandler},
+    Config, Peripherals,
+    can::Can,
     flash::{Bank1Region1, Blocking, Flash},
     gpio::{Level, Output, Speed},
-    peripherals::CAN1,
     rcc::{
         AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
         Sysclk,
@@ -14,14 +13,10 @@ use embassy_stm32::{
     wdg::IndependentWatchdog,
 };
 
-use crate::{Parts, bxcan::Bxcan};
-
-bind_interrupts!(struct Interrupts {
-    CAN1_TX => TxInterruptHandler<CAN1>;
-    CAN1_RX0 => Rx0InterruptHandler<CAN1>;
-    CAN1_RX1 => Rx1InterruptHandler<CAN1>;
-    CAN1_SCE => SceInterruptHandler<CAN1>;
-});
+use crate::{
+    Parts,
+    bxcan::{Bxcan, Interrupts},
+};
 
 /// The clock of the CAN controller: 40 MHz makes all rates exactly.
 pub const CAN_HZ: u32 = 40_000_000;

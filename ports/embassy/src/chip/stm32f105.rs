@@ -1,0 +1,44 @@
+//! An STM32F105RC with a crystal of 8 MHz: clocks, pins, and the place of the settings. Checked only.
+
+use embassy_stm32::{
+    Config, Peripherals,
+    can::Can,
+    flash::{Bank1Region, Blocking, Flash},
+    gpio::{Level, Output, Speed},
+    rcc::{APBPrescaler, Hse, HseMode, Pll, PllMul, PllPreDiv, PllSource, Sysclk},
+    time::Hertz,
+    wdg::IndependentWatchdog,
+};
+
+use crate::{
+    Parts,
+    bxcan::{Bxcan, Interrupts},
+};
+
+/// The clock of the CAN controller.
+pub const CAN_HZ: u32 = 36_000_000;
+
+/// The last eight pages.
+pub const SETTINGS_OFFSET: u32 = 0x3_C000;
+pub const SETTINGS_LEN: u32 = 0x4000;
+
+/// 72 MHz, and 36 MHz for the peripherals.
+pub fn clocks() -> Config {
+    let mut config = Config::default();
+    config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Oscillator });
+    config.rcc.pll = Some(Pll { src: PllSource::HSE, prediv: PllPreDiv::DIV1, mul: PllMul::MUL9 });
+    config.rcc.sys = Sysclk::PLL1_P;
+    config.rcc.apb1_pre = APBPrescaler::DIV2;
+    config
+}
+
+/// The peripherals that the node uses.
+pub fn parts(p: Peripherals) -> Parts<Bxcan, Bank1Region<'static, Blocking>> {
+    Parts {
+        can: Bxcan::new(Can::new(p.CAN1, p.PB8, p.PB9, Interrupts)),
+        flash: Flash::new_blocking(p.FLASH).into_blocking_regions().bank1_region,
+        run: Output::new(p.PA5, Level::Low, Speed::Low),
+        error: Output::new(p.PA6, Level::Low, Speed::Low),
+        watchdog: IndependentWatchdog::new(p.IWDG, 2_000_000),
+    }
+}
