@@ -47,7 +47,7 @@ impl runner::Controller for Controller {
         bit_rate: BitRate,
         _receives: &Receives<RPDOS, PRODUCERS>,
     ) -> bool {
-        let Some(timing) = canopen_esp32c3::timing(bit_rate) else {
+        let Some(timing) = port_esp32c3::timing(bit_rate) else {
             return false;
         };
         self.driver = None;
@@ -74,7 +74,7 @@ impl runner::Controller for Controller {
 
     fn receive(&mut self) -> Option<Received> {
         match self.driver.as_mut()?.receive() {
-            Ok(frame) => Some(canopen_esp32c3::received(&frame)),
+            Ok(frame) => Some(port_esp32c3::received(&frame)),
             Err(nb::Error::Other(EspTwaiError::EmbeddedHAL(ErrorKind::Overrun))) => {
                 // The driver leaves the remains of the lost frame in their place.
                 TWAI0::regs().cmd().write(|w| w.release_buf().set_bit());
@@ -122,7 +122,7 @@ impl runner::Controller for Controller {
             registers.mode().modify(|_, w| w.reset_mode().clear_bit());
         }
         let has_error = registers.int_raw().read().bus_err_int_st().bit_is_set();
-        has_error.then(|| canopen_esp32c3::error(registers.err_code_cap().read().bits() as u8))
+        has_error.then(|| port_esp32c3::error(registers.err_code_cap().read().bits() as u8))
     }
 
     /// The counters of a listener stand still: the driver has set one of them to 128, so that the controller cannot

@@ -17,17 +17,7 @@ pub const CLOCK_HZ: u32 = 80_000_000 / 2;
 /// The bit rates that LSS may select: all, and each is exact.
 pub const BIT_RATES: BitRates = BitRates::possible(CLOCK_HZ).with_automatic();
 
-/// By index of the bit timing table.
-const TIMINGS: [Option<BitTiming>; 9] = {
-    let mut timings = [None; 9];
-    let mut i = 0;
-    while i < BitRate::ALL.len() {
-        let rate = BitRate::ALL[i];
-        timings[rate.index() as usize] = BitTiming::solve(rate, CLOCK_HZ);
-        i += 1;
-    }
-    timings
-};
+const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CLOCK_HZ);
 
 /// The bit timing of `rate`, with a prescaler that divides the APB clock.
 pub fn timing(rate: BitRate) -> Option<BitTiming> {

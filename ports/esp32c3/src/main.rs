@@ -10,10 +10,9 @@ use core::{cell::RefCell, panic::PanicInfo};
 use canopen_node::{
     BitRate, BitRateSetting, Device, Instant, Node, Settings,
     application::NoApplication,
-    emergency::Fault,
     lss::Address,
-    runner::{AsyncSystem, Runner, System},
-    settings::{Found, Log},
+    runner::{self, AsyncSystem, Runner, System},
+    settings::Log,
 };
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_futures::block_on;
@@ -41,7 +40,7 @@ const DEVICE: Device = Device::new(
         revision_number: 0x0001_0000,
         serial_number: 0,
     },
-    canopen_esp32c3::BIT_RATES,
+    port_esp32c3::BIT_RATES,
 )
 .with_defaults(Settings::new(BitRateSetting::Fixed(BitRate::Kbit125)).with_heartbeat_ms(1000))
 .with_name("LSS slave")
@@ -64,10 +63,7 @@ fn main() -> ! {
         mac.as_bytes().iter().fold(0, |number, byte| number << 8 | u32::from(*byte));
     let device = DEVICE.with_serial_number(serial_number);
     let mut node = Node::new(device, log.settings());
-    let restored = log.restore(|parameter| node.restore(parameter));
-    if restored.is_err() || matches!(found, Found::Damaged | Found::ParametersDamaged) {
-        node.handle_fault(Fault::SettingsLost);
-    }
+    runner::restore(&mut node, &mut log, found);
 
     let can = Controller::new(chip.TWAI0, chip.GPIO3, chip.GPIO2);
     let mut runner = Runner::new(node, can, Chip);
