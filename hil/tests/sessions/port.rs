@@ -1,4 +1,4 @@
-//! The port to embassy-stm32 on its emulated chip: the same sessions as for our own board. `.ci/run ports` builds it.
+//! The port to embassy-stm32 on its emulated chips: the same sessions as for our own board. `.ci/run ports` builds it.
 
 use std::{
     io::{BufRead, BufReader, Read, Write},
@@ -15,43 +15,59 @@ use crate::{
     whole::HANDS,
 };
 
-/// The port beside this number of our own boards.
-fn start(boards: &str, arguments: &[&str]) -> Emulated {
-    let program =
-        cargo::workspace().join("target/embassy/thumbv7em-none-eabihf/release/port-embassy");
+/// Defines a test of each property with each chip.
+macro_rules! shown_on {
+    ($($chip:ident),*: $properties:tt) => {$(
+        mod $chip {
+            shown_on!(@ $chip $properties);
+        }
+    )*};
+    (@ $chip:ident { $($property:ident),* }) => {$(
+        #[test]
+        #[ignore = "needs the program: `.ci/run ports`"]
+        fn $property() {
+            super::$property(stringify!($chip));
+        }
+    )*};
+}
+
+shown_on! { stm32f407, stm32g431: {
+    the_port_passes_the_whole_session,
+    the_port_passes_beside_our_own_board,
+    the_port_keeps_its_settings_through_a_power_cut_and_recovers_from_bus_off,
+    the_port_alone_on_its_bus_answers_a_late_master
+} }
+
+/// The port on this chip, beside this number of our own boards.
+fn start(chip: &str, boards: &str, arguments: &[&str]) -> Emulated {
+    let program = cargo::workspace().join(format!("target/embassy/{chip}.elf"));
     let program = program.to_string_lossy();
-    let chip = ["--boards", boards, "--chip", "stm32f407", "--elf", &program];
+    let chip = ["--boards", boards, "--chip", chip, "--elf", &program];
     Emulated::start(&[&chip[..], arguments].concat())
 }
 
-#[test]
-#[ignore = "needs the program: `.ci/run ports`"]
-fn the_port_passes_the_whole_session() {
-    let port = start("0", &[]);
-    let folder = new_folder("port");
+fn the_port_passes_the_whole_session(chip: &str) {
+    let port = start(chip, "0", &[]);
+    let folder = new_folder(&format!("port-{chip}"));
     let output = run::command(&folder, &port.adapter(), &[]).output().expect("it runs");
     Run::new(&folder, output, Duration::ZERO).assert_good();
 }
 
-#[test]
-#[ignore = "needs the program: `.ci/run ports`"]
-fn the_port_passes_beside_our_own_board() {
-    let boards = start("1", &[]);
+fn the_port_passes_beside_our_own_board(chip: &str) {
+    let boards = start(chip, "1", &[]);
     let sessions = [
         "services", "answers", "bursts", "sdo", "nmt", "fastscan", "activate", "switch", "store",
         "rescue",
     ];
     let arguments: Vec<_> = sessions.iter().flat_map(|name| ["--session", *name]).collect();
-    let run = run::run("port-beside", &boards.adapter(), &arguments);
+    let run = run::run(&format!("port-beside-{chip}"), &boards.adapter(), &arguments);
     run.assert_good();
     assert_eq!(run.report["boards"].as_array().map(Vec::len), Some(2));
 }
 
-#[test]
-#[ignore = "needs the program: `.ci/run ports`"]
-fn the_port_keeps_its_settings_through_a_power_cut_and_recovers_from_bus_off() {
-    let mut port = start("0", &["--console"]);
-    let folder = new_folder("port-hands");
+fn the_port_keeps_its_settings_through_a_power_cut_and_recovers_from_bus_off(chip: &str) {
+    let mut port = start(chip, "0", &["--console"]);
+    let folder = new_folder(&format!("port-hands-{chip}"));
     let mut command = run::command(&folder, &port.adapter(), &HANDS);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
     child.stdin.as_mut().expect("it is piped").write_all(b"y\ny\n").expect("it reads");
@@ -89,10 +105,8 @@ fn ask(master: &mut Program, lines: &[&str], answer: &str) {
     panic!("{answer} is not in {said}");
 }
 
-#[test]
-#[ignore = "needs the program: `.ci/run ports`"]
-fn the_port_alone_on_its_bus_answers_a_late_master() {
-    let port = start("0", &[]);
+fn the_port_alone_on_its_bus_answers_a_late_master(chip: &str) {
+    let port = start(chip, "0", &[]);
     let mut master = Program::connect(port.address);
     master.0.set_read_timeout(Some(Duration::from_millis(500))).expect("a socket");
     for line in ["S4", "O"] {

@@ -3,9 +3,12 @@
 #![no_std]
 #![no_main]
 
+#[cfg(not(feature = "stm32g431"))]
 mod bxcan;
 mod chip;
 mod device;
+#[cfg(feature = "stm32g431")]
+mod fdcan;
 
 use core::cell::RefCell;
 
