@@ -3,7 +3,8 @@
 use std::{env, fs, path::PathBuf};
 
 /// The chips, by feature.
-const CHIPS: [&str; 5] = ["stm32f105", "stm32f407", "stm32f767", "stm32g431", "stm32l476"];
+const CHIPS: [&str; 7] =
+    ["stm32f105", "stm32f407", "stm32f767", "stm32g431", "stm32g474", "stm32h743", "stm32l476"];
 
 fn main() {
     let is_chosen =

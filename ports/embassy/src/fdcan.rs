@@ -22,10 +22,7 @@ use embassy_stm32::{
     interrupt::typelevel::{self, Handler},
     pac::{
         FDCAN1 as REGISTERS,
-        can::{
-            regs::{Psr, Txbcr},
-            vals::Act,
-        },
+        can::regs::{Psr, Txbcr},
     },
     peripherals::{FDCAN1, PB8, PB9},
 };
@@ -36,6 +33,11 @@ use crate::chip::CAN_HZ;
 
 const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CAN_HZ);
 const BUFFERS: usize = 3;
+
+/// Of PSR, where the values have no names on an STM32H7: the last error code, and the activity.
+const LAST_ERROR: u32 = 0b111;
+const ACTIVITY: u32 = 0b11 << 3;
+const TRANSMITTER: u32 = 0b11 << 3;
 
 bind_interrupts!(struct Interrupts {
     FDCAN1_IT0 => IT0InterruptHandler<FDCAN1>, Waker;
@@ -79,7 +81,7 @@ impl Fdcan {
 
     fn status(&self) -> Psr {
         let status = REGISTERS.psr().read();
-        if let Some(error) = BusError::from_code(status.lec().to_bits()) {
+        if let Some(error) = BusError::from_code((status.0 & LAST_ERROR) as u8) {
             self.error.set(Some(error));
         }
         status
@@ -218,7 +220,7 @@ impl Controller for Fdcan {
 
     fn sample(&self) -> Option<Sample> {
         // Before the first start it has no clock.
-        let is_transmitting = self.driver.is_some() && self.status().act() == Act::TX;
+        let is_transmitting = self.driver.is_some() && self.status().0 & ACTIVITY == TRANSMITTER;
         let is_recessive = self.driver.is_none() || REGISTERS.test().read().rx();
         Some(Sample { is_recessive, is_transmitting })
     }

@@ -3,11 +3,11 @@
 #![no_std]
 #![no_main]
 
-#[cfg(not(feature = "stm32g431"))]
+#[cfg(feature = "bxcan")]
 mod bxcan;
 mod chip;
 mod device;
-#[cfg(feature = "stm32g431")]
+#[cfg(feature = "fdcan")]
 mod fdcan;
 
 use core::cell::RefCell;
@@ -21,7 +21,7 @@ use canopen_node::{
 use defmt_rtt as _;
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_executor::Spawner;
-use embassy_stm32::{gpio::Output, peripherals::IWDG, uid::uid, wdg::IndependentWatchdog};
+use embassy_stm32::{gpio::Output, uid::uid, wdg::IndependentWatchdog};
 use embassy_sync::blocking_mutex::{Mutex, NoopMutex};
 use embassy_time::Timer;
 use panic_probe as _;
@@ -32,7 +32,7 @@ struct Parts<C, F> {
     flash: F,
     run: Output<'static>,
     error: Output<'static>,
-    watchdog: IndependentWatchdog<'static, IWDG>,
+    watchdog: IndependentWatchdog<'static, chip::Watchdog>,
 }
 
 /// The time driver of embassy, and the core.

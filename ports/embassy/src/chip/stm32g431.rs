@@ -1,11 +1,9 @@
 //! An STM32G431 with a crystal of 8 MHz: clocks, pins, and the place of the settings.
 
-use cortex_m_rt::exception;
 use embassy_stm32::{
     Config, Peripherals,
     flash::{Bank1Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
-    pac::FLASH,
     rcc::{Hse, HseMode, Pll, PllMul, PllPreDiv, PllQDiv, PllRDiv, PllSource, Sysclk, mux},
     time::Hertz,
     wdg::IndependentWatchdog,
@@ -47,11 +45,4 @@ pub fn parts(p: Peripherals) -> Parts<Fdcan, Bank1Region<'static, Blocking>> {
         error: Output::new(p.PC14, Level::Low, Speed::Low),
         watchdog: IndependentWatchdog::new(p.IWDG, 2_000_000),
     }
-}
-
-/// A double word whose programming a power cut has interrupted has a double error: the log finds that it is not valid.
-// SAFETY: it only clears the flag.
-#[exception]
-unsafe fn NonMaskableInt() {
-    FLASH.eccr().modify(|w| w.set_eccd(true));
 }
