@@ -1,8 +1,11 @@
 //! The board NUCLEO-H743ZI: clocks, pins, and the place of the settings. Built only.
 
+use core::arch::asm;
+
+use cortex_m::peripheral::SCB;
 use embassy_stm32::{
     Config, Peripherals,
-    flash::{Bank2Region, Blocking, Flash},
+    flash::{self, Bank2Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
     rcc::{
         AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource,
@@ -12,7 +15,11 @@ use embassy_stm32::{
     wdg::IndependentWatchdog,
 };
 
+use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+
 use crate::{Parts, fdcan::Fdcan};
+
+type Region = Bank2Region<'static, Blocking>;
 
 /// The clock of the CAN controller: 80 MHz makes all rates exactly.
 pub const CAN_HZ: u32 = 80_000_000;
@@ -45,12 +52,58 @@ pub fn clocks() -> Config {
 }
 
 /// The peripherals that the node uses.
-pub fn parts(p: Peripherals) -> Parts<Fdcan, Bank2Region<'static, Blocking>> {
+pub fn parts(p: Peripherals) -> Parts<Fdcan, SettingsFlash> {
     Parts {
         can: Fdcan::new(p.FDCAN1, p.PB8, p.PB9),
-        flash: Flash::new_blocking(p.FLASH).into_blocking_regions().bank2_region,
+        flash: SettingsFlash(Flash::new_blocking(p.FLASH).into_blocking_regions().bank2_region),
         run: Output::new(p.PB0, Level::Low, Speed::Low),
         error: Output::new(p.PB14, Level::Low, Speed::Low),
         watchdog: IndependentWatchdog::new(p.IWDG1, 2_000_000),
+    }
+}
+
+/// A unit whose programming a power cut has interrupted has a double error, and a read of it is a bus fault. Here the read
+/// goes on, and the log finds that the unit is not valid.
+pub struct SettingsFlash(Region);
+
+impl ErrorType for SettingsFlash {
+    type Error = flash::Error;
+}
+
+impl ReadNorFlash for SettingsFlash {
+    const READ_SIZE: usize = Region::READ_SIZE;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), flash::Error> {
+        // While FAULTMASK is set, BFHFNMIGN makes loads ignore bus faults (Armv7-M, B3.2.8).
+        const BFHFNMIGN: u32 = 1 << 8;
+        // SAFETY: no interrupt runs between the two changes, and nothing else changes the register.
+        unsafe {
+            asm!("cpsid f");
+            (*SCB::PTR).ccr.modify(|ccr| ccr | BFHFNMIGN);
+        }
+        let result = self.0.read(offset, bytes);
+        // SAFETY: as above.
+        unsafe {
+            (*SCB::PTR).ccr.modify(|ccr| ccr & !BFHFNMIGN);
+            asm!("dsb", "cpsie f");
+        }
+        result
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.capacity()
+    }
+}
+
+impl NorFlash for SettingsFlash {
+    const WRITE_SIZE: usize = Region::WRITE_SIZE;
+    const ERASE_SIZE: usize = Region::ERASE_SIZE;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), flash::Error> {
+        self.0.erase(from, to)
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), flash::Error> {
+        self.0.write(offset, bytes)
     }
 }
