@@ -214,7 +214,7 @@ impl Eds {
 }
 
 /// The address in the name of a section such as `1018sub4` or `1017`.
-fn address(name: &str) -> Option<Address> {
+pub fn address(name: &str) -> Option<Address> {
     let (index, sub_index) = name.split_once("sub").unwrap_or((name, "0"));
     if index.len() != 4 {
         return None;

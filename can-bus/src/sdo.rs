@@ -10,18 +10,8 @@ pub type Outcome<T> = Result<Result<T, String>, Stop>;
 /// The longest value that is read.
 const LONGEST: usize = 1024;
 
-/// Sends a request to the server of `node`; returns its answer if `is_answer`.
+/// Sends a request to the server of `node`; returns its answer if it comes within `wait` and `is_answer`.
 fn ask(
-    bus: &mut Bus,
-    node: u8,
-    request: [u8; 8],
-    is_answer: impl Fn(&[u8; 8]) -> bool,
-) -> Outcome<[u8; 8]> {
-    ask_within(bus, node, request, bus.patience(), is_answer)
-}
-
-/// The same with this wait for the answer.
-fn ask_within(
     bus: &mut Bus,
     node: u8,
     request: [u8; 8],
@@ -44,11 +34,12 @@ fn ask_within(
 /// Reads an object.
 pub fn read(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<Vec<u8>> {
     let [low, high] = index.to_le_bytes();
+    let wait = bus.patience();
     let is_start = |answer: &[u8; 8]| {
         matches!(answer[0], 0x40..=0x43 | 0x47 | 0x4B | 0x4F)
             && answer[1..4] == [low, high, sub_index]
     };
-    let first = match ask(bus, node, [0x40, low, high, sub_index, 0, 0, 0, 0], is_start)? {
+    let first = match ask(bus, node, [0x40, low, high, sub_index, 0, 0, 0, 0], wait, is_start)? {
         Ok(first) => first,
         Err(why) => return Ok(Err(why)),
     };
@@ -63,7 +54,8 @@ pub fn read(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<Vec<u
     let mut toggle = 0;
     while value.len() < LONGEST {
         let is_segment = |answer: &[u8; 8]| answer[0] & 0xF0 == toggle;
-        let segment = match ask(bus, node, [0x60 | toggle, 0, 0, 0, 0, 0, 0, 0], is_segment)? {
+        let segment = match ask(bus, node, [0x60 | toggle, 0, 0, 0, 0, 0, 0, 0], wait, is_segment)?
+        {
             Ok(segment) => segment,
             Err(why) => return Ok(Err(why)),
         };
@@ -83,17 +75,8 @@ pub fn read_number(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcom
 }
 
 /// Writes the lower `len` bytes of `value`, one to four.
-pub fn write(
-    bus: &mut Bus,
-    node: u8,
-    (index, sub_index): (u16, u8),
-    value: u32,
-    len: u8,
-) -> Outcome<()> {
-    let [low, high] = index.to_le_bytes();
-    let [a, b, c, d] = value.to_le_bytes();
-    let request = [0x23 | (4 - len) << 2, low, high, sub_index, a, b, c, d];
-    Ok(ask(bus, node, request, |answer| answer[0] == 0x60)?.map(drop))
+pub fn write(bus: &mut Bus, node: u8, object: (u16, u8), value: u32, len: u8) -> Outcome<()> {
+    download(bus, node, object, &value.to_le_bytes()[..len.into()], bus.patience())
 }
 
 /// Writes a value of any length: up to four bytes expedited, any other in segments. Waits for each answer for `wait`,
@@ -114,7 +97,7 @@ pub fn download(
     } else {
         request[4..].copy_from_slice(&(data.len() as u32).to_le_bytes());
     }
-    if let Err(why) = ask_within(bus, node, request, wait, |answer| answer[0] == 0x60)? {
+    if let Err(why) = ask(bus, node, request, wait, |answer| answer[0] == 0x60)? {
         return Ok(Err(why));
     }
     if is_expedited {
@@ -129,7 +112,7 @@ pub fn download(
         let mut segment = [toggle | (7 - part.len() as u8) << 1 | is_last, 0, 0, 0, 0, 0, 0, 0];
         segment[1..][..part.len()].copy_from_slice(part);
         let is_answer = |answer: &[u8; 8]| answer[0] == 0x20 | toggle;
-        if let Err(why) = ask_within(bus, node, segment, wait, is_answer)? {
+        if let Err(why) = ask(bus, node, segment, wait, is_answer)? {
             return Ok(Err(why));
         }
         toggle ^= 0x10;

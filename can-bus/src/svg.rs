@@ -9,7 +9,15 @@ pub fn escape(text: &str) -> String {
 
 /// A text at a place; `anchor` is start, middle or end.
 pub fn label(x: f64, y: f64, anchor: &str, text: &str) -> String {
-    format!("<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{}</text>\n", escape(text))
+    colored_label(x, y, anchor, "black", text)
+}
+
+/// The same in a color.
+pub fn colored_label(x: f64, y: f64, anchor: &str, color: &str, text: &str) -> String {
+    format!(
+        "<text fill=\"{color}\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{}</text>\n",
+        escape(text)
+    )
 }
 
 /// A rectangle that shows `title` under the pointer.

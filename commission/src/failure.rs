@@ -3,7 +3,10 @@
 use std::io;
 
 use can_bus::{explain::explain, stop::Stop};
-use canopen_node::lss::{REQUEST_COB_ID, RESPONSE_COB_ID, Request};
+use canopen_node::{
+    BitRate,
+    lss::{REQUEST_COB_ID, RESPONSE_COB_ID, Request},
+};
 use lss_master::Error;
 use thiserror::Error;
 
@@ -23,6 +26,19 @@ pub enum Failure {
 }
 
 impl Failure {
+    /// No board answers at this bit rate.
+    pub fn nobody(rate: BitRate) -> Self {
+        Self::NoAnswer(format!("nobody answers at {rate}. `lss find` looks for the bit rate"))
+    }
+
+    /// What is wrong with one board, in words; a failure that ends the run stays one.
+    pub fn of_board(self) -> Result<String, Self> {
+        match self {
+            Self::Stop(_) => Err(self),
+            failure => Ok(failure.to_string()),
+        }
+    }
+
     /// The exit code of the program.
     pub fn exit_code(&self) -> u8 {
         match self {

@@ -4,7 +4,7 @@ mod history;
 
 use std::{fmt::Write, time::Duration};
 
-use can_bus::svg::{Scale, bar, escape, label};
+use can_bus::svg::{Scale, bar, colored_label, escape, label};
 
 use crate::recorder::Entry;
 use history::{Board, History, Kind, Lane};
@@ -75,11 +75,11 @@ pub fn draw(entries: &[Entry], caption: &Caption) -> String {
         svg += &lane(&board.lane, &scale, center(row + 1));
         let (y, [first, second]) = (center(row + 1), outcome(board, &history));
         let color = if board.problem.is_some() { "#c92a2a" } else { "#222" };
-        svg += &colored(WORDS, y - 3.0, color, &first);
+        svg += &colored_label(WORDS, y - 3.0, "start", color, &first);
         svg += &gray(WORDS, y + 13.0, "start", &second);
     }
     for (line, y) in failure.iter().zip((0..).map(|line| bottom + 42.0 + 18.0 * f64::from(line))) {
-        svg += &colored(MARGIN, y, "#c92a2a", line);
+        svg += &colored_label(MARGIN, y, "start", "#c92a2a", line);
     }
     svg + "</svg>\n"
 }
@@ -90,11 +90,7 @@ fn center(row: usize) -> f64 {
 }
 
 fn gray(x: f64, y: f64, anchor: &str, text: &str) -> String {
-    label(x, y, anchor, text).replace("<text ", "<text fill=\"#666\" ")
-}
-
-fn colored(x: f64, y: f64, color: &str, text: &str) -> String {
-    label(x, y, "start", text).replace("<text ", &format!("<text fill=\"{color}\" "))
+    colored_label(x, y, anchor, "#666", text)
 }
 
 /// The color of a step, and its name in the legend.

@@ -15,7 +15,13 @@ use std::{
 
 use canopen_node::{BitRate, NodeId, lss::Address};
 
-use crate::{address, arguments::Apply, commands::set_rate, failure::Failure, session::Session};
+use crate::{
+    address,
+    arguments::Apply,
+    commands::{set_id::reset, set_rate},
+    failure::Failure,
+    session::Session,
+};
 use found::{Found, Values};
 use plan::{Plan, counted};
 use values::Done;
@@ -39,10 +45,7 @@ pub fn apply(
     found::open(session, given, network.bit_rate)?;
     let mut found = found::boards(session, &network, arguments.plan)?;
     if found.places.iter().all(Option::is_none) && found.unknown.is_empty() {
-        return Err(Failure::NoAnswer(format!(
-            "nobody answers at {}. `lss find` looks for the bit rate",
-            session.bus.rate()
-        )));
+        return Err(Failure::nobody(session.bus.rate()));
     }
     let trusts_stamps = !stores_again && !arguments.full;
     let values = values(session, &network, &mut found, trusts_stamps)?;
@@ -101,20 +104,17 @@ fn values(
     let mut all = Vec::new();
     for (node, place) in network.nodes.iter().zip(&found.places) {
         let id = place.filter(|place| !place.is_shared).and_then(|place| place.id);
-        let values = match id {
-            Some(id) => found::values(session, id, node, trusts_stamps)?,
-            None => {
-                all.push(None);
-                continue;
-            }
+        let Some(id) = id else {
+            all.push(None);
+            continue;
         };
-        match values {
+        match found::values(session, id, node, trusts_stamps) {
             Ok(mut values) => {
-                values.changes.retain_mut(|change| id.is_none_or(|id| change.remains(node, id)));
+                values.changes.retain_mut(|change| change.remains(node, id));
                 all.push(Some(values));
             }
-            Err(why) => {
-                found.problems.push(why);
+            Err(failure) => {
+                found.problems.push(format!("{}: {}", node.words(), failure.of_board()?));
                 all.push(None);
             }
         }
@@ -160,14 +160,9 @@ fn work(
         let outcome =
             values_of(session, node, place.address, id, is_new, stores_again, trusts_stamps);
         let done = match outcome {
-            Ok(Ok(done)) => done,
-            Ok(Err(why)) => {
-                problems.push(why);
-                continue;
-            }
-            Err(failure @ Failure::Stop(_)) => return Err(failure),
+            Ok(done) => done,
             Err(failure) => {
-                problems.push(format!("{}: {failure}", node.words()));
+                problems.push(format!("{}: {}", node.words(), failure.of_board()?));
                 continue;
             }
         };
@@ -207,14 +202,14 @@ fn values_of(
     is_new: bool,
     stores_again: bool,
     trusts_stamps: bool,
-) -> Result<Result<Done, String>, Failure> {
+) -> Result<Done, Failure> {
     // A reset takes the values away from one that cannot store them.
     if is_new && !node.can_store() {
-        values::reset(session, id, &address)?;
+        reset(session, id, &address)?;
     }
     let done = values::apply(session, id, &address, node, stores_again, trusts_stamps)?;
-    if is_new && node.can_store() && done.as_ref().is_ok_and(|done| !done.is_verified) {
-        values::reset(session, id, &address)?;
+    if is_new && node.can_store() && !done.is_verified {
+        reset(session, id, &address)?;
     }
     Ok(done)
 }
@@ -227,7 +222,8 @@ fn write_dcfs(
     is_quiet: bool,
 ) -> Result<(), Failure> {
     for (node, place) in network.nodes.iter().zip(&found.places) {
-        let Some(place) = place.filter(|place| place.id.is_some() && !place.is_shared) else {
+        let place = place.filter(|place| !place.is_shared);
+        let Some((address, id)) = place.and_then(|place| Some((place.address, place.id?))) else {
             continue;
         };
         if node.sheet.is_none() && !is_quiet {
@@ -235,10 +231,10 @@ fn write_dcfs(
             writeln!(session.out, "no DCF of {words}: the files have no data sheet of it (eds)")?;
         }
         let Some(sheet) = &node.sheet else { continue };
-        match dcf::write(session, folder, node, sheet, place)? {
+        match dcf::write(session, folder, node, sheet, &address, id) {
             Ok(_) if is_quiet => {}
             Ok(file) => writeln!(session.out, "{file}")?,
-            Err(why) => found.problems.push(why),
+            Err(failure) => found.problems.push(failure.of_board()?),
         }
     }
     Ok(())

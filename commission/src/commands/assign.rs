@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use can_bus::{bus::Masters, sdo};
+use can_bus::bus::Masters;
 use canopen_node::{
     NodeId,
     lss::{Address, Request},
@@ -15,16 +15,13 @@ use crate::{
     commands::{
         power,
         replace::{Replacements, replace},
-        set_id::{ATTEMPTS, RESET_COMMUNICATION, boots_up, is_there, silent, wait_for_boot_up},
+        set_id::{RESET_COMMUNICATION, reset, wait_for_boot_up},
     },
     failure::Failure,
     scan,
     session::Session,
     table::Table,
 };
-
-/// The NMT command reset node.
-const RESET_NODE: u8 = 129;
 
 /// Gives node-IDs from `first` on that nobody has. The boards of the table get theirs first, a new one may take over the
 /// place of a missing one, and other new ones come into the table.
@@ -72,8 +69,7 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
         last = Some(address);
         // A board may have come since.
         taken.extend(session.bus.states.keys());
-        let Some(id) = (first.get()..=127).find(|id| !taken.contains(id)).and_then(NodeId::new)
-        else {
+        let Some(id) = free(first.get(), &taken) else {
             return Err(Failure::Refused(format!(
                 "board {} needs a node-ID, but none from {} on is free",
                 address::text(&address),
@@ -105,7 +101,12 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
     }
     for (id, address) in &new {
         session.progress.say(|| format!("resetting node {}", id.get()));
-        verify(session, *id, address)?;
+        let how = match reset(session, *id, address)? {
+            true => "stored, verified by a reset",
+            false => "stored; it answers after a reset, but sends no boot-up message",
+        };
+        session.progress.clear();
+        writeln!(session.out, "node {}  {}  {how}", id.get(), address::text(address))?;
     }
     if !new.is_empty() || is_shared {
         problems.extend(part(session, &new, &mut taken)?);
@@ -125,6 +126,11 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
         true => Ok(()),
         false => Err(Failure::Refused(problems.join("\n"))),
     }
+}
+
+/// The lowest node-ID from `first` on that nobody has.
+fn free(first: u8, taken: &BTreeSet<u8>) -> Option<NodeId> {
+    (first..=127).find(|id| !taken.contains(id)).and_then(NodeId::new)
 }
 
 /// Brings a board without a node-ID to LSS configuration state, but none that is `held`. It looks for one like the last
@@ -208,37 +214,6 @@ pub fn give(
     wait_for_boot_up(session, id)
 }
 
-/// Resets a node, and checks that the board is there with its node-ID again.
-fn verify(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<(), Failure> {
-    let mut boots = false;
-    for _ in 0..ATTEMPTS {
-        session.bus.take_unasked();
-        session.bus.nmt(RESET_NODE, id.get())?;
-        boots = boots_up(session, id)?;
-        if boots {
-            break;
-        }
-    }
-    if !boots && !is_there(session, id)? {
-        return Err(silent(id));
-    }
-    // Some slaves send another message than the boot-up message.
-    let how = match boots {
-        true => "stored, verified by a reset",
-        false => "stored; it answers after a reset, but sends no boot-up message",
-    };
-    let text = address::text(address);
-    session.progress.clear();
-    match sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)? {
-        Ok(number) if number != address.serial_number => Err(Failure::Refused(format!(
-            "node {} is not board {text}: its serial number is {number:08X}",
-            id.get()
-        ))),
-        // A node need not tell its serial number.
-        _ => Ok(writeln!(session.out, "node {}  {text}  {how}", id.get())?),
-    }
-}
-
 /// The words for a node-ID that several nodes have.
 fn shared((id, serial_numbers): (&u8, &Vec<u32>)) -> Option<String> {
     let numbers: Vec<String> =
@@ -264,8 +239,7 @@ fn part(
     let mut is_moved = false;
     for (id, address) in new {
         let is_shared = nodes.get(&id.get()).is_some_and(|numbers| numbers.len() > 1);
-        let free = (1..=127).find(|id| !taken.contains(id)).and_then(NodeId::new);
-        let (true, Some(other)) = (is_shared, free) else { continue };
+        let (true, Some(other)) = (is_shared, free(1, taken)) else { continue };
         session.carry_out(SelectAlone::new(*address))?;
         give(session, other, *address, Some(*id))?;
         session.bus.hold_interrupt(false);
@@ -302,8 +276,7 @@ fn without_fastscan(
         while let Some(address) = session.carry_out(Find::new(within.clone()))? {
             session.carry_out(SelectAlone::new(address))?;
             let is_blank = session.carry_out(InquireNodeId)?.is_none();
-            let free = (first.get()..=127).find(|id| !taken.contains(id)).and_then(NodeId::new);
-            if let (true, Some(id)) = (is_blank, free) {
+            if let (true, Some(id)) = (is_blank, free(first.get(), taken)) {
                 give(session, id, address, None)?;
                 taken.insert(id.get());
                 new.push((id, address));

@@ -57,10 +57,7 @@ pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
     let rows = rows(session)?;
     session.progress.clear();
     if rows.is_empty() {
-        return Err(Failure::NoAnswer(format!(
-            "nobody answers at {}. `lss find` looks for the bit rate",
-            session.bus.rate()
-        )));
+        return Err(Failure::nobody(session.bus.rate()));
     }
     if is_json {
         let rate = session.bus.rate().kbit_per_s();

@@ -2,7 +2,11 @@
 
 use std::time::Duration;
 
-use canopen_node::{NodeId, lss::Request};
+use can_bus::sdo;
+use canopen_node::{
+    NodeId,
+    lss::{Address, Request},
+};
 use lss_master::InquireNodeId;
 
 use crate::{
@@ -15,10 +19,12 @@ use crate::{
 
 /// The NMT command reset communication.
 pub const RESET_COMMUNICATION: u8 = 130;
+/// The NMT command reset node.
+const RESET_NODE: u8 = 129;
 /// The time that a board takes to boot up after a reset of its communication.
 const BOOT: Duration = Duration::from_secs(2);
 /// How often a lost frame is made up for.
-pub const ATTEMPTS: usize = 3;
+const ATTEMPTS: usize = 3;
 
 /// Makes a node-ID pending, and says when it takes effect. With `stores`, it stays after a power cut. With `resets`, it
 /// takes effect at once on a board that has another node-ID.
@@ -96,8 +102,34 @@ pub fn wait_for_boot_up(session: &mut Session<'_>, id: NodeId) -> Result<(), Fai
     Err(silent(id))
 }
 
+/// Resets a node, and checks that the board is there with its node-ID again: it has stored it. Returns whether it sends
+/// a boot-up message: some slaves send another one.
+pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<bool, Failure> {
+    let mut boots = false;
+    for _ in 0..ATTEMPTS {
+        session.bus.take_unasked();
+        session.bus.nmt(RESET_NODE, id.get())?;
+        boots = boots_up(session, id)?;
+        if boots {
+            break;
+        }
+    }
+    if !boots && !is_there(session, id)? {
+        return Err(silent(id));
+    }
+    match sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)? {
+        Ok(number) if number != address.serial_number => Err(Failure::Refused(format!(
+            "node {} is not board {}: its serial number is {number:08X}",
+            id.get(),
+            address::text(address)
+        ))),
+        // A node need not tell its serial number.
+        _ => Ok(boots),
+    }
+}
+
 /// Whether a node boots up with this node-ID.
-pub fn boots_up(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
+fn boots_up(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
     let is_boot_up = |frame: &canopen_node::Frame| {
         frame.cob_id() == 0x700 + u16::from(id.get()) && frame.data() == [0]
     };
@@ -105,7 +137,7 @@ pub fn boots_up(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> 
 }
 
 /// A board that does not boot up with its node-ID.
-pub fn silent(id: NodeId) -> Failure {
+fn silent(id: NodeId) -> Failure {
     Failure::NoAnswer(format!(
         "the board accepted node-ID {}, but sends no boot-up message",
         id.get()

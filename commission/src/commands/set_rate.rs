@@ -83,10 +83,7 @@ fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
         members.push(Member::new(address));
     }
     match members.is_empty() {
-        true => Err(Failure::NoAnswer(format!(
-            "nobody answers at {}. `lss find` looks for the bit rate",
-            session.bus.rate()
-        ))),
+        true => Err(Failure::nobody(session.bus.rate())),
         false => Ok(members),
     }
 }

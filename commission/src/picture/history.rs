@@ -55,7 +55,7 @@ pub struct Lane {
 impl Lane {
     fn step(&mut self, kind: Kind, from: Duration, to: Duration, words: impl Into<String>) {
         if let Some(last) = self.steps.last_mut()
-            && (last.kind, kind) == (kind, Kind::Check)
+            && [last.kind, kind] == [Kind::Check; 2]
             && from.saturating_sub(last.to) < PAUSE
         {
             last.to = to;
@@ -97,6 +97,16 @@ impl Board {
         }
     }
 
+    fn hear(&mut self) {
+        self.has_answered = true;
+        self.problem = None;
+    }
+
+    fn fail(&mut self, from: Duration, to: Duration, words: String) {
+        self.lane.step(Kind::Problem, from, to, words.clone());
+        self.problem = Some(words);
+    }
+
     fn may_be(&self, parts: [Option<u32>; 4]) -> bool {
         let agree = |(own, other): (&Option<u32>, Option<u32>)| {
             own.is_none() || other.is_none() || *own == other
@@ -121,8 +131,8 @@ pub struct History {
     search: Vec<(Duration, bool)>,
     parts: [Option<u32>; 4],
     scanned: Option<FastscanStep>,
-    /// The board that was selected and has not answered yet, with the time of the question.
-    called: Option<(usize, Duration)>,
+    /// The board that was selected and has not answered yet.
+    called: Option<usize>,
     /// The boards in LSS configuration state, as far as they are known.
     selected: Vec<usize>,
     /// A request that has no answer yet.
@@ -143,8 +153,7 @@ impl History {
         history.no_answer(history.end);
         for board in &mut history.boards {
             if let Some(from) = board.asked {
-                board.lane.step(Kind::Problem, from, from, "no answer by SDO");
-                board.problem = Some("no answer by SDO".into());
+                board.fail(from, from, "no answer by SDO".into());
             }
         }
         history.end_search();
@@ -194,11 +203,11 @@ impl History {
 
     fn request(&mut self, at: Duration, request: Request) {
         self.no_answer(at);
-        match request {
-            Request::Fastscan(_) | Request::Select(..) => {}
-            _ => self.end_search(),
+        let is_search = matches!(request, Request::Fastscan(_) | Request::Select(..));
+        if !is_search {
+            self.end_search();
         }
-        let is_search = match request {
+        match request {
             Request::Fastscan(step) => {
                 if step.bit_check == 0x80 {
                     self.end_search();
@@ -209,7 +218,6 @@ impl History {
                     *part = Some(step.id_number);
                 }
                 self.scanned = Some(step);
-                true
             }
             Request::Select(part, number) => {
                 if part == AddressPart::VendorId {
@@ -219,34 +227,21 @@ impl History {
                 }
                 self.parts[part as usize] = Some(number);
                 if part == AddressPart::SerialNumber {
-                    let from = self.search.first().map_or(at, |(from, _)| *from);
-                    self.called = Some((self.board(self.parts), from));
+                    self.called = Some(self.board(self.parts));
                 }
-                true
             }
-            Request::SwitchToWaiting => {
-                self.selected.clear();
-                false
-            }
-            Request::SwitchToConfiguration => {
-                self.selected = (0..self.boards.len()).collect();
-                false
-            }
+            Request::SwitchToWaiting => self.selected.clear(),
+            Request::SwitchToConfiguration => self.selected = (0..self.boards.len()).collect(),
             Request::ActivateBitTiming(delay) => {
                 let to = at + 2 * Duration::from_millis(delay.into());
                 let words = format!("all switch, with a delay of {delay} ms");
                 self.master.step(Kind::Reset, at, to, words);
-                false
             }
             Request::Identify(..) | Request::IdentifyNonConfigured => {
                 self.master.step(Kind::Check, at, at, "looks for boards");
-                false
             }
-            _ => {
-                self.open = Some((request, at));
-                false
-            }
-        };
+            _ => self.open = Some((request, at)),
+        }
         match self.selected[..] {
             _ if is_search => self.search.push((at, true)),
             [one] => self.boards[one].lane.frames.push((at, true)),
@@ -266,9 +261,8 @@ impl History {
                 };
                 let at_board = self.node((cob_id & 0x7F) as u8, number);
                 let board = &mut self.boards[at_board];
-                board.has_answered = true;
+                board.hear();
                 board.asked = None;
-                board.problem = None;
                 board.lane.frames.push((at, false));
                 board.lane.step(Kind::Check, at, at, "answers by SDO");
             }
@@ -286,8 +280,8 @@ impl History {
         match specifier {
             0x44 => {
                 self.search.push((at, false));
-                if let Some((board, from)) = self.called.take() {
-                    self.found(board, Kind::Check, from, at, "selected by its LSS address");
+                if let Some(board) = self.called.take() {
+                    self.found(board, Kind::Check, at, "selected by its LSS address".into());
                 }
             }
             0x4F if self.scanned.is_some() => {
@@ -298,10 +292,9 @@ impl History {
                 if self.scanned.take().is_some_and(is_last) {
                     let board = self.board(self.parts);
                     self.boards[board].before.get_or_insert(None);
-                    let from = self.search.first().map_or(at, |(from, _)| *from);
                     let count = self.search.iter().filter(|(_, is_request)| *is_request).count();
                     let words = format!("found by Fastscan, {count} requests");
-                    self.found(board, Kind::Search, from, at, words);
+                    self.found(board, Kind::Search, at, words);
                 }
             }
             _ => self.service(at, specifier, rest),
@@ -320,9 +313,8 @@ impl History {
         let Some((request, from)) = self.open.take() else { return };
         let first = rest.first().copied().unwrap_or_default();
         if first != 0 && matches!(specifier, 0x11 | 0x13 | 0x17) {
-            let words = explain(lss::RESPONSE_COB_ID, &request_like(specifier, first));
-            board.lane.step(Kind::Problem, from, at, words.clone());
-            board.problem = Some(words);
+            let answer = [specifier, first, 0, 0, 0, 0, 0, 0];
+            board.fail(from, at, explain(lss::RESPONSE_COB_ID, &answer));
             return;
         }
         match request {
@@ -360,27 +352,24 @@ impl History {
         let board = &mut self.boards[node];
         board.pending = None;
         board.id = Some(id);
-        board.has_answered = true;
-        board.problem = None;
+        board.hear();
         board.lane.frames.push((at, false));
         board.lane.step(Kind::BootUp, at, at, format!("boots up as node {id}"));
     }
 
     /// A board that was searched for is there.
-    fn found(
-        &mut self,
-        board: usize,
-        kind: Kind,
-        from: Duration,
-        at: Duration,
-        words: impl Into<String>,
-    ) {
+    fn found(&mut self, board: usize, kind: Kind, at: Duration, words: String) {
         self.selected = vec![board];
+        let from = self.search_begin(at);
         let board = &mut self.boards[board];
-        board.has_answered = true;
-        board.problem = None;
+        board.hear();
         board.lane.frames.append(&mut self.search);
         board.lane.step(kind, from, at, words);
+    }
+
+    /// When the search that is under way has begun.
+    fn search_begin(&self, now: Duration) -> Duration {
+        self.search.first().map_or(now, |(from, _)| *from)
     }
 
     /// A search has found nobody.
@@ -395,18 +384,17 @@ impl History {
 
     /// What was asked before this time has no answer.
     fn no_answer(&mut self, at: Duration) {
-        if let Some((board, from)) = self.called.take() {
+        if let Some(board) = self.called.take() {
+            let from = self.search_begin(at);
             let board = &mut self.boards[board];
             board.lane.frames.append(&mut self.search);
-            board.lane.step(Kind::Problem, from, at, "no answer to switch state selective");
-            board.problem = Some("no answer".into());
+            board.fail(from, at, "no answer to switch state selective".into());
         }
         let Some((request, from)) = self.open.take() else { return };
         if let &[one] = &self.selected[..] {
             let words = explain(lss::REQUEST_COB_ID, &request.to_bytes());
             let words = format!("no answer to {}", words.trim_start_matches("LSS "));
-            self.boards[one].lane.step(Kind::Problem, from, at, words.clone());
-            self.boards[one].problem = Some(words);
+            self.boards[one].fail(from, at, words);
         }
     }
 
@@ -440,9 +428,4 @@ impl History {
         self.boards.push(board);
         self.boards.len() - 1
     }
-}
-
-/// The bytes of an answer with an error code.
-fn request_like(specifier: u8, code: u8) -> [u8; 8] {
-    [specifier, code, 0, 0, 0, 0, 0, 0]
 }

@@ -68,6 +68,8 @@ pub struct Outcome {
     pub text: String,
     pub code: u8,
     pub error: String,
+    /// The answer time of a slow slave that the person was told of.
+    pub slow_answer: Option<Duration>,
 }
 
 impl Boards {
@@ -194,13 +196,14 @@ pub fn run(
     session.record = record;
     prepare(&mut session);
     let outcome = session.run(&arguments);
+    let slow_answer = session.slow_answer;
     let text = String::from_utf8(out).expect("UTF-8");
     let (code, error) = match outcome {
         Ok(()) => (0, String::new()),
         Err(failure) => (failure.exit_code(), failure.to_string()),
     };
     println!("{text}{error}");
-    Outcome { text, code, error }
+    Outcome { text, code, error, slow_answer }
 }
 
 /// The LSS address of the board with this number.
@@ -211,8 +214,13 @@ pub fn address(board: usize) -> Address {
 
 /// The same as the tool writes it.
 pub fn address_text(board: usize) -> String {
-    let Address { vendor_id, product_code, revision_number, serial_number } = address(board);
-    format!("{vendor_id:08X}:{product_code:08X}:{revision_number:08X}:{serial_number:08X}")
+    text(address(board))
+}
+
+/// An LSS address as the tool writes it.
+pub fn text(address: Address) -> String {
+    let parts: [u32; 4] = address.into();
+    parts.map(|part| format!("{part:08X}")).join(":")
 }
 
 impl Adapter for Boards {

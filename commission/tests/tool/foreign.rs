@@ -1,11 +1,8 @@
 //! Slaves of others, with the faults that people meet, on a bus within the process.
 
-use std::{fs, sync::Arc, time::Duration};
+use std::{fs, path::Path, sync::Arc};
 
-use can_bus::bus::Bus;
 use canopen_node::{BitRate, NodeId, Settings, lss::Address};
-use clap::Parser;
-use commission::{Arguments, Session};
 use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, device},
@@ -13,12 +10,7 @@ use testkit::{
     slave_bus::{BusAdapter, Habits, SlaveBus},
 };
 
-use crate::emulated::Outcome;
-
-/// The command specifiers of identify remote slave, of 4C and of Fastscan.
-const IDENTIFY: [u8; 6] = [0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B];
-const NON_CONFIGURED: u8 = 0x4C;
-const FASTSCAN: u8 = 0x51;
+use crate::emulated::{Outcome, run, text};
 
 struct Slaves {
     adapter: BusAdapter,
@@ -39,29 +31,15 @@ impl Slaves {
         Self { adapter: BusAdapter::new(SlaveBus::new(slaves, random)) }
     }
 
-    /// Runs `lss`; returns its outcome, and the answer time that it told of.
-    fn lss(&self, arguments: &str) -> (Outcome, Option<Duration>) {
-        let words = ["lss"].into_iter().chain(arguments.split_whitespace());
-        let arguments = Arguments::try_parse_from(words).expect("a command line");
-        let latency = Duration::from_millis(1);
-        let bus = Bus::new(Box::new(self.adapter.clone()), latency, Arc::default());
-        let mut out = Vec::new();
-        let mut session = Session::new(bus, &mut out, false);
-        let outcome = session.run(&arguments);
-        let slow = session.slow_answer;
-        let text = String::from_utf8(out).expect("UTF-8");
-        let (code, error) = match outcome {
-            Ok(()) => (0, String::new()),
-            Err(failure) => (failure.exit_code(), failure.to_string()),
-        };
-        println!("{text}{error}");
-        (Outcome { text, code, error }, slow)
+    /// Runs `lss`.
+    fn lss(&self, arguments: &str) -> Outcome {
+        run(Box::new(self.adapter.clone()), &Arc::default(), arguments, |_| ())
     }
 
     /// Runs `lss`, which must succeed; returns what it prints.
     #[track_caller]
     fn done(&self, arguments: &str) -> String {
-        let (outcome, _) = self.lss(arguments);
+        let outcome = self.lss(arguments);
         assert_eq!(outcome.code, 0, "{}", outcome.error);
         outcome.text
     }
@@ -82,9 +60,7 @@ impl Slaves {
     }
 
     fn address(&self, slave: usize) -> String {
-        let address = self.adapter.bus().slaves[slave].rig.node.lss().address();
-        let parts: [u32; 4] = address.into();
-        parts.map(|part| format!("{part:08X}")).join(":")
+        text(self.adapter.bus().slaves[slave].rig.node.lss().address())
     }
 }
 
@@ -114,14 +90,14 @@ fn assert_served(slaves: &Slaves) {
 #[test]
 fn slow_slaves_are_served_and_the_person_is_told_how_slow_they_are() {
     let slaves = Slaves::new([slow(300), slow(40), Habits::default()]);
-    let (outcome, told) = slaves.lss("assign");
+    let outcome = slaves.lss("assign");
     assert_eq!(outcome.code, 0, "{}", outcome.error);
     slaves.assert_assigned();
-    let told = told.expect("it is told");
+    let told = outcome.slow_answer.expect("it is told");
     assert!((270..=320).contains(&told.as_millis()), "{told:?}");
     assert_served(&Slaves::new([slow(300), Habits::default()]));
-    let (_, told) = Slaves::new([Habits::default(), slow(10)]).lss("assign");
-    assert_eq!(told, None);
+    let outcome = Slaves::new([Habits::default(), slow(10)]).lss("assign");
+    assert_eq!(outcome.slow_answer, None);
 }
 
 #[test]
@@ -152,8 +128,8 @@ fn slaves_that_answer_again_late_are_served() {
 
 #[test]
 fn slaves_without_identify_are_served() {
-    let without = &[0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B, NON_CONFIGURED];
-    assert!(without.starts_with(&IDENTIFY));
+    // Identify remote slave and identify non-configured remote slave.
+    let without = &[0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B, 0x4C];
     assert_served(&Slaves::new([(); 2].map(|()| Habits { without, ..Habits::default() })));
 }
 
@@ -167,12 +143,12 @@ fn slaves_without_a_boot_up_message_get_a_node_id() {
 
 #[test]
 fn slaves_without_fastscan_are_found_by_identify_if_their_product_is_known() {
-    let without = &[FASTSCAN];
+    let without = &[0x51];
     let slaves = Slaves::new([(); 3].map(|()| Habits { without, ..Habits::default() }));
-    let (outcome, _) = slaves.lss("assign");
+    let outcome = slaves.lss("assign");
     assert_eq!(outcome.code, 1);
     assert!(outcome.error.contains("does not answer to Fastscan"), "{}", outcome.error);
-    let table = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("without-fastscan.toml");
+    let table = Path::new(env!("CARGO_TARGET_TMPDIR")).join("without-fastscan.toml");
     let known = slaves.address(1);
     fs::write(&table, format!("[[node]]\nid = 2\naddress = \"{known}\"\n")).expect("a table");
     slaves.done(&format!("assign --table {}", table.display()));

@@ -29,7 +29,7 @@ use testkit::{
     sdo::Client,
 };
 
-use crate::emulated::{Outcome, run};
+use crate::emulated::{Outcome, run, text};
 
 /// A board.
 pub type Rig = NodeRig<Application, TPDOS, RPDOS, PRODUCERS>;
@@ -99,8 +99,7 @@ pub fn address(number: usize) -> Address {
 
 /// The same as the tool writes it.
 pub fn address_text(number: usize) -> String {
-    let Address { vendor_id, product_code, revision_number, serial_number } = address(number);
-    format!("{vendor_id:08X}:{product_code:08X}:{revision_number:08X}:{serial_number:08X}")
+    text(address(number))
 }
 
 /// Whether a frame writes: configures by LSS, downloads by SDO, or is an NMT command.

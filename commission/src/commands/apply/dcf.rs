@@ -3,24 +3,23 @@
 use std::{collections::BTreeMap, fs, path::Path};
 
 use can_bus::{eds, sdo};
-use canopen_node::{BitRate, NodeId};
+use canopen_node::{BitRate, NodeId, lss::Address};
 
 use super::{
-    found::Place,
     sheet::Sheet,
     wishes::{Node, STAMP},
 };
 use crate::{failure::Failure, session::Session};
 
-/// Writes `node_5.dcf` into the folder, with the values that configure the node; returns its name.
+/// Writes `node_5.dcf` into the folder, with the values that configure the node with this node-ID; returns its name.
 pub fn write(
     session: &mut Session<'_>,
     folder: &Path,
     node: &Node,
     sheet: &Sheet,
-    place: Place,
-) -> Result<Result<String, String>, Failure> {
-    let Some(id) = place.id else { return Ok(Err(format!("{} has no node-ID", node.words()))) };
+    address: &Address,
+    id: NodeId,
+) -> Result<String, Failure> {
     let mut values = BTreeMap::new();
     for entry in sheet.eds.entries() {
         // The stamp proves values of this board, and not those that a person may write into the file.
@@ -38,23 +37,23 @@ pub fn write(
     }
     let name = format!("node_{}.dcf", id.get());
     let rate = session.bus.rate();
-    let text = content(sheet, &values, &name, &commissioning(node, place, id, rate));
+    let text = content(sheet, &values, &name, &commissioning(node, address, id, rate));
     let path = folder.join(&name);
     let written = fs::create_dir_all(folder).and_then(|()| fs::write(&path, text));
-    Ok(match written {
+    match written {
         Ok(()) => Ok(path.display().to_string()),
-        Err(error) => Err(format!("cannot write {}: {error}", path.display())),
-    })
+        Err(error) => Err(Failure::Refused(format!("cannot write {}: {error}", path.display()))),
+    }
 }
 
-fn commissioning(node: &Node, place: Place, id: NodeId, rate: BitRate) -> String {
+fn commissioning(node: &Node, address: &Address, id: NodeId, rate: BitRate) -> String {
     let name: String = node.name.as_deref().unwrap_or("").chars().filter(char::is_ascii).collect();
     format!(
         "[DeviceComissioning]\nNodeID={}\nNodeName={name}\nBaudrate={}\nNetNumber=1\nNetworkName=\nCANopenManager=0\n\
          LSS_SerialNumber=0x{:08X}\n",
         id.get(),
         rate.kbit_per_s(),
-        place.address.serial_number
+        address.serial_number
     )
 }
 
@@ -102,15 +101,10 @@ fn content(
 
 /// The line with the value of a section such as `2101sub1`.
 fn value_line(sheet: &Sheet, section: &str, values: &BTreeMap<eds::Address, String>) -> String {
-    let (index, sub_index) = section.split_once("sub").unwrap_or((section, "0"));
-    let address = (u16::from_str_radix(index, 16), u8::from_str_radix(sub_index, 16));
     let is_compact = sheet.eds.number(section, "CompactSubObj").is_some_and(|count| count > 0);
-    match address {
-        (Ok(index), Ok(sub_index)) if section.len() >= 4 && !is_compact => values
-            .get(&(index, sub_index))
-            .map_or_else(String::new, |value| format!("ParameterValue={value}\n")),
-        _ => String::new(),
-    }
+    let address = eds::address(section).filter(|_| !is_compact);
+    let value = address.and_then(|address| values.get(&address));
+    value.map_or_else(String::new, |value| format!("ParameterValue={value}\n"))
 }
 
 /// The sections with the values of objects whose elements share one section.

@@ -255,26 +255,25 @@ impl Values {
 }
 
 /// Compares the values of the node with this node-ID with the wishes: by its stamp alone, if that proves them and
-/// `trusts_stamp`. The inner error says in words why that cannot be.
+/// `trusts_stamp`.
 pub fn values(
     session: &mut Session<'_>,
     id: NodeId,
     node: &Node,
     trusts_stamp: bool,
-) -> Result<Result<Values, String>, Failure> {
+) -> Result<Values, Failure> {
     let mut values = Values::default();
     if let Some(stamp) = node.stamp {
         for (sub_index, number) in (1..).zip(stamp.numbers) {
-            match sdo::read_number(&mut session.bus, id.get(), STAMP, sub_index)? {
-                Ok(found) => values.lacks_stamp |= found != number,
-                Err(why) => return Ok(Err(unreadable(node, (STAMP, sub_index), &why))),
-            }
-            if values.lacks_stamp {
+            let found = sdo::read_number(&mut session.bus, id.get(), STAMP, sub_index)?
+                .map_err(|why| unreadable(node, (STAMP, sub_index), &why))?;
+            if found != number {
+                values.lacks_stamp = true;
                 break;
             }
         }
         if stamp.is_proof && trusts_stamp && !values.lacks_stamp {
-            return Ok(Ok(values));
+            return Ok(values);
         }
     }
     for (count, (address, wanted)) in node.values.iter().enumerate() {
@@ -284,10 +283,10 @@ pub fn values(
         let entry = node.entry(*address);
         let found = match entry.is_some_and(|entry| entry.can_be_read()) {
             false => None,
-            true => match sdo::read(&mut session.bus, id.get(), address.0, address.1)? {
-                Ok(found) => Some(found),
-                Err(why) => return Ok(Err(unreadable(node, *address, &why))),
-            },
+            true => Some(
+                sdo::read(&mut session.bus, id.get(), address.0, address.1)?
+                    .map_err(|why| unreadable(node, *address, &why))?,
+            ),
         };
         let is_text = entry.is_some_and(|entry| entry.kind() == Kind::Text);
         let is_same = found.as_ref().is_some_and(|found| match is_text {
@@ -298,7 +297,7 @@ pub fn values(
             values.changes.push(Change { address: *address, found, wanted: wanted.clone() });
         }
     }
-    Ok(Ok(values))
+    Ok(values)
 }
 
 /// A text without the zeros behind it.
@@ -307,11 +306,11 @@ fn without_zeros(text: &[u8]) -> &[u8] {
     &text[..end]
 }
 
-fn unreadable(node: &Node, address: eds::Address, why: &str) -> String {
+fn unreadable(node: &Node, address: eds::Address, why: &str) -> Failure {
     let words = sdo::in_words(why);
     let hint = match why {
         "no answer" => ". Is the node stopped (NMT)? `lss list` shows it",
         _ => ". Is it the data sheet of this board?",
     };
-    format!("{}: {} cannot be read: {words}{hint}", node.words(), node.value_words(address))
+    Failure::Refused(format!("{} cannot be read: {words}{hint}", node.value_words(address)))
 }

@@ -9,10 +9,8 @@ use super::{
     found::{self, Change, Values},
     wishes::{Node, STAMP},
 };
-use crate::{commands::set_id::wait_for_boot_up, failure::Failure, session::Session};
+use crate::{commands::set_id::reset, failure::Failure, session::Session};
 
-/// The NMT command reset node.
-const RESET_NODE: u8 = 129;
 /// The value that stores all parameters, as it is written to 1010h.
 const SAVE: &[u8] = b"save";
 /// The wait for the answer to it: a board may erase flash.
@@ -33,8 +31,7 @@ pub struct Done {
     pub was_operational: bool,
 }
 
-/// Brings the node to the wished values; the inner error says in words what is wrong. With `stores_again` they are stored in
-/// any case.
+/// Brings the node to the wished values. With `stores_again` they are stored in any case.
 pub fn apply(
     session: &mut Session<'_>,
     id: NodeId,
@@ -42,20 +39,19 @@ pub fn apply(
     node: &Node,
     stores_again: bool,
     trusts_stamps: bool,
-) -> Result<Result<Done, String>, Failure> {
-    let values = match found::values(session, id, node, trusts_stamps)? {
-        Ok(values) => values,
-        Err(why) => return Ok(Err(why)),
-    };
+) -> Result<Done, Failure> {
+    let values = found::values(session, id, node, trusts_stamps)?;
     let has_none = node.values.is_empty() && node.stamp.is_none();
-    let result = match values.are_as_wanted() {
+    match values.are_as_wanted() {
         _ if has_none => Ok(Done::default()),
         true if !stores_again || !node.can_store() => Ok(Done::default()),
         // Nobody knows whether a run that was cut off has stored them, or their stamp.
-        true => store(session, id, node)?.map(|()| Done { is_stored: true, ..Done::default() }),
-        false => carry(session, id, address, node, &values)?,
-    };
-    Ok(result.map_err(|why| format!("{}: {why}", node.words())))
+        true => {
+            store(session, id, node)?;
+            Ok(Done { is_stored: true, ..Done::default() })
+        }
+        false => carry(session, id, address, node, &values),
+    }
 }
 
 fn carry(
@@ -64,15 +60,11 @@ fn carry(
     address: &Address,
     node: &Node,
     values: &Values,
-) -> Result<Result<Done, String>, Failure> {
-    if let Err(why) = write_all(session, id, node, values)? {
-        return Ok(Err(why));
-    }
+) -> Result<Done, Failure> {
+    write_all(session, id, node, values)?;
     let mut done = Done { written: values.changes.len(), ..Done::default() };
     if node.can_store() {
-        if let Err(why) = store(session, id, node)? {
-            return Ok(Err(why));
-        }
+        store(session, id, node)?;
         (done.is_stored, done.is_verified) = (true, true);
         done.was_operational =
             session.bus.states.get(&id.get()) == Some(&(State::Operational as u8));
@@ -84,50 +76,27 @@ fn carry(
             continue;
         };
         let words = node.value_words(*address);
-        match sdo::read(&mut session.bus, id.get(), address.0, address.1)? {
-            Ok(found) if found == *wanted => {}
-            Ok(found) if done.is_stored => {
-                return Ok(Err(format!(
-                    "{words} is {} after a reset, and not {}: the board does not store it. Take it out of the file",
-                    entry.text(&found),
-                    entry.text(wanted)
-                )));
-            }
-            Ok(found) => {
-                let (found, wanted) = (entry.text(&found), entry.text(wanted));
-                return Ok(Err(format!("{words} is {found}, although {wanted} was written")));
-            }
-            Err(why) => return Ok(Err(format!("{words}: {}", sdo::in_words(&why)))),
+        let found = sdo::read(&mut session.bus, id.get(), address.0, address.1)?
+            .map_err(|why| Failure::Refused(format!("{words}: {}", sdo::in_words(&why))))?;
+        if found != *wanted {
+            let (found, wanted) = (entry.text(&found), entry.text(wanted));
+            return Err(Failure::Refused(match done.is_stored {
+                true => format!(
+                    "{words} is {found} after a reset, and not {wanted}: the board does not store it. Take it out of the \
+                     file"
+                ),
+                false => format!("{words} is {found}, although {wanted} was written"),
+            }));
         }
     }
     // Only now, since it proves that the values are there after a reset.
     if let Some(stamp) = node.stamp {
         for (sub_index, number) in (1..).zip(stamp.numbers) {
-            let bytes = number.to_le_bytes();
-            if let Err(why) = write(session, id, node, (STAMP, sub_index), &bytes)? {
-                return Ok(Err(why));
-            }
+            write(session, id, node, (STAMP, sub_index), &number.to_le_bytes())?;
         }
-        if let Err(why) = store(session, id, node)? {
-            return Ok(Err(why));
-        }
+        store(session, id, node)?;
     }
-    Ok(Ok(done))
-}
-
-/// Resets a node, and checks that the board is there with its node-ID again: it has stored it.
-pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<(), Failure> {
-    session.bus.take_unasked();
-    session.bus.nmt(RESET_NODE, id.get())?;
-    wait_for_boot_up(session, id)?;
-    match sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)? {
-        Ok(number) if number != address.serial_number => Err(Failure::Refused(format!(
-            "after a reset node {} is another board: its serial number is {number:08X}",
-            id.get()
-        ))),
-        // A node need not tell its serial number.
-        _ => Ok(()),
-    }
+    Ok(done)
 }
 
 /// Writes what differs: a PDO is off meanwhile, and its COB-ID comes last.
@@ -136,7 +105,7 @@ fn write_all(
     id: NodeId,
     node: &Node,
     values: &Values,
-) -> Result<Result<(), String>, Failure> {
+) -> Result<(), Failure> {
     // The number of a PDO, by its parameters or its mapping; by the index of its communication parameters.
     let pdo = |address: eds::Address| match address.0 {
         index @ (0x1400..=0x15FF | 0x1800..=0x19FF) => Some(index),
@@ -152,9 +121,7 @@ fn write_all(
     for change in values.changes.iter().filter(|change| pdo(change.address).is_none()) {
         number += 1;
         session.progress.say(|| format!("{}: writing value {number} of {count}", node.words()));
-        if let Err(why) = write_change(session, id, node, change)? {
-            return Ok(Err(why));
-        }
+        write_change(session, id, node, change)?;
     }
     for index in pdos {
         let of_it = values.changes.iter().filter(|change| pdo(change.address) == Some(index));
@@ -165,11 +132,9 @@ fn write_all(
         session.bus.hold_interrupt(true);
         let result = write_pdo(session, id, node, index, &changes);
         session.bus.hold_interrupt(false);
-        if let Err(why) = result? {
-            return Ok(Err(why));
-        }
+        result?;
     }
-    Ok(Ok(()))
+    Ok(())
 }
 
 /// Writes a value. A COB-ID that is in use is switched off first (CiA 301, 1005h and 1014h).
@@ -178,7 +143,7 @@ fn write_change(
     id: NodeId,
     node: &Node,
     change: &Change,
-) -> Result<Result<(), String>, Failure> {
+) -> Result<(), Failure> {
     let Change { address, found, wanted } = change;
     let off = match (address, found.as_deref().map(<[u8; 4]>::try_from)) {
         ((0x1014, 0), Some(Ok(found))) if u32::from_le_bytes(found) & OFF == 0 => {
@@ -189,10 +154,8 @@ fn write_change(
         }
         _ => None,
     };
-    if let Some(off) = off
-        && let Err(why) = write(session, id, node, *address, &off.to_le_bytes())?
-    {
-        return Ok(Err(why));
+    if let Some(off) = off {
+        write(session, id, node, *address, &off.to_le_bytes())?;
     }
     write(session, id, node, *address, wanted)
 }
@@ -204,17 +167,15 @@ fn write_pdo(
     node: &Node,
     index: u16,
     changes: &[&Change],
-) -> Result<Result<(), String>, Failure> {
+) -> Result<(), Failure> {
     let cob_id = (index, 1);
     let mapping = index + 0x200;
     let Some(wanted) = node.values.get(&cob_id) else {
         // Neither mapping nor COB-ID are wished.
         for change in changes {
-            if let Err(why) = write(session, id, node, change.address, &change.wanted)? {
-                return Ok(Err(why));
-            }
+            write(session, id, node, change.address, &change.wanted)?;
         }
-        return Ok(Ok(()));
+        return Ok(());
     };
     let mut steps: Vec<(eds::Address, Vec<u8>)> = Vec::new();
     let mut off: Vec<u8> = wanted.clone();
@@ -238,18 +199,12 @@ fn write_pdo(
     steps.extend(others.map(|change| (change.address, change.wanted.clone())));
     steps.push((cob_id, wanted.clone()));
     for (address, bytes) in steps {
-        if let Err(why) = write(session, id, node, address, &bytes)? {
-            return Ok(Err(why));
-        }
+        write(session, id, node, address, &bytes)?;
     }
-    Ok(Ok(()))
+    Ok(())
 }
 
-fn store(
-    session: &mut Session<'_>,
-    id: NodeId,
-    node: &Node,
-) -> Result<Result<(), String>, Failure> {
+fn store(session: &mut Session<'_>, id: NodeId, node: &Node) -> Result<(), Failure> {
     session.progress.say(|| format!("{}: storing", node.words()));
     write(session, id, node, (0x1010, 1), SAVE)
 }
@@ -260,12 +215,12 @@ fn write(
     node: &Node,
     address: eds::Address,
     bytes: &[u8],
-) -> Result<Result<(), String>, Failure> {
+) -> Result<(), Failure> {
     let outcome = sdo::download(&mut session.bus, id.get(), address, bytes, STORE_WAIT)?;
     let text = node.entry(address).map_or_else(String::new, |entry| entry.text(bytes));
     let words = |why: String| match address {
         (0x1010, _) => format!("it cannot store: {}", sdo::in_words(&why)),
         _ => format!("{} cannot be {text}: {}", node.value_words(address), sdo::in_words(&why)),
     };
-    Ok(outcome.map_err(words))
+    outcome.map_err(|why| Failure::Refused(words(why)))
 }
