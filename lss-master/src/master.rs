@@ -65,8 +65,8 @@ struct Seen {
 #[derive(Clone, Debug)]
 pub struct Master {
     timing: Timing,
-    /// For a single request, and for identify remote slave.
-    seen: [Option<Seen>; 2],
+    /// For a single request, a selection, and identify remote slave.
+    seen: [Option<Seen>; 3],
     /// Whether slaves have answered one request one after the other.
     is_staggered: bool,
     /// The number of requests without an answer that the adapter may still hold.
@@ -76,7 +76,7 @@ pub struct Master {
 impl Master {
     /// A master that knows nothing of the slaves.
     pub const fn new(timing: Timing) -> Self {
-        Self { timing, seen: [None; 2], is_staggered: false, queued: 0 }
+        Self { timing, seen: [None; 3], is_staggered: false, queued: 0 }
     }
 
     /// Begins a procedure. A session that is dropped before its end may leave slaves in LSS configuration state.
@@ -87,7 +87,7 @@ impl Master {
     /// The longest time that a slave has taken to answer a single request at this bit rate, in microseconds. Frames and
     /// the adapter are included.
     pub const fn slowest_answer(&self) -> Option<u32> {
-        let [single, _] = &self.seen;
+        let [single, ..] = &self.seen;
         match single {
             Some(seen) => Some(seen.longest),
             None => None,
@@ -95,8 +95,12 @@ impl Master {
     }
 
     const fn seen(&mut self, service: &Service) -> &mut Option<Seen> {
-        let [single, identify] = &mut self.seen;
-        if service.len() == 1 { single } else { identify }
+        let [single, select, identify] = &mut self.seen;
+        match service {
+            Service::Request(_) => single,
+            Service::Select(_) => select,
+            Service::Identify(_) => identify,
+        }
     }
 
     /// The longest time to the answer of this service.
@@ -212,19 +216,14 @@ impl<P: Procedure> Session<'_, P> {
                     }
                 },
             };
-            // Slaves that answer at the same moment seem to be one.
-            let is_single = self.singles >= SINGLES;
             self.state = match step {
-                Step::Ask(service) => {
-                    State::Exchange(Exchange::new(service, None, is_single, self.master, now))
-                }
+                Step::Ask(service) => State::Exchange(self.exchange(service, None, now)),
                 Step::Probe(service) => {
-                    let doubt = Some(self.doubt);
-                    State::Exchange(Exchange::new(service, doubt, is_single, self.master, now))
+                    State::Exchange(self.exchange(service, Some(self.doubt), now))
                 }
                 Step::Pause(micros) => State::Pause(now.plus_micros(micros)),
                 Step::SetBitRate(rate) => {
-                    self.master.seen = [None; 2];
+                    self.master.seen = [None; 3];
                     self.state = State::Pause(now);
                     return Output::SetBitRate(rate);
                 }
@@ -239,6 +238,16 @@ impl<P: Procedure> Session<'_, P> {
                 }
             };
         }
+    }
+
+    fn exchange(&mut self, service: Service, doubt: Option<u8>, now: Instant) -> Exchange {
+        // The answers to the first question of all show how different the slaves are.
+        let is_in_doubt =
+            self.master.slowest(&service).is_none() || self.master.is_staggered || self.doubt > 0;
+        // Slaves that answer at the same moment seem to be one.
+        let is_single = self.singles >= SINGLES;
+        let awaits_all = is_in_doubt && !is_single && may_many_answer(&service);
+        Exchange::new(service, doubt, awaits_all, self.master, now)
     }
 
     /// Takes a received frame, also one that is no LSS answer.
@@ -285,18 +294,15 @@ impl Exchange {
     fn new(
         service: Service,
         doubt: Option<u8>,
-        is_single: bool,
+        awaits_all: bool,
         master: &mut Master,
         now: Instant,
     ) -> Self {
-        // The answers to the first question of all show how different the slaves are.
-        let is_in_doubt =
-            master.slowest(&service).is_none() || master.is_staggered || doubt > Some(0);
         // Another slave in LSS configuration state would take each request that follows.
         let is_who = service.last() == WHO;
         Self {
             doubt,
-            awaits_all: is_in_doubt && !is_single && may_many_answer(&service) || is_who,
+            awaits_all: awaits_all || is_who,
             repetitions: match doubt {
                 None => ATTEMPTS - 1,
                 // Nobody has answered yet, perhaps because the frames came back to back.
