@@ -203,11 +203,16 @@ impl History {
 
     fn request(&mut self, at: Duration, request: Request) {
         self.no_answer(at);
-        let is_search = matches!(request, Request::Fastscan(_) | Request::Select(..));
+        // The master asks who it is if the answer to the last question of a Fastscan is late or lost.
+        let is_last_question =
+            matches!(request, Request::Inquire(_)) && self.scanned.is_some_and(is_last);
+        let is_search =
+            is_last_question || matches!(request, Request::Fastscan(_) | Request::Select(..));
         if !is_search {
             self.end_search();
         }
         match request {
+            _ if is_last_question => {}
             Request::Fastscan(step) => {
                 if step.bit_check == 0x80 {
                     self.end_search();
@@ -284,11 +289,8 @@ impl History {
                     self.found(board, Kind::Check, at, "selected by its LSS address".into());
                 }
             }
-            0x4F if self.scanned.is_some() => {
+            0x4F | 0x5D if self.scanned.is_some() => {
                 self.search.push((at, false));
-                let is_last = |step: FastscanStep| {
-                    step.bit_check == 0 && usize::from(step.sub) == SERIAL && step.next < step.sub
-                };
                 if self.scanned.take().is_some_and(is_last) {
                     let board = self.board(self.parts);
                     self.boards[board].before.get_or_insert(None);
@@ -428,4 +430,9 @@ impl History {
         self.boards.push(board);
         self.boards.len() - 1
     }
+}
+
+/// Whether this is the last question of a Fastscan, which brings the slave to LSS configuration state.
+fn is_last(step: FastscanStep) -> bool {
+    step.bit_check == 0 && usize::from(step.sub) == SERIAL && step.next < step.sub
 }
