@@ -86,12 +86,13 @@ class Boards:
         return f"socket://{self.address}"
 
     def lss(self, *arguments):
-        """Runs the tool `lss` of this repository on the bus; returns what it printed."""
+        """Runs the tool `lss` of this repository on the bus; returns its exit code and what it printed."""
         command = ["cargo", "run", "--quiet", "--package", "commission", "--"]
         adapter = "--adapter", f"slcan:tcp:{self.address}"
-        tool = subprocess.run([*command, *adapter, *arguments], cwd=WORKSPACE, capture_output=True, text=True)
-        assert tool.returncode == 0, tool.stderr
-        return tool.stdout
+        command += [*adapter, *map(str, arguments)]
+        tool = subprocess.run(command, cwd=WORKSPACE, capture_output=True, text=True, timeout=BUILD_TIMEOUT)
+        print(tool.stdout, tool.stderr)
+        return tool.returncode, tool.stdout
 
     def run_script(self, script, *arguments):
         """Runs a script of this folder on the bus; returns its exit code, what it printed and its complaints."""

@@ -120,7 +120,8 @@ class BusLog:
 def test_20_boards_that_lss_has_commissioned_exchange_pdos_within_5_s(tmp_path):
     configured = configuration(tmp_path / "dcf", COUNT)
     with Boards(*EXAMPLE, COUNT) as boards:
-        assigned = boards.lss("assign")
+        code, assigned = boards.lss("assign")
+        assert code == 0
         verified = re.findall(r"^node (\d+) .* verified by a reset$", assigned, re.MULTILINE)
         assignment = [int(node_id) for node_id in verified]
         assert sorted(assignment) == list(range(1, COUNT + 1))

@@ -1,7 +1,5 @@
 """Reads what `lss apply` writes with programs of others, and gives `lss apply` what they write."""
 
-import subprocess
-
 import canopen
 
 from boards import WORKSPACE, Boards
@@ -20,17 +18,6 @@ VALUES = """
 """
 
 
-def lss(boards, *arguments):
-    """Runs `lss` on the bus of these boards; returns its exit code and what it printed."""
-    command = ["cargo", "run", "--quiet", "--package", "commission", "--"]
-    adapter = ["--adapter", f"slcan:tcp:{boards.address}"]
-    done = subprocess.run(
-        [*command, *adapter, *map(str, arguments)], cwd=WORKSPACE, capture_output=True, text=True, timeout=600
-    )
-    print(done.stdout, done.stderr)
-    return done.returncode, done.stdout
-
-
 def test_dcfs_of_lss_are_those_of_other_programs(tmp_path):
     table = tmp_path / "network.toml"
     with Boards("--example", "io", "--boards", 2) as boards:
@@ -40,7 +27,7 @@ def test_dcfs_of_lss_are_those_of_other_programs(tmp_path):
             f'[[node]]\nid = 5\nname = "pump"\naddress = "{addresses[0]}"\neds = "{sheet}"\n[node.values]\n{VALUES}\n'
             f'[[node]]\nid = 6\naddress = "{addresses[1]}"\neds = "{sheet}"\n'
         )
-        assert lss(boards, "apply", table, "--write-dcf", tmp_path)[0] == 0
+        assert boards.lss("apply", table, "--write-dcf", tmp_path)[0] == 0
         for node_id in (5, 6):
             checked = run("dcfchk", "-n", node_id, tmp_path / f"node_{node_id}.dcf")
             assert (checked.returncode, checked.stdout, checked.stderr) == (0, "", "")
@@ -65,9 +52,9 @@ def test_dcfs_of_lss_are_those_of_other_programs(tmp_path):
 
         # The file of one board brings it back, and is the same after a way through python-canopen.
         node_5 = tmp_path / "node_5.dcf"
-        assert lss(boards, "apply", node_5)[0] == 0
+        assert boards.lss("apply", node_5)[0] == 0
         exported = tmp_path / "exported.dcf"
         canopen.export_od(dictionary, str(exported))
-        code, printed = lss(boards, "apply", exported, "--plan")
+        code, printed = boards.lss("apply", exported, "--plan")
         assert code == 0
         assert f"node 5  {addresses[0]}  no change" in printed

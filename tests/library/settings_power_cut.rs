@@ -4,7 +4,7 @@
 
 use testkit::{
     flash::Flash,
-    power_cut::{Expected, cut_at_random, cut_twice, store},
+    power_cut::{Expected, cut_at_random, cut_twice, cut_while_moving, store},
     random::Random,
     settings::{open_with_parameters, parameters, settings},
 };
@@ -84,25 +84,7 @@ fn random_histories_with_any_number_of_cuts_lose_nothing() {
 
 #[test]
 fn cuts_in_banks_of_16_kb_that_are_nearly_full_lose_nothing() {
-    const STORES: usize = 12;
-    let mut random = Random::from_environment();
-    let flash = Flash::<4, 0x4000>::blank(0);
-    let mut expected = Expected::<LEN>::nothing();
-    // 510 places follow the mark and the first record. The log moves to the other bank, and the next power-on erases
-    // this one.
-    expected.live(&flash, 504);
-    for cut in 0..expected.steps(&flash, STORES) {
-        let flash = flash.duplicate(random.u64());
-        let mut expected = expected.clone();
-        flash.cut_power_after(cut);
-        expected.live(&flash, STORES);
-        flash.power_on();
-        flash.cut_power_after(random.within(0..20) as usize);
-        expected.live(&flash, STORES);
-        flash.power_on();
-        expected.live(&flash, STORES);
-        assert_ne!(flash.erases(), 0, "it has moved");
-    }
+    cut_while_moving::<LEN, 4, 0x4000>(1, &mut Random::from_environment());
 }
 
 #[test]
