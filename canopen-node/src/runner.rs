@@ -1,8 +1,8 @@
 //! What every board does around its node: it passes inputs to the node, carries out the actions, keeps the frames that
 //! wait for the controller, and watches the bus.
 //!
-//! A port writes a [`Controller`] and a [`System`]. On a board with interrupts each of them calls a `handle_` function of
-//! the [`Runner`]. A port to async drivers writes an [`AsyncController`] and an [`AsyncSystem`], and calls
+//! A port writes a [`Controller`] and a [`System`]. On a board with interrupts each of them calls a `handle_` function
+//! of the [`Runner`]. A port to async drivers writes an [`AsyncController`] and an [`AsyncSystem`], and calls
 //! [`Runner::run_step`] in a loop, by any executor.
 
 mod asynchronous;
@@ -36,8 +36,8 @@ macro_rules! log {
     };
 }
 
-/// Passes the stored parameters to a node before all other calls, and reports a loss of its settings. `found` is what the
-/// log was found with; returns that, or a failure.
+/// Passes the stored parameters to a node before all other calls, and reports a loss of its settings. `found` is what
+/// the log was found with; returns that, or a failure.
 pub fn restore<
     F: NorFlash,
     A: Application,
@@ -253,8 +253,8 @@ impl<
         }
     }
 
-    /// Checks the controller. Must be called a few times a second: a controller need not report its recovery from bus-off,
-    /// may not have started, and as a listener may receive nothing on a dominant bus.
+    /// Checks the controller. Must be called a few times a second: a controller need not report its recovery from
+    /// bus-off, may not have started, and as a listener may receive nothing on a dominant bus.
     pub fn supervise(&mut self) {
         let is_deaf = self.bus.is_listening()
             && !self.bus.has_heard

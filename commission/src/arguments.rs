@@ -11,10 +11,10 @@ use crate::address::{self, Assigned};
 
 /// Commission a CANopen network: LSS (CiA 305) through a CAN adapter
 ///
-/// Every command leaves all boards in LSS waiting state, also after an error and after Ctrl-C; only `lss raw` sends what
-/// you say. It ends with 0 if all was done, 1 if a board refuses or the network is not as it must be, 2 if the command
-/// line is wrong, 3 if nobody answers, 4 without a working adapter, 130 after Ctrl-C, which is the good end only of
-/// `lss list --watch`: 0.
+/// Every command leaves all boards in LSS waiting state, also after an error and after Ctrl-C; only `lss raw` sends
+/// what you say. It ends with 0 if all was done, 1 if a board refuses or the network is not as it must be, 2 if the
+/// command line is wrong, 3 if nobody answers, 4 without a working adapter, 130 after Ctrl-C, which is the good end
+/// only of `lss list --watch`: 0.
 #[derive(Parser)]
 #[command(name = "lss", version, verbatim_doc_comment)]
 pub struct Arguments {
@@ -25,7 +25,8 @@ pub struct Arguments {
     /// The bit rate of the network in kbit/s; by default that of the interface, or 125
     #[arg(long, global = true, value_name = "KBIT", value_parser = bit_rate)]
     pub bit_rate: Option<BitRate>,
-    /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
+    /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself
+    /// reports
     #[arg(long, global = true, value_name = "MS", default_value_t = 2)]
     pub latency: u16,
     /// Write all frames to FILE as `candump -l` does
@@ -52,7 +53,8 @@ pub struct Target {
 /// The desired state, and how much is done.
 #[derive(clap::Args)]
 pub struct Apply {
-    /// A table of the network (network.toml, as of `lss assign`), DCFs of nodes (*.dcf), or a list of them (nodelist.cpj)
+    /// A table of the network (network.toml, as of `lss assign`), DCFs of nodes (*.dcf), or a list of them
+    /// (nodelist.cpj)
     #[arg(value_name = "FILE", required = true)]
     pub files: Vec<PathBuf>,
     /// Only print the plan; ends with 1 if anything differs
@@ -82,8 +84,8 @@ pub enum Command {
         /// Print JSON
         #[arg(long)]
         json: bool,
-        /// Go on until Ctrl-C: show states, heartbeats, boot-ups and emergencies. It only listens then, and asks each node
-        /// that appears once
+        /// Go on until Ctrl-C: show states, heartbeats, boot-ups and emergencies. It only listens then, and asks each
+        /// node that appears once
         #[arg(long, conflicts_with = "json")]
         watch: bool,
     },
@@ -152,7 +154,8 @@ pub struct Assign {
     /// The table of the network: its boards get their node-IDs first, and new boards come into it
     #[arg(long, value_name = "FILE")]
     pub table: Option<PathBuf>,
-    /// A new board takes over the place of a missing one of the same product without a question, if there is one of each
+    /// A new board takes over the place of a missing one of the same product without a question, if there is one of
+    /// each
     #[arg(long, requires = "table")]
     pub yes: bool,
     /// In the end, wait until somebody has switched the power off and on, and check that every board comes back

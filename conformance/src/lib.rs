@@ -1,9 +1,9 @@
 //! The cases of a conformance test of CANopen: they drive a device by its electronic data sheet (EDS), over any line.
 //!
-//! A [`Case`] is one function with a purpose. Cases form a [`Group`], a file each; [`APPLICATION_LAYER`] lists the groups
-//! of CiA 301. Their numbers and purposes are those of the certifier's tool, so that reports can be compared; frames,
-//! expectations and words are our own. A case takes a [`Bench`], which speaks with the device and keeps the frames, and
-//! ends in one of three ways:
+//! A [`Case`] is one function with a purpose. Cases form a [`Group`], a file each; [`APPLICATION_LAYER`] lists the
+//! groups of CiA 301. Their numbers and purposes are those of the certifier's tool, so that reports can be compared;
+//! frames, expectations and words are our own. A case takes a [`Bench`], which speaks with the device and keeps the
+//! frames, and ends in one of three ways:
 //!
 //! - It returns `Ok(())`: passed.
 //! - A step of the bench fails, or [`Bench::check`] finds a difference: failed, with what was expected.

@@ -65,7 +65,8 @@ struct Arguments {
     /// The CAN controller of the first board, whose registers the probe reads: can1 or can2
     #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "probe")]
     controller: u8,
-    /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself reports
+    /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself
+    /// reports
     #[arg(long, value_name = "MS", default_value_t = 2)]
     latency: u16,
     /// Whether to ask for a power cut and a short circuit; by default if the standard input is a terminal

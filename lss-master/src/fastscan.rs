@@ -68,9 +68,9 @@ impl Fastscan {
         self
     }
 
-    /// Begins with what this slave has, which was found by the last scan and has a node-ID now: tries its vendor-ID, its
-    /// product code and its revision number first, and looks above its serial number. A number that is right takes one
-    /// request in place of 33, any other one more. Slaves that came since are found, too, but may take longer.
+    /// Begins with what this slave has, which was found by the last scan and has a node-ID now: tries its vendor-ID,
+    /// its product code and its revision number first, and looks above its serial number. A number that is right takes
+    /// one request in place of 33, any other one more. Slaves that came since are found, too, but may take longer.
     #[must_use]
     pub const fn after_slave(mut self, last: Address) -> Self {
         let Address { vendor_id, product_code, revision_number, serial_number } = last;

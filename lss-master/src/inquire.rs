@@ -36,8 +36,9 @@ impl Procedure for Select {
     }
 }
 
-/// The same as [`Select`], and then it asks who is in LSS configuration state: a slave that missed the switch to LSS waiting state would take each request that follows.
-/// In that case it begins again. A slave that does not answer to this question is taken to be alone.
+/// The same as [`Select`], and then it asks who is in LSS configuration state: a slave that missed the switch to LSS
+/// waiting state would take each request that follows. In that case it begins again. A slave that does not answer to
+/// this question is taken to be alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SelectAlone {
     address: Address,

@@ -23,8 +23,8 @@ pub struct Timing {
     pub answer: u32,
     /// The wait for the answer to store configuration.
     pub store: u32,
-    /// The wait for an answer that may fail to come, beyond the longest time that others have taken: the variation of the
-    /// slaves' answer times. It decides how long a Fastscan takes. After 16 answers it shrinks to half of the
+    /// The wait for an answer that may fail to come, beyond the longest time that others have taken: the variation of
+    /// the slaves' answer times. It decides how long a Fastscan takes. After 16 answers it shrinks to half of the
     /// variation that was seen, and after contradictions it grows up to `answer`.
     pub margin: u32,
     /// The pause after a request that has no answer. It grows, and stays so, if a slave seems to lose frames that come
@@ -404,8 +404,8 @@ impl Exchange {
         self.answer = Some(if contradicts { Err(Error::Inconsistent) } else { number });
     }
 
-    /// Whether a single answer came in a scan, of which each question is for slaves that have answered to the one before;
-    /// `None` if that is unknown.
+    /// Whether a single answer came in a scan, of which each question is for slaves that have answered to the one
+    /// before; `None` if that is unknown.
     fn is_single(&self) -> Option<bool> {
         match self.service.last() {
             Request::SwitchToWaiting => Some(false),

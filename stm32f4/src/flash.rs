@@ -66,7 +66,8 @@ impl SettingsFlash {
         Self { registers, supply }
     }
 
-    /// Runs `operation` with the width that the supply allows, with the control register unlocked and old errors cleared.
+    /// Runs `operation` with the width that the supply allows, with the control register unlocked and old errors
+    /// cleared.
     fn operate(
         &mut self,
         operation: impl FnOnce(&Self, Width) -> Result<(), FlashError>,

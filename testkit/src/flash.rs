@@ -2,9 +2,9 @@
 //! reads differently at each power-on. Its operations can fail, and its bits can stick. Each unit is programmed once
 //! after an erase, whatever its content is.
 //!
-//! A unit of 8 bytes or more has an error-correcting code: if it is torn, or if the erase of its sector was interrupted,
-//! it reads as blank, as written, as anything or as an error, differently each time. A torn unit that is programmed once
-//! more is refused, or completed with the same content.
+//! A unit of 8 bytes or more has an error-correcting code: if it is torn, or if the erase of its sector was
+//! interrupted, it reads as blank, as written, as anything or as an error, differently each time. A torn unit that is
+//! programmed once more is refused, or completed with the same content.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -17,8 +17,8 @@ use super::random::Random;
 /// Two sectors of 16 KB, written a word at a time, as on the board.
 pub type BoardFlash = Flash<4, 0x4000>;
 
-/// A flash of sectors of `ERASE` bytes, two unless said otherwise, written in units of `WRITE` bytes; clones are handles
-/// to the same chip.
+/// A flash of sectors of `ERASE` bytes, two unless said otherwise, written in units of `WRITE` bytes; clones are
+/// handles to the same chip.
 #[derive(Clone)]
 pub struct Flash<const WRITE: usize, const ERASE: usize>(Rc<RefCell<Chip>>);
 

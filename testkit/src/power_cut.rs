@@ -175,8 +175,8 @@ pub fn cut_twice<const P: usize, const W: usize, const E: usize>(
     }
 }
 
-/// Cuts the power in each step, and then in one of the next life, while the log moves from a bank that is nearly full to
-/// the other one, and erases the first. A bank has this number of sectors. Returns the number of cuts.
+/// Cuts the power in each step, and then in one of the next life, while the log moves from a bank that is nearly full
+/// to the other one, and erases the first. A bank has this number of sectors. Returns the number of cuts.
 pub fn cut_while_moving<const P: usize, const W: usize, const E: usize>(
     sectors: usize,
     random: &mut Random,

@@ -1,5 +1,5 @@
-//! A bus within the process, in virtual time, as a master with a CAN adapter sees it: slaves with and without the faults
-//! that people meet, lost frames, cut power and another master.
+//! A bus within the process, in virtual time, as a master with a CAN adapter sees it: slaves with and without the
+//! faults that people meet, lost frames, cut power and another master.
 
 #[cfg(feature = "adapter")]
 mod adapter;
@@ -30,8 +30,8 @@ const BYTE_BITS: u64 = 9;
 pub struct Habits {
     /// The time to an answer.
     pub answer_us: Range<u64>,
-    /// The time between two looks at the one frame that it holds; others that come until then are lost. 0: it takes each
-    /// frame at once.
+    /// The time between two looks at the one frame that it holds; others that come until then are lost. 0: it takes
+    /// each frame at once.
     pub poll_us: u64,
     /// The command specifiers that it does not know.
     pub without: &'static [u8],

@@ -1,5 +1,5 @@
-//! The chips: the firmware's table against the emulated boards, and the sessions that `cargo xtask chips` runs on all of
-//! them, with the image of the example.
+//! The chips: the firmware's table against the emulated boards, and the sessions that `cargo xtask chips` runs on all
+//! of them, with the image of the example.
 
 use canopen_stm32f4::chip::{self, CHIPS};
 use testkit::{

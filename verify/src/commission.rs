@@ -6,9 +6,9 @@ use testkit::cargo::cargo;
 /// Measure `lss` on slaves within the process, in virtual time at 1 Mbit/s
 ///
 /// It gives node-IDs to 127 blank slaves, in 5 s at most, and verifies 127 known ones, in 0.3 s. A mixed network of 20
-/// slaves of ours and 2 foreign ones is commissioned in 100 random starts while frames are lost, power is cut and another
-/// master interferes: in the end each slave has a node-ID of its own. In 200 runs, 32 boards change the bit rate while one
-/// of them is pulled out at any moment: none is lost.
+/// slaves of ours and 2 foreign ones is commissioned in 100 random starts while frames are lost, power is cut and
+/// another master interferes: in the end each slave has a node-ID of its own. In 200 runs, 32 boards change the bit
+/// rate while one of them is pulled out at any moment: none is lost.
 ///
 /// A run that fails is printed with the option that repeats it.
 #[derive(clap::Args)]

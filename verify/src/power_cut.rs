@@ -27,9 +27,9 @@ const QUICK: usize = 12;
 /// and more have an error-correcting code: where they are torn they read differently each time, or as an error. With
 /// each unit also in sectors of 2 KB and 16 KB: the power fails in each step while the log moves, and again soon after.
 ///
-/// In the release image on an emulated board: two commissionings by LSS, from a blank flash, from one with a half that is
-/// nearly full, and from one with a half that has to be erased; with the example `io`, two stores of parameters by 1010h
-/// with a commissioning between them, likewise. The power fails
+/// In the release image on an emulated board: two commissionings by LSS, from a blank flash, from one with a half that
+/// is nearly full, and from one with a half that has to be erased; with the example `io`, two stores of parameters by
+/// 1010h with a commissioning between them, likewise. The power fails
 /// in every flash operation, in every pause between two, and at random instants from power-on to the last answer.
 ///
 /// Fails if settings are lost.

@@ -27,8 +27,8 @@ use testkit::{
 /// For each chip the table shows the clock of the core, the flash that the image takes, the time from power-on to the
 /// boot-up, whether all eight bit rates are exact and work with crystals that are 0.5 % off at both ends, and the
 /// outcome of the sessions: a blank board is found by Fastscan, gets a node-ID and a bit rate, stores, switches, loses
-/// its power and boots up with what was stored; then those of `cargo verify chip-variants --quick`, and a start by a boot
-/// loader that leaves the PLL, interrupts and its vector table on. A wrong choice of
+/// its power and boots up with what was stored; then those of `cargo verify chip-variants --quick`, and a start by a
+/// boot loader that leaves the PLL, interrupts and its vector table on. A wrong choice of
 /// chips, controller or pins must not build.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -162,8 +162,8 @@ fn boot(variant: &Variant) -> (u32, Time) {
     (clocks.hclk.hz / 1_000_000, boot)
 }
 
-/// The board sets each rate exactly, with a bit timing that tolerates 0.5 % at both ends, and answers a master with such
-/// a difference without an error.
+/// The board sets each rate exactly, with a bit timing that tolerates 0.5 % at both ends, and answers a master with
+/// such a difference without an error.
 fn check_rates(variant: &Variant) -> anyhow::Result<()> {
     for rate in BitRate::ALL {
         for ppm in [0, 5_000, -5_000] {

@@ -21,8 +21,8 @@ const STEPS: u8 = 250 / indicator::STEP_MS as u8;
 
 /// A controller with an async driver.
 pub trait AsyncController: Controller {
-    /// Waits until a frame was received or sent, or an error was detected. It may return early, and must lose nothing if it
-    /// is dropped before.
+    /// Waits until a frame was received or sent, or an error was detected. It may return early, and must lose nothing
+    /// if it is dropped before.
     fn changed(&mut self) -> impl Future<Output = ()>;
 }
 
@@ -41,8 +41,8 @@ impl<
     const PRODUCERS: usize,
 > Runner<C, S, A, TPDOS, RPDOS, PRODUCERS>
 {
-    /// Runs the node until the indicators' next step, 50 ms at most, and returns the indicators to light. To be called in
-    /// a loop, which may also feed a watchdog.
+    /// Runs the node until the indicators' next step, 50 ms at most, and returns the indicators to light. To be called
+    /// in a loop, which may also feed a watchdog.
     ///
     /// The future may be dropped at any time: a product can `select` it against its own inputs, and call
     /// [`application`](Self::application) between two calls.

@@ -4,8 +4,8 @@ use crate::{BitRate, BusEvent, Frame, Receives, indicator::BusState};
 
 /// A CAN controller. No call may wait for the bus.
 pub trait Controller {
-    /// Runs at `bit_rate` from now on, drops what it was to send, leaves bus-off and lets the frames `receives` pass. It must
-    /// not wait for an idle bus, which may never come: the controller joins by itself.
+    /// Runs at `bit_rate` from now on, drops what it was to send, leaves bus-off and lets the frames `receives` pass.
+    /// It must not wait for an idle bus, which may never come: the controller joins by itself.
     ///
     /// Returns whether it has started. If not, the runner tries again a few times a second.
     #[must_use]
@@ -16,8 +16,8 @@ pub trait Controller {
         receives: &Receives<RPDOS, PRODUCERS>,
     ) -> bool;
 
-    /// Lets the frames `receives` pass from now on; those already received stay. A controller that lets every frame pass
-    /// at all times need not do anything.
+    /// Lets the frames `receives` pass from now on; those already received stay. A controller that lets every frame
+    /// pass at all times need not do anything.
     fn set_receives<const RPDOS: usize, const PRODUCERS: usize>(
         &mut self,
         _receives: &Receives<RPDOS, PRODUCERS>,
@@ -27,9 +27,9 @@ pub trait Controller {
     /// The oldest received frame, or a loss of frames.
     fn receive(&mut self) -> Option<Received>;
 
-    /// Passes `frame` to the controller and returns whether it takes it. It must refuse a frame that would wait behind a
-    /// less urgent one, or that might overtake one of the same COB-ID: the frame is offered again when another was sent.
-    /// A controller with a single place refuses every frame until that is empty.
+    /// Passes `frame` to the controller and returns whether it takes it. It must refuse a frame that would wait behind
+    /// a less urgent one, or that might overtake one of the same COB-ID: the frame is offered again when another was
+    /// sent. A controller with a single place refuses every frame until that is empty.
     fn send(&mut self, frame: &Frame) -> bool;
 
     /// Whether a frame was sent and acknowledged since the last call. A dropped one does not count.
@@ -50,14 +50,14 @@ pub trait Controller {
     /// The fault confinement state. The controller must recover from bus-off by itself.
     fn bus_state(&self) -> BusState;
 
-    /// What the bus is like at this moment. `None` if the controller cannot tell: then no search begins while it cannot join
-    /// the bus, and a bus that is held dominant is not noticed.
+    /// What the bus is like at this moment. `None` if the controller cannot tell: then no search begins while it cannot
+    /// join the bus, and a bus that is held dominant is not noticed.
     fn sample(&self) -> Option<Sample> {
         None
     }
 
-    /// Called up to a thousand times a second while errors matter: a controller that reports only the first of many by an
-    /// interrupt reports the next one too.
+    /// Called up to a thousand times a second while errors matter: a controller that reports only the first of many by
+    /// an interrupt reports the next one too.
     fn report_errors(&mut self) {}
 }
 
@@ -116,7 +116,8 @@ pub enum BusError {
 }
 
 impl BusError {
-    /// The error with this last error code, 1 to 6, as the registers of bxCAN, FDCAN and C_CAN have it; others are none.
+    /// The error with this last error code, 1 to 6, as the registers of bxCAN, FDCAN and C_CAN have it; others are
+    /// none.
     pub const fn from_code(code: u8) -> Option<Self> {
         match code {
             1 => Some(Self::Stuff),

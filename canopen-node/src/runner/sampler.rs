@@ -11,8 +11,8 @@ const STEP_MICROS: u32 = 1_000;
 const LONGEST_FRAME: u16 = 16;
 const TWO_FRAMES_BITS: u16 = 2 * 135;
 
-/// The samples. Sampling lasts from a start, an error or a [`look`](Self::look) until a valid frame, or until the bus is
-/// idle.
+/// The samples. Sampling lasts from a start, an error or a [`look`](Self::look) until a valid frame, or until the bus
+/// is idle.
 #[derive(Debug)]
 pub struct Sampler {
     /// The samples, while the controller may be out of sync with the bus.
@@ -50,8 +50,8 @@ impl Sampler {
         self.samples = None;
     }
 
-    /// Whether sampling should start, as the bus is dominant and no valid frame came since the last call. Must be called a
-    /// few times a second.
+    /// Whether sampling should start, as the bus is dominant and no valid frame came since the last call. Must be
+    /// called a few times a second.
     pub fn look(&mut self, sample: Sample) -> bool {
         let has_understood = mem::take(&mut self.has_understood);
         !sample.is_recessive && !has_understood && self.samples.is_none()

@@ -240,8 +240,8 @@ fn write_dcfs(
     Ok(())
 }
 
-/// A file beside the first one that is there while the work is not finished: the next run trusts nothing that may not be
-/// stored.
+/// A file beside the first one that is there while the work is not finished: the next run trusts nothing that may not
+/// be stored.
 struct Mark(PathBuf);
 
 impl Mark {

@@ -23,8 +23,8 @@ use crate::{
     table::Table,
 };
 
-/// Gives node-IDs from `first` on that nobody has. The boards of the table get theirs first, a new one may take over the
-/// place of a missing one, and other new ones come into the table.
+/// Gives node-IDs from `first` on that nobody has. The boards of the table get theirs first, a new one may take over
+/// the place of a missing one, and other new ones come into the table.
 pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure> {
     let first = assign.first;
     let mut table = assign.table.as_deref().map(Table::read).transpose()?;
@@ -185,8 +185,8 @@ fn known(
     Ok(None)
 }
 
-/// Gives a node-ID to the board in LSS configuration state, and stores it. From here on a Ctrl-C waits: a board must not
-/// have a node-ID that is not stored.
+/// Gives a node-ID to the board in LSS configuration state, and stores it. From here on a Ctrl-C waits: a board must
+/// not have a node-ID that is not stored.
 pub fn give(
     session: &mut Session<'_>,
     id: NodeId,
@@ -255,8 +255,8 @@ fn part(
     Ok(nodes.iter().filter_map(shared).collect())
 }
 
-/// Gives node-IDs to boards that do not support Fastscan, found by identify remote slave: those of the products that the
-/// table or this run knows. Returns whether there were any.
+/// Gives node-IDs to boards that do not support Fastscan, found by identify remote slave: those of the products that
+/// the table or this run knows. Returns whether there were any.
 fn without_fastscan(
     session: &mut Session<'_>,
     mut table: Option<&mut Table>,

@@ -16,8 +16,8 @@ const HEARTBEAT: Duration = Duration::from_millis(1150);
 
 /// The time in which a frame is repeated at any bit rate.
 const REPETITION: Duration = Duration::from_millis(20);
-/// The time in which a board that looks for the bit rate comes to that of a repeated frame, and the bits of these frames:
-/// the adapter must be error passive before they are valid for a listener.
+/// The time in which a board that looks for the bit rate comes to that of a repeated frame, and the bits of these
+/// frames: the adapter must be error passive before they are valid for a listener.
 const SEARCH: Duration = Duration::from_millis(100);
 const SEARCH_BITS: u32 = 5_500;
 
@@ -84,8 +84,8 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
 /// Asks at all bit rates; returns those at which somebody takes part, and whether there were errors.
 ///
 /// A board that looks for the bit rate of its network may follow a question to another one than its own. The question
-/// at its own takes it back, and from then on it stays. So each bit rate is asked, whatever answers before, and each with
-/// an answer once more.
+/// at its own takes it back, and from then on it stays. So each bit rate is asked, whatever answers before, and each
+/// with an answer once more.
 fn ask_at_all(
     session: &mut Session<'_>,
     rates: &[BitRate],

@@ -165,8 +165,8 @@ pub fn node(
     Ok(serial_numbers.iter().map(row).collect())
 }
 
-/// Object 2000h sub 5 of this repository's nodes. On another node that object is anything: there the bit rate in use, sub 6,
-/// is not the adapter's.
+/// Object 2000h sub 5 of this repository's nodes. On another node that object is anything: there the bit rate in use,
+/// sub 6, is not the adapter's.
 pub fn home_bit_rate(session: &mut Session<'_>, id: u8) -> Result<Option<u16>, Failure> {
     let Ok(in_use) = sdo::read(&mut session.bus, id, 0x2000, 6)? else { return Ok(None) };
     if in_use != session.bus.rate().kbit_per_s().to_le_bytes() {

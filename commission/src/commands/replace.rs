@@ -30,8 +30,8 @@ pub struct Replacements {
     taken: BTreeSet<u8>,
 }
 
-/// Finds a new board for each `missing` one. It must be of the same vendor and product. With `is_agreed` it takes over if
-/// there is one of each, without a question.
+/// Finds a new board for each `missing` one. It must be of the same vendor and product. With `is_agreed` it takes over
+/// if there is one of each, without a question.
 pub fn replace(
     session: &mut Session<'_>,
     table: &mut Table,

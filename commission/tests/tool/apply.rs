@@ -79,7 +79,7 @@ fn assert_done(wire: &Wire, file: &Path) {
 }
 
 #[test]
-fn node_ids_and_values_are_brought_to_the_table_and_a_second_run_writes_nothing() {
+fn a_network_is_brought_to_the_table_and_a_second_run_writes_nothing() {
     let wire = Wire::new(RATE, &[0xFF, 9, 12]);
     let text = node_with(5, 0, VALUES) + &node(6, 1) + &node(12, 2);
     let file = file("first", &text);
@@ -346,7 +346,7 @@ fn a_node_with_its_stamp_costs_two_reads_of_values() {
 }
 
 #[test]
-fn boards_with_the_release_image_are_brought_to_the_table_and_keep_it_without_power() {
+fn release_images_are_brought_to_the_table_and_keep_it_without_power() {
     let boards = Boards::unattended(Firmware::Io, &[(5, RATE), (6, RATE), (0xFF, RATE)], 1000);
     let node = |id: u8, board: usize| {
         format!("[[node]]\nid = {id}\naddress = \"{}\"\n", emulated::address_text(board))

@@ -83,8 +83,8 @@ impl Boards {
         Self::of(ImageRig::new(rate, node_ids.iter().enumerate().map(board)))
     }
 
-    /// Boards with these node-IDs, FF: none, and these stored bit rates, which nobody has acknowledged yet. With a node-ID
-    /// they send a heartbeat each `heartbeat_ms`; 0: never.
+    /// Boards with these node-IDs, FF: none, and these stored bit rates, which nobody has acknowledged yet. With a
+    /// node-ID they send a heartbeat each `heartbeat_ms`; 0: never.
     pub fn unattended(firmware: Firmware, boards: &[(u8, BitRate)], heartbeat_ms: u16) -> Self {
         let mut rig = ImageRig::new(BitRate::Kbit125, []);
         rig.network.adapter_mut(rig.master).close();

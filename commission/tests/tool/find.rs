@@ -11,8 +11,8 @@ use crate::emulated::Boards;
 /// No node-ID.
 const NONE: u8 = 0xFF;
 
-/// Runs `lss find --ask`, and asserts that it finds the bit rates of these boards, and that all of them are there, in LSS
-/// waiting state and with their settings.
+/// Runs `lss find --ask`, and asserts that it finds the bit rates of these boards, and that all of them are there, in
+/// LSS waiting state and with their settings.
 #[track_caller]
 fn assert_harmless(firmware: Firmware, list: &[(u8, BitRate)]) {
     let boards = Boards::unattended(firmware, list, 0);
@@ -62,7 +62,7 @@ fn boards_at_two_bit_rates_are_both_found_and_stay() {
 }
 
 #[test]
-fn a_network_that_is_silent_for_seconds_is_not_disturbed_unless_the_user_says_so() {
+fn a_silent_network_is_not_disturbed_unless_the_user_says_so() {
     let list = [(5, BitRate::Kbit500), (6, BitRate::Kbit500)];
     let boards = Boards::unattended(Firmware::Default, &list, 30_000);
     let requests = Rc::new(Cell::new(0));

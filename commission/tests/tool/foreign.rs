@@ -142,7 +142,7 @@ fn slaves_without_a_boot_up_message_get_a_node_id() {
 }
 
 #[test]
-fn slaves_without_fastscan_are_found_by_identify_if_their_product_is_known() {
+fn slaves_without_fastscan_are_found_by_identify_if_the_product_is_known() {
     let without = &[0x51];
     let table = Path::new(env!("CARGO_TARGET_TMPDIR")).join("without-fastscan.toml");
     // Whether the slaves answer at the same moment is a matter of chance.

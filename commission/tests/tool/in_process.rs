@@ -1,5 +1,5 @@
-//! Boards of the example `io` in the process, on an ideal bus in virtual time, and the tool's adapter there: thousands of
-//! runs in seconds. It counts what is written, and never are two boards one node, not even after a power cut.
+//! Boards of the example `io` in the process, on an ideal bus in virtual time, and the tool's adapter there: thousands
+//! of runs in seconds. It counts what is written, and never are two boards one node, not even after a power cut.
 
 use std::{
     cell::{RefCell, RefMut},

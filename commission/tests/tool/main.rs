@@ -1,5 +1,5 @@
-//! The commands of `lss` on emulated boards with the release image and on boards in the process, in virtual time, and its
-//! failures.
+//! The commands of `lss` on emulated boards with the release image and on boards in the process, in virtual time, and
+//! its failures.
 
 mod apply;
 mod assign;

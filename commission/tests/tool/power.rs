@@ -8,7 +8,8 @@ use crate::emulated::{Boards, Outcome};
 
 const RATE: BitRate = BitRate::Kbit125;
 
-/// Runs `lss assign --power-check` on two new boards. The power of these boards is away from the 20th to the 25th second.
+/// Runs `lss assign --power-check` on two new boards. The power of these boards is away from the 20th to the 25th
+/// second.
 fn check(boards: &Boards, without_power: &'static [usize]) -> Outcome {
     boards.after(20, move |network| {
         without_power.iter().for_each(|board| network.power_off(*board));

@@ -140,7 +140,7 @@ fn a_network_that_is_at_the_bit_rate_and_one_with_nobody_are_told() {
 }
 
 #[test]
-fn the_others_are_at_one_bit_rate_and_have_stored_it_whenever_a_board_is_pulled_out() {
+fn whenever_a_board_is_pulled_out_the_others_have_stored_one_bit_rate() {
     // The LSS frames of a run without a fault from the first 13 on.
     let frames = std::rc::Rc::new(std::cell::Cell::new((0, None)));
     let seen = std::rc::Rc::clone(&frames);

@@ -12,8 +12,8 @@
 //!   more, unless it is certain and the last one.
 //! - Each word is written once after an erase, and only if it reads blank. Where the power failed in the first word of
 //!   a place and it reads blank nevertheless, the same word follows: it is the sequence number, which counts places.
-//! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the bus
-//!   cannot afford. It is the bank without the newest record, after that record is certain or its bank is full.
+//! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the
+//!   bus cannot afford. It is the bank without the newest record, after that record is certain or its bank is full.
 //! - The first place of a bank is written when its erase is complete, and only then may others follow.
 //!
 //! So it is in flash whose program unit is a word or less; for the other rules of wider units see [`wide`].
@@ -52,7 +52,8 @@ pub enum Found {
 /// The settings log, on a flash that holds nothing else.
 ///
 /// The flash is used as two banks of equal size, each a multiple of the erase size; a bank of 16 KB has room for 512
-/// records, or for 341, 256 or 170 where the program unit has 8, 16 or 32 bytes. A store that finds no room in one bank continues in the other, which the `open` before has erased.
+/// records, or for 341, 256 or 170 where the program unit has 8, 16 or 32 bytes. A store that finds no room in one bank
+/// continues in the other, which the `open` before has erased.
 ///
 /// `STORED_LEN` is the greatest number of bytes of the packed parameters. It must not exceed the
 /// [`capacity`](parameters::capacity) of a bank: then a store finds the flash full.
@@ -334,7 +335,8 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         self.newest.record.settings
     }
 
-    /// Passes the persistent parameters to the node, which says whether it takes each. Call it once, before the first store: [`parameters`](Self::parameters) are those that were taken.
+    /// Passes the persistent parameters to the node, which says whether it takes each. Call it once, before the first
+    /// store: [`parameters`](Self::parameters) are those that were taken.
     ///
     /// # Errors
     /// The flash cannot be read.
@@ -385,8 +387,8 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         self.put_or_restore(settings, None)
     }
 
-    /// Makes `settings` and these packed parameters persistent. Parameters that already are cost nothing; each run of 24
-    /// bytes that differs takes as long as a record, before the record itself.
+    /// Makes `settings` and these packed parameters persistent. Parameters that already are cost nothing; each run of
+    /// 24 bytes that differs takes as long as a record, before the record itself.
     ///
     /// # Errors
     /// As for [`store`](Self::store): the previous settings and parameters are still persistent. [`Error::Full`] also
@@ -652,7 +654,8 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         if is_written { Ok(()) } else { Err(Error::NotAsWritten) }
     }
 
-    /// Writes a part of the parameters, or a mark, to a blank place; only the first `len` bytes of its data are written.
+    /// Writes a part of the parameters, or a mark, to a blank place; only the first `len` bytes of its data are
+    /// written.
     fn write_part(
         &mut self,
         at: u32,

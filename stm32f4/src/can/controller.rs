@@ -1,10 +1,10 @@
 //! The CAN controller: bit timing, filters, reception, transmission and error state.
 //!
-//! `bxcan` is the driver: it takes the controller over and sets the bit timing and the modes. The registers are accessed
-//! directly
+//! `bxcan` is the driver: it takes the controller over and sets the bit timing and the modes. The registers are
+//! accessed directly
 //!
-//! - for frames, which `bxcan` copies twice on the way of an answer. It also panics on access to the data of a frame with
-//!   a length code of 9 to 15, and with three full mailboxes waits until one is aborted;
+//! - for frames, which `bxcan` copies twice on the way of an answer. It also panics on access to the data of a frame
+//!   with a length code of 9 to 15, and with three full mailboxes waits until one is aborted;
 //! - for what it does not offer: error interrupts and error counters, the result of a transmission, mode changes
 //!   without a wait, and the filters of CAN2 without its driver of CAN1.
 //!
@@ -84,8 +84,8 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
     /// Resets the controller and sets it up, the only way to another bit rate without a wait. The controller joins the
     /// bus by itself after 11 recessive bits (RM0090, 32.4.2).
     ///
-    /// The controllers of some chips drive the transmit line dominant in silent mode (RM0090, 32.5.1), so a listener does
-    /// not get the pin.
+    /// The controllers of some chips drive the transmit line dominant in silent mode (RM0090, 32.5.1), so a listener
+    /// does not get the pin.
     fn start<const RPDOS: usize, const PRODUCERS: usize>(
         &mut self,
         mode: Mode,
@@ -207,7 +207,8 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
         can.ier().modify(|_, w| {
             // Bus-off is reported once, although the interrupt persists.
             w.bofie().bit(status.boff().bit_is_clear());
-            // There may be tens of thousands of errors a second. Only a search needs each of them, and a proven rate none.
+            // There may be tens of thousands of errors a second. Only a search needs each of them, and a proven rate
+            // none.
             w.lecie().bit(self.is_listening || self.receives_all && error.is_none())
         });
         can.msr().write(|w| w.erri().set_bit());

@@ -1,5 +1,5 @@
-//! A program without a panic handler that calls all of the node, its runner, the settings log, the indicators and the LSS
-//! master with unknown values: it links only if the compiler has proved that none of these calls panics.
+//! A program without a panic handler that calls all of the node, its runner, the settings log, the indicators and the
+//! LSS master with unknown values: it links only if the compiler has proved that none of these calls panics.
 
 #![no_std]
 #![no_main]

@@ -1,5 +1,5 @@
-//! Calls all of the runner, over a board of which nothing is known. `run_step` is not among the calls: an async function
-//! panics, by the compiler's own code, if it is polled after its end.
+//! Calls all of the runner, over a board of which nothing is known. `run_step` is not among the calls: an async
+//! function panics, by the compiler's own code, if it is polled after its end.
 
 use core::hint::black_box;
 

@@ -42,9 +42,9 @@ pub struct Found {
     pub problems: Vec<String>,
 }
 
-/// Opens the bus at the bit rate that the network has: `given` by the user, or that of the files. If a frame is heard at
-/// only the other of them, it is that: an earlier run has switched the network, or none yet. Nothing is asked at a bit
-/// rate that may be wrong but one question.
+/// Opens the bus at the bit rate that the network has: `given` by the user, or that of the files. If a frame is heard
+/// at only the other of them, it is that: an earlier run has switched the network, or none yet. Nothing is asked at a
+/// bit rate that may be wrong but one question.
 pub fn open(
     session: &mut Session<'_>,
     given: Option<BitRate>,
@@ -75,8 +75,8 @@ pub fn open(
 
 /// Finds the boards of the files, and all others. All boards are in LSS waiting state then.
 ///
-/// A Fastscan takes long if it finds boards that the files name. So unless the plan is all that is wanted (`is_plan`), it
-/// waits until they have their node-IDs: [`late`].
+/// A Fastscan takes long if it finds boards that the files name. So unless the plan is all that is wanted (`is_plan`),
+/// it waits until they have their node-IDs: [`late`].
 pub fn boards(
     session: &mut Session<'_>,
     network: &Network,

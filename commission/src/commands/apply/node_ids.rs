@@ -26,7 +26,8 @@ use crate::{
 type Taken = BTreeMap<NodeId, usize>;
 
 /// Gives each board of the plan its node-ID, and stores it: with `stores_again` also those that have it. They store
-/// the bit `rate` of the network, too, if it is known. The places follow; what cannot be done is among the problems of `found`.
+/// the bit `rate` of the network, too, if it is known. The places follow; what cannot be done is among the problems of
+/// `found`.
 pub fn assign(
     session: &mut Session<'_>,
     network: &Network,

@@ -189,8 +189,8 @@ impl Sheet {
         Some(format!("{}: {} is not within {limits}", self.words(entry), entry.text(bytes)))
     }
 
-    /// A PDO is switched off while its mapping, inhibit time or SYNC start value change, so its COB-ID must be known: that
-    /// of the wishes, or the default.
+    /// A PDO is switched off while its mapping, inhibit time or SYNC start value change, so its COB-ID must be known:
+    /// that of the wishes, or the default.
     pub fn complete_pdos(
         &self,
         node: u8,

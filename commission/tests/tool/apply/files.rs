@@ -118,8 +118,7 @@ fn dcf(id: u8, value: u8) -> String {
 }
 
 #[test]
-fn a_dcf_without_a_serial_number_is_for_the_only_board_of_its_kind_or_for_the_one_with_its_node_id()
-{
+fn a_dcf_without_a_serial_number_is_for_the_one_board_that_it_can_mean() {
     let folder = folder("kind");
     let path = folder.join("lamp.dcf");
     fs::write(&path, dcf(5, 2)).expect("it can be written");

@@ -8,8 +8,8 @@
 //! - A unit of zeros begins it. It is the only unit that may have been torn although it reads blank. If it is written
 //!   once more, then with the same value; if the flash refuses that, the log passes over the place.
 //! - The 32 bytes of a record or of a part of the parameters, as in other flash.
-//! - After a record is read back, the commit unit, which repeats its CRC and commit word. A record with a commit unit is
-//!   certain: the 32 bytes read the same at every start.
+//! - After a record is read back, the commit unit, which repeats its CRC and commit word. A record with a commit unit
+//!   is certain: the 32 bytes read the same at every start.
 //!
 //! # Rules
 //! - A record has a greater sequence number than all that its writer could read in both banks. The bank with the later
