@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use can_bus::bus::Masters;
 use canopen_node::{
     NodeId,
     lss::{Address, Request},
@@ -15,7 +14,7 @@ use crate::{
     commands::{
         power,
         replace::{Replacements, replace},
-        set_id::{RESET_COMMUNICATION, reset, wait_for_boot_up},
+        set_id::{RESET_COMMUNICATION, reset, take_back, wait_for_boot_up},
     },
     failure::Failure,
     scan,
@@ -196,11 +195,7 @@ pub fn give(
     session.bus.check_interrupt()?;
     session.bus.hold_interrupt(true);
     if let Err(failure) = session.carry_out(Configure::node_id(Some(id))) {
-        // It must not take the node-ID at the end of LSS configuration state, nor must others that another master has
-        // brought there.
-        session.bus.mind(Masters::None);
-        let _ = session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(before)));
-        session.bus.mind(Masters::Lss);
+        take_back(session, before);
         return Err(match failure {
             Failure::Stop(stop) => stop.into(),
             failure => Failure::Refused(format!("board {}: {failure}", address::text(&address))),

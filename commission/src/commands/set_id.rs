@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use can_bus::sdo;
+use can_bus::{bus::Masters, sdo};
 use canopen_node::{
     NodeId,
     lss::{Address, Request},
@@ -100,6 +100,14 @@ pub fn wait_for_boot_up(session: &mut Session<'_>, id: NodeId) -> Result<(), Fai
         session.bus.request(Request::SwitchToWaiting)?;
     }
     Err(silent(id))
+}
+
+/// Makes the node-ID pending again that a board had `before`: it must not take another one at the end of LSS
+/// configuration state, nor must others that another master has brought there.
+pub fn take_back(session: &mut Session<'_>, before: Option<NodeId>) {
+    session.bus.mind(Masters::None);
+    let _ = session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(before)));
+    session.bus.mind(Masters::Lss);
 }
 
 /// Resets a node, and checks that the board is there with its node-ID again: it has stored it. Returns whether it sends

@@ -16,7 +16,7 @@ use crate::{
     address,
     commands::{
         inquire::id_text,
-        set_id::{RESET_COMMUNICATION, wait_for_boot_up},
+        set_id::{RESET_COMMUNICATION, take_back, wait_for_boot_up},
     },
     failure::Failure,
     session::Session,
@@ -150,8 +150,7 @@ fn give_held(
         to = (1..=127).rev().filter_map(NodeId::new).find(|id| !taken.contains_key(id));
         configure(session, to, rate)?;
     } else if let Err(failure) = configured {
-        // It must not take the node-ID at the end of LSS configuration state.
-        let _ = session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(before)));
+        take_back(session, before);
         return Err(failure);
     }
     session.bus.take_unasked();
