@@ -31,6 +31,12 @@ fn ask(
     })
 }
 
+/// The request for the value of an object.
+pub fn read_request(index: u16, sub_index: u8) -> [u8; 8] {
+    let [low, high] = index.to_le_bytes();
+    [0x40, low, high, sub_index, 0, 0, 0, 0]
+}
+
 /// Reads an object.
 pub fn read(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<Vec<u8>> {
     let [low, high] = index.to_le_bytes();
@@ -39,7 +45,7 @@ pub fn read(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<Vec<u
         matches!(answer[0], 0x40..=0x43 | 0x47 | 0x4B | 0x4F)
             && answer[1..4] == [low, high, sub_index]
     };
-    let first = match ask(bus, node, [0x40, low, high, sub_index, 0, 0, 0, 0], wait, is_start)? {
+    let first = match ask(bus, node, read_request(index, sub_index), wait, is_start)? {
         Ok(first) => first,
         Err(why) => return Ok(Err(why)),
     };

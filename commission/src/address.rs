@@ -10,6 +10,11 @@ pub fn text(address: &Address) -> String {
     format!("{vendor_id:08X}:{product_code:08X}:{revision_number:08X}:{serial_number:08X}")
 }
 
+/// Parts of LSS addresses in hexadecimal, with commas between them.
+pub fn parts(numbers: &[u32]) -> String {
+    numbers.iter().map(|number| format!("{number:08X}")).collect::<Vec<_>>().join(", ")
+}
+
 /// An LSS address as [`text`] writes it.
 pub fn address(text: &str) -> Result<Address, String> {
     let part = |part: &str| u32::from_str_radix(part.trim_start_matches("0x"), 16).ok();

@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use can_bus::bus::bits;
+use can_bus::{bus::bits, sdo};
 use canopen_node::{
     Frame, NodeId,
     lss::{Address, AddressPart, FastscanStep, Request},
@@ -58,8 +58,7 @@ fn ask_identity(session: &mut Session<'_>, ids: &[u8], sub_index: u8) -> Result<
     let span = bits(EXCHANGE_BITS, session.bus.rate()) + session.bus.latency() / 2;
     for id in ids {
         session.progress.say(|| format!("asking node {id} of 127"));
-        let request = [0x40, 0x18, 0x10, sub_index, 0, 0, 0, 0];
-        session.bus.send_to(0x600 + u16::from(*id), &request)?;
+        session.bus.send_to(0x600 + u16::from(*id), &sdo::read_request(0x1018, sub_index))?;
         session.bus.pass(span)?;
     }
     Ok(())
@@ -109,8 +108,7 @@ pub fn known(
 
 /// The different serial numbers that nodes with this node-ID tell, as in [`nodes`]. Other frames stay unasked.
 pub fn serial_numbers(session: &mut Session<'_>, id: u8) -> Result<Vec<u32>, Failure> {
-    let request = [0x40, 0x18, 0x10, SERIAL_NUMBER, 0, 0, 0, 0];
-    session.bus.send_to(0x600 + u16::from(id), &request)?;
+    session.bus.send_to(0x600 + u16::from(id), &sdo::read_request(0x1018, SERIAL_NUMBER))?;
     let cob_id = 0x580 + u16::from(id);
     let is_answer =
         |frame: &Frame| frame.cob_id() == cob_id && sdo_answer(frame, SERIAL_NUMBER).is_some();

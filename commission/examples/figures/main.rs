@@ -6,7 +6,7 @@ mod rate;
 
 use std::{env, fs, path::PathBuf, process::ExitCode, time::Instant};
 
-use canopen_node::BitRate;
+use canopen_node::{BitRate, lss::Address};
 use clap::Parser;
 use testkit::random::Random;
 
@@ -112,8 +112,12 @@ fn known(random: &mut Random) -> Judgement {
 }
 
 /// A node in a table.
-fn node(id: u8, address: canopen_node::lss::Address) -> String {
+fn node(id: u8, address: Address) -> String {
+    format!("[[node]]\nid = {id}\naddress = \"{}\"\n", text(address))
+}
+
+/// An LSS address as the tool writes it.
+fn text(address: Address) -> String {
     let parts: [u32; 4] = address.into();
-    let [vendor, product, revision, serial] = parts.map(|part| format!("{part:08X}"));
-    format!("[[node]]\nid = {id}\naddress = \"{vendor}:{product}:{revision}:{serial}\"\n")
+    parts.map(|part| format!("{part:08X}")).join(":")
 }

@@ -13,7 +13,7 @@ use testkit::{
 use crate::{
     Judgement,
     network::{ADDRESS, NONE, Network, Outcome, ours, slave},
-    new_file, node,
+    new_file, node, text,
 };
 
 const OURS: usize = 20;
@@ -52,8 +52,8 @@ pub fn campaign(random: &mut Random, starts: usize) -> Judgement {
     }
     println!(
         "mixed network of {OURS} slaves of ours and 2 foreign ones: {} of {starts} starts with a node-ID twice or \
-         missing; {} runs of the tool, {} ended by another master; {} times it named boards of one node-ID, which the other master had given, and \
-         they were parted as it says ({:.1} s of this computer)",
+         missing; {} runs of the tool, {} ended by another master; {} times it named boards of one node-ID, which the \
+         other master had given, and they were parted as it says ({:.1} s of this computer)",
         failures.len(),
         all.runs,
         all.ended_by_master,
@@ -190,13 +190,12 @@ fn finish(network: &Network, assign: &str, count: &mut Count, prints: bool) -> R
             let addresses = network.addresses();
             let bus_ids = network.active();
             let one = bus_ids.iter().rposition(|active| active.map(NodeId::get) == Some(*id));
-            let parts: [u32; 4] = addresses[one.unwrap_or(0)].into();
-            let parts = parts.map(|part| format!("{part:08X}")).join(":");
+            let address = text(addresses[one.unwrap_or(0)]);
             let free = (1..=127_u8)
                 .rev()
                 .find(|free| bus_ids.iter().flatten().all(|taken| taken.get() != *free));
             let free = free.unwrap_or(127);
-            let set = format!("set-id {free} --store --reset --bit-rate 1000 --address {parts}");
+            let set = format!("set-id {free} --store --reset --bit-rate 1000 --address {address}");
             count.mended += 1;
             let outcome = network.lss(&set);
             count.note(&outcome, prints);

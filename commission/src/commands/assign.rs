@@ -211,16 +211,14 @@ pub fn give(
 
 /// The words for a node-ID that several nodes have.
 fn shared((id, serial_numbers): (&u8, &Vec<u32>)) -> Option<String> {
-    let numbers: Vec<String> =
-        serial_numbers.iter().map(|number| format!("{number:08X}")).collect();
     let words = || {
         format!(
             "{} boards have node-ID {id}, with the serial numbers {}: give all but one another (lss set-id --reset)",
-            numbers.len(),
-            numbers.join(", ")
+            serial_numbers.len(),
+            address::parts(serial_numbers)
         )
     };
-    (numbers.len() > 1).then(words)
+    (serial_numbers.len() > 1).then(words)
 }
 
 /// Gives another node-ID to each new board whose node-ID a board has that came later; says who shares one still.

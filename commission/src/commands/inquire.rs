@@ -110,9 +110,8 @@ fn several(answers: &[u32], part: AddressPart) -> Failure {
         AddressPart::RevisionNumber => "revision numbers",
         AddressPart::SerialNumber => "serial numbers",
     };
-    let numbers: Vec<String> = answers.iter().map(|number| format!("{number:08X}")).collect();
     Failure::Refused(format!(
         "several boards answer, with the {name} {}: choose one with --address",
-        numbers.join(", ")
+        address::parts(answers)
     ))
 }

@@ -53,12 +53,12 @@ pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
             (_, false) if now.is_empty() => problems.push(format!(
                 "node {id} has not come back within {} s: serial number {}. `lss find` looks for it at other bit rates",
                 NEXT.as_secs(),
-                hexadecimal(&numbers)
+                address::parts(&numbers)
             )),
             (_, false) => problems.push(format!(
                 "node {id} is another board after power: serial number {}, and it was {}",
-                hexadecimal(&now),
-                hexadecimal(&numbers)
+                address::parts(&now),
+                address::parts(&numbers)
             )),
         }
     }
@@ -101,8 +101,4 @@ fn stored_rate(session: &mut Session<'_>, id: u8) -> Result<Option<String>, Fail
     Ok(home.map(|home| {
         format!("node {id} has stored {home} kbit/s, and the network runs at {rate}: `lss set-rate` is for all")
     }))
-}
-
-fn hexadecimal(numbers: &[u32]) -> String {
-    numbers.iter().map(|number| format!("{number:08X}")).collect::<Vec<_>>().join(", ")
 }

@@ -85,7 +85,7 @@ pub fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> 
 /// Whether a node answers with this node-ID.
 pub fn is_there(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
     let id = u16::from(id.get());
-    session.bus.send_to(0x600 + id, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0])?;
+    session.bus.send_to(0x600 + id, &sdo::read_request(0x1000, 0))?;
     let wait = session.bus.short();
     Ok(session.bus.wait_for(wait, |frame| frame.cob_id() == 0x580 + id)?.is_some())
 }

@@ -12,6 +12,7 @@ use canopen_node::BitRate;
 use testkit::image::Firmware;
 
 use crate::{
+    assign::entry,
     emulated::{self, Boards},
     in_process::{Wire, address_text},
 };
@@ -348,11 +349,8 @@ fn a_node_with_its_stamp_costs_two_reads_of_values() {
 #[test]
 fn release_images_are_brought_to_the_table_and_keep_it_without_power() {
     let boards = Boards::unattended(Firmware::Io, &[(5, RATE), (6, RATE), (0xFF, RATE)], 1000);
-    let node = |id: u8, board: usize| {
-        format!("[[node]]\nid = {id}\naddress = \"{}\"\n", emulated::address_text(board))
-    };
     let values = format!("eds = \"{EDS}\"\n[node.values]\n{VALUES}");
-    let text = format!("bit_rate = 500\n{}{values}\n{}{}", node(6, 0), node(5, 1), node(7, 2));
+    let text = format!("bit_rate = 500\n{}{values}\n{}{}", entry(6, 0), entry(5, 1), entry(7, 2));
     let file = file("image", &text);
     let apply = |options: &str| boards.lss(&format!("apply {} {options}", file.display()));
     assert_eq!(apply("").code, 0);
@@ -408,8 +406,7 @@ fn a_board_of_another_revision_is_told() {
 fn a_board_without_fastscan_is_found_by_its_address() {
     let boards = Boards::new(RATE, &[0xFF, 9]);
     boards.unsupported.set(Some(0x51));
-    let address = emulated::address_text(0);
-    let file = file("no-fastscan", &format!("[[node]]\nid = 5\naddress = \"{address}\"\n"));
+    let file = file("no-fastscan", &entry(5, 0));
     let outcome = boards.lss(&format!("apply {}", file.display()));
     assert_eq!(outcome.code, 0);
     assert_eq!(boards.stored(0), Some((5, 4)));

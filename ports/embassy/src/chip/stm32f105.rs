@@ -1,4 +1,4 @@
-//! An STM32F105RC with a crystal of 8 MHz: clocks, pins, and the place of the settings. Checked only.
+//! An STM32F105RC with a crystal of 8 MHz: clocks, pins, and the place of the settings. It is only built.
 
 use embassy_stm32::{
     Config, Peripherals,

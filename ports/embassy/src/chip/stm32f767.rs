@@ -1,4 +1,4 @@
-//! The board NUCLEO-F767ZI: clocks, pins, and the place of the settings. Checked only.
+//! The board NUCLEO-F767ZI: clocks, pins, and the place of the settings. It is only built.
 
 use embassy_stm32::{
     Config, Peripherals,

@@ -1,4 +1,4 @@
-//! The STM32G474: clocks, pins, and the place of the settings. Built only.
+//! The STM32G474: clocks, pins, and the place of the settings. It is only built.
 
 use embassy_stm32::{
     Config, Peripherals,

@@ -1,4 +1,4 @@
-//! The board NUCLEO-H743ZI: clocks, pins, and the place of the settings. Built only.
+//! The board NUCLEO-H743ZI: clocks, pins, and the place of the settings. It is only built.
 
 use core::arch::asm;
 

@@ -1,4 +1,4 @@
-//! The board NUCLEO-L476RG with a crystal of 8 MHz: clocks, pins, and the place of the settings. Checked only.
+//! The board NUCLEO-L476RG with a crystal of 8 MHz: clocks, pins, and the place of the settings. It is only built.
 
 use embassy_stm32::{
     Config, Peripherals,
