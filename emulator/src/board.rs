@@ -219,7 +219,7 @@ impl Board {
 
     fn start(&mut self, cause: ResetCause, now: Time) {
         #[cfg(feature = "log")]
-        self.log.restart();
+        self.log.restart(self.engine.as_mut());
         self.chip().reset(cause, now);
         let variant = self.chip().variant();
         let hold = match cause {

@@ -55,10 +55,20 @@ pub struct Bench {
 impl Bench {
     /// The nodes that send a boot-up within `span`; stops listening when all boards have.
     pub fn boot_ups(&mut self, span: Duration) -> Result<Vec<u8>, Stop> {
+        self.nodes(span, |state| state == 0)
+    }
+
+    /// The nodes that send a boot-up or a heartbeat within `span`; stops listening when all boards have.
+    pub fn signs_of_life(&mut self, span: Duration) -> Result<Vec<u8>, Stop> {
+        self.nodes(span, |_| true)
+    }
+
+    fn nodes(&mut self, span: Duration, counts: impl Fn(u8) -> bool) -> Result<Vec<u8>, Stop> {
         let until = Instant::now() + span;
         let mut nodes = Vec::new();
         while let Some(Received { frame, .. }) = self.bus.receive(until)? {
-            if matches!((frame.cob_id(), frame.data()), (0x701..=0x77F, [0])) {
+            if matches!((frame.cob_id(), frame.data()), (0x701..=0x77F, [state]) if counts(*state))
+            {
                 nodes.push((frame.cob_id() & 0x7F) as u8);
             }
             if !self.boards.is_empty() && self.is_each_in(&nodes) {

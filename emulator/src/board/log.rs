@@ -69,9 +69,13 @@ impl Log {
         }
     }
 
-    /// Discards a frame that was cut off by the end of the program.
-    pub fn restart(&mut self) {
+    /// Discards a frame that was cut off by the end of the program, and hides the buffer until the program has
+    /// initialised its data again: until then its pointers belong together by chance only.
+    pub fn restart(&mut self, engine: &mut dyn Engine) {
         self.frame.clear();
+        if let Some(block) = self.control_block {
+            engine.write_memory(block + CHANNEL + 12, &[0; 8]);
+        }
     }
 
     fn push(&mut self, byte: u8, now: Time) {
