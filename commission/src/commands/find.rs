@@ -26,6 +26,10 @@ const QUIET: &str = "no frame at any bit rate. `lss find --ask` asks at each of 
     only wait to be asked. It is wrong for a network that runs and was silent for these seconds: a question at another \
     bit rate disturbs it for a tenth of a second, and a node that sends then may switch itself off (bus-off)";
 
+/// What boards at different bit rates get to read.
+const MIXED: &str =
+    "boards at different bit rates disturb each other: leave those of one bit rate on the bus";
+
 /// What a bit rate showed.
 #[derive(Default)]
 struct Sight {
@@ -55,15 +59,32 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
         }
     };
     let mut has_signals = false;
+    let mut sights = Vec::new();
     for &rate in &rates {
         session.progress.say(|| format!("listening at {rate}"));
-        let mut sight = listen(session, rate)?;
+        let sight = listen(session, rate)?;
         has_signals |= sight.has_errors;
         if !sight.heard.is_empty() {
-            ask(session, rate, &mut sight)?;
-            name(session, &mut sight)?;
-            return tell(session, rate, expected, &sight);
+            let has_errors = sight.has_errors;
+            sights.push((rate, sight));
+            // Errors may be the frames of boards at another bit rate.
+            if !has_errors {
+                break;
+            }
         }
+    }
+    if let [(rate, sight)] = &mut sights[..] {
+        ask(session, *rate, sight)?;
+        name(session, sight)?;
+        return tell(session, *rate, expected, sight);
+    }
+    // A question would disturb those at the other bit rates.
+    for (rate, sight) in &sights {
+        writeln!(session.out, "boards run at {rate}")?;
+        tell_heard(session, sight)?;
+    }
+    if !sights.is_empty() {
+        return Err(Failure::Refused(MIXED.into()));
     }
     if !asks {
         return Err(Failure::NoAnswer(QUIET.into()));
@@ -75,9 +96,7 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
     match answers.len() {
         0 => Err(Failure::NoAnswer(silence(has_signals, has_errors))),
         1 => Ok(()),
-        _ => Err(Failure::Refused(
-            "boards at different bit rates disturb each other: leave those of one bit rate on the bus".into(),
-        )),
+        _ => Err(Failure::Refused(MIXED.into())),
     }
 }
 
@@ -188,18 +207,16 @@ fn tell(
     expected: BitRate,
     sight: &Sight,
 ) -> Result<(), Failure> {
-    let out = &mut *session.out;
     match rate == expected {
-        true => writeln!(out, "the network runs at {rate}")?,
+        true => writeln!(session.out, "the network runs at {rate}")?,
         false => writeln!(
-            out,
+            session.out,
             "the network runs at {rate}, and not at {expected}: use --bit-rate {}",
             rate.kbit_per_s()
         )?,
     }
-    for (words, count) in &sight.heard {
-        writeln!(out, "heard: {words} ({count})")?;
-    }
+    tell_heard(session, sight)?;
+    let out = &mut *session.out;
     if !sight.nodes.is_empty() {
         let nodes: Vec<String> = sight.nodes.iter().map(u8::to_string).collect();
         writeln!(out, "answers to SDO: node {}", nodes.join(", "))?;
@@ -209,6 +226,13 @@ fn tell(
     }
     if !sight.is_blank_there && sight.nodes.is_empty() {
         writeln!(out, "nobody answers to SDO or LSS; somebody takes part in the bus")?;
+    }
+    Ok(())
+}
+
+fn tell_heard(session: &mut Session<'_>, sight: &Sight) -> Result<(), Failure> {
+    for (words, count) in &sight.heard {
+        writeln!(session.out, "heard: {words} ({count})")?;
     }
     Ok(())
 }

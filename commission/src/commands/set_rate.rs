@@ -14,12 +14,10 @@ use crate::{
     session::Session,
 };
 
-/// Switches all boards to another bit rate and stores it. If one does not come, all go back.
+/// Switches all boards to another bit rate and stores it. If one does not come, all go back. At the bit rate that the
+/// network has already, a board that came there by listening makes it its own.
 pub fn set_rate(session: &mut Session<'_>, to: BitRate, delay_ms: u16) -> Result<(), Failure> {
     let from = session.bus.rate();
-    if to == from {
-        return Err(Failure::Refused(format!("{to} is the bit rate of the network already")));
-    }
     if session.bus.fixed_rate().is_some() {
         return Err(Failure::Refused(
             "the bit rate of this interface must stay: name it without @KBIT".into(),

@@ -74,3 +74,23 @@ fn a_silent_network_is_not_disturbed_unless_the_user_says_so() {
     assert!(outcome.error.contains("`lss find --ask` asks at each of them"), "{}", outcome.error);
     assert_eq!(boards.rig().errors().len(), errors);
 }
+
+#[test]
+fn nodes_that_send_at_two_bit_rates_are_both_heard_and_told() {
+    use BitRate::{Kbit125, Kbit250};
+    let list = [(5, Kbit125), (6, Kbit125), (7, Kbit250), (8, Kbit250)];
+    let boards = Boards::unattended(Firmware::Default, &list, 300);
+    // Two that have heard each other stay at their bit rate.
+    for others in [[2, 3], [0, 1]].map(|others| others.map(Source::Board)) {
+        let network = &mut boards.rig().network;
+        others.iter().for_each(|other| network.cut_wire(*other));
+        network.run_for(Time::from_ms(10_000));
+        others.iter().for_each(|other| network.mend_wire(*other));
+    }
+    let outcome = boards.lss("find");
+    assert_eq!(outcome.code, 1, "{}", outcome.text);
+    assert!(outcome.error.starts_with("boards at different bit rates disturb each other"));
+    for rate in ["125", "250"] {
+        assert!(outcome.text.contains(&format!("boards run at {rate} kbit/s\nheard: ")));
+    }
+}

@@ -2,6 +2,7 @@
 
 use canopen_node::BitRate;
 use emulator::{Time, network::Source};
+use testkit::image::Firmware;
 
 use crate::emulated::{Boards, address_text};
 
@@ -10,6 +11,8 @@ const NEW: BitRate = BitRate::Kbit500;
 /// The indices of these bit rates.
 const OLD_INDEX: u8 = 4;
 const NEW_INDEX: u8 = 2;
+/// The time between two heartbeats of boards that nobody has acknowledged yet.
+const HEARTBEAT_MS: u16 = 1000;
 
 #[test]
 fn all_boards_follow_to_the_new_bit_rate_and_store_it() {
@@ -132,11 +135,26 @@ fn ctrl_c_around_the_switch_leaves_all_boards_at_one_bit_rate() {
 }
 
 #[test]
-fn a_network_that_is_at_the_bit_rate_and_one_with_nobody_are_told() {
-    let outcome = Boards::new(OLD, &[1]).lss("set-rate 125");
-    assert_eq!(outcome.code, 1);
-    assert_eq!(outcome.error, "125 kbit/s is the bit rate of the network already");
+fn a_network_with_nobody_is_told() {
     assert_eq!(Boards::new(OLD, &[]).lss("set-rate 500").code, 3);
+    assert_eq!(Boards::new(OLD, &[]).lss("set-rate 125").code, 3);
+}
+
+#[test]
+fn a_board_that_listens_at_the_bit_rate_of_the_others_stores_it() {
+    // The power was cut while they stored 500 kbit/s.
+    let boards =
+        Boards::unattended(Firmware::Default, &[(1, NEW), (2, NEW), (3, OLD)], HEARTBEAT_MS);
+    boards.rig().network.run_for(Time::from_ms(30_000));
+    let outcome = boards.lss("set-rate 500 --bit-rate 500");
+    assert_eq!(outcome.code, 0, "{}", outcome.error);
+    assert!(outcome.text.ends_with("all 3 boards answer at 500 kbit/s and have stored it\n"));
+    for (board, id) in [1, 2, 3].into_iter().enumerate() {
+        assert_eq!(boards.stored(board), Some((id, NEW_INDEX)));
+    }
+    let list = boards.lss("list --bit-rate 500").text;
+    assert!(list.contains("500") && !list.contains("home"), "{list}");
+    boards.assert_waiting(NEW);
 }
 
 #[test]
