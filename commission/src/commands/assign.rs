@@ -36,6 +36,8 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
     taken.extend(session.bus.states.keys());
     let mut new = Vec::new();
     let mut missing = Vec::new();
+    // They stay as they are.
+    let mut held = Vec::new();
     for (id, address) in entries {
         if as_known.contains(&id.get()) {
             let text = address::text(&address);
@@ -44,12 +46,16 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
         }
         session.progress.say(|| format!("looking for node {} of the table", id.get()));
         match session.carry_out(SelectAlone::new(address)) {
-            Ok(()) => problems.extend(known(session, id, address, &mut taken, &mut new)?),
+            Ok(()) => {
+                if let Some(problem) = known(session, id, address, &mut taken, &mut new)? {
+                    problems.push(problem);
+                    held.push(address);
+                }
+            }
             Err(Failure::NoAnswer(_)) => missing.push((id, address)),
             Err(failure) => return Err(failure),
         }
     }
-    let mut held = Vec::new();
     if let Some(table) = &mut table
         && !missing.is_empty()
     {
@@ -58,7 +64,7 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
         taken.extend(done.iter().map(|(id, _)| id.get()));
         new.extend(done);
         problems.extend(places);
-        held = boards;
+        held.extend(boards);
     }
     // The node-IDs of boards that are missing now stay theirs.
     let reserved = table.iter().flat_map(|table| table.ids.clone());

@@ -112,7 +112,9 @@ fn a_node_id_of_the_table_that_another_board_has_is_not_given_twice() {
     let outcome = boards.lss(&format!("assign --table {}", path.display()));
     assert_eq!(outcome.code, 1);
     assert!(outcome.error.starts_with("another board has node-ID 9"), "{}", outcome.error);
-    assert_eq!(boards.stored(1), Some((9, INDEX)));
+    assert_eq!(ids(&boards, 2), [None, Some(9)]);
+    // No second entry for the board.
+    assert_eq!(fs::read_to_string(&path).expect("it is there"), entry(9, 0));
     boards.assert_waiting(RATE);
 }
 
