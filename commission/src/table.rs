@@ -64,10 +64,7 @@ impl Table {
     /// Reads the table; a file that does not exist is an empty one.
     pub fn read(path: &Path) -> Result<Self, Failure> {
         let wrong = |why: String| Failure::Refused(format!("{}: {why}", path.display()));
-        let text = match fs::read_to_string(path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => String::new(),
-            text => text.map_err(|error| wrong(error.to_string()))?,
-        };
+        let text = text(path).map_err(|error| wrong(error.to_string()))?;
         let content = parse(&text).map_err(wrong)?;
         let mut table = Self { path: path.to_owned(), entries: Vec::new(), ids: BTreeSet::new() };
         for entry in content.node {
@@ -78,15 +75,44 @@ impl Table {
         Ok(table)
     }
 
-    /// Adds an entry at the end of the file, which otherwise stays as it is.
-    pub fn add(&mut self, id: NodeId, address: Address) -> io::Result<()> {
-        let mut file = File::options().append(true).create(true).open(&self.path)?;
-        let text = address::text(&address);
-        write!(file, "\n[[node]]\nid = {}\naddress = \"{text}\"\n", id.get())?;
+    /// Opens the file, which must take an entry for this board at its end. A board gets no node-ID that the table cannot
+    /// keep.
+    pub fn open_for(&self, id: NodeId, address: Address) -> Result<File, Failure> {
+        let wrong = |why: String| {
+            Failure::Refused(format!(
+                "{}: {why}. Board {} got no node-ID",
+                self.path.display(),
+                address::text(&address)
+            ))
+        };
+        let text = text(&self.path).map_err(|error| wrong(error.to_string()))?;
+        // An array of inline tables, for example, does not go on at the end of the file.
+        parse(&(text + &entry(id, address)))
+            .map_err(|why| wrong(format!("with one more [[node]] at its end: {why}")))?;
+        let file = File::options().append(true).create(true).open(&self.path);
+        file.map_err(|error| wrong(format!("cannot write: {error}")))
+    }
+
+    /// Adds an entry at the end of the open file, which otherwise stays as it is.
+    pub fn add(&mut self, mut file: File, id: NodeId, address: Address) -> io::Result<()> {
+        file.write_all(entry(id, address).as_bytes())?;
         self.entries.push((id, address));
         self.ids.insert(id.get());
         Ok(())
     }
+}
+
+/// The text of the file; none if it does not exist.
+fn text(path: &Path) -> io::Result<String> {
+    match fs::read_to_string(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(String::new()),
+        text => text,
+    }
+}
+
+fn entry(id: NodeId, address: Address) -> String {
+    let text = address::text(&address);
+    format!("\n[[node]]\nid = {}\naddress = \"{text}\"\n", id.get())
 }
 
 /// Reads the content, in which no node-ID and no address is wrong or there twice.

@@ -81,13 +81,7 @@ pub fn assign(session: &mut Session<'_>, assign: &Assign) -> Result<(), Failure>
                 first.get()
             )));
         };
-        give(session, id, address, None)?;
-        taken.insert(id.get());
-        new.push((id, address));
-        if let Some(table) = &mut table {
-            table.add(id, address)?;
-        }
-        session.bus.hold_interrupt(false);
+        give_new(session, (id, address), table.as_mut(), &mut taken, &mut new)?;
     }
     let is_anyone_left = match new.is_empty() {
         _ if !held.is_empty() => false,
@@ -215,6 +209,25 @@ pub fn give(
     wait_for_boot_up(session, id)
 }
 
+/// Gives the selected board without a node-ID one, and an entry in the table.
+fn give_new(
+    session: &mut Session<'_>,
+    (id, address): (NodeId, Address),
+    table: Option<&mut Table>,
+    taken: &mut BTreeSet<u8>,
+    new: &mut Vec<(NodeId, Address)>,
+) -> Result<(), Failure> {
+    let file = table.as_ref().map(|table| table.open_for(id, address)).transpose()?;
+    give(session, id, address, None)?;
+    taken.insert(id.get());
+    new.push((id, address));
+    if let (Some(table), Some(file)) = (table, file) {
+        table.add(file, id, address)?;
+    }
+    session.bus.hold_interrupt(false);
+    Ok(())
+}
+
 /// The words for a node-ID that several nodes have.
 fn shared((id, serial_numbers): (&u8, &Vec<u32>)) -> Option<String> {
     let words = || {
@@ -276,13 +289,7 @@ fn without_fastscan(
             session.carry_out(SelectAlone::new(address))?;
             let is_blank = session.carry_out(InquireNodeId)?.is_none();
             if let (true, Some(id)) = (is_blank, free(first.get(), taken)) {
-                give(session, id, address, None)?;
-                taken.insert(id.get());
-                new.push((id, address));
-                if let Some(table) = &mut table {
-                    table.add(id, address)?;
-                }
-                session.bus.hold_interrupt(false);
+                give_new(session, (id, address), table.as_deref_mut(), taken, new)?;
                 is_any = true;
             }
             let Some(next) = address.serial_number.checked_add(1) else { break };

@@ -188,3 +188,22 @@ fn a_board_without_fastscan_is_told_and_can_be_given_a_node_id() {
     assert_eq!(boards.lss(&format!("set-id 5 --store --address {}", address_text(0))).code, 0);
     assert_eq!(boards.lss("assign").text, "no board needs a node-ID\n");
 }
+
+#[test]
+fn no_board_gets_a_node_id_that_the_table_cannot_keep() {
+    let inline = new_file("inline.toml");
+    let text = format!("node = [{{ id = 5, address = \"{}\" }}]\n", address_text(0));
+    fs::write(&inline, &text).expect("it can be written");
+    for (table, why) in [
+        (Path::new("/nowhere/network.toml"), "/nowhere/network.toml: cannot write: "),
+        (&*inline, "inline.toml: with one more [[node]] at its end: "),
+    ] {
+        let boards = Boards::new(RATE, &[5, 0xFF]);
+        let outcome = boards.lss(&format!("assign --table {}", table.display()));
+        assert_eq!((outcome.code, boards.stored(1)), (1, None), "{}", outcome.error);
+        assert!(outcome.error.contains(why), "{}", outcome.error);
+        assert!(outcome.error.ends_with(&format!(". Board {} got no node-ID", address_text(1))));
+        boards.assert_waiting(RATE);
+    }
+    assert_eq!(fs::read_to_string(&inline).expect("it is there"), text);
+}
