@@ -38,7 +38,9 @@ pub fn read_text(path: &Path) -> Result<String, String> {
     let bytes = fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
     // Older files are in Latin-1.
     let latin = |bytes: Vec<u8>| bytes.into_iter().map(char::from).collect();
-    Ok(String::from_utf8(bytes).unwrap_or_else(|error| latin(error.into_bytes())))
+    let text = String::from_utf8(bytes).unwrap_or_else(|error| latin(error.into_bytes()));
+    // Editors of Windows begin a file with a byte order mark.
+    Ok(text.trim_start_matches('\u{FEFF}').to_owned())
 }
 
 impl Sheet {

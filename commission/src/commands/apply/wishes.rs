@@ -179,7 +179,8 @@ impl Network {
                 problems.push(format!("node {}: Node{0}DCFName is missing", id.get()));
                 continue;
             };
-            match Sheet::read(&folder.join(file)) {
+            // A tool on Windows writes the path with its own separators.
+            match Sheet::read(&folder.join(file.replace('\\', "/"))) {
                 Ok(sheet) => {
                     let name = topology.get(&key("name")).cloned();
                     let source = Source { name, sheet: Some(sheet), ..Source::default() };

@@ -149,8 +149,9 @@ fn a_list_of_nodes_names_their_files() {
     fs::write(folder.join("a.dcf"), dcf(5, 2)).expect("it can be written");
     fs::write(folder.join("b.dcf"), dcf(9, 7)).expect("it can be written");
     let list = folder.join("nodelist.cpj");
-    let text = "[TOPOLOGY]\nNetName=Machine\nNodes=0x02\nNode5Present=0x01\nNode5Name=Lamp\nNode5DCFName=a.dcf\n\
-        Node9Present=0x01\nNode9DCFName=b.dcf\nNode10Present=0x00\nEDSBaseName=/eds\n";
+    // As a tool on Windows writes it.
+    let text = "\u{FEFF}[TOPOLOGY]\r\nNetName=Machine\nNodes=0x02\nNode5Present=0x01\nNode5Name=Lamp\n\
+        Node5DCFName=.\\a.dcf\nNode9Present=0x01\nNode9DCFName=b.dcf\nNode10Present=0x00\nEDSBaseName=/eds\n";
     fs::write(&list, text).expect("it can be written");
     let wire = Wire::new(RATE, &[5, 9]);
     let (outcome, _) = wire.apply(&list, "");
