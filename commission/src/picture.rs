@@ -29,6 +29,8 @@ const BOX_HEIGHT: f64 = 38.0;
 /// The least width of a step, and of a boot-up.
 const LEAST: f64 = 4.0;
 const BOOT: f64 = 8.0;
+/// Between two of them.
+const GAP: f64 = 0.5;
 /// A silence is drawn as if it was this long at most.
 const SILENCE: Duration = Duration::from_secs(1);
 /// The least distance of two marks on the time axis.
@@ -276,17 +278,27 @@ fn lane(lane: &Lane, scale: &Scale, y: f64) -> String {
         format!("<path d=\"M {LEFT} {y} H {RIGHT}\" stroke=\"#b8bfc7\" fill=\"none\"/>\n");
     // Steps that are too short to be seen stand side by side.
     let mut free = f64::MIN;
+    let mut places = Vec::new();
     for step in &lane.steps {
-        let (color, _) = look(step.kind);
-        let title = format!("{:.3} s: {}", step.from.as_secs_f64(), step.words);
         let least = if step.kind == Kind::BootUp { BOOT } else { LEAST };
         let x = scale.x(step.from).max(free);
         let width = (scale.x(step.to) - x).max(least);
+        places.push((x, width));
+        free = x + width + GAP;
+    }
+    // At the end they begin earlier.
+    let mut limit = RIGHT;
+    for (x, width) in places.iter_mut().rev() {
+        *x = x.min(limit - *width);
+        limit = *x - GAP;
+    }
+    for (step, (x, width)) in lane.steps.iter().zip(places) {
+        let (color, _) = look(step.kind);
+        let title = format!("{:.3} s: {}", step.from.as_secs_f64(), step.words);
         svg += &match step.kind {
             Kind::BootUp => mark(step.kind, x, y - 16.0, color, &title),
             _ => bar(x, y - 15.0, [width, 12.0], color, &title),
         };
-        free = x + width + 0.5;
     }
     for (is_request, color, top) in [(true, "#1b4f9c", y + 3.0), (false, "#2b8a3e", y + 11.0)] {
         let mut path = String::new();
@@ -374,7 +386,10 @@ pub fn date_and_time(since_1970: Duration) -> String {
 
 #[cfg(test)]
 mod tests {
+    use canopen_node::Frame;
+
     use super::*;
+    use crate::recorder::What;
 
     #[test]
     fn a_time_has_its_date() {
@@ -383,6 +398,26 @@ mod tests {
         assert_eq!(text(951_827_696), "2000-02-29 12:34 UTC");
         assert_eq!(text(1_740_787_199), "2025-02-28 23:59 UTC");
         assert_eq!(text(4_107_542_400), "2100-03-01 00:00 UTC");
+    }
+
+    #[test]
+    fn steps_at_the_end_do_not_leave_the_time_axis() {
+        let boot_up = Frame::new(0x705, &[0]).expect("a frame");
+        let entry = |ms| {
+            let at = Duration::from_millis(ms);
+            Entry { at, what: What::Received(boot_up) }
+        };
+        let entries: Vec<Entry> = (0..12).chain(5000..5012).map(entry).collect();
+        let caption = Caption { title: String::new(), line: String::new(), failure: None };
+        let svg = draw(&entries, &caption);
+        let places = svg
+            .split("<path d=\"M ")
+            .filter(|path| path.contains(" l 4 -6 ") && path.contains(" s: "));
+        let ends: Vec<f64> = places
+            .filter_map(|path| Some(path.split(' ').next()?.parse::<f64>().ok()? + BOOT))
+            .collect();
+        assert_eq!(ends.len(), 24);
+        assert!(ends.is_sorted() && ends.iter().all(|end| *end <= RIGHT), "{ends:?}");
     }
 
     #[test]
