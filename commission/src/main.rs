@@ -1,7 +1,7 @@
 //! `lss`: commissions a CANopen network through a CAN adapter.
 
 use std::{
-    io::{self, IsTerminal},
+    io::{self, IsTerminal, Write},
     process::ExitCode,
     sync::{
         Arc,
@@ -48,10 +48,14 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
     let flag = Arc::clone(&is_interrupted);
     let is_watching = matches!(arguments.command, Command::List { watch: true, .. });
     let handled = ctrlc::set_handler(move || {
-        if !is_watching {
-            eprintln!("Ctrl-C: the boards leave LSS configuration state first");
+        let is_first = !flag.swap(true, Ordering::Relaxed);
+        if is_first && !is_watching {
+            // The terminal may be gone.
+            let _ = writeln!(
+                io::stderr(),
+                "interrupted: the boards leave LSS configuration state first"
+            );
         }
-        flag.store(true, Ordering::Relaxed);
     });
     handled.map_err(|error| Stop::Bench(format!("cannot wait for Ctrl-C: {error}")))?;
     if place.is_up() {
