@@ -57,7 +57,7 @@ fn the_port_passes_beside_our_own_board(chip: &str) {
     let boards = start(chip, "1", &[]);
     let sessions = [
         "services", "answers", "bursts", "sdo", "nmt", "fastscan", "activate", "switch", "store",
-        "rescue",
+        "detect", "rescue",
     ];
     let arguments: Vec<_> = sessions.iter().flat_map(|name| ["--session", *name]).collect();
     let run = run::run(&format!("port-beside-{chip}"), &boards.adapter(), &arguments);
